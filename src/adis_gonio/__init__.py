@@ -1,0 +1,47 @@
+"""adis-gonio: driver and calibration tool for the ADIS16354 inertial sensor in a goniometer.
+
+The names here are the public Python interface; they are imported when first used, so that
+`import adis_gonio` and `adis-gonio --help` stay quick.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "open_bus": "adis_gonio.bus",
+    "open_sensor": "adis_gonio.sensor",
+    "Adis16354": "adis_gonio.sensor",
+    "load_session": "adis_gonio.session",
+    "Session": "adis_gonio.model",
+    "Dwell": "adis_gonio.model",
+    "fit": "adis_gonio.fitting",
+    "FitResult": "adis_gonio.fitting",
+    "AdisGonioError": "adis_gonio.errors",
+}
+
+__all__ = ["__version__", *sorted(_HOMES)]  # noqa: PLE0604 (all are strings)
+
+if TYPE_CHECKING:
+    from adis_gonio.bus import open_bus as open_bus
+    from adis_gonio.errors import AdisGonioError as AdisGonioError
+    from adis_gonio.fitting import FitResult as FitResult
+    from adis_gonio.fitting import fit as fit
+    from adis_gonio.model import Dwell as Dwell
+    from adis_gonio.model import Session as Session
+    from adis_gonio.sensor import Adis16354 as Adis16354
+    from adis_gonio.sensor import open_sensor as open_sensor
+    from adis_gonio.session import load_session as load_session
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its home when it is first asked for (PEP 562)."""
+    if name in _HOMES:
+        import importlib
+
+        value = getattr(importlib.import_module(_HOMES[name]), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'adis_gonio' has no attribute '{name}'")

@@ -1,0 +1,23 @@
+"""Buses that carry 16-bit frames: the contract, its errors, opening by URL."""
+
+from adis_gonio.bus.contract import (
+    Capability,
+    FrameBlock,
+    FrameStream,
+    SpiBus,
+    SpiTiming,
+    Words,
+)
+from adis_gonio.bus.opening import BusUrl, bus_schemes, open_bus
+
+__all__ = [
+    "BusUrl",
+    "Capability",
+    "FrameBlock",
+    "FrameStream",
+    "SpiBus",
+    "SpiTiming",
+    "Words",
+    "bus_schemes",
+    "open_bus",
+]

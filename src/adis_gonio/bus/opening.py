@@ -1,0 +1,94 @@
+"""Opening a bus by URL: `scheme:place?option=value`."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import entry_points
+from urllib.parse import parse_qsl
+
+from adis_gonio.bus.contract import SpiBus
+from adis_gonio.errors import NotInstalledError, UsageError
+
+ENTRY_POINT_GROUP = "adis_gonio.bus"
+
+
+@dataclass(frozen=True)
+class BusUrl:
+    """A bus URL, taken apart.
+
+    Attributes
+    ----------
+    scheme : str
+        Which kind of bridge: `sim`, `serial`, …
+    place : str
+        Which one of that kind: a port, a serial number; may be empty.
+    options : mapping of str to str
+        What stood behind the question mark.
+    """
+
+    text: str
+    scheme: str
+    place: str = ""
+    options: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def parse(cls, text: str) -> BusUrl:
+        """Take a URL apart; `UsageError` says what is wrong with it."""
+        scheme, colon, rest = text.partition(":")
+        if not colon or not scheme:
+            raise UsageError(f"'{text}' is no bus URL: write scheme:place, such as sim:?seed=1")
+        place, _, query = rest.partition("?")
+        try:
+            pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
+        except ValueError:
+            raise UsageError(f"'{text}': options are written ?name=value&name=value") from None
+        options: dict[str, str] = {}
+        for name, value in pairs:
+            if name in options:
+                raise UsageError(f"'{text}': option '{name}' stands twice")
+            options[name] = value
+        return cls(text, scheme.lower(), place, options)
+
+
+Opener = Callable[[BusUrl], SpiBus]
+
+
+def bus_schemes() -> tuple[str, ...]:
+    """Schemes that installed packages offer (entry points of group `adis_gonio.bus`)."""
+    return tuple(sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)}))
+
+
+def open_bus(url: str) -> SpiBus:
+    """Open a bus by URL; use it as a context manager.
+
+    Parameters
+    ----------
+    url : str
+        For instance `sim:?seed=1`. `bus_schemes()` lists the schemes that are installed.
+
+    Raises
+    ------
+    UsageError
+        The URL is malformed, its scheme or an option unknown.
+    NotInstalledError
+        The bridge needs an extra that is not installed; the message names it.
+    CannotOpenError
+        The device is missing, busy or not permitted.
+    """
+    parsed = BusUrl.parse(url)
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        if point.name == parsed.scheme:
+            try:
+                opener: Opener = point.load()
+            except ImportError as error:
+                raise NotInstalledError(
+                    f"'{url}': the bus '{parsed.scheme}' needs {error.name or error}:"
+                    f" pip install 'adis-gonio[{parsed.scheme}]'"
+                ) from error
+            return opener(parsed)
+    known = bus_schemes()
+    near = difflib.get_close_matches(parsed.scheme, known, n=1)
+    hint = f"did you mean '{near[0]}:'?" if near else f"known: {', '.join(known) or 'none'}"
+    raise UsageError(f"'{url}': no bus is called '{parsed.scheme}'; {hint}")

@@ -1,0 +1,119 @@
+"""What was measured, as plain data: samples, dwells, sessions. No files, no devices.
+
+A *dwell* is the scans taken while the part is still in one *position*; a *session* is all dwells with
+what surrounded them. Files become sessions in `adis_gonio.session`; fits read them in
+`adis_gonio.fitting`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Plane = Literal["xy", "none"]
+Use = Literal["fit", "check"]
+AccelUnit = Literal["lsb", "mg", "g", "mps2", "counts"]
+GyroUnit = Literal["dps", "radps", "counts"]
+
+STANDARD_GRAVITY_MPS2 = 9.80665
+
+
+@dataclass(frozen=True)
+class Dwell:
+    """Samples of one position.
+
+    Attributes
+    ----------
+    position : int
+        Number of the dwell in the session.
+    time_s : (n,) float
+        Time of each sample, increasing.
+    accel : (n, 2) or (n, 3) float
+        Accelerometer samples in `Session.accel_unit`.
+    angle_deg : float or None
+        Declared angle of the stage, positive for the rotation of the paper's equation 6; None unknown.
+    approach : int
+        Direction from which the position was reached, +1 or -1; 0 unknown.
+    use : {"fit", "check"}
+        `check` dwells take no part in a fit or in a choice of effects.
+    gyro : (n, 3) float or None
+        Gyro samples in `Session.gyro_unit`.
+    temperature_c, supply_v : (n,) float or None
+        Temperature in °C and supply in V.
+    first_row : int or None
+        Row of the file where the dwell begins, for messages.
+    """
+
+    position: int
+    time_s: Floats
+    accel: Floats
+    angle_deg: float | None = None
+    approach: int = 0
+    use: Use = "fit"
+    gyro: Floats | None = None
+    temperature_c: Floats | None = None
+    supply_v: Floats | None = None
+    first_row: int | None = None
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+@dataclass(frozen=True)
+class Session:
+    """All dwells of a calibration with what surrounded them.
+
+    Attributes
+    ----------
+    sensor : str
+        `adis16354`, `adis16350`, `adis16355` or `generic`.
+    accel_unit : str
+        Unit of `Dwell.accel`; `counts` means an unknown scale and zero that the fit has to find.
+    gravity_mps2 : float
+        Local gravity in m/s².
+    fixture_sigma_deg : float or None
+        Standard uncertainty of a declared angle in degrees; `inf` where attitudes are free; None not
+        stated.
+    plane : {"xy", "none"}
+        Plane of rotation, or none where attitudes are anywhere in space.
+    reading_u_mg : float or None
+        Standard uncertainty of a dwell that has one sample only.
+    source : str
+        File that it came from.
+    notes : tuple of str
+        What the reader of the file has to tell, one line each (segmentation, an unfinished session).
+    facts : mapping
+        Whatever else the file knows (configuration, registers, versions, truth of a simulation).
+    """
+
+    dwells: tuple[Dwell, ...]
+    sensor: str = "adis16354"
+    accel_unit: AccelUnit = "lsb"
+    gyro_unit: GyroUnit = "dps"
+    gravity_mps2: float = STANDARD_GRAVITY_MPS2
+    fixture_sigma_deg: float | None = None
+    plane: Plane = "xy"
+    reading_u_mg: float | None = None
+    title: str = ""
+    source: str = ""
+    notes: tuple[str, ...] = ()
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def free_attitudes(self) -> bool:
+        """True where declared angles carry no information."""
+        return self.fixture_sigma_deg is not None and math.isinf(self.fixture_sigma_deg)
+
+    @property
+    def gravity_mg(self) -> float:
+        """Local gravity in mg (thousandths of the standard 9.80665 m/s²)."""
+        return 1000.0 * self.gravity_mps2 / STANDARD_GRAVITY_MPS2
+
+    def used_for(self, use: Use) -> Session:
+        """Session that holds only the dwells of one use."""
+        return replace(self, dwells=tuple(dwell for dwell in self.dwells if dwell.use == use))
