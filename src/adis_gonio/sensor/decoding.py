@@ -1,0 +1,184 @@
+"""Words of many scans to numbers and units, vectorised."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.bus import Words
+from adis_gonio.errors import ChipError, UsageError
+from adis_gonio.sensor.registers import (
+    ACCEL_OUT,
+    EA,
+    GYRO_OUT,
+    ND,
+    TEMP_OUT,
+    Kind,
+    Register,
+    registers,
+)
+from adis_gonio.sensor.variants import Variant, variant
+
+Floats = NDArray[np.float64]
+
+
+def decode_numbers(table: Sequence[Register], words: Words) -> NDArray[np.int32]:
+    """Numbers of registers: flags and unused bits masked off, signs extended.
+
+    Parameters
+    ----------
+    table : k registers
+    words : (n, k) uint16
+
+    Returns
+    -------
+    (n, k) int32
+    """
+    # Shifting the number to the top of 32 bits and back extends the sign or clears the rest.
+    shifts = np.array([32 - register.bits for register in table], np.uint32)
+    signed = np.array([register.signed for register in table])
+    top = words.astype(np.uint32) << shifts
+    return np.where(signed, top.view(np.int32) >> shifts.astype(np.int32), (top >> shifts).view(np.int32))
+
+
+def scales(
+    table: Sequence[Register], part: Variant, gyro_range_dps: int | None
+) -> tuple[Floats, Floats, tuple[str, ...]]:
+    """LSB (k,), value at zero (k,) and unit of each register.
+
+    Raises
+    ------
+    ChipError
+        A gyro is asked for while the range is unknown (None).
+    """
+    lsb, zero, units = [], [], []
+    for row in table:
+        if row.kind is Kind.GYRO and gyro_range_dps is None:
+            raise ChipError(
+                f"{row.name}: SENS_AVG holds no valid gyro range, so its scale is unknown;"
+                " set one (configure(gyro_range_dps=300))"
+            )
+        a, b, unit = part.lsb(row.kind, gyro_range_dps or 300)
+        lsb.append(a)
+        zero.append(b)
+        units.append(unit)
+    return np.array(lsb), np.array(zero), tuple(units)
+
+
+@dataclass(frozen=True)
+class ScanBlock:
+    """Scans of the same registers, one after another.
+
+    Attributes
+    ----------
+    registers : tuple of str
+        Names of the k registers.
+    words : (n, k) uint16
+        Words as they came, flags included.
+    time_s : (n,) float
+        Time of each scan on the bus's clock, in s.
+    lost : int
+        Updates of the chip since the previous block, up to the end of this one, that were missed.
+    variant, gyro_range_dps
+        What the words have to be read with.
+    """
+
+    registers: tuple[str, ...]
+    words: Words
+    time_s: Floats
+    lost: int = 0
+    variant: str = "adis16354"
+    gyro_range_dps: int | None = 300
+
+    def __len__(self) -> int:
+        return len(self.words)
+
+    @property
+    def table(self) -> tuple[Register, ...]:
+        """Rows of the register table, one a column."""
+        return registers(self.registers)
+
+    def numbers(self) -> NDArray[np.int32]:
+        """Numbers (n, k), flags and unused bits masked off."""
+        return decode_numbers(self.table, self.words)
+
+    def values(self) -> Floats:
+        """Values (n, k) in the units of `units` (mg, °/s, °C, V)."""
+        lsb, zero, _ = scales(self.table, variant(self.variant), self.gyro_range_dps)
+        values: Floats = zero + lsb * self.numbers()
+        return values
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each column."""
+        return scales(self.table, variant(self.variant), self.gyro_range_dps)[2]
+
+    def column(self, name: str) -> Floats:
+        """Values (n,) of one register."""
+        return self.select((name,)).values()[:, 0]
+
+    def select(self, names: Sequence[str]) -> ScanBlock:
+        """The same scans with some of their registers only."""
+        try:
+            columns = [self.registers.index(name) for name in names]
+        except ValueError:
+            missing = next(name for name in names if name not in self.registers)
+            raise UsageError(f"{missing} was not scanned; scanned: {', '.join(self.registers)}") from None
+        return ScanBlock(
+            tuple(names),
+            self.words[:, columns],
+            self.time_s,
+            self.lost,
+            self.variant,
+            self.gyro_range_dps,
+        )
+
+    @property
+    def accel_mg(self) -> Floats:
+        """Acceleration (n, 3) in mg (thousandths of 9.80665 m/s²)."""
+        return self.select(ACCEL_OUT).values()
+
+    @property
+    def gyro_dps(self) -> Floats:
+        """Rates of turn (n, 3) in °/s."""
+        return self.select(GYRO_OUT).values()
+
+    @property
+    def temperature_c(self) -> Floats:
+        """Mean (n,) of the scanned die temperatures in °C."""
+        names = tuple(name for name in TEMP_OUT if name in self.registers)
+        mean: Floats = self.select(names or TEMP_OUT).values().mean(axis=1)
+        return mean
+
+    @property
+    def supply_v(self) -> Floats:
+        """Supply (n,) in V."""
+        return self.column("SUPPLY_OUT")
+
+    @property
+    def fresh(self) -> NDArray[np.bool_]:
+        """True (n, k) where a word carries ND: data that had not been read before."""
+        return (self.words & ND).astype(bool)
+
+    @property
+    def alarm(self) -> NDArray[np.bool_]:
+        """True (n,) where a word carries EA: an error or alarm stands in STATUS."""
+        outputs = [k for k, row in enumerate(self.table) if row.flags]
+        flags: NDArray[np.bool_] = np.any((self.words[:, outputs] & EA).astype(bool), axis=1)
+        return flags
+
+
+def join(blocks: Sequence[ScanBlock]) -> ScanBlock:
+    """One block of several that were scanned alike and follow one another."""
+    first = blocks[0]
+    return ScanBlock(
+        first.registers,
+        np.concatenate([block.words for block in blocks]),
+        np.concatenate([block.time_s for block in blocks]),
+        sum(block.lost for block in blocks),
+        first.variant,
+        first.gyro_range_dps,
+    )

@@ -1,0 +1,587 @@
+"""The driver: registers, configuration, scans and commands of an ADIS16354 over any bus.
+
+Rules that it keeps
+    * A frame with the write bit leaves only from a method that was asked to write.
+    * Every write is read back, and a flash update is proved by the endurance counter.
+    * The bus's clock follows SMPL_PRD, and is slow whenever the mode is not known.
+    * After a reset, restore, self-test or flash update nothing is sent until the part has recovered.
+    * Nothing is taken for data that does not say so: silence, a wrong variant and STATUS are errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from adis_gonio.bus import Capability, SpiBus, open_bus
+from adis_gonio.errors import (
+    ChipError,
+    SilentChipError,
+    StatusError,
+    UsageError,
+    VariantError,
+    VerifyError,
+)
+from adis_gonio.sensor.decoding import ScanBlock, join, scales
+from adis_gonio.sensor.frames import IDLE, NORMAL, read_frames, timing_for, write_frames
+from adis_gonio.sensor.registers import (
+    ACCEL_OFF,
+    ACCEL_OUT,
+    BY_NAME,
+    GYRO_OFF,
+    GYRO_OUT,
+    REGISTERS,
+    Register,
+    register,
+    registers,
+)
+from adis_gonio.sensor.scanning import PolledScans, ScanStream, StreamedScans
+from adis_gonio.sensor.settings import (
+    ALARM_SOURCES,
+    Alarm,
+    Configuration,
+    Offsets,
+    SelfTest,
+    Status,
+    sens_avg_word,
+    smpl_prd_for,
+)
+from adis_gonio.sensor.variants import VARIANTS, Variant, variant
+
+DEFAULT_SCAN = (*ACCEL_OUT, *GYRO_OUT, "XTEMP_OUT", "SUPPLY_OUT")
+"""What a scan holds unless told: accelerometers, gyros, one temperature, supply."""
+
+START_UP_S = 0.3
+"""Silence after power-on and reset; 150 ms typical (DS, B), a reset's recovery is not given."""
+FLASH_UPDATE_S = 0.15
+"""Silence after a flush to flash; about 100 ms (DS, A)."""
+SELF_TEST_S = 0.06
+"""Silence after starting the self-test; 35 ms (DS, A)."""
+PRECISION_AUTONULL_S = 35.0
+"""Wait for the precision autonull; about 30 s (DS, B)."""
+WAKE_S = 0.005
+"""Recovery from sleep; 3 ms (DS, B)."""
+FLASH_LIFE = 10_000
+"""Flash writes that the part is made for (DS, A)."""
+ENDURANCE_WRAP = 32_768
+
+PLAUSIBLE = 0.15
+"""Relative distance of |a| at rest from 1 g up to which a variant is believed: ±2 % of scale and a bias
+of tens of mg fit in, the next variant is 5.4 times away."""
+CHECK_SCANS = 32
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A register's number with its meaning."""
+
+    register: Register
+    number: int
+    value: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.value:.6g} {self.unit}" if self.unit else f"{self.number}"
+
+
+def open_sensor(url: str, *, variant: str = "adis16354", check: bool = True) -> Adis16354:
+    """Open the sensor behind a bus URL; use it as a context manager.
+
+    Parameters
+    ----------
+    url : str
+        Such as `sim:?seed=1` (see `open_bus`).
+    variant : str
+        `adis16354`, `adis16350` or `adis16355`.
+    check : bool
+        Prove on opening that something answers and that the acceleration at rest is 1 g for this variant:
+        no identification register exists, so this is the only check there is.
+
+    Raises
+    ------
+    UsageError, NotInstalledError, CannotOpenError
+        As `open_bus`.
+    SilentChipError, VariantError
+        The check failed.
+    """
+    bus = open_bus(url)
+    try:
+        return Adis16354(bus, variant, check=check)
+    except BaseException:
+        bus.close()
+        raise
+
+
+class Adis16354:
+    """An ADIS16354 (or ADIS16350/16355) on a bus.
+
+    Parameters
+    ----------
+    bus : SpiBus
+        Belongs to the sensor from now on: `close` closes it.
+    variant : str or Variant
+        Which part of the family.
+    check : bool
+        See `open_sensor`.
+    """
+
+    def __init__(self, bus: SpiBus, variant_: str | Variant = "adis16354", *, check: bool = True) -> None:
+        self.bus = bus
+        self.variant: Variant = variant(variant_)
+        self._gyro_range: int | None = None
+        bus.sleep_s(START_UP_S)
+        bus.configure(NORMAL)
+        if check:
+            self._check_answers()
+        self._follow()
+        if check:
+            self._check_variant()
+
+    # -- life -------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Close the bus; may be called twice."""
+        self.bus.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    # -- registers --------------------------------------------------------------------------------
+
+    def read_words(self, names: Sequence[str | Register]) -> list[int]:
+        """Words as they come, flags included; k registers in k + 1 frames."""
+        frames = np.append(read_frames(registers(names)), np.uint16(IDLE))
+        return [int(word) for word in self.bus.exchange_array(frames)[1:]]
+
+    def read(self, name: str | Register) -> int:
+        """Number in a register: flags and unused bits masked off, sign extended."""
+        row = register(name)
+        return row.number(self.read_words([row])[0])
+
+    def read_all(self) -> dict[str, int]:
+        """Numbers of all readable registers in order of address. Reading STATUS clears it."""
+        rows = [row for row in REGISTERS if row.readable]
+        return {row.name: row.number(word) for row, word in zip(rows, self.read_words(rows), strict=True)}
+
+    def quantity(self, name: str | Register) -> Quantity:
+        """Number of a register with value and unit."""
+        row = register(name)
+        number = self.read(row)
+        lsb, zero, units = scales([row], self.variant, self._gyro_range)
+        return Quantity(row, number, float(zero[0] + lsb[0] * number), units[0])
+
+    def write(self, name: str | Register, number: int) -> None:
+        """Write a register and read it back.
+
+        Parameters
+        ----------
+        number : int
+            Signed where the register is.
+
+        Raises
+        ------
+        UsageError
+            The register is read-only, is COMMAND (use the methods), or cannot hold the number.
+        VerifyError
+            What was read back differs.
+        """
+        row = register(name)
+        if not row.readable:
+            raise UsageError(f"{row.name} starts actions: use reset(), save_to_flash() and their like")
+        if row.name == "SLP_CNT":
+            raise UsageError("SLP_CNT puts the part to sleep: use sleep(seconds)")
+        if row.name == "SENS_AVG":
+            self._check_sens_avg(number)
+        if row.name == "SMPL_PRD":
+            if number & 0xFF == 0:
+                raise UsageError("SMPL_PRD 0 is not allowed: 1 is the least (819.2 samples a second)")
+            self.bus.configure(NORMAL)  # safe in both modes while the mode changes
+        self._write_verified(row, row.word(number))
+        if row.name in ("SMPL_PRD", "SENS_AVG"):
+            self._follow()
+
+    def write_fields(self, name: str | Register, **fields: int) -> None:
+        """Change fields of a register and leave its other bits as they are."""
+        row = register(name)
+        word = self.read(row) & row.write_mask
+        for field_name, value in fields.items():
+            field = row.field(field_name)
+            if not 0 <= value <= field.mask >> field.low:
+                raise UsageError(
+                    f"{row.name}.{field_name} holds 0 to {field.mask >> field.low}, not {value}"
+                )
+            word = word & ~field.mask | value << field.low
+        self.write(row, word)
+
+    # -- configuration ----------------------------------------------------------------------------
+
+    def configuration(self) -> Configuration:
+        """How the sensor measures now."""
+        smpl_prd, sens_avg, msc_ctrl = self.read_words(["SMPL_PRD", "SENS_AVG", "MSC_CTRL"])
+        return Configuration.from_words(smpl_prd, sens_avg, msc_ctrl)
+
+    def configure(
+        self,
+        *,
+        sample_rate_hz: float | None = None,
+        smpl_prd: int | None = None,
+        filter_m: int | None = None,
+        gyro_range_dps: int | None = None,
+        data_ready: bool | None = None,
+        linear_g: bool | None = None,
+        origin: bool | None = None,
+    ) -> Configuration:
+        """Change what is named, leave the rest, and wait until the filter has settled.
+
+        Parameters
+        ----------
+        sample_rate_hz : float
+            0.413 to 819.2; the nearest possible rate is taken. Or `smpl_prd`, the register's number.
+        filter_m : int
+            0 to 6: two boxcars of 2^M taps.
+        gyro_range_dps : int
+            300, 150 (needs M >= 2) or 75 (needs M >= 4).
+        data_ready, linear_g, origin : bool
+            MSC_CTRL[2], [7], [6].
+
+        Raises
+        ------
+        UsageError
+            A value that the part does not have, or both rate and `smpl_prd`.
+        VerifyError
+            What was read back differs.
+        """
+        if sample_rate_hz is not None:
+            if smpl_prd is not None:
+                raise UsageError("give sample_rate_hz or smpl_prd, not both")
+            smpl_prd = smpl_prd_for(sample_rate_hz)
+        if filter_m is not None or gyro_range_dps is not None:
+            now = self.configuration()
+            dps = gyro_range_dps if gyro_range_dps is not None else now.gyro_range_dps
+            taps = filter_m if filter_m is not None else now.filter_m
+            self.write("SENS_AVG", sens_avg_word(dps if dps is not None else 300, taps))
+        if smpl_prd is not None:
+            self.write("SMPL_PRD", smpl_prd)
+        flags = {"data_ready": data_ready, "linear_g": linear_g, "origin": origin}
+        wanted = {name: int(value) for name, value in flags.items() if value is not None}
+        if wanted:
+            self.write_fields("MSC_CTRL", **wanted)
+        done = self.configuration()
+        self.bus.sleep_s(done.settling_s)
+        return done
+
+    # -- scans ------------------------------------------------------------------------------------
+
+    def stream(
+        self, names: Sequence[str | Register] = DEFAULT_SCAN, *, block_scans: int = 256
+    ) -> ScanStream:
+        """Fresh scans, one after another, by the best that the bus can do (see `sensor.scanning`).
+
+        Data-ready streaming is used where the bus has it and MSC_CTRL enables the line; else polling.
+        """
+        table = registers(names)
+        if not any(row.flags for row in table):
+            raise UsageError(
+                "a scan needs an output register (XACCL_OUT and its like): they tell what is new"
+            )
+        if block_scans < 1:
+            raise UsageError(f"block_scans is {block_scans}: take 1 or more")
+        configuration = self.configuration()
+        period_s = configuration.sample_period_s
+        if configuration.data_ready and Capability.STREAM in self.bus.capabilities:
+            frames = [int(frame) for frame in read_frames(table)]
+            source = self.bus.stream(frames, block_scans=block_scans)
+            return StreamedScans(source, table, self.variant.name, self._gyro_range, period_s)
+        return PolledScans(self.bus, table, self.variant.name, self._gyro_range, period_s, block_scans)
+
+    def read_scans(self, count: int, names: Sequence[str | Register] = DEFAULT_SCAN) -> ScanBlock:
+        """`count` fresh scans in one block."""
+        if count < 1:
+            raise UsageError(f"count is {count}: take 1 or more")
+        blocks: list[ScanBlock] = []
+        have = 0
+        with self.stream(names, block_scans=min(count, 256)) as stream:
+            for block in stream:
+                blocks.append(block)
+                have += len(block)
+                if have >= count:
+                    break
+        whole = join(blocks)
+        return ScanBlock(
+            whole.registers, whole.words[:count], whole.time_s[:count], whole.lost, whole.variant,
+            whole.gyro_range_dps,
+        )  # fmt: skip
+
+    def scan(self, names: Sequence[str | Register] = DEFAULT_SCAN) -> dict[str, float]:
+        """One fresh scan as values by register name, in mg, °/s, °C and V."""
+        block = self.read_scans(1, names)
+        return dict(zip(block.registers, (float(value) for value in block.values()[0]), strict=True))
+
+    # -- health -----------------------------------------------------------------------------------
+
+    def status(self) -> Status:
+        """Read STATUS, which clears it; a condition that stands comes back with the next update."""
+        return Status(self.read("STATUS"))
+
+    def self_test(self) -> SelfTest:
+        """Run the internal self-test (35 ms, outputs unavailable meanwhile) and read its outcome.
+
+        Raises
+        ------
+        ChipError
+            The self-test did not end.
+        """
+        row = BY_NAME["MSC_CTRL"]
+        busy = row.field("self_test").mask
+        # The high byte alone: the low byte holds settings that a self-test has no business with.
+        self.bus.exchange_array(write_frames(row, busy, byte_mask=0xFF00))
+        self.bus.sleep_s(SELF_TEST_S)
+        if self.read(row) & busy:
+            raise ChipError("the self-test did not end in 60 ms: reset the part and check its supply")
+        return SelfTest(self.status())
+
+    # -- offsets and flash --------------------------------------------------------------------------
+
+    def offsets(self) -> Offsets:
+        """The six offset registers in units."""
+        rows = registers([*GYRO_OFF, *ACCEL_OFF])
+        numbers = [row.number(word) for row, word in zip(rows, self.read_words(rows), strict=True)]
+        lsb, _, _ = scales(rows, self.variant, self._gyro_range)
+        values = [float(value) for value in lsb * numbers]
+        return Offsets((values[0], values[1], values[2]), (values[3], values[4], values[5]))
+
+    def write_offsets(
+        self, *, accel_mg: Sequence[float] | None = None, gyro_dps: Sequence[float] | None = None
+    ) -> Offsets:
+        """Write offsets (x, y, z), which the part adds to its outputs; volatile until `save_to_flash`.
+
+        Returns what stands afterwards: the values asked for, rounded to an LSB.
+
+        Raises
+        ------
+        UsageError
+            Not three values, or one that the register cannot hold; nothing was written.
+        VerifyError
+            What was read back differs.
+        """
+        writes: list[tuple[Register, int]] = []
+        for names, values, what in ((ACCEL_OFF, accel_mg, "accel_mg"), (GYRO_OFF, gyro_dps, "gyro_dps")):
+            if values is None:
+                continue
+            if len(values) != 3 or not np.all(np.isfinite(values)):
+                raise UsageError(f"{what} takes three finite values (x, y, z), not {list(values)}")
+            rows = registers(names)
+            lsb, _, units = scales(rows, self.variant, self._gyro_range)
+            for row, value, size, unit in zip(rows, values, lsb, units, strict=True):
+                number = round(value / size)
+                low, high = row.range
+                if not low <= number <= high:
+                    raise UsageError(
+                        f"{row.name} holds {low * size:.4g} to {high * size:.4g} {unit}, not {value:.4g}"
+                    )
+                writes.append((row, number))
+        for row, number in writes:
+            self.write(row, number)
+        return self.offsets()
+
+    def save_to_flash(self, *, force: bool = False) -> int:
+        """Save the registers that have a flash copy; return ENDURANCE afterwards.
+
+        Raises
+        ------
+        ChipError
+            The flash is worn (10 000 writes) and `force` is not set; nothing was written.
+        VerifyError
+            The endurance counter did not go up by one.
+        StatusError
+            STATUS reports a failed flash update.
+        """
+        self._require_flash_life(force)
+        return self._flash_command("flash_update", FLASH_UPDATE_S, "the flash update")
+
+    def autonull(self, *, force: bool = False) -> Offsets:
+        """Null the gyros by their present output; the part must not turn. Ends in a flash update.
+
+        The duration is not given by the maker; the wait covers the filter and the flash update.
+        """
+        self._require_flash_life(force)
+        wait = self.configuration().settling_s + START_UP_S + FLASH_UPDATE_S
+        self._flash_command("autonull", wait, "the autonull")
+        return self.offsets()
+
+    def precision_autonull(self, *, force: bool = False) -> Offsets:
+        """Null the gyros over about 30 s without motion. Ends in a flash update; only a reset stops it."""
+        self._require_flash_life(force)
+        self._flash_command("precision_autonull", PRECISION_AUTONULL_S, "the precision autonull")
+        return self.offsets()
+
+    def restore_factory(self, *, force: bool = False) -> Offsets:
+        """Zero the six offsets. Ends in a flash update by itself.
+
+        Raises
+        ------
+        VerifyError
+            An offset is not zero afterwards, or the endurance counter did not go up.
+        """
+        self._require_flash_life(force)
+        self._flash_command("restore", START_UP_S, "the factory restore")
+        left = self.offsets()
+        if any((*left.gyro_dps, *left.accel_mg)):
+            raise VerifyError(f"after the factory restore offsets are not zero: {left}")
+        return left
+
+    def reset(self) -> None:
+        """Software reset: volatile settings are lost, the flash copies return."""
+        self._command("reset")
+        self.bus.configure(NORMAL)
+        self.bus.sleep_s(START_UP_S)
+        self._follow()
+
+    # -- alarms, output, sleep ----------------------------------------------------------------------
+
+    def set_alarm(self, number: int, alarm: Alarm) -> None:
+        """Set alarm 1 or 2; it shows in STATUS and in EA (DS tables of ALM_*, B).
+
+        Raises
+        ------
+        UsageError
+            No such alarm or source, or a threshold outside the source's range.
+        """
+        if number not in (1, 2):
+            raise UsageError(f"alarm {number} does not exist: 1 or 2")
+        source = register(alarm.source)
+        if source.name not in ALARM_SOURCES:
+            raise UsageError(f"{source.name} cannot raise an alarm: {', '.join(ALARM_SOURCES)}")
+        if not 0 <= alarm.rate_samples <= 255:
+            raise UsageError(f"rate_samples is {alarm.rate_samples}: 0 (level) to 255")
+        lsb, zero, unit = scales([source], self.variant, self._gyro_range)
+        level = alarm.threshold if alarm.rate_samples else alarm.threshold - zero[0]
+        threshold = round(float(level / lsb[0]))
+        low, high = source.range
+        if not low <= threshold <= high:
+            raise UsageError(
+                f"threshold {alarm.threshold:g} {unit[0]} is outside the range of {source.name}"
+            )
+        self.write(f"ALM_MAG{number}", int(alarm.above) << 15 | threshold & source.data_mask)
+        self.write(f"ALM_SMPL{number}", alarm.rate_samples)
+        fields = {
+            f"source{number}": ALARM_SOURCES[source.name],
+            f"rate{number}": int(alarm.rate_samples > 0),
+            "filtered": int(alarm.filtered),
+        }
+        self.write_fields("ALM_CTRL", **fields)
+
+    def clear_alarm(self, number: int) -> None:
+        """Switch alarm 1 or 2 off."""
+        if number not in (1, 2):
+            raise UsageError(f"alarm {number} does not exist: 1 or 2")
+        self.write_fields("ALM_CTRL", **{f"source{number}": 0, f"rate{number}": 0})
+
+    def write_dac(self, volts: float) -> None:
+        """Set the auxiliary output, 0 to 2.5 V."""
+        row = BY_NAME["AUX_DAC"]
+        lsb, _, _ = scales([row], self.variant, self._gyro_range)
+        if not 0 <= volts <= 2.5:
+            raise UsageError(f"the auxiliary output gives 0 to 2.5 V, not {volts:g}")
+        self.write(row, round(float(volts / lsb[0])))
+        self._command("latch_dac")
+
+    def sleep(self, seconds: float) -> None:
+        """Put the part to sleep for 0.5 to 127.5 s; any frame wakes it, so send none meanwhile."""
+        halves = round(seconds * 2)
+        if not 1 <= halves <= 255:
+            raise UsageError(f"the part sleeps 0.5 to 127.5 s, not {seconds:g}")
+        # Not read back: the read would wake it.
+        self.bus.exchange_array(write_frames(BY_NAME["SLP_CNT"], halves))
+
+    def wake(self) -> None:
+        """Wake the part with a pulse of chip select and wait for its recovery."""
+        self.bus.exchange_array(np.array([IDLE], np.uint16))
+        self.bus.sleep_s(WAKE_S)
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _write_verified(self, row: Register, word: int) -> None:
+        self.bus.exchange_array(write_frames(row, word))
+        back = self.read_words([row])[0]
+        if (back ^ word) & row.write_mask:
+            raise VerifyError(f"{row.name}: wrote 0x{word:04X}, read back 0x{back & row.data_mask:04X}")
+
+    def _command(self, field: str) -> None:
+        row = BY_NAME["COMMAND"]
+        self.bus.exchange_array(write_frames(row, row.field(field).mask, byte_mask=0x00FF))
+
+    def _flash_command(self, field: str, wait_s: float, what: str) -> int:
+        before = self.read("ENDURANCE")
+        self._command(field)
+        self.bus.sleep_s(wait_s)
+        after = self.read("ENDURANCE")
+        if after != (before + 1) % ENDURANCE_WRAP:
+            raise VerifyError(
+                f"{what} was not done: ENDURANCE was {before} and is {after} (expected one more);"
+                " check the supply and try again"
+            )
+        status = self.status()
+        if status.flags["flash"]:
+            raise StatusError(f"STATUS after {what}: {status}")
+        return after
+
+    def _require_flash_life(self, force: bool) -> None:
+        written = self.read("ENDURANCE")
+        if written >= FLASH_LIFE and not force:
+            raise ChipError(
+                f"ENDURANCE is {written}: the flash is made for {FLASH_LIFE} writes; force it if you must"
+            )
+
+    def _follow(self) -> None:
+        """Let the bus's clock and the gyros' scale follow the registers."""
+        now = self.configuration()
+        self._gyro_range = now.gyro_range_dps
+        self.bus.configure(timing_for(now.smpl_prd))
+
+    def _check_sens_avg(self, number: int) -> None:
+        row = BY_NAME["SENS_AVG"]
+        asked = Configuration.from_words(0, number, 0)
+        if asked.gyro_range_dps is None:
+            raise UsageError(f"SENS_AVG range code {row.field('range').of(number)} is none of 4, 2, 1")
+        sens_avg_word(asked.gyro_range_dps, asked.filter_m)
+
+    def _check_answers(self) -> None:
+        names = ["SMPL_PRD", "SENS_AVG", "SUPPLY_OUT", "XTEMP_OUT"]
+        words = set(self.read_words(names))
+        for word, level in ((0x0000, "zeros"), (0xFFFF, "ones")):
+            if words == {word}:
+                raise SilentChipError(
+                    f"{self.bus.url}: nothing answers, all replies are {level};"
+                    " check supply, chip select and the data line"
+                )
+
+    def _check_variant(self) -> None:
+        block = self.read_scans(CHECK_SCANS, ACCEL_OUT)
+        norm_lsb = float(np.median(np.linalg.norm(block.numbers(), axis=1)))
+        if abs(norm_lsb / self.variant.one_g_lsb - 1) <= PLAUSIBLE:
+            return
+        fits = [v.name for v in VARIANTS.values() if abs(norm_lsb / v.one_g_lsb - 1) <= PLAUSIBLE]
+        if fits:
+            raise VariantError(
+                f"|a| at rest is {norm_lsb:.0f} LSB, so this is an {' or '.join(f.upper() for f in fits)},"
+                f" not an {self.variant.name.upper()} ({self.variant.one_g_lsb:.0f}): open it as variant"
+                f" '{fits[0]}'"
+            )
+        raise VariantError(
+            f"|a| is {norm_lsb / self.variant.one_g_lsb:.2f} g for an {self.variant.name.upper()}"
+            f" ({norm_lsb:.0f} LSB, no known variant): keep the part still while opening, or open it"
+            " without the check"
+        )

@@ -1,0 +1,219 @@
+"""Scans one after another, by the best that the bus can do.
+
+Two ways, behind one iterator of `ScanBlock`:
+
+* the bus streams by itself at each data-ready edge (`Capability.STREAM`, and data-ready enabled);
+* polling: the list of reads runs again and again, and the chip's ND bit says which words are new.
+
+Polling without tearing. An update may fall between two reads of one pass, so that the pass mixes two
+updates. Each *column*, however, sees every update once: ND is set by an update and cleared by the read of
+that very register. After a pass without any ND no column is ahead of another, and from there on the j-th
+fresh word of every column belongs to the same update. Columns are therefore queued and matched row by
+row; a row whose words are further apart in time than an update shows that one was missed, and the
+alignment is made anew. A bus that needs more than a period for a pass cannot do this: there each pass is
+a scan, and what was missed follows from the time.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.bus import FrameStream, SpiBus, Words
+from adis_gonio.errors import SilentChipError
+from adis_gonio.sensor.decoding import Floats, ScanBlock
+from adis_gonio.sensor.frames import IDLE, read_frames
+from adis_gonio.sensor.registers import ND, Register
+
+SILENT_PERIODS = 20
+"""Updates in a row that may fail to appear before the chip is called silent."""
+
+ALIGNABLE = 0.45
+"""Longest pass, in periods of the update, that leaves passes without news to align the columns by."""
+
+LEAST_PASSES = 4
+"""Passes in a batch: with three or more, one at least is without news."""
+
+
+class ScanStream(ABC):
+    """An iterator of `ScanBlock` that stops cleanly when closed; use it as a context manager."""
+
+    def __init__(
+        self, table: Sequence[Register], variant: str, gyro_range_dps: int | None, period_s: float
+    ) -> None:
+        self._names = tuple(row.name for row in table)
+        self._variant = variant
+        self._range = gyro_range_dps
+        self._period_s = period_s
+        self._closed = False
+        self._last_s: float | None = None
+
+    def __iter__(self) -> Iterator[ScanBlock]:
+        return self
+
+    def __next__(self) -> ScanBlock:
+        """Next block of fresh scans; raises `BusError` or `SilentChipError`."""
+        if self._closed:
+            raise StopIteration
+        return self._next()
+
+    def close(self) -> None:
+        """Stop; may be called twice."""
+        self._closed = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @abstractmethod
+    def _next(self) -> ScanBlock: ...
+
+    def _block(self, words: Words, time_s: Floats, lost: int) -> ScanBlock:
+        return ScanBlock(self._names, words, time_s, lost, self._variant, self._range)
+
+
+class StreamedScans(ScanStream):
+    """Scans that the bus runs by itself at each data-ready edge."""
+
+    def __init__(
+        self,
+        stream: FrameStream,
+        table: Sequence[Register],
+        variant: str,
+        gyro_range_dps: int | None,
+        period_s: float,
+    ) -> None:
+        super().__init__(table, variant, gyro_range_dps, period_s)
+        self._stream = stream
+        self._flags = np.array([row.flags for row in table])
+
+    def _next(self) -> ScanBlock:
+        block = next(self._stream)
+        # A scan without ND repeats an older one: the edge was not an update's.
+        new = (block.words[:, self._flags] & ND).astype(bool).all(axis=1)
+        return self._block(block.words[new], block.time_s[new], block.lost)
+
+    def close(self) -> None:
+        """Stop the bus's stream."""
+        super().close()
+        self._stream.close()
+
+
+class PolledScans(ScanStream):
+    """Scans found by polling and ND; see the module's text."""
+
+    def __init__(
+        self,
+        bus: SpiBus,
+        table: Sequence[Register],
+        variant: str,
+        gyro_range_dps: int | None,
+        period_s: float,
+        block_scans: int,
+    ) -> None:
+        super().__init__(table, variant, gyro_range_dps, period_s)
+        self._bus = bus
+        self._frames = read_frames(table)
+        self._flags = np.array([row.flags for row in table])
+        self._pass_s = len(self._frames) * bus.timing.frame_s
+        self._passes = max(LEAST_PASSES, int(np.ceil(block_scans * period_s / self._pass_s)))
+        self._aligned = False
+        self._queue_words: list[Words] = []
+        self._queue_times: list[Floats] = []
+        self._missed = 0.0
+
+    def _next(self) -> ScanBlock:
+        waited_from = self._bus.now_s()
+        while True:
+            words, times = self._poll()
+            fresh = self._fresh(words)
+            if self._pass_s < ALIGNABLE * self._period_s:
+                block = self._match(words, times, fresh)
+            else:
+                self._aligned = False
+                block = self._counted(words[fresh[:, 0]], times[fresh[:, 0], 0])
+            if len(block):
+                return block
+            if self._bus.now_s() - waited_from > SILENT_PERIODS * self._period_s + 1.0:
+                raise SilentChipError(
+                    "no new data from the sensor: it sleeps, restarts or is not connected"
+                    " (bit ND never came in any output register)"
+                )
+
+    def _poll(self) -> tuple[Words, Floats]:
+        """Words and their times, both (passes, k)."""
+        # The reply to the last frame of a pass comes with the first of the next, so passes need no idle
+        # frame between them, only one at the very end.
+        frames = np.append(np.tile(self._frames, self._passes), np.uint16(IDLE))
+        begin = self._bus.now_s()
+        replies = self._bus.exchange_array(frames)
+        end = self._bus.now_s()
+        self._pass_s = (end - begin) / self._passes  # what the bus really took
+        times = begin + (end - begin) * np.arange(frames.size) / frames.size
+        shape = (self._passes, len(self._frames))
+        return replies[1:].reshape(shape), times[:-1].reshape(shape)
+
+    def _fresh(self, words: Words) -> NDArray[np.bool_]:
+        """Which words (passes, k) are new; a register without ND goes with the first that has it."""
+        fresh = (words & ND).astype(bool)
+        lead = fresh[:, int(np.argmax(self._flags))][:, np.newaxis]
+        return np.where(self._flags, fresh, lead)
+
+    def _match(self, words: Words, times: Floats, fresh: NDArray[np.bool_]) -> ScanBlock:
+        """Rows of the same update, by queueing each column's fresh words."""
+        count = len(self._frames)
+        start = 0
+        if not self._aligned:
+            quiet = np.flatnonzero(~fresh.any(axis=1))
+            self._queue_words = [np.empty(0, np.uint16)] * count
+            self._queue_times = [np.empty(0)] * count
+            start = int(quiet[0]) + 1 if quiet.size else len(words)
+            self._aligned = bool(quiet.size)
+        for k in range(count):
+            new = fresh[start:, k]
+            self._queue_words[k] = np.concatenate([self._queue_words[k], words[start:, k][new]])
+            self._queue_times[k] = np.concatenate([self._queue_times[k], times[start:, k][new]])
+        ready = min(len(queue) for queue in self._queue_words)
+        row_words = np.stack([queue[:ready] for queue in self._queue_words], axis=1)
+        row_times = np.stack([queue[:ready] for queue in self._queue_times], axis=1)
+        apart = np.flatnonzero(np.ptp(row_times, axis=1) >= self._period_s)
+        if apart.size:
+            # One column missed an update: what stands before is sound, the rest is aligned anew.
+            ready = int(apart[0])
+            self._aligned = False
+            row_words, row_times = row_words[:ready], row_times[:ready]
+        else:
+            self._queue_words = [queue[ready:] for queue in self._queue_words]
+            self._queue_times = [queue[ready:] for queue in self._queue_times]
+        return self._counted(row_words, row_times[:, 0])
+
+    def _counted(self, words: Words, time_s: Floats) -> ScanBlock:
+        """Block with the updates that were missed, which the gaps in time tell."""
+        if not len(time_s):
+            return self._block(words, time_s, 0)
+        before = time_s[0] - self._period_s if self._last_s is None else self._last_s
+        self._last_s = float(time_s[-1])
+        gaps = np.diff(time_s, prepend=before) / self._period_s
+        poll = self._pass_s / self._period_s
+        if poll < ALIGNABLE:  # a gap is known to less than half a period: the count is exact
+            missed = np.rint(gaps) - 1
+        elif poll < 1:  # only a lower bound is sure
+            missed = np.floor(gaps - poll)
+        else:  # right on the average
+            missed = gaps - 1
+        self._missed += float(np.sum(np.maximum(missed, 0)))
+        lost = int(self._missed)
+        self._missed -= lost
+        return self._block(words, time_s, lost)
