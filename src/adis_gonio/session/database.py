@@ -1,0 +1,275 @@
+"""The archive's tables, and how an SQLite file is recognised as one of this program's.
+
+| table | a row is |
+|---|---|
+| `meta` | a fact that stands from the beginning: URL, variant, settings, versions (JSON) |
+| `runs` | one opening of the session by a program: the first, and one each time it is resumed |
+| `records` | something that happened: registers read, a configuration, a plan, a problem, the end (JSON) |
+| `attempts` | one try at a dwell, complete or interrupted, with its times and what interrupted it |
+| `blocks` | the raw words of an attempt (uint16, little-endian, scan by scan) and their times (float64) |
+| `moves` | a move of the stage by the program, at its time on the bus's clock |
+
+Every table refuses UPDATE and DELETE: what was written stays. Times called `bus_s` are on the clock of
+the bus of that run, in s; adding the run's `clock_offset_s` makes them seconds since the session began.
+
+Durability: a rollback journal (`journal_mode=DELETE`), so that there is one file and nothing beside it
+between commits, and `synchronous=EXTRA`, which besides the file syncs the directory once the journal is
+gone: a commit that was announced survives a power cut. A journal that a killed program left is rolled
+back by whoever opens the file next.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import quote
+
+from adis_gonio.errors import DataError, SessionError
+
+APPLICATION_ID = 0x4144474F
+"""`ADGO` in the file's header; `file` and SQLite see whose it is."""
+
+SCHEMA_VERSION = 1
+
+TABLES = ("meta", "runs", "records", "attempts", "blocks", "moves")
+
+_CREATE = """
+CREATE TABLE meta (
+    key   TEXT PRIMARY KEY,
+    value TEXT NOT NULL
+);
+CREATE TABLE runs (
+    run            INTEGER PRIMARY KEY,
+    started_utc    TEXT NOT NULL,
+    bus_s          REAL NOT NULL,
+    clock_offset_s REAL NOT NULL,
+    software       TEXT NOT NULL
+);
+CREATE TABLE records (
+    record INTEGER PRIMARY KEY,
+    run    INTEGER NOT NULL REFERENCES runs,
+    utc    TEXT NOT NULL,
+    bus_s  REAL NOT NULL,
+    kind   TEXT NOT NULL,
+    value  TEXT NOT NULL
+);
+CREATE TABLE attempts (
+    attempt       INTEGER PRIMARY KEY,
+    run           INTEGER NOT NULL REFERENCES runs,
+    place         INTEGER NOT NULL,
+    angle_deg     REAL,
+    approach      INTEGER NOT NULL,
+    use           TEXT NOT NULL CHECK (use IN ('fit', 'check')),
+    outcome       TEXT NOT NULL CHECK (outcome IN ('complete', 'interrupted')),
+    reason        TEXT NOT NULL,
+    started_utc   TEXT NOT NULL,
+    started_bus_s REAL NOT NULL,
+    ended_bus_s   REAL NOT NULL,
+    registers     TEXT NOT NULL,
+    variant       TEXT NOT NULL,
+    gyro_range_dps INTEGER,
+    status        INTEGER
+);
+CREATE TABLE blocks (
+    attempt  INTEGER NOT NULL REFERENCES attempts,
+    sequence INTEGER NOT NULL,
+    phase    TEXT NOT NULL CHECK (phase IN ('before', 'dwell', 'after')),
+    scans    INTEGER NOT NULL,
+    lost     INTEGER NOT NULL,
+    words    BLOB NOT NULL,
+    time_s   BLOB NOT NULL,
+    crc32    INTEGER NOT NULL,
+    PRIMARY KEY (attempt, sequence)
+) WITHOUT ROWID;
+CREATE TABLE moves (
+    move      INTEGER PRIMARY KEY,
+    attempt   INTEGER NOT NULL REFERENCES attempts,
+    bus_s     REAL NOT NULL,
+    angle_deg REAL NOT NULL,
+    approach  INTEGER NOT NULL
+);
+"""
+
+
+def statements() -> list[str]:
+    """SQL that makes an empty archive, one statement each, to be run in one transaction."""
+    create = [part.strip() for part in _CREATE.split(";") if part.strip()]
+    guards = [
+        f"CREATE TRIGGER {table}_no_{verb.lower()} BEFORE {verb} ON {table}"
+        f" BEGIN SELECT RAISE(ABORT, 'a session file is append-only'); END"
+        for table in TABLES
+        for verb in ("UPDATE", "DELETE")
+    ]
+    return [
+        *create,
+        *guards,
+        f"PRAGMA application_id = {APPLICATION_ID}",
+        f"PRAGMA user_version = {SCHEMA_VERSION}",
+    ]
+
+
+WAIT_S = 30.0
+"""How long a reader waits for a commit, and a writer for readers, in s."""
+
+_MAGIC = b"SQLite format 3\x00"
+
+
+def is_archive(path: Path) -> bool:
+    """True where the file begins as a session file does (SQLite with this program's mark)."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(72)
+    except OSError:
+        return False
+    return head[:16] == _MAGIC and int.from_bytes(head[68:72], "big") == APPLICATION_ID
+
+
+def connect(path: Path, *, write: bool) -> sqlite3.Connection:
+    """Open an existing session file.
+
+    Raises
+    ------
+    DataError
+        Not a session file, damaged, truncated or newer than this program.
+    SessionError
+        It cannot be opened here (permissions, busy), or holds no session yet.
+    """
+    _check_file(path)
+    connection = _open(path, "rw" if write else "ro")
+    try:
+        with explained(path):
+            try:
+                _check_content(path, connection)
+            except sqlite3.OperationalError:
+                if write:
+                    raise
+                # A killed writer left a journal, which only a writer can roll back.
+                connection.close()
+                connection = _open(path, "rw")
+                _check_content(path, connection)
+            if write:
+                make_durable(connection)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def create(path: Path) -> sqlite3.Connection:
+    """Open a new, empty file for a session; the caller runs `statements()` in its first transaction.
+
+    Raises
+    ------
+    SessionError
+        The file exists already, or cannot be made here.
+    """
+    try:
+        path.touch(exist_ok=False)
+    except FileExistsError:
+        if not path.is_file() or path.stat().st_size > 0 or _journal(path).exists():
+            raise SessionError(
+                f"{path}: exists already; resume it or choose another file (nothing was changed)"
+            ) from None
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be made: {error.strerror}") from None
+    connection = _open(path, "rw")
+    try:
+        with explained(path):
+            make_durable(connection)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def make_durable(connection: sqlite3.Connection) -> None:
+    """Set what a writer needs: see the module's text on durability."""
+    connection.execute("PRAGMA journal_mode = DELETE")
+    connection.execute("PRAGMA synchronous = EXTRA")
+    connection.execute("PRAGMA foreign_keys = ON")
+
+
+@contextmanager
+def explained(path: Path) -> Iterator[None]:
+    """Turn SQLite's errors into one line that names the file."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise _explain(path, error) from error
+
+
+def _explain(path: Path, error: sqlite3.Error) -> DataError | SessionError:
+    text = str(error)
+    name = getattr(error, "sqlite_errorname", "")
+    if name.startswith("SQLITE_NOTADB"):
+        return DataError(f"{path}: is no session file")
+    if name.startswith("SQLITE_CORRUPT"):
+        return DataError(f"{path}: is damaged ({text}); restore it from a copy (it was left as it is)")
+    if name.startswith("SQLITE_FULL"):
+        return SessionError(
+            f"{path}: the disk is full; make room and resume, all completed dwells are kept"
+        )
+    if name.startswith("SQLITE_READONLY"):
+        return SessionError(f"{path}: cannot be written ({text}); copy it to a place that you may write")
+    if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+        return SessionError(f"{path}: another program has kept it locked for {WAIT_S:g} s; try again")
+    if name.startswith("SQLITE_IOERR"):
+        return SessionError(f"{path}: the disk failed ({text}); all completed dwells are kept")
+    if isinstance(error, sqlite3.DatabaseError) and text.startswith(("no such table", "no such column")):
+        return DataError(f"{path}: is damaged ({text}); restore it from a copy (it was left as it is)")
+    return SessionError(f"{path}: {text}")
+
+
+def _journal(path: Path) -> Path:
+    return path.with_name(path.name + "-journal")
+
+
+def _open(path: Path, mode: str) -> sqlite3.Connection:
+    with explained(path):
+        return sqlite3.connect(
+            f"file:{quote(str(path.absolute()))}?mode={mode}",
+            uri=True,
+            timeout=WAIT_S,
+            isolation_level=None,
+            check_same_thread=False,
+        )
+
+
+def _check_file(path: Path) -> None:
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+    except FileNotFoundError:
+        raise DataError(f"{path}: there is no such file") from None
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be read: {error.strerror}") from None
+    if head and head != _MAGIC[: len(head)]:
+        raise DataError(f"{path}: is no session file")
+    if head and len(head) < len(_MAGIC):
+        raise DataError(f"{path}: is truncated; restore it from a copy (it was left as it is)")
+
+
+def _check_content(path: Path, connection: sqlite3.Connection) -> None:
+    (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()  # rolls back, too
+    (application,) = connection.execute("PRAGMA application_id").fetchone()
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    if not tables and not application:
+        raise SessionError(
+            f"{path}: holds no session yet, it was interrupted at its very beginning; begin anew"
+        )
+    if application != APPLICATION_ID:
+        raise DataError(f"{path}: is an SQLite file, but no session file")
+    if version > SCHEMA_VERSION:
+        raise DataError(
+            f"{path}: has schema {version}, this program reads up to {SCHEMA_VERSION}; update adis-gonio"
+        )
+    (pages,) = connection.execute("PRAGMA page_count").fetchone()
+    (page_bytes,) = connection.execute("PRAGMA page_size").fetchone()
+    size = path.stat().st_size
+    if size < pages * page_bytes:
+        raise DataError(
+            f"{path}: is truncated, {size} of {pages * page_bytes} bytes;"
+            " restore it from a copy (it was left as it is)"
+        )

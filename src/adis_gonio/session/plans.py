@@ -1,0 +1,258 @@
+"""Plans: which positions a session visits, in which order, and what each is for.
+
+| plan | positions | why |
+|---|---|---|
+| `two-position` | 0°, 90° | the seed paper's; sees ΔK and Δφ, cannot see a bias |
+| `four-position` | 0°, 90°, 180°, 270° | opposite positions cancel a bias |
+| `mmpm` | nine, every 40° | all six planar parameters with the most information that nine can give |
+| `tumble` | n up and the same n back (12) | the way back shows backlash, hysteresis and drift |
+| `poses` | n free attitudes in space (14) | bias, scale and skew of all three axes; needs no stage |
+
+Why 40° for the nine: readings of a turn are a first-order trigonometric regression, for which equally
+spaced angles over the full circle are D-optimal, and the information of all six planar parameters (start
+angle, two gains, Δφ, two biases) is then the same whatever the start angle. Nine angles that close the
+circle at 45° spend one on a repetition, a quarter turn is worse by orders of magnitude (the test computes
+the determinants), and an odd number keeps the residual's harmonics apart up to the fourth
+(n harmonics need 2n + 1 positions).
+"""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+from adis_gonio.errors import UsageError
+from adis_gonio.model.records import Plane, Use
+
+Approach = Literal[-1, 0, 1]
+
+MOST_POSITIONS = 3600
+DEFAULT_PLAN = "two-position"
+
+
+@dataclass(frozen=True)
+class Position:
+    """One place to visit.
+
+    Attributes
+    ----------
+    angle_deg : float or None
+        Angle to declare, positive for the rotation of the paper's equation 6; None for a free attitude.
+    approach : {1, -1, 0}
+        Direction of travel in which the angle is reached; 0 for a free attitude.
+    use : {"fit", "check"}
+        `check` positions are kept out of every fit.
+    """
+
+    angle_deg: float | None
+    approach: Approach = 1
+    use: Use = "fit"
+
+    def __str__(self) -> str:
+        place = "a new attitude" if self.angle_deg is None else f"{self.angle_deg:g}°"
+        way = {1: "", 0: "", -1: " from above"}[self.approach]
+        return f"{place}{way}{' (check)' if self.use == 'check' else ''}"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Positions in the order in which they are visited.
+
+    Attributes
+    ----------
+    plane : {"xy", "none"}
+        Plane of rotation, or none for attitudes anywhere in space.
+    """
+
+    name: str
+    positions: tuple[Position, ...]
+    plane: Plane = "xy"
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "name": self.name,
+            "plane": self.plane,
+            "positions": [asdict(position) for position in self.positions],
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Plan:
+        """Plan from its JSON form."""
+        positions = tuple(Position(**entry) for entry in data["positions"])
+        return cls(data["name"], positions, data["plane"])
+
+
+@dataclass(frozen=True)
+class _Kind:
+    default: int
+    least: int
+    fixed: bool = False
+
+
+_KINDS: dict[str, _Kind] = {
+    "two-position": _Kind(2, 2, fixed=True),
+    "four-position": _Kind(4, 4, fixed=True),
+    "mmpm": _Kind(9, 9),
+    "tumble": _Kind(12, 3),
+    "poses": _Kind(14, 9),
+}
+
+PLAN_NAMES: tuple[str, ...] = tuple(_KINDS)
+"""Names that `plan` takes."""
+
+
+def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0) -> Plan:
+    """Plan by name.
+
+    Parameters
+    ----------
+    name : str
+        One of `PLAN_NAMES`.
+    positions : int or None
+        Number of angles (`tumble` visits each twice); None for the plan's own. The two- and the
+        four-position plan have no choice.
+    check : int
+        How many `check` positions to put between the others, spread over the session so that they are
+        not all at its end, where a drift would make them extrapolations.
+
+    Raises
+    ------
+    UsageError
+        No such plan, or a number that it does not allow.
+    """
+    kind = _KINDS.get(name)
+    if kind is None:
+        near = difflib.get_close_matches(name, _KINDS, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(_KINDS)}"
+        raise UsageError(f"no plan is called '{name}'; {hint}")
+    count = kind.default if positions is None else positions
+    if kind.fixed and count != kind.default:
+        raise UsageError(
+            f"plan '{name}' has {kind.default} positions, not {count}; mmpm and tumble take any"
+        )
+    if not kind.least <= count <= MOST_POSITIONS:
+        raise UsageError(f"plan '{name}' takes {kind.least} to {MOST_POSITIONS} positions, not {count}")
+    if not 0 <= check <= MOST_POSITIONS:
+        raise UsageError(f"a plan takes 0 to {MOST_POSITIONS} check positions, not {check}")
+    if name == "poses":
+        uses: list[Use] = ["fit"] * count
+        for place in _spread(check, count):
+            uses.insert(place, "check")
+        return Plan(name, tuple(Position(None, 0, use) for use in uses), "none")
+    return Plan(name, _with_checks(_angles(name, count), check))
+
+
+def _angles(name: str, count: int) -> list[Position]:
+    if name == "two-position":
+        return [Position(0.0), Position(90.0)]
+    up = [Position(360.0 * k / count) for k in range(count)]
+    if name == "tumble":
+        return up + [replace(position, approach=-1) for position in reversed(up)]
+    return up
+
+
+def _spread(checks: int, count: int) -> list[int]:
+    """Indices at which to insert, last first, so that the earlier ones stay valid."""
+    return sorted((math.ceil((k + 1) * count / (checks + 1)) for k in range(checks)), reverse=True)
+
+
+def _with_checks(fit: list[Position], check: int) -> tuple[Position, ...]:
+    """Put check positions evenly into the gaps between neighbours, in the gap's direction of travel."""
+    gaps = [
+        k for k, (here, there) in enumerate(itertools.pairwise(fit)) if here.angle_deg != there.angle_deg
+    ]
+    inserted = [0] * len(fit)
+    for k in range(check):
+        # Middles of equal parts of the row of gaps: 1 check goes to the middle gap, 2 to the quarters.
+        inserted[gaps[int((k + 0.5) * len(gaps) / check)]] += 1
+    result: list[Position] = []
+    for k, position in enumerate(fit):
+        result.append(position)
+        for j in range(inserted[k]):
+            here, there = fit[k].angle_deg or 0.0, fit[k + 1].angle_deg or 0.0
+            angle = here + (there - here) * (j + 1) / (inserted[k] + 1)
+            result.append(Position(angle, 1 if there > here else -1, "check"))
+    return tuple(result)
+
+
+@dataclass(frozen=True)
+class Blindness:
+    """What a plan cannot see, in numbers.
+
+    Attributes
+    ----------
+    bias_mg : float
+        Standard uncertainty of an unseen bias on each axis, in mg.
+    delta_k_u, delta_phi_u_deg : float
+        What that does to ΔK (unit 1) and to Δφ (degrees).
+    message : str
+        The same in one sentence, with what to do.
+    """
+
+    bias_mg: float
+    delta_k_u: float
+    delta_phi_u_deg: float
+    message: str
+
+
+def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindness | None:
+    """Say what two positions cannot see; None for a plan that sees a bias.
+
+    In the closed form of the two positions a bias b_x turns the vector (U_x1, U_x2) by
+    b_x (cos α - sin α)/G and lengthens it by b_x (cos α + sin α)/G; b_y does the same with the two
+    factors exchanged. For equal, independent biases of standard deviation b the squares add up to 2
+    whatever α is: u(Δφ) = √2 b/G rad and u(ΔK) = √2 b/G.
+
+    Parameters
+    ----------
+    bias_mg : float
+        Standard deviation of the bias that an axis may have, in mg.
+    gravity_mg : float
+        Local gravity in mg.
+    """
+    angles = [position.angle_deg for position in plan.positions if position.use == "fit"]
+    if any(angle is None for angle in angles) or _sees_bias([angle or 0.0 for angle in angles]):
+        return None
+    relative = math.sqrt(2.0) * bias_mg / gravity_mg
+    degrees = math.degrees(relative)
+    return Blindness(
+        bias_mg,
+        relative,
+        degrees,
+        f"{len(angles)} positions cannot see a bias: {bias_mg:g} mg on each axis would put"
+        f" {degrees:.2f}° into delta_phi and {relative:.4f} into delta_k; the opposite positions cancel it",
+    )
+
+
+def _sees_bias(angles_deg: Sequence[float]) -> bool:
+    """True where the mean direction of an axis is told from its bias: at least three separate angles."""
+    return len({round(angle % 360.0, 6) for angle in angles_deg}) >= 3
+
+
+def extension(plan: Plan, done: int) -> Plan | None:
+    """Plan that goes on where a finished one stops being able to see, or None.
+
+    Parameters
+    ----------
+    plan : Plan
+        Plan in force.
+    done : int
+        How many of its positions are done.
+
+    Returns
+    -------
+    Plan or None
+        For a completed two-position plan the four-position plan that begins with the positions already
+        visited; None for any other plan or while positions are missing.
+    """
+    if plan.name != "two-position" or done < len(plan):
+        return None
+    return Plan("four-position", (*plan.positions, Position(180.0), Position(270.0)), plan.plane)
