@@ -7,9 +7,10 @@ samples, the fit for whole readings, both as rows of arrays.
 
 Where an effect enters
     `Enters.ATTITUDE`: it turns the part against the stage (an angle in the plane, added to the true
-    angle); `Enters.READING`: it adds to what an axis reads, as a function of what the axis should read
-    and of the conditions; `Enters.SAMPLES`: it changes the samples of a dwell (noise, quantization, a
-    tone, saturation), which the world applies sample by sample and the tracing finds within the dwells.
+    angle ψ = α − θ); `Enters.READING`: it adds to what an axis reads, as a function of what the axis
+    should read and of the conditions; `Enters.SAMPLES`: it changes the samples of a dwell (noise,
+    quantization, a tone, saturation), which the world applies sample by sample and the tracing finds
+    within the dwells.
 
 Units
     Readings are in mg (thousandths of the standard gravity), angles in radians, parameters in the unit that
@@ -22,11 +23,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from enum import StrEnum
+from typing import Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from adis_gonio.errors import UsageError
 from adis_gonio.model.records import Floats
 
 AXES = ("x", "y", "z")
@@ -50,6 +55,9 @@ class Parameter:
         Physical bounds in `unit`; a fit outside them is not believed.
     typical : float
         Magnitude that a bench would see; the starting point of a simulation by name.
+    shape : bool
+        False for an amplitude, which is absent at zero; True for a parameter that says how, where or
+        when (a time constant, a frequency, a limit). A shape has no meaning where its amplitude is zero.
     """
 
     name: str
@@ -57,6 +65,16 @@ class Parameter:
     low: float
     high: float
     typical: float
+    shape: bool = False
+
+    def check(self, value: float) -> float:
+        """`value`, or `UsageError` if it lies outside the physical bounds (or is no number)."""
+        if not self.low <= value <= self.high:
+            raise UsageError(
+                f"{self.name} = {value:g} {self.unit} is outside its physical bounds "
+                f"{self.low:g} to {self.high:g} {self.unit}"
+            )
+        return value
 
 
 @dataclass(frozen=True)
@@ -80,9 +98,15 @@ class Conditions:
     temperature_c, supply_v : (n,) float
         Temperature of the die and supply.
     temperature_history : tuple of (m,) float, (m,) float
-        Times and temperatures of the whole session, for effects with memory.
+        Times (increasing, on the clock of `time_s`) and temperatures of the whole session, for effects
+        with memory.
     variance_mg2 : (n, axes) float
         Variance of the samples within the dwell.
+
+    Raises
+    ------
+    UsageError
+        A covariate has not as many rows as `time_s`.
     """
 
     time_s: Floats
@@ -96,31 +120,86 @@ class Conditions:
     temperature_history: tuple[Floats, Floats] | None = None
     variance_mg2: Floats | None = None
 
+    def __post_init__(self) -> None:
+        for name, rows in self._rows().items():
+            if len(rows) != len(self.time_s):
+                raise UsageError(f"conditions: {name} has {len(rows)} rows, time_s has {len(self.time_s)}")
+
     def __len__(self) -> int:
         return len(self.time_s)
+
+    def _rows(self) -> dict[str, Floats]:
+        every = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "temperature_history"}
+        return {name: rows for name, rows in every.items() if rows is not None}
 
     def lacks(self, needs: Sequence[str]) -> tuple[str, ...]:
         """Covariates of `needs` that were not recorded."""
         return tuple(name for name in needs if getattr(self, name) is None)
+
+    def covariate(self, name: str) -> Floats:
+        """Covariate (n,) by name; `UsageError` if it was not recorded."""
+        found: Floats | None = getattr(self, name)
+        if found is None:
+            raise UsageError(f"the session does not record {name}")
+        return found
+
+    def rows(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Conditions:
+        """Conditions of some of the rows; the temperature's history stays whole."""
+        chosen: dict[str, Any] = {name: rows[index] for name, rows in self._rows().items()}
+        return Conditions(**chosen, temperature_history=self.temperature_history)
 
 
 @dataclass(frozen=True)
 class Effect(ABC):
     """Base of all effects; frozen, without state: parameters are passed in.
 
+    A subclass names itself by the class attributes below. Fields beside `axes` are choices: whole numbers
+    that no gradient can find, such as the dwell that slipped.
+
     Attributes
     ----------
     axes : tuple of str
-        Axes on which it acts; empty for an effect of the stage, which acts on the attitude.
+        Axes on which it acts; empty for an effect of the stage or of the whole sensor.
+
+    Raises
+    ------
+    UsageError
+        On creation: axes that do not exist, or none or some where that makes no sense.
     """
 
     axes: tuple[str, ...] = ()
 
-    name: str = field(init=False, default="")
-    cause: str = field(init=False, default="")
-    separated_by: str = field(init=False, default="")
-    enters: Enters = field(init=False, default=Enters.READING)
-    needs: tuple[str, ...] = field(init=False, default=())
+    name: ClassVar[str]
+    cause: ClassVar[str]
+    """What causes it, in one sentence."""
+    formula: ClassVar[str]
+    """What it adds, as a line of text; i is an axis, p an axis across it, a a reading in mg."""
+    separated_by: ClassVar[str]
+    """What its rivals are and which measurement tells it from them."""
+    enters: ClassVar[Enters] = Enters.READING
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Fields of `Conditions` without which it cannot be computed."""
+    by_axis: ClassVar[bool] = True
+    """True where it acts on the axes of `axes`; False where it has none to choose."""
+    within_dwell: ClassVar[bool] = False
+    """True where its trace stands among the samples of a dwell rather than between readings."""
+
+    def __post_init__(self) -> None:
+        unknown = [axis for axis in self.axes if axis not in AXES]
+        if unknown or len(set(self.axes)) != len(self.axes):
+            raise UsageError(f"{self.name}: axes {', '.join(self.axes)} are not different ones of x, y, z")
+        if self.by_axis and not self.axes:
+            raise UsageError(f"{self.name} acts on axes: name at least one of x, y, z")
+        if not self.by_axis and self.axes:
+            raise UsageError(f"{self.name} is no effect of single axes: create it without axes")
+        for choice in self.choices():
+            if getattr(self, choice) < 0:
+                raise UsageError(f"{self.name}: {choice} must not be negative")
+
+    @classmethod
+    def choices(cls) -> tuple[str, ...]:
+        """Names of the fields beside `axes`, all whole numbers."""
+        return tuple(f.name for f in fields(cls) if f.init and f.name != "axes")
 
     @property
     @abstractmethod
@@ -141,6 +220,11 @@ class Effect(ABC):
         ideal_mg : (n, axes) float
             What each axis of the sensor should read (after gain and misalignment), in mg; two columns
             x, y or three x, y, z.
+
+        Raises
+        ------
+        UsageError
+            A covariate was not recorded, or `ideal_mg` has no column for one of the axes.
         """
         return np.zeros_like(ideal_mg)
 
@@ -153,11 +237,19 @@ class Effect(ABC):
     def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
         """∂(attitude_rad or reading_mg)/∂parameters.
 
+        By central differences unless an effect overrides it, as every effect of this package does.
+
         Returns
         -------
         (n, p) float for `Enters.ATTITUDE`, (n, axes, p) float for `Enters.READING`.
-            By central differences unless an effect overrides it; most are linear in their parameters.
+
+        Raises
+        ------
+        UsageError
+            The effect enters by the samples: a reading has no derivative by it.
         """
+        if self.enters is Enters.SAMPLES:
+            raise UsageError(f"{self.name} changes samples: a reading has no derivative by its parameters")
         columns = []
         for k, parameter in enumerate(self.parameters):
             step = 1e-4 * max(abs(values[k]), abs(parameter.typical), 1e-9)
@@ -173,7 +265,42 @@ class Effect(ABC):
             columns.append(difference / (2 * step))
         return np.stack(columns, axis=-1)
 
-    def defaults(self, given: Mapping[str, float] | None = None) -> Floats:
-        """Values in order: those given by name, else each parameter's typical one."""
+    def defaults(
+        self, given: Mapping[str, float] | None = None, others: Literal["typical", "zero"] = "typical"
+    ) -> Floats:
+        """Values in order: those given by name, the others typical, or zero where they are amplitudes.
+
+        Raises
+        ------
+        UsageError
+            A name is no parameter of the effect, or a value lies outside its physical bounds.
+        """
         given = given or {}
-        return np.array([given.get(p.name, p.typical) for p in self.parameters])
+        known = [parameter.name for parameter in self.parameters]
+        for name in given:
+            if name not in known:
+                raise UsageError(
+                    f"{self.name} has no parameter '{name}'{did_you_mean(name, known)}; "
+                    f"it has {', '.join(known)}"
+                )
+        return np.array(
+            [
+                parameter.check(given[parameter.name])
+                if parameter.name in given
+                else (parameter.typical if others == "typical" or parameter.shape else 0.0)
+                for parameter in self.parameters
+            ]
+        )
+
+    def columns_of(self, readings: Floats) -> list[int]:
+        """Columns of (n, 2) or (n, 3) readings that belong to `axes`; `UsageError` if one is missing."""
+        columns = [AXES.index(axis) for axis in self.axes]
+        if columns and max(columns) >= readings.shape[1]:
+            raise UsageError(f"{self.name} acts on {', '.join(self.axes)}, but z was not recorded")
+        return columns
+
+
+def did_you_mean(name: str, known: Sequence[str]) -> str:
+    """Piece of a message with the nearest match of a name, empty if nothing is near."""
+    near = get_close_matches(name, known, n=1)
+    return f" (did you mean '{near[0]}'?)" if near else ""

@@ -1,0 +1,208 @@
+"""Terms that follow the surroundings: temperature, supply, time, local gravity.
+
+Sizes (estimates for the ADIS16354): 0.5 mg/°C and 40 ppm/°C as its better sibling, a self-heating of a few
+degrees with a time constant of minutes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from adis_gonio.errors import UsageError
+from adis_gonio.model.effects.base import Conditions, Effect, Parameter
+from adis_gonio.model.effects.families import CourseEffect, LinearAxisEffect
+from adis_gonio.model.effects.lag import lagged
+from adis_gonio.model.records import Floats
+
+REFERENCE_C = 25.0
+"""Temperature at which the terms in temperature are zero: zero of the chip's temperature words."""
+REFERENCE_V = 5.0
+"""Supply at which `supply_bias` is zero: the nominal one."""
+
+
+@dataclass(frozen=True)
+class BiasTemperature(LinearAxisEffect):
+    """A polynomial of degree 1 to 3 in T − 25 °C; by default a line.
+
+    Attributes
+    ----------
+    degree : int
+        Highest power, 1 to 3.
+    """
+
+    degree: int = 1
+
+    name = "bias_temperature"
+    cause = "The zero of an axis moves with the temperature of the die."
+    formula = "a_i += tempco_i · ΔT + tempco2_i · ΔT² + tempco3_i · ΔT³ up to `degree`, ΔT = T − 25 °C"
+    separated_by = (
+        "Where temperature only rises it is `bias_drift` or `warm_up`: let it fall again, or repeat "
+        "positions at two temperatures in changed order; `scale_temperature` grows with the reading."
+    )
+    needs = ("temperature_c",)
+    coefficients: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("tempco", "mg/°C", -20.0, 20.0, 0.5),
+        Parameter("tempco2", "mg/°C²", -1.0, 1.0, 0.01),
+        Parameter("tempco3", "mg/°C³", -0.05, 0.05, 0.0001),
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 1 <= self.degree <= len(self.coefficients):
+            raise UsageError(f"{self.name}: degree is {self.degree}, it can be 1, 2 or 3")
+
+    def active(self) -> tuple[Parameter, ...]:
+        """Coefficients up to `degree`."""
+        return self.coefficients[: self.degree]
+
+    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Powers of T − 25 °C."""
+        above = conditions.covariate("temperature_c") - REFERENCE_C
+        return tuple(above**power for power in range(1, self.degree + 1))
+
+
+class ScaleTemperature(LinearAxisEffect):
+    """The gain follows the temperature."""
+
+    name = "scale_temperature"
+    cause = "The sensitivity of an axis changes with the temperature of the die."
+    formula = "a_i += scale_tempco_i · 10⁻⁶ · (T − 25 °C) · a_i"
+    separated_by = (
+        "`bias_temperature` does not change its sign with the reading: the same temperatures at +1 g and "
+        "at −1 g; a drift of the gain in time needs the temperature to go both ways."
+    )
+    needs = ("temperature_c",)
+    coefficients: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("scale_tempco", "ppm/°C", -2000.0, 2000.0, 40.0),
+    )
+
+    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Reading times T − 25 °C, per ppm."""
+        return (1e-6 * (conditions.covariate("temperature_c") - REFERENCE_C) * ideal_mg[:, axis],)
+
+
+class ThermalLag(CourseEffect):
+    """The zero follows a part that is warmer or cooler than the sensor of temperature.
+
+    With τ dT_lag/dt = T − T_lag and T_lag = T at the first record of the session, the term is
+    lag_i (T_lag − T). It is zero where the temperature stands still, so that it does not compete with
+    `bias_temperature`; a zero that wholly follows T_lag has lag_i = tempco_i.
+    """
+
+    name = "thermal_lag"
+    cause = "The element that shifts the zero warms later than the die whose temperature is read."
+    formula = "a_i += lag_i · (T_lag − T), τ dT_lag/dt = T − T_lag"
+    separated_by = (
+        "`bias_temperature` is the same on the way up and on the way down: heat and cool at different "
+        "rates through the same temperature; at one constant rate it is a `bias`."
+    )
+    needs = ("temperature_c", "temperature_history")
+    amplitude: ClassVar[Parameter] = Parameter("lag", "mg/°C", -50.0, 50.0, 0.5)
+    shape: ClassVar[Parameter] = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
+
+    def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
+        """T_lag − T in °C, and its derivative by τ in °C/s."""
+        history = conditions.temperature_history
+        if history is None:
+            raise UsageError("the session does not record temperature_history")
+        late, by_tau = lagged(*history, conditions.time_s, shape)
+        return late - conditions.covariate("temperature_c"), by_tau
+
+
+class SupplyBias(LinearAxisEffect):
+    """The zero follows the supply."""
+
+    name = "supply_bias"
+    cause = "The zero of an axis moves with the supply voltage."
+    formula = "a_i += supply_i · (V − 5 V)"
+    separated_by = (
+        "A supply that sinks while the part warms imitates `bias_temperature`, `bias_drift`: change the "
+        "supply by hand at one position."
+    )
+    needs = ("supply_v",)
+    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("supply", "mg/V", -500.0, 500.0, 5.0),)
+
+    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """V − 5 V."""
+        return (conditions.covariate("supply_v") - REFERENCE_V,)
+
+
+class BiasDrift(LinearAxisEffect):
+    """The zero moves evenly with time."""
+
+    name = "bias_drift"
+    cause = "The zero of an axis moves evenly with time (ageing, relaxing stress, creep of the mount)."
+    formula = "a_i += drift_i · t/60, t from the session's start"
+    separated_by = (
+        "With positions in one order, time is angle: repeat positions in another order (forth and back, or "
+        "shuffled); `bias_temperature` needs the temperature to fall, `warm_up` a longer session."
+    )
+    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("drift", "mg/min", -50.0, 50.0, 0.05),)
+
+    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Time in minutes."""
+        return (conditions.time_s / 60.0,)
+
+
+class WarmUp(CourseEffect):
+    """The zero settles exponentially after power-on."""
+
+    name = "warm_up"
+    cause = "The zero of an axis settles while the part heats itself after power-on."
+    formula = "a_i += warm_up_i · exp(−t/τ), t from the session's start"
+    separated_by = (
+        "Shorter than τ it is `bias_drift`, much longer it is a `bias` of the first dwells; with the "
+        "temperature recorded it competes with `bias_temperature`: switch off and on within the session."
+    )
+    amplitude: ClassVar[Parameter] = Parameter("warm_up", "mg", -200.0, 200.0, 2.0)
+    shape: ClassVar[Parameter] = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
+
+    def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
+        """exp(−t/τ) and its derivative by τ."""
+        elapsed = conditions.time_s / shape
+        course = np.exp(-elapsed)
+        return course, course * elapsed / shape
+
+
+class Gravity(Effect):
+    """All axes scale alike.
+
+    With g the local gravity and g′ the one that the session declares, what is seen is (g/g′) times what
+    should be: `gravity` = g/g′ − 1. On the Earth's surface g lies between 9.764 and 9.834 m/s².
+    """
+
+    name = "gravity"
+    cause = "Local gravity differs from the one that the session declares."
+    formula = "a_i += gravity · a_i on every axis"
+    separated_by = (
+        "Equal to a common error of all gains; ΔK and Δφ do not depend on it. A measured g, or a second "
+        "place of known difference in g, separates it from `scale`."
+    )
+    by_axis = False
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Relative error of the declared gravity."""
+        return (Parameter("gravity", "1", -0.01, 0.01, 0.001),)
+
+    def reading_mg(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """Relative error times the reading, (n, axes) in mg."""
+        return ideal_mg * float(values[0])
+
+    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """The readings themselves, (n, axes, 1)."""
+        return ideal_mg[:, :, None].copy()
+
+
+EFFECTS: tuple[type[Effect], ...] = (
+    BiasTemperature,
+    ScaleTemperature,
+    ThermalLag,
+    SupplyBias,
+    BiasDrift,
+    WarmUp,
+    Gravity,
+)

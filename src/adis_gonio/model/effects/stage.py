@@ -1,0 +1,191 @@
+"""Terms of the stage and of how a position was reached.
+
+The stage's terms turn the part: they are angles, added to ψ = α − θ, and appear in a reading multiplied by
+its tangential slope. Remount the part by an angle on the table, and compare readings at the same direction
+of gravity in the part: the sensor's own terms are the same, a stage's term of n cycles a turn has advanced
+by n times that angle. So one cycle changes its sign by a remounting of 180° (the reversal pair that tells
+table from sensor), two cycles need 90°.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from adis_gonio.model.effects.base import Conditions, Effect, Parameter
+from adis_gonio.model.effects.families import LinearAxisEffect, StageEffect
+from adis_gonio.model.records import Floats
+
+
+class StageEccentricity(StageEffect):
+    """One cycle a turn: e/R with e the eccentricity and R the radius of the divided circle."""
+
+    name = "stage_eccentricity"
+    cause = "The divided circle of the stage is not centred on its axis: one cycle a turn."
+    formula = "ψ += ecc_sin · sin θ + ecc_cos · cos θ"
+    separated_by = (
+        "Gives mean and second harmonics on both axes together, like `quadratic`, `cross_axis` and "
+        "`bias`: remount the part by 180°, the stage's term changes its sign and the sensor's stay."
+    )
+    needs = ("angle_rad",)
+    coefficients: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("ecc_sin", "degree", -2.0, 2.0, 0.01),
+        Parameter("ecc_cos", "degree", -2.0, 2.0, 0.01),
+    )
+
+    def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
+        """First harmonic of the declared angle."""
+        angle = conditions.covariate("angle_rad")
+        return np.sin(angle), np.cos(angle)
+
+
+class StageEllipticity(StageEffect):
+    """Two cycles a turn."""
+
+    name = "stage_ellipticity"
+    cause = "The divided circle of the stage is oval, or its bearing is: two cycles a turn."
+    formula = "ψ += ell_sin · sin 2θ + ell_cos · cos 2θ"
+    separated_by = (
+        "Gives first and third harmonics on both axes together, like `scale`, Δφ and `cubic`: remount "
+        "the part by 90° (180° does not help: two cycles), or compare the stage with a polygon."
+    )
+    needs = ("angle_rad",)
+    coefficients: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("ell_sin", "degree", -2.0, 2.0, 0.01),
+        Parameter("ell_cos", "degree", -2.0, 2.0, 0.01),
+    )
+
+    def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
+        """Second harmonic of the declared angle."""
+        angle = conditions.covariate("angle_rad")
+        return np.sin(2 * angle), np.cos(2 * angle)
+
+
+class Backlash(StageEffect):
+    """The play between the two directions of approach; half of it to either side."""
+
+    name = "backlash"
+    cause = "Play in the drive of the stage: the angle depends on the direction of approach."
+    formula = "ψ += backlash · approach/2"
+    separated_by = (
+        "`hysteresis` shifts an axis alike at every angle, backlash only where its reading changes with "
+        "the angle: approach several positions from both sides."
+    )
+    needs = ("approach",)
+    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("backlash", "degree", -5.0, 5.0, 0.02),)
+
+    def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
+        """Half of the direction of approach."""
+        return (0.5 * conditions.covariate("approach"),)
+
+
+@dataclass(frozen=True)
+class PositionSlip(StageEffect):
+    """One dwell stands elsewhere than declared.
+
+    Attributes
+    ----------
+    dwell : int
+        Number of the dwell in the order of recording, from 0.
+    """
+
+    dwell: int = 1
+
+    name = "position_slip"
+    cause = "One position was not where it was declared: the part or the stage slipped, or was misread."
+    formula = "ψ += slip in dwell `dwell`"
+    separated_by = (
+        "Readings of all axes move along the circle; `outlier_dwell` moves them in any direction, so that "
+        "the modulus changes: repeat the position."
+    )
+    needs = ("order",)
+    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("slip", "degree", -180.0, 180.0, 0.1),)
+
+    def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
+        """One in the dwell, zero elsewhere."""
+        return ((conditions.covariate("order") == self.dwell).astype(float),)
+
+
+class Hysteresis(LinearAxisEffect):
+    """The zero depends on the direction of approach; half of the loop's width to either side."""
+
+    name = "hysteresis"
+    cause = "Stress of the last move stays in the sensor or its mount and shifts the zero of an axis."
+    formula = "a_i += hysteresis_i · approach/2"
+    separated_by = (
+        "`backlash` turns the part and so moves a reading only where it changes with the angle: approach "
+        "several positions from both sides; with one direction throughout it is a `bias`."
+    )
+    needs = ("approach",)
+    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("hysteresis", "mg", -200.0, 200.0, 0.5),)
+
+    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Half of the direction of approach."""
+        return (0.5 * conditions.covariate("approach"),)
+
+
+class AxisTilt(Effect):
+    """The axis of rotation is out of the horizontal by ε.
+
+    Gravity then has G cos ε in the plane of rotation and G sin ε along the axis of rotation. With ρ the
+    modulus of the ideal in-plane reading and a_z the reading along the axis (zero in a planar session),
+
+        a_xy becomes (a_xy/ρ)(ρ cos ε − a_z sin ε),  a_z becomes a_z cos ε + ρ sin ε:
+
+    a rotation that keeps the modulus. The in-plane angle does not change at all, whatever ε: both axes lose
+    the same part ε²/2 of their gain (0.15 mg at 1°), which is `gravity` or a common `scale`; only z sees ε
+    in the first order (17.5 mg at 1°). A part mounted with an axis leaning by λ out of the plane of
+    rotation reads G sin ε · λ besides, a constant, which is `bias`. So x and y alone cannot name it.
+    """
+
+    name = "axis_tilt"
+    cause = "The axis of rotation is not horizontal, so that gravity leaves the plane of rotation."
+    formula = "a_x, a_y += (cos ε − 1) a_x, a_y; a_z += ρ sin ε (for a_z = 0), ρ² = a_x² + a_y²"
+    separated_by = (
+        "In x and y it is a common gain (`gravity`, `scale`), in z a `bias`: level the axis by a spirit "
+        "level, or remount the part with z reversed; the term in z changes its sign, a bias does not."
+    )
+    by_axis = False
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Angle ε above the horizontal, towards positive readings of z."""
+        return (Parameter("tilt", "degree", -45.0, 45.0, 0.5),)
+
+    @staticmethod
+    def _parts(ideal_mg: Floats) -> tuple[Floats, Floats, Floats]:
+        """Unit vector in the plane (n, 2), its modulus (n, 1) and the reading along the axis (n, 1)."""
+        rho = np.hypot(ideal_mg[:, 0], ideal_mg[:, 1])[:, None]
+        unit = np.divide(ideal_mg[:, :2], rho, out=np.zeros((len(rho), 2)), where=rho > 0)
+        along = ideal_mg[:, 2:3] if ideal_mg.shape[1] > 2 else np.zeros_like(rho)
+        return unit, rho, along
+
+    def reading_mg(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """Rotated minus ideal readings, (n, axes) in mg."""
+        tilt = np.deg2rad(values[0])
+        unit, rho, along = self._parts(ideal_mg)
+        # 2 sin²(ε/2) is 1 − cos ε without its cancellation at small angles.
+        loss, rise = 2 * np.sin(tilt / 2) ** 2, np.sin(tilt)
+        added = np.hstack([unit * (-rho * loss - along * rise), rho * rise - along * loss])
+        seen: Floats = added[:, : ideal_mg.shape[1]]
+        return seen
+
+    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """Derivative (n, axes, 1) in mg per degree; zero in x and y at ε = 0 and a_z = 0."""
+        tilt = np.deg2rad(values[0])
+        unit, rho, along = self._parts(ideal_mg)
+        in_plane = unit * (-rho * np.sin(tilt) - along * np.cos(tilt))
+        by_radian = np.hstack([in_plane, rho * np.cos(tilt) - along * np.sin(tilt)])
+        return np.deg2rad(by_radian[:, : ideal_mg.shape[1], None])
+
+
+EFFECTS: tuple[type[Effect], ...] = (
+    StageEccentricity,
+    StageEllipticity,
+    Backlash,
+    PositionSlip,
+    Hysteresis,
+    AxisTilt,
+)
