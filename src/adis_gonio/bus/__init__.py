@@ -8,16 +8,18 @@ from adis_gonio.bus.contract import (
     SpiTiming,
     Words,
 )
-from adis_gonio.bus.opening import BusUrl, bus_schemes, open_bus
+from adis_gonio.bus.opening import BusUrl, Device, bus_schemes, find_devices, open_bus
 
 __all__ = [
     "BusUrl",
     "Capability",
+    "Device",
     "FrameBlock",
     "FrameStream",
     "SpiBus",
     "SpiTiming",
     "Words",
     "bus_schemes",
+    "find_devices",
     "open_bus",
 ]

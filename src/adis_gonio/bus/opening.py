@@ -9,7 +9,7 @@ from importlib.metadata import entry_points
 from urllib.parse import parse_qsl
 
 from adis_gonio.bus.contract import SpiBus
-from adis_gonio.errors import NotInstalledError, UsageError
+from adis_gonio.errors import BusError, NotInstalledError, UsageError
 
 ENTRY_POINT_GROUP = "adis_gonio.bus"
 
@@ -92,3 +92,36 @@ def open_bus(url: str) -> SpiBus:
     near = difflib.get_close_matches(parsed.scheme, known, n=1)
     hint = f"did you mean '{near[0]}:'?" if near else f"known: {', '.join(known) or 'none'}"
     raise UsageError(f"'{url}': no bus is called '{parsed.scheme}'; {hint}")
+
+
+DEVICE_GROUP = "adis_gonio.devices"
+
+
+@dataclass(frozen=True)
+class Device:
+    """A device that could be opened: its URL and what it is."""
+
+    url: str
+    description: str
+
+    def as_dict(self) -> dict[str, str]:
+        """JSON form."""
+        return {"url": self.url, "description": self.description}
+
+
+def find_devices() -> list[Device]:
+    """Devices of every installed bus (entry points of group `adis_gonio.devices`), one row each.
+
+    A bus whose library is not installed is listed with the extra that it needs, not left out.
+    """
+    devices: list[Device] = []
+    for point in sorted(entry_points(group=DEVICE_GROUP), key=lambda point: point.name):
+        try:
+            finder: Callable[[], list[Device]] = point.load()
+            devices += finder()
+        except ImportError as error:
+            need = f"not usable: {error.name or error} is missing; pip install 'adis-gonio[{point.name}]'"
+            devices.append(Device(f"{point.name}:", need))
+        except BusError as error:
+            devices.append(Device(f"{point.name}:", f"not usable: {error}"))
+    return devices

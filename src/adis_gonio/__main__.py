@@ -1,0 +1,5 @@
+"""`python -m adis_gonio`."""
+
+from adis_gonio.cli import run
+
+run()

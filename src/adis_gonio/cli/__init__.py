@@ -1,0 +1,75 @@
+"""The command line: thin commands over the packages below.
+
+Results go to standard output, everything else to standard error. Exit status: 0 done; 1 the job failed;
+2 wrong usage. Every failure is one line.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+import click
+
+from adis_gonio import __version__
+from adis_gonio.cli.lazy import LazyGroup
+from adis_gonio.errors import AdisGonioError
+
+# Commands are imported when they are called: `adis-gonio --help` answers at once.
+COMMANDS = {
+    "calibrate": ("adis_gonio.cli.calibrate", "Calibrate a sensor on a stage, position by position."),
+    "fit": ("adis_gonio.cli.fit", "Compute ΔK, Δφ and the other parameters of a recorded session."),
+    "simulate": ("adis_gonio.cli.simulate", "Record a session from the simulated sensor."),
+    "export": ("adis_gonio.cli.export", "Write a session's data and coefficients as CSV or JSON."),
+    "stream": ("adis_gonio.cli.stream", "Show or record what the sensor measures."),
+    "registers": ("adis_gonio.cli.registers", "List, read and write registers."),
+    "selftest": ("adis_gonio.cli.selftest", "Run the sensor's internal self-test."),
+    "devices": ("adis_gonio.cli.devices", "List the buses and the devices that are connected."),
+}
+
+
+@click.group(
+    cls=LazyGroup, commands_by_name=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]}
+)
+@click.version_option(__version__, prog_name="adis-gonio")
+def app() -> None:
+    """Driver and calibration tool for the ADIS16354 inertial sensor in a goniometer.
+
+    A sensor is named by a URL such as sim:?seed=1, a SESSION is a file of `calibrate` or `simulate`, or
+    a samples CSV. Quote URLs: the shell reads ? and & itself.
+    """
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit status."""
+    try:
+        status = app.main(args=arguments, prog_name="adis-gonio", standalone_mode=False)
+        sys.stdout.flush()
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        return 2
+    except click.ClickException as error:
+        return _fail(" ".join(error.format_message().split()), error.exit_code)
+    except AdisGonioError as error:
+        return _fail(str(error), error.exit_code)
+    except (KeyboardInterrupt, click.Abort):
+        return _fail("stopped by the operator; what was recorded is kept", 130)
+    except BrokenPipeError:
+        # Whoever read our output has gone; keep the interpreter from complaining at its exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _fail(f"{where}{error.strerror or error}", 1)
+    return status if isinstance(status, int) else 0
+
+
+def _fail(message: str, status: int) -> int:
+    print(f"adis-gonio: {message}", file=sys.stderr)  # noqa: T201
+    return status
+
+
+def run() -> None:
+    """Entry point of the `adis-gonio` program."""
+    sys.exit(main())
