@@ -1,0 +1,12 @@
+#!/usr/bin/env bash
+# Sets everything up in .venv and runs all checks: lint, format, types, tests on all cores.
+# Arguments go to pytest, such as: scripts/run_tests.sh tests/sim -k stall
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+[ -x .venv/bin/python ] || python3 -m venv .venv
+.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+.venv/bin/ruff check .
+.venv/bin/ruff format --check .
+.venv/bin/mypy
+exec .venv/bin/pytest -n auto "$@"

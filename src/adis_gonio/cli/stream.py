@@ -1,0 +1,139 @@
+"""`adis-gonio stream`."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from pathlib import Path
+
+import click
+import numpy as np
+
+from adis_gonio.cli.show import no_check_option, variant_option
+from adis_gonio.errors import UsageError
+from adis_gonio.sensor import DEFAULT_SCAN, ScanBlock, open_sensor
+from adis_gonio.sensor.registers import registers as rows_of
+
+
+@click.command("stream")
+@click.argument("url")
+@click.option("--registers", "names", help="Registers to scan, separated by commas.", metavar="NAME,…")
+@click.option("--seconds", type=float, help="Stop after so long; without it, at Ctrl-C.")
+@click.option("--every", "every_s", type=float, default=0.2, show_default=True, help="Screen: s a line.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Record every scan to .csv[.gz].")
+@click.option("--rate", "rate_hz", type=float, help="Samples a second (0.413 to 819.2).")
+@click.option("--filter", "filter_m", type=int, help="M of the filter: two boxcars of 2^M taps, 0 to 6.")
+@click.option("--range", "range_dps", type=int, help="Range of the gyros: 300, 150 or 75 °/s.")
+@click.option(
+    "--gravity", "gravity_mps2", type=float, default=9.80665, show_default=True, help="For the file."
+)
+@click.option("--json", "as_json", is_flag=True, help="One JSON document with every scan, at the end.")
+@variant_option
+@no_check_option
+def command(
+    *,
+    url: str,
+    names: str | None,
+    seconds: float | None,
+    every_s: float,
+    output: Path | None,
+    rate_hz: float | None,
+    filter_m: int | None,
+    range_dps: int | None,
+    gravity_mps2: float,
+    as_json: bool,
+    variant: str,
+    no_check: bool,
+) -> None:
+    """Show what the sensor measures, and record it with -o.
+
+    The screen shows the mean and the standard deviation of every value since the line before. The file
+    gets every scan; it has no positions, `adis-gonio fit` finds the dwells by stillness. The registers
+    are left as they are unless --rate, --filter or --range is given.
+    """
+    if seconds is not None and not seconds > 0:
+        raise UsageError(f"--seconds is {seconds:g}: take a time above 0")
+    if not every_s > 0:
+        raise UsageError(f"--every is {every_s:g}: take a time above 0")
+    if as_json and seconds is None:
+        raise UsageError("--json needs --seconds: a document has an end")
+    chosen = tuple(row.name for row in rows_of(names.split(","))) if names else DEFAULT_SCAN
+    with contextlib.ExitStack() as stack:
+        sensor = stack.enter_context(open_sensor(url, variant=variant, check=not no_check))
+        if rate_hz is not None or filter_m is not None or range_dps is not None:
+            sensor.configure(sample_rate_hz=rate_hz, filter_m=filter_m, gyro_range_dps=range_dps)
+        recorder = None
+        if output is not None:
+            from adis_gonio.session.recorder import SamplesRecorder
+
+            recorder = stack.enter_context(
+                SamplesRecorder(
+                    output, sensor.variant.name, gravity_mps2=gravity_mps2, title=f"stream {url}"
+                )
+            )
+        rate = sensor.configuration().sample_rate_hz
+        scans_a_line = max(1, round(every_s * rate))
+        stream = stack.enter_context(sensor.stream(chosen, block_scans=min(scans_a_line, 1024)))
+        waiting: list[ScanBlock] = []
+        scans = lost = 0
+        begin: float | None = None
+        end = False
+        try:
+            for block in stream:
+                begin = float(block.time_s[0]) if begin is None else begin
+                if seconds is not None:
+                    block, end = _until(block, begin + seconds)
+                scans, lost = scans + len(block), lost + block.lost
+                if recorder is not None:
+                    recorder.add(block)
+                waiting.append(block)
+                if not as_json and (end or sum(map(len, waiting)) >= scans_a_line):
+                    _line(waiting, first=scans == sum(map(len, waiting)), since_s=begin)
+                    waiting.clear()
+                if end:
+                    break
+        except KeyboardInterrupt:
+            click.echo("", err=True)
+    if as_json:
+        _document(waiting, lost)
+    where = f", recorded in {output}" if output is not None else ""
+    click.echo(f"{scans} scans, {lost} lost{where}", err=True)
+
+
+def _until(block: ScanBlock, end_s: float) -> tuple[ScanBlock, bool]:
+    """The part of a block before a time, and whether it was reached."""
+    keep = int(np.searchsorted(block.time_s, end_s))
+    if keep == len(block):
+        return block, False
+    part = ScanBlock(
+        block.registers, block.words[:keep], block.time_s[:keep], block.lost, block.variant,
+        block.gyro_range_dps,
+    )  # fmt: skip
+    return part, True
+
+
+def _line(blocks: list[ScanBlock], *, first: bool, since_s: float) -> None:
+    values = np.concatenate([block.values() for block in blocks])
+    if not len(values):
+        return
+    if first:
+        heads = [
+            f"{name.removesuffix('_OUT')}/{unit or '1'}"
+            for name, unit in zip(blocks[0].registers, blocks[0].units, strict=True)
+        ]
+        click.echo(f"{'time/s':>9}" + "".join(f"{head:>19}" for head in heads))
+    time_s = float(blocks[-1].time_s[-1]) - since_s
+    spread = values.std(axis=0)
+    cells = [f"{mean:.2f} ± {sd:.2f}" for mean, sd in zip(values.mean(axis=0), spread, strict=True)]
+    click.echo(f"{time_s:9.2f}" + "".join(f"{cell:>19}" for cell in cells))
+
+
+def _document(blocks: list[ScanBlock], lost: int) -> None:
+    document = {
+        "registers": list(blocks[0].registers) if blocks else [],
+        "units": list(blocks[0].units) if blocks else [],
+        "time_s": [float(t) for block in blocks for t in block.time_s],
+        "values": [[float(value) for value in row] for block in blocks for row in block.values()],
+        "lost": lost,
+    }
+    click.echo(json.dumps(document))

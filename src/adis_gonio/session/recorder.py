@@ -1,0 +1,105 @@
+"""A continuous recording written to a samples CSV while it is measured.
+
+The file has no column `position`: the dwells are found by stillness when it is read. Every block is
+flushed, so that a recording that is cut off is a shorter recording.
+"""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Self
+
+import numpy as np
+
+from adis_gonio.errors import UsageError
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+from adis_gonio.sensor import ScanBlock
+from adis_gonio.sensor.registers import BY_NAME, Kind
+
+_AXIS_COLUMNS = {
+    **{f"{axis}ACCL_OUT": f"a{axis.lower()}" for axis in "XYZ"},
+    **{f"{axis}GYRO_OUT": f"g{axis.lower()}" for axis in "XYZ"},
+    "XTEMP_OUT": "temp_c",
+    "SUPPLY_OUT": "supply_v",
+}
+
+
+class SamplesRecorder:
+    """Writes scans to a samples CSV (`.csv` or `.csv.gz`), a row a scan; use it as a context manager.
+
+    Accelerometers are written in LSB, as the sensor gave them; gyros in °/s, temperature in °C, supply
+    in V. Registers that the format has no column for are left out.
+
+    Raises
+    ------
+    UsageError
+        The file exists, or the scans lack an accelerometer.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        variant: str,
+        *,
+        gravity_mps2: float = STANDARD_GRAVITY_MPS2,
+        title: str = "",
+    ) -> None:
+        if path.exists():
+            raise UsageError(f"{path} exists: choose another name, recordings are not overwritten")
+        if not path.name.endswith((".csv", ".csv.gz")):
+            raise UsageError(f"{path}: a recording is named .csv or .csv.gz")
+        self.rows = 0
+        self.lost = 0
+        self._header = [
+            f"# title: {' '.join(title.split()) or 'continuous recording'}",
+            f"# sensor: {variant}",
+            "# accel_unit: lsb",
+            f"# gravity_mps2: {gravity_mps2:.6g}",
+            "# fixture_sigma_deg: free",
+            "# plane: none",
+        ]
+        self._columns: list[str] | None = None
+        self._file: IO[str] = (
+            gzip.open(path, "xt", encoding="utf-8")  # noqa: SIM115 (closed by `close`)
+            if path.name.endswith(".gz")
+            else path.open("x", encoding="utf-8")
+        )
+
+    def add(self, block: ScanBlock) -> None:
+        """Append the scans of a block."""
+        if self._columns is None:
+            self._columns = [name for name in _AXIS_COLUMNS if name in block.registers]
+            missing = [
+                name for name in ("XACCL_OUT", "YACCL_OUT", "ZACCL_OUT") if name not in self._columns
+            ]
+            if missing:
+                raise UsageError(
+                    f"a recording needs the accelerometers; the scan lacks {', '.join(missing)}"
+                )
+            names = ",".join(["time_s", *(_AXIS_COLUMNS[name] for name in self._columns)])
+            self._file.write("\n".join([*self._header, names, ""]))
+        chosen = block.select(self._columns)
+        accel = [BY_NAME[name].kind is Kind.ACCEL for name in self._columns]
+        values = np.where(accel, chosen.numbers(), chosen.values())
+        formats = ["%.6f", *("%d" if whole else "%.6g" for whole in accel)]
+        np.savetxt(self._file, np.column_stack([block.time_s, values]), fmt=formats, delimiter=",")
+        self._file.flush()
+        self.rows += len(block)
+        self.lost += block.lost
+
+    def close(self) -> None:
+        """Close the file; may be called twice."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

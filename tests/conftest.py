@@ -1,0 +1,34 @@
+"""What all tests share: the folder of real recordings, and that CI skips nothing."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+DATA = Path(os.environ.get("ADIS_GONIO_DATA", Path(__file__).parents[1] / ".." / "shared" / "data"))
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """Folder of the real recordings; skips where it is absent (see docs/data.md for the sources)."""
+    if not DATA.is_dir():
+        pytest.skip(f"no recordings in {DATA}: set ADIS_GONIO_DATA (sources in docs/data.md)")
+    return DATA
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Name what was skipped where nothing may be."""
+    if _skipped_in_ci(terminalreporter):
+        terminalreporter.section("skipped in CI, which counts as failed", red=True)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """In CI a skipped rig is a failure: what is not run is not shown."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if reporter is not None and _skipped_in_ci(reporter) and session.exitstatus == pytest.ExitCode.OK:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def _skipped_in_ci(reporter: pytest.TerminalReporter) -> bool:
+    return os.environ.get("CI") == "true" and bool(reporter.stats.get("skipped"))
