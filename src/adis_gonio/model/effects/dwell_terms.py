@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -28,11 +29,11 @@ class SampleEffect(AxisEffect):
         changed[:, columns] = self.change(values, samples_mg[:, columns], conditions, rng)
         return changed
 
+    @abstractmethod
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
         """Changed samples of the axes of the effect, (n, len(axes)) in mg."""
-        raise NotImplementedError
 
 
 class Saturation(SampleEffect):
@@ -136,7 +137,8 @@ class NoiseChange(SampleEffect):
     ) -> Floats:
         """Samples with the noise that joins."""
         joined = (conditions.time_s >= values[-1])[:, None]
-        return own_mg + joined * rng.standard_normal(own_mg.shape) * values[:-1]
+        noise: Floats = joined * rng.standard_normal(own_mg.shape) * values[:-1]
+        return own_mg + noise
 
 
 class Settling(CourseEffect):

@@ -178,7 +178,8 @@ class AxisTilt(Effect):
         unit, rho, along = self._parts(ideal_mg)
         in_plane = unit * (-rho * np.sin(tilt) - along * np.cos(tilt))
         by_radian = np.hstack([in_plane, rho * np.cos(tilt) - along * np.sin(tilt)])
-        return np.deg2rad(by_radian[:, : ideal_mg.shape[1], None])
+        by_degree: Floats = np.deg2rad(by_radian[:, : ideal_mg.shape[1], None])
+        return by_degree
 
 
 EFFECTS: tuple[type[Effect], ...] = (

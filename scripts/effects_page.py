@@ -1,0 +1,166 @@
+"""Write docs/effects.md from the effects themselves; `--check` only says whether it is up to date."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from adis_gonio.model.effects import BUILT_IN, Conditions, Effect, Enters, effect
+
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "effects.md"
+
+HEAD = """\
+# The catalogue of effects
+
+<!-- written by scripts/effects_page.py from src/adis_gonio/model/effects: change it there -->
+
+An effect is a named physical term that the seed paper's model (start angle α, one gain an axis, Δφ) lacks.
+The simulated world and the fit run the same objects. Bounds are those outside which a fitted value is not
+believed; typical sizes are **estimates** for a bench with an ADIS16354, never the maker's figures.
+
+Symbols: a_i is what axis i should read in mg, a_p what an axis across it should read, θ the declared angle
+of the stage, ψ = α − θ the true angle of the part, t the time. Parameters of an axis carry its letter
+(`bias_x`), those of a pair both (`kpp_xy`: axis x, acceleration along y). In the plane each axis has one
+axis across, in space two.
+
+On a command line an effect is `name` (all parameters typical) or `name:parameter=value,…` (amplitudes that
+are not named are zero; time constants, frequencies and limits stay typical).
+"""
+
+ENTERS = {
+    Enters.ATTITUDE: "the true angle of the part",
+    Enters.READING: "the reading of an axis",
+    Enters.SAMPLES: "the samples of a dwell",
+}
+
+HARMONICS_HEAD = """\
+## Harmonics of a tumble
+
+What one unit of a parameter adds to X over one turn at 1 g, in mg, by harmonics of t (the angle of X from
+gravity), with the stage's zero at t = 0. Computed from the effects; terms below 0.0005 mg are left empty.
+Harmonic n needs at least 2n + 1 positions. What shares its columns is told apart as the sections below say.
+
+"""
+
+TURN = ("quadratic", "cross_axis", "cross_quadratic", "cubic", "asymmetry", "misalignment", "scale", "bias")
+STAGE_TURN = ("stage_eccentricity", "stage_ellipticity")
+
+PLUGIN = """\
+## An effect of your own
+
+Subclass `adis_gonio.model.effects.Effect` (or one of the families in `families.py`), give it a `name`,
+`cause`, `formula` and `separated_by`, and name it in your package's `pyproject.toml`; nothing else changes:
+
+```toml
+[project.entry-points."adis_gonio.effects"]
+third_harmonic = "your_package:ThirdHarmonic"
+```
+"""
+
+
+def harmonics(made: Effect, values: np.ndarray, positions: int = 360) -> dict[str, float]:
+    """Harmonics of what an effect adds to X over one turn at 1 g, in mg."""
+    t = 2 * np.pi * np.arange(positions) / positions
+    ideal = 1000 * np.column_stack([np.cos(t), np.sin(t)])
+    conditions = Conditions(time_s=np.zeros(positions), angle_rad=-t)
+    if made.enters is Enters.ATTITUDE:
+        added = -ideal[:, 1] * made.attitude_rad(values, conditions)
+    else:
+        added = made.reading_mg(values, ideal, conditions)[:, 0]
+    lines = np.fft.rfft(added) / positions
+    table = {"mean": float(lines[0].real)}
+    for n in range(1, 5):
+        table[f"cos {n}t"] = float(2 * lines[n].real)
+        table[f"sin {n}t"] = float(-2 * lines[n].imag)
+    return table
+
+
+def harmonics_table() -> list[str]:
+    """Rows of the table of harmonics."""
+    columns = ["mean", *(f"{wave} {n}t" for n in range(1, 5) for wave in ("cos", "sin"))]
+    rows = [
+        "| parameter | " + " | ".join(columns) + " |",
+        "|---|" + "---:|" * len(columns),
+    ]
+    for name in (*TURN, *STAGE_TURN):
+        made = effect(name)
+        for k, parameter in enumerate(made.parameters):
+            if name in TURN and k:
+                break  # Y's terms are X's with the axes exchanged
+            found = harmonics(made, np.eye(len(made.parameters))[k])
+            cells = [f"{found[c]:.3f}" if abs(found[c]) > 5e-4 else "" for c in columns]
+            rows.append(f"| `{parameter.name}` ({name}, {parameter.unit}) | " + " | ".join(cells) + " |")
+    return rows
+
+
+def choices_of(kind: type[Effect]) -> str:
+    """Sentence about the fields beside the axes."""
+    names = kind.choices()
+    if not names:
+        return ""
+    listed = ", ".join(f"`{choice}` (default {getattr(kind, choice)})" for choice in names)
+    return f"Choice, a whole number that no gradient finds: {listed}."
+
+
+def section(kind: type[Effect]) -> list[str]:
+    """Section of one effect."""
+    choice = {"degree": 3} if "degree" in kind.choices() else {}
+    made = effect(kind.name, ("x",), **choice)
+    lines = [
+        f"### `{kind.name}`",
+        "",
+        kind.cause,
+        "",
+        f"    {kind.formula}",
+        "",
+        "| parameter | unit | bounds | typical |",
+        "|---|---|---|---:|",
+    ]
+    lines += [
+        f"| `{p.name}` | {p.unit} | {p.low:g} … {p.high:g} | {p.typical:g} |" for p in made.parameters
+    ]
+    covariates = ", ".join(f"`{need}`" for need in kind.needs) or "nothing beside time and readings"
+    within = " Its trace stands within the dwells." if kind.within_dwell else ""
+    lines += ["", f"Enters {ENTERS[kind.enters]}; needs {covariates}.{within}", ""]
+    lines += [choices_of(kind), ""] if kind.choices() else []
+    return [*lines, f"**Told apart:** {kind.separated_by}", ""]
+
+
+GROUPS = {
+    "sensor_terms": "Response of the sensor",
+    "environment": "Surroundings: temperature, supply, time, gravity",
+    "stage": "Stage, and how a position was reached",
+    "dwell_terms": "Within dwells, and single dwells",
+}
+
+
+def render() -> str:
+    """The page."""
+    lines = [HEAD, HARMONICS_HEAD + "\n".join(harmonics_table()), ""]
+    for module, title in GROUPS.items():
+        lines += [f"## {title}", ""]
+        for kind in BUILT_IN.values():
+            if kind.__module__.endswith(f".{module}"):
+                lines += section(kind)
+    return "\n".join([*lines, PLUGIN])
+
+
+def main() -> int:
+    """Write or check the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if the page is old")
+    if parser.parse_args().check:
+        if not PAGE.exists() or PAGE.read_text(encoding="utf-8") != render():
+            print(f"{PAGE} is not up to date: run python scripts/effects_page.py", file=sys.stderr)
+            return 1
+        return 0
+    PAGE.write_text(render(), encoding="utf-8")
+    print(f"wrote {PAGE}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
