@@ -1,0 +1,561 @@
+"""An ADIS16350-family chip at frame level, in its own time.
+
+`SimulatedChip.frame` sees what the pins would see: when chip select falls, how fast the clock runs, how
+many bits there are. Whatever lies between two frames happens inside: internal updates, flash updates,
+self-tests, sleep. The chip knows neither bus nor driver; its registers are those of
+`adis_gonio.sensor.registers`.
+
+Choices where the real behaviour is not known
+---------------------------------------------
+| situation | here | confidence |
+|---|---|---|
+| word of a read | taken when chip select rises after the 16th clock | D |
+| reply after a write, a reset, a read of COMMAND or of a reserved address | 0x0000 | D |
+| stall too short | no answer until a hard reset; the data line floats | C |
+| frame during start-up, reset or factory restore | the same bad state | C |
+| clock outside the mode's range | not executed, reply XOR 0xA5A5, STATUS[3] | D |
+| frame period too short | executed, but its reply is the one of the frame before, STATUS[3] | D |
+| frame of other than 16 bits | ignored, STATUS[3]; chip select without a clock is only ignored | B, C |
+| frame during a flash update or recovery from sleep | ignored, stale reply | D |
+| frame during precision autonull | ignored but for a software reset | D |
+| self-test running | registers answer, outputs read 0 with ND 0, commands but a reset are ignored | D |
+| autonull | takes the filtered gyros of the last update, then a flash update | D |
+| precision autonull | mean of the unfiltered gyros over 30 s | D |
+| supply below 4.75 V at the end of a flash update | nothing saved, STATUS[2] | D |
+| bit 14 of a frame, COMMAND's high byte | ignored | D |
+| waking | SLP_CNT reads 0 and the taps are empty | D |
+| change of SMPL_PRD | updates start anew from there, the taps are empty | D |
+| data-ready pulse | 50 µs wide by default | D |
+
+What is not simulated
+    Edges and levels on the pins within a frame (t_DAV and the like), supply current, brown-out, lever-arm
+    compensation (MSC_CTRL[6] is kept and does nothing), the 350 Hz analog poles, jitter and drift of
+    the chip's own clock, wear of the flash.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from enum import Enum, auto
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.errors import UsageError
+from adis_gonio.sensor.registers import BY_NAME, EA, GYRO_OFF, ND
+from adis_gonio.sensor.variants import Variant, variant
+from adis_gonio.sim import rules
+from adis_gonio.sim.inputs import Floats, Surroundings
+from adis_gonio.sim.lines import data_ready_enabled, gpio_word, levels
+from adis_gonio.sim.memory import Memory
+from adis_gonio.sim.sampling import GYRO_COLUMNS, OUTPUTS, Sampler, Updates
+
+Words = NDArray[np.uint16]
+
+_CHUNK = 1 << 15
+_SHORTEST_FAST_RUN = 4
+_EDGE_TOLERANCE = 1e-6  # of an update period: an update counts as done when asked for at its own time
+_COLUMN = np.full(32, -1)
+_COLUMN[[row.address >> 1 for row in OUTPUTS]] = np.arange(len(OUTPUTS))
+_PLAIN_READ = np.zeros(256, bool)
+_PLAIN_READ[: BY_NAME["COMMAND"].address + 2] = True
+_PLAIN_READ[BY_NAME["STATUS"].address : BY_NAME["STATUS"].address + 2] = False
+
+_STATUS = BY_NAME["STATUS"]
+_COMMAND = BY_NAME["COMMAND"]
+_SPI_FAILED = _STATUS.field("spi").mask
+_FLASH_FAILED = _STATUS.field("flash").mask
+_SUPPLY_LOW = _STATUS.field("supply_low").mask
+_SELF_TEST = BY_NAME["MSC_CTRL"].field("self_test").mask
+SELF_TEST_BITS = {
+    f"{axis}{sensor}": _STATUS.field(f"{name}_{axis}_self_test").mask | _STATUS.field("self_test").mask
+    for sensor, name in (("accl", "accel"), ("gyro", "gyro"))
+    for axis in "xyz"
+}
+"""STATUS bits that a failed part of the self-test sets."""
+
+
+class State(Enum):
+    """What the chip is doing."""
+
+    RUNNING = auto()
+    STARTING = auto()
+    FLASHING = auto()
+    RESTORING = auto()
+    TESTING = auto()
+    NULLING = auto()
+    ASLEEP = auto()
+    WAKING = auto()
+    DEAD = auto()
+
+
+_SAMPLING = (State.RUNNING, State.NULLING)
+
+
+class SimulatedChip:
+    """The chip.
+
+    Parameters
+    ----------
+    surroundings : Surroundings
+        Gives the analog inputs at each internal update.
+    part : str or Variant
+        `adis16354`, `adis16350` or `adis16355`.
+    start_s : float
+        Time of power-on; the chip answers 150 ms later.
+    flash : mapping of str to int
+        Register words saved earlier.
+    endurance : int
+        Flash updates so far.
+    floating_word : int
+        What a host reads while nothing drives the data line; 0xFFFF with the usual pull-up (D).
+    self_test_failures : sequence of str
+        Parts that fail the internal self-test: `xaccl`, `zgyro`, …
+    data_ready_pulse_s : float
+        Width of the data-ready pulse.
+
+    Raises
+    ------
+    UsageError
+        Unknown variant, register or part of the self-test.
+    """
+
+    def __init__(
+        self,
+        surroundings: Surroundings,
+        part: str | Variant = "adis16354",
+        *,
+        start_s: float = 0.0,
+        flash: Mapping[str, int] | None = None,
+        endurance: int = 0,
+        floating_word: int = 0xFFFF,
+        self_test_failures: Sequence[str] = (),
+        data_ready_pulse_s: float = 50e-6,
+    ) -> None:
+        for name in self_test_failures:
+            if name not in SELF_TEST_BITS:
+                raise UsageError(
+                    f"no part of the self-test is called '{name}': {', '.join(SELF_TEST_BITS)}"
+                )
+        self.variant = variant(part)
+        self.floating_word = floating_word
+        self.external_levels = (0, 0)
+        self._surroundings = surroundings
+        self._failures = tuple(self_test_failures)
+        self._pulse_s = data_ready_pulse_s
+        self._memory = Memory(flash, endurance)
+        self._sampler = Sampler(self.variant, self._memory)
+        self._row: Words
+        self._read_at: NDArray[np.int64]
+        self._state: State
+        self._until: float
+        self._epoch: float
+        self._period: float
+        self._k: int
+        self._updates: int
+        self._status: int
+        self._standing: int
+        self._dac: int
+        self._reply: int
+        self._shifted: int
+        self._null_sum: Floats
+        self._null_count: int
+        self._edges = 0
+        self._time_s = start_s
+        self._last_start = self._last_rise = -math.inf
+        self._start_up(start_s)
+
+    # -- what stands beside the serial port -------------------------------------------------------
+
+    @property
+    def state(self) -> State:
+        """What the chip is doing at the time of the last frame or question."""
+        return self._state
+
+    @property
+    def memory(self) -> Memory:
+        """The register file, for a look past the serial port."""
+        return self._memory
+
+    @property
+    def aux_dac_v(self) -> float:
+        """Voltage of the auxiliary output."""
+        return self._dac * 2.5 / 4095
+
+    @property
+    def update_period_s(self) -> float:
+        """Time between internal updates."""
+        return self._period
+
+    @property
+    def data_ready_enabled(self) -> bool:
+        """True where a DIO line carries data-ready."""
+        return data_ready_enabled(self._memory)
+
+    @property
+    def time_s(self) -> float:
+        """Time up to which the chip has lived."""
+        return self._time_s
+
+    def run_to(self, time_s: float) -> None:
+        """Let the chip live until a time."""
+        if time_s > self._time_s:
+            self._advance(time_s)
+
+    def data_ready_edges(self, time_s: float) -> int:
+        """Active edges of data-ready since power-on, up to a time."""
+        self.run_to(time_s)
+        return self._edges
+
+    def next_update_s(self, after_s: float) -> float | None:
+        """Time of the next internal update; None where none comes by itself.
+
+        What ends before then (a start-up, a flash update) is lived through.
+        """
+        self.run_to(after_s)
+        while self._state not in _SAMPLING:
+            if math.isinf(self._until):
+                return None
+            after_s = max(after_s, self._until)
+            self.run_to(after_s)
+        count = math.floor((after_s - self._epoch) / self._period + _EDGE_TOLERANCE)
+        return self._epoch + (count + 1) * self._period
+
+    def dio(self, time_s: float) -> tuple[int | None, int | None]:
+        """Levels that the chip drives on DIO1 and DIO2 at a time; None where a line is an input."""
+        self.run_to(time_s)
+        since = time_s - (self._epoch + self._k * self._period)
+        pulse = self._state in _SAMPLING and self._k > 0 and since < self._pulse_s
+        return levels(self._memory, pulse=pulse, status=self._status)
+
+    def hard_reset(self, time_s: float) -> None:
+        """RST is released at a time; the start-up follows."""
+        self.run_to(time_s)
+        self._start_up(max(time_s, self._time_s))
+
+    # -- frames -----------------------------------------------------------------------------------
+
+    def frame(
+        self, word: int, *, start_s: float, clock_hz: float, bits: int = 16, cs_hold_s: float = 0.0
+    ) -> int:
+        """Take one frame.
+
+        Parameters
+        ----------
+        word : int
+            What is shifted in.
+        start_s : float
+            Time at which chip select falls; its stall is counted from the last rise.
+        clock_hz : float
+            Clock; chip select rises `bits / clock_hz + cs_hold_s` later.
+        bits : int
+            Clocks while chip select is low.
+
+        Returns
+        -------
+        int
+            What is shifted out: the reply to the frame before.
+
+        Raises
+        ------
+        UsageError
+            The frame lies before the last one.
+        """
+        if start_s < self._last_start or start_s < self._time_s - rules.TOLERANCE_S:
+            raise UsageError(f"frame at {start_s} s: the chip has already lived until {self._time_s} s")
+        self._advance(start_s)
+        rise = start_s + bits / clock_hz + cs_hold_s
+        stall, period = start_s - self._last_rise, start_s - self._last_start
+        self._last_start, self._last_rise = start_s, rise
+        reply = self._answer(word, bits, clock_hz, cs_hold_s, stall, period)
+        self._shifted = reply
+        return reply
+
+    def frames(self, words: Words, *, start_s: float, frame_s: float, clock_hz: float) -> Words:
+        """Take n frames that start `frame_s` apart; what `frame` n times would give, but quicker.
+
+        Parameters
+        ----------
+        words : (n,) uint16
+
+        Returns
+        -------
+        (n,) uint16
+        """
+        return self.frames_at(
+            words, start_s + np.arange(len(words), dtype=np.float64) * frame_s, clock_hz=clock_hz
+        )
+
+    def frames_at(self, words: Words, starts_s: Floats, *, clock_hz: float) -> Words:
+        """Take n frames that start at given times (n,), increasing."""
+        n = len(words)
+        replies = np.empty(n, np.uint16)
+        hard = np.append(np.flatnonzero(~_PLAIN_READ[words >> 8]), n)
+        i = 0
+        while i < n:
+            end = int(hard[np.searchsorted(hard, i)])
+            if end - i >= _SHORTEST_FAST_RUN:
+                done = self._fast(words[i:end], starts_s[i:end], clock_hz, replies[i:end])
+                i += done
+                if done:
+                    continue
+            replies[i] = self.frame(int(words[i]), start_s=float(starts_s[i]), clock_hz=clock_hz)
+            i += 1
+        return replies
+
+    def _fast(self, words: Words, starts: Floats, clock_hz: float, out: Words) -> int:
+        """Answer the first of some reads, without a loop; returns how many were answered."""
+        first = float(starts[0])
+        if first < max(self._last_start, self._time_s - rules.TOLERANCE_S):
+            return 0
+        self._advance(first)
+        limits = rules.limits(self._memory["SMPL_PRD"])
+        if self._state is not State.RUNNING or not limits.clock_ok(clock_hz):
+            return 0
+        if not _in_time(first - self._last_rise, first - self._last_start, limits):
+            return 0
+        starts = starts[:_CHUNK]
+        rises = starts + 16 / clock_hz
+        bad = ((starts[1:] - rises[:-1]) < limits.stall_s - rules.TOLERANCE_S) | (
+            np.diff(starts) < limits.period_s - rules.TOLERANCE_S
+        )
+        n = int(np.argmax(bad)) + 1 if bad.any() else len(starts)
+        done = np.floor((rises[:n] - self._epoch) / self._period + _EDGE_TOLERANCE).astype(np.int64)
+        index = done - self._k
+        n = int(np.searchsorted(index, _CHUNK, side="right"))
+        if n < _SHORTEST_FAST_RUN:
+            return 0
+        index = index[:n]
+        seen = self._updates + index
+        rows, status = self._row[None, :], np.array([self._status])
+        if index[-1]:
+            updates = self._take(int(index[-1]))
+            rows = np.concatenate([rows, updates.words])
+            status = np.bitwise_or.accumulate(np.concatenate([status, updates.status]))
+        self._time_s = float(rises[n - 1])
+        values = self._values(words[:n] >> np.uint16(9), index, seen, rows, status != 0)
+        out[0], out[1:n] = self._reply, values[:-1]
+        self._reply = int(values[-1])
+        self._shifted = int(out[n - 1])
+        self._last_start, self._last_rise = float(starts[n - 1]), float(rises[n - 1])
+        return n
+
+    def _values(
+        self,
+        slots: Words,
+        index: NDArray[np.int64],
+        seen: NDArray[np.int64],
+        rows: Words,
+        faulty: NDArray[np.bool_],
+    ) -> Words:
+        """Words that n reads take, ND and EA included."""
+        columns = _COLUMN[slots]
+        values: Words = rows[index, columns]
+        values[faulty[index]] |= EA
+        for slot in np.flatnonzero(np.bincount(slots, minlength=32)):
+            chosen = np.flatnonzero(slots == slot)
+            column = _COLUMN[slot]
+            if column < 0:
+                values[chosen] = self._control_word(2 * int(slot))
+                continue
+            at = seen[chosen]
+            fresh = at > np.concatenate([self._read_at[column : column + 1], at[:-1]])
+            values[chosen[fresh]] |= ND
+            self._read_at[column] = at[-1]
+        return values
+
+    # -- one frame ---------------------------------------------------------------------------------
+
+    def _answer(
+        self, word: int, bits: int, clock_hz: float, cs_hold_s: float, stall: float, period: float
+    ) -> int:
+        if self._state in (State.STARTING, State.RESTORING):
+            self._state, self._until = State.DEAD, math.inf
+        if self._state is State.DEAD:
+            return self.floating_word
+        if self._state is State.ASLEEP:
+            self._state, self._until = State.WAKING, self._last_rise + rules.WAKE_S
+            return self.floating_word
+        if self._state in (State.FLASHING, State.WAKING):
+            return self._reply
+        limits = rules.limits(self._memory["SMPL_PRD"])
+        if stall < limits.stall_s - rules.TOLERANCE_S:
+            self._state, self._until = State.DEAD, math.inf
+            return self.floating_word
+        if bits == 0:
+            return self._reply
+        if bits != 16:
+            self._status |= _SPI_FAILED
+            return (self._reply >> (16 - bits) if bits < 16 else self._reply << (bits - 16)) & 0xFFFF
+        if not limits.clock_ok(clock_hz):
+            self._status |= _SPI_FAILED
+            return self._reply ^ 0xA5A5
+        reply = self._reply
+        if period < limits.period_s - rules.TOLERANCE_S:
+            self._status |= _SPI_FAILED
+            reply = self._shifted
+        self._advance(self._last_rise)
+        if self._state is State.NULLING:
+            if _is_reset(word):
+                self._start_up(self._last_rise)
+        elif word >> 15:
+            self._reply = 0
+            self._write(word >> 8 & 0x3F, word & 0xFF, cs_hold_s, limits)
+        else:
+            self._reply = self._read(word >> 8 & 0x3F)
+        return reply
+
+    def _read(self, address: int) -> int:
+        column = int(_COLUMN[address >> 1])
+        if column < 0:
+            if address & ~1 == _STATUS.address:
+                word, self._status = self._status, 0
+                return word
+            return self._control_word(address)
+        if self._state is State.TESTING:
+            return EA if self._status else 0
+        word = int(self._row[column]) | (EA if self._status else 0)
+        if self._updates > self._read_at[column]:
+            word |= ND
+        self._read_at[column] = self._updates
+        return word
+
+    def _control_word(self, address: int) -> int:
+        if address & ~1 == BY_NAME["GPIO_CTRL"].address:
+            return gpio_word(self._memory, self.external_levels)
+        return self._memory.at(address)
+
+    def _write(self, address: int, data: int, cs_hold_s: float, limits: rules.SerialLimits) -> None:
+        before = self._memory["SMPL_PRD"]
+        row = self._memory.write_byte(address, data)
+        if row is None:
+            return
+        now = self._last_rise
+        if row is _COMMAND:
+            if not address & 1:
+                self._command(data, now)
+            return
+        self._sampler.configure(self._memory)
+        if self._memory["SMPL_PRD"] != before:
+            self._restart_sampling(now, empty=True)
+        if self._state is not State.RUNNING:
+            return
+        if row.name == "MSC_CTRL" and self._memory["MSC_CTRL"] & _SELF_TEST:
+            self._state, self._until = State.TESTING, now + rules.SELF_TEST_S
+        elif row.name == "SLP_CNT" and self._memory["SLP_CNT"] and cs_hold_s <= limits.sleep_cs_s:
+            self._state = State.ASLEEP
+            self._until = now + rules.SLEEP_UNIT_S * (self._memory["SLP_CNT"] & 0xFF)
+
+    def _command(self, data: int, now: float) -> None:
+        """Do what COMMAND says; where several bits are set only the first of this order acts (D)."""
+        if data & _COMMAND.field("reset").mask:
+            self._start_up(now)
+        elif self._state is not State.RUNNING:
+            return
+        elif data & _COMMAND.field("restore").mask:
+            self._memory.zero_offsets()
+            self._state, self._until = State.RESTORING, now + rules.FLASH_S
+        elif data & _COMMAND.field("autonull").mask:
+            self._null(self._sampler.gyro_mean())
+            self._state, self._until = State.FLASHING, now + rules.FLASH_S
+        elif data & _COMMAND.field("precision_autonull").mask:
+            self._null_sum, self._null_count = np.zeros(3), 0
+            self._state, self._until = State.NULLING, now + rules.PRECISION_S
+        elif data & _COMMAND.field("flash_update").mask:
+            self._state, self._until = State.FLASHING, now + rules.FLASH_S
+        elif data & _COMMAND.field("latch_dac").mask:
+            self._dac = self._memory["AUX_DAC"]
+
+    # -- time ---------------------------------------------------------------------------------------
+
+    def _start_up(self, now: float) -> None:
+        self._state, self._until = State.STARTING, now + rules.START_UP_S
+        self._status = self._standing = self._dac = 0
+        self._reply = self._shifted = 0
+        self._memory.load()
+        self._updates = 0
+        self._read_at = np.zeros(len(OUTPUTS), np.int64)
+        self._row = np.zeros(len(OUTPUTS), np.uint16)
+        self._null_sum, self._null_count = np.zeros(3), 0
+        self._restart_sampling(self._until, empty=True)
+
+    def _restart_sampling(self, now: float, *, empty: bool = False) -> None:
+        self._epoch, self._k = now, 0
+        self._period = rules.update_period_s(self._memory["SMPL_PRD"])
+        if empty:
+            self._sampler.clear()
+        self._sampler.configure(self._memory)
+
+    def _advance(self, time_s: float) -> None:
+        while self._until <= time_s:
+            end = self._until
+            self._sample_to(end)
+            self._finish(end)
+        self._sample_to(time_s)
+        self._time_s = max(self._time_s, time_s)
+
+    def _finish(self, now: float) -> None:
+        """End what was going on."""
+        state, self._state, self._until = self._state, State.RUNNING, math.inf
+        if state in (State.FLASHING, State.RESTORING):
+            self._save()
+        elif state is State.TESTING:
+            self._memory["MSC_CTRL"] = self._memory["MSC_CTRL"] & ~_SELF_TEST
+            for name in self._failures:
+                self._status |= SELF_TEST_BITS[name]
+        elif state is State.NULLING:
+            self._null(self._null_sum / max(self._null_count, 1))
+            self._state, self._until = State.FLASHING, now + rules.FLASH_S
+            return
+        elif state is State.ASLEEP:
+            self._state, self._until = State.WAKING, now + rules.WAKE_S
+            return
+        elif state is State.WAKING:
+            self._memory["SLP_CNT"] = 0
+        self._restart_sampling(now, empty=state is State.WAKING)
+
+    def _save(self) -> None:
+        if self._standing & _SUPPLY_LOW:
+            self._status |= _FLASH_FAILED
+        else:
+            self._memory.save()
+
+    def _null(self, mean: Floats) -> None:
+        for name, number in zip(GYRO_OFF, self._sampler.null_offset(mean), strict=True):
+            self._memory[name] = BY_NAME[name].word(number)
+        self._sampler.configure(self._memory)
+
+    def _sample_to(self, time_s: float) -> None:
+        if self._state not in _SAMPLING:
+            return
+        wanted = math.floor((time_s - self._epoch) / self._period + _EDGE_TOLERANCE)
+        while self._k < wanted:
+            self._take(min(wanted - self._k, _CHUNK))
+
+    def _take(self, n: int) -> Updates:
+        """Do n internal updates."""
+        count = np.arange(self._k + 1, self._k + n + 1, dtype=np.float64)
+        times = self._epoch + count * self._period
+        updates = self._sampler.update(self._surroundings.sample(times))
+        self._status |= int(np.bitwise_or.reduce(updates.status))
+        self._standing = int(updates.status[-1])
+        self._row = updates.words[-1]
+        self._k += n
+        self._updates += n
+        if self.data_ready_enabled:
+            self._edges += n
+        if self._state is State.NULLING:
+            self._null_sum += updates.unfiltered[:, GYRO_COLUMNS].sum(axis=0)
+            self._null_count += n
+        return updates
+
+
+def _in_time(stall: float, period: float, limits: rules.SerialLimits) -> bool:
+    return stall >= limits.stall_s - rules.TOLERANCE_S and period >= limits.period_s - rules.TOLERANCE_S
+
+
+def _is_reset(word: int) -> bool:
+    return bool(
+        word >> 15 and (word >> 8) & 0x3F == _COMMAND.address and word & _COMMAND.field("reset").mask
+    )

@@ -1,0 +1,94 @@
+"""The register file: volatile words, their flash copies, byte writes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from adis_gonio.errors import UsageError
+from adis_gonio.sensor.registers import (
+    ACCEL_OFF,
+    BY_ADDRESS,
+    BY_NAME,
+    GYRO_OFF,
+    REGISTERS,
+    Register,
+    register,
+)
+
+ENDURANCE_WRAP = 32768
+
+
+class Memory:
+    """Words of all registers, and the flash behind some of them.
+
+    Parameters
+    ----------
+    flash : mapping of str to int
+        Words that were saved before power-on; registers not named hold their defaults.
+    endurance : int
+        Flash updates so far.
+
+    Raises
+    ------
+    UsageError
+        A name is unknown, or a word has bits without a flash copy.
+    """
+
+    def __init__(self, flash: Mapping[str, int] | None = None, endurance: int = 0) -> None:
+        self._flash = {row.name: row.default & row.flash_mask for row in REGISTERS if row.flash_mask}
+        for name, word in (flash or {}).items():
+            row = register(name)
+            if word & ~row.flash_mask:
+                raise UsageError(f"{row.name} has no flash copy of 0x{word & ~row.flash_mask:04X}")
+            self._flash[row.name] = word
+        self._words: dict[str, int] = {}
+        self.load()
+        self._words["ENDURANCE"] = endurance % ENDURANCE_WRAP
+
+    def __getitem__(self, name: str) -> int:
+        return self._words[name]
+
+    def __setitem__(self, name: str, word: int) -> None:
+        self._words[name] = word & 0xFFFF
+
+    def at(self, address: int) -> int:
+        """Word at either byte address; 0 where there is no register or none that can be read."""
+        row = BY_ADDRESS.get(address & ~1)
+        return self._words[row.name] if row is not None and row.readable else 0
+
+    def write_byte(self, address: int, data: int) -> Register | None:
+        """Write a byte, low at the even address and high at the odd one.
+
+        Only bits of the register's write mask change; COMMAND keeps nothing.
+
+        Returns
+        -------
+        Register or None
+            Row that was written; None where nothing takes a write (read-only and reserved addresses).
+        """
+        row = BY_ADDRESS.get(address & ~1)
+        if row is None or not row.writable:
+            return None
+        if row.readable:
+            shift = 8 * (address & 1)
+            mask = row.write_mask & (0xFF << shift)
+            self._words[row.name] = (self._words[row.name] & ~mask) | ((data << shift) & mask)
+        return row
+
+    def load(self) -> None:
+        """Take the flash copies, as a reset does; bits without one take their default."""
+        endurance = self._words.get("ENDURANCE", 0)
+        for row in REGISTERS:
+            self._words[row.name] = (row.default & ~row.flash_mask) | self._flash.get(row.name, 0)
+        self._words["ENDURANCE"] = endurance
+
+    def save(self) -> None:
+        """Copy to flash; ENDURANCE counts one more."""
+        for name in self._flash:
+            self._flash[name] = self._words[name] & BY_NAME[name].flash_mask
+        self._words["ENDURANCE"] = (self._words["ENDURANCE"] + 1) % ENDURANCE_WRAP
+
+    def zero_offsets(self) -> None:
+        """What the factory restore does to the six offsets."""
+        for name in (*GYRO_OFF, *ACCEL_OFF):
+            self._words[name] = 0

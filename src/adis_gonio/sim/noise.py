@@ -1,0 +1,92 @@
+"""Random processes whose values do not depend on how they are asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adis_gonio.sim.inputs import Floats
+
+_PAGE = 1024
+
+
+class White:
+    """White noise: one row of `len(sigma)` channels an update, drawn in order."""
+
+    def __init__(self, sigma: Floats, rng: np.random.Generator) -> None:
+        self._sigma = np.asarray(sigma, np.float64)
+        self._rng = rng
+
+    def next(self, n: int) -> Floats:
+        """Next n rows (n, channels)."""
+        drawn = self._rng.standard_normal((n, len(self._sigma)))
+        drawn *= self._sigma
+        return drawn
+
+
+class Flicker:
+    """Noise of a spectrum 1/f, as a sum of first-order processes with corners an octave apart.
+
+    A process of variance v at every octave has together the one-sided spectrum v / (f ln 2); the Allan
+    deviation of h/f is sqrt(2 h ln 2) at all averaging times, hence v = floor² / 2. The values stand on
+    a grid of their own in time and are interpolated, so neither the sample rate nor the way in which
+    times are asked for changes them.
+
+    Parameters
+    ----------
+    floor : (channels,) float
+        Allan deviation of the flat part (bias instability) of each channel.
+    start_s : float
+        Earliest time that may be asked for.
+    step_s : float
+        Grid; above a tenth of its rate there is no flicker left.
+    lowest_hz : float
+        Lowest corner; below it the spectrum is flat.
+    """
+
+    def __init__(
+        self,
+        floor: Floats,
+        rng: np.random.Generator,
+        *,
+        start_s: float = 0.0,
+        step_s: float = 1 / 16,
+        lowest_hz: float = 2.0**-13,
+    ) -> None:
+        octaves = int(np.floor(np.log2(0.15 / (step_s * lowest_hz)))) + 1
+        corners = lowest_hz * 2.0 ** np.arange(octaves)
+        self._memory = np.exp(-2 * np.pi * corners * step_s)[:, None]
+        self._sigma = np.asarray(floor, np.float64) / np.sqrt(2)
+        self._drive = np.sqrt(1 - self._memory**2)
+        self._rng = rng
+        self._step_s = step_s
+        self._origin_s = start_s
+        self._first = 0
+        self._state = rng.standard_normal((octaves, len(self._sigma)))
+        self._grid = np.empty((0, len(self._sigma)))
+
+    def at(self, time_s: Floats) -> Floats:
+        """Values (n, channels) at times (n,) that increase from call to call."""
+        place = (time_s - self._origin_s) / self._step_s
+        index = np.floor(place).astype(np.int64)
+        while self._first + len(self._grid) < index[-1] + 2:
+            self._grid = np.concatenate([self._grid, self._page()])
+        spare = (int(index[0]) - self._first) // _PAGE * _PAGE
+        if spare > 0:
+            self._grid = self._grid[spare:]
+            self._first += spare
+        weight = (place - index)[:, None]
+        index -= self._first
+        low: Floats = self._grid[index]
+        high: Floats = self._grid[index + 1]
+        result: Floats = low + weight * (high - low)
+        return result
+
+    def _page(self) -> Floats:
+        drawn = self._rng.standard_normal((_PAGE, *self._state.shape)) * self._drive
+        page = np.empty((_PAGE, len(self._sigma)))
+        state = self._state
+        for k in range(_PAGE):
+            page[k] = state.sum(axis=0)
+            state = self._memory * state + drawn[k]
+        self._state = state
+        return page * self._sigma

@@ -1,0 +1,245 @@
+"""From analog inputs to output words: scaling, filter, offsets, limits, alarms, conditions.
+
+Choices where the chip's behaviour is not known (D): the filter works at a resolution of 1/1024 LSB and
+its output is rounded once; offsets are added after it; taps are cleared when range or M change; an
+illegal range acts as ±300 °/s, M = 7 as 6, and an M below the range's least one as that one; over-range
+means a sample beyond the nominal range.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, REGISTERS, Register
+from adis_gonio.sensor.variants import LEAST_M, RANGE_CODE, Variant
+from adis_gonio.sim.filter import MOST_M, bartlett_sums, history_rows, taps
+from adis_gonio.sim.inputs import Floats, Inputs
+from adis_gonio.sim.memory import Memory
+
+Integers = NDArray[np.int64]
+
+OUTPUTS: tuple[Register, ...] = tuple(row for row in REGISTERS if row.flags)
+"""Output registers in order of address: the columns of all arrays here."""
+GYRO_COLUMNS = slice(1, 4)
+ACCEL_COLUMNS = slice(4, 7)
+
+SUPPLY_LIMITS_V = (4.75, 5.25)
+SELF_TEST_ACCEL_MG = 250.0
+SELF_TEST_GYRO_DPS = 50.0
+"""Answers to the manual self-test (D)."""
+
+FRACTION_BITS = 10
+_ONE = 1 << FRACTION_BITS
+_HISTORY = 256
+_LOW = np.array([row.range[0] for row in OUTPUTS], np.int64)
+_HIGH = np.array([row.range[1] for row in OUTPUTS], np.int64)
+_MASK = np.array([row.data_mask for row in OUTPUTS], np.int64)
+_NARROW = np.array([k for k, row in enumerate(OUTPUTS) if row.bits == 12])
+_GYRO_OFF_PER_LSB = {300: 4, 150: 2, 75: 1}
+_LARGEST = float(1 << 30)
+
+# Columns of the sources that ALM_CTRL numbers: 1 supply, 2-4 gyros, 5-7 accelerometers, 8-10
+# temperatures, 11 auxiliary input; they stand in the order of the output registers.
+_ALARM_SOURCES = len(OUTPUTS)
+
+STATUS = BY_NAME["STATUS"]
+ALARM_BITS = (STATUS.field("alarm1").mask, STATUS.field("alarm2").mask)
+_OVER_RANGE = STATUS.field("over_range").mask
+_SUPPLY_LOW = STATUS.field("supply_low").mask
+_SUPPLY_HIGH = STATUS.field("supply_high").mask
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """Setting of one alarm.
+
+    Attributes
+    ----------
+    column : int
+        Column of its source.
+    threshold : int
+        Number in the source's format.
+    samples : int
+        Updates over which the change is taken; 0 for the value itself.
+    """
+
+    bit: int
+    column: int
+    greater: bool
+    threshold: int
+    samples: int
+    filtered: bool
+
+
+@dataclass(frozen=True)
+class Updates:
+    """Result of n internal updates.
+
+    Attributes
+    ----------
+    words : (n, 11) uint16
+        Output words without ND and EA.
+    status : (n,) int
+        STATUS bits whose condition stood at each update.
+    unfiltered : (n, 11) int
+        Samples before filter and offset, in 1/1024 LSB.
+    """
+
+    words: NDArray[np.uint16]
+    status: Integers
+    unfiltered: Integers
+
+
+class Sampler:
+    """The signal chain of the chip."""
+
+    def __init__(self, variant: Variant, memory: Memory) -> None:
+        self._variant = variant
+        self.gyro_range_dps = 0
+        self.m = -1
+        self._clear()
+        self.configure(memory)
+
+    # -- settings -------------------------------------------------------------------------------
+
+    def configure(self, memory: Memory) -> None:
+        """Take the settings over from the registers; clears the taps where range or M changed."""
+        code = BY_NAME["SENS_AVG"].field("range").of(memory["SENS_AVG"])
+        gyro_range = next((dps for dps, known in RANGE_CODE.items() if known == code), 300)
+        m = min(max(BY_NAME["SENS_AVG"].field("m").of(memory["SENS_AVG"]), LEAST_M[gyro_range]), MOST_M)
+        if (gyro_range, m) != (self.gyro_range_dps, self.m):
+            self._clear()
+        self.gyro_range_dps, self.m = gyro_range, m
+        sizes = [self._variant.lsb(row.kind, gyro_range) for row in OUTPUTS]
+        self._gain = np.array([_ONE / lsb for lsb, _, _ in sizes])
+        self._zero = np.array([zero for _, zero, _ in sizes])
+        offset = np.zeros(len(OUTPUTS), np.int64)
+        for k, name in enumerate(GYRO_OFF):
+            number = BY_NAME[name].number(memory[name])
+            offset[GYRO_COLUMNS.start + k] = number * _ONE // _GYRO_OFF_PER_LSB[gyro_range]
+        for k, name in enumerate(ACCEL_OFF):
+            offset[ACCEL_COLUMNS.start + k] = BY_NAME[name].number(memory[name]) * _ONE
+        self._offset = offset
+        misc = BY_NAME["MSC_CTRL"]
+        msc_ctrl = memory["MSC_CTRL"]
+        sign = misc.field("positive").of(msc_ctrl) - misc.field("negative").of(msc_ctrl)
+        self._manual_test = float(sign)
+        self._compensate = bool(misc.field("linear_g").of(msc_ctrl))
+        self._alarms = _alarms(memory)
+
+    def clear(self) -> None:
+        """Empty the taps and the history, as a reset does."""
+        self._clear()
+
+    def _clear(self) -> None:
+        self._samples = np.zeros((_HISTORY, len(OUTPUTS)), np.int64)
+        self._filtered = np.zeros((_HISTORY, len(OUTPUTS)), np.int64)
+        self._taken = 0
+
+    def null_offset(self, mean_unfiltered: Floats) -> list[int]:
+        """Numbers of the gyros' offset registers that cancel mean samples (3,) in 1/1024 LSB."""
+        low, high = BY_NAME[GYRO_OFF[0]].range
+        scale = _GYRO_OFF_PER_LSB[self.gyro_range_dps]
+        return [int(min(max(round(-value * scale / _ONE), low), high)) for value in mean_unfiltered]
+
+    def gyro_mean(self) -> Floats:
+        """Gyros (3,) after the filter, before the offset, in 1/1024 LSB."""
+        sums = bartlett_sums(self._samples[_HISTORY - history_rows(self.m) - 1 :], self.m)
+        return np.asarray(sums[-1, GYRO_COLUMNS] / taps(self.m) ** 2, np.float64)
+
+    # -- updates --------------------------------------------------------------------------------
+
+    def update(self, inputs: Inputs) -> Updates:
+        """Take n samples."""
+        new = self._scaled(inputs)
+        n = len(new)
+        samples = np.concatenate([self._samples, new])
+        sums = bartlett_sums(samples[_HISTORY - history_rows(self.m) :], self.m)
+        numbers = self._numbers(sums, 2 * self.m)
+        words = numbers & _MASK
+        # Bits 13:12 of a 12-bit register are not used. The real part's content is not known; never
+        # zero here, so that whoever forgets to mask them sees it.
+        words[:, _NARROW] |= 0x1000 | ((numbers[:, _NARROW] & 1) << 13)
+        status = self._conditions(inputs)
+        filtered = np.concatenate([self._filtered, numbers])
+        for alarm in self._alarms:
+            source = filtered if alarm.filtered else self._numbers(samples, 0)
+            status |= np.where(self._alarming(alarm, source[:, alarm.column], n), alarm.bit, 0)
+        self._samples = samples[-_HISTORY:]
+        self._filtered = filtered[-_HISTORY:]
+        self._taken += n
+        return Updates(words.astype(np.uint16), status, new)
+
+    def _scaled(self, inputs: Inputs) -> Integers:
+        values = np.empty((len(inputs.supply_v), len(OUTPUTS)))
+        values[:, 0] = inputs.supply_v
+        values[:, 1:4] = inputs.gyro_dps
+        values[:, 4:7] = inputs.accel_mg
+        values[:, 7:10] = inputs.temperature_c
+        values[:, 10] = inputs.aux_v
+        if self._compensate:
+            per_g = self._variant.performance.gyro_g_sensitivity_dps_per_g
+            values[:, GYRO_COLUMNS] -= per_g * 1e-3 * inputs.accel_mg
+        if self._manual_test:
+            values[:, GYRO_COLUMNS] += self._manual_test * SELF_TEST_GYRO_DPS
+            values[:, ACCEL_COLUMNS] += self._manual_test * SELF_TEST_ACCEL_MG
+        values -= self._zero
+        values *= self._gain
+        np.rint(values, out=values)
+        np.clip(values, -_LARGEST, _LARGEST, out=values)
+        return values.astype(np.int64)
+
+    def _numbers(self, sums: Integers, extra_bits: int) -> Integers:
+        shift = FRACTION_BITS + extra_bits
+        numbers = (sums + ((self._offset << extra_bits) + (1 << (shift - 1)))) >> shift
+        np.clip(numbers, _LOW, _HIGH, out=numbers)
+        return numbers
+
+    def _conditions(self, inputs: Inputs) -> Integers:
+        low, high = SUPPLY_LIMITS_V
+        over = np.abs(inputs.accel_mg).max(axis=1) > 1000.0 * self._variant.accel_range_g
+        over |= np.abs(inputs.gyro_dps).max(axis=1) > self.gyro_range_dps
+        status = over * _OVER_RANGE
+        status |= (inputs.supply_v < low) * _SUPPLY_LOW
+        status |= (inputs.supply_v > high) * _SUPPLY_HIGH
+        return np.asarray(status, np.int64)
+
+    def _alarming(self, alarm: Alarm, source: Integers, n: int) -> NDArray[np.bool_]:
+        value = source[_HISTORY:]
+        known = np.ones(n, bool)
+        if alarm.samples:
+            value = value - source[_HISTORY - alarm.samples : len(source) - alarm.samples]
+            known = self._taken + np.arange(1, n + 1) > alarm.samples
+        return known & (value > alarm.threshold if alarm.greater else value < alarm.threshold)
+
+
+def _alarms(memory: Memory) -> list[Alarm]:
+    control, word = BY_NAME["ALM_CTRL"], memory["ALM_CTRL"]
+    alarms = []
+    for k in (1, 2):
+        source = control.field(f"source{k}").of(word)
+        if not 1 <= source <= _ALARM_SOURCES:
+            continue
+        magnitude = memory[f"ALM_MAG{k}"]
+        row = OUTPUTS[source - 1]
+        rate = bool(control.field(f"rate{k}").of(word))
+        data = magnitude & row.data_mask
+        signed = row.signed or rate
+        threshold = data - (1 << row.bits) if signed and data >> (row.bits - 1) else data
+        samples = memory[f"ALM_SMPL{k}"] & 0xFF if rate else 0
+        if rate and samples == 0:
+            samples = 1
+        alarms.append(
+            Alarm(
+                ALARM_BITS[k - 1],
+                source - 1,
+                bool(magnitude >> 15),
+                threshold,
+                samples,
+                bool(control.field("filtered").of(word)),
+            )
+        )
+    return alarms

@@ -1,0 +1,175 @@
+"""Settings of the simulated world: every figure that a person may want to change, with its unit."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Self
+
+from adis_gonio.errors import UsageError
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+
+_POSITIVE = (
+    "gravity_mps2",
+    "move_speed_dps",
+    "self_heating_tau_s",
+    "ambient_period_s",
+    "vibration_decay_s",
+)
+_AT_LEAST_ZERO = (
+    "noise_mg",
+    "bias_instability_mg",
+    "gyro_noise_dps",
+    "gyro_bias_sigma_dps",
+    "gyro_instability_dps",
+    "temperature_noise_c",
+    "temperature_offset_sigma_c",
+    "supply_noise_v",
+    "fixture_sigma_deg",
+    "powered_s",
+    "overshoot_deg",
+)
+
+
+@dataclass(frozen=True)
+class WorldSettings:
+    """Settings of the world; None means drawn from the seed by the variant's figures.
+
+    Attributes
+    ----------
+    alpha_deg : float or None
+        Angle of the part at the stage's zero; drawn within ±5°.
+    delta_k, delta_phi_deg : float or None
+        K_x = K_y (1 + ΔK), and the misalignment Δφ of Y in the plane.
+    scale_y, scale_z : float or None
+        Gains K_y and K_z (1 is perfect); K_x follows from ΔK.
+    skew_xz_deg, skew_yz_deg : float or None
+        How much less than 90° the angles X-Z and Y-Z are.
+    bias_x_mg, bias_y_mg, bias_z_mg : float or None
+        Biases at 25 °C.
+    bias_tempco_x_mg_per_c, … : float or None
+        Their temperature coefficients.
+    scale_tempco_x_ppm_per_c, … : float or None
+        Temperature coefficients of the gains.
+    noise_mg, bias_instability_mg : float or None
+        White noise of an unfiltered sample (rms), and the floor of the Allan deviation.
+    gyro_noise_dps, gyro_instability_dps, gyro_bias_sigma_dps : float
+        The same of the gyros, and the standard deviation of their biases.
+    gyro_g_dps_per_g, gyro_supply_dps_per_v : float or None
+        What acceleration, and a supply other than 5 V, add to a gyro.
+    ambient_c, ambient_drift_c_per_h, ambient_swing_c, ambient_period_s : float
+        Ambient temperature: constant, drift, and amplitude and period of a sine.
+    self_heating_c, self_heating_tau_s, powered_s : float
+        Self-heating, its time constant, and how long the part was powered at time zero.
+    temperature_offset_sigma_c, temperature_noise_c : float
+        Offsets of the temperature sensors (1 sigma) and their noise.
+    supply_v, supply_drift_v_per_h, supply_noise_v, aux_v : float
+        Supply and auxiliary input.
+    gravity_mps2 : float
+        Local gravity.
+    fixture_sigma_deg, backlash_deg, overshoot_deg : float
+        Standard deviation of the angle error that each move draws; how far apart the same position
+        reached from both sides lies; how far a move goes past its target to turn round.
+    axis_tilt_deg : float
+        Tilt of the rotation axis out of the horizontal.
+    move_speed_dps : float
+        Mean speed of a move.
+    vibration_mg, vibration_hz, vibration_decay_s : float
+        Ringing after a move stops.
+    """
+
+    alpha_deg: float | None = None
+    delta_k: float | None = None
+    delta_phi_deg: float | None = None
+    scale_y: float | None = None
+    scale_z: float | None = None
+    skew_xz_deg: float | None = None
+    skew_yz_deg: float | None = None
+    bias_x_mg: float | None = None
+    bias_y_mg: float | None = None
+    bias_z_mg: float | None = None
+    bias_tempco_x_mg_per_c: float | None = None
+    bias_tempco_y_mg_per_c: float | None = None
+    bias_tempco_z_mg_per_c: float | None = None
+    scale_tempco_x_ppm_per_c: float | None = None
+    scale_tempco_y_ppm_per_c: float | None = None
+    scale_tempco_z_ppm_per_c: float | None = None
+    noise_mg: float | None = None
+    bias_instability_mg: float | None = None
+    gyro_noise_dps: float | None = None
+    gyro_instability_dps: float = 0.015
+    gyro_bias_sigma_dps: float = 1.0
+    gyro_g_dps_per_g: float | None = None
+    gyro_supply_dps_per_v: float | None = None
+    ambient_c: float = 22.0
+    ambient_drift_c_per_h: float = 0.0
+    ambient_swing_c: float = 0.0
+    ambient_period_s: float = 1200.0
+    self_heating_c: float = 3.0
+    self_heating_tau_s: float = 300.0
+    powered_s: float = 3600.0
+    temperature_offset_sigma_c: float = 1.0
+    temperature_noise_c: float = 0.1
+    supply_v: float = 5.0
+    supply_drift_v_per_h: float = 0.0
+    supply_noise_v: float = 0.001
+    aux_v: float = 1.0
+    gravity_mps2: float = STANDARD_GRAVITY_MPS2
+    fixture_sigma_deg: float = 0.02
+    backlash_deg: float = 0.0
+    overshoot_deg: float = 5.0
+    axis_tilt_deg: float = 0.0
+    move_speed_dps: float = 45.0
+    vibration_mg: float = 20.0
+    vibration_hz: float = 35.0
+    vibration_decay_s: float = 0.3
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if value is None:
+                continue
+            if not math.isfinite(value):
+                raise UsageError(f"{entry.name} must be a finite number, not {value}")
+            if value <= 0 and entry.name in _POSITIVE:
+                raise UsageError(f"{entry.name} must be above 0, not {value}")
+            if value < 0 and entry.name in _AT_LEAST_ZERO:
+                raise UsageError(f"{entry.name} must not be negative, not {value}")
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """Names of all settings."""
+        return tuple(entry.name for entry in fields(cls))
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, str], *, others: tuple[str, ...] = ()) -> Self:
+        """Settings from text.
+
+        Parameters
+        ----------
+        options : mapping of str to str
+            Name and value.
+        others : tuple of str
+            Names that somebody else reads; they are passed over, and offered as nearest matches.
+
+        Raises
+        ------
+        UsageError
+            A name is unknown (the message has the nearest one), a value is no number or not possible.
+        """
+        known = cls.names()
+        values: dict[str, float] = {}
+        for name, text in options.items():
+            if name in others:
+                continue
+            if name not in known:
+                near = difflib.get_close_matches(name, (*known, *others), n=1)
+                hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join((*others, *known))}"
+                raise UsageError(f"the simulator has no option '{name}'; {hint}")
+            try:
+                values[name] = float(text)
+            except ValueError:
+                raise UsageError(f"{name}: '{text}' is no number") from None
+        return cls(**values)

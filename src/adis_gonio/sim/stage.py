@@ -1,0 +1,307 @@
+"""The stage that holds the part: where it points at any time, and what its mechanics do wrong.
+
+In the plane the part turns about its Z axis, which lies horizontal. The true angle is
+ψ = α − θ + δ with the declared angle θ and the error δ that each move draws (fixture, N(0, σ)) plus half
+the backlash by the direction of approach; X then reads G cos ψ and Y G sin ψ. In space the stage turns the
+part until a given unit vector is what an ideal sensor would read, in units of G.
+
+A move takes time, with a speed that rises and falls as a half sine; the part rings after it.
+Not simulated: centripetal and tangential acceleration of a part away from the axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adis_gonio.errors import UsageError
+from adis_gonio.sim.inputs import Floats
+from adis_gonio.sim.settings import WorldSettings
+
+_SHORTEST_MOVE_S = 0.3
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Where the part is at n times.
+
+    Attributes
+    ----------
+    direction : (n, 3) float
+        What an ideal sensor reads, in units of local gravity.
+    rate_dps : (n, 3) float
+        Rate of turn of the part.
+    ringing_mg : (n,) float
+        Vibration along X and Y after a move.
+    angle_rad, previous_angle_rad : (n,) float
+        Declared angle θ, and the one of the dwell before.
+    order, approach : (n,) float
+        Number of the dwell, from 0, and direction from which it was reached.
+    time_in_dwell_s : (n,) float
+        Time since the move ended; 0 during the move.
+    """
+
+    direction: Floats
+    rate_dps: Floats
+    ringing_mg: Floats
+    angle_rad: Floats
+    previous_angle_rad: Floats
+    order: Floats
+    approach: Floats
+    time_in_dwell_s: Floats
+
+
+@dataclass(frozen=True)
+class _Leg:
+    """A move and the rest after it; in the plane by angles, in space by a turn about an axis."""
+
+    start_s: float
+    end_s: float
+    from_rad: float
+    to_rad: float
+    from_error_rad: float
+    to_error_rad: float
+    order: int
+    approach: int
+    previous_rad: float
+    base: Floats
+    side: Floats
+    turn_rad: float
+    spatial: bool
+
+
+class Stage:
+    """Trajectory of the part, put together move by move.
+
+    Parameters
+    ----------
+    settings : WorldSettings
+        Mechanics.
+    alpha_rad : float
+        Angle of the part at the stage's zero.
+    rng : Generator
+        Draws an error for each move.
+    """
+
+    def __init__(self, settings: WorldSettings, alpha_rad: float, rng: np.random.Generator) -> None:
+        self._settings = settings
+        self._alpha = alpha_rad
+        self._rng = rng
+        error = self._error(0)
+        self._legs = [self._planar(-np.inf, -np.inf, 0.0, 0.0, error, error, 0, 0, 0.0)]
+        self._starts = np.array([-np.inf])
+
+    @property
+    def angle_deg(self) -> float:
+        """Declared angle of the last target; nan where it was given in space."""
+        leg = self._legs[-1]
+        return float("nan") if leg.spatial else float(np.degrees(leg.to_rad))
+
+    @property
+    def error_deg(self) -> float:
+        """Error δ of the present position: true angle minus α − θ, in degrees (hidden from a fit)."""
+        return float(np.degrees(self._legs[-1].to_error_rad))
+
+    @property
+    def still_at_s(self) -> float:
+        """Time at which the last move ends."""
+        return self._legs[-1].end_s
+
+    def move_to(self, start_s: float, angle_deg: float, approach: int = 0) -> float:
+        """Begin a move in the plane; returns the time at which it ends.
+
+        Parameters
+        ----------
+        approach : int
+            +1 or -1: arrive with the declared angle rising or falling, going past the target and back
+            where need be; 0 the short way.
+
+        Raises
+        ------
+        UsageError
+            The angle is not finite, the approach not one of -1, 0, 1, or the last move still runs.
+        """
+        if not np.isfinite(angle_deg) or approach not in (-1, 0, 1):
+            raise UsageError(f"move to {angle_deg}° with approach {approach}: give an angle and -1, 0 or 1")
+        self._require_still(start_s)
+        last = self._legs[-1]
+        target = float(np.radians(angle_deg))
+        if last.spatial:
+            error = self._error(approach)
+            vector = self._direction(target, error)
+            end = self._turn(start_s, vector, target, error, approach)
+            rest = self._planar(end, end, target, target, error, error, last.order + 1, approach, target)
+            self._append(rest)
+            return end
+        difference = target - last.to_rad
+        natural = int(np.sign(difference))
+        if approach and natural != approach:
+            past = target - approach * float(np.radians(self._settings.overshoot_deg))
+            start_s = self._swing(start_s, past, last.to_error_rad, approach, last.to_rad, last.order + 1)
+        approach = approach or natural
+        return self._swing(start_s, target, self._error(approach), approach, last.to_rad, last.order + 1)
+
+    def orient(self, start_s: float, vector: Floats) -> float:
+        """Begin a move in space; returns the time at which it ends.
+
+        Parameters
+        ----------
+        vector : (3,) float
+            What an ideal sensor shall read there, up to a factor; level with Z up is (0, 0, -1).
+
+        Raises
+        ------
+        UsageError
+            No direction, or the last move still runs.
+        """
+        wanted = np.asarray(vector, np.float64)
+        norm = float(np.linalg.norm(wanted))
+        if wanted.shape != (3,) or not np.isfinite(norm) or norm == 0:
+            raise UsageError(f"orient to {vector}: give three numbers that are a direction")
+        self._require_still(start_s)
+        sigma = np.radians(self._settings.fixture_sigma_deg)
+        tilted = wanted / norm + np.cross(sigma * self._rng.standard_normal(3), wanted / norm)
+        return self._turn(start_s, tilted / np.linalg.norm(tilted), float("nan"), 0.0, 0)
+
+    def at(self, time_s: Floats) -> Motion:
+        """Where the part is at increasing times (n,)."""
+        index = np.searchsorted(self._starts, time_s, side="right") - 1
+        first, last = int(index[0]), int(index[-1])
+        if first == last:
+            return self._along(self._legs[first], time_s)
+        parts = [
+            self._along(self._legs[k], time_s[index == k])
+            for k in range(first, last + 1)
+            if (index == k).any()
+        ]
+        return Motion(*(np.concatenate([getattr(part, name) for part in parts]) for name in _NAMES))
+
+    # -- making legs ------------------------------------------------------------------------------
+
+    def _require_still(self, start_s: float) -> None:
+        if start_s < self.still_at_s:
+            raise UsageError(f"the stage moves until {self.still_at_s} s; wait for it")
+
+    def _error(self, approach: int) -> float:
+        drawn = self._settings.fixture_sigma_deg * float(self._rng.standard_normal())
+        return float(np.radians(drawn + approach * self._settings.backlash_deg / 2))
+
+    def _direction(self, theta: float, error: float) -> Floats:
+        tilt = np.radians(self._settings.axis_tilt_deg)
+        psi = self._alpha - theta + error
+        return np.array([np.cos(psi) * np.cos(tilt), np.sin(psi) * np.cos(tilt), np.sin(tilt)])
+
+    def _duration(self, angle_rad: float) -> float:
+        return max(_SHORTEST_MOVE_S, abs(float(np.degrees(angle_rad))) / self._settings.move_speed_dps)
+
+    def _swing(
+        self, start_s: float, target: float, error: float, approach: int, previous: float, order: int
+    ) -> float:
+        last = self._legs[-1]
+        end_s = start_s + self._duration(target - last.to_rad)
+        self._append(
+            self._planar(
+                start_s, end_s, last.to_rad, target, last.to_error_rad, error, order, approach, previous
+            )
+        )
+        return end_s
+
+    def _planar(
+        self,
+        start_s: float,
+        end_s: float,
+        from_rad: float,
+        to_rad: float,
+        from_error: float,
+        to_error: float,
+        order: int,
+        approach: int,
+        previous: float,
+    ) -> _Leg:
+        none = np.zeros(3)
+        return _Leg(
+            start_s, end_s, from_rad, to_rad, from_error, to_error, order, approach, previous,
+            none, none, 0.0, spatial=False,
+        )  # fmt: skip
+
+    def _turn(self, start_s: float, to: Floats, theta: float, error: float, approach: int) -> float:
+        last = self._legs[-1]
+        if last.spatial:
+            base = last.base * np.cos(last.turn_rad) + last.side * np.sin(last.turn_rad)
+        else:
+            base = self._direction(last.to_rad, last.to_error_rad)
+        cosine = float(np.clip(base @ to, -1.0, 1.0))
+        side = to - cosine * base
+        if np.linalg.norm(side) < 1e-9:
+            side = np.cross(base, np.eye(3)[int(np.argmin(np.abs(base)))])
+        side = side / np.linalg.norm(side)
+        turn = float(np.arctan2(to @ side, cosine))
+        end_s = start_s + self._duration(turn)
+        previous = last.to_rad
+        self._append(
+            _Leg(
+                start_s, end_s, theta, theta, error, error, last.order + 1, approach, previous,
+                base, side, turn, spatial=True,
+            )
+        )  # fmt: skip
+        return end_s
+
+    def _append(self, leg: _Leg) -> None:
+        self._legs.append(leg)
+        self._starts = np.append(self._starts, leg.start_s)
+
+    # -- following legs ---------------------------------------------------------------------------
+
+    def _along(self, leg: _Leg, time_s: Floats) -> Motion:
+        n = len(time_s)
+        full = np.full
+        since = time_s - leg.end_s
+        blend, speed = np.ones(n), np.zeros(n)
+        moving = since < 0
+        if moving.any():
+            duration = leg.end_s - leg.start_s
+            part = np.pi * (time_s - leg.start_s) / duration
+            blend = np.where(moving, (1 - np.cos(part)) / 2, 1.0)
+            speed = np.where(moving, np.pi / (2 * duration) * np.sin(part), 0.0)
+        rate = np.zeros((n, 3))
+        if leg.spatial:
+            turn = leg.turn_rad * blend
+            direction = np.cos(turn)[:, None] * leg.base + np.sin(turn)[:, None] * leg.side
+            rate -= np.degrees(leg.turn_rad * speed)[:, None] * np.cross(leg.base, leg.side)
+            theta = full(n, leg.to_rad)
+        else:
+            span, slip = leg.to_rad - leg.from_rad, leg.to_error_rad - leg.from_error_rad
+            theta = leg.from_rad + span * blend
+            psi = self._alpha - theta + leg.from_error_rad + slip * blend
+            tilt = np.radians(self._settings.axis_tilt_deg)
+            direction = np.empty((n, 3))
+            direction[:, 0] = np.cos(psi) * np.cos(tilt)
+            direction[:, 1] = np.sin(psi) * np.cos(tilt)
+            direction[:, 2] = np.sin(tilt)
+            rate[:, 2] = np.degrees((span - slip) * speed)
+        return Motion(
+            direction,
+            rate,
+            self._ringing(since),
+            theta,
+            full(n, leg.previous_rad),
+            full(n, float(leg.order)),
+            full(n, float(leg.approach)),
+            np.maximum(since, 0.0) if np.isfinite(leg.end_s) else np.maximum(time_s, 0.0),
+        )
+
+    def _ringing(self, since: Floats) -> Floats:
+        """Decaying sine after the stop; nothing is left of it after 20 time constants."""
+        settings = self._settings
+        if not settings.vibration_mg or not len(since) or since[0] > 20 * settings.vibration_decay_s:
+            return np.zeros(len(since))
+        rings = (since > 0) & (since <= 20 * settings.vibration_decay_s)
+        after = np.where(rings, since, 0.0)
+        wave = np.sin(2 * np.pi * settings.vibration_hz * after)
+        return np.where(
+            rings, settings.vibration_mg * np.exp(-after / settings.vibration_decay_s) * wave, 0.0
+        )
+
+
+_NAMES = tuple(Motion.__dataclass_fields__)

@@ -1,0 +1,287 @@
+"""The world around the chip: attitude, sensor faults, temperature, supply, noise, effects.
+
+What a sensor reads (mg, x y z)
+    ideal = G [K_x d_x, K_y (d_x sin Δφ + d_y cos Δφ), K_z (s_z · d)], d the stage's direction;
+    reading = ideal (1 + tempco (T − 25 °C)) + bias + tempco (T − 25 °C) + effects + flicker + ringing
+    + noise. In the plane d = (cos ψ, sin ψ, 0), which is the convention of the samples CSV.
+
+Noise is drawn update by update, so that what comes out depends on the seed and on the chip's settings,
+never on how frames are grouped or how often somebody asks.
+
+What is not simulated
+    The 350 Hz poles of the analog front ends (unfiltered samples are white, as the filter's table of gains
+    supposes), turns of the axes out of the stage's plane other than the skews of Z, cross-axis and
+    nonlinearity unless an effect brings them, noise that depends on temperature, the earth's rotation,
+    accelerations of a part away from the stage's axis, thermal gradients between axes. Flicker ends
+    below 1e-4 and above 1.5 Hz.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from adis_gonio.model.effects.base import Conditions, Effect, Enters
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+from adis_gonio.sensor.variants import Variant, variant
+from adis_gonio.sim.inputs import Floats, Inputs
+from adis_gonio.sim.noise import Flicker, White
+from adis_gonio.sim.settings import WorldSettings
+from adis_gonio.sim.stage import Motion, Stage
+
+REFERENCE_C = 25.0
+REFERENCE_V = 5.0
+GREATEST_ALPHA_DEG = 5.0
+_HISTORY_STEP_S = 1.0
+
+Values = Mapping[str, float] | Sequence[float] | Floats
+
+
+class World:
+    """Surroundings of a chip.
+
+    Parameters
+    ----------
+    settings : WorldSettings
+        What is given; the rest is drawn from the seed by the variant's figures.
+    part : str or Variant
+        Whose figures.
+    seed : int
+        Seed of everything random here.
+    effects : sequence of (Effect, values)
+        Terms to add; values by name, or in the order of the effect's parameters.
+    """
+
+    def __init__(
+        self,
+        settings: WorldSettings | None = None,
+        *,
+        part: str | Variant = "adis16354",
+        seed: int = 0,
+        effects: Sequence[tuple[Effect, Values]] = (),
+    ) -> None:
+        self.settings = settings or WorldSettings()
+        self.variant = variant(part)
+        self.seed = seed
+        streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)]
+        hidden, white, self._flicker_rng, fixture, changes = streams
+        self._draw(hidden)
+        self._effect_rngs = changes.spawn(len(effects))
+        self.effects = tuple((effect, _values(effect, given)) for effect, given in effects)
+        self.stage = Stage(self.settings, float(np.radians(self._hidden["alpha"])), fixture)
+        self._flicker: Flicker | None = None
+        figures = self.variant.performance
+        self._noise_mg = _or(self.settings.noise_mg, figures.noise_mg)
+        gyro_noise = _or(self.settings.gyro_noise_dps, figures.gyro_noise_dps)
+        self._white = White(
+            np.array(
+                [self._noise_mg] * 3
+                + [gyro_noise] * 3
+                + [self.settings.temperature_noise_c] * 3
+                + [self.settings.supply_noise_v]
+            ),
+            white,
+        )
+        self._g_effect = _or(self.settings.gyro_g_dps_per_g, figures.gyro_g_sensitivity_dps_per_g)
+        self._supply_effect = _or(
+            self.settings.gyro_supply_dps_per_v, figures.gyro_supply_sensitivity_dps_per_v
+        )
+
+    def _draw(self, rng: np.random.Generator) -> None:
+        """Hidden parameters; all are drawn, so that giving one leaves the others as they were."""
+        figures, given = self.variant.performance, self.settings
+        drawn_scale = 1 + figures.scale_error_typical * rng.standard_normal(3)
+        drawn_bias = figures.initial_bias_mg * rng.standard_normal(3)
+        limit = figures.non_orthogonality_deg
+        drawn_skew = rng.uniform(-limit, limit, 3)
+        drawn_alpha = rng.uniform(-GREATEST_ALPHA_DEG, GREATEST_ALPHA_DEG)
+        drawn_tempco = figures.bias_tempco_mg_per_c * rng.standard_normal(3)
+        drawn_scale_tempco = figures.scale_tempco_ppm_per_c * rng.standard_normal(3)
+        self._gyro_bias = given.gyro_bias_sigma_dps * rng.standard_normal(3)
+        self._temperature_offset = given.temperature_offset_sigma_c * rng.standard_normal(3)
+
+        scale_y = _or(given.scale_y, float(drawn_scale[1]))
+        delta_k = _or(given.delta_k, float(drawn_scale[0] / drawn_scale[1] - 1))
+        delta_phi = _or(given.delta_phi_deg, float(drawn_skew[0]))
+        self._hidden = {
+            "delta_k": delta_k,
+            "delta_phi": delta_phi,
+            "alpha": _or(given.alpha_deg, float(drawn_alpha)),
+            "scale_x": scale_y * (1 + delta_k),
+            "scale_y": scale_y,
+            "scale_z": _or(given.scale_z, float(drawn_scale[2])),
+            "skew_xy": delta_phi,
+            "skew_xz": _or(given.skew_xz_deg, float(drawn_skew[1])),
+            "skew_yz": _or(given.skew_yz_deg, float(drawn_skew[2])),
+        }
+        for k, axis in enumerate("xyz"):
+            self._hidden[f"bias_{axis}"] = _or(getattr(given, f"bias_{axis}_mg"), float(drawn_bias[k]))
+        self._tempco = np.array(
+            [
+                _or(getattr(given, f"bias_tempco_{a}_mg_per_c"), float(drawn_tempco[k]))
+                for k, a in enumerate("xyz")
+            ]
+        )
+        self._scale_tempco = 1e-6 * np.array(
+            [
+                _or(getattr(given, f"scale_tempco_{a}_ppm_per_c"), float(drawn_scale_tempco[k]))
+                for k, a in enumerate("xyz")
+            ]
+        )
+        self._bias = np.array([self._hidden[f"bias_{axis}"] for axis in "xyz"])
+        self._sensitivity = _sensitivity(self._hidden)
+
+    # -- what is hidden ---------------------------------------------------------------------------
+
+    @property
+    def gravity_mg(self) -> float:
+        """Local gravity in mg."""
+        return 1000.0 * self.settings.gravity_mps2 / STANDARD_GRAVITY_MPS2
+
+    def truth(self) -> dict[str, float]:
+        """Hidden parameters by the names that a fit uses.
+
+        `delta_k` (1), `delta_phi` (degree), `alpha` (degree), `scale_x…` (the gain, 1 is perfect),
+        `skew_xy…` (degree, 90° minus the angle between the axes), `bias_x…` (mg at 25 °C, before
+        flicker), `bias_temperature_x…` (mg/°C), `scale_temperature_x…` (1/°C), and the parameters of
+        added effects as `effect.parameter` in the effect's units.
+        """
+        result = dict(self._hidden)
+        for k, axis in enumerate("xyz"):
+            result[f"bias_temperature_{axis}"] = float(self._tempco[k])
+            result[f"scale_temperature_{axis}"] = float(self._scale_tempco[k])
+        for effect, values in self.effects:
+            for parameter, value in zip(effect.parameters, values, strict=True):
+                result[f"{effect.name}.{parameter.name}"] = float(value)
+        return result
+
+    def temperature_c(self, time_s: Floats) -> Floats:
+        """Temperature of the part (n,) in °C: ambient profile and self-heating."""
+        given = self.settings
+        ambient = given.ambient_c + given.ambient_drift_c_per_h * time_s / 3600
+        if given.ambient_swing_c:
+            ambient = ambient + given.ambient_swing_c * np.sin(2 * np.pi * time_s / given.ambient_period_s)
+        on_s = np.maximum(time_s + given.powered_s, 0.0)
+        return np.asarray(
+            ambient + given.self_heating_c * -np.expm1(-on_s / given.self_heating_tau_s), np.float64
+        )
+
+    def supply_v(self, time_s: Floats) -> Floats:
+        """Supply (n,) in V without its noise."""
+        return self.settings.supply_v + self.settings.supply_drift_v_per_h * time_s / 3600
+
+    # -- what the chip feels ----------------------------------------------------------------------
+
+    def sample(self, time_s: Floats) -> Inputs:
+        """Inputs of the chip at increasing times (n,)."""
+        n = len(time_s)
+        motion = self.stage.at(time_s)
+        temperature = self.temperature_c(time_s)
+        supply = self.supply_v(time_s)
+        noise = self._white.next(n)
+        flicker = self._flicker_at(time_s)
+        conditions = self._conditions(time_s, motion, temperature, supply)
+
+        direction = self._turned(motion.direction, conditions)
+        ideal = self._ideal(direction)
+        warm = (temperature - REFERENCE_C)[:, None]
+        accel = ideal * (1 + self._scale_tempco * warm) + self._bias + self._tempco * warm
+        if conditions is not None:
+            for effect, values in self.effects:
+                if effect.enters is Enters.READING:
+                    accel += effect.reading_mg(values, ideal, conditions)
+        accel += flicker[:, :3]
+        accel[:, :2] += motion.ringing_mg[:, None]
+        accel += noise[:, :3]
+        if conditions is not None:
+            for (effect, values), rng in zip(self.effects, self._effect_rngs, strict=True):
+                if effect.enters is Enters.SAMPLES:
+                    accel = effect.samples_mg(values, accel, conditions, rng)
+
+        gyro = motion.rate_dps + self._gyro_bias + flicker[:, 3:] + noise[:, 3:6]
+        gyro += 1e-3 * self._g_effect * ideal
+        gyro += (self._supply_effect * (supply - REFERENCE_V))[:, None]
+        return Inputs(
+            accel,
+            gyro,
+            temperature[:, None] + self._temperature_offset + noise[:, 6:9],
+            supply + noise[:, 9],
+            np.full(n, self.settings.aux_v),
+        )
+
+    def _ideal(self, direction: Floats) -> Floats:
+        ideal = np.empty_like(direction)
+        for k, row in enumerate(self._sensitivity):
+            # Written out: a matrix product may round differently for another number of rows.
+            ideal[:, k] = self.gravity_mg * (
+                row[0] * direction[:, 0] + row[1] * direction[:, 1] + row[2] * direction[:, 2]
+            )
+        return ideal
+
+    def _turned(self, direction: Floats, conditions: Conditions | None) -> Floats:
+        if conditions is None or not any(e.enters is Enters.ATTITUDE for e, _ in self.effects):
+            return direction
+        angle = np.zeros(len(direction))
+        for effect, values in self.effects:
+            if effect.enters is Enters.ATTITUDE:
+                angle += effect.attitude_rad(values, conditions)
+        cosine, sine = np.cos(angle), np.sin(angle)
+        return np.stack(
+            [
+                cosine * direction[:, 0] - sine * direction[:, 1],
+                sine * direction[:, 0] + cosine * direction[:, 1],
+                direction[:, 2],
+            ],
+            axis=1,
+        )
+
+    def _flicker_at(self, time_s: Floats) -> Floats:
+        if self._flicker is None:
+            floor = _or(self.settings.bias_instability_mg, self.variant.performance.bias_instability_mg)
+            floors = np.array([floor] * 3 + [self.settings.gyro_instability_dps] * 3)
+            self._flicker = Flicker(floors, self._flicker_rng, start_s=float(np.floor(time_s[0])))
+        return self._flicker.at(time_s)
+
+    def _conditions(
+        self, time_s: Floats, motion: Motion, temperature: Floats, supply: Floats
+    ) -> Conditions | None:
+        if not self.effects:
+            return None
+        history_s = np.arange(0.0, max(float(time_s[-1]), 0.0) + 2 * _HISTORY_STEP_S, _HISTORY_STEP_S)
+        return Conditions(
+            time_s=time_s,
+            angle_rad=motion.angle_rad,
+            order=motion.order,
+            approach=motion.approach,
+            previous_angle_rad=motion.previous_angle_rad,
+            time_in_dwell_s=motion.time_in_dwell_s,
+            temperature_c=temperature,
+            supply_v=supply,
+            temperature_history=(history_s, self.temperature_c(history_s)),
+            variance_mg2=np.full((len(time_s), 3), self._noise_mg**2),
+        )
+
+
+def _or(given: float | None, other: float) -> float:
+    return other if given is None else given
+
+
+def _values(effect: Effect, given: Values) -> Floats:
+    if isinstance(given, Mapping):
+        return effect.defaults(given)
+    return np.asarray(given, np.float64)
+
+
+def _sensitivity(hidden: Mapping[str, float]) -> Floats:
+    """Gains times the directions (3, 3) that the axes feel; X is the reference, Y lies in the plane."""
+    xy, xz, yz = (np.sin(np.radians(hidden[f"skew_{pair}"])) for pair in ("xy", "xz", "yz"))
+    along_y = (yz - xz * xy) / np.sqrt(1 - xy**2)
+    directions: Any = [
+        [1.0, 0.0, 0.0],
+        [xy, np.sqrt(1 - xy**2), 0.0],
+        [xz, along_y, np.sqrt(1 - xz**2 - along_y**2)],
+    ]
+    gains = np.array([hidden[f"scale_{axis}"] for axis in "xyz"])
+    return np.asarray(gains[:, None] * np.array(directions), np.float64)
