@@ -202,13 +202,13 @@ def test_settling_is_no_slow_covariate_and_says_so():
 
 
 @pytest.mark.parametrize("name", SMOOTH)
-def test_rows_are_independent_of_each_other(name):
+def test_rows_are_independent_of_each_other_to_the_last_bit(name):
     one = made(name)
     ideal, conditions = bench()
     chosen = np.arange(len(conditions))[::7]
     whole = value_of(one, one.defaults(), ideal, conditions)
     part = value_of(one, one.defaults(), ideal[chosen], conditions.rows(chosen))
-    np.testing.assert_allclose(part, whole[chosen], rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(part, whole[chosen])
 
 
 @pytest.mark.parametrize("name", [n for n in SMOOTH if BUILT_IN[n].needs])

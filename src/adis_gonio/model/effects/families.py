@@ -1,7 +1,8 @@
 """Families that effects share: linear in their parameters, or amplitudes of one common time course.
 
 An effect of a family gives its basis function once; value and derivative both follow from it, so that they
-cannot disagree.
+cannot disagree. Sums are written out, since a matrix product may round differently for another number of
+rows, and a world that is asked in other portions must give the same samples.
 """
 
 from __future__ import annotations
@@ -107,7 +108,11 @@ class CrossEffect(AxisEffect):
 
     def reading_mg(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
         """Sum of the basis functions, (n, axes) in mg."""
-        added: Floats = self.derivative(values, ideal_mg, conditions) @ values
+        self.columns_of(ideal_mg)
+        added = np.zeros(ideal_mg.shape)
+        for value, (axis, other) in zip(values, self.pairs(), strict=True):
+            i, p = AXES.index(axis), AXES.index(other)
+            added[:, i] += value * self.basis(ideal_mg[:, i], ideal_mg[:, p])
         return added
 
 
@@ -167,5 +172,7 @@ class StageEffect(Effect):
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
         """Angle (n,) in rad that is added to the true angle of the part."""
-        angle: Floats = np.deg2rad(np.stack(self.basis(conditions), axis=-1)) @ values
+        angle = np.zeros(len(conditions))
+        for value, rows in zip(values, self.basis(conditions), strict=True):
+            angle += np.deg2rad(value) * rows
         return angle
