@@ -212,7 +212,7 @@ class ArchiveView:
 
     def runs(self) -> list[JsonDict]:
         """Openings of the session, in order."""
-        names = ("run", "started_utc", "bus_s", "clock_offset_s", "software")
+        names = ("run", "started_utc", "bus_s", "clock_offset_s", "continues", "software")
         rows = self._rows(f"SELECT {', '.join(names)} FROM runs ORDER BY run")
         return [dict(zip(names, row, strict=True)) for row in rows]
 
@@ -281,12 +281,27 @@ class ArchiveView:
             )
         return result
 
-    def moves(self, up_to_attempt: int) -> list[Move]:
-        """Moves of the stage for the attempts up to one, in order."""
-        rows = self._rows(
-            "SELECT bus_s, angle_deg, approach FROM moves WHERE attempt <= ? ORDER BY move", up_to_attempt
-        )
-        return [Move(*row) for row in rows]
+    def moves_before(self, attempt: int) -> list[Move]:
+        """Moves of the stage that led up to an attempt's end, in order.
+
+        Where a run went back to an earlier attempt, what came after that one in the run before is not
+        part of the line that leads here.
+        """
+        runs = {run["run"]: run["continues"] for run in self.runs()}
+        of_run = {a.number: a.run for a in self.attempts()}
+        line: list[Move] = []
+        while attempt:
+            run = of_run[attempt]
+            rows = self._rows(
+                "SELECT moves.bus_s, moves.angle_deg, moves.approach FROM moves"
+                " JOIN attempts USING (attempt)"
+                " WHERE run = ? AND attempt <= ? ORDER BY move",
+                run,
+                attempt,
+            )
+            line = [Move(*row) for row in rows] + line
+            attempt = runs[run]
+        return line
 
     def close(self) -> None:
         """Close the file; may be called twice."""
@@ -363,12 +378,23 @@ class Archive(ArchiveView):
         """Number of this opening, from 1; 0 before `begin_run`."""
         return self._run
 
-    def begin_run(self, bus_s: float, clock_offset_s: float) -> int:
-        """Register this opening of the session; from now on only it may write."""
+    def begin_run(self, bus_s: float, clock_offset_s: float, continues: int = 0) -> int:
+        """Register this opening of the session; from now on only it may write.
+
+        Parameters
+        ----------
+        bus_s : float
+            Time on the bus's clock.
+        clock_offset_s : float
+            What makes times on that clock seconds since the session began.
+        continues : int
+            Number of the attempt after which it goes on; 0 for the beginning.
+        """
         with self._transaction(new=True):
             cursor = self._connection.execute(
-                "INSERT INTO runs (started_utc, bus_s, clock_offset_s, software) VALUES (?, ?, ?, ?)",
-                (utc_now(), bus_s, clock_offset_s, f"adis-gonio {__version__}"),
+                "INSERT INTO runs (started_utc, bus_s, clock_offset_s, continues, software)"
+                " VALUES (?, ?, ?, ?, ?)",
+                (utc_now(), bus_s, clock_offset_s, continues, f"adis-gonio {__version__}"),
             )
             run = int(cursor.lastrowid or 0)
         self._run = run

@@ -11,6 +11,8 @@
 
 Every table refuses UPDATE and DELETE: what was written stays. Times called `bus_s` are on the clock of
 the bus of that run, in s; adding the run's `clock_offset_s` makes them seconds since the session began.
+`continues` is the attempt after which a resumed run goes on, 0 for the beginning: a simulated world is
+brought back to that point.
 
 Durability: a rollback journal (`journal_mode=DELETE`), so that there is one file and nothing beside it
 between commits, and `synchronous=EXTRA`, which besides the file syncs the directory once the journal is
@@ -45,6 +47,7 @@ CREATE TABLE runs (
     started_utc    TEXT NOT NULL,
     bus_s          REAL NOT NULL,
     clock_offset_s REAL NOT NULL,
+    continues      INTEGER NOT NULL,
     software       TEXT NOT NULL
 );
 CREATE TABLE records (

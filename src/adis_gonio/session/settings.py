@@ -1,0 +1,69 @@
+"""How a session measures: dwell length, settling, and the sensor's configuration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from adis_gonio.errors import UsageError
+from adis_gonio.sensor.driver import DEFAULT_SCAN
+from adis_gonio.sensor.registers import ACCEL_OUT
+
+LEAST_SAMPLES = 16
+"""A dwell of fewer samples tells too little about its own noise."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of a session, kept in its archive and used again when it is resumed.
+
+    Attributes
+    ----------
+    dwell_s : float
+        Length of a dwell in s.
+    settle_s : float
+        Wait between stillness and the dwell in s; the filter's settling time is the least.
+    still_timeout_s : float
+        How long to wait for stillness in s before asking again (or giving up, without an operator).
+    smpl_prd : int
+        SMPL_PRD; 1 is the fastest, 819.2 samples a second.
+    filter_m : int
+        M of the Bartlett filter.
+    gyro_range_dps : int
+        300, 150 or 75.
+    data_ready : bool or None
+        Data-ready pulses; None enables them where the bus can use them.
+    registers : tuple of str
+        What a scan holds; the three accelerometer outputs are the least.
+    """
+
+    dwell_s: float = 10.0
+    settle_s: float = 0.5
+    still_timeout_s: float = 60.0
+    smpl_prd: int = 1
+    filter_m: int = 2
+    gyro_range_dps: int = 300
+    data_ready: bool | None = None
+    registers: tuple[str, ...] = DEFAULT_SCAN
+
+    def __post_init__(self) -> None:
+        for name in ("dwell_s", "still_timeout_s"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise UsageError(f"{name} is {value}: take a time above 0 s")
+        if not (math.isfinite(self.settle_s) and self.settle_s >= 0):
+            raise UsageError(f"settle_s is {self.settle_s}: take 0 s or more")
+        missing = [name for name in ACCEL_OUT if name not in self.registers]
+        if missing:
+            raise UsageError(f"a session needs {', '.join(ACCEL_OUT)}; the scan lacks {', '.join(missing)}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return asdict(self) | {"registers": list(self.registers)}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Settings:
+        """Settings from their JSON form."""
+        return cls(**{**data, "registers": tuple(data["registers"])})
