@@ -96,6 +96,11 @@ def test_joined_blocks_add_what_was_lost():
     block = ScanBlock(("XACCL_OUT",), np.zeros((2, 1), np.uint16), np.array([0.0, 1.0]), lost=3)
     both = join([block, block])
     assert (len(both), both.lost) == (4, 6)
+    known = ScanBlock(
+        ("XACCL_OUT",), np.zeros((3, 1), np.uint16), np.arange(3.0), lost=7, missed=np.array([2, 0, 5])
+    )
+    assert [known.first(k).lost for k in range(4)] == [0, 2, 2, 7]
+    assert join([known, known]).first(4).lost == 9
 
 
 def test_a_gyro_of_unknown_range_is_refused_instead_of_scaled_wrong():

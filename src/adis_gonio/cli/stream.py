@@ -103,13 +103,7 @@ def command(
 def _until(block: ScanBlock, end_s: float) -> tuple[ScanBlock, bool]:
     """The part of a block before a time, and whether it was reached."""
     keep = int(np.searchsorted(block.time_s, end_s))
-    if keep == len(block):
-        return block, False
-    part = ScanBlock(
-        block.registers, block.words[:keep], block.time_s[:keep], block.lost, block.variant,
-        block.gyro_range_dps,
-    )  # fmt: skip
-    return part, True
+    return block.first(keep), keep < len(block)
 
 
 def _line(blocks: list[ScanBlock], *, first: bool, since_s: float) -> None:

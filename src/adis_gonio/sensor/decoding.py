@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +84,8 @@ class ScanBlock:
         Updates of the chip since the previous block, up to the end of this one, that were missed.
     variant, gyro_range_dps
         What the words have to be read with.
+    missed : (n,) int or None
+        Where `lost` happened: updates missed just before each scan, where that is known.
     """
 
     registers: tuple[str, ...]
@@ -92,6 +94,7 @@ class ScanBlock:
     lost: int = 0
     variant: str = "adis16354"
     gyro_range_dps: int | None = 300
+    missed: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         return len(self.words)
@@ -127,13 +130,17 @@ class ScanBlock:
         except ValueError:
             missing = next(name for name in names if name not in self.registers)
             raise UsageError(f"{missing} was not scanned; scanned: {', '.join(self.registers)}") from None
-        return ScanBlock(
-            tuple(names),
-            self.words[:, columns],
-            self.time_s,
-            self.lost,
-            self.variant,
-            self.gyro_range_dps,
+        return replace(self, registers=tuple(names), words=self.words[:, columns])
+
+    def first(self, count: int) -> ScanBlock:
+        """The first scans of the block; `lost` goes with them as far as `missed` tells where it was."""
+        missed = None if self.missed is None else self.missed[:count]
+        return replace(
+            self,
+            words=self.words[:count],
+            time_s=self.time_s[:count],
+            lost=self.lost if missed is None else int(missed.sum()),
+            missed=missed,
         )
 
     @property
@@ -174,11 +181,11 @@ class ScanBlock:
 def join(blocks: Sequence[ScanBlock]) -> ScanBlock:
     """One block of several that were scanned alike and follow one another."""
     first = blocks[0]
-    return ScanBlock(
-        first.registers,
-        np.concatenate([block.words for block in blocks]),
-        np.concatenate([block.time_s for block in blocks]),
-        sum(block.lost for block in blocks),
-        first.variant,
-        first.gyro_range_dps,
+    missed = [block.missed for block in blocks if block.missed is not None]
+    return replace(
+        first,
+        words=np.concatenate([block.words for block in blocks]),
+        time_s=np.concatenate([block.time_s for block in blocks]),
+        lost=sum(block.lost for block in blocks),
+        missed=np.concatenate(missed) if len(missed) == len(blocks) else None,
     )

@@ -318,11 +318,7 @@ class Adis16354:
                 have += len(block)
                 if have >= count:
                     break
-        whole = join(blocks)
-        return ScanBlock(
-            whole.registers, whole.words[:count], whole.time_s[:count], whole.lost, whole.variant,
-            whole.gyro_range_dps,
-        )  # fmt: skip
+        return join(blocks).first(count)
 
     def scan(self, names: Sequence[str | Register] = DEFAULT_SCAN) -> dict[str, float]:
         """One fresh scan as values by register name, in mg, °/s, °C and V."""

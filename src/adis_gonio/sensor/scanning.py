@@ -9,9 +9,9 @@ Polling without tearing. An update may fall between two reads of one pass, so th
 updates. Each *column*, however, sees every update once: ND is set by an update and cleared by the read of
 that very register. After a pass without any ND no column is ahead of another, and from there on the j-th
 fresh word of every column belongs to the same update. Columns are therefore queued and matched row by
-row; a row whose words are further apart in time than an update shows that one was missed, and the
-alignment is made anew. A bus that needs more than a period for a pass cannot do this: there each pass is
-a scan, and what was missed follows from the time.
+row; where the host was away for longer than an update, or a row's words are further apart in time than
+one, the alignment is made anew. A bus that needs more than a period for a pass cannot do this: there
+each pass is a scan, and what was missed follows from the time.
 """
 
 from __future__ import annotations
@@ -80,8 +80,10 @@ class ScanStream(ABC):
     @abstractmethod
     def _next(self) -> ScanBlock: ...
 
-    def _block(self, words: Words, time_s: Floats, lost: int) -> ScanBlock:
-        return ScanBlock(self._names, words, time_s, lost, self._variant, self._range)
+    def _block(
+        self, words: Words, time_s: Floats, lost: int, missed: NDArray[np.int64] | None = None
+    ) -> ScanBlock:
+        return ScanBlock(self._names, words, time_s, lost, self._variant, self._range, missed)
 
 
 class StreamedScans(ScanStream):
@@ -128,11 +130,13 @@ class PolledScans(ScanStream):
         self._frames = read_frames(table)
         self._flags = np.array([row.flags for row in table])
         self._pass_s = len(self._frames) * bus.timing.frame_s
-        self._passes = max(LEAST_PASSES, int(np.ceil(block_scans * period_s / self._pass_s)))
+        self._block_scans = block_scans
         self._aligned = False
         self._queue_words: list[Words] = []
         self._queue_times: list[Floats] = []
         self._missed = 0.0
+        self._polled_s = bus.now_s()
+        self._probed = False
 
     def _next(self) -> ScanBlock:
         waited_from = self._bus.now_s()
@@ -156,13 +160,20 @@ class PolledScans(ScanStream):
         """Words and their times, both (passes, k)."""
         # The reply to the last frame of a pass comes with the first of the next, so passes need no idle
         # frame between them, only one at the very end.
-        frames = np.append(np.tile(self._frames, self._passes), np.uint16(IDLE))
+        scan_s = max(self._period_s, self._pass_s)
+        passes = max(LEAST_PASSES, int(np.ceil(self._block_scans * scan_s / self._pass_s)))
+        if not self._probed:  # a bridge may be far slower than its timing: look before a long batch
+            passes, self._probed = LEAST_PASSES, True
+        frames = np.append(np.tile(self._frames, passes), np.uint16(IDLE))
         begin = self._bus.now_s()
+        if begin + self._pass_s - self._polled_s > self._period_s:
+            # The host was away for longer than an update: columns may have missed different ones.
+            self._aligned = False
         replies = self._bus.exchange_array(frames)
-        end = self._bus.now_s()
-        self._pass_s = (end - begin) / self._passes  # what the bus really took
+        end = self._polled_s = self._bus.now_s()
+        self._pass_s = (end - begin) / passes  # what the bus really took
         times = begin + (end - begin) * np.arange(frames.size) / frames.size
-        shape = (self._passes, len(self._frames))
+        shape = (passes, len(self._frames))
         return replies[1:].reshape(shape), times[:-1].reshape(shape)
 
     def _fresh(self, words: Words) -> NDArray[np.bool_]:
@@ -213,7 +224,8 @@ class PolledScans(ScanStream):
             missed = np.floor(gaps - poll)
         else:  # right on the average
             missed = gaps - 1
-        self._missed += float(np.sum(np.maximum(missed, 0)))
-        lost = int(self._missed)
-        self._missed -= lost
-        return self._block(words, time_s, lost)
+        total = self._missed + np.cumsum(np.maximum(missed, 0))
+        whole = np.floor(total).astype(np.int64)
+        self._missed = float(total[-1] - whole[-1])
+        counts = np.diff(whole, prepend=0)
+        return self._block(words, time_s, int(whole[-1]), counts)

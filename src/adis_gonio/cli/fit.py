@@ -1,0 +1,83 @@
+"""`adis-gonio fit`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from adis_gonio.cli.show import console, json_option, print_json, with_uncertainty
+
+
+@click.command("fit")
+@click.argument("session", type=click.Path(path_type=Path))
+@click.option(
+    "--method",
+    help="paper, two-position, four-position, mmpm or ml; without it the best that the session supports.",
+)
+@json_option
+def command(*, session: Path, method: str | None, as_json: bool) -> None:
+    """Compute ΔK, Δφ and the other parameters of a recorded session, with standard uncertainties.
+
+    Without --method the screen compares every method that the session supports; --json gives the best one.
+    """
+    from adis_gonio.fitting import applicable_methods, fit
+    from adis_gonio.session import load_session
+
+    loaded = load_session(session)
+    if as_json:
+        print_json(fit(loaded, method=method).as_dict())
+        return
+    screen = console()
+    title = f"{loaded.title}: " if loaded.title else ""
+    screen.print(f"{title}{len(loaded.dwells)} dwells, {loaded.sensor}", style="bold", markup=False)
+    for note in loaded.notes:
+        screen.print(f"  {note}", markup=False)
+    methods = [method] if method else applicable_methods(loaded)
+    results = [fit(loaded, method=name) for name in methods] if methods else [fit(loaded)]
+    print_results([result.as_dict() for result in results])
+
+
+def print_results(documents: list[dict[str, Any]], truth: dict[str, float] | None = None) -> None:
+    """Show fits side by side, a column a method, with the truth of a simulation where there is one."""
+    from rich.table import Table
+
+    screen = console()
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    table.add_column("")
+    table.add_column("unit")
+    if truth is not None:
+        table.add_column("truth", justify="right")
+    for document in documents:
+        table.add_column(document["method"], justify="right")
+    names = list(dict.fromkeys(name for document in documents for name in document["parameters"]))
+    for name in names:
+        entries = [document["parameters"].get(name) for document in documents]
+        first = next(entry for entry in entries if entry is not None)
+        row = [name, first["unit"]]
+        if truth is not None:
+            row.append(f"{truth[name]:.6g}" if name in truth else "")
+        for entry in entries:
+            row.append("" if entry is None else with_uncertainty(entry["value"], entry["u"]))
+        table.add_row(*row, style="bold" if name in ("delta_k", "delta_phi") else None)
+    table.add_section()
+    empty = [""] if truth is not None else []
+    for label, unit, cell in (
+        ("residual, rms", "mg", lambda d: _number(d["residual_rms_mg"], ".3f")),
+        (
+            "χ² / dof",
+            "",
+            lambda d: f"{_number(d['chi2'], '.1f')} / {d['dof']}" if d["dof"] else "no freedom left",
+        ),
+        ("error of the angle, rms", "°", lambda d: _number((d["angle_error_deg"] or {}).get("rms"), ".4f")),
+    ):
+        table.add_row(label, unit, *empty, *(cell(document) for document in documents))
+    screen.print(table)
+    for document in documents:
+        for warning in document["warnings"]:
+            screen.print(f"{document['method']}: {warning}", markup=False)
+
+
+def _number(value: float | None, spec: str) -> str:
+    return "–" if value is None else format(value, spec)

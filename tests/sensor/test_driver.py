@@ -1,0 +1,398 @@
+"""The driver against the simulated chip, and against buses that misbehave on purpose."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from adis_gonio import open_bus, open_sensor
+from adis_gonio.bus import Capability
+from adis_gonio.errors import (
+    AdisGonioError,
+    ChipError,
+    SilentChipError,
+    UsageError,
+    VariantError,
+    VerifyError,
+)
+from adis_gonio.sensor import DEFAULT_SCAN, Adis16354, Alarm
+from adis_gonio.sensor.frames import FAST, NORMAL
+from adis_gonio.sensor.registers import BY_NAME, REGISTERS
+from fakes.buses import ConstantBus, RecordingBus, ScriptedBus
+
+SIM = "sim:?seed=3"
+
+
+@pytest.fixture
+def sensor():
+    with open_sensor(SIM) as sensor:
+        yield sensor
+
+
+def recorded(url: str = SIM, **options) -> tuple[Adis16354, RecordingBus]:
+    bus = RecordingBus(open_bus(url))
+    return Adis16354(bus, **options), bus
+
+
+# -- what leaves the host ---------------------------------------------------------------------------
+
+OPERATIONS = {
+    "scan": lambda s, n: s.scan(),
+    "status": lambda s, n: s.status(),
+    "read_all": lambda s, n: s.read_all(),
+    "offsets": lambda s, n: s.offsets(),
+    "self_test": lambda s, n: s.self_test(),
+    "configure_filter": lambda s, n: s.configure(filter_m=n % 7),
+    "configure_rate": lambda s, n: s.configure(smpl_prd=1 + n % 255),
+    "configure_range": lambda s, n: s.configure(gyro_range_dps=(300, 150, 75)[n % 3]),
+    "data_ready": lambda s, n: s.configure(data_ready=bool(n % 2)),
+    "accel_offsets": lambda s, n: s.write_offsets(accel_mg=[(n % 1900) - 950.0, -0.4672, 956.0]),
+    "gyro_offsets": lambda s, n: s.write_offsets(gyro_dps=[-0.018315, 75.0 - n % 150, 0.0]),
+    "flash": lambda s, n: s.save_to_flash(),
+    "restore": lambda s, n: s.restore_factory(),
+    "reset": lambda s, n: s.reset(),
+    "alarm": lambda s, n: s.set_alarm(1 + n % 2, Alarm("ZACCL_OUT", -1.0 - n % 900, above=bool(n & 1))),
+    "clear_alarm": lambda s, n: s.clear_alarm(1 + n % 2),
+    "dac": lambda s, n: s.write_dac((n % 251) / 100),
+    "write": lambda s, n: s.write(REGISTERS[n % len(REGISTERS)], n),
+    "sleep": lambda s, n: (s.sleep(0.5 + n % 3), s.wake()),
+}
+READ_ONLY = {"scan", "status", "read_all", "offsets"}
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.lists(st.tuples(st.sampled_from(sorted(OPERATIONS)), st.integers(0, 0xFFFF)), max_size=6))
+def test_no_random_operation_sends_0xffff_or_bit_14_or_a_write_that_was_not_asked_for(operations):
+    sensor, bus = recorded()
+    assert bus.writes == []
+    for name, number in operations:
+        before = len(bus.writes)
+        try:
+            OPERATIONS[name](sensor, number)
+        except UsageError:
+            assert len(bus.writes) == before or name in ("alarm", "configure_range", "accel_offsets")
+        if name in READ_ONLY:
+            assert len(bus.writes) == before
+    assert 0xFFFF not in bus.frames
+    assert not any(frame & 0x4000 for frame in bus.frames)
+    # A chip whose timing was ever violated would answer nothing any more.
+    assert sensor.read("SMPL_PRD") & 0xFF == sensor.configuration().smpl_prd
+
+
+def test_the_bus_clock_follows_smpl_prd_and_is_slow_while_the_mode_changes():
+    sensor, bus = recorded()
+    assert bus.batches[0][0] == NORMAL  # the mode is unknown at first
+    assert bus.timing == FAST
+    sensor.configure(smpl_prd=0x0A)
+    assert bus.timing == NORMAL
+    for timing, batch in bus.batches:
+        if any(int(frame) & 0xFF00 == 0xB600 for frame in batch):
+            assert timing == NORMAL
+    sensor.configure(smpl_prd=0x80)
+    assert bus.timing == NORMAL
+    sensor.configure(smpl_prd=0x09)
+    assert bus.timing == FAST
+    assert len(sensor.read_scans(3)) == 3
+
+
+def test_a_reset_in_normal_mode_brings_the_fast_clock_back():
+    sensor, bus = recorded()
+    sensor.configure(smpl_prd=0x20)
+    sensor.reset()
+    assert bus.timing == FAST
+    assert sensor.configuration().smpl_prd == 1
+
+
+# -- opening ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("word", "level"), [(0x0000, "zeros"), (0xFFFF, "ones")])
+def test_a_dead_line_is_not_taken_for_data(word, level):
+    with pytest.raises(SilentChipError, match=level):
+        Adis16354(ConstantBus(word))
+
+
+def test_a_line_stuck_at_one_valid_word_is_found_silent_when_scanned():
+    sensor = Adis16354(ConstantBus(0x0401), check=False)
+    with pytest.raises(SilentChipError, match="ND never came"):
+        sensor.scan()
+
+
+@pytest.mark.parametrize("opened", ["adis16354", "adis16350", "adis16355"])
+@pytest.mark.parametrize("real", ["adis16354", "adis16350", "adis16355"])
+def test_the_variant_is_told_by_one_g_at_rest(real, opened):
+    url = f"sim:?seed=4&variant={real}"
+    if (real == "adis16354") == (opened == "adis16354"):
+        with open_sensor(url, variant=opened) as sensor:
+            assert 900 < np.linalg.norm([sensor.scan()[f"{axis}ACCL_OUT"] for axis in "XYZ"]) < 1100
+    else:
+        with pytest.raises(
+            VariantError, match=f"open it as variant '{'adis16354' if '54' in real else 'adis16350'}'"
+        ):
+            open_sensor(url, variant=opened)
+
+
+def test_a_failed_opening_closes_the_bus(monkeypatch):
+    bus = ConstantBus(0)
+    monkeypatch.setattr("adis_gonio.sensor.driver.open_bus", lambda url: bus)
+    with pytest.raises(SilentChipError):
+        open_sensor("constant:")
+    assert bus.closed
+
+
+# -- registers --------------------------------------------------------------------------------------
+
+
+def test_the_frames_of_a_verified_write_are_the_data_sheets():
+    script = [
+        (0x3600, 0x0000), (0x3800, 0x0001), (0x3400, 0x0402), (0x0000, 0x0000),  # configuration
+        (0xA034, 0x0000), (0xA102, 0x0000),  # XACCL_OFF low, high
+        (0x2000, 0x0000), (0x0000, 0x0234),  # read back, one frame late
+    ]  # fmt: skip
+    with Adis16354(ScriptedBus(script), check=False) as sensor:
+        sensor.write("XACCL_OFF", 0x234)
+
+
+def test_a_write_that_does_not_stick_is_an_error():
+    script = [
+        (0x3600, 0), (0x3800, 0x0001), (0x3400, 0x0402), (0x0000, 0),
+        (0xA034, 0), (0xA102, 0), (0x2000, 0), (0x0000, 0x0034),
+    ]  # fmt: skip
+    sensor = Adis16354(ScriptedBus(script), check=False)
+    with pytest.raises(VerifyError, match="XACCL_OFF: wrote 0x0234, read back 0x0034"):
+        sensor.write("XACCL_OFF", 0x234)
+
+
+@pytest.mark.parametrize(
+    "row",
+    [row for row in REGISTERS if row.writable and row.readable and row.name != "SLP_CNT"],
+    ids=lambda row: row.name,
+)
+def test_every_writable_register_keeps_what_was_written(sensor, row):
+    low, high = row.range
+    values = [number for number in (low, high, 1, 0) if row.word(number) & ~row.write_mask == 0]
+    if row.name == "SMPL_PRD":
+        values = [1, 9, 10, 255]
+    if row.name == "SENS_AVG":
+        values = [0x0400, 0x0203, 0x0106]
+    if row.name == "MSC_CTRL":
+        values = [0x00C7, 0x0000]
+    for number in values or [row.write_mask & 0x5555]:
+        sensor.write(row, number)
+        assert sensor.read(row) == number
+
+
+def test_writes_that_would_harm_are_refused_before_anything_is_sent():
+    sensor, bus = recorded()
+    for name, number in [
+        ("STATUS", 0), ("COMMAND", 0x80), ("SLP_CNT", 4), ("SMPL_PRD", 0), ("SMPL_PRD", 0x100),
+        ("SENS_AVG", 0x0302), ("SENS_AVG", 0x0101), ("SENS_AVG", 0x0407), ("XACCL_OFF", 2048),
+    ]:  # fmt: skip
+        with pytest.raises(UsageError):
+            sensor.write(name, number)
+    assert bus.writes == []
+
+
+def test_changing_a_field_leaves_the_others(sensor):
+    sensor.configure(linear_g=True, origin=True)
+    sensor.configure(data_ready=True)
+    assert sensor.read("MSC_CTRL") == 0x00C4
+    sensor.self_test()
+    assert sensor.read("MSC_CTRL") == 0x00C4  # a 16-bit write for the self-test would have cleared it
+    with pytest.raises(UsageError, match="holds 0 to 1"):
+        sensor.write_fields("MSC_CTRL", data_ready=2)
+
+
+def test_the_gyro_scale_follows_the_range():
+    with open_sensor("sim:?seed=3&gyro_bias_z_dps=0") as sensor:
+        # The same rate is twice the number at half the range.
+        sensor.write_offsets(gyro_dps=[10.0, 10.0, 10.0])
+        for dps in (300, 150, 75):
+            sensor.configure(gyro_range_dps=dps, filter_m=6)
+            assert sensor.read_scans(200).gyro_dps.mean() == pytest.approx(10.0, abs=2.0)
+
+
+# -- scans ------------------------------------------------------------------------------------------
+
+
+def data_bits(block):
+    return block.numbers()
+
+
+@pytest.mark.parametrize("names", [DEFAULT_SCAN, ("XACCL_OUT",), ("ZACCL_OUT", "ENDURANCE", "XGYRO_OUT")])
+@pytest.mark.parametrize("smpl_prd", [1, 9, 10])
+def test_polling_and_streaming_find_the_same_scans_untorn_and_none_lost(names, smpl_prd):
+    found = {}
+    for way in ("0", "1"):
+        with open_sensor(f"{SIM}&stream={way}") as sensor:
+            assert (Capability.STREAM in sensor.bus.capabilities) == (way == "1")
+            sensor.configure(smpl_prd=smpl_prd, filter_m=0, data_ready=True)
+            block = sensor.read_scans(600, names)
+            found[way] = block
+            assert block.lost == 0
+            np.testing.assert_allclose(
+                np.diff(block.time_s).mean(), sensor.configuration().sample_period_s, rtol=1e-3
+            )
+    polled, streamed = found["0"].numbers(), found["1"].numbers()
+    # Both chips are the same; the two ways only begin at different updates.
+    offsets = [k for k in range(-40, 41) if np.array_equal(polled[50:500], streamed[50 + k : 500 + k])]
+    assert len(offsets) == 1
+
+
+def test_a_pause_of_the_host_is_counted_as_lost_scans_and_does_not_tear_the_rows():
+    with open_sensor(f"{SIM}&stream=0") as sensor, sensor.stream(block_scans=50) as stream:
+        period = sensor.configuration().sample_period_s
+        got, lost, times = 0, 0, []
+        for k, block in enumerate(stream):
+            got += len(block)
+            lost += block.lost
+            times += list(block.time_s)
+            if k == 12:
+                break
+            if k % 3 == 2:
+                sensor.bus.sleep_s(10 * period)
+        updates = round((times[-1] - times[0]) / period) + 1
+        assert lost >= 36
+        assert got + lost == updates
+
+
+class SlowBus(RecordingBus):
+    """A bus that needs a millisecond a frame, as a HID bridge does."""
+
+    def _exchange(self, frames):
+        replies = np.empty_like(frames)
+        for k in range(frames.size):
+            self.inner.sleep_s(0.001)
+            replies[k] = self.inner.exchange_array(frames[k : k + 1])[0]
+        return replies
+
+
+def test_a_bus_slower_than_the_sensor_delivers_scans_and_counts_what_it_missed():
+    sensor = Adis16354(SlowBus(open_bus(f"{SIM}&stream=0")))
+    block = sensor.read_scans(200)
+    updates = (block.time_s[-1] - block.time_s[0]) / sensor.configuration().sample_period_s
+    assert len(block) == 200
+    assert len(block) + block.lost == pytest.approx(updates, rel=0.03)
+    assert block.lost > 800
+
+
+def test_a_stream_stops_cleanly_and_leaves_the_bus_usable(sensor):
+    sensor.configure(data_ready=True)
+    with sensor.stream(block_scans=16) as stream:
+        assert len(next(stream)) > 0
+    assert list(stream) == []
+    assert sensor.read("SMPL_PRD") == 1
+
+
+def test_a_scan_needs_an_output_register(sensor):
+    with pytest.raises(UsageError, match="output register"):
+        sensor.read_scans(1, ("ENDURANCE", "STATUS"))
+    with pytest.raises(UsageError, match="count"):
+        sensor.read_scans(0)
+
+
+# -- offsets, flash, health -------------------------------------------------------------------------
+
+
+def test_offsets_are_added_to_the_outputs_and_read_back_in_units(sensor):
+    sensor.configure(filter_m=6)
+    before = sensor.read_scans(400).accel_mg.mean(axis=0)
+    done = sensor.write_offsets(accel_mg=[100.0, -50.0, 25.0])
+    after = sensor.read_scans(400).accel_mg.mean(axis=0)
+    np.testing.assert_allclose(done.accel_mg, [100.0, -50.0, 25.0], atol=0.2336)
+    np.testing.assert_allclose(after - before, [100.0, -50.0, 25.0], atol=1.0)
+
+
+def test_an_offset_that_does_not_fit_writes_nothing():
+    sensor, bus = recorded()
+    for values in ([0, 0, 957.0], [0, 0], [0, 0, float("nan")]):
+        with pytest.raises(UsageError):
+            sensor.write_offsets(accel_mg=values)
+    assert bus.writes == []
+
+
+def test_saved_offsets_survive_a_reset_and_unsaved_ones_do_not(sensor):
+    sensor.write_offsets(accel_mg=[50.0, 0, 0])
+    written = sensor.read("ENDURANCE")
+    assert sensor.save_to_flash() == written + 1
+    sensor.write_offsets(accel_mg=[80.0, 0, 0])
+    sensor.reset()
+    assert sensor.offsets().accel_mg[0] == pytest.approx(50.0, abs=0.25)
+    assert not any(sensor.restore_factory().accel_mg)
+    assert sensor.read("ENDURANCE") == written + 2
+
+
+def test_a_flash_update_that_was_not_done_is_found_by_the_counter():
+    script = [
+        (0x3600, 0), (0x3800, 0x0001), (0x3400, 0x0402), (0x0000, 0),
+        (0x0000, 0), (0x0000, 7),  # life
+        (0x0000, 0), (0x0000, 7),  # before
+        (0xBE08, 0), (0x0000, 0), (0x0000, 7),  # the command, and the counter stands still
+    ]  # fmt: skip
+    sensor = Adis16354(ScriptedBus(script), check=False)
+    with pytest.raises(VerifyError, match="ENDURANCE was 7 and is 7"):
+        sensor.save_to_flash()
+
+
+def test_a_worn_flash_is_not_written_unless_forced():
+    script = [(0x3600, 0), (0x3800, 0x0001), (0x3400, 0x0402), (0x0000, 0), (0x0000, 0), (0x0000, 10_000)]
+    with (
+        Adis16354(ScriptedBus(script), check=False) as sensor,
+        pytest.raises(ChipError, match="made for 10000"),
+    ):
+        sensor.save_to_flash()
+
+
+def test_the_self_test_passes_on_a_sound_chip(sensor):
+    test = sensor.self_test()
+    assert test.passed
+    assert test.failures == ()
+
+
+def test_autonull_takes_the_gyros_bias_out_and_ends_in_a_flash_write(sensor):
+    sensor.configure(filter_m=6)
+    before = np.abs(sensor.read_scans(800).gyro_dps.mean(axis=0)).max()
+    written = sensor.read("ENDURANCE")
+    sensor.precision_autonull()
+    assert sensor.read("ENDURANCE") == written + 1
+    assert np.abs(sensor.read_scans(800).gyro_dps.mean(axis=0)).max() < max(0.1, before)
+
+
+def test_an_alarm_shows_in_ea_and_status_in_words(sensor):
+    level = sensor.read_scans(100).accel_mg.mean(axis=0)
+    axis = int(np.argmax(np.abs(level)))
+    name = f"{'XYZ'[axis]}ACCL_OUT"
+    sensor.set_alarm(1, Alarm(name, level[axis] / 2, above=level[axis] > 0))
+    sensor.bus.sleep_s(0.1)
+    assert sensor.read_scans(5).alarm.any()
+    assert "alarm 1 is active" in str(sensor.status())
+    sensor.clear_alarm(1)
+    sensor.bus.sleep_s(0.1)
+    sensor.status()
+    sensor.bus.sleep_s(0.1)
+    assert str(sensor.status()) == "no fault, no alarm"
+
+
+def test_a_sleeping_part_wakes_at_a_pulse_and_works_on(sensor):
+    sensor.sleep(5.0)
+    sensor.bus.sleep_s(1.0)
+    sensor.wake()
+    assert len(sensor.read_scans(10)) == 10
+
+
+def test_every_error_of_the_driver_is_one_line():
+    for call in (
+        lambda: open_sensor("sim:?seed=4", variant="adis16350"),
+        lambda: Adis16354(ConstantBus(0)),
+        lambda: open_sensor("sim:?seed=x"),
+        lambda: open_sensor("sim:?sed=1"),
+    ):
+        with pytest.raises(AdisGonioError) as caught:
+            call()
+        assert "\n" not in str(caught.value)
+
+
+def test_the_whole_table_is_read_in_one_batch(sensor):
+    everything = sensor.read_all()
+    assert list(everything) == [row.name for row in REGISTERS if row.readable]
+    assert everything["SENS_AVG"] == BY_NAME["SENS_AVG"].default
