@@ -28,9 +28,10 @@ from adis_gonio.bus.contract import (
     SpiTiming,
     Words,
 )
-from adis_gonio.bus.opening import BusUrl
+from adis_gonio.bus.opening import BusUrl, Device
 from adis_gonio.errors import BusClosedError, BusTimeoutError, CapabilityError, UsageError
 from adis_gonio.model.effects.base import Effect
+from adis_gonio.model.effects.registry import parse_effect
 from adis_gonio.sensor.registers import WRITE
 from adis_gonio.sensor.variants import Variant
 from adis_gonio.sim.chip import SimulatedChip
@@ -44,7 +45,7 @@ SAFE_TIMING = SpiTiming(clock_hz=250e3, stall_us=75.0, period_us=160.0)
 
 _POWERED_BEFORE_S = 0.5
 _TRIGGER_S = 2e-6
-_OPTIONS = ("seed", "variant", "stream", "realtime")
+_OPTIONS = ("seed", "variant", "stream", "realtime", "effects")
 
 
 class SimBus(SpiBus):
@@ -287,8 +288,8 @@ class SimStage:
 def open_from_url(url: BusUrl) -> SimBus:
     """Open `sim:?seed=1&variant=adis16354&noise_mg=4.7…`.
 
-    Options are `seed`, `variant`, `stream` (0 or 1), `realtime` (0 or 1) and every name of
-    `WorldSettings`.
+    Options are `seed`, `variant`, `stream` (0 or 1), `realtime` (0 or 1), `effects` (of the catalogue,
+    such as `quadratic:k2_x=2.5;cubic`) and every name of `WorldSettings`.
 
     Raises
     ------
@@ -302,10 +303,16 @@ def open_from_url(url: BusUrl) -> SimBus:
         WorldSettings.from_options(options, others=_OPTIONS),
         seed=_whole(options, "seed", 0),
         part=options.get("variant", "adis16354"),
+        effects=[parse_effect(text) for text in filter(None, options.get("effects", "").split(";"))],
         stream=_switch(options, "stream", default=True),
         realtime=_switch(options, "realtime", default=False),
         url=url.text,
     )
+
+
+def find_devices() -> list[Device]:
+    """What the simulator offers to open."""
+    return [Device("sim:?seed=1", "simulated ADIS16354 on a stage (no hardware)")]
 
 
 def _whole(options: Mapping[str, str], name: str, default: int) -> int:

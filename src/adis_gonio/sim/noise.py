@@ -89,4 +89,4 @@ class Flicker:
             page[k] = state.sum(axis=0)
             state = self._memory * state + drawn[k]
         self._state = state
-        return page * self._sigma
+        return np.asarray(page * self._sigma, np.float64)

@@ -55,8 +55,10 @@ class WorldSettings:
         Temperature coefficients of the gains.
     noise_mg, bias_instability_mg : float or None
         White noise of an unfiltered sample (rms), and the floor of the Allan deviation.
-    gyro_noise_dps, gyro_instability_dps, gyro_bias_sigma_dps : float
-        The same of the gyros, and the standard deviation of their biases.
+    gyro_noise_dps, gyro_instability_dps : float or None, float
+        The same of the gyros.
+    gyro_bias_sigma_dps, gyro_bias_x_dps, … : float, float or None
+        Standard deviation of the gyros' biases, and the biases themselves.
     gyro_g_dps_per_g, gyro_supply_dps_per_v : float or None
         What acceleration, and a supply other than 5 V, add to a gyro.
     ambient_c, ambient_drift_c_per_h, ambient_swing_c, ambient_period_s : float
@@ -101,6 +103,9 @@ class WorldSettings:
     gyro_noise_dps: float | None = None
     gyro_instability_dps: float = 0.015
     gyro_bias_sigma_dps: float = 1.0
+    gyro_bias_x_dps: float | None = None
+    gyro_bias_y_dps: float | None = None
+    gyro_bias_z_dps: float | None = None
     gyro_g_dps_per_g: float | None = None
     gyro_supply_dps_per_v: float | None = None
     ambient_c: float = 22.0

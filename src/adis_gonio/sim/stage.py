@@ -37,7 +37,8 @@ class Motion:
     angle_rad, previous_angle_rad : (n,) float
         Declared angle θ, and the one of the dwell before.
     order, approach : (n,) float
-        Number of the dwell, from 0, and direction from which it was reached.
+        Number of the dwell, and direction from which it was reached. Moves are counted: where the part
+        stood before the first move and where it went by it are both 0.
     time_in_dwell_s : (n,) float
         Time since the move ended; 0 during the move.
     """
@@ -91,6 +92,7 @@ class Stage:
         error = self._error(0)
         self._legs = [self._planar(-np.inf, -np.inf, 0.0, 0.0, error, error, 0, 0, 0.0)]
         self._starts = np.array([-np.inf])
+        self._moves = 0
 
     @property
     def angle_deg(self) -> float:
@@ -125,22 +127,24 @@ class Stage:
         if not np.isfinite(angle_deg) or approach not in (-1, 0, 1):
             raise UsageError(f"move to {angle_deg}° with approach {approach}: give an angle and -1, 0 or 1")
         self._require_still(start_s)
+        self._moves += 1
         last = self._legs[-1]
         target = float(np.radians(angle_deg))
+        previous = target if self._moves == 1 else last.to_rad
         if last.spatial:
             error = self._error(approach)
             vector = self._direction(target, error)
             end = self._turn(start_s, vector, target, error, approach)
-            rest = self._planar(end, end, target, target, error, error, last.order + 1, approach, target)
+            rest = self._planar(end, end, target, target, error, error, self._order, approach, previous)
             self._append(rest)
             return end
         difference = target - last.to_rad
         natural = int(np.sign(difference))
         if approach and natural != approach:
             past = target - approach * float(np.radians(self._settings.overshoot_deg))
-            start_s = self._swing(start_s, past, last.to_error_rad, approach, last.to_rad, last.order + 1)
+            start_s = self._swing(start_s, past, last.to_error_rad, approach, previous)
         approach = approach or natural
-        return self._swing(start_s, target, self._error(approach), approach, last.to_rad, last.order + 1)
+        return self._swing(start_s, target, self._error(approach), approach, previous)
 
     def orient(self, start_s: float, vector: Floats) -> float:
         """Begin a move in space; returns the time at which it ends.
@@ -160,6 +164,7 @@ class Stage:
         if wanted.shape != (3,) or not np.isfinite(norm) or norm == 0:
             raise UsageError(f"orient to {vector}: give three numbers that are a direction")
         self._require_still(start_s)
+        self._moves += 1
         sigma = np.radians(self._settings.fixture_sigma_deg)
         tilted = wanted / norm + np.cross(sigma * self._rng.standard_normal(3), wanted / norm)
         return self._turn(start_s, tilted / np.linalg.norm(tilted), float("nan"), 0.0, 0)
@@ -195,14 +200,24 @@ class Stage:
     def _duration(self, angle_rad: float) -> float:
         return max(_SHORTEST_MOVE_S, abs(float(np.degrees(angle_rad))) / self._settings.move_speed_dps)
 
-    def _swing(
-        self, start_s: float, target: float, error: float, approach: int, previous: float, order: int
-    ) -> float:
+    @property
+    def _order(self) -> int:
+        return max(self._moves - 1, 0)
+
+    def _swing(self, start_s: float, target: float, error: float, approach: int, previous: float) -> float:
         last = self._legs[-1]
         end_s = start_s + self._duration(target - last.to_rad)
         self._append(
             self._planar(
-                start_s, end_s, last.to_rad, target, last.to_error_rad, error, order, approach, previous
+                start_s,
+                end_s,
+                last.to_rad,
+                target,
+                last.to_error_rad,
+                error,
+                self._order,
+                approach,
+                previous,
             )
         )
         return end_s
@@ -241,7 +256,7 @@ class Stage:
         previous = last.to_rad
         self._append(
             _Leg(
-                start_s, end_s, theta, theta, error, error, last.order + 1, approach, previous,
+                start_s, end_s, theta, theta, error, error, self._order, approach, previous,
                 base, side, turn, spatial=True,
             )
         )  # fmt: skip

@@ -19,11 +19,11 @@ What is not simulated
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
-from adis_gonio.model.effects.base import Conditions, Effect, Enters
+from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters
+from adis_gonio.model.geometry import axes_matrix
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.sensor.variants import Variant, variant
 from adis_gonio.sim.inputs import Floats, Inputs
@@ -92,46 +92,40 @@ class World:
     def _draw(self, rng: np.random.Generator) -> None:
         """Hidden parameters; all are drawn, so that giving one leaves the others as they were."""
         figures, given = self.variant.performance, self.settings
-        drawn_scale = 1 + figures.scale_error_typical * rng.standard_normal(3)
-        drawn_bias = figures.initial_bias_mg * rng.standard_normal(3)
         limit = figures.non_orthogonality_deg
-        drawn_skew = rng.uniform(-limit, limit, 3)
-        drawn_alpha = rng.uniform(-GREATEST_ALPHA_DEG, GREATEST_ALPHA_DEG)
-        drawn_tempco = figures.bias_tempco_mg_per_c * rng.standard_normal(3)
-        drawn_scale_tempco = figures.scale_tempco_ppm_per_c * rng.standard_normal(3)
-        self._gyro_bias = given.gyro_bias_sigma_dps * rng.standard_normal(3)
+        scale = 1 + figures.scale_error_typical * rng.standard_normal(3)
+        bias = figures.initial_bias_mg * rng.standard_normal(3)
+        skew = rng.uniform(-limit, limit, 3)
+        alpha = float(rng.uniform(-GREATEST_ALPHA_DEG, GREATEST_ALPHA_DEG))
+        tempco = figures.bias_tempco_mg_per_c * rng.standard_normal(3)
+        scale_tempco = figures.scale_tempco_ppm_per_c * rng.standard_normal(3)
+        gyro_bias = given.gyro_bias_sigma_dps * rng.standard_normal(3)
         self._temperature_offset = given.temperature_offset_sigma_c * rng.standard_normal(3)
 
-        scale_y = _or(given.scale_y, float(drawn_scale[1]))
-        delta_k = _or(given.delta_k, float(drawn_scale[0] / drawn_scale[1] - 1))
-        delta_phi = _or(given.delta_phi_deg, float(drawn_skew[0]))
+        self._bias = self._by_axis("bias_{}_mg", bias)
+        self._tempco = self._by_axis("bias_tempco_{}_mg_per_c", tempco)
+        self._scale_tempco = 1e-6 * self._by_axis("scale_tempco_{}_ppm_per_c", scale_tempco)
+        self._gyro_bias = self._by_axis("gyro_bias_{}_dps", gyro_bias)
+        scale_y = _or(given.scale_y, float(scale[1]))
+        delta_k = _or(given.delta_k, float(scale[0] / scale[1] - 1))
+        delta_phi = _or(given.delta_phi_deg, float(skew[0]))
         self._hidden = {
             "delta_k": delta_k,
             "delta_phi": delta_phi,
-            "alpha": _or(given.alpha_deg, float(drawn_alpha)),
+            "alpha": _or(given.alpha_deg, alpha),
             "scale_x": scale_y * (1 + delta_k),
             "scale_y": scale_y,
-            "scale_z": _or(given.scale_z, float(drawn_scale[2])),
+            "scale_z": _or(given.scale_z, float(scale[2])),
             "skew_xy": delta_phi,
-            "skew_xz": _or(given.skew_xz_deg, float(drawn_skew[1])),
-            "skew_yz": _or(given.skew_yz_deg, float(drawn_skew[2])),
+            "skew_xz": _or(given.skew_xz_deg, float(skew[1])),
+            "skew_yz": _or(given.skew_yz_deg, float(skew[2])),
         }
-        for k, axis in enumerate("xyz"):
-            self._hidden[f"bias_{axis}"] = _or(getattr(given, f"bias_{axis}_mg"), float(drawn_bias[k]))
-        self._tempco = np.array(
-            [
-                _or(getattr(given, f"bias_tempco_{a}_mg_per_c"), float(drawn_tempco[k]))
-                for k, a in enumerate("xyz")
-            ]
-        )
-        self._scale_tempco = 1e-6 * np.array(
-            [
-                _or(getattr(given, f"scale_tempco_{a}_ppm_per_c"), float(drawn_scale_tempco[k]))
-                for k, a in enumerate("xyz")
-            ]
-        )
-        self._bias = np.array([self._hidden[f"bias_{axis}"] for axis in "xyz"])
         self._sensitivity = _sensitivity(self._hidden)
+
+    def _by_axis(self, name: str, drawn: Floats) -> Floats:
+        """Values (3,) of a setting that each axis has, where not given those drawn."""
+        given = (getattr(self.settings, name.format(axis)) for axis in AXES)
+        return np.array([_or(value, float(own)) for value, own in zip(given, drawn, strict=True)])
 
     # -- what is hidden ---------------------------------------------------------------------------
 
@@ -149,7 +143,8 @@ class World:
         added effects as `effect.parameter` in the effect's units.
         """
         result = dict(self._hidden)
-        for k, axis in enumerate("xyz"):
+        for k, axis in enumerate(AXES):
+            result[f"bias_{axis}"] = float(self._bias[k])
             result[f"bias_temperature_{axis}"] = float(self._tempco[k])
             result[f"scale_temperature_{axis}"] = float(self._scale_tempco[k])
         for effect, values in self.effects:
@@ -275,13 +270,7 @@ def _values(effect: Effect, given: Values) -> Floats:
 
 
 def _sensitivity(hidden: Mapping[str, float]) -> Floats:
-    """Gains times the directions (3, 3) that the axes feel; X is the reference, Y lies in the plane."""
-    xy, xz, yz = (np.sin(np.radians(hidden[f"skew_{pair}"])) for pair in ("xy", "xz", "yz"))
-    along_y = (yz - xz * xy) / np.sqrt(1 - xy**2)
-    directions: Any = [
-        [1.0, 0.0, 0.0],
-        [xy, np.sqrt(1 - xy**2), 0.0],
-        [xz, along_y, np.sqrt(1 - xz**2 - along_y**2)],
-    ]
-    gains = np.array([hidden[f"scale_{axis}"] for axis in "xyz"])
-    return np.asarray(gains[:, None] * np.array(directions), np.float64)
+    """Gains times the directions (3, 3) that the axes feel."""
+    gains = np.array([hidden[f"scale_{axis}"] for axis in AXES])
+    skews = np.radians([hidden[f"skew_{pair}"] for pair in ("xy", "xz", "yz")])
+    return np.asarray(gains[:, None] * axes_matrix(skews), np.float64)
