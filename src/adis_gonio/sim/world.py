@@ -13,17 +13,18 @@ What is not simulated
     supposes), turns of the axes out of the stage's plane other than the skews of Z, cross-axis and
     nonlinearity unless an effect brings them, noise that depends on temperature, the earth's rotation,
     accelerations of a part away from the stage's axis, thermal gradients between axes. Flicker ends
-    below 1e-4 and above 1.5 Hz.
+    below 3e-5 and above 1.5 Hz.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from adis_gonio.errors import UsageError
 from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters
-from adis_gonio.model.geometry import axes_matrix
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.sensor.variants import Variant, variant
 from adis_gonio.sim.inputs import Floats, Inputs
@@ -270,7 +271,16 @@ def _values(effect: Effect, given: Values) -> Floats:
 
 
 def _sensitivity(hidden: Mapping[str, float]) -> Floats:
-    """Gains times the directions (3, 3) that the axes feel."""
+    """Gains times the directions (3, 3) that the axes feel: X the reference, Y off it in the plane.
+
+    Sines of the skews are the cosines of the angles between the axes.
+    """
+    xy, xz, yz = (math.sin(math.radians(hidden[f"skew_{pair}"])) for pair in ("xy", "xz", "yz"))
+    y_of_y = math.sqrt(1 - xy * xy)
+    y_of_z = (yz - xz * xy) / y_of_y
+    square = 1 - xz * xz - y_of_z * y_of_z
+    if square <= 0:
+        raise UsageError("no three axes have skews of this size; give skews of a few degrees")
+    directions = np.array([[1.0, 0.0, 0.0], [xy, y_of_y, 0.0], [xz, y_of_z, math.sqrt(square)]])
     gains = np.array([hidden[f"scale_{axis}"] for axis in AXES])
-    skews = np.radians([hidden[f"skew_{pair}"] for pair in ("xy", "xz", "yz")])
-    return np.asarray(gains[:, None] * axes_matrix(skews), np.float64)
+    return np.asarray(gains[:, None] * directions, np.float64)
