@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import ClassVar, Self
 
 import numpy as np
@@ -34,15 +34,15 @@ class Body:
 
     def pack(self) -> bytes:
         """Bytes of the body."""
-        fields = [getattr(self, name) for name in self.__dataclass_fields__]
+        values = [getattr(self, field.name) for field in fields(self)]
         tail = b""
         if self.TAIL == "words":
-            tail = np.asarray(fields.pop(), "<u2").tobytes()
+            tail = np.asarray(values.pop(), "<u2").tobytes()
         elif self.TAIL == "text":
-            tail = str(fields.pop()).encode("ascii")
+            tail = str(values.pop()).encode("ascii")
         flat: list[int] = []
-        for field in fields:
-            flat.extend(field if isinstance(field, tuple) else (field,))
+        for value in values:
+            flat.extend(value if isinstance(value, tuple) else (value,))
         return self.LAYOUT.pack(*flat) + tail
 
     @classmethod
@@ -59,12 +59,12 @@ class Body:
         if len(data) < size or (tail and not cls.TAIL) or (cls.TAIL == "words" and len(tail) % 2):
             raise ProtocolError(f"the firmware's packet {cls.__name__} has {len(data)} bytes, not {size}")
         flat = list(cls.LAYOUT.unpack_from(data))
-        fields: list[object] = []
+        values: list[object] = []
         for count in cls.COUNTS:
             taken, flat = flat[:count], flat[count:]
-            fields.append(taken[0] if count == 1 else tuple(taken))
+            values.append(taken[0] if count == 1 else tuple(taken))
         if cls.TAIL == "words":
-            fields.append(np.frombuffer(tail, "<u2").astype(np.uint16))
+            values.append(np.frombuffer(tail, "<u2").astype(np.uint16))
         elif cls.TAIL == "text":
-            fields.append(tail.decode("ascii", "replace"))
-        return cls(*fields)
+            values.append(tail.decode("ascii", "replace"))
+        return cls(*values)
