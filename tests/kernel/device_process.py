@@ -1,0 +1,94 @@
+"""The process that is the boards: commands by lines of JSON on stdin, an answer a line on stdout.
+
+It must not be the client's process: hidapi opens and closes with the interpreter's lock held while the
+kernel talks to the device, so a device in the same process could never answer.
+
+| command | meaning |
+|---|---|
+| plug kind serial port | plug a board in |
+| unplug port | pull it out |
+| stall port address | halt an endpoint until the host clears it |
+| refuse port address | the endpoint never answers again |
+| unplug_after port count | pull it out when that many more OUT transfers have come |
+| state port | figures of the board: OUT transfers, line state, baud rate |
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from kernel.boards import BulkBoard, HidBoard, SerialBoard
+from kernel.echoes import EchoBulk, EchoHid, EchoSerial
+from kernel.urb import UsbDevice, plug_in, pull_out
+
+KINDS: dict[str, Callable[[str], UsbDevice]] = {
+    "echo-hid": lambda serial: HidBoard(EchoHid(), serial),
+    "echo-bulk": lambda serial: BulkBoard(EchoBulk(), serial),
+    "echo-serial": lambda serial: SerialBoard(EchoSerial(), serial),
+}
+
+
+class Boards:
+    """What is plugged in, by port."""
+
+    def __init__(self) -> None:
+        self._plugged: dict[int, UsbDevice] = {}
+        self._count = 0
+
+    def plug(self, *, kind: str, serial: str, port: int) -> dict[str, Any]:
+        """Make a board and plug it in."""
+        self._count += 1
+        board = KINDS[kind](serial)
+        self._plugged[port] = board
+        plug_in(board, port, number=self._count)
+        return {}
+
+    def unplug(self, *, port: int) -> dict[str, Any]:
+        """Pull a board out; nothing happens where none is."""
+        board = self._plugged.pop(port, None)
+        if board is not None:
+            pull_out(board)
+        return {}
+
+    def stall(self, *, port: int, address: int) -> dict[str, Any]:
+        """Halt an endpoint."""
+        self._plugged[port].stall(address)
+        return {}
+
+    def refuse(self, *, port: int, address: int) -> dict[str, Any]:
+        """Make an endpoint deaf or dumb."""
+        self._plugged[port].refuse(address)
+        return {}
+
+    def unplug_after(self, *, port: int, count: int) -> dict[str, Any]:
+        """Pull the board out in the middle of what the host does."""
+        self._plugged[port].on_transfer(count, lambda: self.unplug(port=port))
+        return {}
+
+    def state(self, *, port: int) -> dict[str, Any]:
+        """Figures of a board."""
+        board = self._plugged[port]
+        found: dict[str, Any] = {"transfers": board.transfers}
+        if isinstance(board, SerialBoard):
+            found |= {"line_state": board.line_state, "baud_rate": board.baud_rate}
+        return found
+
+
+def main() -> None:
+    """Serve commands until stdin ends."""
+    boards = Boards()
+    for line in sys.stdin:
+        arguments = json.loads(line)
+        try:
+            answer = getattr(boards, arguments.pop("do"))(**arguments)
+        except Exception as error:  # whatever it was, the test that asked shall show it
+            answer = {"error": f"{type(error).__name__}: {error}"}
+        sys.stdout.write(json.dumps(answer) + "\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
