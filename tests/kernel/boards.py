@@ -6,6 +6,7 @@ import struct
 from collections.abc import Callable
 from typing import Protocol
 
+from fakes.cp2130_device import StallError as Refusal
 from kernel.urb import CLASS, VENDOR, Setup, Stall, UsbDevice
 
 INTERRUPT, BULK = 3, 2
@@ -20,21 +21,30 @@ MCP2210_REPORT = bytes.fromhex(
 class HidModel(Protocol):
     """A chip behind 64-byte reports."""
 
-    def report(self, request: bytes) -> bytes | None:
-        """Answer one OUT report; None where the chip stays silent."""
+    def report(self, request: bytes) -> bytes:
+        """Answer one OUT report."""
+
+    def usb_reset(self) -> None:
+        """The host set a configuration."""
 
 
 class BulkModel(Protocol):
     """A chip behind vendor requests and two bulk endpoints."""
 
     def control_in(self, request: int, value: int, index: int, length: int) -> bytes:
-        """Answer a request to the host; ValueError refuses it."""
+        """Answer a request to the host."""
 
     def control_out(self, request: int, value: int, index: int, data: bytes) -> None:
-        """Take a request from the host; ValueError refuses it."""
+        """Take a request from the host."""
 
-    def bulk_out(self, data: bytes) -> list[bytes]:
-        """Take one OUT transfer; return the IN transfers that it makes ready."""
+    def bulk_out(self, data: bytes) -> None:
+        """Take one OUT transfer."""
+
+    def bulk_in(self) -> bytes | None:
+        """Next packet for the host, if there is one."""
+
+    def usb_reset(self) -> None:
+        """The host set a configuration."""
 
 
 class SerialModel(Protocol):
@@ -101,9 +111,11 @@ class HidBoard(UsbDevice):
 
     def out(self, endpoint: int, data: bytes) -> None:
         """One report in, one report back."""
-        answer = self._model.report(data)
-        if answer is not None:
-            self.push(self.IN, answer)
+        self.push(self.IN, self._model.report(data))
+
+    def configured(self) -> None:
+        """Tell the model."""
+        self._model.usb_reset()
 
 
 class BulkBoard(UsbDevice):
@@ -129,14 +141,22 @@ class BulkBoard(UsbDevice):
             if setup.request_type & 0x80:
                 return self._model.control_in(setup.request, setup.value, setup.index, setup.length)
             self._model.control_out(setup.request, setup.value, setup.index, data)
-        except ValueError:
+        except Refusal:
             raise Stall from None
         return b""
 
     def out(self, endpoint: int, data: bytes) -> None:
-        """One OUT transfer, and the IN transfers that it makes ready."""
-        for answer in self._model.bulk_out(data):
+        """One OUT transfer, and the packets that it makes ready."""
+        try:
+            self._model.bulk_out(data)
+        except Refusal:
+            raise Stall from None
+        while (answer := self._model.bulk_in()) is not None:
             self.push(self.IN, answer)
+
+    def configured(self) -> None:
+        """Tell the model."""
+        self._model.usb_reset()
 
 
 class SerialBoard(UsbDevice):

@@ -24,7 +24,32 @@ from kernel.boards import BulkBoard, HidBoard, SerialBoard
 from kernel.echoes import EchoBulk, EchoHid, EchoSerial
 from kernel.urb import UsbDevice, plug_in, pull_out
 
+
+def _mcp2210(serial: str) -> UsbDevice:
+    from fakes.mcp2210_device import Mcp2210Device
+
+    return HidBoard(Mcp2210Device(_pins(), serial=serial), serial)
+
+
+def _cp2130(serial: str) -> UsbDevice:
+    from fakes.cp2130_device import Cp2130Device
+
+    return BulkBoard(Cp2130Device(_pins(), serial=serial), serial)
+
+
+def _pins() -> Any:
+    """A simulated chip at rest; imported late, because the guest takes seconds for numpy."""
+    from adis_gonio.sim import SimulatedChip, World
+    from fakes.clock import DeviceClock
+    from fakes.pins import ChipPins
+
+    world = World(seed=1)
+    return ChipPins(SimulatedChip(world, world.variant, start_s=-0.5), DeviceClock())
+
+
 KINDS: dict[str, Callable[[str], UsbDevice]] = {
+    "mcp2210": _mcp2210,
+    "cp2130": _cp2130,
     "echo-hid": lambda serial: HidBoard(EchoHid(), serial),
     "echo-bulk": lambda serial: BulkBoard(EchoBulk(), serial),
     "echo-serial": lambda serial: SerialBoard(EchoSerial(), serial),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from fakes.cp2130_device import StallError
+
 
 class EchoHid:
     """Answers a report with itself."""
@@ -12,28 +14,39 @@ class EchoHid:
         """The same report."""
         return request
 
+    def usb_reset(self) -> None:
+        """Nothing to forget."""
+
 
 class EchoBulk:
     """Gives a bulk transfer back; control request 0x31 reads what 0x30 wrote."""
 
     def __init__(self) -> None:
         self._kept = b""
+        self._sent: list[bytes] = []
 
     def control_in(self, request: int, value: int, index: int, length: int) -> bytes:
         """What was kept."""
         if request != 0x31:
-            raise ValueError(request)
+            raise StallError(request)
         return self._kept
 
     def control_out(self, request: int, value: int, index: int, data: bytes) -> None:
         """Keep it."""
         if request != 0x30:
-            raise ValueError(request)
+            raise StallError(request)
         self._kept = data
 
-    def bulk_out(self, data: bytes) -> list[bytes]:
+    def bulk_out(self, data: bytes) -> None:
+        """Keep it too."""
+        self._sent.append(data)
+
+    def bulk_in(self) -> bytes | None:
         """The same transfer."""
-        return [data]
+        return self._sent.pop(0) if self._sent else None
+
+    def usb_reset(self) -> None:
+        """Nothing to forget."""
 
 
 class EchoSerial:

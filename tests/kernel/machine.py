@@ -50,7 +50,7 @@ def run_in_guest(
     Parameters
     ----------
     share : Path
-        Folder of the host, seen in the guest as /mnt/share, writable.
+        Folder of the host, seen in the guest as /guest, writable.
     work_folder : Path
         Where the job starts; the guest sees the host's root, so paths are the same.
     open_to_all : sequence of Path

@@ -83,7 +83,7 @@ class UsbDevice:
 
     A board overrides `control` (class and vendor requests) and `out` (data that the host sent) and calls
     `push` (data for the host), from any thread. Faults are set from outside: `stall(address)` halts an
-    endpoint until the host clears it, `refuse(address)` leaves it without any answer, as a hung device does.
+    endpoint until the host clears it, `refuse(address)` leaves it without an answer, as a hung device does.
     """
 
     def __init__(
@@ -109,6 +109,9 @@ class UsbDevice:
 
     def out(self, endpoint: int, data: bytes) -> None:
         """Take data that the host sent to an OUT endpoint."""
+
+    def configured(self) -> None:
+        """The host set a configuration, which is also how it resets the device."""
 
     def unplugged(self) -> None:
         """The plug was pulled: stop what runs."""
@@ -239,6 +242,7 @@ class UsbDevice:
                 return bytes([self._configuration])
             case 0x09:  # SET_CONFIGURATION
                 self._configuration = setup.value
+                self.configured()
                 return b""
             case 0x0A:  # GET_INTERFACE
                 return b"\0"
