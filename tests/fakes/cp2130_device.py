@@ -1,7 +1,7 @@
 """A CP2130 as its firmware behaves: control requests and two bulk pipes; no host, no USB stack.
 
 `control_in`, `control_out`, `bulk_out` and `bulk_in` are all that a USB stack needs, in process or behind
-USB/IP. A request that the device does not know raises `Stall`.
+USB/IP. A request that the device does not know raises `StallError`.
 """
 
 import struct
@@ -20,8 +20,11 @@ CHANNELS = 11
 FIFO = 256
 
 
-class Stall(Exception):
+class StallError(Exception):
     """The endpoint answers STALL."""
+
+
+Stall = StallError
 
 
 @dataclass
@@ -60,7 +63,7 @@ class Cp2130Device:
         self._command = b""
         self._mode = self.counter_mode
         self._counter_zero = 0
-        self._pins = {k: (0, 1) for k in range(CHANNELS)}
+        self._pins = dict.fromkeys(range(CHANNELS), (0, 1))
 
     def usb_reset(self) -> None:
         """The port was reset or the host set a configuration: RAM settings and pipes are empty."""
@@ -93,7 +96,7 @@ class Cp2130Device:
         elif request == 0x46:
             answer = b"\0"
         else:
-            raise Stall(f"control in 0x{request:02X}")
+            raise StallError(f"control in 0x{request:02X}")
         return answer[:length]
 
     def control_out(self, request: int, value: int, index: int, data: bytes) -> None:
@@ -113,13 +116,13 @@ class Cp2130Device:
             self._mode, count = struct.unpack(">BH", data)
             self._counter_zero = self.pins.data_ready_edges() - count
         else:
-            raise Stall(f"control out 0x{request:02X}")
+            raise StallError(f"control out 0x{request:02X}")
 
     def _check(self, request: int, value: int, index: int) -> None:
         if 0x60 <= request <= 0x6F:
             self.otp_requests += 1
         if value or index:
-            raise Stall("wValue and wIndex are 0")
+            raise StallError("wValue and wIndex are 0")
 
     def _edges(self) -> int:
         edges = self.pins.data_ready_edges()
@@ -142,7 +145,7 @@ class Cp2130Device:
             zero, command, zero_2, length = HEADER.unpack_from(self._command)
             if zero or zero_2 or command not in (READ, WRITE, WRITE_READ, READ_RTR) or length > FIFO:
                 self._command = b""
-                raise Stall("bulk out")
+                raise StallError("bulk out")
             size = HEADER.size + (length if command in (WRITE, WRITE_READ) else 0)
             if len(self._command) < size:
                 return
