@@ -36,8 +36,8 @@ class Bench:
         return port
 
     def unplug(self, port: int) -> None:
-        """Pull a board out, wait until the kernel has noticed."""
-        serial = self._ports.pop(port)
+        """Pull a board out, wait until the kernel has noticed (it may have been gone already)."""
+        serial = self._ports.pop(port, None)
         self._command("unplug", port=port)
         self._until(lambda: serial not in serials(), f"{serial} to go")
         settle()
@@ -47,8 +47,12 @@ class Bench:
         self._command("stall", port=port, address=address)
 
     def refuse(self, port: int, address: int) -> None:
-        """Make an endpoint never answer again."""
+        """Make an endpoint not answer."""
         self._command("refuse", port=port, address=address)
+
+    def heal(self, port: int) -> None:
+        """End stalls and refusals: what waited goes on, late."""
+        self._command("heal", port=port)
 
     def unplug_after(self, port: int, count: int) -> None:
         """Pull the board out when `count` more OUT transfers have come."""

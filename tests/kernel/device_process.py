@@ -8,9 +8,10 @@ kernel talks to the device, so a device in the same process could never answer.
 | plug kind serial port | plug a board in |
 | unplug port | pull it out |
 | stall port address | halt an endpoint until the host clears it |
-| refuse port address | the endpoint never answers again |
+| refuse port address | the endpoint does not answer |
+| heal port | end stalls and refusals; what waited goes on, late |
 | unplug_after port count | pull it out when that many more OUT transfers have come |
-| state port | figures of the board: OUT transfers, line state, baud rate |
+| state port | figures of the board: frames on the chip's pins, line state, baud rate |
 """
 
 from __future__ import annotations
@@ -24,17 +25,22 @@ from kernel.boards import BulkBoard, HidBoard, SerialBoard
 from kernel.echoes import EchoBulk, EchoHid, EchoSerial
 from kernel.urb import UsbDevice, plug_in, pull_out
 
+Figures = Callable[[], dict[str, Any]]
+Made = tuple[UsbDevice, Figures]
 
-def _mcp2210(serial: str) -> UsbDevice:
+
+def _mcp2210(serial: str) -> Made:
     from fakes.mcp2210_device import Mcp2210Device
 
-    return HidBoard(Mcp2210Device(_pins(), serial=serial), serial)
+    pins = _pins()
+    return HidBoard(Mcp2210Device(pins, serial=serial), serial), lambda: {"frames": pins.transfers}
 
 
-def _cp2130(serial: str) -> UsbDevice:
+def _cp2130(serial: str) -> Made:
     from fakes.cp2130_device import Cp2130Device
 
-    return BulkBoard(Cp2130Device(_pins(), serial=serial), serial)
+    pins = _pins()
+    return BulkBoard(Cp2130Device(pins, serial=serial), serial), lambda: {"frames": pins.transfers}
 
 
 def _pins() -> Any:
@@ -47,12 +53,25 @@ def _pins() -> Any:
     return ChipPins(SimulatedChip(world, world.variant, start_s=-0.5), DeviceClock())
 
 
-KINDS: dict[str, Callable[[str], UsbDevice]] = {
+def _echo_hid(serial: str) -> Made:
+    return HidBoard(EchoHid(), serial), dict
+
+
+def _echo_bulk(serial: str) -> Made:
+    return BulkBoard(EchoBulk(), serial), dict
+
+
+def _echo_serial(serial: str) -> Made:
+    board = SerialBoard(EchoSerial(), serial)
+    return board, lambda: {"line_state": board.line_state, "baud_rate": board.baud_rate}
+
+
+KINDS: dict[str, Callable[[str], Made]] = {
     "mcp2210": _mcp2210,
     "cp2130": _cp2130,
-    "echo-hid": lambda serial: HidBoard(EchoHid(), serial),
-    "echo-bulk": lambda serial: BulkBoard(EchoBulk(), serial),
-    "echo-serial": lambda serial: SerialBoard(EchoSerial(), serial),
+    "echo-hid": _echo_hid,
+    "echo-bulk": _echo_bulk,
+    "echo-serial": _echo_serial,
 }
 
 
@@ -61,12 +80,13 @@ class Boards:
 
     def __init__(self) -> None:
         self._plugged: dict[int, UsbDevice] = {}
+        self._figures: dict[int, Figures] = {}
         self._count = 0
 
     def plug(self, *, kind: str, serial: str, port: int) -> dict[str, Any]:
         """Make a board and plug it in."""
         self._count += 1
-        board = KINDS[kind](serial)
+        board, self._figures[port] = KINDS[kind](serial)
         self._plugged[port] = board
         plug_in(board, port, number=self._count)
         return {}
@@ -88,6 +108,11 @@ class Boards:
         self._plugged[port].refuse(address)
         return {}
 
+    def heal(self, *, port: int) -> dict[str, Any]:
+        """End stalls and refusals."""
+        self._plugged[port].heal()
+        return {}
+
     def unplug_after(self, *, port: int, count: int) -> dict[str, Any]:
         """Pull the board out in the middle of what the host does."""
         self._plugged[port].on_transfer(count, lambda: self.unplug(port=port))
@@ -95,11 +120,7 @@ class Boards:
 
     def state(self, *, port: int) -> dict[str, Any]:
         """Figures of a board."""
-        board = self._plugged[port]
-        found: dict[str, Any] = {"transfers": board.transfers}
-        if isinstance(board, SerialBoard):
-            found |= {"line_state": board.line_state, "baud_rate": board.baud_rate}
-        return found
+        return self._figures[port]()
 
 
 def main() -> None:

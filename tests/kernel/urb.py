@@ -83,7 +83,7 @@ class UsbDevice:
 
     A board overrides `control` (class and vendor requests) and `out` (data that the host sent) and calls
     `push` (data for the host), from any thread. Faults are set from outside: `stall(address)` halts an
-    endpoint until the host clears it, `refuse(address)` leaves it without an answer, as a hung device does.
+    endpoint until the host clears it, `refuse(address)` leaves it without answers, as a hung device does.
     """
 
     def __init__(
@@ -133,9 +133,20 @@ class UsbDevice:
                     self._answer(urb, STALLED)
 
     def refuse(self, address: int) -> None:
-        """Never answer on this endpoint again."""
+        """Leave this endpoint without answers; what the host sends is not taken either."""
         with self._lock:
             self._refusing.add(address)
+
+    def heal(self) -> None:
+        """End stalls and refusals: what waited goes on, late."""
+        with self._lock:
+            self._halted.clear()
+            self._refusing.clear()
+            held, self._held = self._held, []
+            for number in list(self._inputs):
+                self._meet(number)
+        for urb in held:
+            self.submit(urb)
 
     def on_transfer(self, count: int, action: Callable[[], object]) -> None:
         """Call `action`, once, in place of taking the `count`-th OUT transfer from now."""
