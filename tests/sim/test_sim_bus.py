@@ -94,6 +94,18 @@ def test_time_that_passes_between_blocks_is_buffered(bus):
     assert second.lost == 0
 
 
+def test_edges_that_nobody_read_are_counted_as_lost(bus):
+    on(bus)
+    with bus.stream(READS, block_scans=10) as stream:
+        first = next(stream)
+        bus.sleep_s(0.5)
+        bus.read_event_counter()  # the chip lives on to answer
+        second = next(stream)
+    skipped = round((second.time_s[0] - first.time_s[-1]) * 819.2) - 1
+    assert skipped > 400
+    assert second.lost == skipped
+
+
 def test_a_read_list_longer_than_the_period_loses_edges_and_says_how_many(bus):
     bus.exchange([0xB404])
     with bus.stream([0x0A00] * 10, block_scans=20) as stream:  # 11 frames of 160 us: 1.76 ms of 1.22 ms

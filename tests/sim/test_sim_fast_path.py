@@ -113,3 +113,16 @@ def test_an_idle_hour_is_lived_through_like_any_other():
 def test_an_empty_batch_is_nothing():
     chip = new_chip(1)
     assert chip.frames(np.empty(0, np.uint16), start_s=1.0, frame_s=1e-3, clock_hz=250e3).tolist() == []
+
+
+@pytest.mark.parametrize("gap_us", [5.0, 10.0, 30.0])
+def test_a_frame_after_a_long_run_is_judged_by_the_run_s_last_frame(gap_us):
+    """Too short a stall (5 us), too short a period (10 us after 16 us), neither (30 us)."""
+    words = np.array([rd(a) for a in (0x0A, 0x36, 0x38)] * 30, np.uint16)
+    quick, slow = new_chip(2), new_chip(2)
+    run = quick.frames(words, start_s=0.2, frame_s=60e-6, clock_hz=1e6)
+    single = [slow.frame(int(w), start_s=0.2 + k * 60e-6, clock_hz=1e6) for k, w in enumerate(words)]
+    assert run.tolist() == single
+    at_s = 0.2 + (len(words) - 1) * 60e-6 + 16e-6 + gap_us * 1e-6
+    replies = [chip.frame(rd(0x3C), start_s=at_s, clock_hz=1e6) for chip in (quick, slow)]
+    assert replies[0] == replies[1] == {5.0: 0xFFFF, 10.0: 0x0001, 30.0: 0x0402}[gap_us]

@@ -140,6 +140,17 @@ def test_the_truth_has_the_names_of_a_fit_and_what_was_given():
     assert expected | {"skew_xz", "skew_yz"} <= set(truth)
 
 
+def test_the_truth_can_be_that_of_the_temperatures_of_a_session():
+    given = {"ambient_c": 25.0, "ambient_drift_c_per_h": 10.0, "self_heating_c": 0.0}
+    world = silent(bias_tempco_x_mg_per_c=0.5, scale_tempco_y_ppm_per_c=100.0, bias_x_mg=3.0, **given)
+    assert world.truth()["bias_x"] == 3.0
+    warm = world.truth(np.array([0.0, 3600.0, 7200.0]))  # 10 °C above the reference in the mean
+    assert warm["bias_x"] == pytest.approx(8.0)
+    assert warm["scale_y"] == pytest.approx(1.001)
+    assert warm["delta_k"] == pytest.approx(1 / 1.001 - 1)
+    assert reading(world, 3600.0)[0] == pytest.approx(1008.0)
+
+
 def test_giving_one_parameter_leaves_the_other_hidden_ones_as_they_were():
     free, given = World(seed=5).truth(), World(WorldSettings(bias_x_mg=1.0), seed=5).truth()
     assert {name for name in free if free[name] != given[name]} == {"bias_x"}

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Any, Protocol
+from typing import Protocol
+
+import numpy as np
 
 from adis_gonio.bus import Capability
 from adis_gonio.errors import SessionError, UsageError
+from adis_gonio.model.records import Floats
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.sensor.registers import REGISTERS
 from adis_gonio.sensor.scanning import ScanStream
 from adis_gonio.session.plans import Plan, Position
-from adis_gonio.session.rows import Move
+from adis_gonio.session.rows import Move, StoredAttempt
 from adis_gonio.session.settings import Settings
 from adis_gonio.session.view import ArchiveView
 from adis_gonio.session.watch import window_samples
@@ -37,8 +41,8 @@ class Stage(Protocol):
 class World(Protocol):
     """The simulated surroundings of a sensor; a simulated bus brings one as its attribute `world`."""
 
-    def truth(self) -> dict[str, float]:
-        """What the simulation hides."""
+    def truth(self, time_s: Floats | None = None) -> dict[str, float]:
+        """What the simulation hides, at the mean temperature of some times where these are given."""
 
 
 class Bench:
@@ -194,6 +198,11 @@ class Bench:
         while (ahead := bus_s - bus.now_s()) > 0:
             bus.sleep_s(ahead if ahead < CHECKPOINT_S else ahead - CHECKPOINT_S / 2)
 
-    def truth(self) -> dict[str, Any] | None:
-        """What the simulation hides; None for a real sensor."""
-        return None if self.world is None else dict(self.world.truth())
+    def truth(self, dwells: Sequence[StoredAttempt] = ()) -> dict[str, float] | None:
+        """What the simulation hides, as it was during dwells; None for a real sensor."""
+        if self.world is None:
+            return None
+        times = np.array(
+            [time_s for dwell in dwells for time_s in (dwell.started_bus_s, dwell.ended_bus_s)]
+        )
+        return dict(self.world.truth(times if times.size else None))

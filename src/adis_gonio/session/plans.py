@@ -25,10 +25,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
+import numpy as np
+
 from adis_gonio.errors import UsageError
 from adis_gonio.model.records import Plane, Use
 
 Approach = Literal[-1, 0, 1]
+Order = Literal["plan", "reverse", "shuffled"]
 
 MOST_POSITIONS = 3600
 DEFAULT_PLAN = "two-position"
@@ -82,6 +85,32 @@ class Plan:
             "plane": self.plane,
             "positions": [asdict(position) for position in self.positions],
         }
+
+    def ordered(self, order: Order, rng: np.random.Generator) -> Plan:
+        """The same positions in another order, with the directions of approach that it leads to.
+
+        Parameters
+        ----------
+        order : {"plan", "reverse", "shuffled"}
+            A shuffled order separates what depends on time from what depends on the angle.
+        rng : numpy.random.Generator
+            Draws the shuffled order.
+        """
+        if order == "plan":
+            return self
+        places = list(range(len(self)))[::-1]
+        if order == "shuffled":
+            places = [int(place) for place in rng.permutation(len(self))]
+        chosen = [self.positions[place] for place in places]
+        travelled = [chosen[0]]
+        for before, here in itertools.pairwise(chosen):
+            if here.angle_deg is None or before.angle_deg is None:
+                travelled.append(here)
+            elif here.angle_deg == before.angle_deg:
+                travelled.append(replace(here, approach=travelled[-1].approach))
+            else:
+                travelled.append(replace(here, approach=1 if here.angle_deg > before.angle_deg else -1))
+        return replace(self, positions=tuple(travelled))
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Plan:

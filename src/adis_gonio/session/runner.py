@@ -506,7 +506,7 @@ class SessionRunner:
     def _finish(self) -> Finished:
         complete = self._next_place() is None
         self._note("registers-after", self._bench.sensor.read_all())
-        self._note("truth", self._bench.truth())
+        self._note("truth", self._bench.truth(self._archive.dwells()))
         self._note("finished", {"complete": complete})
         return Finished(
             str(self._archive.path), complete, len(self._done), len(self._skipped), len(self._plan)

@@ -135,19 +135,28 @@ class World:
         """Local gravity in mg."""
         return 1000.0 * self.settings.gravity_mps2 / STANDARD_GRAVITY_MPS2
 
-    def truth(self) -> dict[str, float]:
+    def truth(self, time_s: Floats | None = None) -> dict[str, float]:
         """Hidden parameters by the names that a fit uses.
 
         `delta_k` (1), `delta_phi` (degree), `alpha` (degree), `scale_x…` (the gain, 1 is perfect),
-        `skew_xy…` (degree, 90° minus the angle between the axes), `bias_x…` (mg at 25 °C, before
-        flicker), `bias_temperature_x…` (mg/°C), `scale_temperature_x…` (1/°C), and the parameters of
-        added effects as `effect.parameter` in the effect's units.
+        `skew_xy…` (degree, 90° minus the angle between the axes), `bias_x…` (mg, before flicker),
+        `bias_temperature_x…` (mg/°C), `scale_temperature_x…` (1/°C), and the parameters of added effects
+        as `effect.parameter` in the effect's units.
+
+        Parameters
+        ----------
+        time_s : (n,) float or None
+            Times to whose mean temperature the biases and gains belong; None for 25 °C.
         """
         result = dict(self._hidden)
+        warm = 0.0 if time_s is None else float(np.mean(self.temperature_c(time_s))) - REFERENCE_C
         for k, axis in enumerate(AXES):
-            result[f"bias_{axis}"] = float(self._bias[k])
+            result[f"scale_{axis}"] *= 1 + float(self._scale_tempco[k]) * warm
+            result[f"bias_{axis}"] = float(self._bias[k] + self._tempco[k] * warm)
             result[f"bias_temperature_{axis}"] = float(self._tempco[k])
             result[f"scale_temperature_{axis}"] = float(self._scale_tempco[k])
+        if warm:
+            result["delta_k"] = result["scale_x"] / result["scale_y"] - 1
         for effect, values in self.effects:
             for parameter, value in zip(effect.parameters, values, strict=True):
                 result[f"{effect.name}.{parameter.name}"] = float(value)
