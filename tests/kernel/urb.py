@@ -253,6 +253,10 @@ class UsbDevice:
                 return bytes([self._configuration])
             case 0x09:  # SET_CONFIGURATION
                 self._configuration = setup.value
+                with self._lock:
+                    self._halted.clear()
+                    for endpoint in self._inputs.values():
+                        endpoint.answers.clear()
                 self.configured()
                 return b""
             case 0x0A:  # GET_INTERFACE
