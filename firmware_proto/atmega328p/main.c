@@ -112,7 +112,8 @@ uint16_t board_frame(uint16_t word)
     PORTB &= (uint8_t)~(1u << CS);
     SPDR = (uint8_t)(word >> 8);
     started = ticks();
-    while ((SPSR & (1u << SPIF)) == 0u) {
+    while ((SPSR & (1u << SPIF)) == 0u || (uint16_t)(ticks() - started) <= byte_ticks) {
+        /* the clock stays high for its half period between the bytes too */
     }
     reply = (uint16_t)((uint16_t)SPDR << 8);
     SPDR = (uint8_t)word;

@@ -62,6 +62,8 @@ def encode(packet: Packet) -> bytes:
     ValueError
         The packet is longer than the protocol allows, or its type or id out of range.
     """
+    if not (0 <= packet.type <= 0xFF and 0 <= packet.id <= 0xFFFF):
+        raise ValueError(f"type {packet.type} or id {packet.id} does not fit a packet's header")
     raw = bytes((packet.type,)) + packet.id.to_bytes(2, "little") + packet.body
     if len(raw) + CRC_SIZE > MAX_RAW:
         raise ValueError(f"a packet of {len(raw) + CRC_SIZE} bytes: at most {MAX_RAW}")
