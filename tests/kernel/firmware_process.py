@@ -1,0 +1,64 @@
+"""The real firmware binary behind a socket: what QEMU's USB serial adapter is wired to.
+
+Runs on the host, because the guest computes many times slower. Simulated time never runs ahead of the
+wall's; where the host is slow it falls behind, which a serial line allows.
+
+Arguments: the firmware's ELF, the path of the socket to listen on. It ends when QEMU goes.
+"""
+
+from __future__ import annotations
+
+import socket
+import sys
+import time
+from pathlib import Path
+
+from adis_gonio.sim import World
+from firmware.rig import Rig
+
+SLICE_S = 0.001
+MOST_BEHIND_S = 0.05
+"""A longer pause than this is not made up for: the line was idle, or the host stood still."""
+
+
+def serve(rig: Rig, line: socket.socket) -> None:
+    """Carry bytes both ways until the other end closes."""
+    line.setblocking(False)
+    zero_s = time.monotonic() - rig.now_s()
+    while True:
+        try:
+            data = line.recv(4096)
+            if not data:
+                return
+            rig.port.write(data)
+        except BlockingIOError:
+            pass
+        rig.sleep_s(SLICE_S)
+        if rig.port.in_waiting:
+            line.setblocking(True)
+            line.sendall(rig.port.read(rig.port.in_waiting))
+            line.setblocking(False)
+        ahead_s = rig.now_s() - (time.monotonic() - zero_s)
+        if ahead_s > 0:
+            time.sleep(ahead_s)
+        elif ahead_s < -MOST_BEHIND_S:
+            zero_s = time.monotonic() - rig.now_s()
+
+
+def main(elf: str, place: str) -> None:
+    """Listen before the firmware starts, so that QEMU finds the socket."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as server:
+        server.bind(place)
+        server.listen(1)
+        sys.stdout.write("listening\n")
+        sys.stdout.flush()
+        rig = Rig(Path(elf), World(seed=1))
+        line, _ = server.accept()
+        with line:
+            serve(rig, line)
+    rig.check()
+    sys.stdout.write(f"firmware: {rig.log.frames} frames on the pins, tightest {rig.log.least}\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2])
