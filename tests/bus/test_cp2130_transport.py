@@ -3,7 +3,7 @@
 import contextlib
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adis_gonio.bus import BusUrl, Capability, SpiTiming
@@ -295,6 +295,7 @@ def test_under_faults_no_wrong_word_is_accepted(seed):
     assert bus.exchange([0x3800, 0])[1] == 0x0402
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=70))
 def test_parsers_take_any_bytes(data):
     for parse in (r.parse_frame, r.parse_counter, r.parse_spi_words):

@@ -3,7 +3,7 @@
 import contextlib
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adis_gonio.bus import BusUrl, Capability, SpiTiming
@@ -348,6 +348,7 @@ def test_under_faults_no_wrong_word_is_accepted(seed):
 # -- parsers ------------------------------------------------------------------------------------------
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=70))
 def test_parsers_take_any_bytes(data):
     for parse in (
@@ -361,6 +362,7 @@ def test_parsers_take_any_bytes(data):
             parse(data)
 
 
+@settings(deadline=None)
 @given(st.binary(min_size=63, max_size=63))
 def test_a_progress_never_carries_more_than_a_frame(data):
     with contextlib.suppress(ProtocolError):

@@ -139,7 +139,8 @@ class LinuxKernel:
 
     def ioctl(self, fd: int, request: int, argument: Any) -> int:
         """ioctl(2)."""
-        return self._fcntl.ioctl(fd, request, argument, True)
+        result: int = self._fcntl.ioctl(fd, request, argument, True)
+        return result
 
     def lock(self, fd: int) -> None:
         """flock(2), exclusive and without waiting."""
