@@ -14,7 +14,7 @@ from adis_gonio.session.watch import (
 )
 
 WINDOW = 200
-LIMITS = StillnessLimits(WINDOW, np.full(3, 0.5), np.full(3, 4.0))
+LIMITS = StillnessLimits(WINDOW, np.full(3, 0.5), np.full(3, 6.0))
 
 
 def samples(seed: int, count: int, sigma: float = 2.0) -> np.ndarray:
@@ -93,6 +93,14 @@ def test_a_slow_shift_since_the_dwell_began_is_motion_and_a_drift_of_the_bias_is
     assert states(10.0, anchored=True) == {"still", "moving"}
     assert states(10.0, anchored=False) == {"still"}
     assert states(3.0, anchored=True) == {"still"}
+
+
+def test_a_dwell_begins_only_at_half_the_limit_that_breaks_it_off():
+    data = samples(10, 2000, 4.0)
+    assert {look.state for look in StillnessWatch(LIMITS).feed(data)} == {"moving"}
+    watch = StillnessWatch(LIMITS)
+    watch.anchor(0)
+    assert {look.state for look in watch.feed(data)} == {"still"}
 
 
 def test_a_flat_axis_is_stuck_only_when_it_stays_flat():

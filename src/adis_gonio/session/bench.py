@@ -21,7 +21,7 @@ from adis_gonio.session.view import ArchiveView
 from adis_gonio.session.watch import window_samples
 
 CHECKPOINT_S = 1e-3
-"""Silence at the end of a dwell, so that no frame's timing reaches over the point of resuming."""
+"""Silence that ends in a checkpoint, so that no frame's timing reaches over the point of resuming."""
 
 _SETTINGS = tuple(
     row.name
@@ -178,9 +178,20 @@ class Bench:
         ends = [attempt.ended_bus_s + attempt.offset_s for attempt in archive.attempts()]
         return max([since.total_seconds(), *ends]) - bus_s
 
+    def checkpoint(self) -> None:
+        """Make the present a point from which a simulated session can go on: silence before it."""
+        self.sensor.bus.sleep_s(CHECKPOINT_S)
+
     def bring_world_to(self, archive: ArchiveView, attempt: int) -> None:
-        """Let a new simulated world live through what the archived one did, up to an attempt's end."""
-        end_s = next(a.ended_bus_s for a in archive.attempts() if a.number == attempt)
+        """Let a new simulated world live through what the archived one did.
+
+        Parameters
+        ----------
+        attempt : int
+            Up to the end of this attempt; 0 up to the end of the measurement of the noise.
+        """
+        ends = {a.number: a.ended_bus_s for a in archive.attempts()}
+        end_s = ends[attempt] if attempt else archive.records("noise")[-1].bus_s
         for move in archive.moves_before(attempt):
             self._wait_until(move.bus_s)
             if self.stage is not None:

@@ -36,7 +36,7 @@ from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
 from adis_gonio.sensor.decoding import ScanBlock
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.session.archive import Archive, Header, utc_now
-from adis_gonio.session.bench import CHECKPOINT_S, Bench
+from adis_gonio.session.bench import Bench
 from adis_gonio.session.events import (
     Configured,
     DwellDone,
@@ -273,11 +273,11 @@ class SessionRunner:
         self._note("registers-configured", after)
         self._note("truth", bench.truth())
         yield Configured(configuration, bench.changes(before, after))
-        if bench.simulated and last:
-            bench.bring_world_to(archive, last)
         noise = archive.last("noise")
         if noise is None:
             noise = yield from self._measure_noise()
+        elif bench.simulated:
+            bench.bring_world_to(archive, last)
         if noise is not None:
             yield self._limit(noise)
 
@@ -302,6 +302,7 @@ class SessionRunner:
         if noise is None:
             return None
         measured = [float(value) for value in noise]
+        bench.checkpoint()
         self._note("noise", measured)
         return measured
 
@@ -482,7 +483,7 @@ class SessionRunner:
         bench = self._bench
         bench.close_stream()
         status = bench.sensor.status()
-        bench.sensor.bus.sleep_s(CHECKPOINT_S)
+        bench.checkpoint()
         attempt = recording.attempt("complete", bench.now_s, status=status.word)
         number = self._archive.add_attempt(attempt)
         place, scans = recording.place, recording.scans()
@@ -505,6 +506,7 @@ class SessionRunner:
 
     def _finish(self) -> Finished:
         complete = self._next_place() is None
+        self._bench.close_stream()
         self._note("registers-after", self._bench.sensor.read_all())
         self._note("truth", self._bench.truth(self._archive.dwells()))
         self._note("finished", {"complete": complete})

@@ -27,6 +27,9 @@ SHIFT_MG = 5.0
 """A dwell whose mean goes so far from its beginning has moved (0.3° at the horizontal); slower and smaller
 changes are left in, they are effects to be found, not motion."""
 
+BEGIN_SHARE = 0.5
+"""Share of the upper limit below which a dwell may begin: what rings out shall not reach into it."""
+
 METER_WINDOWS = 8
 METER_RATIO = 1.6
 EXPECTED_RATIO = 10.0
@@ -182,10 +185,11 @@ class StillnessWatch:
         if (self._stuck >= STUCK_LOOKS).any():
             k = int(np.argmax(self._stuck))
             return Look(end, "stuck", str(stuck_error(AXES[k], float(mean[k]))), mean, spread)
-        over = spread / self._upper
+        limit = self._upper if self._anchor_from is not None else BEGIN_SHARE * self._upper
+        over = spread / limit
         if (over > 1).any():
             k = int(np.argmax(over))
-            why = f"{AXES[k]} varies by {spread[k]:.3g} mg, at rest at most {self._upper[k]:.3g} mg"
+            why = f"{AXES[k]} varies by {spread[k]:.3g} mg, at rest at most {limit[k]:.3g} mg"
             return Look(end, "moving", why, mean, spread)
         if self._anchor_from is not None and end - self._length >= self._anchor_from:
             if self._anchor is None:
