@@ -15,18 +15,19 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import os
 import random
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+READY = "ready"
 URL = "sim:?seed=7&fixture_sigma_deg=0.05"
 
 
@@ -46,6 +47,7 @@ def run_session(path: Path, plan_name: str, positions: int | None, dwell_s: floa
     from adis_gonio.session.archive import ArchiveView
     from adis_gonio.session.events import DwellDone
 
+    print(json.dumps(READY), flush=True)
     with open_sensor(URL) as sensor:
         try:
             runner = SessionRunner.resume(sensor, path, auto=True)
@@ -67,6 +69,7 @@ def run_writer(path: Path, seed: int) -> None:
     from adis_gonio.session.archive import Archive, Attempt, Header, utc_now
     from adis_gonio.session.plans import plan
 
+    print(json.dumps(READY), flush=True)
     rng = np.random.default_rng(seed)
     header = Header("test:", "adis16354", plan("tumble", 1000), {}, 9.80665, None)
     archive = Archive.create(path, header)
@@ -93,27 +96,32 @@ class Outcome:
 
 
 def child(arguments: list[str], kill_after_s: float | None) -> Outcome:
-    """Run this script as a child; kill it after a time."""
+    """Run this script as a child; kill it some time after it has started up."""
     outcome = Outcome()
-    began = time.monotonic()
     process = subprocess.Popen(
         [sys.executable, str(Path(__file__).resolve()), *arguments], stdout=subprocess.PIPE, text=True
     )
-    try:
-        output, _ = process.communicate(timeout=kill_after_s)
-    except subprocess.TimeoutExpired:
-        os.kill(process.pid, signal.SIGKILL)
-        outcome.killed = True
-        output, _ = process.communicate()
-    outcome.seconds = time.monotonic() - began
-    if not outcome.killed and process.returncode:
-        raise SystemExit(f"the session failed with exit {process.returncode}")
-    for line in output.splitlines():
+    timer = threading.Timer(kill_after_s or 0.0, process.send_signal, (signal.SIGKILL,))
+    began = time.monotonic()
+    assert process.stdout is not None
+    for line in process.stdout:
         try:
             entry = json.loads(line)
         except ValueError:
             continue  # the kill cut the line
-        outcome.announced[entry["place"]] = entry["words"]
+        if entry == READY:
+            began = time.monotonic()
+            if kill_after_s is not None:
+                timer.start()
+        else:
+            outcome.announced[entry["place"]] = entry["words"]
+    code = process.wait()
+    timer.cancel()
+    process.stdout.close()
+    outcome.seconds = time.monotonic() - began
+    outcome.killed = code == -signal.SIGKILL
+    if code and not outcome.killed:
+        raise SystemExit(f"the session failed with exit {code}")
     return outcome
 
 
@@ -212,7 +220,7 @@ def kill_writers(kills: int, seed: int) -> dict[str, int]:
         while seen["kills"] < kills:
             path = Path(folder) / f"{seen['kills']}.session"
             outcome = child(
-                ["--writer", str(path), "--seed", str(rng.randrange(1 << 30))], rng.uniform(0.3, 1.0)
+                ["--writer", str(path), "--seed", str(rng.randrange(1 << 30))], rng.uniform(0.0, 0.7)
             )
             seen["kills"] += 1
             seen["journals rolled back"] += path.with_name(path.name + "-journal").exists()
