@@ -629,6 +629,13 @@ class RealBus(SpiBus):
         self.inner.close()
 
 
+class PlaneStage:
+    """A stage that turns about one axis only."""
+
+    def move_to(self, angle_deg: float, approach: int = 1) -> None:
+        """Never called."""
+
+
 def test_a_real_sensor_goes_on_with_time_that_increases(path):
     """The second life's clock starts earlier than the first one ended, as after a reboot."""
     with Adis16354(RealBus(URL, 5000.0)) as opened:
@@ -654,19 +661,37 @@ def test_a_real_sensor_goes_on_with_time_that_increases(path):
         SessionRunner.resume(simulated, path)
 
 
-def test_poses_are_recorded_without_angle(path):
-    with open_sensor(URL) as opened:
-        rng = np.random.default_rng(2)
-        runner = SessionRunner.begin(opened, path, plan("poses", 9), SHORT)
-        for event in runner.run():
-            if isinstance(event, PositionAsked):
-                opened.bus.stage.orient(rng.standard_normal(3))
-                runner.confirm()
+def test_poses_are_recorded_without_angle_and_resume_to_the_bit(path):
+    made = plan("poses", 10, check=1)
+    auto(path, made)
     session = read_session(path)
     assert session.plane == "none"
     assert session.free_attitudes
-    assert len(session.dwells) == 9
-    norms = [np.linalg.norm(dwell.accel.mean(axis=0) * 0.4672) for dwell in session.dwells]
+    assert [dwell.angle_deg for dwell in session.dwells] == [None] * 11
+    means = np.array([dwell.accel.mean(axis=0) * 0.4672e-3 for dwell in session.dwells])
+    wanted = np.array([position.direction for position in made.positions])
+    assert np.abs(means - wanted).max() < 0.06
+    parts = path.with_name("b.session")
+    with open_sensor(URL) as opened:
+        run = SessionRunner.begin(opened, parts, made, SHORT, auto=True).run()
+        for event in run:
+            if isinstance(event, DwellDone) and event.place == 3:
+                break
+        run.close()
+    with open_sensor(URL) as opened:
+        list(SessionRunner.resume(opened, parts, auto=True).run())
+    assert same_dwells(path, parts)
+
+
+def test_an_operator_may_hold_the_part_in_any_pose(path):
+    rng = np.random.default_rng(2)
+    with Adis16354(RealBus(URL, 0.0)) as opened:
+        runner = SessionRunner.begin(opened, path, plan("poses", 9), SHORT)
+        for event in runner.run():
+            if isinstance(event, PositionAsked):
+                opened.bus.inner.stage.orient(rng.standard_normal(3))
+                runner.confirm()
+    norms = [np.linalg.norm(dwell.accel.mean(axis=0) * 0.4672) for dwell in read_session(path).dwells]
     assert norms == pytest.approx([1000.0] * 9, abs=60)
 
 
@@ -679,8 +704,10 @@ def test_auto_needs_a_stage_and_leaves_no_file(path):
         pytest.raises(UsageError, match="auto needs a stage"),
     ):
         SessionRunner.begin(opened, path, plan(), SHORT, auto=True)
-    with open_sensor(URL) as opened, pytest.raises(UsageError, match="needs an operator"):
-        SessionRunner.begin(opened, path, plan("poses"), SHORT, auto=True)
+    with open_sensor(URL) as opened:
+        opened.bus.stage = PlaneStage()
+        with pytest.raises(UsageError, match="needs an operator"):
+            SessionRunner.begin(opened, path, plan("poses"), SHORT, auto=True)
     assert not path.exists()
 
 

@@ -98,6 +98,7 @@ class SessionRunner:
         self._skipped = archive.skipped()
         self._last_place = max(self._done, key=self._done.__getitem__, default=None)
         self._limits: StillnessLimits | None = None
+        self._noise_mg: Floats = np.zeros(3)
         self._answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
         self._allowed: frozenset[Answer] = frozenset()
         self._stopping = threading.Event()
@@ -311,6 +312,7 @@ class SessionRunner:
         quantum = bench.sensor.variant.accel_mg_per_lsb
         limits = limits_from_noise(np.array(noise), bench.window, quantum)
         self._limits = limits
+        self._noise_mg = np.maximum(noise, quantum / math.sqrt(12))
         return NoiseMeasured(
             _vector(noise), _vector(limits.upper), _vector(limits.lower), bench.window * bench.period_s
         )
@@ -434,7 +436,7 @@ class SessionRunner:
         """Wait for stillness, then record; return None when complete, else what interrupted it."""
         if self._limits is None:
             raise UsageError("the limits of stillness are not known")
-        watch = StillnessWatch(self._limits)
+        watch = StillnessWatch(self._limits, self._noise_mg)
         window_s = self._bench.window * self._bench.period_s
         patience_s = self._bench.settings.still_timeout_s + WINDOWS_TO_STILLNESS * window_s
         look: Look | None = None

@@ -27,8 +27,9 @@ SHIFT_MG = 5.0
 """A dwell whose mean goes so far from its beginning has moved (0.3° at the horizontal); slower and smaller
 changes are left in, they are effects to be found, not motion."""
 
-BEGIN_SHARE = 0.5
-"""Share of the upper limit below which a dwell may begin: what rings out shall not reach into it."""
+BEGIN_RATIO = 1.5
+"""Multiple of the noise below which a dwell may begin; it is broken off only by the limits' upper one. What
+rings out after a move shall not reach into the dwell."""
 
 METER_WINDOWS = 8
 METER_RATIO = 1.6
@@ -153,10 +154,13 @@ class StillnessWatch:
     ----------
     limits : StillnessLimits
         In mg, from the noise of `NoiseMeter`.
+    noise_mg : (3,) float
+        That noise, or what quantization alone gives where this is more.
     """
 
-    def __init__(self, limits: StillnessLimits) -> None:
+    def __init__(self, limits: StillnessLimits, noise_mg: Floats) -> None:
         self._upper = np.asarray(limits.upper, dtype=float)
+        self._begin = np.minimum(BEGIN_RATIO * np.asarray(noise_mg, dtype=float), self._upper)
         self._lower = np.asarray(limits.lower, dtype=float)
         self._length = limits.window_samples
         self._windows = _Windows(limits.window_samples)
@@ -185,7 +189,7 @@ class StillnessWatch:
         if (self._stuck >= STUCK_LOOKS).any():
             k = int(np.argmax(self._stuck))
             return Look(end, "stuck", str(stuck_error(AXES[k], float(mean[k]))), mean, spread)
-        limit = self._upper if self._anchor_from is not None else BEGIN_SHARE * self._upper
+        limit = self._upper if self._anchor_from is not None else self._begin
         over = spread / limit
         if (over > 1).any():
             k = int(np.argmax(over))
