@@ -90,9 +90,10 @@ def _same_everywhere(dwells: Sequence[Dwell]) -> list[int]:
     if len(constant) < 2:
         return []
     words = np.stack([dwell.accel[0] for dwell in constant])
-    if len(constant) == len(dwells) > 2 and (words == words[0]).all():
-        return [dwell.position for dwell in constant]
     angles = np.array([np.nan if d.angle_deg is None else d.angle_deg % 360 for d in constant])
+    one_angle = bool((angles == angles[0]).all())
+    if len(constant) == len(dwells) > 2 and (words == words[0]).all() and not one_angle:
+        return [dwell.position for dwell in constant]
     gap = np.abs(np.diff(angles))
     bad = np.flatnonzero((words[1:] == words[:-1]).all(axis=1) & (gap > 5) & (gap < 355))
     return sorted({constant[k + side].position for k in bad.tolist() for side in (0, 1)})

@@ -38,8 +38,8 @@ the chip's filter: 0.45 to 0.7)."""
 _SLOPE = 32
 _FLICKER_POWER = (-1.5, -0.6)
 _CLEARLY = 2.0
-"""Gain in −2 log likelihood at which the power of f counts as the better one. Simulated: over 32 ordinates
-1/f noise gains 3 or more, the chip's filter loses or, in dwells shorter than its window, has a power of −2."""
+"""Gain in −2 log likelihood at which the power of f counts as the better one. Simulated, 32 ordinates: 1/f
+noise gains 3 or more; the chip's filter loses, or has a power of −2 in dwells shorter than its window."""
 _LEAST_CYCLES = 3.5
 """Cycles a dwell at the frequency where the density has fallen to 1/e; simulated with the chip's filter, 3
 give two thirds of the true variance and 6 all of it."""
