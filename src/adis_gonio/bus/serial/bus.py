@@ -92,6 +92,7 @@ class SerialBus(SpiBus):
         self._counted = 0
         self._lost_session = False
         self.firmware = self._link.hello(boot_s)
+        self.unbroken_frames = max(1, self.firmware.max_frames)
         self._timing = self._configure(SAFE_TIMING)
         self.capabilities = self._offered()
         if Capability.EVENT_COUNTER in self.capabilities:
@@ -138,7 +139,7 @@ class SerialBus(SpiBus):
 
     def _exchange(self, frames: Words) -> Words:
         self._refuse_while_streaming()
-        size = max(1, self.firmware.max_frames)
+        size = self.unbroken_frames or len(frames)
         return np.concatenate([self._batch(frames[at : at + size]) for at in range(0, len(frames), size)])
 
     def _batch(self, frames: Words) -> Words:
