@@ -55,7 +55,7 @@ class Bench:
         self._command("heal", port=port)
 
     def unplug_after(self, port: int, count: int) -> None:
-        """Pull the board out when `count` more OUT transfers have come."""
+        """Pull the board out when `count` more transfers of data have gone either way."""
         self._command("unplug_after", port=port, count=count)
 
     def state(self, port: int) -> dict[str, Any]:

@@ -10,7 +10,7 @@ kernel talks to the device, so a device in the same process could never answer.
 | stall port address | halt an endpoint until the host clears it |
 | refuse port address | the endpoint does not answer |
 | heal port | end stalls and refusals; what waited goes on, late |
-| unplug_after port count | pull it out when that many more OUT transfers have come |
+| unplug_after port count | pull it out when that many more transfers of data have gone either way |
 | state port | figures of the board: frames on the chip's pins, line state, baud rate |
 """
 
@@ -43,6 +43,15 @@ def _cp2130(serial: str) -> Made:
     return BulkBoard(Cp2130Device(pins, serial=serial), serial), lambda: {"frames": pins.transfers}
 
 
+def _serial(serial: str) -> Made:
+    from fakes.firmware import FakeFirmware
+    from kernel.firmware_model import FirmwareModel
+
+    pins = _pins()
+    board = SerialBoard(FirmwareModel(FakeFirmware(pins)), serial)
+    return board, lambda: {"frames": pins.transfers}
+
+
 def _pins() -> Any:
     """A simulated chip at rest; imported late, because the guest takes seconds for numpy."""
     from adis_gonio.sim import SimulatedChip, World
@@ -50,7 +59,9 @@ def _pins() -> Any:
     from fakes.pins import ChipPins
 
     world = World(seed=1)
-    return ChipPins(SimulatedChip(world, world.variant, start_s=-0.5), DeviceClock())
+    pins = ChipPins(SimulatedChip(world, world.variant, start_s=-0.5), DeviceClock())
+    pins.data_ready_edges()  # the chip lives up to now before anybody waits for it
+    return pins
 
 
 def _echo_hid(serial: str) -> Made:
@@ -69,6 +80,7 @@ def _echo_serial(serial: str) -> Made:
 KINDS: dict[str, Callable[[str], Made]] = {
     "mcp2210": _mcp2210,
     "cp2130": _cp2130,
+    "serial": _serial,
     "echo-hid": _echo_hid,
     "echo-bulk": _echo_bulk,
     "echo-serial": _echo_serial,

@@ -30,13 +30,14 @@ def serve(rig: Rig, line: socket.socket) -> None:
             data = line.recv(4096)
             if not data:
                 return
-            rig.port.write(data)
+            rig.port.send(data)
         except BlockingIOError:
             pass
         rig.sleep_s(SLICE_S)
-        if rig.port.in_waiting:
+        answer = rig.port.receive(0.0)
+        if answer:
             line.setblocking(True)
-            line.sendall(rig.port.read(rig.port.in_waiting))
+            line.sendall(answer)
             line.setblocking(False)
         ahead_s = rig.now_s() - (time.monotonic() - zero_s)
         if ahead_s > 0:

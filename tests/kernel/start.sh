@@ -1,6 +1,6 @@
 # Runs in the guest as its first process, on the host's files: udev, a user of the bench, the job, the end.
 export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
-export HOME=/run/home TMPDIR=/run/home LC_ALL=C.UTF-8
+export HOME=/run/home TMPDIR=/run/home LC_ALL=C.UTF-8 PYTHONUNBUFFERED=1
 mkdir -m 1777 /run/home
 ip link set lo up 2>/dev/null
 for udevd in /lib/systemd/systemd-udevd /usr/lib/systemd/systemd-udevd /usr/bin/udevadm; do

@@ -24,7 +24,7 @@ REPO = Path(__file__).parents[2]
 GUEST = Path(__file__).parent / "guest"
 PYTEST = (
     *("-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:hypothesispytest"),
-    *("--color=no", "-q", "-rA", "--durations=0"),
+    *("--color=no", "-v", "-rA", "--durations=0", "-o", "junit_family=legacy"),
 )
 GUEST_TIME_S = 210
 FIRMWARE_END_S = 20

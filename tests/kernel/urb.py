@@ -98,8 +98,8 @@ class UsbDevice:
         self._held: list[Urb] = []
         self._lock = threading.RLock()
         self._link: _Link | None = None
-        self._alarm: tuple[int, Callable[[], object]] | None = None
-        self.transfers = 0
+        self._left: int | None = None
+        self._action: Callable[[], object] | None = None
 
     # -- what a board overrides ---------------------------------------------------------------------
 
@@ -149,9 +149,9 @@ class UsbDevice:
             self.submit(urb)
 
     def on_transfer(self, count: int, action: Callable[[], object]) -> None:
-        """Call `action`, once, in place of taking the `count`-th OUT transfer from now."""
+        """Fall dead after `count` more transfers of data, whichever way, and call `action` in a thread."""
         with self._lock:
-            self._alarm = self.transfers + count, action
+            self._left, self._action = count, action
 
     # -- what the link calls ------------------------------------------------------------------------
 
@@ -172,13 +172,8 @@ class UsbDevice:
                 self._inputs.setdefault(urb.endpoint, _Endpoint()).requests.append(urb)
                 self._meet(urb.endpoint)
                 return
-            self.transfers += 1
-            alarm = self._alarm
-            if alarm is not None and self.transfers >= alarm[0]:
-                self._alarm = None
-        if alarm is not None and self._alarm is None:
-            alarm[1]()
-            return
+            if self._dies():
+                return
         try:
             self.out(urb.endpoint, urb.data)
         except Stall:
@@ -209,12 +204,22 @@ class UsbDevice:
         endpoint = self._inputs[number]
         if number | 0x80 in self._refusing:
             return
-        while endpoint.answers and endpoint.requests:
+        while endpoint.answers and endpoint.requests and not self._dies():
             urb = endpoint.requests.popleft()
             answer = endpoint.answers.popleft()
             if len(answer) > urb.length:
                 endpoint.answers.appendleft(answer[urb.length :])
             self._answer(urb, 0, data=answer[: urb.length])
+
+    def _dies(self) -> bool:
+        """Count a transfer; true from the one on that finds none left."""
+        if self._left is None:
+            return False
+        self._left -= 1
+        if self._left < 0 and self._action is not None:
+            threading.Thread(target=self._action, daemon=True).start()
+            self._action = None
+        return self._left < 0
 
     def _submit_control(self, urb: Urb) -> None:
         address = 0x80 * urb.into_host

@@ -22,16 +22,32 @@ class Bridge:
     options: str
     data_in: int
     data_out: int
+    unplugged_after: int = 60
 
-    def url(self, serial: str = "") -> str:
-        """URL of a board, by its serial number if one is given."""
-        return f"{self.kind}:{serial}{self.options}"
+    @property
+    def any(self) -> str:
+        """URL that names no board."""
+        return f"{self.kind}:{self.options.format(serial='')}"
+
+    @property
+    def check(self) -> bool:
+        """Whether the driver's check of the chip, two hundred frames, is left on.
+
+        Not over the serial fake: it needs some 5 ms a frame in the guest, more than a firmware may take for
+        its answer. That path is checked with the real firmware, which runs on the host.
+        """
+        return self.kind != "serial"
+
+    def url(self, serial: str = "A1") -> str:
+        """URL of a board by its serial number."""
+        return f"{self.kind}:{self.options.format(serial=serial)}"
 
 
 BRIDGES = (
-    Bridge("mcp2210-hidraw", "mcp2210", "?backend=hidraw", 0x81, 0x01),
-    Bridge("mcp2210-libusb", "mcp2210", "?backend=libusb", 0x81, 0x01),
-    Bridge("cp2130", "cp2130", "", 0x82, 0x01),
+    Bridge("mcp2210-hidraw", "mcp2210", "{serial}?backend=hidraw", 0x81, 0x01),
+    Bridge("mcp2210-libusb", "mcp2210", "{serial}?backend=libusb", 0x81, 0x01),
+    Bridge("cp2130", "cp2130", "{serial}", 0x82, 0x01),
+    Bridge("serial", "serial", "?serial_number={serial}", 0x83, 0x04, unplugged_after=3),
 )
 each_bridge = pytest.mark.parametrize("bridge", BRIDGES, ids=lambda bridge: bridge.name)
 
@@ -44,7 +60,7 @@ def supply_is_read(bus: SpiBus) -> bool:
 @each_bridge
 def test_the_driver_finds_its_chip_and_writes_a_register(bench: Bench, bridge: Bridge) -> None:
     bench.plug(bridge.kind, "A1")
-    with open_sensor(bridge.url()) as sensor:
+    with open_sensor(bridge.url(), check=bridge.check) as sensor:
         assert sensor.quantity("SUPPLY_OUT").value == pytest.approx(5.0, abs=0.1)
         sensor.write("ALM_MAG1", 0x1234)
         assert sensor.read("ALM_MAG1") == 0x1234
@@ -53,8 +69,8 @@ def test_the_driver_finds_its_chip_and_writes_a_register(bench: Bench, bridge: B
 @each_bridge
 def test_two_boards_are_told_apart_by_serial_number(bench: Bench, bridge: Bridge) -> None:
     ports = [bench.plug(bridge.kind, serial) for serial in ("A1", "B2")]
-    with pytest.raises(UsageError, match=rf"{bridge.kind}:A1 or {bridge.kind}:B2"):
-        open_bus(bridge.url())
+    with pytest.raises(UsageError, match=rf"{bridge.kind}:\S+ or {bridge.kind}:\S+"):
+        open_bus(bridge.any)
     with open_bus(bridge.url("B2")) as bus:
         assert supply_is_read(bus)
     assert [bench.state(port)["frames"] for port in ports] == [0, 2]
@@ -65,10 +81,13 @@ def test_a_board_pulled_out_of_a_stream_is_a_clear_error_and_works_when_it_is_ba
     bench: Bench, bridge: Bridge
 ) -> None:
     port = bench.plug(bridge.kind, "A1")
-    with open_sensor(bridge.url()) as sensor:
+    with open_sensor(bridge.url(), check=bridge.check) as sensor:
+        if Capability.STREAM in sensor.bus.capabilities:
+            # A rate that the guest's fake can keep.
+            sensor.configure(sample_rate_hz=5, filter_m=0, data_ready=True)
         with sensor.stream(["XACCL_OUT", "YACCL_OUT", "ZACCL_OUT"], block_scans=4) as stream:
             assert len(next(stream)) > 0
-            bench.unplug_after(port, 30)
+            bench.unplug_after(port, bridge.unplugged_after)
             start = time.monotonic()
             with pytest.raises(BusError, match=f"{bridge.kind}:"):  # noqa: PT012 - any block may be it
                 for _ in range(100):
@@ -77,7 +96,7 @@ def test_a_board_pulled_out_of_a_stream_is_a_clear_error_and_works_when_it_is_ba
         with pytest.raises(BusError):
             sensor.bus.exchange([READ_SUPPLY])
     bench.unplug(port)
-    with pytest.raises(CannotOpenError, match=r"no \w+ is connected"):
+    with pytest.raises(CannotOpenError, match=r"no .+ is connected"):
         open_bus(bridge.url())
     bench.plug(bridge.kind, "A1")
     with open_bus(bridge.url()) as bus:
