@@ -36,9 +36,10 @@
 
 #define RECEIVE_RING 64u /* a power of two */
 
-const uint32_t board_clocks_hz[GP_CLOCKS] = {2000000ul, 1000000ul, 500000ul, 250000ul, 125000ul, 0ul};
-/* SPR1, SPR0 and SPI2X of these clocks. */
-static const uint8_t dividers[GP_CLOCKS - 1u] = {5u, 1u, 6u, 2u, 3u};
+/* 2 MHz is left out: it is the chip's limit, and resonators are off by 0.5 %. */
+const uint32_t board_clocks_hz[GP_CLOCKS] = {1000000ul, 500000ul, 250000ul, 125000ul, 0ul, 0ul};
+/* SPR1, SPR0 and SPI2X (bit 2) of these clocks. */
+static const uint8_t dividers[] = {1u, 6u, 2u, 3u};
 
 static volatile uint32_t base_us;
 static uint16_t started, risen, period_ticks, stall_ticks, byte_ticks;
@@ -46,8 +47,9 @@ static uint16_t started, risen, period_ticks, stall_ticks, byte_ticks;
 static volatile uint8_t received[RECEIVE_RING];
 static volatile uint8_t received_head, received_tail;
 static volatile uint16_t overruns;
-static volatile uint8_t sending[256];
+static uint8_t sending[256];
 static volatile uint8_t sending_head, sending_tail;
+static uint8_t sending_end; /* head, once the bytes behind it may go */
 
 /* -- time ------------------------------------------------------------------------------------------ */
 
@@ -158,17 +160,19 @@ ISR(INT0_vect)
 
 ISR(USART_RX_vect)
 {
-    uint8_t flags = UCSR0A;
-    uint8_t byte = UDR0;
-    uint8_t next = (received_head + 1u) & (RECEIVE_RING - 1u);
-    if ((flags & (1u << DOR0)) != 0u) {
-        overruns++;
-    }
-    if (next == received_tail) {
-        overruns++;
-    } else {
-        received[received_head] = byte;
-        received_head = next;
+    uint8_t flags;
+    while (((flags = UCSR0A) & (1u << RXC0)) != 0u) { /* two bytes may wait where interrupts were off */
+        uint8_t byte = UDR0;
+        uint8_t next = (received_head + 1u) & (RECEIVE_RING - 1u);
+        if ((flags & (1u << DOR0)) != 0u) {
+            overruns++;
+        }
+        if (next == received_tail) {
+            overruns++;
+        } else {
+            received[received_head] = byte;
+            received_head = next;
+        }
     }
 }
 
@@ -202,14 +206,18 @@ uint16_t board_receive_overruns(void)
 
 uint16_t board_send_room(void)
 {
-    return (uint8_t)(sending_tail - sending_head - 1u);
+    return (uint8_t)(sending_tail - sending_end - 1u);
 }
 
 void board_send(uint8_t byte)
 {
-    sending[sending_head] = byte;
-    cli();
-    sending_head++;
+    sending[sending_end++] = byte;
+}
+
+void board_send_now(void)
+{
+    cli(); /* which is a barrier as well: the bytes are in memory before the head moves */
+    sending_head = sending_end;
     UCSR0B |= 1u << UDRIE0;
     sei();
 }

@@ -34,9 +34,10 @@ uint8_t board_receive(uint8_t *byte);
 /* Bytes lost in the receiver since power-on, wraps. */
 uint16_t board_receive_overruns(void);
 
-/* Room in the transmitter, in bytes, and a byte for it; called only where there is room. */
+/* Room in the transmitter, in bytes; a byte for it, called only where there is room; bytes so far may go. */
 uint16_t board_send_room(void);
 void board_send(uint8_t byte);
+void board_send_now(void);
 
 /* Board, a blank, serial number (without the blank where it has none); returns the length, at most room. */
 uint8_t board_name(uint8_t *text, uint8_t room);

@@ -54,6 +54,7 @@ static volatile struct {
     uint8_t pending;   /* a trigger waits for its scan */
     uint8_t running;   /* a scan runs */
     uint8_t in_scan;   /* triggers since it began, 255 at most */
+    uint32_t in_scan_us; /* time of the first of them */
     uint16_t decimation, skipped;
     uint32_t time_us;  /* of the newest trigger */
     uint32_t edges, lost;
@@ -149,6 +150,9 @@ static void on_trigger(uint32_t time_us)
     trigger.skipped = 0;
     trigger.time_us = time_us;
     if (trigger.running != 0u) {
+        if (trigger.in_scan == 0u) {
+            trigger.in_scan_us = time_us;
+        }
         if (trigger.in_scan < 255u) {
             trigger.in_scan++;
         } else {
@@ -238,17 +242,18 @@ static void run_list(void)
     }
 }
 
-/* After a scan: 1 where it stands. */
-static uint8_t settle(uint8_t late)
+/* After a scan that took run_us since its trigger at time_us was taken up: 1 where it stands. It does not
+ * where it saw another trigger only because it began late: then it may mix two updates. */
+static uint8_t settle(uint32_t time_us, uint32_t run_us)
 {
     uint8_t stands = 1;
     board_lock();
     trigger.running = 0;
-    if (trigger.in_scan != 0u && late != 0u) { /* torn: it may mix two updates */
+    if (trigger.in_scan != 0u && trigger.in_scan_us - time_us > run_us) {
         stands = 0;
-        trigger.pending = 1;
+        trigger.pending = 1; /* the newest one */
     }
-    trigger.lost += trigger.in_scan; /* torn: the scan itself and all triggers but the newest */
+    trigger.lost += trigger.in_scan; /* with a torn scan: itself, and all but the newest */
     board_unlock();
     return stands;
 }
@@ -257,7 +262,6 @@ static void scan(void)
 {
     uint32_t time_us, lost, now_us;
     uint8_t pending;
-    now_us = board_now_us();
     board_lock();
     pending = trigger.pending;
     time_us = trigger.time_us;
@@ -280,9 +284,10 @@ static void scan(void)
     trigger.running = 1;
     trigger.in_scan = 0;
     board_unlock();
+    now_us = board_now_us();
     run_list();
     period_triggers();
-    if (settle((int32_t)(now_us - time_us) > (int32_t)GP_LATE_US) == 0u) {
+    if (settle(time_us, board_now_us() - now_us) == 0u) {
         return;
     }
     if (stream.scans == 0u) {

@@ -2,15 +2,18 @@
 
 #include "gonio_board.h"
 
+/* By bytes: an 8-bit processor shifts 16 bits slowly. */
 uint16_t gonio_crc16(const uint8_t *data, uint8_t length)
 {
-    uint16_t crc = GP_CRC_INITIAL;
+    uint8_t high = (uint8_t)(GP_CRC_INITIAL >> 8);
+    uint8_t low = (uint8_t)(GP_CRC_INITIAL & 0xFFu);
     while (length-- > 0u) {
-        uint8_t x = (uint8_t)((uint8_t)(crc >> 8) ^ *data++);
+        uint8_t x = (uint8_t)(high ^ *data++);
         x ^= (uint8_t)(x >> 4);
-        crc = (uint16_t)((crc << 8) ^ ((uint16_t)x << 12) ^ ((uint16_t)x << 5) ^ x);
+        high = (uint8_t)(low ^ (uint8_t)(x << 4) ^ (x >> 3));
+        low = (uint8_t)((uint8_t)(x << 5) ^ x);
     }
-    return crc;
+    return (uint16_t)((uint16_t)high << 8 | low);
 }
 
 void gonio_decoder_init(struct gonio_decoder *decoder, uint8_t *raw, uint8_t room)
@@ -91,19 +94,21 @@ uint8_t gonio_seal(uint8_t *raw, uint8_t length)
 
 void gonio_send(const uint8_t *raw, uint8_t length)
 {
-    uint8_t at = 0;
+    const uint8_t *end = raw + length;
     for (;;) { /* packets are shorter than 254 bytes: each run ends at a zero or at the end */
-        uint8_t end = at;
-        while (end < length && raw[end] != 0u) {
-            end++;
+        const uint8_t *stop = raw;
+        while (stop != end && *stop != 0u) {
+            stop++;
         }
-        board_send((uint8_t)(end - at + 1u));
-        while (at < end) {
-            board_send(raw[at++]);
+        board_send((uint8_t)(stop - raw + 1));
+        while (raw != stop) {
+            board_send(*raw++);
         }
-        if (at++ == length) {
+        if (raw == end) {
             break;
         }
+        raw++;
     }
     board_send(GP_DELIMITER);
+    board_send_now();
 }

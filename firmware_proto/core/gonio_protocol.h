@@ -17,7 +17,6 @@
 #define GP_WRITE_BIT 0x8000u
 #define GP_RESERVED_BIT 0x4000u
 #define GP_IDLE_FRAME 0x0000u
-#define GP_LATE_US 64u
 #define GP_RETRY_MS 250u
 
 #define GP_DEFAULT_CLOCK_HZ 250000ul

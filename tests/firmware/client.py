@@ -1,13 +1,24 @@
-"""Plain host: one request at a time, over the codec, without retries."""
+"""Plain host: one request at a time, over the codec."""
 
 from __future__ import annotations
 
 from typing import Any, TypeVar
 
 from adis_gonio.bus.wire import Body, Packet, Receiver, encode
-from adis_gonio.bus.wire.protocol import VERSION, Error, HelloReply, HelloRequest, PacketType, Scans
+from adis_gonio.bus.wire.protocol import (
+    RETRY_MS,
+    VERSION,
+    Error,
+    HelloReply,
+    HelloRequest,
+    PacketType,
+    Scans,
+)
 
 Reply = TypeVar("Reply", bound=Body)
+
+
+TRIES = 3
 
 
 class Refused(Exception):
@@ -19,32 +30,39 @@ class Refused(Exception):
 
 
 class Client:
-    """Requests over a port that looks like pyserial's."""
+    """Requests over a port with `send`, `receive` and `now_s`."""
 
-    def __init__(self, port: Any, timeout_s: float = 0.5, clock: Any = None) -> None:
+    def __init__(self, port: Any, timeout_s: float = RETRY_MS / 1000) -> None:
         self.port = port
         self.receiver = Receiver()
         self.next_id = 100
         self.scans: list[Packet] = []
         self.late: list[Packet] = []
+        self.retries = 0
         self._timeout_s = timeout_s
-        self._now_s = clock or port.now_s
 
     def hello(self, nonce: int = 1) -> HelloReply:
         return self.request(HelloRequest(VERSION, nonce), HelloReply)
 
     def request(self, body: Body, reply: type[Reply]) -> Reply:
+        """A request with a new id, repeated with that id until it is answered."""
         self.next_id = (self.next_id + 1) & 0xFFFF
+        for _ in range(TRIES - 1):
+            self.send(body, self.next_id)
+            try:
+                return self.answer(self.next_id, reply)
+            except TimeoutError:
+                self.retries += 1
         self.send(body, self.next_id)
         return self.answer(self.next_id, reply)
 
     def send(self, body: Body, request_id: int) -> None:
-        self.port.write(encode(Packet.of(body, request_id)))
+        self.port.send(encode(Packet.of(body, request_id)))
 
     def answer(self, request_id: int, reply: type[Reply]) -> Reply:
         """The reply with an id; `Refused`, or `TimeoutError`."""
-        end = self._now_s() + self._timeout_s
-        while self._now_s() < end:
+        end = self.port.now_s() + self._timeout_s
+        while self.port.now_s() < end:
             answer = None
             for packet in self.poll():
                 if packet.id == request_id and packet.type in (reply.TYPE, PacketType.ERROR):
@@ -59,9 +77,7 @@ class Client:
 
     def poll(self, wait_s: float = 0.001) -> list[Packet]:
         """Packets but scans, which are kept aside."""
-        self.port.timeout = wait_s
-        data = self.port.read(max(1, self.port.in_waiting))
-        packets = self.receiver.feed(data)
+        packets = self.receiver.feed(self.port.receive(wait_s))
         self.scans += [packet for packet in packets if packet.type == PacketType.SCANS]
         return [packet for packet in packets if packet.type != PacketType.SCANS]
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from adis_gonio.bus.wire.protocol import BAUD
 from firmware import avr_build, host_core
 from firmware.client import Client
 from firmware.host_core import HostCore
@@ -44,7 +45,7 @@ def core(host_build: Callable[[str], Path]) -> Iterator[HostCore]:
 @pytest.fixture
 def client(core: HostCore) -> Client:
     """A host with an open session."""
-    client = Client(core, timeout_s=5, clock=core.patience)
+    client = Client(core, timeout_s=5)
     client.hello()
     return client
 
@@ -66,7 +67,7 @@ def make_rig(avr_elf: Callable[..., Path]) -> Iterator[Callable[..., Any]]:
     rigs = []
 
     def make(world: Any, *, chip: Any = None, **options: int) -> Rig:
-        rigs.append(Rig(avr_elf(**options), world, chip))
+        rigs.append(Rig(avr_elf(**options), world, chip, baud=options.get("BAUD", BAUD)))
         return rigs[-1]
 
     yield make

@@ -38,7 +38,7 @@ def build(folder: Path, target: str) -> Path:
 
 
 class HostCore:
-    """The core, its board, and a port that looks like pyserial's.
+    """The core, its board, and a port for hosts.
 
     Attributes
     ----------
@@ -62,8 +62,7 @@ class HostCore:
             self._hook, ctypes.c_void_p
         ).value
         self.time_us = 0
-        self.timeout: float | None = None
-        self.silent_reads = 0
+        self._silent_reads = 0
         self._lib.host_start()
 
     def _frame(self, word: int) -> int:
@@ -108,20 +107,17 @@ class HostCore:
 
     # -- port ------------------------------------------------------------------------------------
 
-    def write(self, data: bytes) -> int:
-        self._lib.host_feed(data, len(data))
-        return len(data)
-
-    in_waiting = 4096
-
-    def read(self, size: int = 1) -> bytes:
-        self.poll()
-        buffer = ctypes.create_string_buffer(size)
-        count = self._lib.host_take(buffer, size)
-        data = buffer.raw[:count]
-        self.silent_reads = 0 if data else self.silent_reads + 1
-        return data
-
-    def patience(self) -> float:
+    def now_s(self) -> float:
         """A clock that runs while nothing comes."""
-        return float(self.silent_reads)
+        return float(self._silent_reads)
+
+    def send(self, data: bytes) -> None:
+        self._lib.host_feed(data, len(data))
+
+    def receive(self, wait_s: float) -> bytes:
+        """What the firmware sends within a few rounds of its main loop."""
+        self.poll()
+        buffer = ctypes.create_string_buffer(4096)
+        count = self._lib.host_take(buffer, 4096)
+        self._silent_reads += not count
+        return buffer.raw[:count]

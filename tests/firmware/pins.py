@@ -79,9 +79,9 @@ class PinLog:
             f"{len(frame.falling)} falling and {len(frame.rising)} rising edges of the clock, not 16",
             frame,
         )
-        in_turn = all(
-            low < high for low, high in zip(frame.falling, frame.rising, strict=False)
-        ) and all(high < low for high, low in zip(frame.rising, frame.falling[1:], strict=False))
+        in_turn = all(low < high for low, high in zip(frame.falling, frame.rising, strict=False)) and all(
+            high < low for high, low in zip(frame.rising, frame.falling[1:], strict=False)
+        )
         self._require(in_turn, "the first edge of a clock is not the falling one: not mode 3", frame)
         # Mode 3 samples at the rising edge: data stand there for a cycle (62.5 ns) before and behind,
         # which is more than t_DSU = 24.4 ns and t_DHD = 48.8 ns.
@@ -95,6 +95,10 @@ class PinLog:
             self._at_least("stall", frame.fall - self._last_rise, limits.stall, frame)
             self._at_least("period", frame.fall - self._last_fall, limits.period, frame)
         self._last_fall, self._last_rise = frame.fall, frame.rise
+
+    def forget(self) -> None:
+        """Start the tightest values anew."""
+        self.least.clear()
 
     def least_us(self, what: str, mode: str) -> float:
         """Tightest stall, period or clock period seen in a mode, in µs."""

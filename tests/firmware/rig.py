@@ -2,18 +2,23 @@
 
 Everything happens in simulated time, one cycle of 62.5 ns after the other; the chip sees the edges that
 the port makes, and every frame is judged by `PinLog`. `Rig.port` is the other end of the UART.
+
+What yasimavr 0.1.6 does otherwise than the part: edges come at the end of an instruction, up to three
+cycles late, and a byte that is sent while a received one waits in UDR0 overwrites it. The latter costs a
+request now and then; hosts repeat it.
 """
 
 from __future__ import annotations
 
+import bisect
 import math
-from collections import deque
 from pathlib import Path
 from typing import Any
 
 import yasimavr.lib.core as core
 from yasimavr.device_library import load_device
 
+from adis_gonio.bus.wire.protocol import BAUD
 from adis_gonio.sensor.registers import BY_NAME
 from adis_gonio.sim.chip import SimulatedChip, State
 from adis_gonio.sim.lines import levels
@@ -41,15 +46,21 @@ class Rig:
         Surroundings of the chip.
     chip : SimulatedChip
         A chip of one's own; powered since `-POWERED_BEFORE_S` otherwise.
+    baud : int
+        Of the host's side of the line.
     """
 
-    def __init__(self, elf: Path, world: World, chip: SimulatedChip | None = None) -> None:
+    def __init__(
+        self, elf: Path, world: World, chip: SimulatedChip | None = None, *, baud: int = BAUD
+    ) -> None:
         self.world = world
         self.chip = chip or SimulatedChip(
             world, world.variant, start_s=-POWERED_BEFORE_S, data_ready_pulse_s=PULSE_S
         )
         self.log = PinLog()
-        self.edges = 0
+        self.edges_s: list[float] = []
+        self.replies: list[int] = []
+        self.resets: list[tuple[float, float]] = []
         self.mismatches: list[str] = []
         self._device = load_device("atmega328p")
         self._loop = core.SimLoop(self._device)
@@ -58,7 +69,7 @@ class Rig:
         firmware.frequency, firmware.vcc = F_CPU, 5.0
         self._device.load_firmware(firmware)
         self._probe = core.DeviceDebugProbe(self._device)
-        self._cycles = self._loop.cycle_manager()
+        self.cycles = self._loop.cycle_manager()
         self._frame: FrameEdges | None = None
         self._reply = 0
         self._hooks: list[Any] = []
@@ -73,7 +84,8 @@ class Rig:
         self._ready_timer = core.CallableCycleTimer(self._on_ready_timer)
         self._pulse = False
         self._updated = 0
-        self.port = RigPort(self, self._device)
+        self._reset_from_s = 0.0
+        self.port = RigPort(self, self._device, baud)
         self._plan_ready()
 
     def _wire(self, pin: str, callback: Any = None, state: str = "Z") -> Any:
@@ -148,17 +160,30 @@ class Rig:
         start = frame.fall / F_CPU
         hold = now / F_CPU - start - frame.bits / clock_hz
         reply = self.chip.frame(
-            frame.word_in & 0xFFFF, start_s=start, clock_hz=clock_hz, bits=frame.bits, cs_hold_s=max(0.0, hold)
+            frame.word_in & 0xFFFF,
+            start_s=start,
+            clock_hz=clock_hz,
+            bits=frame.bits,
+            cs_hold_s=max(0.0, hold),
         )
+        if self.log.keep_words:
+            self.replies.append(reply)
         if reply != self._reply:
-            self.mismatches.append(f"frame {self.log.frames - 1}: shifted 0x{self._reply:04X}, chip 0x{reply:04X}")
+            self.mismatches.append(
+                f"frame {self.log.frames - 1}: shifted 0x{self._reply:04X}, chip 0x{reply:04X}"
+            )
         if frame.word_in & 0x8000:
             self._plan_ready()  # the write may have changed the rate or the line
 
     # -- RST ------------------------------------------------------------------------------------------
 
     def _on_reset(self, signal: Any, _: Any) -> None:
-        if signal.sigid == _DIGITAL and signal.data.as_uint():
+        if signal.sigid != _DIGITAL:
+            return
+        if not signal.data.as_uint():
+            self._reset_from_s = self.now_s()
+        else:
+            self.resets.append((self._reset_from_s, self.now_s()))
             self.chip.hard_reset(self.now_s())
             self._plan_ready()
 
@@ -178,7 +203,7 @@ class Rig:
         self._drive_ready()
 
     def _schedule(self, time_s: float) -> None:
-        self._cycles.schedule(self._ready_timer, max(math.ceil(time_s * F_CPU), self._loop.cycle() + 1))
+        self.cycles.schedule(self._ready_timer, max(math.ceil(time_s * F_CPU), self._loop.cycle() + 1))
 
     def _on_ready_timer(self, when: int) -> int:
         if self._pulse:
@@ -191,7 +216,8 @@ class Rig:
             self._drive_ready()
             return when + F_CPU // 1000
         self._pulse = True
-        self.edges += self.chip.data_ready_enabled
+        if self.chip.data_ready_enabled:
+            self.edges_s.append(when / F_CPU)
         self._drive_ready()
         self._updated = when
         return when + math.ceil(PULSE_S * F_CPU)
@@ -229,66 +255,79 @@ class Rig:
         untouched = len(ram) - len(ram.lstrip(bytes([PAINT])))
         return RAM_END + 1 - first_free - untouched
 
+    def edges_before(self, time_us: float) -> int:
+        """Data-ready edges until a time of the firmware's clock, which began with the simulation."""
+        return bisect.bisect(self.edges_s, time_us * 1e-6)
+
     def check(self) -> None:
         """Every frame so far kept the chip's limits, and the chip shifted out what the rig said."""
         assert not self.log.violations, self.log.violations[:5]
         assert not self.mismatches, self.mismatches[:5]
 
 
-class RigPort:
-    """The host's end of the UART, shaped as pyserial's `Serial`; its time-outs are simulated time."""
+class HostLine(core.UART.USART):  # type: ignore[misc]
+    """The host's transmitter: drives the firmware's RXD bit by bit."""
 
-    def __init__(self, rig: Rig, device: Any) -> None:
-        self.timeout: float | None = 1.0
-        self.write_timeout: float | None = 1.0
+    def __init__(self, manager: Any, pin: Any, bit_cycles: int) -> None:
+        super().__init__()
+        self.wire = core.Wire()
+        self.wire.set_state("H")
+        pin.attach(self.wire)
+        self.init(manager)
+        self.set_bit_delay(bit_cycles)
+        # yasimavr's receiver waits for the end of the stop bit, where the next start bit would begin; a
+        # real one is satisfied in its middle.
+        self.set_stopbits(2)
+
+    def set_line_state(self, line: Any, state: bool) -> None:
+        """Called for every bit."""
+        if line == core.UART.Line.TXD:
+            self.wire.set_state("H" if state else "L")
+
+    def get_line_state(self, line: Any) -> bool:
+        """Nothing comes in here."""
+        return True
+
+
+class RigPort:
+    """The host's end of the UART; its time-outs are simulated time.
+
+    Bytes take the line's own time both ways; the host's side has no buffers that could overflow.
+    """
+
+    def __init__(self, rig: Rig, device: Any, baud: int) -> None:
         self.sent = self.received = 0
-        self.is_open = True
         self._rig = rig
-        self._device = device
-        self._line = core.IOCTL_UART("0")
-        self._queue: deque[int] = deque()
-        found, answer = device.ctlreq(self._line, core.CTLREQ_GET_SIGNAL)
+        self._line = HostLine(rig.cycles, device.find_pin("PD0"), F_CPU // baud)
+        self._arrived = bytearray()
+        found, answer = device.ctlreq(core.IOCTL_UART("0"), core.CTLREQ_GET_SIGNAL)
         assert found
         self._hook = core.CallableSignalHook(self._on_byte)
         answer.data.value(core.Signal).connect(self._hook)
 
     def _on_byte(self, signal: Any, _: Any) -> None:
         if signal.sigid == core.UART.SignalId.TX_Data:
-            self._queue.append(signal.data.value())
+            self._arrived.append(signal.data.value())
             self.received += 1
-
-    def write(self, data: bytes) -> int:
-        """Put bytes on the line; they arrive one after the other at the line's pace."""
-        request = core.ctlreq_data_t()
-        request.data = core.vardata_t(bytes(data))
-        taken, _ = self._device.ctlreq(self._line, core.CTLREQ_USART_BYTES, request)
-        assert taken
-        self.sent += len(data)
-        return len(data)
 
     def now_s(self) -> float:
         """Simulated time in s."""
         return self._rig.now_s()
 
-    @property
-    def in_waiting(self) -> int:
-        """Bytes that have arrived."""
-        return len(self._queue)
+    def send(self, data: bytes) -> None:
+        """Put bytes on the line; they arrive one after the other at the line's pace."""
+        for byte in data:
+            self._line.push_tx(byte)
+        self.sent += len(data)
 
-    def read(self, size: int = 1) -> bytes:
-        """Up to so many bytes; waits for them until the time-out."""
-        end = math.inf if self.timeout is None else self._rig.now_s() + self.timeout
-        while len(self._queue) < size and self._rig.now_s() < end:
+    def receive(self, wait_s: float) -> bytes:
+        """Whatever has arrived; waits for the first byte for so long."""
+        end = self._rig.now_s() + wait_s
+        while not self._arrived and self._rig.now_s() < end:
             self._rig.run(SLICE)
-        return bytes(self._queue.popleft() for _ in range(min(size, len(self._queue))))
-
-    def flush(self) -> None:
-        """Bytes leave by themselves."""
-
-    def reset_input_buffer(self) -> None:
-        """Throw away what has arrived."""
-        self._queue.clear()
+        data = bytes(self._arrived)
+        self._arrived.clear()
+        return data
 
     def close(self) -> None:
         """The line stays; there is nothing to give back."""
-        self.is_open = False

@@ -52,8 +52,8 @@ REQUESTS: list[tuple[Body, type[Body]]] = [
 ]
 
 
-def outside(core: HostCore, seconds: float = 5) -> Client:
-    return Client(core, timeout_s=seconds, clock=core.patience)
+def outside(core: HostCore) -> Client:
+    return Client(core, timeout_s=5)
 
 
 def statistics(client: Client) -> StatisticsReply:
@@ -99,8 +99,9 @@ def test_an_exchange_sends_its_frames_in_order_and_returns_a_word_for_each(core,
 def test_as_many_frames_as_the_hello_tells_and_not_one_more(core, client):
     most = client.hello(2).max_frames
     assert len(client.request(ExchangeRequest(0, words(*[0x0200] * most)), ExchangeReply).words) == most
+    client.send(ExchangeRequest(0, words(*[0x0200] * (most + 1))), 5000)
     with pytest.raises(TimeoutError):  # it does not even fit the receiver
-        client.request(ExchangeRequest(0, words(*[0x0200] * (most + 1))), ExchangeReply)
+        client.answer(5000, ExchangeReply)
     assert statistics(client).length_errors == 1
     assert len(core.frames) == most
 
@@ -218,7 +219,7 @@ def test_what_is_wrong_is_refused_with_its_place_and_nothing_is_sent(core, clien
 
 @pytest.mark.parametrize("kind", [0, 8, 0x20, 0x7F])
 def test_unknown_requests_are_refused(core, client, kind):
-    core.write(encode(Packet(kind, 900, b"\x01\x02")))
+    core.send(encode(Packet(kind, 900, b"\x01\x02")))
     with pytest.raises(Refused) as caught:
         client.answer(900, StopReply)
     assert caught.value.error.code == Refusal.UNKNOWN_REQUEST
@@ -227,7 +228,7 @@ def test_unknown_requests_are_refused(core, client, kind):
 @pytest.mark.parametrize("kind", [k for k in PacketType if k < 0x80])
 def test_a_body_of_a_wrong_length_is_refused(core, client, kind):
     length = {PacketType.EXCHANGE_REQUEST: 10, PacketType.STREAM_REQUEST: 9}.get(kind, 20)
-    core.write(encode(Packet(kind, 900, b"\x01" * length)))
+    core.send(encode(Packet(kind, 900, b"\x01" * length)))
     with pytest.raises(Refused) as caught:
         client.answer(900, StopReply)
     assert caught.value.error.code == Refusal.BAD_LENGTH
@@ -246,7 +247,7 @@ def test_no_single_bit_error_is_ever_executed(core, client):
         bad[k // 8] ^= 1 << k % 8
         if bytes(bad).strip(b"\0") == wire.strip(b"\0"):
             continue
-        core.write(bytes(bad) + b"\0")
+        core.send(bytes(bad) + b"\0")
         core.poll()
     broken = len(core.frames)
     client.next_id = 700
@@ -258,13 +259,13 @@ def test_no_single_bit_error_is_ever_executed(core, client):
 
 
 def test_noise_before_a_request_costs_the_noise_only(core, client):
-    core.write(b"\x07noise without an end")
+    core.send(b"\x07noise without an end")
     assert client.request(READ, ExchangeReply).words.size == 3
     assert statistics(client).cobs_errors + statistics(client).crc_errors >= 1
 
 
 def test_an_echo_is_discarded(core, client):
-    core.write(encode(Packet.of(StopReply(1, 2), client.next_id + 1)))
+    core.send(encode(Packet.of(StopReply(1, 2), client.next_id + 1)))
     core.poll()
     assert statistics(client).discarded == 1
 
@@ -274,7 +275,7 @@ def test_the_request_after_a_full_transmitter_is_answered_when_there_is_room(cor
     client.send(READ, 800)
     client.send(StopRequest(), 801)
     core.poll()
-    assert core.read(100) == b""
+    assert core.receive(0) == b""
     core.limit_room(255)
     assert [(packet.id, len(packet.body)) for packet in client.poll()] == [(800, 6), (801, 8)]
 

@@ -33,5 +33,7 @@ def test_the_c_core_agrees_with_the_shared_vectors(host_build):
 def test_the_c_core_notices_a_wrong_vector(host_build, tmp_path):
     wrong = tmp_path / "wrong.txt"
     wrong.write_text("crc 313233343536373839 29b2\n")
-    done = subprocess.run([str(host_build("vectors")), str(wrong)], capture_output=True, check=False, timeout=60)
+    done = subprocess.run(
+        [str(host_build("vectors")), str(wrong)], capture_output=True, check=False, timeout=60
+    )
     assert done.returncode == 1
