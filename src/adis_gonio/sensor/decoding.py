@@ -24,6 +24,9 @@ from adis_gonio.sensor.variants import Variant, variant
 
 Floats = NDArray[np.float64]
 
+_LONG_ROW = 512
+"""Words that are handled in a row: rows of a few registers are too short for numpy's inner loop."""
+
 
 def decode_numbers(table: Sequence[Register], words: Words) -> NDArray[np.int32]:
     """Numbers of registers: flags and unused bits masked off, signs extended.
@@ -37,11 +40,19 @@ def decode_numbers(table: Sequence[Register], words: Words) -> NDArray[np.int32]
     -------
     (n, k) int32
     """
-    # Shifting the number to the top of 32 bits and back extends the sign or clears the rest.
-    shifts = np.array([32 - register.bits for register in table], np.uint32)
-    signed = np.array([register.signed for register in table])
-    top = words.astype(np.uint32) << shifts
-    return np.where(signed, top.view(np.int32) >> shifts.astype(np.int32), (top >> shifts).view(np.int32))
+    # (word & mask ^ sign) - sign masks the flags off and extends the sign; sign is 0 where there is none.
+    mask = np.array([(1 << row.bits) - 1 for row in table], np.uint16)
+    sign = np.array([1 << row.bits - 1 if row.signed else 0 for row in table], np.uint16)
+    count, width = words.shape
+    numbers = np.empty(words.shape, np.int32)
+    rows = max(1, _LONG_ROW // width)
+    whole = count - count % rows
+    for part, tiles in ((slice(0, whole), rows), (slice(whole, count), 1)):
+        shape = (-1, tiles * width)
+        masks, signs = np.tile(mask, tiles), np.tile(sign, tiles)
+        bits = words[part].reshape(shape) & masks ^ signs
+        np.subtract(bits, signs, out=numbers[part].reshape(shape), dtype=np.int32)
+    return numbers
 
 
 def scales(

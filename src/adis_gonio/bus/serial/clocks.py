@@ -35,6 +35,7 @@ class ClockMap:
         self._s = 0.0
         self._anchor = (0.0, arrival_s)
         self._points: list[tuple[float, float]] = []
+        self._fitted: tuple[float, float, float] | None = None
 
     def times(self, first_us: int, span_us: int, count: int, arrival_s: float) -> NDArray[np.float64]:
         """Times (count,) of evenly spaced scans on the bus's clock.
@@ -66,21 +67,25 @@ class ClockMap:
         return self._s
 
     def _learn(self, time_s: float, arrival_s: float) -> None:
+        late_s = arrival_s - time_s
         points = self._points
-        if points and time_s - points[-1][0] < _WHILE_S and len(points) > 1:
-            before = points[-1]
-            if arrival_s - time_s < before[1] - before[0]:
-                points[-1] = (before[0], arrival_s - time_s + before[0])
+        if points and time_s - points[-1][0] < _WHILE_S:
+            points[-1] = (points[-1][0], min(points[-1][1], late_s))
         else:
-            points.append((time_s, arrival_s))
+            if len(points) >= _LEAST_POINTS:
+                self._fit()
+            points.append((time_s, late_s))
             del points[:-_POINTS]
 
+    def _fit(self) -> None:
+        """Straight line through the points, all of which are complete now."""
+        at, late = np.array(self._points).T
+        middle = float(at.mean())
+        slope = float((at - middle) @ late / ((at - middle) @ (at - middle)))
+        self._fitted = (middle, float(late.mean()), slope)
+
     def _line(self, time_s: float) -> float:
-        points = np.array(self._points)
-        late = points[:, 1] - points[:, 0]
-        if len(points) < _LEAST_POINTS:
-            return float(time_s + late.min())
-        # The newest point is not complete; the line is fitted to the delay, which is small and flat.
-        middle = points[:, 0].mean()
-        slope, offset = np.polyfit(points[:, 0] - middle, late, 1)
-        return float(time_s + offset + slope * (time_s - middle))
+        if self._fitted is None:
+            return time_s + min(late for _, late in self._points)
+        middle, offset, slope = self._fitted
+        return time_s + offset + slope * (time_s - middle)
