@@ -26,7 +26,8 @@ PYTEST = (
     *("-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:hypothesispytest"),
     *("--color=no", "-v", "-rA", "--durations=0", "-o", "junit_family=legacy"),
 )
-GUEST_TIME_S = 210
+GUEST_TIME_S = 400
+"""An idle host needs a quarter of it; a busy one shall not fail for that."""
 FIRMWARE_END_S = 20
 
 
@@ -57,8 +58,11 @@ def test_the_guests_tests_pass_in_a_real_kernel(tmp_path: Path) -> None:
             qemu_options=board,
         )
     sys.stdout.write(f"{run.console}\nkernel {image.release}: {run.elapsed_s:.0f} s\n")
-    assert run.status is not None, f"the guest did not end within {GUEST_TIME_S} s; its console is above"
-    outcome = outcomes(share / "junit.xml")
+    report = share / "junit.xml"
+    assert report.exists(), (
+        f"the guest's tests did not end within {GUEST_TIME_S} s ({run.status}), see above"
+    )
+    outcome = outcomes(report)
     assert {name for name, result in outcome.items() if result in ("failure", "error")} == set()
     assert {name.partition("[")[0] for name in outcome} == written_tests()
     assert run.status == 0
