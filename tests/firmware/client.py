@@ -21,7 +21,7 @@ Reply = TypeVar("Reply", bound=Body)
 TRIES = 3
 
 
-class Refused(Exception):
+class RefusedError(Exception):
     """The firmware answered with an error."""
 
     def __init__(self, error: Error) -> None:
@@ -60,7 +60,7 @@ class Client:
         self.port.send(encode(Packet.of(body, request_id)))
 
     def answer(self, request_id: int, reply: type[Reply]) -> Reply:
-        """The reply with an id; `Refused`, or `TimeoutError`."""
+        """The reply with an id; `RefusedError`, or `TimeoutError`."""
         end = self.port.now_s() + self._timeout_s
         while self.port.now_s() < end:
             answer = None
@@ -71,7 +71,7 @@ class Client:
                     self.late.append(packet)
             if answer is not None:
                 if answer.type == PacketType.ERROR:
-                    raise Refused(Error.unpack(answer.body))
+                    raise RefusedError(Error.unpack(answer.body))
                 return reply.unpack(answer.body)
         raise TimeoutError(f"no answer to request {request_id}")
 

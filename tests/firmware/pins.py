@@ -3,7 +3,9 @@
 The limits stand here as the data sheet gives them, apart from those of the simulated chip.
 """
 
+import itertools
 from dataclasses import dataclass, field
+from statistics import median
 
 F_CPU = 16_000_000
 LAST_FAST = 0x09
@@ -50,6 +52,12 @@ class FrameEdges:
         """
         edges = (self.falling, self.rising)
         return min((b - a for row in edges for a, b in zip(row, row[4:], strict=False)), default=0) / 4
+
+    @property
+    def usual_clock(self) -> float:
+        """Median clock period in cycles, which those late edges leave alone."""
+        edges = (self.falling, self.rising)
+        return median([b - a for row in edges for a, b in itertools.pairwise(row)] or [F_CPU // 1_000_000])
 
 
 @dataclass

@@ -156,7 +156,7 @@ class Rig:
         self._miso_level = None
         frame.rise, frame.clock_at_rise = now, bool(self._clock.digital_state())
         self.log.judge(frame)
-        clock_hz = F_CPU / frame.shortest_clock if frame.shortest_clock else 1e6
+        clock_hz = F_CPU / frame.usual_clock
         start = frame.fall / F_CPU
         hold = now / F_CPU - start - frame.bits / clock_hz
         reply = self.chip.frame(

@@ -28,7 +28,7 @@ from adis_gonio.bus.wire.protocol import (
     StreamRequest,
     Trigger,
 )
-from firmware.client import Client, Refused
+from firmware.client import Client, RefusedError
 from firmware.host_core import HostCore
 
 DEFAULT = (DEFAULT_CLOCK_HZ, DEFAULT_STALL_US, DEFAULT_PERIOD_US)
@@ -61,7 +61,7 @@ def statistics(client: Client) -> StatisticsReply:
 
 
 def refusal(client: Client, body: Body) -> tuple[Refusal, int]:
-    with pytest.raises(Refused) as caught:
+    with pytest.raises(RefusedError) as caught:
         client.request(body, ExchangeReply)
     assert caught.value.error.request == body.TYPE
     return Refusal(caught.value.error.code), caught.value.error.detail
@@ -77,7 +77,7 @@ def test_hello_tells_versions_limits_clocks_and_the_board(core):
 
 def test_another_protocol_version_is_refused_with_the_firmwares_own(core):
     client = outside(core)
-    with pytest.raises(Refused) as caught:
+    with pytest.raises(RefusedError) as caught:
         client.request(HelloRequest(VERSION + 1, 1), HelloReply)
     assert (caught.value.error.code, caught.value.error.detail) == (Refusal.PROTOCOL_VERSION, VERSION)
     assert refusal(client, READ)[0] is Refusal.NO_SESSION
@@ -126,7 +126,7 @@ def test_a_repeated_request_gets_the_same_answer_and_nothing_is_done_twice(core,
 def test_a_repeated_refusal_is_the_same_refusal(core, client):
     for _ in range(2):
         client.send(ExchangeRequest(0, words(0x4000)), 500)
-        with pytest.raises(Refused) as caught:
+        with pytest.raises(RefusedError) as caught:
             client.answer(500, ExchangeReply)
         assert caught.value.error.code == Refusal.BAD_FRAME
     assert core.frames == []
@@ -136,7 +136,7 @@ def test_an_id_with_other_content_is_refused_and_the_stored_reply_stays(core, cl
     client.send(READ, 500)
     first = client.answer(500, ExchangeReply)
     client.send(WRITE, 500)
-    with pytest.raises(Refused) as caught:
+    with pytest.raises(RefusedError) as caught:
         client.answer(500, ExchangeReply)
     assert caught.value.error.code == Refusal.ID_REUSED
     client.send(READ, 500)
@@ -220,7 +220,7 @@ def test_what_is_wrong_is_refused_with_its_place_and_nothing_is_sent(core, clien
 @pytest.mark.parametrize("kind", [0, 8, 0x20, 0x7F])
 def test_unknown_requests_are_refused(core, client, kind):
     core.send(encode(Packet(kind, 900, b"\x01\x02")))
-    with pytest.raises(Refused) as caught:
+    with pytest.raises(RefusedError) as caught:
         client.answer(900, StopReply)
     assert caught.value.error.code == Refusal.UNKNOWN_REQUEST
 
@@ -229,7 +229,7 @@ def test_unknown_requests_are_refused(core, client, kind):
 def test_a_body_of_a_wrong_length_is_refused(core, client, kind):
     length = {PacketType.EXCHANGE_REQUEST: 10, PacketType.STREAM_REQUEST: 9}.get(kind, 20)
     core.send(encode(Packet(kind, 900, b"\x01" * length)))
-    with pytest.raises(Refused) as caught:
+    with pytest.raises(RefusedError) as caught:
         client.answer(900, StopReply)
     assert caught.value.error.code == Refusal.BAD_LENGTH
 

@@ -1,4 +1,4 @@
-"""The core under the address and undefined-behaviour sanitizers. scripts/fuzz_wire.py runs it for longer."""
+"""The core under the sanitizers; scripts/fuzz_wire.py runs it for longer."""
 
 import re
 import subprocess

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -21,7 +23,7 @@ from adis_gonio.bus.wire.protocol import (
     StreamRequest,
     Trigger,
 )
-from firmware.client import Client, Refused
+from firmware.client import Client, RefusedError
 from firmware.host_core import HostCore
 
 LIST = (0x0400, 0x0600, 0x0800)
@@ -119,7 +121,7 @@ def test_triggers_lost_on_a_line_that_is_too_slow_are_counted_to_the_one(core, c
     taken = [t for p in packets for t in times(p)]
     assert len(set(taken)) == len(taken)
     assert all((t - 10_000) % PERIOD == 0 for t in taken)
-    for before, after in zip(packets, packets[1:], strict=False):
+    for before, after in itertools.pairwise(packets):
         n = before.words.size // len(LIST)
         gap = (after.first_us - before.first_us - before.span_us) // PERIOD - 1
         assert after.sequence == before.sequence + n
@@ -224,7 +226,7 @@ def test_the_edge_is_the_one_asked_for(core, client, trigger, falling):
 )
 def test_what_would_disturb_a_stream_is_refused_while_it_runs(core, client, body):
     start(client, scans=1)
-    with pytest.raises(Refused) as caught:
+    with pytest.raises(RefusedError) as caught:
         client.request(body, ResetReply)
     assert caught.value.error.code == Refusal.BUSY
     assert len(run(core, client, 0, 3)) == 3
