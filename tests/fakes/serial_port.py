@@ -44,8 +44,10 @@ class FakePort:
         end_s = self.clock.now_s() + wait_s
         while True:
             self._work()
+            if self.clock.now_s() > end_s:
+                return b""  # the firmware was at work for longer than the host waits
             data = self._back.take(self.clock.now_s(), BUFFER)
-            if data or self.clock.now_s() >= end_s:
+            if data or self.clock.now_s() == end_s:
                 return data
             times = (self._there.next_s(), self._back.next_s(), self.firmware.next_event_s())
             self.clock.advance_to(min([end_s, *(t for t in times if t is not None)]))
