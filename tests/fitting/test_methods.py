@@ -444,6 +444,8 @@ def test_what_a_method_needs_is_said_in_one_line(method, angles, words):
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
     assert caught.value.exit_code == 1
+    with pytest.raises(FitError, match=r"^there\.csv: "):
+        fit(planar(tuple(angles), source="there.csv"), method)
 
 
 def test_an_unknown_method_is_wrong_usage():
