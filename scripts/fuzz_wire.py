@@ -1,4 +1,4 @@
-"""Random bytes into both parsers of the wire protocol: the C core under sanitizers, and the Python receiver.
+"""Random bytes into both parsers of the wire protocol: the C core under sanitizers, the Python receiver.
 
 Ten million bytes each unless told otherwise. Exit 1 where something crashed, or the core sent a frame
 with the write bit or with bit 14 that nobody asked for.

@@ -48,9 +48,8 @@ def main() -> int:
     steps = np.diff(times) * RATE
     repeated = int((~(words & 0x8000).astype(bool).all(axis=1)).sum())
     gaps = int((np.rint(steps) - 1).sum())
-    print(
-        f"{len(times)} scans in {np.ptp(times):.3f} s, lost by count {lost}, by time {gaps}, repeated {repeated}"
-    )
+    print(f"{len(times)} scans in {np.ptp(times):.3f} s")
+    print(f"lost by the firmware's count {lost}, by time {gaps}; repeated {repeated}")
     print(f"distance of scans {steps.min():.4f} to {steps.max():.4f} periods")
     ratio = bytes_in / (14 * len(times))
     print(f"bytes on the line: {bytes_in / len(times):.3f} a scan of 14 bytes, ratio {ratio:.4f}")

@@ -242,6 +242,18 @@ class Rig:
             self._ready_state = state
             self._ready.set_state(state)
 
+    def edge_at(self, cycle: int) -> None:
+        """A rising edge of data-ready at a cycle, whatever the chip does; it is low again 20 µs later."""
+        states = ["H", "L"]
+
+        def drive(when: int) -> int:
+            self._ready.set_state(states.pop(0))
+            return when + 320 if states else 0
+
+        self._ready.set_state("L")
+        self._own_edge = core.CallableCycleTimer(drive)
+        self.cycles.schedule(self._own_edge, cycle)
+
     # -- memory -------------------------------------------------------------------------------------------
 
     def paint_stack(self, first_free: int) -> None:

@@ -186,6 +186,26 @@ def test_seven_registers_at_the_full_rate_come_without_a_lost_or_repeated_scan(m
     assert counts.receive_overruns == 0
 
 
+def test_stamps_are_right_where_the_timer_wraps_under_the_interrupt(make_rig):
+    rig, client = connect(make_rig)
+    configure(client, 1_000_000, 9, 40)
+    client.request(StreamRequest(Trigger.RISING, 1, 1, 0, words([0x0200])), StreamReply)
+
+    def stamp(cycle: int) -> float:
+        """What the firmware's clock is behind the simulation's at an edge, in µs."""
+        rig.edge_at(cycle)
+        while rig.now_s() * F_CPU < cycle + 16_000:
+            client.poll(0.0005)
+        (packet,) = client.take_scans()
+        return cycle / 16 - packet.first_us
+
+    wrap = 65_536 * 8  # cycles of the 16-bit timer at half a microsecond
+    behind = stamp(wrap + wrap // 2)
+    start = round(behind * 16)  # the cycle at which the timer began, but for the interrupt's latency
+    stamps = [stamp((n + 2) * wrap + start + 10 * (n - 15)) for n in range(31)]
+    assert np.abs(np.array(stamps) - behind).max() < 8
+
+
 def test_streams_in_normal_mode_lose_nothing_either(make_rig):
     rig, client = connect(make_rig)
     exchange(client, [*DATA_READY_ON, *SMPL_PRD_10])
