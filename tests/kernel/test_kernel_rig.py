@@ -42,7 +42,10 @@ def test_the_guests_tests_pass_in_a_real_kernel(tmp_path: Path) -> None:
     no_firmware = avr_build.missing()
     share = tmp_path / "share"
     share.mkdir()
-    with contextlib.nullcontext([]) if no_firmware else firmware(tmp_path) as board:
+    cable: contextlib.AbstractContextManager[list[str]] = firmware(tmp_path)
+    if no_firmware:
+        cable = contextlib.nullcontext([])
+    with cable as board:
         run = run_in_guest(
             image,
             share,

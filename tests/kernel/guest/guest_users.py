@@ -30,7 +30,7 @@ def run(*arguments: str, groups: Sequence[str] | None = None) -> str:
         command, capture_output=True, text=True, timeout=PROGRAM_TIME_S, check=False, **user
     )
     assert done.returncode == 0, f"{arguments} ended with {done.returncode}: {done.stderr}"
-    return done.stdout
+    return str(done.stdout)
 
 
 def open_as_user(urls: Sequence[str], groups: Sequence[str]) -> list[dict[str, Any]]:
