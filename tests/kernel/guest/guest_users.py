@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
+from adis_gonio.cli import app
 from kernel.bench import Bench, node, settle
 
 BENCH_USER = 4242
@@ -19,23 +21,27 @@ SUPPLY_5_V = 2730
 PROGRAM_TIME_S = 80
 
 
-def run(*arguments: str, groups: Sequence[str] | None = None) -> str:
-    """Output of a Python program, as root or as a user of some groups."""
-    user: dict[str, Any] = {}
-    if groups is not None:
-        members = [grp.getgrnam(name).gr_gid for name in groups]
-        user = {"user": BENCH_USER, "group": BENCH_USER, "extra_groups": members}
-    command = [sys.executable, "-m", *arguments]
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=PROGRAM_TIME_S, check=False, **user
-    )
-    assert done.returncode == 0, f"{arguments} ended with {done.returncode}: {done.stderr}"
-    return str(done.stdout)
+def command(*arguments: str) -> str:
+    """What `adis-gonio` prints; in this process, because the guest takes seconds to start a program."""
+    done = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.stdout
 
 
 def open_as_user(urls: Sequence[str], groups: Sequence[str]) -> list[dict[str, Any]]:
-    lines = run("kernel.open_urls", *urls, groups=groups).splitlines()
-    return [json.loads(line) for line in lines]
+    """What a user of some groups gets from the boards."""
+    done = subprocess.run(
+        [sys.executable, "-m", "kernel.open_urls", *urls],
+        user=BENCH_USER,
+        group=BENCH_USER,
+        extra_groups=[grp.getgrnam(name).gr_gid for name in groups],
+        capture_output=True,
+        text=True,
+        timeout=PROGRAM_TIME_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()]
 
 
 def plug_all(bench: Bench) -> list[str]:
@@ -59,8 +65,7 @@ def no_rules(bench: Bench) -> Iterator[None]:
 def test_devices_lists_what_is_connected(bench: Bench) -> None:
     plug_all(bench)
     devices = {
-        row["url"]: row["description"]
-        for row in json.loads(run("adis_gonio", "devices", "--json"))["devices"]
+        row["url"]: row["description"] for row in json.loads(command("devices", "--json"))["devices"]
     }
     assert str(node("A1", "hidraw")) in devices["mcp2210:A1"]
     assert "CP2130" in devices["cp2130:B2"]
@@ -82,7 +87,7 @@ def test_without_the_rules_a_user_is_refused_and_told_the_rule_with_them_it_work
         assert "adis-gonio devices --udev" in row["message"]
         assert words in row["message"]
 
-    RULES.write_text(run("adis_gonio", "devices", "--udev"))
+    RULES.write_text(command("devices", "--udev"))
     subprocess.run(["udevadm", "control", "--reload"], check=True)
     bench.clear()
     plug_all(bench)
