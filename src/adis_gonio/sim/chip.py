@@ -208,7 +208,7 @@ class SimulatedChip:
 
     @property
     def pending_reply(self) -> int:
-        """What a sound frame that began now would shift out; pin-level rigs need it before the frame is over."""
+        """What a sound frame that began now would shift out; pin-level rigs need it before its end."""
         if self._state in (State.STARTING, State.RESTORING, State.ASLEEP, State.DEAD):
             return self.floating_word
         return self._reply
