@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +25,8 @@ from adis_gonio.sensor.variants import Variant, variant
 
 Floats = NDArray[np.float64]
 
-_LONG_ROW = 512
-"""Words that are handled in a row: rows of a few registers are too short for numpy's inner loop."""
+_IN_CACHE = 32_768
+"""Words that are handled at a time: long rows for numpy's inner loops, short enough for the cache."""
 
 
 def decode_numbers(table: Sequence[Register], words: Words) -> NDArray[np.int32]:
@@ -40,19 +41,35 @@ def decode_numbers(table: Sequence[Register], words: Words) -> NDArray[np.int32]
     -------
     (n, k) int32
     """
-    # (word & mask ^ sign) - sign masks the flags off and extends the sign; sign is 0 where there is none.
-    mask = np.array([(1 << row.bits) - 1 for row in table], np.uint16)
-    sign = np.array([1 << row.bits - 1 if row.signed else 0 for row in table], np.uint16)
-    count, width = words.shape
+    width = words.shape[1]
+    masks, signs = _masks_and_signs(tuple((row.bits, row.signed) for row in table))
+    scans = len(masks) // width
+    bits = np.empty(scans * width, np.uint16)
     numbers = np.empty(words.shape, np.int32)
-    rows = max(1, _LONG_ROW // width)
-    whole = count - count % rows
-    for part, tiles in ((slice(0, whole), rows), (slice(whole, count), 1)):
-        shape = (-1, tiles * width)
-        masks, signs = np.tile(mask, tiles), np.tile(sign, tiles)
-        bits = words[part].reshape(shape) & masks ^ signs
-        np.subtract(bits, signs, out=numbers[part].reshape(shape), dtype=np.int32)
+    for at in range(0, words.shape[0], scans):
+        part = words[at : at + scans].reshape(-1)
+        size = part.size
+        held = bits[:size]
+        np.bitwise_and(part, masks[:size], out=held)
+        np.bitwise_xor(held, signs[:size], out=held)
+        np.subtract(held, signs[:size], out=held)
+        numbers[at : at + scans].reshape(-1)[:] = held.view(np.int16)
+    for k, row in enumerate(table):
+        if row.bits == 16 and not row.signed:  # the only kind that is not a signed number of 16 bits
+            numbers[:, k] &= 0xFFFF
     return numbers
+
+
+@lru_cache(maxsize=64)
+def _masks_and_signs(layout: tuple[tuple[int, bool], ...]) -> tuple[Words, Words]:
+    """Rows of masks and sign bits for as many scans as are handled at a time.
+
+    (word & mask ^ sign) - sign masks the flags off and extends the sign; sign is 0 where there is none.
+    """
+    mask = np.array([(1 << bits) - 1 for bits, _ in layout], np.uint16)
+    sign = np.array([1 << bits - 1 if signed else 0 for bits, signed in layout], np.uint16)
+    scans = max(1, _IN_CACHE // len(layout))
+    return np.tile(mask, scans), np.tile(sign, scans)
 
 
 def scales(
