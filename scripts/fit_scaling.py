@@ -114,7 +114,7 @@ def main() -> int:
         "--positions", type=int, default=10_000, help="the smaller number; ten times it too"
     )
     parser.add_argument("--dense", type=int, default=200, help="positions of the comparison with scipy")
-    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--runs", type=int, default=5)
     options = parser.parse_args()
     rng = np.random.default_rng(1)
     slow = False
