@@ -28,9 +28,14 @@ def console(*, stderr: bool = False) -> Console:
     return screen if screen.is_terminal else Console(stderr=stderr, highlight=False, width=200)
 
 
+def json_text(document: Any) -> str:
+    """One JSON document as text; what is not finite becomes null."""
+    return json.dumps(_plain(document), ensure_ascii=False, indent=2, allow_nan=False)
+
+
 def print_json(document: Any) -> None:
-    """Write one JSON document to standard output; what is not finite becomes null."""
-    click.echo(json.dumps(_plain(document), ensure_ascii=False, indent=2, allow_nan=False))
+    """Write one JSON document to standard output."""
+    click.echo(json_text(document))
 
 
 def _plain(value: Any) -> Any:

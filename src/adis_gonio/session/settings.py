@@ -10,6 +10,7 @@ from typing import Any
 from adis_gonio.errors import UsageError
 from adis_gonio.sensor.driver import DEFAULT_SCAN
 from adis_gonio.sensor.registers import ACCEL_OUT
+from adis_gonio.sensor.settings import sample_period_s, sens_avg_word
 
 LEAST_SAMPLES = 16
 """A dwell of fewer samples tells too little about its own noise."""
@@ -37,6 +38,11 @@ class Settings:
         Data-ready pulses; None enables them where the bus can use them.
     registers : tuple of str
         What a scan holds; the three accelerometer outputs are the least.
+
+    Raises
+    ------
+    UsageError
+        A value that the sensor does not have, or a dwell too short for its rate.
     """
 
     dwell_s: float = 10.0
@@ -56,6 +62,15 @@ class Settings:
         if not (math.isfinite(self.settle_s) and self.settle_s >= 0):
             raise UsageError(f"settle_s is {self.settle_s}: take 0 s or more")
         missing = [name for name in ACCEL_OUT if name not in self.registers]
+        sens_avg_word(self.gyro_range_dps, self.filter_m)
+        if not 1 <= self.smpl_prd <= 0xFF:
+            raise UsageError(f"smpl_prd is {self.smpl_prd}: take 1 (819.2 samples a second) to 255")
+        period_s = sample_period_s(self.smpl_prd)
+        if self.dwell_s < LEAST_SAMPLES * period_s:
+            raise UsageError(
+                f"dwell_s is {self.dwell_s:g}: at {1 / period_s:.4g} samples a second"
+                f" take {LEAST_SAMPLES * period_s:.3g} s or more"
+            )
         if missing:
             raise UsageError(f"a session needs {', '.join(ACCEL_OUT)}; the scan lacks {', '.join(missing)}")
 

@@ -106,6 +106,7 @@ class NoiseMeter:
     def __init__(self, window: int, expected_mg: float) -> None:
         self._windows = _Windows(window)
         self._expected_mg = expected_mg
+        self.least_samples = window * (METER_WINDOWS + 1) // 2
         self._spreads: list[Floats] = []
         self._means: list[Floats] = []
 

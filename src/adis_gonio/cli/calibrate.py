@@ -1,0 +1,305 @@
+"""`adis-gonio calibrate`: the bench session with plain prompts."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from adis_gonio.cli.show import console, json_option, no_check_option, print_json, variant_option
+from adis_gonio.errors import SessionError, UsageError
+
+if TYPE_CHECKING:
+    from adis_gonio.sensor import Adis16354
+    from adis_gonio.session import SessionRunner
+    from adis_gonio.session.events import Event, PositionAsked
+
+
+@click.command("calibrate")
+@click.argument("url")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, help="Session file to make."
+)
+@click.option("--plan", "plan_name", help="two-position (default), four-position, mmpm, tumble or poses.")
+@click.option("--positions", type=int, help="Number of angles, where the plan leaves a choice.")
+@click.option(
+    "--check", type=int, default=0, show_default=True, help="Extra positions kept out of the fit."
+)
+@click.option("--auto", is_flag=True, help="Move the stage by program and answer all prompts (simulator).")
+@click.option("--extend", is_flag=True, help="With --auto: go on from two to four positions.")
+@click.option("--resume", is_flag=True, help="Go on with the session in the file.")
+@click.option(
+    "--dwell", "dwell_s", type=float, default=10.0, show_default=True, help="Length of a dwell in s."
+)
+@click.option(
+    "--settle", "settle_s", type=float, default=0.5, show_default=True, help="Wait after stillness, s."
+)
+@click.option("--rate", "rate_hz", type=float, help="Samples a second, 0.413 to 819.2 (default).")
+@click.option(
+    "--filter", "filter_m", type=int, default=2, show_default=True, help="Filter: 2^M taps twice."
+)
+@click.option(
+    "--range", "range_dps", type=int, default=300, show_default=True, help="Gyros: 300, 150, 75 °/s."
+)
+@click.option("--gravity", "gravity_mps2", type=float, help="Local gravity in m/s² (default 9.80665).")
+@click.option("--latitude", type=float, help="Latitude in degrees: gravity of the ellipsoid there.")
+@click.option("--height", type=float, default=0.0, help="Height in m, with --latitude.")
+@click.option(
+    "--fixture", "fixture_deg", type=float, help="Standard uncertainty of a stage angle, degrees."
+)
+@click.option("--title", default="", help="Title to keep with the session.")
+@click.option("--note", default="", help="Note to keep with the session.")
+@variant_option
+@no_check_option
+@json_option
+def command(*, url: str, output: Path, resume: bool, as_json: bool, **options: Any) -> int:
+    """Calibrate a sensor on a stage, position by position, and compute ΔK and Δφ.
+
+    Every sample goes into the session file as it is taken. The file survives a kill at any moment;
+    --resume goes on with what is missing. Ctrl-C ends the session and keeps all of it.
+    """
+    from adis_gonio.sensor import open_sensor
+    from adis_gonio.session import load_session
+
+    if output.exists() and not resume:
+        raise SessionError(f"{output}: exists already; --resume goes on with it, or choose another name")
+    if resume and not output.exists():
+        raise SessionError(f"{output}: no such session to resume")
+    with open_sensor(url, variant=options["variant"], check=not options["no_check"]) as sensor:
+        runner = _runner(sensor, output, resume=resume, **options)
+        complete = Bench(runner, auto=options["auto"]).run()
+    session = load_session(output)
+    truth = session.facts.get("truth")
+    from adis_gonio.fitting import applicable_methods, fit
+
+    if as_json:
+        document = fit(session).as_dict()
+        print_json(document | {"session": str(output), "complete": complete, "truth": truth})
+    else:
+        from adis_gonio.cli.fit import print_results
+
+        print_results([fit(session, method=name).as_dict() for name in applicable_methods(session)], truth)
+        click.echo(f"session: {output}")
+    return 0 if complete else 1
+
+
+def _runner(
+    sensor: Adis16354,
+    output: Path,
+    *,
+    resume: bool,
+    plan_name: str | None,
+    positions: int | None,
+    check: int,
+    auto: bool,
+    extend: bool,
+    **options: Any,
+) -> SessionRunner:
+    from adis_gonio.model.gravity import normal_gravity_mps2
+    from adis_gonio.sensor.settings import smpl_prd_for
+    from adis_gonio.session import SessionRunner, Settings, plan
+    from adis_gonio.session.plans import DEFAULT_PLAN
+
+    if resume:
+        if plan_name is not None or positions is not None:
+            raise UsageError(
+                "--resume goes on with the session's own plan: leave --plan and --positions out"
+            )
+        return SessionRunner.resume(sensor, output, auto=auto, extend=extend)
+    if options["latitude"] is not None and options["gravity_mps2"] is not None:
+        raise UsageError("give --gravity or --latitude, not both")
+    world = getattr(sensor.bus, "world", None)
+    gravity = options["gravity_mps2"]
+    fixture = options["fixture_deg"]
+    if options["latitude"] is not None:
+        gravity = normal_gravity_mps2(options["latitude"], options["height"])
+    # What an operator would know of a real bench, the simulated one says of itself.
+    if gravity is None:
+        gravity = world.settings.gravity_mps2 if world is not None else 9.80665
+    if fixture is None and world is not None:
+        fixture = world.settings.fixture_sigma_deg
+    settings = Settings(
+        dwell_s=options["dwell_s"],
+        settle_s=options["settle_s"],
+        smpl_prd=1 if options["rate_hz"] is None else smpl_prd_for(options["rate_hz"]),
+        filter_m=options["filter_m"],
+        gyro_range_dps=options["range_dps"],
+    )
+    return SessionRunner.begin(
+        sensor,
+        output,
+        plan(plan_name or DEFAULT_PLAN, positions, check),
+        settings,
+        auto=auto,
+        extend=extend,
+        gravity_mps2=gravity,
+        fixture_sigma_deg=fixture,
+        title=options["title"],
+        note=options["note"],
+    )
+
+
+class Bench:
+    """Plain prompts and progress for a session, on standard error."""
+
+    def __init__(self, runner: SessionRunner, *, auto: bool) -> None:
+        self._runner = runner
+        self._auto = auto
+        self._asking = False
+        self._screen = console(stderr=True)
+
+    def run(self) -> bool:
+        """Run the session; return True where it is complete."""
+        from rich.progress import BarColumn, Progress, TextColumn
+
+        complete = False
+        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"))
+        with (
+            self._interruptible(),
+            Progress(*columns, console=self._screen, transient=True) as self._progress,
+        ):
+            self._task = self._progress.add_task("", total=None, note="", visible=False)
+            for event in self._runner.run():
+                complete = self._handle(event) or complete
+        return complete
+
+    @contextmanager
+    def _interruptible(self) -> Iterator[None]:
+        """Let the first Ctrl-C end the session in order, so that nothing recorded is lost."""
+
+        def interrupt(number: int, frame: Any) -> None:
+            self._runner.stop()
+            if self._asking:
+                raise KeyboardInterrupt
+
+        before = signal.signal(signal.SIGINT, interrupt)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+    def _say(self, text: str, style: str | None = None) -> None:
+        self._screen.print(text, style=style, markup=False)
+
+    def _handle(self, event: Event) -> bool:
+        """Show one event, answer it where it is a question; True where the session is complete."""
+        from adis_gonio.session import events
+
+        match event:
+            case events.Started():
+                what = "resumed" if event.resumed else "begun"
+                self._say(
+                    f"{event.plan.name} {what}, {len(event.plan)} positions, {event.variant} on {event.url}"
+                )
+                if event.resumed:
+                    self._say(f"  {event.done} positions are done")
+            case events.Configured():
+                rate = event.configuration["sample_rate_hz"]
+                taps = 2 ** event.configuration["filter_m"]
+                changed = ", ".join(f"{name} {a} → {b}" for name, (a, b) in event.changed.items())
+                self._say(
+                    f"  {rate:.1f} samples/s, filter 2 × {taps} taps"
+                    + (f"; changed {changed}" if changed else "")
+                )
+            case events.NoiseMeasured():
+                noise = ", ".join(f"{value:.2f}" for value in event.noise_mg)
+                self._say(f"  noise at rest {noise} mg (x, y, z)")
+            case events.PositionAsked():
+                if not self._auto:
+                    self._ask_position(event)
+            case events.Watching():
+                self._show(event.state, f"spread {max(event.spread_mg):.2f} mg", None, None)
+            case events.DwellProgress():
+                note = f"{event.elapsed_s:.0f} of {event.length_s:.0f} s"
+                self._show("dwell", note, event.elapsed_s, event.length_s)
+            case events.DwellDone():
+                x, y, z = event.accel_mg
+                lost = f", {event.lost} lost" if event.lost else ""
+                self._progress.update(self._task, visible=False)
+                self._say(
+                    f"  {event.position!s:>16}   x {x:+9.2f}   y {y:+9.2f}   z {z:+9.2f} mg"
+                    f"   {event.samples} samples{lost}"
+                )
+            case events.DwellInterrupted():
+                self._say(
+                    f"  dwell at {event.position} interrupted: {event.reason} (samples kept)", "yellow"
+                )
+            case events.Problem():
+                self._say(f"  {event.message}", "yellow")
+            case events.ExtensionOffered():
+                self._offer(event.blindness.message)
+            case events.Finished():
+                if not event.complete:
+                    self._say(
+                        f"  not complete: {event.done} of {event.total}; go on with --resume", "yellow"
+                    )
+                return event.complete
+            case _:
+                pass
+        return False
+
+    def _show(self, what: str, note: str, done: float | None, total: float | None) -> None:
+        self._progress.update(
+            self._task,
+            description=f"  {what:<9}",
+            note=note,
+            completed=done or 0,
+            total=total,
+            visible=True,
+        )
+
+    def _ask_position(self, event: PositionAsked) -> None:
+        others = "s skip, r repeat the last, q end" if event.can_repeat else "s skip, q end"
+        place = str(event.position)
+        todo = "hold the part in" if event.position.angle_deg is None else "turn the part to"
+        answer = self._question(
+            f"{event.number} of {event.total}: {todo} {place} and press Enter ({others})", "srq"
+        )
+        match answer:
+            case "":
+                self._runner.confirm()
+            case "s":
+                self._runner.skip()
+            case "r" if event.can_repeat:
+                self._runner.repeat()
+            case "r":
+                self._say("  there is no dwell before this one to repeat")
+            case _:
+                self._runner.stop()
+
+    def _offer(self, message: str) -> None:
+        self._say(message, "yellow")
+        if self._auto:
+            return
+        answer = self._question("go on with 180° and 270°? (Enter yes, n no)", "n")
+        if answer == "":
+            self._runner.accept()
+        else:
+            self._runner.decline()
+
+    def _question(self, text: str, letters: str) -> str:
+        """Ask until the answer is empty or one of the letters; `q` where nobody can answer."""
+        self._progress.update(self._task, visible=False)
+        self._progress.stop()
+        self._asking = True
+        try:
+            while True:
+                print(f"{text}: ", end="", file=sys.stderr, flush=True)  # noqa: T201
+                line = sys.stdin.readline()
+                if not line:
+                    self._say("\nno more input: the session ends here, go on with --resume", "yellow")
+                    return "q"
+                answer = line.strip().lower()
+                if answer == "" or (len(answer) == 1 and answer in letters):
+                    return answer
+                self._say(f"  '{answer}' is no answer: press Enter, or one of {', '.join(letters)}")
+        except KeyboardInterrupt:
+            return "q"
+        finally:
+            self._asking = False
+            self._progress.start()

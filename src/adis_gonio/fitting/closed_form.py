@@ -1,0 +1,332 @@
+"""Methods `paper`, `two-position`, `four-position` and `mmpm`.
+
+All but `paper` are one linear fit an axis: by the theorem of addition
+U_x = A_x cos θ + B_x sin θ + b_x with A_x = K_x G cos α, B_x = K_x G sin α, and
+U_y = A_y cos θ + B_y sin θ + b_y with A_y = K_y G sin(α + Δφ), B_y = −K_y G cos(α + Δφ).
+With 0° and 90° and no bias this is the closed form Δφ = atan2(U_y1, −U_y2) − atan2(U_x2, U_x1); with
+0/90/180/270° it takes the differences of opposite positions, free of bias; with nine or more it is the
+least squares with declared angles (MMPM, which trusts them). Its covariance propagates the noise of the
+readings and the fixture's uncertainty alike, although the fit itself gives no weight to either.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.errors import FitError, SingularError
+from adis_gonio.fitting import planar
+from adis_gonio.fitting.families import PlanarFamily
+from adis_gonio.fitting.least_squares import solve
+from adis_gonio.fitting.likelihood import angle_errors
+from adis_gonio.fitting.outputs import Output, planar_outputs
+from adis_gonio.fitting.planar import PlanarProblem
+from adis_gonio.fitting.readings import Readings
+from adis_gonio.fitting.result import Estimate, FitResult
+from adis_gonio.fitting.stochastic import Noise, problem_of, settle
+from adis_gonio.model.geometry import planar_tangent
+from adis_gonio.model.records import Floats
+
+TOLERANCE_DEG = 0.5
+"""Declared angles this near to 0, 90, 180 or 270° (modulo 360°) count as that position."""
+
+LEAST_MMPM = 9
+"""Positions that `mmpm` asks for: its definition."""
+
+_NEAR_POLE = 0.2
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """A linear fit: natural parameters (6,) and their derivative (6, n, 2) by the readings."""
+
+    beta: Floats
+    derivative: Floats
+    has_bias: bool
+
+
+def rows_at(readings: Readings, angles_deg: tuple[int, ...]) -> list[NDArray[np.intp]]:
+    """Dwells at each of the angles (modulo 360°); an empty array where there are none."""
+    degrees = np.degrees(readings.angle_rad)
+    with np.errstate(invalid="ignore"):
+        return [
+            np.flatnonzero(np.abs((degrees - a + 180) % 360 - 180) <= TOLERANCE_DEG) for a in angles_deg
+        ]
+
+
+def fit_positions(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> FitResult:
+    """`two-position` (0, 90) or `four-position` (0, 90, 180, 270).
+
+    Dwells at the same position are averaged.
+
+    Raises
+    ------
+    FitError
+        If a position is missing, or the readings are in counts and there is no zero to be known.
+    """
+    chosen, weights = _grouped(readings, method, angles_deg)
+    linear = _linear(chosen, weights, bias=len(angles_deg) > 2)
+    warnings = [] if linear.has_bias else _blind_to_bias(chosen, linear)
+    return _finish(chosen, method, linear, _noise(readings, chosen), warnings)
+
+
+def fit_mmpm(readings: Readings) -> FitResult:
+    """`mmpm`: unweighted least squares with declared angles on nine or more positions.
+
+    Raises
+    ------
+    FitError
+        If fewer than nine dwells have a declared angle.
+    SingularError
+        If they stand at fewer than three different angles.
+    """
+    rows = np.flatnonzero(np.isfinite(readings.angle_rad))
+    if len(rows) < LEAST_MMPM:
+        raise FitError(
+            f"method mmpm needs nine or more positions with a declared angle, there are {len(rows)}; "
+            "use method ml, four-position or two-position"
+        )
+    chosen = readings.select(rows)
+    linear = _linear(chosen, np.eye(len(rows)), bias=True)
+    return _finish(chosen, "mmpm", linear, _noise(readings, chosen), [])
+
+
+def fit_paper(readings: Readings) -> FitResult:
+    """`paper`: equations 5 to 12 as printed, Y's gain divided out by ΔK first.
+
+    ΔK = U_x1/(−U_y2) − 1, a = U_y1(1 + ΔK)/U_x1, b = U_y2(1 + ΔK)/U_x2, sin Δφ = (1 + ab)/(a + b).
+
+    Raises
+    ------
+    FitError
+        If 0° or 90° is missing.
+    SingularError
+        Near α = 45°, where a + b vanishes: there the noise-free answer is Δφ/cos(2α + Δφ). It is refused
+        where Δφ itself and the uncertainty of 2α + Δφ together exceed a fifth of the distance from that
+        pole, because the quotient is then linear in neither and no uncertainty holds.
+    """
+    chosen, weights = _grouped(readings, "paper", (0, 90))
+    exact = _linear(chosen, weights, bias=False)
+    natural = PlanarFamily(chosen).natural
+    noise = _noise(readings, chosen)
+    spread = _covariance(chosen, exact, noise)
+    alpha, phi = float(exact.beta[planar.ALPHA]), float(exact.beta[planar.DELTA_PHI])
+    at = 2 * alpha + phi
+    gradient = np.zeros(6)
+    gradient[planar.ALPHA], gradient[planar.DELTA_PHI] = 2.0, 1.0
+    u_at = math.sqrt(max(float(gradient @ spread @ gradient), 0.0))
+    first, second = weights @ natural
+    distance = abs(math.cos(at))
+    if math.hypot(phi, u_at) > _NEAR_POLE * distance or min(abs(first[0]), abs(second[1])) < 1e-6:
+        times = f"{1 / distance:.0f} times" if distance > 1e-6 else "more than a million times"
+        raise SingularError(
+            f"method paper is singular here: alpha = {math.degrees(alpha):.2f}° brings a + b of equation "
+            f"12 to {_a_plus_b(first, second):.2g}, so that noise and delta_phi itself appear {times} "
+            "enlarged against alpha = 0°; use method two-position, or start at another angle"
+        )
+    values, derivative = _paper(first, second, weights)
+    beta = exact.beta.copy()
+    beta[planar.DELTA_PHI] = values[1]
+    beta[planar.SCALE_Y] = beta[planar.SCALE_X] / (1 + values[0])
+    derivatives = exact.derivative.copy()
+    derivatives[planar.DELTA_PHI] = derivative[1]
+    derivatives[planar.SCALE_Y] = (
+        exact.derivative[planar.SCALE_X] / (1 + values[0])
+        - beta[planar.SCALE_X] * derivative[0] / (1 + values[0]) ** 2
+    )
+    linear = _Linear(beta, derivatives, has_bias=False)
+    warnings = _blind_to_bias(chosen, linear)
+    exact_k = float(exact.beta[planar.SCALE_X] / exact.beta[planar.SCALE_Y]) - 1
+    off_k, off_phi = values[0] - exact_k, math.degrees(values[1] - phi)
+    warnings.append(
+        f"equation 5 is exact at alpha = 0° only: at {math.degrees(alpha):.2f}° this result is off by "
+        f"{off_k:+.2g} in delta_k and {off_phi:+.2g}° in delta_phi from method two-position on the same "
+        "readings, which its uncertainty does not hold"
+    )
+    return _finish(chosen, "paper", linear, noise, warnings, ("delta_k", "delta_phi", "alpha"))
+
+
+def _a_plus_b(first: Floats, second: Floats) -> float:
+    gain = first[0] / -second[1] if second[1] else math.inf
+    terms = [first[1] * gain / first[0] if first[0] else math.inf]
+    terms.append(second[1] * gain / second[0] if second[0] else math.inf)
+    return float(sum(terms))
+
+
+def _paper(first: Floats, second: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """(ΔK, Δφ) and their derivatives (2, n, 2) by the readings, by complex step."""
+
+    def equations(x1: complex, y1: complex, x2: complex, y2: complex) -> NDArray[np.complex128]:
+        gain = x1 / -y2
+        # Numerator and denominator of equation 12 times U_x1 U_x2: α = 0, where U_x2 vanishes, is harmless.
+        sine = (x1 * x2 + gain * gain * y1 * y2) / (gain * (y1 * x2 + y2 * x1))
+        return np.array([gain - 1, np.arcsin(sine)], dtype=np.complex128)
+
+    point = np.array([first[0], first[1], second[0], second[1]], dtype=np.complex128)
+    values = equations(*point.tolist())
+    by_reading = np.stack(
+        [equations(*(point + 1e-30j * unit).tolist()).imag / 1e-30 for unit in np.eye(4)], axis=1
+    )
+    derivative = np.einsum("pka,kn->pna", by_reading.reshape(2, 2, 2), weights)
+    return values.real, derivative
+
+
+def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tuple[Readings, Floats]:
+    """Dwells at the angles and the weights (angles, n) that average those of one angle."""
+    groups = rows_at(readings, angles_deg)
+    missing = [str(a) for a, rows in zip(angles_deg, groups, strict=True) if not len(rows)]
+    if missing:
+        raise FitError(
+            f"method {method} needs dwells declared at {', '.join(map(str, angles_deg))} degrees; "
+            f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
+        )
+    if readings.unit == "counts" and len(angles_deg) == 2:
+        raise FitError(f"method {method} needs readings with a known zero; counts have none: use method ml")
+    rows = np.concatenate(groups)
+    weights = np.zeros((len(groups), len(rows)))
+    at = 0
+    for k, group in enumerate(groups):
+        weights[k, at : at + len(group)] = 1 / len(group)
+        at += len(group)
+    return readings.select(rows), weights
+
+
+def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
+    """Fit of cosine, sine and (with `bias`) a constant to each axis of the averaged readings."""
+    natural = PlanarFamily(chosen).natural
+    turn = weights @ np.exp(1j * chosen.angle_rad)
+    theta = np.angle(turn)
+    columns = [np.cos(theta), np.sin(theta)] + ([np.ones_like(theta)] if bias else [])
+    design = np.stack(columns, axis=1)
+    if np.linalg.svd(design, compute_uv=False)[-1] < 1e-3:
+        raise SingularError(
+            "the declared angles do not determine cosine, sine and zero of a turn; spread the positions "
+            "over it (0°, 90°, 180°, 270°)"
+        )
+    inverse = np.linalg.pinv(design) @ weights
+    a_x, b_x = inverse[:2] @ natural[:, 0]
+    a_y, b_y = inverse[:2] @ natural[:, 1]
+    beta = np.zeros(6)
+    n = len(chosen)
+    derivative = np.zeros((6, n, 2))
+    k_x, k_y = math.hypot(a_x, b_x), math.hypot(a_y, b_y)
+    if min(k_x, k_y) < 1e-3:
+        raise SingularError("an axis does not follow the rotation; check the declared angles and the plane")
+    alpha, alpha_y = math.atan2(b_x, a_x), math.atan2(a_y, -b_y)
+    beta[planar.ALPHA] = alpha
+    beta[planar.DELTA_PHI] = (alpha_y - alpha + math.pi) % (2 * math.pi) - math.pi
+    beta[planar.SCALE_X], beta[planar.SCALE_Y] = k_x, k_y
+    derivative[planar.ALPHA, :, 0] = (a_x * inverse[1] - b_x * inverse[0]) / k_x**2
+    derivative[planar.DELTA_PHI, :, 0] = -derivative[planar.ALPHA, :, 0]
+    derivative[planar.DELTA_PHI, :, 1] = (a_y * inverse[1] - b_y * inverse[0]) / k_y**2
+    derivative[planar.SCALE_X, :, 0] = (a_x * inverse[0] + b_x * inverse[1]) / k_x
+    derivative[planar.SCALE_Y, :, 1] = (a_y * inverse[0] + b_y * inverse[1]) / k_y
+    if bias:
+        beta[planar.BIAS_X], beta[planar.BIAS_Y] = inverse[2] @ natural
+        derivative[planar.BIAS_X, :, 0] = derivative[planar.BIAS_Y, :, 1] = inverse[2]
+    return _Linear(beta, derivative, bias)
+
+
+def _noise(readings: Readings, chosen: Readings) -> Noise:
+    """Noise as the whole session settles it, where it has positions to spare."""
+    family = PlanarFamily(readings)
+    try:
+        return settle(family).noise
+    except FitError:
+        if not chosen.known.all():
+            return Noise(
+                sigma_rad=readings.fixture_sigma_rad or 0.0,
+                known=False,
+                notes=("nothing states the noise of a reading: no uncertainty can be given",),
+            )
+        return Noise(
+            sigma_rad=readings.fixture_sigma_rad or 0.0,
+            notes=("fixture_sigma_deg is not stated: declared angles were taken as exact",)
+            if readings.fixture_sigma_rad is None
+            else (),
+        )
+
+
+def _total_covariance(chosen: Readings, beta: Floats, covariance: Floats, sigma_rad: float) -> Floats:
+    """Covariance (n, 2, 2) of readings at declared angles: noise, and the fixture along the tangent."""
+    psi = beta[planar.ALPHA] - chosen.angle_rad
+    tangent = planar_tangent(psi, float(beta[planar.DELTA_PHI])) * beta[[planar.SCALE_X, planar.SCALE_Y]]
+    return np.asarray(covariance + sigma_rad**2 * tangent[:, :, None] * tangent[:, None, :])
+
+
+def _covariance(chosen: Readings, linear: _Linear, noise: Noise) -> Floats:
+    """Covariance (6, 6) of the natural parameters."""
+    natural = PlanarFamily(chosen).natural_covariance
+    wide, sigma = noise.for_intervals(natural, chosen)
+    each = _total_covariance(chosen, linear.beta, wide, sigma)
+    return np.asarray(np.einsum("pna,nab,qnb->pq", linear.derivative, each, linear.derivative))
+
+
+def _blind_to_bias(chosen: Readings, linear: _Linear) -> list[str]:
+    moved = linear.derivative.sum(axis=1) / chosen.gravity_mg
+    phi = np.degrees(moved[planar.DELTA_PHI])
+    k = (
+        moved[planar.SCALE_X] / linear.beta[planar.SCALE_Y]
+        - moved[planar.SCALE_Y] * linear.beta[planar.SCALE_X] / linear.beta[planar.SCALE_Y] ** 2
+    )
+    return [
+        "a bias cannot be seen in two positions: 1 mg of it on X moves delta_phi by "
+        f"{phi[0]:+.2g}° and delta_k by {k[0]:+.2g}, on Y by {phi[1]:+.2g}° and {k[1]:+.2g}, and no "
+        "uncertainty here holds that; measure 180° and 270° too and use method four-position"
+    ]
+
+
+def _finish(
+    chosen: Readings,
+    method: str,
+    linear: _Linear,
+    noise: Noise,
+    warnings: list[str],
+    only: tuple[str, ...] | None = None,
+) -> FitResult:
+    family = PlanarFamily(chosen)
+    outputs: list[Output] = [
+        output
+        for output in planar_outputs(linear.beta, family.units)
+        if (linear.has_bias or not output.name.startswith("bias")) and (only is None or output.name in only)
+    ]
+    matrix: Floats | None = None
+    if noise.known:
+        natural = _covariance(chosen, linear, noise)
+        gradients = np.stack([output.gradient for output in outputs])
+        matrix = gradients @ natural @ gradients.T
+    psi = linear.beta[planar.ALPHA] - chosen.angle_rad
+    problem = problem_of(family, Noise(scale=noise.scale, sigma_rad=noise.sigma_rad))
+    assert isinstance(problem, PlanarProblem)
+    residual = family.natural - problem.model(linear.beta, psi)
+    dof = 2 * len(chosen) - (6 if linear.has_bias else 4)
+    # An unweighted fit leaves residuals that are not χ² distributed; the least χ² of the same model is.
+    free = np.ones(6, dtype=np.bool_)
+    free[[planar.BIAS_X, planar.BIAS_Y]] = linear.has_bias
+    chi2 = solve(problem, linear.beta, free).cost if dof else 0.0
+    lost = () if linear.has_bias else ("bias_x", "bias_y")
+    return FitResult(
+        method=method,
+        parameters=tuple(
+            Estimate(
+                output.name,
+                output.value,
+                None if matrix is None else math.sqrt(max(float(matrix[k, k]), 0.0)),
+                output.unit,
+            )
+            for k, output in enumerate(outputs)
+        ),
+        covariance=matrix,
+        chi2=chi2,
+        dof=dof,
+        residual_mg=residual * chosen.gravity_mg,
+        positions=tuple(chosen.position.tolist()),
+        angle_error_rad=angle_errors(problem, linear.beta, chosen),
+        warnings=(*warnings, *chosen.notes, *noise.notes),
+        undetermined=lost,
+        extra_mg=noise.extra * chosen.gravity_mg,
+        fixture_sigma_deg=math.degrees(noise.sigma_rad),
+    )

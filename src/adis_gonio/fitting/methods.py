@@ -1,0 +1,135 @@
+"""The five methods by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from adis_gonio.errors import FitError, SingularError, UsageError
+from adis_gonio.fitting.closed_form import LEAST_MMPM, fit_mmpm, fit_paper, fit_positions, rows_at
+from adis_gonio.fitting.likelihood import fit_planar, fit_spatial
+from adis_gonio.fitting.readings import Readings, reduce_session
+from adis_gonio.fitting.result import FitResult
+from adis_gonio.model.records import Session
+
+METHODS = ("paper", "two-position", "four-position", "mmpm", "ml")
+"""Names of the methods."""
+
+_FOUR = (0, 90, 180, 270)
+_TWO = (0, 90)
+
+
+def fit(session: Session, method: str | None = None) -> FitResult:
+    """Parameters of a session with their covariance.
+
+    Parameters
+    ----------
+    session : Session
+        Dwells; those for checking take no part.
+    method : str, optional
+        One of `METHODS`; by default the best that the session supports: `ml`, or `two-position` where
+        there is nothing but 0° and 90°.
+
+    Raises
+    ------
+    UsageError
+        No such method.
+    DataError
+        Samples that cannot be used: all zero, stuck, not finite.
+    FitError
+        The session lacks what the method needs.
+    SingularError
+        The session does not determine what the method gives.
+    """
+    if method is not None and method not in METHODS:
+        raise UsageError(f"no method is called '{method}'; known: {', '.join(METHODS)}")
+    result = fit_readings(reduce_session(session), method)
+    return replace(result, warnings=(*session.notes, *result.warnings))
+
+
+def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
+    """Same as `fit`, of readings: three axes are fitted in space, two in the plane."""
+    spatial = readings.mean.shape[1] == 3
+    _refuse_one_position(readings, spatial=spatial)
+    if spatial:
+        if method not in (None, "ml"):
+            raise FitError(
+                f"method {method} needs a plane of rotation; this session has none: use method ml"
+            )
+        return fit_spatial(readings)
+    if method not in (None, "ml") and _attitudes_are_free(readings):
+        raise FitError(
+            f"method {method} needs declared angles and fixture_sigma_deg is free here: use method ml"
+        )
+    if method == "paper":
+        return fit_paper(readings)
+    if method == "two-position":
+        return fit_positions(readings, "two-position", _TWO)
+    if method == "four-position":
+        return fit_positions(readings, "four-position", _FOUR)
+    if method == "mmpm":
+        return fit_mmpm(readings)
+    if method is None and _only_two(readings):
+        return fit_positions(readings, "two-position", _TWO)
+    try:
+        return fit_planar(readings)
+    except SingularError:
+        if (
+            method is None
+            and not _attitudes_are_free(readings)
+            and all(len(rows) for rows in rows_at(readings, _TWO))
+        ):
+            return fit_positions(readings, "two-position", _TWO)
+        raise
+
+
+def applicable_methods(session: Session) -> tuple[str, ...]:
+    """Methods whose positions the session has; whether they are determined only a fit can tell."""
+    session = session.used_for("fit")
+    angles = np.array([np.nan if d.angle_deg is None else d.angle_deg for d in session.dwells])
+    if session.plane == "none":
+        return ("ml",) if len(angles) > 3 else ()
+    held = [
+        bool((np.abs((angles - a + 180) % 360 - 180) <= 0.5).any()) if np.isfinite(angles).any() else False
+        for a in _FOUR
+    ]
+    methods = []
+    known_zero = session.accel_unit != "counts"
+    if not session.free_attitudes:
+        if held[0] and held[1] and known_zero:
+            methods += ["paper", "two-position"]
+        if all(held):
+            methods.append("four-position")
+        if int(np.isfinite(angles).sum()) >= LEAST_MMPM:
+            methods.append("mmpm")
+    if len(angles) >= (2 if np.isfinite(angles).all() and not session.free_attitudes else 3):
+        methods.append("ml")
+    return tuple(methods)
+
+
+def _only_two(readings: Readings) -> bool:
+    rows = rows_at(readings, _TWO)
+    return (
+        not _attitudes_are_free(readings)
+        and readings.unit == "mg"
+        and all(len(r) for r in rows)
+        and sum(map(len, rows)) == len(readings)
+    )
+
+
+def _attitudes_are_free(readings: Readings) -> bool:
+    return readings.fixture_sigma_rad is not None and bool(np.isinf(readings.fixture_sigma_rad))
+
+
+def _refuse_one_position(readings: Readings, *, spatial: bool) -> None:
+    n = len(readings)
+    declared = readings.angle_rad[np.isfinite(readings.angle_rad)]
+    alike = len(declared) == n and bool(
+        np.abs(np.angle(np.exp(1j * (declared - declared[0])))).max() < 1e-3
+    )
+    if n == 1 or (alike and not spatial):
+        needs = "six positions in space" if spatial else "two positions, 0° and 90°, better four"
+        raise FitError(
+            f"one position only (position {readings.position[0]}): a calibration needs at least {needs}"
+        )

@@ -1,0 +1,216 @@
+"""Readings: a dwell's mean with its covariance and degrees of freedom, in mg.
+
+The covariance of a reading has three parts.
+
+* *Noise that averaging lowers*: spectral density at zero of the dwell's own samples, divided by their
+  number (`fitting.spectrum`). Dwells whose densities are consistent share one (Bartlett's test at 0.1 %),
+  which gives short dwells the degrees of freedom of all; where they are not, each keeps its own.
+* *Quantization*: with noise of σ before a converter of step q the mean is off by up to
+  (q/π)·exp(−2π²σ²/q²); its variance over all places between two codes is
+  q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², which is q²/12 without noise and nothing at σ > q/2, where the noise
+  dithers and quantization has become part of it.
+* *Bias instability* (1/f noise), which averaging does not lower: from the dwells' lowest frequencies where
+  they show it; else the variant's figure (an estimate: confidence D), but no more than the dwells allow;
+  zero for a sensor without a figure. An Allan deviation s makes the means of N dwells scatter with
+  s²·N ln N / (2 (N − 1) ln 2) (Barnes 1969).
+
+A dwell of one sample is a reading that somebody averaged: `Session.reading_u_mg` is its whole uncertainty.
+Without that it is unknown (`Readings.known`), and a fit estimates it from its residual.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.errors import DataError, FitError
+from adis_gonio.fitting.screening import refuse_dead_data
+from adis_gonio.fitting.spectrum import MeanNoise, noise_of_means
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats, Session
+from adis_gonio.sensor.variants import VARIANTS
+
+MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
+
+
+@dataclass(frozen=True)
+class Readings:
+    """One row a dwell.
+
+    Attributes
+    ----------
+    mean : (n, axes) float
+        Mean of each dwell in `unit`; two columns in a planar session, three in space.
+    covariance : (n, axes, axes) float
+        Covariance of the means; where `known` is False a placeholder of 1 mg on each axis.
+    dof : (n,) float
+        Degrees of freedom of the covariance; inf where it was stated.
+    angle_rad : (n,) float
+        Declared angle θ; NaN where unknown.
+    position : (n,) int
+        Numbers of the dwells.
+    samples : (n,) int
+        Samples of each dwell.
+    known : (n,) bool
+        False where nothing states the uncertainty.
+    unit : str
+        `mg`, or `counts` where scale and zero have to be found.
+    gravity_mg : float
+        Local gravity.
+    fixture_sigma_rad : float or None
+        Standard uncertainty of a declared angle; inf free, None not stated.
+    notes : tuple of str
+        What has to be said about the noise.
+    """
+
+    mean: Floats
+    covariance: Floats
+    dof: Floats
+    angle_rad: Floats
+    position: NDArray[np.intp]
+    samples: NDArray[np.intp]
+    known: NDArray[np.bool_]
+    unit: str
+    gravity_mg: float
+    fixture_sigma_rad: float | None
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.mean)
+
+    def select(self, rows: NDArray[np.intp]) -> Readings:
+        """Readings of some rows (m,)."""
+        names = ("mean", "covariance", "dof", "angle_rad", "position", "samples", "known")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+
+def reduce_session(session: Session) -> Readings:
+    """Readings of the dwells that a fit may use (`check` dwells are left out).
+
+    Raises
+    ------
+    DataError
+        All-zero or stuck data, no usable dwell, readings that are not finite.
+    """
+    session = session.used_for("fit")
+    dwells = [dwell for dwell in session.dwells if len(dwell)]
+    if not dwells:
+        raise DataError(
+            f"{session.source or 'session'}: no dwell to fit; every dwell is empty or for checking"
+        )
+    axes = 2 if session.plane == "xy" else 3
+    if dwells[0].accel.shape[1] < axes:
+        raise DataError(f"{session.source or 'session'}: plane none needs three axes, there are two")
+    refuse_dead_data(session)
+    scale = _mg_per_unit(session)
+    n = len(dwells)
+    mean = np.array([d.accel[0, :axes] if len(d) == 1 else d.accel[:, :axes].mean(axis=0) for d in dwells])
+    mean = mean * scale
+    if not np.isfinite(mean).all():
+        bad = int(np.flatnonzero(~np.isfinite(mean).all(axis=1))[0])
+        raise DataError(
+            f"{session.source or 'session'}: position {dwells[bad].position} holds NaN or infinity"
+        )
+    samples = np.array([len(d) for d in dwells], dtype=np.intp)
+    unit = "counts" if session.accel_unit == "counts" else "mg"
+
+    covariance = np.broadcast_to(np.eye(axes), (n, axes, axes)).copy()
+    dof = np.full(n, np.inf)
+    known = np.zeros(n, dtype=np.bool_)
+    notes: list[str] = []
+    single = np.flatnonzero(samples == 1)
+    if single.size:
+        per_mg = 1.0 if unit == "mg" else _counts_per_mg(mean, session.gravity_mg)
+        u = 1.0 if session.reading_u_mg is None else session.reading_u_mg
+        covariance[single] *= (u * per_mg) ** 2
+        known[single] = session.reading_u_mg is not None
+    many = np.flatnonzero(samples > 1)
+    if many.size:
+        rows = [dwells[k].accel[:, :axes] * scale for k in many.tolist()]
+        noise = noise_of_means(rows)
+        quantum = _quantum(session, rows, scale)
+        floor = _floor(session, noise, many.size)
+        covariance[many] = noise.covariance + (
+            _quantization(rows, quantum)[:, :, None] + floor[None, :, None]
+        ) * np.eye(axes)
+        dof[many] = noise.dof
+        known[many] = True
+        if noise.too_short:
+            notes.append(
+                "within the dwells the noise still rises towards the lowest frequencies (a long filter, "
+                "drift or 1/f noise): the uncertainty of a reading is itself uncertain, dwell longer"
+            )
+    sigma = session.fixture_sigma_deg
+    return Readings(
+        mean=mean,
+        covariance=covariance,
+        dof=dof,
+        angle_rad=np.radians([np.nan if d.angle_deg is None else d.angle_deg for d in dwells]),
+        position=np.array([d.position for d in dwells], dtype=np.intp),
+        samples=samples,
+        known=known,
+        unit=unit,
+        gravity_mg=session.gravity_mg,
+        fixture_sigma_rad=None if sigma is None else math.radians(sigma),
+        notes=tuple(notes),
+    )
+
+
+def _mg_per_unit(session: Session) -> float:
+    if session.accel_unit == "lsb":
+        if session.sensor not in VARIANTS:
+            raise DataError(
+                f"{session.source or 'session'}: the LSB of sensor '{session.sensor}' is not known"
+            )
+        return VARIANTS[session.sensor].accel_mg_per_lsb
+    return {"mg": 1.0, "g": 1000.0, "mps2": MG_PER_MPS2, "counts": 1.0}[session.accel_unit]
+
+
+def _counts_per_mg(mean: Floats, gravity_mg: float) -> float:
+    span = float(np.ptp(mean, axis=0).max())
+    if span <= 0:
+        raise FitError(
+            "readings in counts are all alike; their scale cannot be found: measure more positions"
+        )
+    return span / 2 / gravity_mg
+
+
+def _quantum(session: Session, rows: list[Floats], scale: float) -> Floats:
+    """Step of the converter on each axis (axes,): the LSB, else the smallest step between values seen."""
+    axes = rows[0].shape[1]
+    if session.accel_unit == "lsb":
+        return np.full(axes, scale)
+    steps = np.zeros(axes)
+    sample = np.concatenate([r[:2000] for r in rows[:20]])
+    for axis in range(axes):
+        values = np.unique(sample[:, axis])
+        gaps = np.diff(values)
+        gaps = gaps[gaps > 1e-9 * max(1.0, float(np.abs(values).max()))]
+        steps[axis] = gaps.min() if gaps.size else 0.0
+    return steps
+
+
+def _quantization(rows: list[Floats], quantum: Floats) -> Floats:
+    """Variance (dwells, axes) that quantization leaves on a mean."""
+    variance = np.array([r.var(axis=0) for r in rows])
+    step = np.where(quantum > 0, quantum, 1.0)
+    sigma2 = np.maximum(variance - quantum**2 / 12, 0.0) / step**2
+    if float(sigma2.min(initial=np.inf)) > 1.0:
+        return np.zeros_like(variance)
+    k = np.arange(1, 200)
+    series = np.exp(-4 * math.pi**2 * k**2 * np.minimum(sigma2, 1.0)[..., None]) / k**2
+    return np.asarray(quantum**2 / (2 * math.pi**2) * series.sum(axis=-1))
+
+
+def _floor(session: Session, noise: MeanNoise, dwells: int) -> Floats:
+    """Variance (axes,) in mg² that 1/f noise adds to each mean."""
+    variant = VARIANTS.get(session.sensor)
+    stated = 0.0 if variant is None else variant.performance.bias_instability_mg**2
+    if session.accel_unit == "counts":
+        stated = 0.0
+    shown = noise.flicker > 0
+    allan = np.where(shown, noise.flicker, np.minimum(stated, noise.flicker_limit))
+    spread = 1.0 if dwells < 2 else dwells * math.log(dwells) / (2 * (dwells - 1) * math.log(2))
+    return allan * spread

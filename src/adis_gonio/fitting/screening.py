@@ -1,0 +1,88 @@
+"""Data that no living sensor gives: all zeros, stuck words. Refused before anything is estimated.
+
+A quiet sensor behind a coarse converter may well repeat one word for a whole dwell, so a dwell without any
+variance is no proof. Stuck is what contradicts something else that is known:
+
+* the other dwells: the same axis moves there, and never stood for a quarter as long;
+* the positions: two or more dwells at different declared angles with the very same words on all axes, or
+  all dwells alike;
+* the chip: an ADIS1635x has 4.7 mg (16354) of noise before its filter, 1 LSB rms behind the longest one,
+  and the chance that two axes keep one word for 256 samples, or one axis for 512, is below 1e-4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from adis_gonio.errors import DataError
+from adis_gonio.model.records import Dwell, Floats, Session
+
+_LEAST_RUN = 32
+_CHIP_RUN = 512
+
+
+def refuse_dead_data(session: Session) -> None:
+    """Raise `DataError` with the positions that are all zero or stuck; see the module for what that is."""
+    dwells = [dwell for dwell in session.dwells if len(dwell)]
+    zero = [dwell.position for dwell in dwells if not dwell.accel.any()]
+    where = f"{session.source}: " if session.source else ""
+    if zero:
+        raise DataError(
+            f"{where}all-zero accelerations in {_positions(zero)}; nothing drove the data line: "
+            "check wiring and supply and record again"
+        )
+    sampled = [dwell for dwell in dwells if len(dwell) > 1]
+    stuck = _still_against_others(sampled) or _same_everywhere(dwells)
+    if not stuck and session.accel_unit == "lsb":
+        stuck = [
+            dwell.position
+            for dwell in sampled
+            if len(dwell) * int((np.ptp(dwell.accel, axis=0) == 0).sum()) >= _CHIP_RUN
+        ]
+    if stuck:
+        raise DataError(
+            f"{where}stuck data in {_positions(stuck)}: words repeat where a working sensor shows noise "
+            "or follows the rotation; check the sensor and record again"
+        )
+
+
+def longest_runs(accel: Floats) -> Floats:
+    """Longest run of one word on each axis, (axes,), in samples."""
+    runs = []
+    for axis in range(accel.shape[1]):
+        change = np.flatnonzero(np.diff(accel[:, axis]))
+        runs.append(np.diff(np.concatenate([[-1], change, [len(accel) - 1]])).max())
+    return np.array(runs, dtype=float)
+
+
+def _still_against_others(dwells: Sequence[Dwell]) -> list[int]:
+    """Dwells in which an axis stands for at least half of the time, four times longer than in any other."""
+    if len(dwells) < 2:
+        return []
+    runs = np.stack([longest_runs(dwell.accel) for dwell in dwells])
+    length = np.array([len(dwell) for dwell in dwells])
+    suspect = (runs >= _LEAST_RUN) & (runs >= 0.5 * length[:, None])
+    # What the healthy dwells show; an axis without any healthy dwell is judged by the other rules.
+    healthy = np.where(suspect, 0.0, runs).max(axis=0)
+    stuck = suspect & (healthy > 0) & (runs >= 4 * healthy)
+    return [dwell.position for dwell, bad in zip(dwells, stuck.any(axis=1), strict=True) if bad]
+
+
+def _same_everywhere(dwells: Sequence[Dwell]) -> list[int]:
+    constant = [d for d in dwells if len(d) == 1 or not np.ptp(d.accel, axis=0).any()]
+    if len(constant) < 2:
+        return []
+    words = np.stack([dwell.accel[0] for dwell in constant])
+    if len(constant) == len(dwells) > 2 and (words == words[0]).all():
+        return [dwell.position for dwell in constant]
+    angles = np.array([np.nan if d.angle_deg is None else d.angle_deg % 360 for d in constant])
+    gap = np.abs(np.diff(angles))
+    bad = np.flatnonzero((words[1:] == words[:-1]).all(axis=1) & (gap > 5) & (gap < 355))
+    return sorted({constant[k + side].position for k in bad.tolist() for side in (0, 1)})
+
+
+def _positions(numbers: Sequence[int]) -> str:
+    shown = ", ".join(str(number) for number in numbers[:8])
+    return f"position{'s' if len(numbers) > 1 else ''} {shown}{' and others' if len(numbers) > 8 else ''}"

@@ -1,0 +1,299 @@
+"""Noise of a dwell's mean from the dwells' own correlation: the spectral density at frequency zero.
+
+The mean of n samples has the variance S(0)/n, with S the (two-sided, per sample) spectral density. σ²/n is
+wrong as soon as neighbours are correlated, and the chip's Bartlett filter correlates up to 127 of them.
+Batch means need batches long against the correlation and leave few degrees of freedom; here the
+periodograms of all dwells are pooled and their logarithm is fitted near zero by a polynomial in f²
+(Heidelberger and Welch 1981, there a quadratic; here the Whittle likelihood: each ordinate is exponentially
+distributed about S). How far from zero the fit may reach and how many terms it needs is judged by the data:
+of all bands (halved from the Nyquist frequency down) and orders for which one or two further terms bring no
+gain (likelihood ratio, 25 %), the one with the smallest variance at zero wins. White noise thus uses the
+whole band, which is the textbook σ²/n with all its degrees of freedom, filtered noise only the flat foot.
+
+What rises towards zero faster than a polynomial shows is looked for in the three lowest ordinates of every
+dwell: their excess, read as 1/f noise, gives a floor that averaging does not lower.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.model.records import Floats
+
+_CELLS = 32
+_LOWEST = 3
+_LEAST_WEIGHT = 6.0
+_GAINS = (1.323, 2.773)
+"""Upper 25 % quantiles of χ² with one and two degrees of freedom: in doubt the narrower band."""
+_CHOICE_COST = 0.5
+"""Share of the degrees of freedom that is left where the data had to choose band and order (simulated with
+the chip's filter: 0.45 to 0.7)."""
+_LEAST_CYCLES = 3.5
+"""Cycles a dwell at the frequency where the density has fallen to 1/e; simulated with the chip's filter, 3
+give two thirds of the true variance and 6 all of it."""
+_ALLAN_OF_FLICKER = 4 * math.log(2)
+"""Allan variance of noise with S(f) = h/f, two-sided, in units of h."""
+
+
+@dataclass(frozen=True)
+class MeanNoise:
+    """Noise of the means of d dwells.
+
+    Attributes
+    ----------
+    covariance : (d, axes, axes) float
+        Covariance of each mean from noise that averaging lowers, squared unit of the samples.
+    dof : (d,) float
+        Degrees of freedom of that covariance, common to its axes.
+    pooled : bool
+        True where all dwells share one spectral density.
+    flicker : (axes,) float
+        Allan variance of 1/f noise that the dwells show, zero where they show none.
+    flicker_limit : (axes,) float
+        Upper limit (95 %) of the same.
+    too_short : bool
+        True where dwells are too short to tell their correlation from a drift.
+    """
+
+    covariance: Floats
+    dof: Floats
+    pooled: bool
+    flicker: Floats
+    flicker_limit: Floats
+    too_short: bool
+
+
+@dataclass(frozen=True)
+class _Ordinates:
+    """Periodograms of the dwells of one length."""
+
+    dwell: NDArray[np.intp]
+    n: int
+    frequency: Floats
+    weight: Floats
+    cross: Floats
+    """(d, k, axes, axes): real part of the cross-periodograms."""
+
+
+@dataclass(frozen=True)
+class _Foot:
+    """Shape of the density near zero, relative to its mean over the band."""
+
+    band: float
+    log_zero: float
+    log_zero_variance: float
+    total_weight: float
+    coefficients: Floats
+
+    @property
+    def is_white(self) -> bool:
+        return self.band == 0.5 and len(self.coefficients) == 1
+
+    @property
+    def corner(self) -> float:
+        """Frequency where the density has fallen to 1/e of that at zero; the band's edge if nowhere."""
+        x = np.linspace(0.0, 1.0, 65)
+        fallen = np.flatnonzero(self.log_shape(x) < -1)
+        return self.band * (float(x[fallen[0]]) if fallen.size else 1.0)
+
+    def log_shape(self, x: Floats) -> Floats:
+        """Logarithm of the density at x = f/band relative to that at zero."""
+        return _basis(x, len(self.coefficients) - 1) @ self.coefficients - self.log_zero
+
+
+def noise_of_means(samples: Sequence[Floats]) -> MeanNoise:
+    """Noise of the mean of each dwell.
+
+    Parameters
+    ----------
+    samples : d arrays (n, axes)
+        Samples of each dwell, n at least 2; any unit.
+    """
+    groups = _periodograms(samples)
+    foot = _choose_foot(groups)
+    d, axes = len(samples), samples[0].shape[1]
+    level = np.zeros((d, axes, axes))
+    weight = np.zeros(d)
+    n = np.array([len(rows) for rows in samples], dtype=float)
+    for group in groups:
+        inside = group.frequency <= foot.band
+        w = group.weight * inside
+        weight[group.dwell] = w.sum()
+        level[group.dwell] = np.einsum("k,dkab->dab", w, group.cross) / max(w.sum(), 1e-300)
+    usable = weight > 0
+    pooled_level = np.einsum("d,dab->ab", weight, level) / weight.sum()
+    pooled = _homogeneous(level, weight)
+    shape_variance = max(foot.log_zero_variance - 1 / foot.total_weight, 0.0)
+    kept = 1.0 if foot.is_white else _CHOICE_COST
+    if pooled:
+        level = np.broadcast_to(pooled_level, level.shape)
+        dof = np.full(d, 2 * kept / (1 / weight.sum() + shape_variance))
+    else:
+        level = np.where(usable[:, None, None], level, pooled_level)
+        dof = 2 * kept / (1 / np.where(usable, weight, weight.sum()) + shape_variance)
+    density = _without_chance_correlation(level, dof) * math.exp(foot.log_zero)
+    flicker, limit = _flicker(groups, density, foot, float(dof[0] if pooled else dof.sum()), n)
+    return MeanNoise(
+        covariance=density / n[:, None, None],
+        dof=dof,
+        pooled=pooled,
+        flicker=flicker,
+        flicker_limit=limit,
+        too_short=bool(np.median(n) * foot.corner < _LEAST_CYCLES and not foot.is_white),
+    )
+
+
+def _periodograms(samples: Sequence[Floats]) -> list[_Ordinates]:
+    lengths = np.array([len(rows) for rows in samples])
+    groups = []
+    for n in np.unique(lengths).tolist():
+        dwell = np.flatnonzero(lengths == n)
+        rows = np.stack([samples[k] for k in dwell.tolist()])
+        lines = np.fft.rfft(rows - rows.mean(axis=1, keepdims=True), axis=1)[:, 1:]
+        weight = np.ones(lines.shape[1])
+        if n % 2 == 0:
+            weight[-1] = 0.5
+        cross = (lines[:, :, :, None] * lines[:, :, None, :].conj()).real / n
+        groups.append(_Ordinates(dwell, n, np.arange(1, len(weight) + 1) / n, weight, cross))
+    return groups
+
+
+def _basis(x: Floats, order: int) -> Floats:
+    """Legendre polynomials of 2x² − 1, (n, order + 1)."""
+    return np.asarray(np.polynomial.legendre.legvander(2 * x * x - 1, order), dtype=np.float64)
+
+
+def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floats, float]:
+    """Coefficients, their covariance and −2 log likelihood of a log-linear density; Fisher scoring."""
+    inverse = np.asarray(np.linalg.pinv(design.T @ (weight[:, None] * design)), dtype=np.float64)
+    beta = np.zeros(design.shape[1])
+    beta[0] = math.log(max(float(np.average(mean, weights=weight)), 1e-300))
+    for _ in range(50):
+        step = inverse @ (design.T @ (weight * (mean * np.exp(-design @ beta) - 1)))
+        step /= max(1.0, float(np.abs(design @ step).max()) / 2)
+        beta = beta + step
+        if np.abs(step).max() < 1e-7:
+            break
+    eta = design @ beta
+    return beta, inverse, 2 * float(weight @ (eta + mean * np.exp(-eta)))
+
+
+def _choose_foot(groups: list[_Ordinates]) -> _Foot:
+    best: _Foot | None = None
+    band = 0.5
+    while True:
+        cells = _cells(groups, band)
+        if cells is None:
+            break
+        x, weight, mean = cells
+        total = float(weight.sum())
+        if best is not None and (total < _LEAST_WEIGHT or 1 / total > best.log_zero_variance):
+            break
+        fits = [_whittle(_basis(x, p), weight, mean) for p in range(min(5, len(x)))]
+        for order, (beta, covariance, deviance) in enumerate(fits[:3]):
+            richer = fits[order + 1 : order + 3]
+            if any(deviance - fit[2] > gain for fit, gain in zip(richer, _GAINS, strict=False)):
+                continue
+            at_zero = _basis(np.zeros(1), order)[0]
+            variance = float(at_zero @ covariance @ at_zero)
+            if best is None or variance < best.log_zero_variance:
+                best = _Foot(band, float(at_zero @ beta), variance, total, beta)
+            break
+        if total < _LEAST_WEIGHT:
+            if best is None:
+                best = _Foot(band, 0.0, 1 / total, total, np.zeros(1))
+            break
+        band /= 2
+    if best is None:  # the narrowest band holds no ordinate at all: take the whole one as flat
+        total = sum(float(group.weight.sum()) * len(group.dwell) for group in groups)
+        best = _Foot(0.5, 0.0, 1 / total, total, np.zeros(1))
+    return best
+
+
+def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Floats] | None:
+    """Pooled ordinates below `band`, each dwell and axis relative to its own mean there.
+
+    Returns x = f/band, weight and mean of the cells that hold anything.
+    """
+    total, moment, first = np.zeros(_CELLS), np.zeros(_CELLS), np.zeros(_CELLS)
+    for group in groups:
+        inside = group.frequency <= band
+        if not inside.any():
+            continue
+        f, w = group.frequency[inside], group.weight[inside]
+        auto = np.diagonal(group.cross[:, inside], axis1=2, axis2=3)
+        own = np.einsum("k,dka->da", w, auto) / w.sum()
+        alive = own > 0
+        relative = np.where(alive[:, None, :], auto / np.where(alive, own, 1.0)[:, None, :], 0.0)
+        cell = np.minimum((f / band * _CELLS).astype(int), _CELLS - 1)
+        count = float(alive.sum())
+        total += np.bincount(cell, w * count, _CELLS)
+        moment += np.bincount(cell, w * relative.sum(axis=(0, 2)), _CELLS)
+        first += np.bincount(cell, w * count * f / band, _CELLS)
+    held = total > 0
+    if not held.any():
+        return None
+    return first[held] / total[held], total[held], np.maximum(moment[held] / total[held], 1e-12)
+
+
+def _homogeneous(level: Floats, weight: Floats) -> bool:
+    """True where the dwells' levels are consistent with one (Bartlett's test for each axis, 0.1 %)."""
+    use = weight > 0
+    if use.sum() < 2:
+        return True
+    from scipy.special import chdtrc
+
+    half = weight[use]
+    groups = int(use.sum())
+    correction = 1 + (np.sum(1 / (2 * half)) - 1 / (2 * half.sum())) / (3 * (groups - 1))
+    for axis in range(level.shape[1]):
+        own = np.maximum(level[use, axis, axis], 1e-300)
+        common = half @ own / half.sum()
+        statistic = 2 * (half.sum() * math.log(common) - half @ np.log(own)) / correction
+        if chdtrc(groups - 1, max(statistic, 0.0)) < 1e-3 / level.shape[1]:
+            return False
+    return True
+
+
+def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:
+    """Set correlations between axes to zero where chance explains them (three standard errors)."""
+    deviation = np.sqrt(np.maximum(np.diagonal(level, axis1=1, axis2=2), 1e-300))
+    correlation = level / (deviation[:, :, None] * deviation[:, None, :])
+    keep = np.abs(correlation) > 3 / np.sqrt(dof)[:, None, None]
+    keep |= np.eye(level.shape[1], dtype=bool)
+    # An indefinite matrix is worse than a lost correlation; 0.95 keeps its inverse tame.
+    limited = np.clip(correlation, -0.95, 0.95) + 0.05 * np.eye(level.shape[1])
+    return np.where(keep, limited, 0.0) * deviation[:, :, None] * deviation[:, None, :]
+
+
+def _flicker(
+    groups: list[_Ordinates], density: Floats, foot: _Foot, dof: float, n: Floats
+) -> tuple[Floats, Floats]:
+    """Allan variance of 1/f noise (axes,) from the lowest ordinates, and its upper limit."""
+    from scipy.special import fdtri
+
+    axes = density.shape[1]
+    excess, weight, spread = np.zeros(axes), 0.0, np.zeros(axes)
+    ordinates = 0.0
+    for group in groups:
+        lowest = np.arange(min(_LOWEST, len(group.weight)))
+        k = lowest + 1.0
+        shape = np.exp(foot.log_shape(np.minimum(group.frequency[lowest] / foot.band, 1.0)))
+        expected = np.diagonal(density[group.dwell], axis1=1, axis2=2)[:, None, :] * shape[None, :, None]
+        auto = np.diagonal(group.cross[:, lowest], axis1=2, axis2=3)
+        w = group.weight[lowest]
+        excess += np.einsum("k,dka->a", w, auto / np.maximum(expected, 1e-300) - 1)
+        weight += len(group.dwell) * float(w @ (1 / k))
+        ordinates += len(group.dwell) * float(w.sum())
+    relative = excess / weight
+    spread = np.sqrt(ordinates * (1 + ordinates * 2 / dof)) / weight
+    threshold = float(fdtri(2 * ordinates, max(dof, 1.0), 0.99))
+    shown = 1 + excess / ordinates > threshold
+    per_mean = np.mean(np.diagonal(density, axis1=1, axis2=2) / n[:, None], axis=0) * _ALLAN_OF_FLICKER
+    flicker = np.where(shown, np.maximum(relative, 0.0), 0.0) * per_mean
+    return flicker, np.maximum(relative + 1.645 * spread, 0.0) * per_mean

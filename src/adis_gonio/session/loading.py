@@ -1,0 +1,40 @@
+"""A session from a file, whatever wrote it: `load_session`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from adis_gonio.errors import DataError
+from adis_gonio.model.records import Session
+
+_SQLITE_MAGIC = b"SQLite format 3\x00"
+
+
+def load_session(path: str | Path) -> Session:
+    """Session of an archive (SQLite, written by `calibrate` or `simulate`) or of a samples CSV.
+
+    The kind is told by the first bytes, not by the name.
+
+    Raises
+    ------
+    DataError
+        One line that names the file and, where there is one, the row: not there, another kind of file,
+        truncated, or with content that cannot be used.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise DataError(f"{path}: is a folder; give a file written by calibrate or simulate, or a CSV")
+    try:
+        with path.open("rb") as file:
+            head = file.read(len(_SQLITE_MAGIC))
+    except FileNotFoundError as error:
+        raise DataError(f"{path}: there is no such file") from error
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if head == _SQLITE_MAGIC:
+        from adis_gonio.session.archive import read_session
+
+        return read_session(path)
+    from adis_gonio.session.samples_csv import read_samples_csv
+
+    return read_samples_csv(path)

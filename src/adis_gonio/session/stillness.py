@@ -1,0 +1,233 @@
+"""Where a sensor stood still: dwells of a continuous recording.
+
+A window of samples is still where the standard deviation of every axis lies between two limits. Both
+come from the sensor's own noise, not from a table: the noise of an axis is that of its quietest stretches
+(median of all windows whose deviation is less than twice the lowest twentieth). The upper limit is four
+times that: rotation by hand exceeds it a hundredfold, the window's own scatter and a building's hum do
+not. The lower limit catches data that only look still because they are stuck: a working converter shows
+its noise. Where the noise is below half a step a constant word is normal and there is no lower limit.
+
+Gyros see a slow turn that the accelerations hide, but a part held by hand wobbles far above their noise
+without harm; so their limit is ten times their median where the accelerations are still.
+
+Every run of still windows is trimmed at both ends, where the hand is still near, and kept if it lasts. A
+run within which the mean moves on (a slip, or a slow turn) is split there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.errors import DataError
+from adis_gonio.model.records import Floats
+
+WINDOW_S = 0.5
+TRIM_S = 0.25
+LEAST_S = 1.0
+
+_UPPER = 4.0
+_LOWER = 0.1
+_GYRO_UPPER = 10.0
+_LEAST_WINDOW = 8
+
+
+@dataclass(frozen=True)
+class StillnessLimits:
+    """Standard deviations within a window between which an axis counts as still.
+
+    Attributes
+    ----------
+    window_samples : int
+        Length of the window.
+    lower, upper : (axes,) float
+        Limits in the unit of the samples; `lower` is zero where a constant word is normal.
+    """
+
+    window_samples: int
+    lower: Floats
+    upper: Floats
+
+    def still(self, samples: Floats) -> bool:
+        """True where the last `window_samples` of samples (n, axes) are still; False if there are fewer."""
+        if len(samples) < self.window_samples:
+            return False
+        deviation = np.std(samples[-self.window_samples :], axis=0)
+        return bool(((deviation >= self.lower) & (deviation <= self.upper)).all())
+
+    def stuck(self, samples: Floats) -> bool:
+        """True where an axis shows less than a living sensor would in the last window."""
+        if len(samples) < self.window_samples:
+            return False
+        return bool((np.std(samples[-self.window_samples :], axis=0) < self.lower).any())
+
+
+def limits_from_noise(noise_sd: Floats, window_samples: int, quantum: Floats | float) -> StillnessLimits:
+    """Limits from the standard deviation of single samples at rest.
+
+    Parameters
+    ----------
+    noise_sd : (axes,) float
+        Standard deviation of samples at rest within a window.
+    window_samples : int
+        Length of the window in samples.
+    quantum : float or (axes,) float
+        Step of the converter in the samples' unit; 0 unknown.
+    """
+    noise = np.asarray(noise_sd, dtype=float)
+    step = np.broadcast_to(np.asarray(quantum, dtype=float), noise.shape)
+    # Quantization alone shows as up to half a step where the value sits between two codes.
+    upper = _UPPER * np.maximum(noise, step / np.sqrt(12))
+    lower = np.where(noise > 0.5 * step, _LOWER * noise, 0.0)
+    return StillnessLimits(window_samples, lower, upper)
+
+
+def segment(time_s: Floats, accel: Floats, gyro: Floats | None = None) -> list[slice]:
+    """Dwells of a continuous recording.
+
+    Parameters
+    ----------
+    time_s : (n,) float
+        Time of each sample, increasing.
+    accel : (n, axes) float
+        Accelerometer samples, any unit.
+    gyro : (n, 3) float, optional
+        Gyro samples, any unit; windows in which they turn are not still.
+
+    Returns
+    -------
+    list of slice
+        Rows of each dwell, in order; empty where the sensor never rests.
+
+    Raises
+    ------
+    DataError
+        If the samples never change (stuck data).
+    """
+    return segment_with_notes(time_s, accel, gyro)[0]
+
+
+def segment_with_notes(
+    time_s: Floats, accel: Floats, gyro: Floats | None = None
+) -> tuple[list[slice], list[str]]:
+    """Same as `segment`, with lines on what was found."""
+    n = len(time_s)
+    steps = np.diff(time_s)
+    steps = steps[steps > 0]
+    if n < 2 * _LEAST_WINDOW or not steps.size:
+        return [], [f"{n} samples are too few for a continuous recording"]
+    period = float(np.median(steps))
+    window = max(_LEAST_WINDOW, round(WINDOW_S / period))
+    least = max(2 * window, round(LEAST_S / period))
+    trim = max(1, round(TRIM_S / period))
+    if n < least:
+        return [], [
+            f"the recording lasts {n * period:.2g} s; a dwell needs at least {least * period:.2g} s"
+        ]
+    _refuse_constant(accel)
+
+    deviation = _window_deviation(accel, window)
+    noise = _own_noise(deviation)
+    limits = limits_from_noise(noise, window, _quantum(accel))
+    high = np.asarray((deviation > limits.upper).any(axis=1))
+    low = np.asarray((deviation < limits.lower).any(axis=1))
+    if gyro is not None:
+        high |= _turns(gyro, window, ~high & ~low)
+    runs = _runs(~high & ~low, window)
+    slices = [slice(start + trim, stop - trim) for start, stop in runs if stop - start - 2 * trim >= least]
+    slices = [part for rows in slices for part in _split_at_steps(accel, rows, window, least, limits)]
+    scatter = ", ".join(f"{value:.3g}" for value in noise)
+    notes = [
+        f"{len(slices)} dwells were found by stillness (window {window * period:.3g} s, noise of the "
+        f"accelerations {scatter} in the file's unit, limit four times that)"
+    ]
+    stuck = _runs(low, window)
+    if stuck:
+        rows = ", ".join(f"{time_s[a]:.4g} s to {time_s[b - 1]:.4g} s" for a, b in stuck[:4])
+        notes.append(f"stuck data left out: an axis shows less than a tenth of its noise at {rows}")
+    return slices, notes
+
+
+def _refuse_constant(accel: Floats) -> None:
+    if not accel.any():
+        raise DataError(
+            "all-zero accelerations in the whole recording; check wiring and supply, record again"
+        )
+    if not np.ptp(accel, axis=0).any():
+        raise DataError("stuck data: the accelerations never change in the whole recording; record again")
+
+
+def _window_deviation(samples: Floats, window: int) -> Floats:
+    """Standard deviation (n − window + 1, axes) in every window."""
+    centred = samples - samples.mean(axis=0)
+    zero = np.zeros((1, samples.shape[1]))
+    first = np.concatenate([zero, np.cumsum(centred, axis=0)])
+    second = np.concatenate([zero, np.cumsum(centred**2, axis=0)])
+    mean = (first[window:] - first[:-window]) / window
+    square = (second[window:] - second[:-window]) / window
+    variance = np.maximum(square - mean**2, 0.0)
+    # What is left of a constant window is rounding of the running sums.
+    variance[variance < 1e-12 * (centred**2).max(axis=0)] = 0.0
+    return np.asarray(np.sqrt(variance))
+
+
+def _turns(gyro: Floats, window: int, still: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Windows (w,) in which a gyro moves more than it usually does where the accelerations are still."""
+    deviation = _window_deviation(gyro, window)
+    if not still.any():
+        return np.zeros(len(deviation), dtype=np.bool_)
+    usual = np.median(deviation[still], axis=0)
+    limit = np.maximum(_GYRO_UPPER * usual, _UPPER * _quantum(gyro) / np.sqrt(12))
+    return np.asarray((deviation > limit).any(axis=1))
+
+
+def _own_noise(deviation: Floats) -> Floats:
+    """Noise of each axis (axes,): typical deviation of its quiet windows."""
+    noise = np.zeros(deviation.shape[1])
+    for axis in range(deviation.shape[1]):
+        alive = deviation[:, axis][deviation[:, axis] > 0]
+        if alive.size:
+            lowest = np.quantile(alive, 0.05)
+            noise[axis] = np.median(alive[alive <= 2 * lowest])
+    return noise
+
+
+def _quantum(samples: Floats) -> Floats:
+    steps = np.zeros(samples.shape[1])
+    for axis in range(samples.shape[1]):
+        gaps = np.diff(np.unique(samples[:20000, axis]))
+        gaps = gaps[gaps > 1e-9 * max(1.0, float(np.abs(samples[:, axis]).max()))]
+        steps[axis] = gaps.min() if gaps.size else 0.0
+    return steps
+
+
+def _runs(flag: NDArray[np.bool_], window: int) -> list[tuple[int, int]]:
+    """Rows covered by each run of flagged windows, (start, stop)."""
+    edges = np.diff(np.concatenate([[False], flag, [False]]).astype(np.int8))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return [(int(a), int(b) - 1 + window) for a, b in zip(starts, ends, strict=True)]
+
+
+def _split_at_steps(
+    accel: Floats, rows: slice, window: int, least: int, limits: StillnessLimits
+) -> list[slice]:
+    """Parts of a dwell between which its mean steps by more than the noise of a single sample."""
+    n = rows.stop - rows.start
+    if n < 2 * least:
+        return [rows]
+    part = accel[rows]
+    sums = np.concatenate([np.zeros((1, part.shape[1])), np.cumsum(part - part[0], axis=0)])
+    middle = np.arange(window, n - window + 1)
+    before = (sums[middle] - sums[middle - window]) / window
+    after = (sums[middle + window] - sums[middle]) / window
+    jump = (np.abs(after - before) / (limits.upper[: part.shape[1]] / _UPPER)).max(axis=1)
+    cuts = []
+    while jump.size and jump.max() > _UPPER:
+        k = int(jump.argmax())
+        cuts.append(int(middle[k]))
+        jump[max(0, k - window) : k + window] = 0.0
+    edges = [0, *sorted(cuts), n]
+    return [slice(rows.start + a, rows.start + b) for a, b in pairwise(edges) if b - a >= least]
