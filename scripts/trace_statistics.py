@@ -2,9 +2,9 @@
 
     python scripts/trace_statistics.py --kind all --sessions 500 --jobs 2
 
-Sessions are written by one process and traced from their files by another (tests/tracing). Each figure stands
-with its 95 % Wilson interval; the exit status is 1 where one misses its target. A second table says what was
-claimed for each truth.
+Sessions are written by one process and traced from their files by another (tests/tracing). Each figure
+stands with its 95 % Wilson interval; the exit status is 1 where one misses its target. A second table says
+what was claimed for each truth.
 """
 
 from __future__ import annotations

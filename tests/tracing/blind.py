@@ -1,11 +1,11 @@
 """Blind test sessions: drawn with what they hide, and written as a samples CSV that does not tell.
 
-Size of an effect: its largest contribution to a reading, in standard uncertainties of that reading (noise of
-the dwell and the fixture's share together), *after* projecting off the base model; drawn from 4 to 12. A draw
-is repeated where the excess of χ² that it causes past the base model (and past the other effect of the
-session) is below `SEEN`: an effect that the base model or its partner absorbs is not in the session at all. An
-undeclared effect is drawn again, besides, where a single catalogue name explains it to within `FOREIGN`: it
-would be that name.
+Size of an effect: its largest contribution to a reading, in standard uncertainties of that reading (noise
+of the dwell and the fixture's share together), *after* projecting off the base model; drawn from 4 to 12. A
+draw is repeated where the excess of χ² that it causes past the base model (and past the other effect of the
+session) is below `SEEN`: an effect that the base model or its partner absorbs is not in the session at all.
+An undeclared effect is drawn again, besides, where a single catalogue name explains it to within `FOREIGN`:
+it would be that name.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tracing.undeclared import BEYOND, GRAMMAR
 KINDS = ("none", "one", "two", "uncatalogued", "beyond")
 SIZES = (4.0, 12.0)
 SEEN = 50.0
-"""Least noncentrality: a test of two degrees of freedom at 1 % over a thousand candidates has 97 % power."""
+"""Least noncentrality: a test of two degrees of freedom, 1 % over a thousand candidates, has 97 % power."""
 FOREIGN = 36.0
 """Least noncentrality of what the best single catalogue name leaves of an undeclared effect."""
 

@@ -1,8 +1,8 @@
 """What a session can tell apart: whitened readings seen past the base model.
 
 The base model's four columns (start angle, two gains, Δφ) are projected out of everything after whitening
-with the reading noise and the fixture's share along the tangent. The *noncentrality* of an effect is the sum
-of squares of what is left of it: the excess of χ² that it causes.
+with the reading noise and the fixture's share along the tangent. The *noncentrality* of an effect is the
+sum of squares of what is left of it: the excess of χ² that it causes.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tracing.named_truth import Term, alternatives
 from tracing.plans import G_MG, Bench, Floats, Rows
@@ -20,11 +21,11 @@ two by likelihood is then wrong in Φ(−√16/2) = 2.3 % of sessions even for a
 
 
 class Lens:
-    """A session's readings (of the dwells that may be fitted), whitened, past the base model."""
+    """Readings (of the dwells in `use`, else of those that may be fitted), past the base model."""
 
-    def __init__(self, bench: Bench) -> None:
+    def __init__(self, bench: Bench, use: NDArray[np.bool_] | None = None) -> None:
         self.bench = bench
-        fit = ~bench.check
+        fit = ~bench.check if use is None else use
         dwells = bench.dwells
         self.rows = Rows(
             *(getattr(dwells, f)[fit] for f in list(Rows.__dataclass_fields__)[:-1]), history=dwells.history
@@ -37,7 +38,8 @@ class Lens:
         turn = np.zeros_like(self.ideal)
         turn[:, 1] = G_MG * bench.gains[1] * np.cos(psi + bench.dphi)
         gains = self.ideal[None] * np.eye(2)[:, None, :]
-        self.base = np.linalg.qr(self.whiten(np.stack([self.slope, *gains, turn])).T)[0]
+        self.base_mg = np.stack([self.slope, *gains, turn])
+        self.base = np.linalg.qr(self.whiten(self.base_mg).T)[0]
 
     def whiten(self, columns_mg: Floats) -> Floats:
         """From (k, n, 2) in mg to (k, 2n) in standard uncertainties."""
@@ -47,12 +49,14 @@ class Lens:
         """Whitened columns (k, 2n) without what the base model explains."""
         return columns - (columns @ self.base) @ self.base.T
 
+    def plain(self, term: Term) -> Floats:
+        """Columns (k, n, 2) of a term in mg."""
+        basis = term.basis(self.rows, self.ideal)
+        return np.deg2rad(basis)[:, :, None] * self.slope if term.attitude else basis
+
     def columns(self, term: Term) -> Floats:
         """Whitened columns (k, 2n) of a term past the base model."""
-        basis = term.basis(self.rows, self.ideal)
-        if term.attitude:
-            basis = np.deg2rad(basis)[:, :, None] * self.slope
-        return self.past_base(self.whiten(basis))
+        return self.past_base(self.whiten(self.plain(term)))
 
     def contribution(self, term: Term) -> Floats:
         """Whitened contribution (2n,) of a term past the base model."""
@@ -69,7 +73,7 @@ class Lens:
     def unexplained_by_names(
         self, target: Floats, names: Iterable[str], beside: Iterable[Floats] = ()
     ) -> float:
-        """The same for catalogue names, each with the choice (time constant, dwell, degree) that suits best.
+        """The same for catalogue names, each with the time constant, dwell or degree that suits best.
 
         Choices are made one name after the other, those without any first.
         """

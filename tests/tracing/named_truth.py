@@ -27,8 +27,8 @@ class Term:
     Attributes
     ----------
     basis : callable
-        From rows (n) and ideal readings (n, 2) to (k, n, 2) in mg, or to (k, n) in degrees for a term of the
-        true angle (`attitude`).
+        From rows (n) and ideal readings (n, 2) to (k, n, 2) in mg, or to (k, n) in degrees for a term of
+        the true angle (`attitude`).
     coefficients : (k,) float
     reported : tuple of str
         Name of each coefficient in the product's units, for a catalogued term.
@@ -63,7 +63,7 @@ class Term:
 
 
 def on_axes(axes: str, drive: Callable[[Rows, Floats, int], Floats]) -> Basis:
-    """Basis with one column an axis of `axes`: `drive(rows, ideal, axis)` (n,) on that axis, zero beside."""
+    """Basis with one column an axis of `axes`: `drive(rows, ideal, axis)` (n,) there, zero beside."""
 
     def basis(rows: Rows, ideal_mg: Floats) -> Floats:
         columns = np.zeros((len(axes), *ideal_mg.shape))
@@ -82,7 +82,7 @@ def lagged_temperature(rows: Rows, tau_s: float) -> Floats:
     step = fine[1] - fine[0]
     course = np.interp(fine, times, temperatures)
     kept = np.exp(-step / tau_s)
-    # The lag e = T − T_lag obeys e' = kept·e + s·τ·(1 − kept): exact for a slope s that is constant over a step.
+    # The lag e = T − T_lag obeys e' = kept·e + s·τ·(1 − kept), exactly for a constant slope s over a step.
     feed = np.concatenate([[0.0], np.diff(course) / step * tau_s * (1 - kept)])
     late = course - lfilter([1.0], [1.0, -kept], feed)
     return np.interp(rows.time_s, fine, late)
@@ -181,7 +181,7 @@ def draw_named(rng: np.random.Generator, name: str, rows: Rows, check: NDArray[n
 
 
 def alternatives(name: str, rows: Rows) -> list[Term]:
-    """All that `name` could mean in a session: both axes, time constants by a grid, each dwell, each degree."""
+    """All that `name` could mean in a session: both axes, time constants by a grid, each dwell, degrees."""
     if name in {"thermal_lag", "warm_up"}:
         taus = rows.time_s[-1] * np.geomspace(0.01, 4, 14)
         return [_term(name, "xy", float(tau)) for tau in taus]

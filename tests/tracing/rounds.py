@@ -32,12 +32,12 @@ def write_session(path: str, kind: str, seed: int, index: int) -> str:
 
 def trace_file(path: str) -> dict[str, Any]:
     """The product's answer to a file, as its JSON says it; an exception becomes {"failure": …}."""
-    from adis_gonio import load_session, trace  # noqa: PLC0415 - only the tracing process loads the product
+    from adis_gonio import load_session, trace  # only the tracing process loads the product
 
     begin = time.perf_counter()
     try:
         result: dict[str, Any] = json.loads(json.dumps(trace(load_session(Path(path))).as_dict()))
-    except Exception:  # noqa: BLE001 - any failure is an answer, and counts as a wrong one
+    except Exception:  # any failure is an answer, and counts as a wrong one
         result = {"failure": traceback.format_exc()}
     result["seconds"] = time.perf_counter() - begin
     return result

@@ -1,8 +1,8 @@
 """Effects that the catalogue does not have, for the blind sessions.
 
-`GRAMMAR` holds those which a line "where it enters × what drives it" expresses; `BEYOND` holds shapes that no
-such line expresses. Each entry draws a `Term` of unit size with the covariates that drive it, the catalogue
-names that are the leading part of the same cause, and words by which a report would show its form.
+`GRAMMAR` holds those which a line "where it enters × what drives it" expresses; `BEYOND` holds shapes that
+no such line expresses. Each entry draws a `Term` of unit size with the covariates that drive it, the
+catalogue names that are the leading part of the same cause, and words by which a report shows its form.
 """
 
 from __future__ import annotations

@@ -174,12 +174,14 @@ def _innocent(name: str, blind: Blind, lens: Lens) -> bool:
 
 
 def _drives(term: Term, said: list[str], lens: Lens) -> bool:
-    """Whether the covariates that were reported are those that drive the term."""
+    """Whether the covariates that were reported are those that drive the term, and no others."""
     if not said:
         return False
-    if len(term.covariates) == 1 and "|" in term.covariates[0]:
-        return any(_same(word, true, lens) for word in said for true in term.covariates[0].split("|"))
-    return all(any(_same(word, true, lens) for word in said) for true in term.covariates)
+    either = len(term.covariates) == 1 and "|" in term.covariates[0]
+    drivers = term.covariates[0].split("|") if either else term.covariates
+    missed = [true for true in drivers if not any(_same(word, true, lens) for word in said)]
+    foreign = [word for word in said if not any(_same(word, true, lens) for true in drivers)]
+    return not foreign and (either or not missed)
 
 
 def _same(word: str, true: str, lens: Lens) -> bool:
@@ -286,7 +288,7 @@ def _heldout(blind: Blind, fit: np.ndarray, out: np.ndarray) -> float:
 
 
 def best_attitude(left_mg: Floats, slope: Floats, cover: Floats, fixture_deg: float) -> Floats:
-    """Residuals (n, 2) after each dwell took the angle that suits it best within the fixture's tolerance."""
+    """Residuals (n, 2) at the angle that suits each dwell best within the fixture's tolerance."""
     turn = np.deg2rad(fixture_deg) ** 2 * np.einsum(
         "ni,ni->n", slope, np.linalg.solve(cover, left_mg[..., None])[..., 0]
     )
