@@ -103,7 +103,7 @@ def _drivers(
 
 
 def nameless(rows: Rows, surroundings: bool, approach: bool) -> Iterator[tuple[str, Term]]:
-    """Nameless terms with their covariates: bias, gain, true angle times every driver; powers of readings."""
+    """Nameless terms with their covariates: zero, gain, true angle by every driver; powers of readings."""
     for covariates, drive in _drivers(rows, surroundings, approach):
         yield covariates, Term("", lambda r, a, f=drive: f(r)[None], np.ones(1), attitude=True)
         for axis in "xy":

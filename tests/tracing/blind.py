@@ -145,7 +145,7 @@ def _measure(bench: Bench, terms: tuple[Term, ...], rng: np.random.Generator) ->
     ideal = bench.ideal_mg(psi)
     readings = ideal + sum((term.value(rows, ideal) for term in terms if not term.attitude), 0.0)
     samples = readings + draw_noise(rng, bench)
-    return np.round(samples / LSB_MG) * LSB_MG if bench.in_lsb else np.round(samples, 4)
+    return np.round(samples / LSB_MG) * LSB_MG if bench.in_steps else np.round(samples, 4)
 
 
 def write(path: Path, blind: Blind, samples_mg: Floats) -> None:
@@ -160,10 +160,7 @@ def write(path: Path, blind: Blind, samples_mg: Floats) -> None:
         header.append("approach")
         columns.append(rows.approach.astype(int).astype(str))
     header += ["ax", "ay"]
-    if bench.in_lsb:
-        columns += list(np.char.mod("%d", np.rint(samples_mg / LSB_MG).astype(int)).T)
-    else:
-        columns += list(np.char.mod("%.4f", samples_mg).T)
+    columns += list(np.char.mod("%.4f", samples_mg).T)
     if bench.has_surroundings:
         header += ["temp_c", "supply_v"]
         columns += [np.char.mod("%.3f", rows.temperature_c), np.char.mod("%.4f", rows.supply_v)]
@@ -171,9 +168,9 @@ def write(path: Path, blind: Blind, samples_mg: Floats) -> None:
         header.append("use")
         columns.append(np.array(uses)[index])
     lines = [
-        "# sensor: adis16354",
+        "# sensor: generic",  # whose noise is what its samples show: no 1/f noise from a data sheet
         f"# fixture_sigma_deg: {bench.fixture_deg:g}",
-        f"# accel_unit: {'lsb' if bench.in_lsb else 'mg'}",
+        "# accel_unit: mg",
         ",".join(header),
         *map(",".join, zip(*columns, strict=True)),
     ]

@@ -62,7 +62,7 @@ class Bench:
     dphi: float
     has_surroundings: bool
     has_approach: bool
-    in_lsb: bool
+    in_steps: bool
     setting: str
 
     @property
@@ -191,7 +191,7 @@ def draw_bench(rng: np.random.Generator) -> Bench:
         dphi=float(np.deg2rad(rng.normal(0, 0.7))),
         has_surroundings=bool(rng.random() < 0.9),
         has_approach=bool(rng.random() < 0.9),
-        in_lsb=bool(rng.random() < 0.25),
+        in_steps=bool(rng.random() < 0.25),
         setting=f"{order}, {d - check.sum()} readings, temperature {thermal}, supply {electric}",
     )
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from tracing.blind import draw, write
-from tracing.verdict import Verdict, judge
+from tracing.verdict import Verdict, failed, judge
 
 Tracer = Callable[[str], dict[str, Any]]
 
@@ -44,10 +44,11 @@ def trace_file(path: str) -> dict[str, Any]:
 
 
 def judge_answer(answer: dict[str, Any], kind: str, seed: int, index: int) -> Verdict:
-    """Draw the truth again and judge."""
+    """Draw the truth again and judge; a tracer that raised is wrong in every respect."""
     blind, _ = draw(kind, seed, index)
     if "failure" in answer:
-        raise RuntimeError(f"{kind} {seed}/{index} ({blind.bench.setting}):\n{answer['failure']}")
+        where = f"{kind} {seed}/{index} ({blind.bench.setting})"
+        return failed(blind, f"{where}:\n{answer['failure']}", answer["seconds"])
     return judge(blind, answer, answer["seconds"])
 
 
@@ -67,13 +68,7 @@ def rounds(
     pools: tuple[ProcessPoolExecutor, ProcessPoolExecutor],
     tracer: Tracer = trace_file,
 ) -> list[Verdict]:
-    """Verdicts of the sessions of a kind, in the order of `indices`.
-
-    Raises
-    ------
-    RuntimeError
-        The tracer raised on a session: says which, with its traceback.
-    """
+    """Verdicts of the sessions of a kind, in the order of `indices`."""
     bench, tracing = pools
     with tempfile.TemporaryDirectory(prefix="blind-") as folder:
         paths = [str(Path(folder) / f"session_{k}.csv") for k in range(len(indices))]

@@ -94,6 +94,33 @@ class Verdict:
     axes_right: bool | None
     confounded: bool
     seconds: float = 0.0
+    failure: str = ""
+
+
+def failed(blind: Blind, failure: str, seconds: float) -> Verdict:
+    """Verdict on a tracer that raised: wrong in every respect."""
+    return Verdict(
+        truth=tuple(term.name for term in blind.terms),
+        kind=blind.kind,
+        adequate=False,
+        claimed=("failure",),
+        strict=False,
+        found=False,
+        exact=False,
+        wrong=("failure",),
+        unnamed=False,
+        said="",
+        covariate=False,
+        form=False,
+        heldout_ratio=np.nan,
+        fold_ratio=np.nan,
+        worse=np.inf,
+        covered=(),
+        axes_right=None,
+        confounded=False,
+        seconds=seconds,
+        failure=failure,
+    )
 
 
 def judge(blind: Blind, result: Mapping[str, Any], seconds: float = 0.0) -> Verdict:
