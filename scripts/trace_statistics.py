@@ -123,6 +123,7 @@ def figures(kind: str, verdicts: Sequence[Verdict]) -> list[Figure]:
     lines.append(
         rate(kind, "held-out error > 5 % worse than before", (v.worse > 1.05 for v in verdicts), most=0)
     )
+    lines.append(rate(kind, "trace raised", (bool(v.failure) for v in verdicts), most=0))
     spent = [v.seconds for v in verdicts]
     value = f"{np.median(spent):7.2f}  (max {max(spent):.2f})"
     lines.append(Figure(kind, "seconds a session, file included", value, "", None))
@@ -166,6 +167,11 @@ def main() -> int:
             verdicts = rounds(kind, range(options.sessions), options.seed, pools)
             print(f"{kind}: {len(verdicts)} in {time.perf_counter() - begin:.0f} s", file=sys.stderr)
             lines += figures(kind, verdicts)
+            broken = [v.failure for v in verdicts if v.failure]
+            if broken:
+                print(
+                    f"{kind}: trace raised on {len(broken)} sessions, first\n{broken[0]}", file=sys.stderr
+                )
             tables += [f"-- {kind}", *confusion(verdicts)]
     for line in lines:
         mark = {None: " ", True: "✓", False: "✗"}[line.met]
