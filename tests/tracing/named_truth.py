@@ -36,6 +36,8 @@ class Term:
         Nonlinear parameters by name.
     covariates : tuple of str
         What drives it; for an undeclared term.
+    also : tuple of str
+        Covariates that may be named besides: the reading, for what multiplies it.
     leading : tuple of str
         Catalogue names that are the leading part of the same cause.
     form : str
@@ -49,6 +51,7 @@ class Term:
     reported: tuple[str, ...] = ()
     shapes: dict[str, float] = field(default_factory=dict)
     covariates: tuple[str, ...] = ()
+    also: tuple[str, ...] = ()
     leading: tuple[str, ...] = ()
     form: str = ""
     needs: tuple[str, ...] = ()

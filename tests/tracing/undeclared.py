@@ -8,6 +8,7 @@ catalogue names that are the leading part of the same cause, and words by which 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -52,7 +53,8 @@ def _gain(
     """Term of the gain of one axis or two."""
     axes = _axes(rng)
     basis = on_axes(axes, lambda r, a, i: course(r) * a[:, i] / 1000)
-    return _made(name, basis, _sizes(rng, axes), covariates, form, leading, needs)
+    made = _made(name, basis, _sizes(rng, axes), covariates, form, leading, needs)
+    return replace(made, also=("reading",))
 
 
 def _response(
@@ -78,7 +80,7 @@ def _turned(
 ) -> Term:
     """Term of the true angle, one column."""
     made = _made(name, lambda r, a: waves(r)[None], np.ones(1), covariates, form, leading, needs)
-    return Term(**{**made.__dict__, "attitude": True})
+    return replace(made, attitude=True)
 
 
 def _made(
@@ -235,9 +237,10 @@ def _cross_modulus(rng: np.random.Generator, rows: Rows) -> Term:
 def _lean_temperature(rng: np.random.Generator, rows: Rows) -> Term:
     axes = _axes(rng)
     basis = on_axes(axes, lambda r, a, i: a[:, 1 - i] / 1000 * (r.temperature_c - 25))
-    return _made(
+    made = _made(
         "lean_temperature", basis, _sizes(rng, axes), "temperature", "cross|lean|misal", "", "surroundings"
     )
+    return replace(made, also=("reading",))
 
 
 def _drift_square(rng: np.random.Generator, rows: Rows) -> Term:

@@ -207,7 +207,8 @@ def _drives(term: Term, said: list[str], lens: Lens) -> bool:
     either = len(term.covariates) == 1 and "|" in term.covariates[0]
     drivers = term.covariates[0].split("|") if either else term.covariates
     missed = [true for true in drivers if not any(_same(word, true, lens) for word in said)]
-    foreign = [word for word in said if not any(_same(word, true, lens) for true in drivers)]
+    known = (*drivers, *term.also)
+    foreign = [word for word in said if not any(_same(word, true, lens) for true in known)]
     return not foreign and (either or not missed)
 
 
