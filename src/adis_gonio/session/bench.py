@@ -10,9 +10,10 @@ from adis_gonio.errors import SessionError, UsageError
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.sensor.registers import REGISTERS
 from adis_gonio.sensor.scanning import ScanStream
-from adis_gonio.session.archive import ArchiveView, Move
 from adis_gonio.session.plans import Plan, Position
+from adis_gonio.session.rows import Move
 from adis_gonio.session.settings import Settings
+from adis_gonio.session.view import ArchiveView
 from adis_gonio.session.watch import window_samples
 
 CHECKPOINT_S = 1e-3
@@ -127,8 +128,8 @@ class Bench:
         for name in _SETTINGS:
             if before.get(name) != now[name]:
                 raise SessionError(
-                    f"{archive.path}: {name} was {before.get(name)} and is {now[name]}: another sensor, or it"
-                    " was changed; set it back or begin a new session"
+                    f"{archive.path}: {name} was {before.get(name)} and is {now[name]}: another sensor, or"
+                    " it was changed; set it back or begin a new session"
                 )
 
     @staticmethod

@@ -9,10 +9,10 @@
 | `blocks` | the raw words of an attempt (uint16, little-endian, scan by scan) and their times (float64) |
 | `moves` | a move of the stage by the program, at its time on the bus's clock |
 
-Every table refuses UPDATE and DELETE: what was written stays. Times called `bus_s` are on the clock of
-the bus of that run, in s; adding the run's `clock_offset_s` makes them seconds since the session began.
-`continues` is the attempt after which a resumed run goes on, 0 for the beginning: a simulated world is
-brought back to that point.
+Every table refuses UPDATE and DELETE: what was written stays. Every row ends with a checksum of the others.
+Times called `bus_s` are on the clock of the bus of that run, in s; adding the run's `clock_offset_s` makes
+them seconds since the session began. `continues` is the attempt after which a resumed run goes on, 0 for
+the beginning: a simulated world is brought back to that point.
 
 Durability: a rollback journal (`journal_mode=DELETE`), so that there is one file and nothing beside it
 between commits, and `synchronous=EXTRA`, which besides the file syncs the directory once the journal is
@@ -40,7 +40,8 @@ TABLES = ("meta", "runs", "records", "attempts", "blocks", "moves")
 _CREATE = """
 CREATE TABLE meta (
     key   TEXT PRIMARY KEY,
-    value TEXT NOT NULL
+    value TEXT NOT NULL,
+    crc32 INTEGER NOT NULL
 );
 CREATE TABLE runs (
     run            INTEGER PRIMARY KEY,
@@ -48,7 +49,8 @@ CREATE TABLE runs (
     bus_s          REAL NOT NULL,
     clock_offset_s REAL NOT NULL,
     continues      INTEGER NOT NULL,
-    software       TEXT NOT NULL
+    software       TEXT NOT NULL,
+    crc32          INTEGER NOT NULL
 );
 CREATE TABLE records (
     record INTEGER PRIMARY KEY,
@@ -56,24 +58,27 @@ CREATE TABLE records (
     utc    TEXT NOT NULL,
     bus_s  REAL NOT NULL,
     kind   TEXT NOT NULL,
-    value  TEXT NOT NULL
+    value  TEXT NOT NULL,
+    crc32  INTEGER NOT NULL
 );
 CREATE TABLE attempts (
-    attempt       INTEGER PRIMARY KEY,
-    run           INTEGER NOT NULL REFERENCES runs,
-    place         INTEGER NOT NULL,
-    angle_deg     REAL,
-    approach      INTEGER NOT NULL,
-    use           TEXT NOT NULL CHECK (use IN ('fit', 'check')),
-    outcome       TEXT NOT NULL CHECK (outcome IN ('complete', 'interrupted')),
-    reason        TEXT NOT NULL,
-    started_utc   TEXT NOT NULL,
-    started_bus_s REAL NOT NULL,
-    ended_bus_s   REAL NOT NULL,
-    registers     TEXT NOT NULL,
-    variant       TEXT NOT NULL,
+    attempt        INTEGER PRIMARY KEY,
+    run            INTEGER NOT NULL REFERENCES runs,
+    place          INTEGER NOT NULL,
+    angle_deg      REAL,
+    approach       INTEGER NOT NULL,
+    use            TEXT NOT NULL CHECK (use IN ('fit', 'check')),
+    outcome        TEXT NOT NULL CHECK (outcome IN ('complete', 'interrupted')),
+    reason         TEXT NOT NULL,
+    started_utc    TEXT NOT NULL,
+    started_bus_s  REAL NOT NULL,
+    ended_bus_s    REAL NOT NULL,
+    registers      TEXT NOT NULL,
+    variant        TEXT NOT NULL,
     gyro_range_dps INTEGER,
-    status        INTEGER
+    status         INTEGER,
+    blocks         INTEGER NOT NULL,
+    crc32          INTEGER NOT NULL
 );
 CREATE TABLE blocks (
     attempt  INTEGER NOT NULL REFERENCES attempts,
@@ -85,13 +90,14 @@ CREATE TABLE blocks (
     time_s   BLOB NOT NULL,
     crc32    INTEGER NOT NULL,
     PRIMARY KEY (attempt, sequence)
-) WITHOUT ROWID;
+);
 CREATE TABLE moves (
     move      INTEGER PRIMARY KEY,
     attempt   INTEGER NOT NULL REFERENCES attempts,
     bus_s     REAL NOT NULL,
     angle_deg REAL NOT NULL,
-    approach  INTEGER NOT NULL
+    approach  INTEGER NOT NULL,
+    crc32     INTEGER NOT NULL
 );
 """
 
@@ -115,6 +121,8 @@ def statements() -> list[str]:
 
 WAIT_S = 30.0
 """How long a reader waits for a commit, and a writer for readers, in s."""
+
+LONGEST_TEXT = 100
 
 _MAGIC = b"SQLite format 3\x00"
 
@@ -201,15 +209,29 @@ def explained(path: Path) -> Iterator[None]:
         yield
     except sqlite3.Error as error:
         raise _explain(path, error) from error
+    except UnicodeDecodeError as error:
+        raise damaged(path, "text that is none") from error
+
+
+def damaged(path: Path, what: str) -> DataError:
+    """Error of a file whose content cannot be right."""
+    return DataError(f"{path}: is damaged ({what}); restore it from a copy (it was left as it is)")
+
+
+def _one_line(text: str) -> str:
+    """SQLite quotes SQL and what it finds in pages: one printable line of it is enough."""
+    words = " ".join(text.split())
+    plain = "".join(letter if letter.isprintable() else "?" for letter in words)
+    return plain if len(plain) <= LONGEST_TEXT else f"{plain[:LONGEST_TEXT]}…"
 
 
 def _explain(path: Path, error: sqlite3.Error) -> DataError | SessionError:
-    text = str(error)
+    text = _one_line(str(error))
     name = getattr(error, "sqlite_errorname", "")
     if name.startswith("SQLITE_NOTADB"):
         return DataError(f"{path}: is no session file")
-    if name.startswith("SQLITE_CORRUPT"):
-        return DataError(f"{path}: is damaged ({text}); restore it from a copy (it was left as it is)")
+    if name.startswith("SQLITE_CORRUPT") or text.startswith(("no such table", "no such column")):
+        return damaged(path, text)
     if name.startswith("SQLITE_FULL"):
         return SessionError(
             f"{path}: the disk is full; make room and resume, all completed dwells are kept"
@@ -220,8 +242,6 @@ def _explain(path: Path, error: sqlite3.Error) -> DataError | SessionError:
         return SessionError(f"{path}: another program has kept it locked for {WAIT_S:g} s; try again")
     if name.startswith("SQLITE_IOERR"):
         return SessionError(f"{path}: the disk failed ({text}); all completed dwells are kept")
-    if isinstance(error, sqlite3.DatabaseError) and text.startswith(("no such table", "no such column")):
-        return DataError(f"{path}: is damaged ({text}); restore it from a copy (it was left as it is)")
     return SessionError(f"{path}: {text}")
 
 
@@ -276,3 +296,7 @@ def _check_content(path: Path, connection: sqlite3.Connection) -> None:
             f"{path}: is truncated, {size} of {pages * page_bytes} bytes;"
             " restore it from a copy (it was left as it is)"
         )
+    # A damaged tree could hide rows without any error, hence the walk through all pages.
+    (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+    if found != "ok":
+        raise damaged(path, _one_line(str(found)))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from adis_gonio.sensor.decoding import ScanBlock, join
-from adis_gonio.session.archive import Attempt, Move, Outcome, Phase
 from adis_gonio.session.plans import Position
+from adis_gonio.session.rows import Attempt, Move, Outcome, Phase
 
 
 class Recording:

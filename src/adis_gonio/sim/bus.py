@@ -207,6 +207,7 @@ class SimStream(FrameStream):
         self._list = np.append(frames, np.uint16(0))
         self._block = block_scans
         self._free_s = bus.now_s()
+        self._last_edge: float | None = None
         self._open = True
         self._require_edges()
 
@@ -223,17 +224,21 @@ class SimStream(FrameStream):
                 raise BusTimeoutError(f"{bus.url}: no data-ready edge; the chip is not running")
             period = chip.update_period_s
             stride = max(1, math.ceil((_TRIGGER_S + k * timing.frame_s) / period - 1e-9))
+            lost = (stride - 1) * self._block
+            if self._last_edge is not None:  # the chip may have lived on meanwhile
+                lost += max(0, round((first - self._last_edge) / period) - stride)
             edges = first + stride * period * np.arange(self._block, dtype=np.float64)
             starts = (edges + _TRIGGER_S)[:, None] + timing.frame_s * np.arange(k)
             replies = chip.frames_at(
                 np.tile(self._list, self._block), starts.ravel(), clock_hz=timing.clock_hz
             )
             words = replies.reshape(self._block, k)[:, 1:]
+            self._last_edge = float(edges[-1])
             self._free_s = float(edges[-1] + _TRIGGER_S + k * timing.frame_s)
             bus._last_start = float(starts[-1, -1])
             bus._last_rise = bus._last_start + FRAME_BITS / timing.clock_hz
             bus._set_now(self._free_s)
-            return FrameBlock(np.ascontiguousarray(words), edges, (stride - 1) * self._block)
+            return FrameBlock(np.ascontiguousarray(words), edges, lost)
 
     def close(self) -> None:
         """Stop; the bus is free again."""

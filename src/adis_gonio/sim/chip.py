@@ -19,6 +19,7 @@ Choices where the real behaviour is not known
 | frame during a flash update or recovery from sleep | ignored, stale reply | D |
 | frame during precision autonull | ignored but for a software reset | D |
 | self-test running | registers answer, outputs read 0 with ND 0, commands but a reset are ignored | D |
+| updates during a flash update, restore or self-test | none; they start anew after it | D |
 | autonull | takes the filtered gyros of the last update, then a flash update | D |
 | precision autonull | mean of the unfiltered gyros over 30 s | D |
 | supply below 4.75 V at the end of a flash update | nothing saved, STATUS[2] | D |
@@ -114,6 +115,13 @@ class SimulatedChip:
         Parts that fail the internal self-test: `xaccl`, `zgyro`, …
     data_ready_pulse_s : float
         Width of the data-ready pulse.
+
+    Attributes
+    ----------
+    variant : Variant
+        Its row of the variants table.
+    external_levels : tuple of int, int
+        Levels that stand on DIO1 and DIO2 from outside, read where a line is an input.
 
     Raises
     ------

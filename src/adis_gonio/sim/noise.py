@@ -50,7 +50,7 @@ class Flicker:
         *,
         start_s: float = 0.0,
         step_s: float = 1 / 16,
-        lowest_hz: float = 2.0**-13,
+        lowest_hz: float = 2.0**-15,
     ) -> None:
         octaves = int(np.floor(np.log2(0.15 / (step_s * lowest_hz)))) + 1
         corners = lowest_hz * 2.0 ** np.arange(octaves)

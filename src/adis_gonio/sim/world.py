@@ -13,17 +13,18 @@ What is not simulated
     supposes), turns of the axes out of the stage's plane other than the skews of Z, cross-axis and
     nonlinearity unless an effect brings them, noise that depends on temperature, the earth's rotation,
     accelerations of a part away from the stage's axis, thermal gradients between axes. Flicker ends
-    below 1e-4 and above 1.5 Hz.
+    below 3e-5 and above 1.5 Hz.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from adis_gonio.errors import UsageError
 from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters
-from adis_gonio.model.geometry import axes_matrix
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.sensor.variants import Variant, variant
 from adis_gonio.sim.inputs import Floats, Inputs
@@ -134,19 +135,28 @@ class World:
         """Local gravity in mg."""
         return 1000.0 * self.settings.gravity_mps2 / STANDARD_GRAVITY_MPS2
 
-    def truth(self) -> dict[str, float]:
+    def truth(self, time_s: Floats | None = None) -> dict[str, float]:
         """Hidden parameters by the names that a fit uses.
 
         `delta_k` (1), `delta_phi` (degree), `alpha` (degree), `scale_x…` (the gain, 1 is perfect),
-        `skew_xy…` (degree, 90° minus the angle between the axes), `bias_x…` (mg at 25 °C, before
-        flicker), `bias_temperature_x…` (mg/°C), `scale_temperature_x…` (1/°C), and the parameters of
-        added effects as `effect.parameter` in the effect's units.
+        `skew_xy…` (degree, 90° minus the angle between the axes), `bias_x…` (mg, before flicker),
+        `bias_temperature_x…` (mg/°C), `scale_temperature_x…` (1/°C), and the parameters of added effects
+        as `effect.parameter` in the effect's units.
+
+        Parameters
+        ----------
+        time_s : (n,) float or None
+            Times to whose mean temperature the biases and gains belong; None for 25 °C.
         """
         result = dict(self._hidden)
+        warm = 0.0 if time_s is None else float(np.mean(self.temperature_c(time_s))) - REFERENCE_C
         for k, axis in enumerate(AXES):
-            result[f"bias_{axis}"] = float(self._bias[k])
+            result[f"scale_{axis}"] *= 1 + float(self._scale_tempco[k]) * warm
+            result[f"bias_{axis}"] = float(self._bias[k] + self._tempco[k] * warm)
             result[f"bias_temperature_{axis}"] = float(self._tempco[k])
             result[f"scale_temperature_{axis}"] = float(self._scale_tempco[k])
+        if warm:
+            result["delta_k"] = result["scale_x"] / result["scale_y"] - 1
         for effect, values in self.effects:
             for parameter, value in zip(effect.parameters, values, strict=True):
                 result[f"{effect.name}.{parameter.name}"] = float(value)
@@ -270,7 +280,16 @@ def _values(effect: Effect, given: Values) -> Floats:
 
 
 def _sensitivity(hidden: Mapping[str, float]) -> Floats:
-    """Gains times the directions (3, 3) that the axes feel."""
+    """Gains times the directions (3, 3) that the axes feel: X the reference, Y off it in the plane.
+
+    Sines of the skews are the cosines of the angles between the axes.
+    """
+    xy, xz, yz = (math.sin(math.radians(hidden[f"skew_{pair}"])) for pair in ("xy", "xz", "yz"))
+    y_of_y = math.sqrt(1 - xy * xy)
+    y_of_z = (yz - xz * xy) / y_of_y
+    square = 1 - xz * xz - y_of_z * y_of_z
+    if square <= 0:
+        raise UsageError("no three axes have skews of this size; give skews of a few degrees")
+    directions = np.array([[1.0, 0.0, 0.0], [xy, y_of_y, 0.0], [xz, y_of_z, math.sqrt(square)]])
     gains = np.array([hidden[f"scale_{axis}"] for axis in AXES])
-    skews = np.radians([hidden[f"skew_{pair}"] for pair in ("xy", "xz", "yz")])
-    return np.asarray(gains[:, None] * axes_matrix(skews), np.float64)
+    return np.asarray(gains[:, None] * directions, np.float64)

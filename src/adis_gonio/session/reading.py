@@ -1,0 +1,118 @@
+"""A session file as a `Session` for the fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from adis_gonio.errors import DataError
+from adis_gonio.model.records import Dwell, Session
+from adis_gonio.sensor.decoding import ScanBlock, join
+from adis_gonio.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
+from adis_gonio.session.plans import Plan
+from adis_gonio.session.rows import JsonDict, StoredAttempt
+from adis_gonio.session.view import ArchiveView
+
+
+def read_session(path: str | Path) -> Session:
+    """Read a session file: its complete dwells, in the order in which they were recorded.
+
+    A session may be read while another program records it. Samples are in LSB and °/s, times in seconds
+    since the session began. `facts` holds `configuration`, `registers` (before, configured, after),
+    `plan`, `settings`, `url`, `note`, `runs`, `dwells` (times, lost scans, STATUS of each), `problems`,
+    `complete`, and for simulated sessions alone `truth`, which no fit may use.
+
+    Raises
+    ------
+    DataError
+        The file is missing, of another kind, damaged, truncated or newer than this program, or has no
+        complete dwell.
+    SessionError
+        It cannot be read here, or holds no session yet.
+    """
+    with ArchiveView(path) as view, view.snapshot():
+        header, plan, stored = view.header(), view.plan(), view.dwells()
+        pending, skipped = view.pending(), view.skipped()
+        if not stored:
+            raise DataError(f"{path}: no dwell is complete yet; resume the session")
+        joined = [join(view.blocks(attempt, "dwell")) for attempt in stored]
+        facts: JsonDict = {
+            "url": header.url,
+            "note": header.note,
+            "simulated": header.simulated,
+            "software": header.software,
+            "started_utc": header.created_utc,
+            "settings": dict(header.settings),
+            "plan": plan.as_dict(),
+            "configuration": view.last("configuration"),
+            "registers": {
+                when: view.last(f"registers-{when}") for when in ("before", "configured", "after")
+            },
+            "runs": view.runs(),
+            "problems": [record.value for record in view.records("problem")],
+            "complete": not pending,
+            "skipped": sorted(skipped),
+            "dwells": [_facts_of(a, scans) for a, scans in zip(stored, joined, strict=True)],
+        }
+        truth = view.last("truth")
+    if header.simulated and truth is not None:
+        facts["truth"] = truth
+    dwells = tuple(_dwell(k, *pair) for k, pair in enumerate(zip(stored, joined, strict=True)))
+    return Session(
+        dwells,
+        sensor=header.variant,
+        gravity_mps2=header.gravity_mps2,
+        fixture_sigma_deg=header.fixture_sigma_deg,
+        plane=plan.plane,
+        title=header.title,
+        source=str(path),
+        notes=_notes(plan, pending, skipped, facts["dwells"]),
+        facts=facts,
+    )
+
+
+def _dwell(number: int, attempt: StoredAttempt, scans: ScanBlock) -> Dwell:
+    def has(names: Sequence[str]) -> bool:
+        return all(name in scans.registers for name in names)
+
+    return Dwell(
+        number,
+        scans.time_s + attempt.offset_s,
+        scans.select(ACCEL_OUT).numbers().astype(np.float64),
+        angle_deg=attempt.position.angle_deg,
+        approach=attempt.position.approach,
+        use=attempt.position.use,
+        gyro=scans.gyro_dps if has(GYRO_OUT) and scans.gyro_range_dps else None,
+        temperature_c=scans.temperature_c if any(name in scans.registers for name in TEMP_OUT) else None,
+        supply_v=scans.supply_v if has(("SUPPLY_OUT",)) else None,
+    )
+
+
+def _facts_of(attempt: StoredAttempt, scans: ScanBlock) -> JsonDict:
+    return {
+        "place": attempt.place,
+        "attempt": attempt.number,
+        "run": attempt.run,
+        "started_utc": attempt.started_utc,
+        "samples": len(scans),
+        "lost": scans.lost,
+        "status": attempt.status,
+    }
+
+
+def _notes(
+    plan: Plan, pending: Sequence[int], skipped: set[int], dwells: Sequence[JsonDict]
+) -> tuple[str, ...]:
+    notes = []
+    if pending:
+        notes.append(
+            f"unfinished session: {len(dwells)} of {len(plan)} positions of plan '{plan.name}' are done"
+        )
+    if skipped:
+        notes.append(f"skipped: {', '.join(str(plan.positions[place]) for place in sorted(skipped))}")
+    lost = sum(dwell["lost"] for dwell in dwells)
+    if lost:
+        notes.append(f"{lost} scans were lost on the bus within the dwells")
+    return tuple(notes)

@@ -1,0 +1,187 @@
+"""Read access to a session file."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from adis_gonio.sensor.decoding import ScanBlock
+from adis_gonio.session import database
+from adis_gonio.session.plans import Plan, Position
+from adis_gonio.session.rows import Header, JsonDict, Move, Phase, Record, StoredAttempt, checksum
+
+
+class ArchiveView:
+    """Read access to a session file; `Archive` adds writing. Use it as a context manager.
+
+    Raises
+    ------
+    DataError
+        The file is missing, of another kind, damaged, truncated or newer than this program.
+    SessionError
+        It cannot be read here, or holds no session yet.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._connection = database.connect(self.path, write=False)
+
+    @contextmanager
+    def snapshot(self) -> Iterator[None]:
+        """Let all reads inside see the same state, whatever another program writes meanwhile."""
+        with database.explained(self.path):
+            self._connection.execute("BEGIN")
+        try:
+            yield
+        finally:
+            self._connection.rollback()
+
+    def header(self) -> Header:
+        """What stands from the beginning."""
+        values = {key: json.loads(value) for key, value in self._rows("meta", "key")}
+        try:
+            values["plan"] = Plan.from_dict(values["plan"])
+            if values["fixture_sigma_deg"] == "free":
+                values["fixture_sigma_deg"] = math.inf
+            return Header(**values)
+        except (KeyError, TypeError) as error:
+            raise database.damaged(self.path, f"table meta: {error}") from None
+
+    def records(self, kind: str | None = None) -> list[Record]:
+        """Records of one kind, or all, in order."""
+        return [
+            Record(run, utc, bus_s, name, json.loads(value))
+            for _, run, utc, bus_s, name, value in self._rows("records", "record")
+            if kind in (None, name)
+        ]
+
+    def last(self, kind: str) -> Any:
+        """Value of the last record of a kind; None where there is none."""
+        records = self.records(kind)
+        return records[-1].value if records else None
+
+    def runs(self) -> list[JsonDict]:
+        """Openings of the session, in order."""
+        names = ("run", "started_utc", "bus_s", "clock_offset_s", "continues", "software")
+        return [dict(zip(names, row, strict=True)) for row in self._rows("runs", "run")]
+
+    def plan(self) -> Plan:
+        """Plan in force: the first one, or its last extension."""
+        extended = self.last("plan")
+        return self.header().plan if extended is None else Plan.from_dict(extended)
+
+    def attempts(self) -> list[StoredAttempt]:
+        """All attempts, in order."""
+        offsets = {run["run"]: run["clock_offset_s"] for run in self.runs()}
+        return [
+            StoredAttempt(
+                number,
+                run,
+                offsets[run],
+                place,
+                Position(angle_deg, approach, use),
+                outcome,
+                reason,
+                started_utc,
+                started_bus_s,
+                ended_bus_s,
+                tuple(json.loads(registers)),
+                part,
+                gyro_range_dps,
+                status,
+                blocks,
+            )
+            for (
+                number, run, place, angle_deg, approach, use, outcome, reason, started_utc,
+                started_bus_s, ended_bus_s, registers, part, gyro_range_dps, status, blocks,
+            ) in self._rows("attempts", "attempt")
+        ]  # fmt: skip
+
+    def dwells(self) -> list[StoredAttempt]:
+        """Complete dwells in the order in which they were recorded; of a repeated one the last."""
+        latest = {a.place: a.number for a in self.attempts() if a.outcome == "complete"}
+        return [a for a in self.attempts() if latest.get(a.place) == a.number and a.outcome == "complete"]
+
+    def skipped(self) -> set[int]:
+        """Places that the operator skipped and that have no dwell."""
+        return {record.value for record in self.records("skipped")} - {a.place for a in self.dwells()}
+
+    def pending(self) -> list[int]:
+        """Places of the plan that have neither a dwell nor were skipped, in order."""
+        settled = {a.place for a in self.dwells()} | self.skipped()
+        return [place for place in range(len(self.plan())) if place not in settled]
+
+    def blocks(self, attempt: StoredAttempt, phase: Phase | None = None) -> list[ScanBlock]:
+        """Scans of an attempt, of one phase or all, block by block, as they were read.
+
+        Raises
+        ------
+        DataError
+            A block is missing or its checksum does not fit; the message says which.
+        """
+        rows = self._rows("blocks", "sequence", "attempt", attempt.number)
+        if len(rows) != attempt.blocks:
+            raise database.damaged(
+                self.path, f"{len(rows)} of {attempt.blocks} blocks of attempt {attempt.number}"
+            )
+        return [
+            ScanBlock(
+                attempt.registers,
+                np.frombuffer(words, "<u2").astype(np.uint16).reshape(scans, len(attempt.registers)),
+                np.frombuffer(time_s, "<f8").astype(np.float64),
+                lost,
+                attempt.variant,
+                attempt.gyro_range_dps,
+            )
+            for _, _, name, scans, lost, words, time_s in rows
+            if phase in (None, name)
+        ]
+
+    def moves_before(self, attempt: int) -> list[Move]:
+        """Moves of the stage that led up to an attempt's end, in order.
+
+        Where a run went back to an earlier attempt, what came after that one in the run before is not
+        part of the line that leads here.
+        """
+        runs = {run["run"]: run["continues"] for run in self.runs()}
+        of_run = {a.number: a.run for a in self.attempts()}
+        moves = [(row[1], Move(*row[2:])) for row in self._rows("moves", "move")]
+        line: list[Move] = []
+        while attempt:
+            run = of_run[attempt]
+            line = [move for number, move in moves if of_run[number] == run and number <= attempt] + line
+            attempt = runs[run]
+        return line
+
+    def close(self) -> None:
+        """Close the file; may be called twice."""
+        self._connection.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _rows(self, table: str, order: str, column: str = "1", value: int = 1) -> list[tuple[Any, ...]]:
+        """Rows of a table without their checksums, all or those that have a value in a column."""
+        with database.explained(self.path):
+            rows = self._connection.execute(
+                f"SELECT * FROM {table} WHERE {column} = ? ORDER BY {order}", (value,)
+            ).fetchall()
+        for number, row in enumerate(rows, start=1):
+            if checksum(*row[:-1]) != row[-1]:
+                raise database.damaged(self.path, f"checksum of row {number} of table {table}")
+        return [row[:-1] for row in rows]
