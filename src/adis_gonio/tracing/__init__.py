@@ -1,0 +1,1 @@
+"""Residual → effect → better model."""
