@@ -115,7 +115,7 @@ def _stage_harmonic(order: int) -> Draw:
             f"stage_harmonic_{order}",
             lambda r: np.sin(order * r.angle_rad + phase),
             "angle",
-            rf"{order}\s*·?\s*(θ|angle)|harmonic",
+            rf"(angle|ψ).*({order}\s*·?\s*(θ|angle)|harmonic)",
         )
 
     return draw
@@ -123,27 +123,29 @@ def _stage_harmonic(order: int) -> Draw:
 
 def _bias_jump(rng: np.random.Generator, rows: Rows) -> Term:
     when = _within(rng, rows.time_s)
-    return _biased(rng, "bias_jump", lambda r: (r.time_s > when) * 1.0, "time", "step|jump|H\\(")
+    return _biased(rng, "bias_jump", lambda r: (r.time_s > when) * 1.0, "time", "(bias|zero).*(step|jump)")
 
 
 def _gain_jump(rng: np.random.Generator, rows: Rows) -> Term:
     when = _within(rng, rows.time_s)
-    return _gain(rng, "gain_jump", lambda r: (r.time_s > when) * 1.0, "time", "step|jump")
+    return _gain(rng, "gain_jump", lambda r: (r.time_s > when) * 1.0, "time", "(gain|scale).*(step|jump)")
 
 
 def _stage_jump(rng: np.random.Generator, rows: Rows) -> Term:
     when = _within(rng, rows.time_s)
-    return _turned("stage_jump", lambda r: (r.time_s > when) * 1.0, "time", "step|jump")
+    return _turned("stage_jump", lambda r: (r.time_s > when) * 1.0, "time", "(angle|ψ).*(step|jump)")
 
 
 def _memory_sine(rng: np.random.Generator, rows: Rows) -> Term:
     phase = rng.uniform(0, 2 * np.pi)
-    return _biased(rng, "memory_bias", lambda r: np.sin(r.previous_rad + phase), "previous", "prev")
+    return _biased(
+        rng, "memory_bias", lambda r: np.sin(r.previous_rad + phase), "previous", "(bias|zero).*prev"
+    )
 
 
 def _memory_turn(rng: np.random.Generator, rows: Rows) -> Term:
     phase = rng.uniform(0, 2 * np.pi)
-    return _turned("memory_turn", lambda r: np.cos(r.previous_rad + phase), "previous", "prev")
+    return _turned("memory_turn", lambda r: np.cos(r.previous_rad + phase), "previous", "(angle|ψ).*prev")
 
 
 def _temperature_knee(rng: np.random.Generator, rows: Rows) -> Term:
@@ -153,7 +155,7 @@ def _temperature_knee(rng: np.random.Generator, rows: Rows) -> Term:
         "temperature_knee",
         lambda r: np.maximum(r.temperature_c - knee, 0),
         "temperature",
-        "knee|hinge|max",
+        "(bias|zero).*(knee|hinge|max)",
         "bias_temperature",
         "surroundings",
     )
@@ -166,7 +168,7 @@ def _gain_temperature_knee(rng: np.random.Generator, rows: Rows) -> Term:
         "gain_temperature_knee",
         lambda r: np.maximum(r.temperature_c - knee, 0),
         "temperature",
-        "knee|hinge|max",
+        "(gain|scale).*(knee|hinge|max)",
         "scale_temperature",
         "surroundings",
     )
@@ -197,15 +199,24 @@ def _supply_square(rng: np.random.Generator, rows: Rows) -> Term:
 
 
 def _gain_supply(rng: np.random.Generator, rows: Rows) -> Term:
-    return _gain(rng, "gain_supply", lambda r: r.supply_v - 5, "supply", "gain|scale", needs="surroundings")
+    return _gain(
+        rng,
+        "gain_supply",
+        lambda r: r.supply_v - 5,
+        "supply",
+        "(gain|scale).*[~ ]\\(?(V|supply)",
+        needs="surroundings",
+    )
 
 
 def _gain_time(rng: np.random.Generator, rows: Rows) -> Term:
-    return _gain(rng, "gain_time", lambda r: r.time_s / 60, "time", "gain|scale")
+    return _gain(rng, "gain_time", lambda r: r.time_s / 60, "time", "(gain|scale).*[~ ](t|time)$")
 
 
 def _gain_approach(rng: np.random.Generator, rows: Rows) -> Term:
-    return _gain(rng, "gain_approach", lambda r: r.approach, "approach", "gain|scale", needs="approach")
+    return _gain(
+        rng, "gain_approach", lambda r: r.approach, "approach", "(gain|scale).*approach", needs="approach"
+    )
 
 
 def _turn_temperature(rng: np.random.Generator, rows: Rows) -> Term:
@@ -213,13 +224,13 @@ def _turn_temperature(rng: np.random.Generator, rows: Rows) -> Term:
         "turn_temperature",
         lambda r: r.temperature_c - 25,
         "temperature",
-        "angle|ψ|attitude",
+        "(angle|ψ).*[~ ]\\(?(T|temp)",
         needs="surroundings",
     )
 
 
 def _turn_time(rng: np.random.Generator, rows: Rows) -> Term:
-    return _turned("turn_time", lambda r: r.time_s / 60, "time", "angle|ψ|attitude")
+    return _turned("turn_time", lambda r: r.time_s / 60, "time", "(angle|ψ).*[~ ](t|time)$")
 
 
 def _quintic(rng: np.random.Generator, rows: Rows) -> Term:
@@ -252,7 +263,12 @@ def _drift_square(rng: np.random.Generator, rows: Rows) -> Term:
 def _drift_knee(rng: np.random.Generator, rows: Rows) -> Term:
     when = _within(rng, rows.time_s, 0.3, 0.7)
     return _biased(
-        rng, "drift_knee", lambda r: np.maximum(r.time_s - when, 0), "time", "knee|hinge|max", "bias_drift"
+        rng,
+        "drift_knee",
+        lambda r: np.maximum(r.time_s - when, 0),
+        "time",
+        "(bias|zero).*(knee|hinge|max)",
+        "bias_drift",
     )
 
 

@@ -3,7 +3,8 @@
 Right names
     A set of claimed names is right where it is the truth's, or where it holds no more names and leaves less
     than `TELLABLE` of the noncentrality of what was put in: then this session cannot tell the two apart
-    (angle between the projected spans, in units of the noise).
+    (angle between the projected spans, in units of the noise). A name that stands under `confounded`
+    counts as found where one of its fellows is such an equivalent.
 Wrong names
     A claimed name is wrong unless it was put in, is the leading part of the same cause, or could stand in
     for one of the terms that were put in to within `TELLABLE` with the other terms beside it.
@@ -19,7 +20,7 @@ Held-out error
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -130,10 +131,13 @@ def judge(blind: Blind, result: Mapping[str, Any], seconds: float = 0.0) -> Verd
     unnamed = result["unnamed"]
     nameless = blind.terms[:1] if blind.undeclared else ()
     named = blind.terms[len(nameless) :]
-    found = all(_present(term, blind, lens, claimed) for term in named)
+    groups = [tuple(group) for group in result["confounded"]]
+    found = all(_present(term, blind, lens, claimed, groups) for term in named)
     wrong = tuple(name for name in claimed if not _innocent(name, blind, lens))
     if not blind.undeclared:
-        exact = _right_set(blind, lens, claimed) and unnamed is None
+        told_apart = {name for group in groups if blind.names & set(group) for name in group}
+        honest = found and len(blind.terms) == 1 and set(claimed) <= told_apart
+        exact = (_right_set(blind, lens, claimed) or honest) and unnamed is None
     else:
         exact = found and not wrong and unnamed is not None
     said = [] if unnamed is None else [covariate(word) for word in unnamed["covariates"]]
@@ -160,17 +164,22 @@ def judge(blind: Blind, result: Mapping[str, Any], seconds: float = 0.0) -> Verd
         worse=after / before if before and after is not None else 1.0,
         covered=_coverage(named[0], result) if alone else (),
         axes_right=_axes_right(named[0], result) if alone else None,
-        confounded=any(blind.names & set(group) for group in result["confounded"]),
+        confounded=any(blind.names & set(group) for group in groups),
         seconds=seconds,
     )
 
 
-def _present(term: Term, blind: Blind, lens: Lens, claimed: tuple[str, ...]) -> bool:
+def _present(
+    term: Term, blind: Blind, lens: Lens, claimed: tuple[str, ...], groups: Sequence[tuple[str, ...]]
+) -> bool:
+    """Whether a term was found: by name, by an equivalent's, or as confounded with a true equivalent."""
     if term.name in claimed:
         return True
     beside = [lens.columns(other) for other in blind.terms if other is not term]
     target = lens.contribution(term)
-    return any(_explains(lens, target, [name], beside) for name in set(claimed) & set(NAMES))
+    rivals = {name for group in groups if term.name in group for name in group}
+    names = (set(claimed) | rivals) & set(NAMES) - {term.name}
+    return any(_explains(lens, target, [name], beside) for name in names)
 
 
 def _explains(lens: Lens, target: Floats, names: list[str], beside: list[Floats]) -> bool:
@@ -309,8 +318,11 @@ def _heldout(blind: Blind, fit: np.ndarray, out: np.ndarray) -> float:
         )
         left = np.einsum("nij,nj->ni", white, blind.readings_mg - here)[fit].ravel()
         slanted = np.einsum("nij,knj->kni", white, jacobian)[:, fit].reshape(len(values), -1)
-        scale = np.linalg.norm(slanted, axis=1) + 1e-300
-        values = values + np.linalg.lstsq((slanted / scale[:, None]).T, left, rcond=1e-10)[0] / scale
+        size = np.linalg.norm(slanted, axis=1)
+        seen = size > 1e-9 * size.max()  # a dwell's own term cannot be seen where that dwell is left out
+        unit = slanted[seen] / size[seen, None]
+        values = np.where(seen, values, 0.0)
+        values[seen] += np.linalg.lstsq(unit.T, left, rcond=1e-10)[0] / size[seen]
     left = (blind.readings_mg - model(values))[out]
     return float(np.sqrt(np.mean(best_attitude(left, slope[out], cover[out], bench.fixture_deg) ** 2)))
 
