@@ -153,7 +153,9 @@ def test_a_name_is_equivalent_only_where_the_session_cannot_tell() -> None:
 
 
 def test_undeclared_needs_its_covariate_and_suffers_no_name() -> None:
-    jump = next(draw("uncatalogued", 3, k)[0] for k in range(22) if list(GRAMMAR)[k] == "stage_harmonic_3")
+    jump = next(
+        draw("uncatalogued", 3, k)[0] for k in range(len(GRAMMAR)) if list(GRAMMAR)[k] == "stage_harmonic_3"
+    )
     right = judge(jump, answer(unnamed={"covariates": ["angle"], "form": "true angle ~ sin 3θ"}))
     assert right.covariate
     assert right.form

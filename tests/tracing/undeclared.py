@@ -292,7 +292,6 @@ GRAMMAR: dict[str, Draw] = {
     "gain_temperature_knee": _gain_temperature_knee,
     "cross_modulus": _cross_modulus,
     "turn_time": _turn_time,
-    "lean_temperature": _lean_temperature,
     "drift_square": _drift_square,
     "drift_knee": _drift_knee,
 }
@@ -473,4 +472,5 @@ BEYOND: dict[str, Draw] = {
     "gain_wanders": _gain_wander,
     "two_slopes": _two_slopes,
     "one_sided_bend": _one_sided,
+    "lean_temperature": _lean_temperature,  # an axis that turns against the other
 }
