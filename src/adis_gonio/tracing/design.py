@@ -24,6 +24,8 @@ shorter would need an amplitude fifty times what it leaves, and differs from the
 terms only."""
 _INDEPENDENT = 1e-4
 """Least squared length of an orthonormal column beside a model, for it to be counted as another column."""
+PRIOR_SNR = 4.0
+"""Prior standard deviation of an effect in a reading, in standard uncertainties of a reading."""
 _RANK = 1e-7
 """Least squared length of a column beside the others of its own term."""
 
@@ -46,8 +48,8 @@ class Problem:
         Rows minus the rank of the base model.
     back : tuple of (d, width) float
         Amplitudes of a term from coefficients of its block.
-    breadth : (M,) float
-        Rows over which a term is spread: width divided by Σ of the squared leverages of its block.
+    cost, column_price : (M,) float
+        −ln of each term's share of the prior, and the price of its columns.
     hidden : tuple of Term
         Candidates that the session cannot see: their columns lie in the base model.
     """
@@ -61,7 +63,7 @@ class Problem:
     back: tuple[Floats, ...]
     hidden: tuple[Term, ...]
     cost: Floats
-    breadth: Floats
+    column_price: Floats
     blocks: tuple[tuple[int, NDArray[np.intp]], ...]
 
     @property
@@ -107,7 +109,7 @@ class Problem:
             width=width,
             back=tuple(self.back[k] for k in chosen),
             cost=self.cost[chosen],
-            breadth=self.breadth[chosen],
+            column_price=self.column_price[chosen],
             blocks=groups,
         )
 
@@ -192,14 +194,14 @@ def linearise(data: Observations, model: Sequence[Term], state: State, terms: Se
         back=tuple(back),
         hidden=tuple(hidden),
         cost=np.array([term.cost for term in picked]),
-        breadth=_breadth(pieces[1:]),
+        column_price=np.array([_column_price(piece) for piece in pieces[1:]]),
         blocks=tuple(groups),
     )
 
 
-def _breadth(blocks: Sequence[Floats]) -> Floats:
-    leverage = [(block**2).sum(axis=1) for block in blocks]
-    return np.array([lever.sum() ** 2 / (lever**2).sum() for lever in leverage])
+def _column_price(block: Floats) -> float:
+    """½ Σ ln(1 + s² n) over the columns of an orthonormal block, each spread over n = 1/Σ u⁴ rows."""
+    return float(0.5 * np.log1p(PRIOR_SNR**2 / (block**4).sum(axis=0)).sum())
 
 
 def span(problem: Problem, model: Sequence[int]) -> tuple[Floats, Floats]:

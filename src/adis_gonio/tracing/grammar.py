@@ -26,7 +26,7 @@ from adis_gonio.model.records import Floats
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.terms import Driver, NamelessTerm, Where
 
-NAMELESS_SHARE = 0.5
+NAMELESS_SHARE = 0.3
 """Share of the prior that all nameless terms together have."""
 
 FAMILY_WEIGHT = {"reading": 1.0, "angle": 1.0, "time": 1.0, "temperature": 1.0, "supply": 0.7}

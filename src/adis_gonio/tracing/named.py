@@ -13,7 +13,7 @@ from adis_gonio.model.effects.base import Parameter
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.terms import NamedTerm
 
-NAMED_SHARE = 0.5
+NAMED_SHARE = 0.7
 """Share of the prior that the catalogue has; the grammar of nameless terms has the rest."""
 COMMON = {"bias": 6.0, "quadratic": 1.5}
 """Weight of an effect against the others (1): every sensor has a bias, and of two names that a session
@@ -106,12 +106,12 @@ def _variants(kind: type[Effect], data: Observations) -> Iterator[tuple[Effect, 
 
 
 def _grid(parameter: Parameter, data: Observations) -> list[float]:
-    """Values of a shape: time constants from half a dwell's distance to the session's length."""
+    """Values of a shape: time constants from the distance of two dwells to the session's length."""
     if parameter.unit != "s":
         return [parameter.typical]
     time = data.conditions.time_s
     length = max(float(np.ptp(time)), 1.0)
     step = max(length / max(len(time) - 1, 1), 1e-3)
-    low = max(parameter.low, 0.5 * step)
+    low = max(parameter.low, step)
     high = min(parameter.high, max(1.5 * length, 2 * low))
     return [float(value) for value in np.geomspace(low, high, GRID)]

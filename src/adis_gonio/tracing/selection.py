@@ -11,12 +11,15 @@ from adis_gonio.tracing.design import Problem, amplitudes, linearise, span
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.search import Search, search
 from adis_gonio.tracing.state import Refit, State, begin, refit
-from adis_gonio.tracing.terms import Term
+from adis_gonio.tracing.terms import NamelessTerm, Term
 from adis_gonio.tracing.verdict import Verdict, weigh
 
 ADEQUATE = 0.01
 """Level of the test of adequacy."""
 ROUNDS = 4
+MOSTLY = 0.97
+"""Share of the excess from which constants count as a bias of their own, not as part of another function: the
+constant is then more than five times what varies."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,10 @@ def select(
     before: tuple[str, ...] | None = None
     for _ in range(rounds):
         problem = linearise(data, model, state, terms)
+        if _mostly_bias(problem):
+            # A constant that is far larger than what is left beside it is no part of a function's form.
+            terms = [term for term in terms if not (isinstance(term, NamelessTerm) and term.with_constant)]
+            problem = linearise(data, model, state, terms)
         found = search(problem, max_terms, inflation, beam)
         found, inflation = _inflated(data, problem, found, max_terms, beam, inflation)
         verdict = weigh(found)
@@ -121,3 +128,14 @@ def _inflated(
             return again, inflation
         found = again
     return found, inflation
+
+
+def _mostly_bias(problem: Problem) -> bool:
+    """True where constants alone explain nearly all of the base model's excess."""
+    constants = [k for k, term in enumerate(problem.terms) if term.name == "bias"]
+    if not constants or not any(isinstance(t, NamelessTerm) and t.with_constant for t in problem.terms):
+        return False
+    widest = max(constants, key=lambda k: problem.width[k])
+    left = float((span(problem, [widest])[1] ** 2).sum()) - problem.dof
+    excess = problem.chi2 - problem.dof
+    return excess > 0 and left < (1 - MOSTLY) * excess

@@ -174,6 +174,11 @@ class NamelessTerm(Term):
         return self.where == "angle"
 
     @property
+    def with_constant(self) -> bool:
+        """True where a constant stands beside the function."""
+        return self.driver.form.endswith("+ const")
+
+    @property
     def form(self) -> str:
         """Formula in words."""
         letters = ", ".join(AXES[k] for k in self.axes)

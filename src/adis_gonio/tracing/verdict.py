@@ -1,10 +1,9 @@
 """From scored models to names: what stands, what cannot be told apart, what has no name.
 
-Scores are log evidences, so that models near the best have posterior odds. Models that span the same space
-of *this* session are one model: the representative is the one with fewest nameless terms and then the
-highest prior (the simpler and more common cause), the others are its equivalents. A name stands where the
-models that hold it have `CERTAIN` of the posterior; it is confounded with whatever takes its place in the
-others.
+Scores are log evidences, so that models near the best have posterior odds. Models that predict the same in
+*this* session are one model: the representative is the simplest (fewest nameless terms, fewest columns, then
+the more common cause), the others are its equivalents and are reported beside it. A name stands where the
+models that hold it have `CERTAIN` of the posterior; else it is confounded with whatever takes its place.
 """
 
 from __future__ import annotations
@@ -13,6 +12,9 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass
 
+import numpy as np
+
+from adis_gonio.tracing.design import span
 from adis_gonio.tracing.search import Model, Search
 
 CERTAIN = 0.55
@@ -20,6 +22,12 @@ CERTAIN = 0.55
 WINDOW = 7.0
 """Models are weighed down to exp(−7), a thousandth, of the best."""
 
+
+COMPARED = 100
+"""Models near the best that are compared with one another."""
+ALIKE = 0.3
+"""Models whose fitted predictions differ by less than this in χ² (half a standard uncertainty altogether) are
+indistinguishable in the session."""
 
 Skeleton = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
 
@@ -52,18 +60,10 @@ class Verdict:
 def weigh(found: Search) -> Verdict:
     """Posterior of models, names and covariates."""
     terms = found.problem.terms
-    tolerance = 1e-6 + 1e-9 * found.problem.chi2
-    classes: dict[tuple[int, int], list[Model]] = defaultdict(list)
-    for model in found.near(WINDOW + 6.0):
-        explained = found.explained(model)
-        width = int(sum(found.problem.width[k] for k in model))
-        classes[(width, round(explained / (20 * tolerance)))].append(model)
-    same: dict[Model, list[Model]] = {}
-    for members in classes.values():
-        members.sort(key=lambda m: (sum(terms[k].name is None for k in m), -found.scores[m]))
-        same[members[0]] = members[1:]
-    top = max(found.scores[m] for m in same)
-    raw = {m: math.exp(found.scores[m] - top) for m in same if found.scores[m] > top - WINDOW}
+    near = found.near(WINDOW)
+    same = _classes(found, sorted(near, key=lambda m: -near[m])[:COMPARED])
+    top = max(near.values())
+    raw = {m: sum(math.exp(near[k] - top) for k in (m, *others)) for m, others in same.items()}
     total = sum(raw.values())
     weights = {m: w / total for m, w in raw.items()}
     names: dict[str, float] = defaultdict(float)
@@ -81,6 +81,28 @@ def weigh(found: Search) -> Verdict:
     likely = max(skeletons, key=lambda s: skeletons[s])
     best = max((m for m in weights if skeleton(found, m) == likely), key=lambda m: weights[m])
     return Verdict(best, weights, same, dict(names), dict(covariates))
+
+
+def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:
+    """Models by what they predict: those whose predictions differ by less than `ALIKE` in χ² are one."""
+    problem, terms = found.problem, found.problem.terms
+    left = np.array([span(problem, m)[1] for m in models])
+    norm = (left**2).sum(axis=1)
+    distance = norm[:, None] + norm[None, :] - 2 * left @ left.T
+    taken = np.zeros(len(models), dtype=bool)
+    classes: dict[Model, list[Model]] = {}
+    width = [int(sum(problem.width[k] for k in m)) for m in models]
+    # The simplest first: least nameless, least columns, then the most probable.
+    order = sorted(
+        range(len(models)),
+        key=lambda i: (sum(terms[k].name is None for k in models[i]), width[i], -found.scores[models[i]]),
+    )
+    for i in order:
+        if not taken[i]:
+            members = np.flatnonzero((distance[i] < ALIKE * found.inflation) & ~taken)
+            taken[members] = True
+            classes[models[i]] = [models[k] for k in members if k != i]
+    return classes
 
 
 def skeleton(found: Search, model: Model) -> Skeleton:

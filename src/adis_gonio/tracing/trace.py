@@ -1,0 +1,399 @@
+"""`trace`: residual → missing effect → corrected model → error before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adis_gonio.errors import FitError
+from adis_gonio.model.records import Floats, Session
+from adis_gonio.tracing.advice import advise
+from adis_gonio.tracing.detect import detectable
+from adis_gonio.tracing.grammar import nameless_terms
+from adis_gonio.tracing.heldout import cross_validate, folds, leave, rms
+from adis_gonio.tracing.naming import Names, describe, judge
+from adis_gonio.tracing.named import named_terms
+from adis_gonio.tracing.observations import Observations, observe
+from adis_gonio.tracing.remainder import dependence
+from adis_gonio.tracing.result import ErrorFigures, Finding, Rival, Step, TraceResult, Unnamed, Value
+from adis_gonio.tracing.selection import Selection, fit_model, select
+from adis_gonio.tracing.state import Refit, State, begin, refit
+from adis_gonio.tracing.terms import NamedTerm, NamelessTerm, Term
+
+BASE_PLANAR = (("alpha", "degree"), ("scale_x", "1"), ("scale_y", "1"), ("delta_phi", "degree"))
+BASE_SPACE = (
+    ("scale_x", "1"),
+    ("skew_xy", "1"),
+    ("scale_y", "1"),
+    ("skew_xz", "1"),
+    ("skew_yz", "1"),
+    ("scale_z", "1"),
+)
+SURVIVES = {"whole dwells": 0.0, "blocks of time": -4.0, "check": -9.0}
+"""Least held-out gain in χ² of an effect under each design. Dwells left out one by one have to gain; a block
+of time asks for extrapolation, and a few check dwells scatter, so that only a loss counts against it."""
+
+
+def trace(session: Session, max_effects: int = 6) -> TraceResult:
+    """Trace the residual of a session to the effects that the seed paper's model lacks.
+
+    Parameters
+    ----------
+    session : Session
+        Planar (declared angles) or in space (`plane` none); one dwell with temperature is traced sample by
+        sample (`adis_gonio.tracing.series`).
+    max_effects : int
+        Most terms that the model may take on.
+
+    Raises
+    ------
+    DataError
+        As `adis_gonio.fitting.reduce_session`.
+    FitError
+        Fewer readings than base parameters.
+    """
+    if len([dwell for dwell in session.dwells if len(dwell)]) == 1:
+        from adis_gonio.tracing.series import trace_series
+
+        return trace_series(session, max_effects)
+    result = trace_observations(observe(session), max_effects)
+    from adis_gonio.tracing.within import look_within
+
+    inside = look_within(session)
+    if inside is None:
+        return result
+    return replace(
+        result,
+        found=(*result.found, *inside.found),
+        within=inside.lines,
+        detectable={**result.detectable, **inside.detectable},
+    )
+
+
+def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
+    """Trace readings; see `trace`."""
+    training = data.rows(~data.check)
+    checking = data.rows(data.check) if data.check.any() else None
+    _enough(training)
+    named, missing = named_terms(training)
+    terms: list[Term] = [*named, *nameless_terms(training)]
+    selection = select(training, terms, max_effects)
+    names = judge(selection)
+    selection, names, dropped = _surviving(training, checking, selection, names)
+
+    nested = _in_order(training, selection)
+    figures, design = _figures(training, checking, selection, nested, terms, max_effects)
+    unnamed = _unnamed(training, selection)
+    found = tuple(_finding(selection, name) for name in names.stand)
+    seen = detectable(selection.found, selection.verdict.best, missing)
+    rivals = _rivals(selection)
+    fitted = [(selection.model, selection.fit)]
+    if any(name not in names.stand for name in (t.name for t in selection.model) if name) or names.confounded:
+        fitted += [
+            ([selection.problem.terms[k] for k in m], fit_model(training, selection.problem, m, selection.fit.state))
+            for m in _other_models(selection)[:3]
+        ]
+    return TraceResult(
+        adequate=selection.adequate,
+        found=found,
+        steps=tuple(
+            Step(describe(model[-1]), error) for model, error in zip(nested[1:], figures[1:], strict=True)
+        ),
+        confounded=names.confounded,
+        unnamed=unnamed,
+        before=figures[0],
+        after=figures[-1],
+        detectable=seen,
+        advice=advise(training, fitted, names.confounded, seen, selection.adequate),
+        rivals=rivals,
+        base=_base(data, selection.fit, selection.inflation),
+        reasons={**names.open, **dropped},
+        notes=_notes(data, selection),
+        heldout_design=design,
+    )
+
+
+def _enough(data: Observations) -> None:
+    base = 4 if data.planar else 6
+    rows = len(data) * (1 if np.isinf(data.fixture_rad) else 2)
+    if rows < base:
+        raise FitError(
+            f"{len(data)} positions give {rows} equations for {base} base parameters; measure at least "
+            f"{-(-base // (rows // len(data)))} positions"
+        )
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A model of a selection without one of its names."""
+
+    model: tuple[int, ...]
+
+
+def _surviving(
+    data: Observations, checking: Observations | None, selection: Selection, names: Names
+) -> tuple[Selection, Names, dict[str, str]]:
+    """Take back names without a held-out gain; the model is refitted without them."""
+    problem = selection.problem
+    chosen = selection.verdict.best
+    reasons: dict[str, str] = {}
+    if not chosen:
+        return selection, names, reasons
+    whole = _losses(data, checking, selection, chosen)
+    keep = list(chosen)
+    for name in dict.fromkeys(describe(problem.terms[k]) for k in chosen):
+        members = [k for k in chosen if describe(problem.terms[k]) == name]
+        if any("(dwell=" in problem.terms[k].label for k in members):
+            continue  # a single dwell cannot be predicted from the others
+        without = _losses(data, checking, selection, tuple(k for k in chosen if k not in members))
+        for design, loss in without.items():
+            gain = (loss - whole[design]) / selection.inflation
+            if design == "blocks of time" and any(isinstance(problem.terms[k], NamelessTerm) for k in members):
+                continue  # no formula to carry on with outside what was seen
+            if gain <= SURVIVES[design]:
+                reasons[name] = f"no held-out gain ({design}: χ² changes by {-gain:+.1f})"
+                keep = [k for k in keep if k not in members]
+                break
+    if not reasons:
+        return selection, names, reasons
+    model = tuple(keep)
+    fit = fit_model(data, problem, model, selection.base.state)
+    verdict = replace(selection.verdict, best=model)
+    changed = replace(
+        selection, verdict=verdict, model=tuple(problem.terms[k] for k in model), fit=fit, adequate=False
+    )
+    from adis_gonio.tracing.selection import ADEQUATE, adequacy
+
+    changed = replace(
+        changed, adequate=adequacy(fit.chi2, fit.dof, data.noise_dof) >= ADEQUATE if data.known else True
+    )
+    stand = tuple(name for name in names.stand if name not in reasons)
+    more = tuple((name,) for name in reasons if name in names.stand)
+    return changed, Names(stand, names.open, (*names.confounded, *more)), reasons
+
+
+def _losses(
+    data: Observations, checking: Observations | None, selection: Selection, model: tuple[int, ...]
+) -> dict[str, float]:
+    """χ² of dwells that took no part, by design, of one model fitted to the others."""
+    terms = [selection.problem.terms[k] for k in model]
+    start = _state_of(selection, model)
+    if checking is not None:
+        fitted = refit(data, terms, start)
+        return {"check": float(leave(checking, terms, fitted.state).whitened2.sum())}
+    kept = _keeping(terms, start)
+    return {
+        name: float(left.whitened2.sum())
+        for name, left in cross_validate(data, folds(data), kept).items()
+    }
+
+
+def _state_of(selection: Selection, model: Sequence[int]) -> State:
+    """State of a part of the chosen model, its values from the fit."""
+    values = dict(zip((t.label for t in selection.model), selection.fit.state.values, strict=True))
+    state = selection.fit.state
+    return replace(state, values=tuple(values[selection.problem.terms[k].label] for k in model))
+
+
+def _keeping(terms: Sequence[Term], start: State):  # type: ignore[no-untyped-def]
+    def fit(data: Observations) -> tuple[Sequence[Term], Refit]:
+        begun = begin(data)
+        return terms, refit(data, terms, State(begun.base, begun.delta_rad, begun.unit, start.values), 8)
+
+    return fit
+
+
+def _in_order(data: Observations, selection: Selection) -> list[tuple[Term, ...]]:
+    """Nested models from the base to the chosen one, the term of the largest gain first."""
+    left = list(selection.verdict.best)
+    model: list[int] = []
+    nested: list[tuple[Term, ...]] = [()]
+    from adis_gonio.tracing.design import span
+
+    while left:
+        chi2 = {k: float((span(selection.problem, [*model, k])[1] ** 2).sum()) for k in left}
+        best = min(chi2, key=lambda k: chi2[k])
+        model.append(best)
+        left.remove(best)
+        nested.append(tuple(selection.problem.terms[k] for k in model))
+    return nested
+
+
+def _figures(
+    data: Observations,
+    checking: Observations | None,
+    selection: Selection,
+    nested: list[tuple[Term, ...]],
+    terms: Sequence[Term],
+    max_effects: int,
+) -> tuple[list[ErrorFigures], str]:
+    """Error figures of the base model, each step and the final model."""
+    values = dict(zip((t.label for t in selection.model), selection.fit.state.values, strict=True))
+    fits = []
+    for model in nested:
+        begun = selection.base.state
+        state = replace(begun, values=tuple(values[t.label] for t in model))
+        fits.append(refit(data, model, state))
+    if checking is not None:
+        lefts = [[leave(checking, m, f.state)] for m, f in zip(nested, fits, strict=True)]
+        design = f"{len(checking)} check dwells"
+    elif len(data) < 5 or data.zero_unknown is None:
+        lefts, design = [[] for _ in nested], "too few dwells to leave any out"
+    else:
+        designs = folds(data)
+        design = "; ".join(f"{name} ({len(masks)} folds)" for name, masks in designs.items())
+        lefts = []
+        for model, fitted in zip(nested[:-1] if len(nested) > 1 else nested, fits, strict=False):
+            lefts.append(list(cross_validate(data, designs, _keeping(model, fitted.state)).values()))
+        if len(nested) > 1:
+            active = _active_terms(selection, terms)
+            again = lambda rows: _selected(rows, active, max_effects)  # noqa: E731
+            lefts.append(list(cross_validate(data, designs, again).values()))
+            design += ", effects chosen anew in each"
+    figures = []
+    for fitted, left in zip(fits, lefts, strict=True):
+        residual = [part.residual_mg for part in left]
+        turned = [part.angle_rad for part in left if part.angle_rad is not None]
+        figures.append(
+            ErrorFigures(
+                residual_rms_mg=rms(data.mean_mg - fitted.prediction.predicted_mg, data.planar),
+                heldout_rms_mg=rms(np.concatenate(residual), data.planar) if residual else None,
+                angle_rms_deg=_rms_deg(turned),
+                chi2_per_dof=fitted.chi2 / fitted.dof if data.known and fitted.dof > 0 else None,
+            )
+        )
+    return figures, design
+
+
+def _rms_deg(turned: list[Floats]) -> float | None:
+    if not turned:
+        return None
+    wrapped = np.mod(np.concatenate(turned) + np.pi, 2 * np.pi) - np.pi
+    return float(np.degrees(np.sqrt((wrapped**2).mean())))
+
+
+def _active_terms(selection: Selection, terms: Sequence[Term]) -> list[Term]:
+    """Candidates inside a fold: all names, and the nameless terms that showed promise anywhere."""
+    promise = selection.found.promise
+    best = {selection.problem.terms[k].label for k in np.argsort(-promise)[:150]}
+    return [t for t in terms if t.name is not None or t.label in best]
+
+
+def _selected(rows: Observations, terms: Sequence[Term], max_effects: int) -> tuple[Sequence[Term], Refit]:
+    chosen = select(rows, terms, max_effects, beam=6, rounds=2)
+    return chosen.model, chosen.fit
+
+
+def _finding(selection: Selection, name: str) -> Finding:
+    from scipy import stats
+
+    problem = selection.problem
+    members = [k for k in selection.verdict.best if problem.terms[k].name == name]
+    gain, width = _gain(selection, members)
+    parameters: dict[str, Value] = {}
+    axes: list[str] = []
+    cause = ""
+    at = len(selection.fit.state.base)
+    scale = np.sqrt(selection.inflation)
+    for term, values in zip(selection.model, selection.fit.state.values, strict=True):
+        if isinstance(term, NamedTerm) and term.name == name:
+            cause = term.effect.cause
+            axes += [axis for axis in term.effect.axes if axis not in axes]
+            for k, parameter in enumerate(term.effect.parameters):
+                u = float(np.sqrt(selection.fit.covariance[at + k, at + k]) * scale)
+                parameters[parameter.name] = Value(float(values[k]), u, parameter.unit)
+            for choice in term.effect.choices():
+                parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
+        at += len(values)
+    p = float(stats.chi2.sf(gain / selection.inflation, width)) * len(problem.terms)
+    same = [
+        " + ".join(sorted({describe(problem.terms[k]) for k in m}))
+        for m in selection.verdict.same.get(selection.verdict.best, [])
+        if name not in {problem.terms[k].name for k in m}
+    ]
+    return Finding(
+        effect=name,
+        axes=tuple(axes),
+        parameters=parameters,
+        p_value=min(p, 1.0),
+        explains=_explains(selection, gain),
+        probability=selection.verdict.names.get(name, 1.0),
+        equivalents=tuple(dict.fromkeys(same))[:5],
+        cause=cause,
+    )
+
+
+def _gain(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
+    """χ² that some terms take beside the others of the model, and their columns."""
+    from adis_gonio.tracing.design import span
+
+    best = selection.verdict.best
+    with_all = float((span(selection.problem, best)[1] ** 2).sum())
+    others = [k for k in best if k not in members]
+    without = float((span(selection.problem, others)[1] ** 2).sum())
+    return without - with_all, int(sum(selection.problem.width[k] for k in members))
+
+
+def _explains(selection: Selection, gain: float) -> float:
+    excess = selection.problem.chi2 - selection.problem.dof * min(selection.inflation, 1.0)
+    return float(np.clip(gain / max(excess, 1e-12), 0.0, 1.0))
+
+
+def _unnamed(data: Observations, selection: Selection) -> Unnamed | None:
+    """Nameless terms of the model; else what the residual of an inadequate model depends on."""
+    from scipy import stats
+
+    problem, verdict = selection.problem, selection.verdict
+    members = [k for k in verdict.best if isinstance(problem.terms[k], NamelessTerm)]
+    if members:
+        terms = [problem.terms[k] for k in members]
+        gain, width = _gain(selection, members)
+        covariates = tuple(dict.fromkeys(c for term in terms for c in term.covariates))
+        forms = [term.form for term in terms if isinstance(term, NamelessTerm)]
+        return Unnamed(
+            covariates=covariates,
+            form="; ".join(forms),
+            explains=_explains(selection, gain),
+            probability=min(verdict.covariates.get(term.covariates, 0.0) for term in terms),
+            p_value=min(1.0, float(stats.chi2.sf(gain / selection.inflation, width)) * len(problem.terms)),
+        )
+    if selection.adequate or not data.known:
+        return None
+    return dependence(data, selection)
+
+
+def _rivals(selection: Selection) -> tuple[Rival, ...]:
+    ranked = sorted(selection.verdict.weights.items(), key=lambda item: -item[1])[:8]
+    terms = selection.problem.terms
+    return tuple(Rival(tuple(terms[k].label for k in model), weight) for model, weight in ranked)
+
+
+def _other_models(selection: Selection) -> list[tuple[int, ...]]:
+    weights = selection.verdict.weights
+    best = selection.verdict.best
+    return [m for m in sorted(weights, key=lambda m: -weights[m]) if m != best and m]
+
+
+def _base(data: Observations, fit: Refit, inflation: float) -> dict[str, Value]:
+    scale = np.sqrt(inflation)
+    out = {}
+    for k, (name, unit) in enumerate(BASE_PLANAR if data.planar else BASE_SPACE):
+        factor = 180 / np.pi if unit == "degree" else 1.0
+        u = float(np.sqrt(fit.covariance[k, k])) * scale * factor
+        out[name] = Value(float(fit.state.base[k]) * factor, u, unit)
+    return out
+
+
+def _notes(data: Observations, selection: Selection) -> tuple[str, ...]:
+    notes = list(data.notes)
+    if not data.known:
+        notes.append("the noise of a reading is not known; it was estimated from the residual, so that adequacy "
+                     "cannot be tested")
+    elif selection.inflation > 1:
+        notes.append(
+            f"no model explains the residual down to the measured noise; effects were judged against "
+            f"{np.sqrt(selection.inflation):.2g} times that noise"
+        )
+    return tuple(notes)
