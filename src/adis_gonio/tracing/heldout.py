@@ -19,6 +19,8 @@ from adis_gonio.tracing.terms import Term
 
 FOLDS = 5
 BLOCKS = 4
+SHORT = 16
+"""Up to so many dwells twice as many folds: a fifth less of them would be another session."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ def rms(residual_mg: Floats, planar: bool) -> float:
 def folds(data: Observations) -> dict[str, list[NDArray[np.bool_]]]:
     """Fold designs that apply: name → masks (n,) of the dwells that are left out."""
     n = len(data)
-    count = min(FOLDS, n)
+    count = min(FOLDS if n > SHORT else 2 * FOLDS, n)
     order = np.arange(n)
     # A fixed shuffle, so that no fold holds every fifth angle of a turn only.
     shuffled = np.random.default_rng(5).permutation(n)

@@ -112,7 +112,7 @@ def observe(session: Session) -> Observations:
     return Observations(
         mean_mg=mean,
         covariance=covariance,
-        noise_dof=float(finite.max()) if finite.size else float("inf"),
+        noise_dof=_together(finite),
         known=bool(readings.known.all()),
         conditions=_conditions(dwells, readings),
         gravity_mg=readings.gravity_mg,
@@ -122,6 +122,17 @@ def observe(session: Session) -> Observations:
         zero_unknown=to_mg is not None,
         notes=readings.notes,
     )
+
+
+def _together(dof: Floats) -> float:
+    """Degrees of freedom of the noise of all readings together.
+
+    Dwells that share one noise have its degrees of freedom each, more than there are dwells; those that have
+    noise of their own have few each, which add up.
+    """
+    if not dof.size:
+        return float("inf")
+    return float(dof.max()) if dof.max() > len(dof) else float(dof.sum())
 
 
 def _counts_to_mg(readings: Readings) -> tuple[float, Floats] | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from adis_gonio.tracing.heldout import cross_validate, folds, leave, rms
 from adis_gonio.tracing.naming import Names, describe, judge
 from adis_gonio.tracing.named import named_terms
 from adis_gonio.tracing.observations import Observations, observe
+from adis_gonio.tracing.openings import undecided
 from adis_gonio.tracing.remainder import dependence
 from adis_gonio.tracing.result import ErrorFigures, Finding, Rival, Step, TraceResult, Unnamed, Value
 from adis_gonio.tracing.selection import Selection, fit_model, select
@@ -83,6 +84,11 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
     names = judge(selection)
     selection, names, dropped = _surviving(training, checking, selection, names)
 
+    if not selection.adequate:
+        could = undecided(selection)
+        if len(could) > 1:
+            names = replace(names, confounded=(*names.confounded, could))
+
     nested = _in_order(training, selection)
     figures, design = _figures(training, checking, selection, nested, terms, max_effects)
     unnamed = _unnamed(training, selection)
@@ -123,13 +129,6 @@ def _enough(data: Observations) -> None:
             f"{len(data)} positions give {rows} equations for {base} base parameters; measure at least "
             f"{-(-base // (rows // len(data)))} positions"
         )
-
-
-@dataclass(frozen=True)
-class _Part:
-    """A model of a selection without one of its names."""
-
-    model: tuple[int, ...]
 
 
 def _surviving(
