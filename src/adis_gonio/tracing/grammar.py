@@ -184,7 +184,8 @@ def _of_reading(data: Observations) -> Iterator[_Made]:
     }
     for form, pair in cross.items():
         yield _Made("reading", False, Driver(form, ("reading",), by_axis=across(pair)), ("bias",))
-    for degree in (3, 4, 5, 6):
+    # Up to the third degree every power has a name.
+    for degree in (4, 5, 6):
 
         def powers(ideal: Floats, axis: int, degree: int = degree) -> Floats:
             a = ideal[:, axis]
@@ -241,7 +242,16 @@ def _of_angle(data: Observations) -> Iterator[_Made]:
     }
     for form, function in more.items():
         yield _Made("angle", False, Driver(form, ("angle",), of_angle(function)))
-    for top in (2, 3, 4, 5, 6):
+    for centre in range(0, 360, 15):
+        for width in (8.0, 25.0):
+
+            def bump(t: Floats, c: float = np.deg2rad(centre), w: float = np.deg2rad(width)) -> Floats:
+                return np.asarray(np.exp((np.cos(t - c) - 1) / w**2))
+
+            form = f"a bump at θ = {centre}° of width {width:g}°"
+            yield _Made("angle", False, Driver(form, ("angle",), of_angle(bump)), ("bias", "angle"))
+    # Two harmonics have names: of the stage, and as products of readings on an axis.
+    for top in (3, 4, 5, 6):
         form = f"a smooth function of the angle (harmonics to {top})"
         yield _Made(
             "angle", True, Driver(form, ("angle",), harmonic(tuple(range(2, top + 1)))), ("bias",)
@@ -351,6 +361,10 @@ def _smooth(
             return np.stack([_legendre(u, k) for k in range(1, degree + 1)], axis=1)
 
         form = f"a smooth function of {family} (degree {degree})"
+        if family == "temperature" and degree <= 3:
+            # On a bias the powers up to the third have a name.
+            yield _Made(family, True, Driver(form, (family,), columns), ("gain", "angle"))
+            continue
         yield _Made(family, True, Driver(form, (family,), columns))
         yield _Made(family, True, Driver(form + " + const", (family,), _with_constant(columns)), ("bias",))
 

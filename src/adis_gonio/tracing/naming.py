@@ -64,8 +64,10 @@ def judge(selection: Selection) -> Names:
 
 def related(term: Term, unknown: Term) -> bool:
     """True where a named and a nameless term may be pieces of one cause."""
-    if not term.covariates or _of_one_dwell(term):
+    if not term.covariates:
         return False
+    if _of_one_dwell(term):
+        return True  # one dwell may be a piece of anything
     return bool(_kinds(term.covariates) & _kinds(unknown.covariates))
 
 

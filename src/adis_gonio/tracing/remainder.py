@@ -14,7 +14,8 @@ from adis_gonio.tracing.result import Unnamed
 from adis_gonio.tracing.selection import Selection
 
 PERMUTATIONS = 400
-LEVEL = 0.01
+LEAST_Z = 4.5
+"""Standard deviations of the permuted statistic; it is skew, so that this is about 1 in 1000 a covariate."""
 
 
 def dependence(data: Observations, selection: Selection) -> Unnamed | None:
@@ -45,8 +46,8 @@ def dependence(data: Observations, selection: Selection) -> Unnamed | None:
     # A pair is believed only where it does clearly better than each alone.
     best = max(scores, key=lambda names: scores[names][0] - 2.0 * (len(names) - 1))
     z, p = scores[best]
-    p = max(p, 1 / PERMUTATIONS) if z < 6 else float(np.exp(-z))
-    if p * len(candidates) > LEVEL * 25:
+    p = max(p, 1 / PERMUTATIONS)
+    if z < LEAST_Z or p > 1 / PERMUTATIONS:
         return None
     smooth = _kernel_share(candidates[best], rows)
     return Unnamed(

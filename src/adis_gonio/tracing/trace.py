@@ -13,7 +13,7 @@ from adis_gonio.tracing.advice import advise
 from adis_gonio.tracing.detect import detectable
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.heldout import cross_validate, folds, leave, rms
-from adis_gonio.tracing.naming import Names, describe, judge
+from adis_gonio.tracing.naming import SLOW, Names, describe, judge
 from adis_gonio.tracing.named import named_terms
 from adis_gonio.tracing.observations import Observations, observe
 from adis_gonio.tracing.openings import undecided
@@ -59,18 +59,7 @@ def trace(session: Session, max_effects: int = 6) -> TraceResult:
         from adis_gonio.tracing.series import trace_series
 
         return trace_series(session, max_effects)
-    result = trace_observations(observe(session), max_effects)
-    from adis_gonio.tracing.within import look_within
-
-    inside = look_within(session)
-    if inside is None:
-        return result
-    return replace(
-        result,
-        found=(*result.found, *inside.found),
-        within=inside.lines,
-        detectable={**result.detectable, **inside.detectable},
-    )
+    return trace_observations(observe(session), max_effects)
 
 
 def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
@@ -149,9 +138,14 @@ def _surviving(
         without = _losses(data, checking, selection, tuple(k for k in chosen if k not in members))
         for design, loss in without.items():
             gain = (loss - whole[design]) / selection.inflation
-            if design == "blocks of time" and any(isinstance(problem.terms[k], NamelessTerm) for k in members):
-                continue  # no formula to carry on with outside what was seen
-            if gain <= SURVIVES[design]:
+            least = SURVIVES[design]
+            if design == "blocks of time":
+                if any(isinstance(problem.terms[k], NamelessTerm) for k in members):
+                    continue  # no formula to carry on with outside what was seen
+                if any(SLOW.intersection(problem.terms[k].covariates) for k in members):
+                    # What moves in time is extrapolated here: it may lose what it gained, not more.
+                    least -= _gain(selection, members)[0] / selection.inflation
+            if gain <= least:
                 reasons[name] = f"no held-out gain ({design}: χ² changes by {-gain:+.1f})"
                 keep = [k for k in keep if k not in members]
                 break
