@@ -10,10 +10,10 @@ go the whole way: dwell, reading with noise from its own correlation, fit. For e
   bound is the inverse information at the truth with the true noise, fixture angles as nuisance. That of
   `two-position` is of its own model: two positions and no bias.
 
-`paper` and `two-position` have no bias in their model, so the simulated sensor has none for them. Equation 5
-is exact for alpha = 0 or delta_phi = 0 only: `paper` runs with delta_phi = 0 and alpha within 30°, away from
-its pole at 45°, and the line `paper (own limit)` with a random delta_phi is held to the value that its
-equations give without noise, not to the truth.
+`paper` and `two-position` have no bias in their model, so the simulated sensor has none for them.
+Equation 5 is exact for alpha = 0 or delta_phi = 0 only: `paper` runs with delta_phi = 0 and alpha within
+30°, away from its pole at 45°, and the line `paper (own limit)` with a random delta_phi is held to the
+value that its equations give without noise, not to the truth.
 
 With --flicker the sensor also has 1/f noise of the ADIS16354's (estimated) 0.1 mg; no bound is known then,
 since neighbouring dwells share it, and nothing is required: the figures are only reported.
@@ -176,9 +176,9 @@ def planar_trial(rng: np.random.Generator, setup: Setup) -> tuple[Session, Float
     variance = mean_variance(filter_m, setup.samples) / G_MG**2
     covariance = np.broadcast_to(variance * np.eye(2), (len(theta), 2, 2))
     exact = readings(alpha - theta) / G_MG
-    jacobian = PlanarProblem(exact, covariance, theta, sigma).evaluate(beta).jacobian
+    fisher = PlanarProblem(exact, covariance, theta, sigma).evaluate(beta).fisher
     free = 6 if setup.bias_mg else 4
-    natural = np.linalg.inv(jacobian[:, :free].T @ jacobian[:, :free])
+    natural = np.linalg.inv(fisher[:free, :free])
     ratio = gain[0] / gain[1]
     gradient = np.zeros((7, 6))
     gradient[0, 2:4] = 1 / gain[1], -ratio / gain[1]
@@ -208,9 +208,9 @@ def spatial_trial(rng: np.random.Generator, setup: Setup) -> tuple[Session, Floa
     variance = mean_variance(filter_m, setup.samples) / G_MG**2
     covariance = np.broadcast_to(variance * np.eye(3), (len(u), 3, 3))
     beta = np.array([*(bias / G_MG), *gain, *skews])
-    jacobian = SpatialProblem(exact / G_MG, covariance).evaluate(beta).jacobian
+    fisher = SpatialProblem(exact / G_MG, covariance).evaluate(beta).fisher
     scale = np.array([G_MG] * 3 + [1.0] * 3 + [180 / math.pi] * 3)
-    bound = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian))) * scale
+    bound = np.sqrt(np.diag(np.linalg.inv(fisher))) * scale
     return _session(samples, setup), np.array([*bias, *gain, *np.degrees(skews)]), bound
 
 
@@ -271,7 +271,9 @@ def _part(job: tuple[Setup, int, int]) -> Floats:
 def main() -> int:
     """Run the table; exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--sessions", type=int, help="sessions a method (default 4000; 20000 where efficient)")
+    parser.add_argument(
+        "--sessions", type=int, help="sessions a method (default 4000; 20000 where efficient)"
+    )
     parser.add_argument("--method", choices=sorted({*SETUPS}), action="append", help="line; default all")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--seed", type=int, default=1)

@@ -7,6 +7,7 @@ Each round: start a session in a process of its own, kill it at a random moment,
   * one file is left, no journal.
 
     python scripts/kill_test.py --kills 100
+    python scripts/kill_test.py --kills 100 --cli        # the same by `adis-gonio calibrate`
     python scripts/kill_test.py --kills 100 --stress     # kills within commits, archive alone
 """
 
@@ -15,18 +16,21 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import os
 import random
+import re
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+READY = "ready"
 URL = "sim:?seed=7&fixture_sigma_deg=0.05"
 
 
@@ -46,6 +50,7 @@ def run_session(path: Path, plan_name: str, positions: int | None, dwell_s: floa
     from adis_gonio.session.archive import ArchiveView
     from adis_gonio.session.events import DwellDone
 
+    print(json.dumps(READY), flush=True)
     with open_sensor(URL) as sensor:
         try:
             runner = SessionRunner.resume(sensor, path, auto=True)
@@ -67,6 +72,7 @@ def run_writer(path: Path, seed: int) -> None:
     from adis_gonio.session.archive import Archive, Attempt, Header, utc_now
     from adis_gonio.session.plans import plan
 
+    print(json.dumps(READY), flush=True)
     rng = np.random.default_rng(seed)
     header = Header("test:", "adis16354", plan("tumble", 1000), {}, 9.80665, None)
     archive = Archive.create(path, header)
@@ -93,42 +99,90 @@ class Outcome:
 
 
 def child(arguments: list[str], kill_after_s: float | None) -> Outcome:
-    """Run this script as a child; kill it after a time."""
+    """Run this script as a child; kill it some time after it has started up."""
     outcome = Outcome()
-    began = time.monotonic()
-    process = subprocess.Popen(
-        [sys.executable, str(Path(__file__).resolve()), *arguments], stdout=subprocess.PIPE, text=True
-    )
-    try:
-        output, _ = process.communicate(timeout=kill_after_s)
-    except subprocess.TimeoutExpired:
-        os.kill(process.pid, signal.SIGKILL)
-        outcome.killed = True
-        output, _ = process.communicate()
-    outcome.seconds = time.monotonic() - began
-    if not outcome.killed and process.returncode:
-        raise SystemExit(f"the session failed with exit {process.returncode}")
-    for line in output.splitlines():
+    for line, began in _lines(
+        [str(Path(__file__).resolve()), *arguments], kill_after_s, outcome, stderr=False
+    ):
         try:
             entry = json.loads(line)
         except ValueError:
             continue  # the kill cut the line
-        outcome.announced[entry["place"]] = entry["words"]
+        if entry == READY:
+            began()
+        else:
+            outcome.announced[entry["place"]] = entry["words"]
     return outcome
+
+
+def command_line(path: Path, options: list[str], kill_after_s: float | None) -> Outcome:
+    """Run `adis-gonio calibrate` in the same way; it announces a dwell with a line of its samples."""
+    outcome = Outcome()
+    again = ["--resume"] if begun(path) else []
+    if not again:
+        path.unlink(missing_ok=True)  # empty: killed before the session existed
+    run = ["-c", "from adis_gonio.cli import main; raise SystemExit(main())", "calibrate", URL, "--auto"]
+    arguments = [*run, "-o", str(path), *(again or options)]
+    for line, began in _lines(arguments, kill_after_s, outcome, stderr=True):
+        if " begun, " in line or " resumed, " in line:
+            began()
+        if re.search(r"\d+ samples\s*$", line):
+            outcome.announced[len(outcome.announced)] = ""
+    return outcome
+
+
+def _lines(
+    arguments: list[str], kill_after_s: float | None, outcome: Outcome, *, stderr: bool
+) -> Iterator[tuple[str, Callable[[], None]]]:
+    """Lines of a Python process, each with what starts the clock of the kill."""
+    process = subprocess.Popen(
+        [sys.executable, *arguments],
+        stdout=subprocess.DEVNULL if stderr else subprocess.PIPE,
+        stderr=subprocess.PIPE if stderr else None,
+        text=True,
+    )
+    timer = threading.Timer(kill_after_s or 0.0, process.send_signal, (signal.SIGKILL,))
+    started = [time.monotonic()]
+
+    def begin() -> None:
+        started[0] = time.monotonic()
+        if kill_after_s is not None:
+            timer.start()
+
+    pipe = process.stderr if stderr else process.stdout
+    assert pipe is not None
+    said = []
+    for line in pipe:
+        said.append(line)
+        yield line, begin
+    code = process.wait()
+    timer.cancel()
+    pipe.close()
+    outcome.seconds = time.monotonic() - started[0]
+    outcome.killed = code == -signal.SIGKILL
+    if code and not outcome.killed:
+        raise SystemExit(f"the session failed with exit {code}: {''.join(said[-3:])}")
+
+
+def begun(path: Path) -> bool:
+    """True where a file holds a session, be it without a dwell."""
+    from adis_gonio.errors import AdisGonioError
+    from adis_gonio.session.archive import ArchiveView
+
+    try:
+        ArchiveView(path).close()
+    except AdisGonioError:
+        return False
+    return True
 
 
 def stored(path: Path) -> dict[int, str]:
     """Places of the complete dwells in a file, with their words."""
-    from adis_gonio.errors import SessionError
     from adis_gonio.session.archive import ArchiveView
 
-    if not path.exists():
+    if not begun(path):
         return {}
-    try:
-        view = ArchiveView(path)
-    except SessionError:
-        return {}  # killed before the session existed
-    with view:
+    with ArchiveView(path) as view:
         return {
             a.place: digest(np.concatenate([b.words for b in view.blocks(a, "dwell")]))
             for a in view.dwells()
@@ -168,7 +222,7 @@ def check_same(path: Path, undisturbed: Path) -> None:
 
 
 def kill_sessions(
-    kills: int, seed: int, plan_name: str, positions: int | None, dwell_s: float
+    kills: int, seed: int, plan_name: str, positions: int | None, dwell_s: float, *, cli: bool = False
 ) -> dict[str, int]:
     """Kill sessions until so many kills have hit; return what was seen."""
     rng = random.Random(seed)
@@ -180,22 +234,34 @@ def kill_sessions(
     }
     options = ["--plan", plan_name, "--dwell", str(dwell_s)]
     options += [] if positions is None else ["--positions", str(positions)]
+
+    def run(path: Path, limit: float | None) -> Outcome:
+        if cli:
+            return command_line(path, options, limit)
+        return child(["--child", str(path), *options], limit)
+
     with tempfile.TemporaryDirectory() as folder:
         reference = Path(folder) / "undisturbed.session"
-        whole = child(["--child", str(reference), *options], None)
+        whole = run(reference, None)
         while seen["kills"] < kills:
             path = Path(folder) / f"{seen['sessions']}.session"
             announced: dict[int, str] = {}
             while True:
-                limit = rng.uniform(0.0, 1.05 * whole.seconds) if seen["kills"] < kills else None
-                outcome = child(["--child", str(path), *options], limit)
+                before = len(stored(path))
+                outcome = run(
+                    path, rng.uniform(0.0, 1.05 * whole.seconds) if seen["kills"] < kills else None
+                )
+                if cli:
+                    if len(stored(path)) < before + len(outcome.announced):
+                        raise SystemExit(f"{path}: a dwell that was announced is missing")
+                else:
+                    check_announced(path, announced | outcome.announced)
                 announced |= outcome.announced
-                check_announced(path, announced)
                 if not outcome.killed:
                     break
                 seen["kills"] += 1
                 seen["dwells announced before a kill"] += len(outcome.announced)
-                seen["kills within the first dwell"] += not announced
+                seen["kills within the first dwell"] += not stored(path)
             check_same(path, reference)
             if list(Path(folder).glob(f"{path.name}-*")):
                 raise SystemExit(f"{path}: something is left beside the file")
@@ -212,7 +278,7 @@ def kill_writers(kills: int, seed: int) -> dict[str, int]:
         while seen["kills"] < kills:
             path = Path(folder) / f"{seen['kills']}.session"
             outcome = child(
-                ["--writer", str(path), "--seed", str(rng.randrange(1 << 30))], rng.uniform(0.3, 1.0)
+                ["--writer", str(path), "--seed", str(rng.randrange(1 << 30))], rng.uniform(0.0, 0.7)
             )
             seen["kills"] += 1
             seen["journals rolled back"] += path.with_name(path.name + "-journal").exists()
@@ -236,6 +302,7 @@ def main() -> None:
     parser.add_argument("--plan", default="tumble")
     parser.add_argument("--positions", type=int)
     parser.add_argument("--dwell", type=float, default=5.0, help="length of a dwell in s")
+    parser.add_argument("--cli", action="store_true", help="run `adis-gonio calibrate`, not the Python API")
     parser.add_argument("--stress", action="store_true", help="kill a process that only commits")
     parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--writer", type=Path, help=argparse.SUPPRESS)
@@ -249,7 +316,12 @@ def main() -> None:
             seen = kill_writers(options.kills, options.seed)
         else:
             seen = kill_sessions(
-                options.kills, options.seed, options.plan, options.positions, options.dwell
+                options.kills,
+                options.seed,
+                options.plan,
+                options.positions,
+                options.dwell,
+                cli=options.cli,
             )
         print(", ".join(f"{name}: {count}" for name, count in seen.items()))
         print(

@@ -157,11 +157,11 @@ class BusContract(ABC):
             rig.bus.exchange([0] * size)
         assert_timing(rig.chip.seen[sent:], timing)
 
-    def test_a_new_timing_holds_from_the_last_frame_on(self, rig):
+    @pytest.mark.parametrize("slow", [SpiTiming(200e3, 300.0, 1000.0), SpiTiming(200e3, 900.0, 0.0)])
+    def test_a_new_timing_holds_from_the_last_frame_on(self, rig, slow):
         self.configured(rig, TIMINGS[1])
         rig.bus.exchange([0] * 3)
         sent = len(rig.chip.seen)
-        slow = SpiTiming(200e3, 300.0, 1000.0)
         self.configured(rig, slow)
         rig.bus.exchange([0] * 3)
         assert_timing(rig.chip.seen[sent - 1 :], slow, clock_from=1)

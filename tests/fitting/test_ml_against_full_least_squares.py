@@ -94,7 +94,9 @@ def test_planar_dwells_without_a_declared_angle_agree_too():
     assert problem.rows() == 2 * 20 - 4
     assert solution.cost == pytest.approx(chi2, rel=1e-8)
     np.testing.assert_allclose((solution.beta - beta) / u, 0, atol=1e-4)
-    np.testing.assert_allclose(covariance(solution.fisher, ALL, NONE) / np.outer(u, u), dense / np.outer(u, u), atol=2e-6)
+    np.testing.assert_allclose(
+        covariance(solution.fisher, ALL, NONE) / np.outer(u, u), dense / np.outer(u, u), atol=2e-6
+    )
 
 
 def test_planar_limits_are_the_fixed_and_the_free_fit():

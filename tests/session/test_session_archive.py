@@ -4,7 +4,9 @@ import math
 import os
 import re
 import sqlite3
+import tempfile
 import threading
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -216,19 +218,36 @@ def test_a_place_that_does_not_exist_is_one_line(tmp_path):
         read_session(tmp_path)
 
 
-@pytest.mark.skipif(
-    not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere; needs a plain user"
-)
-def test_a_read_only_file_is_read_and_not_resumed(tmp_path):
-    path = session_file(tmp_path / "a.session")
-    path.chmod(0o444)
-    tmp_path.chmod(0o555)
+@pytest.fixture
+def plain_user_folder():
+    """A folder that a plain user may read and not write; root becomes that user for the test's time."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        yield folder
+        folder.chmod(0o700)
+
+
+@contextmanager
+def as_plain_user():
+    if os.geteuid() != 0:
+        yield
+        return
+    os.seteuid(65534)
     try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="permissions of this kind are of POSIX")
+def test_a_read_only_file_is_read_and_not_resumed(plain_user_folder):
+    path = session_file(plain_user_folder / "a.session")
+    path.chmod(0o444)
+    plain_user_folder.chmod(0o555)
+    with as_plain_user():
         assert len(read_session(path).dwells) == 4
         with pytest.raises(SessionError, match="cannot be written"):
             Archive.open_existing(path).begin_run(0.0, 0.0)
-    finally:
-        tmp_path.chmod(0o755)
 
 
 @pytest.mark.parametrize("kept", [8, 60, 1000, 4096, 5000, 20_000])

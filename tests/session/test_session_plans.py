@@ -59,6 +59,15 @@ def test_poses_have_no_angle_and_no_plane():
     assert {position.angle_deg for position in made.positions} == {None}
 
 
+def test_suggested_poses_are_directions_spread_over_the_sphere():
+    vectors = np.array([position.direction for position in plan("poses", 20).positions])
+    assert np.linalg.norm(vectors, axis=1) == pytest.approx(np.ones(20))
+    between = np.degrees(np.arccos(np.clip(vectors @ vectors.T, -1, 1)))[~np.eye(20, dtype=bool)]
+    assert between.min() > 25
+    assert np.abs(vectors.mean(axis=0)).max() < 0.03
+    assert np.linalg.eigvalsh(vectors.T @ vectors / 20) == pytest.approx(np.full(3, 1 / 3), abs=0.03)
+
+
 @pytest.mark.parametrize("name", PLAN_NAMES)
 @pytest.mark.parametrize("check", [0, 1, 3, 7])
 def test_check_positions_are_added_at_other_places_and_leave_the_fit_alone(name, check):

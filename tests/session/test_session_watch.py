@@ -14,7 +14,8 @@ from adis_gonio.session.watch import (
 )
 
 WINDOW = 200
-LIMITS = StillnessLimits(WINDOW, np.full(3, 0.5), np.full(3, 4.0))
+LIMITS = StillnessLimits(WINDOW, np.full(3, 0.5), np.full(3, 6.0))
+NOISE = np.full(3, 2.0)
 
 
 def samples(seed: int, count: int, sigma: float = 2.0) -> np.ndarray:
@@ -63,7 +64,7 @@ def test_a_stuck_axis_is_no_quiet_axis():
 
 
 def test_rest_is_still_in_every_window():
-    watch = StillnessWatch(LIMITS)
+    watch = StillnessWatch(LIMITS, NOISE)
     looks = [look for part in np.array_split(samples(6, 20_000), 77) for look in watch.feed(part)]
     assert len(looks) == 20_000 // (WINDOW // 2) - 1
     assert {look.state for look in looks} == {"still"}
@@ -74,7 +75,7 @@ def test_rest_is_still_in_every_window():
 def test_a_short_knock_is_seen_wherever_it_falls(at):
     data = samples(7, 3000)
     data[at : at + 8, 0] += 60.0
-    looks = StillnessWatch(LIMITS).feed(data)
+    looks = StillnessWatch(LIMITS, NOISE).feed(data)
     moving = [look for look in looks if look.state == "moving"]
     assert moving
     assert all(look.end - WINDOW <= at + 8 and look.end >= at for look in moving)
@@ -83,7 +84,7 @@ def test_a_short_knock_is_seen_wherever_it_falls(at):
 
 def test_a_slow_shift_since_the_dwell_began_is_motion_and_a_drift_of_the_bias_is_not():
     def states(total_mg: float, anchored: bool) -> set[str]:
-        watch = StillnessWatch(LIMITS)
+        watch = StillnessWatch(LIMITS, NOISE)
         if anchored:
             watch.anchor(500)
         data = samples(8, 40_000)
@@ -95,11 +96,19 @@ def test_a_slow_shift_since_the_dwell_began_is_motion_and_a_drift_of_the_bias_is
     assert states(3.0, anchored=True) == {"still"}
 
 
+def test_a_dwell_begins_only_far_below_the_limit_that_breaks_it_off():
+    data = samples(10, 2000, 4.0)
+    assert {look.state for look in StillnessWatch(LIMITS, NOISE).feed(data)} == {"moving"}
+    watch = StillnessWatch(LIMITS, NOISE)
+    watch.anchor(0)
+    assert {look.state for look in watch.feed(data)} == {"still"}
+
+
 def test_a_flat_axis_is_stuck_only_when_it_stays_flat():
     data = samples(9, 2000)
     data[600:820, 1] = 0.0
-    assert "stuck" not in {look.state for look in StillnessWatch(LIMITS).feed(data)}
+    assert "stuck" not in {look.state for look in StillnessWatch(LIMITS, NOISE).feed(data)}
     data[600:, 1] = 0.0
-    looks = StillnessWatch(LIMITS).feed(data)
+    looks = StillnessWatch(LIMITS, NOISE).feed(data)
     assert looks[-1].state == "stuck"
     assert "accelerometer y is stuck" in looks[-1].why

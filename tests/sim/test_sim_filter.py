@@ -161,13 +161,24 @@ def test_illegal_settings_act_as_documented(word, dps_per_lsb, taps):
     assert signed(host.read(0x0A), 14) == 7491
 
 
-def test_a_new_filter_setting_starts_from_empty_taps():
-    host = Host(Quiet(accel_mg=(1000.0, 0, 0)))
-    host.write_low(0x38, 0x05)
-    host.settle(2)
-    assert signed(host.read(0x0A), 14) < 1000
-    host.settle(64)
+@pytest.mark.parametrize(("address", "data"), [(0x38, 0x05), (0x36, 0x02)])
+def test_a_new_filter_or_rate_starts_from_empty_taps(address, data):
+    host = Host(Quiet(accel_mg=(1000.0, 0, 0)), flash={"SENS_AVG": 0x0406})
+    host.settle(130)
     assert signed(host.read(0x0A), 14) == 2140
+    host.write_low(address, data)
+    host.settle(20)
+    assert signed(host.read(0x0A), 14) < 1000
+    host.settle(130)
+    assert signed(host.read(0x0A), 14) == 2140
+
+
+def test_writing_what_stands_there_leaves_the_taps_alone():
+    host = Host(Quiet(accel_mg=(1000.0, 0, 0)))
+    for address, word in ((0x36, 0x01), (0x38, 0x02)):
+        host.write_low(address, word)
+        host.settle(1.5)
+        assert signed(host.read(0x0A), 14) == 2140
 
 
 @pytest.mark.parametrize(("number", "word"), [(500, 0x1F4), (-1000, 0xC18), (-1, 0xFFF), (2047, 0x7FF)])

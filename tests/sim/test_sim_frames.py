@@ -136,11 +136,13 @@ def test_reserved_addresses_and_command_read_zero(address):
     assert Host().read(address) == 0
 
 
-def test_writing_the_high_byte_of_command_with_ones_does_nothing():
+@pytest.mark.parametrize("data", [0xFF, 0x80, 0x08, 0x02, 0x01])
+def test_writing_the_high_byte_of_command_does_nothing(data):
     host = Host()
-    host.send(0xFFFF)
+    host.send(wr(0x20, 0x33))
+    host.send(wr(0x3F, data) | (0x4000 if data == 0xFF else 0))
     host.wait(0.3)
-    assert host.read(0x36) == 1
+    assert host.read(0x20) == 0x33
     assert host.read(0x00) == 0
 
 

@@ -75,6 +75,13 @@ def test_flicker_does_not_depend_on_the_times_in_between():
     assert (np.concatenate([stepwise.at(np.array([t])) for t in np.arange(0, 500, 50.0)]) == rough).all()
 
 
+def test_flicker_has_no_steps_between_the_points_of_its_grid():
+    times = 100 + np.arange(0, 2, 1 / 64)
+    values = Flicker(np.ones(1), np.random.default_rng(8)).at(times)[:, 0]
+    for k in range(0, len(values) - 4, 4):  # a grid of 1/16 s
+        assert values[k : k + 5] == pytest.approx(np.linspace(values[k], values[k + 4], 5))
+
+
 def test_other_seeds_give_other_noise():
     times = np.arange(100) / RATE
     assert (World(seed=1).sample(times).accel_mg != World(seed=2).sample(times).accel_mg).all()

@@ -33,7 +33,7 @@ def two_frames(mode, *, stall_s, clock_hz, at_s=0.2):
         (FAST, 8.99, 500e3, False),
         (FAST, 0.0, 100e3, False),
         (NORMAL, 75.0, 100e3, True),
-        (NORMAL, 74.0, 100e3, False),
+        (NORMAL, 74.99, 100e3, False),
         (NORMAL, 9.0, 100e3, False),
         (0x09, 9.0, 500e3, True),
         (0x80, 9.0, 100e3, False),
@@ -114,9 +114,9 @@ def test_a_clock_outside_the_mode_garbles_the_frame_and_sets_status(mode, clock_
     [
         (FAST, 2e6, 40.0, True),
         (FAST, 2e6, 39.0, False),
-        (FAST, 1e6, 39.9, False),
+        (FAST, 1e6, 39.99, False),
         (NORMAL, 300e3, 160.0, True),
-        (NORMAL, 300e3, 159.0, False),
+        (NORMAL, 300e3, 159.99, False),
         (NORMAL, 300e3, 140.0, False),
     ],
 )

@@ -340,3 +340,23 @@ def test_every_setting_is_described_and_named_with_its_unit():
         assert stem in text or entry.name in text, entry.name
         if entry.name not in ("delta_k", "scale_y", "scale_z"):
             assert entry.name.rsplit("_", 1)[1] in units, entry.name
+
+
+def test_the_truth_of_a_session_holds_the_flicker_that_was_lived_through():
+    settings = WorldSettings(
+        noise_mg=0.0, bias_instability_mg=5.0, bias_x_mg=3.0, bias_tempco_x_mg_per_c=0.0
+    )
+    world = World(settings, seed=9)
+    times = np.arange(0.0, 100.0, 0.01)
+    readings = world.sample(times).accel_mg[:, 0]
+    still = World(
+        WorldSettings(noise_mg=0.0, bias_instability_mg=0.0, bias_x_mg=3.0, bias_tempco_x_mg_per_c=0.0),
+        seed=9,
+    )
+    ideal = still.sample(times).accel_mg[:, 0]
+    part = slice(2000, 3000)
+    wander = np.mean(readings[part] - ideal[part])
+    assert abs(wander) > 0.1
+    assert world.truth(times[part])["bias_x"] - 3.0 == pytest.approx(wander, abs=0.1)  # the grid is 1/16 s
+    assert world.truth()["bias_x"] == 3.0
+    assert world.truth(np.array([1e6]))["bias_x"] == 3.0  # not lived through yet

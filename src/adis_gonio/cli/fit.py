@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +37,18 @@ def command(*, session: Path, method: str | None, as_json: bool) -> None:
         screen.print(f"  {note}", markup=False)
     methods = [method] if method else applicable_methods(loaded)
     results = [fit(loaded, method=name) for name in methods] if methods else [fit(loaded)]
-    print_results([result.as_dict() for result in results])
+    print_results([result.as_dict() for result in results], shown=loaded.notes)
 
 
-def print_results(documents: list[dict[str, Any]], truth: dict[str, float] | None = None) -> None:
-    """Show fits side by side, a column a method, with the truth of a simulation where there is one."""
+def print_results(
+    documents: list[dict[str, Any]],
+    truth: Mapping[str, float] | None = None,
+    shown: Collection[str] = (),
+) -> None:
+    """Show fits side by side, a column a method, with the truth of a simulation where there is one.
+
+    `shown` are lines that were printed already and need not come again as warnings.
+    """
     from rich.table import Table
 
     screen = console()
@@ -63,21 +71,34 @@ def print_results(documents: list[dict[str, Any]], truth: dict[str, float] | Non
         table.add_row(*row, style="bold" if name in ("delta_k", "delta_phi") else None)
     table.add_section()
     empty = [""] if truth is not None else []
-    for label, unit, cell in (
-        ("residual, rms", "mg", lambda d: _number(d["residual_rms_mg"], ".3f")),
-        (
-            "χ² / dof",
-            "",
-            lambda d: f"{_number(d['chi2'], '.1f')} / {d['dof']}" if d["dof"] else "no freedom left",
-        ),
-        ("error of the angle, rms", "°", lambda d: _number((d["angle_error_deg"] or {}).get("rms"), ".4f")),
-    ):
+    for label, unit, cell in _SUMMARY:
         table.add_row(label, unit, *empty, *(cell(document) for document in documents))
     screen.print(table)
+    said: dict[str, list[str]] = {}
     for document in documents:
         for warning in document["warnings"]:
-            screen.print(f"{document['method']}: {warning}", markup=False)
+            if warning not in shown:
+                said.setdefault(warning, []).append(document["method"])
+    for warning, methods in said.items():
+        screen.print(f"{', '.join(methods)}: {warning}", markup=False)
 
 
 def _number(value: float | None, spec: str) -> str:
     return "–" if value is None else format(value, spec)
+
+
+def _chi2(document: dict[str, Any]) -> str:
+    return (
+        f"{_number(document['chi2'], '.1f')} / {document['dof']}" if document["dof"] else "no freedom left"
+    )
+
+
+_SUMMARY: tuple[tuple[str, str, Callable[[dict[str, Any]], str]], ...] = (
+    ("residual, rms", "mg", lambda document: _number(document["residual_rms_mg"], ".3f")),
+    ("χ² / dof", "", _chi2),
+    (
+        "error of the angle, rms",
+        "°",
+        lambda document: _number((document["angle_error_deg"] or {}).get("rms"), ".4f"),
+    ),
+)

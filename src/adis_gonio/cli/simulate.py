@@ -8,6 +8,7 @@ from typing import Any
 from urllib.parse import quote
 
 import click
+import numpy as np
 
 from adis_gonio.errors import SessionError, UsageError
 
@@ -77,7 +78,7 @@ def command(*, output: Path, **options: Any) -> int:
         filter_m=options["filter_m"],
     )
     positions = plan(options["plan_name"], options["positions"], options["check"])
-    positions = positions.ordered(options["order"], options["seed"])
+    positions = positions.ordered(options["order"], np.random.default_rng(options["seed"]))
     as_csv = output.name.endswith((".csv", ".csv.gz"))
     with (
         tempfile.TemporaryDirectory() as folder,

@@ -87,8 +87,10 @@ def command(
                 if recorder is not None:
                     recorder.add(block)
                 waiting.append(block)
-                if not as_json and (end or sum(map(len, waiting)) >= scans_a_line):
-                    _line(waiting, first=scans == sum(map(len, waiting)), since_s=begin)
+                held = sum(map(len, waiting))
+                # A rest of a few scans would make a line that cannot be compared with the others.
+                if not as_json and (held >= scans_a_line or (end and held > scans_a_line // 2)):
+                    _line(waiting, first=scans == held, since_s=begin)
                     waiting.clear()
                 if end:
                     break

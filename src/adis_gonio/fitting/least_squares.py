@@ -1,9 +1,9 @@
 """Least squares with nuisance angles already eliminated, and what it cannot determine.
 
-A problem (`planar`, `spatial`) gives, at parameters β, its whitened residual with every nuisance angle at
-its optimum and the derivatives with the nuisance directions projected out, block by block: that is the
+A problem (`planar`, `spatial`) gives, at parameters β, χ² with every nuisance angle at its optimum, and the
+gradient and information with the nuisance directions projected out of each position's rows: that is the
 Schur complement, so the cost is linear in the number of positions. Here is what is common: damped
-Gauss-Newton (Levenberg-Marquardt) on these rows, and the search for directions without information.
+Gauss-Newton (Levenberg-Marquardt) on these, and the search for directions without information.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ _PARTICIPATES = 1e-4
 
 @dataclass(frozen=True)
 class Reduced:
-    """A problem at some parameters, whitened and with the nuisance projected out.
+    """A problem at some parameters, with the nuisance projected out.
 
     Attributes
     ----------
     cost : float
         χ².
-    residual : (m,) float
-        Reading minus model.
-    jacobian : (m, p) float
-        Derivative of the model by the parameters.
+    gradient : (p,) float
+        −½ of the derivative of χ².
+    fisher : (p, p) float
+        Information of the parameters: half the second derivative, to first order in the model.
     """
 
     cost: float
-    residual: Floats
-    jacobian: Floats
+    gradient: Floats
+    fisher: Floats
 
 
 class Problem(Protocol):
@@ -56,8 +56,32 @@ class Problem(Protocol):
         ...
 
     def evaluate(self, beta: Floats) -> Reduced:
-        """χ², residual and derivative at β; raises `FitError` where β has no meaning."""
+        """χ² and its derivatives at β; raises `FitError` where β has no meaning."""
         ...
+
+
+BLOCK = 2048
+"""Positions that are worked on at once: few enough for their arrays to stay in the cache."""
+
+
+def sum_of(parts: Sequence[Reduced]) -> Reduced:
+    """One problem whose positions are those of all parts."""
+    return Reduced(
+        math.fsum(part.cost for part in parts),
+        np.sum([part.gradient for part in parts], axis=0),
+        np.sum([part.fisher for part in parts], axis=0),
+    )
+
+
+def whitener_of(covariance: Floats) -> Floats:
+    """Inverse Cholesky factors (n, d, d): what they multiply has the unit matrix as covariance."""
+    lower = np.linalg.cholesky(covariance)
+    return np.asarray(np.linalg.inv(lower), dtype=np.float64)
+
+
+def blocks(n: int) -> list[slice]:
+    """Rows of each block of n positions."""
+    return [slice(start, min(start + BLOCK, n)) for start in range(0, n, BLOCK)]
 
 
 @dataclass(frozen=True)
@@ -111,9 +135,8 @@ def solve(problem: Problem, start: Floats, free: NDArray[np.bool_], iterations: 
     now = problem.evaluate(beta)
     damping = 1e-9
     for _ in range(iterations):
-        jacobian = now.jacobian[:, free]
-        hessian = jacobian.T @ jacobian
-        gradient = jacobian.T @ now.residual
+        hessian = now.fisher[np.ix_(free, free)]
+        gradient = now.gradient[free]
         diagonal = np.maximum(np.diag(hessian), 1e-12 * max(float(hessian.diagonal().max()), 1e-300))
         while True:
             step = np.linalg.lstsq(hessian + damping * np.diag(diagonal), gradient, rcond=1e-15)[0]
@@ -136,7 +159,7 @@ def solve(problem: Problem, start: Floats, free: NDArray[np.bool_], iterations: 
                 done = True
                 break
         if done:
-            return Solution(beta, free, now.cost, now.jacobian.T @ now.jacobian)
+            return Solution(beta, free, now.cost, now.fisher)
     raise FitError(
         f"the fit did not converge in {iterations} steps; check the units, the declared angles and gravity"
     )

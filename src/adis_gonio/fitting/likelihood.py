@@ -135,8 +135,8 @@ def _uncertainties(
         return tuple(Estimate(o.name, o.value, None, o.unit) for o in reported), None
     solution = determination.solution
     wide, sigma = noise.for_intervals(family.natural_covariance, family.readings)
-    jacobian = family.problem(wide, sigma).evaluate(solution.beta).jacobian
-    natural = covariance(jacobian.T @ jacobian, solution.free, determination.null)
+    fisher = family.problem(wide, sigma).evaluate(solution.beta).fisher
+    natural = covariance(fisher, solution.free, determination.null)
     gradients = np.stack([o.gradient for o in reported])
     matrix = gradients @ natural @ gradients.T
     return (

@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from adis_gonio.errors import FitError
-from adis_gonio.fitting.least_squares import Reduced
+from adis_gonio.fitting.least_squares import BLOCK, Reduced, blocks, sum_of, whitener_of
 from adis_gonio.model.geometry import planar_angle, planar_ideal, planar_tangent, wrap_rad
 from adis_gonio.model.records import Floats
 
@@ -49,14 +49,22 @@ class PlanarProblem:
 
     def __init__(self, readings: Floats, covariance: Floats, angle_rad: Floats, sigma_rad: float) -> None:
         self.readings = readings
-        self.whitener = np.linalg.inv(np.linalg.cholesky(covariance))
         declared = np.isfinite(angle_rad) & (not math.isinf(sigma_rad))
         self.angle = np.where(declared, angle_rad, 0.0)
         self.fixed = declared & (sigma_rad == 0)
         weight = 0.0 if sigma_rad == 0 or math.isinf(sigma_rad) else 1 / sigma_rad
         self.prior = np.where(declared, weight, 0.0)
         self.unbound = ~declared
-        self._delta: Floats | None = None
+        n = len(readings)
+        self._parts = [
+            PlanarProblem(readings[rows], covariance[rows], angle_rad[rows], sigma_rad)
+            for rows in (blocks(n) if n > BLOCK else [])
+        ]
+        self.whitener: Floats = (
+            np.concatenate([part.whitener for part in self._parts])
+            if self._parts
+            else whitener_of(covariance)
+        )
 
     @property
     def determines_alpha(self) -> bool:
@@ -83,6 +91,8 @@ class PlanarProblem:
         Gauss-Newton from the angle that the reading shows: its error is of the order of the noise, and
         each step reduces it by that ratio once more.
         """
+        if self._parts:
+            return np.concatenate([part.best_delta(beta) for part in self._parts])
         gain = beta[[SCALE_X, SCALE_Y]]
         if not (gain > 0).all() or abs(beta[DELTA_PHI]) > 1.5:
             raise FitError("gains must stay positive and the axes apart")
@@ -120,7 +130,9 @@ class PlanarProblem:
         return both[..., 0], both[..., 1]
 
     def evaluate(self, beta: Floats) -> Reduced:
-        """χ² and its rows, three a dwell, with δ projected out (see `least_squares.Problem`)."""
+        """χ² and its derivatives with δ projected out (see `least_squares.Problem`)."""
+        if self._parts:
+            return sum_of([part.evaluate(beta) for part in self._parts])
         delta = self.best_delta(beta)
         psi = beta[ALPHA] - self.angle + delta
         tangent, residual = self._whitened(beta, psi)
@@ -142,7 +154,8 @@ class PlanarProblem:
         nuisance /= np.linalg.norm(nuisance, axis=1, keepdims=True)
         rows -= nuisance[:, :, None] * np.einsum("nk,nkp->np", nuisance, rows)[:, None, :]
         # The residual is orthogonal to the nuisance already, up to what the inner steps left.
-        return Reduced(float((right**2).sum()), right.reshape(-1), rows.reshape(-1, 6))
+        flat, residuals = rows.reshape(-1, 6), right.reshape(-1)
+        return Reduced(float(residuals @ residuals), flat.T @ residuals, flat.T @ flat)
 
 
 def start_of(readings: Floats, angle_rad: Floats, sigma_rad: float) -> Floats:

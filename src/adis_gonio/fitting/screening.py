@@ -3,7 +3,8 @@
 A quiet sensor behind a coarse converter may well repeat one word for a whole dwell, so a dwell without any
 variance is no proof. Stuck is what contradicts something else that is known:
 
-* the other dwells: the same axis moves there, and never stood for a quarter as long;
+* the other dwells: the same axis moves there by more than its noise around an edge between two codes
+  (0.6 steps rms), and never stood for a quarter as long;
 * the positions: two or more dwells at different declared angles with the very same words on all axes, or
   all dwells alike;
 * the chip: an ADIS1635x has 4.7 mg (16354) of noise before its filter, 1 LSB rms behind the longest one,
@@ -15,12 +16,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.errors import DataError
 from adis_gonio.model.records import Dwell, Floats, Session
 
 _LEAST_RUN = 32
 _CHIP_RUN = 512
+_LIVELY = 0.6
 
 
 def refuse_dead_data(session: Session) -> None:
@@ -66,8 +69,20 @@ def _still_against_others(dwells: Sequence[Dwell]) -> list[int]:
     suspect = (runs >= _LEAST_RUN) & (runs >= 0.5 * length[:, None])
     # What the healthy dwells show; an axis without any healthy dwell is judged by the other rules.
     healthy = np.where(suspect, 0.0, runs).max(axis=0)
-    stuck = suspect & (healthy > 0) & (runs >= 4 * healthy)
+    lively = np.array([_is_lively(dwells, ~suspect[:, axis], axis) for axis in range(runs.shape[1])])
+    stuck = suspect & lively & (runs >= 4 * healthy)
     return [dwell.position for dwell, bad in zip(dwells, stuck.any(axis=1), strict=True) if bad]
+
+
+def _is_lively(dwells: Sequence[Dwell], healthy: NDArray[np.bool_], axis: int) -> bool:
+    """True where an axis of the healthy dwells has more noise than a converter's step hides."""
+    deviations, steps = [], []
+    for dwell, use in zip(dwells, healthy, strict=True):
+        if use:
+            gaps = np.diff(np.unique(dwell.accel[:, axis]))
+            deviations.append(float(dwell.accel[:, axis].std()))
+            steps.append(float(gaps[gaps > 1e-9 * np.abs(dwell.accel[:, axis]).max()].min(initial=np.inf)))
+    return bool(deviations) and float(np.median(deviations)) > _LIVELY * min(steps)
 
 
 def _same_everywhere(dwells: Sequence[Dwell]) -> list[int]:
@@ -75,9 +90,10 @@ def _same_everywhere(dwells: Sequence[Dwell]) -> list[int]:
     if len(constant) < 2:
         return []
     words = np.stack([dwell.accel[0] for dwell in constant])
-    if len(constant) == len(dwells) > 2 and (words == words[0]).all():
-        return [dwell.position for dwell in constant]
     angles = np.array([np.nan if d.angle_deg is None else d.angle_deg % 360 for d in constant])
+    one_angle = bool((angles == angles[0]).all())
+    if len(constant) == len(dwells) > 2 and (words == words[0]).all() and not one_angle:
+        return [dwell.position for dwell in constant]
     gap = np.abs(np.diff(angles))
     bad = np.flatnonzero((words[1:] == words[:-1]).all(axis=1) & (gap > 5) & (gap < 355))
     return sorted({constant[k + side].position for k in bad.tolist() for side in (0, 1)})

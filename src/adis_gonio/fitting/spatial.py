@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from adis_gonio.errors import FitError
-from adis_gonio.fitting.least_squares import Reduced
+from adis_gonio.fitting.least_squares import BLOCK, Reduced, blocks, sum_of, whitener_of
 from adis_gonio.model.geometry import axes_matrix, axes_matrix_derivatives
 from adis_gonio.model.records import Floats
 
@@ -44,7 +44,15 @@ class SpatialProblem:
 
     def __init__(self, readings: Floats, covariance: Floats) -> None:
         self.readings = readings
-        self.whitener = np.linalg.inv(np.linalg.cholesky(covariance))
+        n = len(readings)
+        self._parts = [
+            SpatialProblem(readings[rows], covariance[rows]) for rows in (blocks(n) if n > BLOCK else [])
+        ]
+        self.whitener: Floats = (
+            np.concatenate([part.whitener for part in self._parts])
+            if self._parts
+            else whitener_of(covariance)
+        )
 
     def rows(self) -> int:
         """Rows that carry information: one a reading."""
@@ -56,6 +64,8 @@ class SpatialProblem:
 
     def attitudes(self, beta: Floats) -> Floats:
         """Unit vectors u (n, 3) that minimise χ² of each dwell."""
+        if self._parts:
+            return np.concatenate([part.attitudes(beta) for part in self._parts])
         mixing = _mixing(beta)
         u = self.calibrated(beta)
         u = u / np.maximum(np.linalg.norm(u, axis=1, keepdims=True), 1e-12)
@@ -80,7 +90,9 @@ class SpatialProblem:
         return np.asarray(u)
 
     def evaluate(self, beta: Floats) -> Reduced:
-        """χ² and its rows, one a dwell, with the attitude projected out (`least_squares.Problem`)."""
+        """χ² and its derivatives with the attitudes projected out (`least_squares.Problem`)."""
+        if self._parts:
+            return sum_of([part.evaluate(beta) for part in self._parts])
         u = self.attitudes(beta)
         axes = axes_matrix(beta[SKEW])
         mixing = beta[SCALE, None] * axes
@@ -98,8 +110,8 @@ class SpatialProblem:
         jacobian[:, SCALE] = row * (u @ axes.T)
         for k, change in enumerate(axes_matrix_derivatives(beta[SKEW])):
             jacobian[:, 6 + k] = (row * (u @ (beta[SCALE, None] * change).T)).sum(axis=1)
-        cost = float((residual**2).sum())
-        return Reduced(cost, (normal * residual).sum(axis=1), jacobian)
+        along = (normal * residual).sum(axis=1)
+        return Reduced(float((residual**2).sum()), jacobian.T @ along, jacobian.T @ jacobian)
 
 
 def _mixing(beta: Floats) -> Floats:

@@ -10,8 +10,10 @@ of all bands (halved from the Nyquist frequency down) and orders for which one o
 gain (likelihood ratio, 25 %), the one with the smallest variance at zero wins. White noise thus uses the
 whole band, which is the textbook σ²/n with all its degrees of freedom, filtered noise only the flat foot.
 
-What rises towards zero faster than a polynomial shows is looked for in the three lowest ordinates of every
-dwell: their excess, read as 1/f noise, gives a floor that averaging does not lower.
+What rises towards zero faster than the fit is looked for in the three lowest ordinates of every dwell:
+their excess, read as 1/f noise, gives a floor that averaging does not lower. Where 1/f noise is so strong
+that the fit itself has followed it down to the lowest ordinates (their slope is that of a power and not of
+a filter), all of them is read as 1/f noise.
 """
 
 from __future__ import annotations
@@ -33,6 +35,11 @@ _GAINS = (1.323, 2.773)
 _CHOICE_COST = 0.5
 """Share of the degrees of freedom that is left where the data had to choose band and order (simulated with
 the chip's filter: 0.45 to 0.7)."""
+_SLOPE = 32
+_FLICKER_POWER = (-1.5, -0.6)
+_CLEARLY = 2.0
+"""Gain in −2 log likelihood at which the power of f counts as the better one. Simulated, 32 ordinates: 1/f
+noise gains 3 or more; the chip's filter loses, or has a power of −2 in dwells shorter than its window."""
 _LEAST_CYCLES = 3.5
 """Cycles a dwell at the frequency where the density has fallen to 1/e; simulated with the chip's filter, 3
 give two thirds of the true variance and 6 all of it."""
@@ -121,8 +128,7 @@ def noise_of_means(samples: Sequence[Floats]) -> MeanNoise:
     weight = np.zeros(d)
     n = np.array([len(rows) for rows in samples], dtype=float)
     for group in groups:
-        inside = group.frequency <= foot.band
-        w = group.weight * inside
+        w = group.weight * (group.frequency <= foot.band)
         weight[group.dwell] = w.sum()
         level[group.dwell] = np.einsum("k,dkab->dab", w, group.cross) / max(w.sum(), 1e-300)
     usable = weight > 0
@@ -138,13 +144,16 @@ def noise_of_means(samples: Sequence[Floats]) -> MeanNoise:
         dof = 2 * kept / (1 / np.where(usable, weight, weight.sum()) + shape_variance)
     density = _without_chance_correlation(level, dof) * math.exp(foot.log_zero)
     flicker, limit = _flicker(groups, density, foot, float(dof[0] if pooled else dof.sum()), n)
+    unresolved = bool(np.median(n) * foot.corner < _LEAST_CYCLES and not foot.is_white)
+    if np.median(n) * foot.band <= 2 * _SLOPE and not foot.is_white and _rises_like_flicker(groups):
+        flicker = limit = np.maximum(flicker, _all_flicker(groups))
     return MeanNoise(
         covariance=density / n[:, None, None],
         dof=dof,
         pooled=pooled,
         flicker=flicker,
         flicker_limit=limit,
-        too_short=bool(np.median(n) * foot.corner < _LEAST_CYCLES and not foot.is_white),
+        too_short=unresolved,
     )
 
 
@@ -177,10 +186,30 @@ def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floa
         step = inverse @ (design.T @ (weight * (mean * np.exp(-design @ beta) - 1)))
         step /= max(1.0, float(np.abs(design @ step).max()) / 2)
         beta = beta + step
-        if np.abs(step).max() < 1e-7:
+        if np.abs(step).max() < 1e-5:
             break
     eta = design @ beta
     return beta, inverse, 2 * float(weight @ (eta + mean * np.exp(-eta)))
+
+
+def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
+    """True where the lowest ordinates follow a power of f near −1 better than the foot of a filter does."""
+    groups = [group for group in groups if len(group.weight) > _SLOPE]
+    if not groups:
+        return False
+    k = np.arange(1, _SLOPE + 1)
+    total, moment = np.zeros(_SLOPE), np.zeros(_SLOPE)
+    for group in groups:
+        auto = np.diagonal(group.cross[:, :_SLOPE], axis1=2, axis2=3)
+        own = auto.mean(axis=1, keepdims=True)
+        total += len(group.dwell) * auto.shape[2]
+        moment += np.where(own > 0, auto / np.where(own > 0, own, 1.0), 0.0).sum(axis=(0, 2))
+    mean = np.maximum(moment / total, 1e-12)
+    one, x2 = np.ones(_SLOPE), (k / _SLOPE) ** 2
+    power, _, by_power = _whittle(np.stack([one, np.log(k)], axis=1), total, mean)
+    _, _, by_filter = _whittle(np.stack([one, x2, x2**2], axis=1), total, mean)
+    low, high = _FLICKER_POWER
+    return bool(low < power[1] < high and by_power < by_filter - _CLEARLY)
 
 
 def _choose_foot(groups: list[_Ordinates]) -> _Foot:
@@ -194,8 +223,11 @@ def _choose_foot(groups: list[_Ordinates]) -> _Foot:
         total = float(weight.sum())
         if best is not None and (total < _LEAST_WEIGHT or 1 / total > best.log_zero_variance):
             break
-        fits = [_whittle(_basis(x, p), weight, mean) for p in range(min(5, len(x)))]
-        for order, (beta, covariance, deviance) in enumerate(fits[:3]):
+        fits: list[tuple[Floats, Floats, float]] = []
+        for order in range(min(3, len(x))):
+            for p in range(len(fits), min(order + 3, len(x))):
+                fits.append(_whittle(_basis(x, p), weight, mean))
+            beta, covariance, deviance = fits[order]
             richer = fits[order + 1 : order + 3]
             if any(deviance - fit[2] > gain for fit, gain in zip(richer, _GAINS, strict=False)):
                 continue
@@ -269,6 +301,17 @@ def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:
     # An indefinite matrix is worse than a lost correlation; 0.95 keeps its inverse tame.
     limited = np.clip(correlation, -0.95, 0.95) + 0.05 * np.eye(level.shape[1])
     return np.where(keep, limited, 0.0) * deviation[:, :, None] * deviation[:, None, :]
+
+
+def _all_flicker(groups: list[_Ordinates]) -> Floats:
+    """Allan variance (axes,) of 1/f noise that makes up the whole of the lowest ordinates."""
+    moment, count = np.zeros(groups[0].cross.shape[-1]), 0.0
+    for group in groups:
+        k = np.arange(1, min(_LOWEST, len(group.weight)) + 1)
+        auto = np.diagonal(group.cross[:, : len(k)], axis1=2, axis2=3)
+        moment += np.einsum("k,dka->a", k / group.n, auto)
+        count += len(group.dwell) * len(k)
+    return np.asarray(_ALLAN_OF_FLICKER * moment / count)
 
 
 def _flicker(

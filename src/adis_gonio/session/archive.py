@@ -131,7 +131,13 @@ class Archive(ArchiveView):
                 self._insert("blocks", number, sequence, phase, len(block), block.lost, words, time_s)
             for count, move in enumerate(attempt.moves, start=self._next("moves", "move")):
                 self._insert(
-                    "moves", count, number, float(move.bus_s), float(move.angle_deg), move.approach
+                    "moves",
+                    count,
+                    number,
+                    float(move.bus_s),
+                    None if move.angle_deg is None else float(move.angle_deg),
+                    move.approach,
+                    to_json(move.direction),
                 )
         return number
 

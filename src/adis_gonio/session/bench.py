@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Any, Protocol
+from typing import Protocol, runtime_checkable
+
+import numpy as np
 
 from adis_gonio.bus import Capability
 from adis_gonio.errors import SessionError, UsageError
+from adis_gonio.model.records import Floats
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.sensor.registers import REGISTERS
 from adis_gonio.sensor.scanning import ScanStream
 from adis_gonio.session.plans import Plan, Position
-from adis_gonio.session.rows import Move
+from adis_gonio.session.rows import Move, StoredAttempt
 from adis_gonio.session.settings import Settings
 from adis_gonio.session.view import ArchiveView
 from adis_gonio.session.watch import window_samples
 
 CHECKPOINT_S = 1e-3
-"""Silence at the end of a dwell, so that no frame's timing reaches over the point of resuming."""
+"""Silence that ends in a checkpoint, so that no frame's timing reaches over the point of resuming."""
 
 _SETTINGS = tuple(
     row.name
@@ -34,11 +38,19 @@ class Stage(Protocol):
         """Go to an angle, in the direction `approach` (+1 or -1) at the end."""
 
 
+@runtime_checkable
+class SpatialStage(Stage, Protocol):
+    """A stage that can also turn the part to any attitude in space."""
+
+    def orient(self, vector: Sequence[float]) -> object:
+        """Go where an ideal sensor reads along a vector (3,)."""
+
+
 class World(Protocol):
     """The simulated surroundings of a sensor; a simulated bus brings one as its attribute `world`."""
 
-    def truth(self) -> dict[str, float]:
-        """What the simulation hides."""
+    def truth(self, time_s: Floats | None = None) -> dict[str, float]:
+        """What the simulation hides, as it was in the mean of some times where these are given."""
 
 
 class Bench:
@@ -85,8 +97,9 @@ class Bench:
                 f"{self.sensor.bus.url}: auto needs a stage that the program can move, such as sim: has;"
                 " run it without auto"
             )
-        if any(position.angle_deg is None for position in plan.positions):
-            raise UsageError(f"plan '{plan.name}' needs an operator: its attitudes have no angle")
+        free = any(position.angle_deg is None for position in plan.positions)
+        if free and self._spatial is None:
+            raise UsageError(f"plan '{plan.name}' needs an operator: this stage turns in a plane only")
 
     def require_same_sensor(self, archive: ArchiveView) -> None:
         """Raise `SessionError` where a session was begun with another sensor."""
@@ -153,12 +166,22 @@ class Bench:
             self._stream = None
 
     def move_to(self, position: Position) -> Move | None:
-        """Let the stage go to a position; None where there is nothing to move or no angle."""
-        if self.stage is None or position.angle_deg is None:
-            return None
-        move = Move(self.now_s, position.angle_deg, position.approach)
-        self.stage.move_to(move.angle_deg, move.approach)
-        return move
+        """Let the stage go to a position; None where nothing can be moved there."""
+        move = Move(self.now_s, position.angle_deg, position.approach, position.direction)
+        return move if self._carry_out(move) else None
+
+    def _carry_out(self, move: Move) -> bool:
+        if self.stage is not None and move.angle_deg is not None:
+            self.stage.move_to(move.angle_deg, move.approach)
+            return True
+        if self._spatial is not None and move.direction is not None:
+            self._spatial.orient(move.direction)
+            return True
+        return False
+
+    @property
+    def _spatial(self) -> SpatialStage | None:
+        return self.stage if isinstance(self.stage, SpatialStage) else None
 
     # -- time -------------------------------------------------------------------------------------
 
@@ -174,13 +197,23 @@ class Bench:
         ends = [attempt.ended_bus_s + attempt.offset_s for attempt in archive.attempts()]
         return max([since.total_seconds(), *ends]) - bus_s
 
+    def checkpoint(self) -> None:
+        """Make the present a point from which a simulated session can go on: silence before it."""
+        self.sensor.bus.sleep_s(CHECKPOINT_S)
+
     def bring_world_to(self, archive: ArchiveView, attempt: int) -> None:
-        """Let a new simulated world live through what the archived one did, up to an attempt's end."""
-        end_s = next(a.ended_bus_s for a in archive.attempts() if a.number == attempt)
+        """Let a new simulated world live through what the archived one did.
+
+        Parameters
+        ----------
+        attempt : int
+            Up to the end of this attempt; 0 up to the end of the measurement of the noise.
+        """
+        ends = {a.number: a.ended_bus_s for a in archive.attempts()}
+        end_s = ends[attempt] if attempt else archive.records("noise")[-1].bus_s
         for move in archive.moves_before(attempt):
             self._wait_until(move.bus_s)
-            if self.stage is not None:
-                self.stage.move_to(move.angle_deg, move.approach)
+            self._carry_out(move)
         self._wait_until(end_s)
 
     def _wait_until(self, bus_s: float) -> None:
@@ -194,6 +227,11 @@ class Bench:
         while (ahead := bus_s - bus.now_s()) > 0:
             bus.sleep_s(ahead if ahead < CHECKPOINT_S else ahead - CHECKPOINT_S / 2)
 
-    def truth(self) -> dict[str, Any] | None:
-        """What the simulation hides; None for a real sensor."""
-        return None if self.world is None else dict(self.world.truth())
+    def truth(self, dwells: Sequence[StoredAttempt] = ()) -> dict[str, float] | None:
+        """What the simulation hides, as it was during dwells; None for a real sensor."""
+        if self.world is None:
+            return None
+        dwell_s = self.settings.dwell_s
+        spans = [np.linspace(a.ended_bus_s - dwell_s, a.ended_bus_s, 64) for a in dwells]
+        times = np.concatenate(spans) if spans else None
+        return dict(self.world.truth(times))

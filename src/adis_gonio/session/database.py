@@ -95,8 +95,9 @@ CREATE TABLE moves (
     move      INTEGER PRIMARY KEY,
     attempt   INTEGER NOT NULL REFERENCES attempts,
     bus_s     REAL NOT NULL,
-    angle_deg REAL NOT NULL,
+    angle_deg REAL,
     approach  INTEGER NOT NULL,
+    direction TEXT NOT NULL,
     crc32     INTEGER NOT NULL
 );
 """

@@ -25,10 +25,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
+import numpy as np
+
 from adis_gonio.errors import UsageError
 from adis_gonio.model.records import Plane, Use
 
 Approach = Literal[-1, 0, 1]
+Order = Literal["plan", "reverse", "shuffled"]
 
 MOST_POSITIONS = 3600
 DEFAULT_PLAN = "two-position"
@@ -46,11 +49,15 @@ class Position:
         Direction of travel in which the angle is reached; 0 for a free attitude.
     use : {"fit", "check"}
         `check` positions are kept out of every fit.
+    direction : tuple of 3 float or None
+        For a free attitude: what an ideal sensor would read there, in units of G. Only a suggestion, which
+        a stage that turns in space can follow; a fit never sees it.
     """
 
     angle_deg: float | None
     approach: Approach = 1
     use: Use = "fit"
+    direction: tuple[float, float, float] | None = None
 
     def __str__(self) -> str:
         place = "a new attitude" if self.angle_deg is None else f"{self.angle_deg:g}°"
@@ -83,11 +90,42 @@ class Plan:
             "positions": [asdict(position) for position in self.positions],
         }
 
+    def ordered(self, order: Order, rng: np.random.Generator) -> Plan:
+        """The same positions in another order, with the directions of approach that it leads to.
+
+        Parameters
+        ----------
+        order : {"plan", "reverse", "shuffled"}
+            A shuffled order separates what depends on time from what depends on the angle.
+        rng : numpy.random.Generator
+            Draws the shuffled order.
+        """
+        if order == "plan":
+            return self
+        places = list(range(len(self)))[::-1]
+        if order == "shuffled":
+            places = [int(place) for place in rng.permutation(len(self))]
+        chosen = [self.positions[place] for place in places]
+        travelled = [chosen[0]]
+        for before, here in itertools.pairwise(chosen):
+            if here.angle_deg is None or before.angle_deg is None:
+                travelled.append(here)
+            elif here.angle_deg == before.angle_deg:
+                travelled.append(replace(here, approach=travelled[-1].approach))
+            else:
+                travelled.append(replace(here, approach=1 if here.angle_deg > before.angle_deg else -1))
+        return replace(self, positions=tuple(travelled))
+
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Plan:
         """Plan from its JSON form."""
-        positions = tuple(Position(**entry) for entry in data["positions"])
+        positions = tuple(_position(entry) for entry in data["positions"])
         return cls(data["name"], positions, data["plane"])
+
+
+def _position(entry: Mapping[str, Any]) -> Position:
+    direction = entry["direction"]
+    return Position(**{**entry, "direction": None if direction is None else tuple(direction)})
 
 
 @dataclass(frozen=True)
@@ -146,7 +184,8 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
         uses: list[Use] = ["fit"] * count
         for place in _spread(check, count):
             uses.insert(place, "check")
-        return Plan(name, tuple(Position(None, 0, use) for use in uses), "none")
+        places = zip(uses, _sphere(len(uses)), strict=True)
+        return Plan(name, tuple(Position(None, 0, use, vector) for use, vector in places), "none")
     return Plan(name, _with_checks(_angles(name, count), check))
 
 
@@ -157,6 +196,17 @@ def _angles(name: str, count: int) -> list[Position]:
     if name == "tumble":
         return up + [replace(position, approach=-1) for position in reversed(up)]
     return up
+
+
+def _sphere(count: int) -> list[tuple[float, float, float]]:
+    """Directions spread evenly over the sphere: a spiral that turns by the golden angle each step."""
+    golden = math.pi * (3.0 - math.sqrt(5.0))
+    vectors = []
+    for k in range(count):
+        z = 1.0 - (2 * k + 1) / count
+        radius = math.sqrt(1.0 - z * z)
+        vectors.append((radius * math.cos(golden * k), radius * math.sin(golden * k), z))
+    return vectors
 
 
 def _spread(checks: int, count: int) -> list[int]:

@@ -23,11 +23,18 @@ JsonDict = dict[str, Any]
 
 @dataclass(frozen=True)
 class Move:
-    """A move of the stage by the program, at `bus_s` on the clock of the bus."""
+    """A move of the stage by the program, at `bus_s` on the clock of the bus.
+
+    Attributes
+    ----------
+    angle_deg, approach, direction
+        As in `Position`: an angle in the plane, or a direction in space.
+    """
 
     bus_s: float
-    angle_deg: float
+    angle_deg: float | None
     approach: int
+    direction: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)

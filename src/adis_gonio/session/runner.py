@@ -36,7 +36,7 @@ from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
 from adis_gonio.sensor.decoding import ScanBlock
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.session.archive import Archive, Header, utc_now
-from adis_gonio.session.bench import CHECKPOINT_S, Bench
+from adis_gonio.session.bench import Bench
 from adis_gonio.session.events import (
     Configured,
     DwellDone,
@@ -98,6 +98,7 @@ class SessionRunner:
         self._skipped = archive.skipped()
         self._last_place = max(self._done, key=self._done.__getitem__, default=None)
         self._limits: StillnessLimits | None = None
+        self._noise_mg: Floats = np.zeros(3)
         self._answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
         self._allowed: frozenset[Answer] = frozenset()
         self._stopping = threading.Event()
@@ -273,11 +274,11 @@ class SessionRunner:
         self._note("registers-configured", after)
         self._note("truth", bench.truth())
         yield Configured(configuration, bench.changes(before, after))
-        if bench.simulated and last:
-            bench.bring_world_to(archive, last)
         noise = archive.last("noise")
         if noise is None:
             noise = yield from self._measure_noise()
+        elif bench.simulated:
+            bench.bring_world_to(archive, last)
         if noise is not None:
             yield self._limit(noise)
 
@@ -302,6 +303,7 @@ class SessionRunner:
         if noise is None:
             return None
         measured = [float(value) for value in noise]
+        bench.checkpoint()
         self._note("noise", measured)
         return measured
 
@@ -310,6 +312,7 @@ class SessionRunner:
         quantum = bench.sensor.variant.accel_mg_per_lsb
         limits = limits_from_noise(np.array(noise), bench.window, quantum)
         self._limits = limits
+        self._noise_mg = np.maximum(noise, quantum / math.sqrt(12))
         return NoiseMeasured(
             _vector(noise), _vector(limits.upper), _vector(limits.lower), bench.window * bench.period_s
         )
@@ -433,7 +436,7 @@ class SessionRunner:
         """Wait for stillness, then record; return None when complete, else what interrupted it."""
         if self._limits is None:
             raise UsageError("the limits of stillness are not known")
-        watch = StillnessWatch(self._limits)
+        watch = StillnessWatch(self._limits, self._noise_mg)
         window_s = self._bench.window * self._bench.period_s
         patience_s = self._bench.settings.still_timeout_s + WINDOWS_TO_STILLNESS * window_s
         look: Look | None = None
@@ -482,7 +485,7 @@ class SessionRunner:
         bench = self._bench
         bench.close_stream()
         status = bench.sensor.status()
-        bench.sensor.bus.sleep_s(CHECKPOINT_S)
+        bench.checkpoint()
         attempt = recording.attempt("complete", bench.now_s, status=status.word)
         number = self._archive.add_attempt(attempt)
         place, scans = recording.place, recording.scans()
@@ -505,8 +508,9 @@ class SessionRunner:
 
     def _finish(self) -> Finished:
         complete = self._next_place() is None
+        self._bench.close_stream()
         self._note("registers-after", self._bench.sensor.read_all())
-        self._note("truth", self._bench.truth())
+        self._note("truth", self._bench.truth(self._archive.dwells()))
         self._note("finished", {"complete": complete})
         return Finished(
             str(self._archive.path), complete, len(self._done), len(self._skipped), len(self._plan)

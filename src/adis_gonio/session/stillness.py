@@ -32,6 +32,8 @@ LEAST_S = 1.0
 _UPPER = 4.0
 _LOWER = 0.1
 _GYRO_UPPER = 10.0
+_OFTEN = 0.25
+"""Share of windows with a constant word above which this is the converter's step and not a fault."""
 _LEAST_WINDOW = 8
 
 
@@ -185,11 +187,11 @@ def _turns(gyro: Floats, window: int, still: NDArray[np.bool_]) -> NDArray[np.bo
 
 
 def _own_noise(deviation: Floats) -> Floats:
-    """Noise of each axis (axes,): typical deviation of its quiet windows."""
+    """Noise of each axis (axes,): typical deviation of its quiet windows; zero where words often repeat."""
     noise = np.zeros(deviation.shape[1])
     for axis in range(deviation.shape[1]):
         alive = deviation[:, axis][deviation[:, axis] > 0]
-        if alive.size:
+        if alive.size >= (1 - _OFTEN) * len(deviation):
             lowest = np.quantile(alive, 0.05)
             noise[axis] = np.median(alive[alive <= 2 * lowest])
     return noise
@@ -223,7 +225,9 @@ def _split_at_steps(
     middle = np.arange(window, n - window + 1)
     before = (sums[middle] - sums[middle - window]) / window
     after = (sums[middle + window] - sums[middle]) / window
-    jump = (np.abs(after - before) / (limits.upper[: part.shape[1]] / _UPPER)).max(axis=1)
+    # An axis that never changes has no limit and no step either.
+    unit = np.maximum(limits.upper / _UPPER, 1e-300)
+    jump = (np.abs(after - before) / unit).max(axis=1)
     cuts = []
     while jump.size and jump.max() > _UPPER:
         k = int(jump.argmax())

@@ -152,7 +152,10 @@ class ArchiveView:
         """
         runs = {run["run"]: run["continues"] for run in self.runs()}
         of_run = {a.number: a.run for a in self.attempts()}
-        moves = [(row[1], Move(*row[2:])) for row in self._rows("moves", "move")]
+        moves = [
+            (number, Move(bus_s, angle_deg, approach, _vector(json.loads(direction))))
+            for _, number, bus_s, angle_deg, approach, direction in self._rows("moves", "move")
+        ]
         line: list[Move] = []
         while attempt:
             run = of_run[attempt]
@@ -185,3 +188,7 @@ class ArchiveView:
             if checksum(*row[:-1]) != row[-1]:
                 raise database.damaged(self.path, f"checksum of row {number} of table {table}")
         return [row[:-1] for row in rows]
+
+
+def _vector(values: list[float] | None) -> tuple[float, float, float] | None:
+    return None if values is None else (values[0], values[1], values[2])

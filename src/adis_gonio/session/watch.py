@@ -27,6 +27,10 @@ SHIFT_MG = 5.0
 """A dwell whose mean goes so far from its beginning has moved (0.3° at the horizontal); slower and smaller
 changes are left in, they are effects to be found, not motion."""
 
+BEGIN_RATIO = 1.5
+"""Multiple of the noise below which a dwell may begin; it is broken off only by the limits' upper one. What
+rings out after a move shall not reach into the dwell."""
+
 METER_WINDOWS = 8
 METER_RATIO = 1.6
 EXPECTED_RATIO = 10.0
@@ -150,10 +154,13 @@ class StillnessWatch:
     ----------
     limits : StillnessLimits
         In mg, from the noise of `NoiseMeter`.
+    noise_mg : (3,) float
+        That noise, or what quantization alone gives where this is more.
     """
 
-    def __init__(self, limits: StillnessLimits) -> None:
+    def __init__(self, limits: StillnessLimits, noise_mg: Floats) -> None:
         self._upper = np.asarray(limits.upper, dtype=float)
+        self._begin = np.minimum(BEGIN_RATIO * np.asarray(noise_mg, dtype=float), self._upper)
         self._lower = np.asarray(limits.lower, dtype=float)
         self._length = limits.window_samples
         self._windows = _Windows(limits.window_samples)
@@ -182,10 +189,11 @@ class StillnessWatch:
         if (self._stuck >= STUCK_LOOKS).any():
             k = int(np.argmax(self._stuck))
             return Look(end, "stuck", str(stuck_error(AXES[k], float(mean[k]))), mean, spread)
-        over = spread / self._upper
+        limit = self._upper if self._anchor_from is not None else self._begin
+        over = spread / limit
         if (over > 1).any():
             k = int(np.argmax(over))
-            why = f"{AXES[k]} varies by {spread[k]:.3g} mg, at rest at most {self._upper[k]:.3g} mg"
+            why = f"{AXES[k]} varies by {spread[k]:.3g} mg, at rest at most {limit[k]:.3g} mg"
             return Look(end, "moving", why, mean, spread)
         if self._anchor_from is not None and end - self._length >= self._anchor_from:
             if self._anchor is None:

@@ -60,7 +60,6 @@ class Flicker:
         self._rng = rng
         self._step_s = step_s
         self._origin_s = start_s
-        self._first = 0
         self._state = rng.standard_normal((octaves, len(self._sigma)))
         self._grid = np.empty((0, len(self._sigma)))
 
@@ -68,18 +67,18 @@ class Flicker:
         """Values (n, channels) at times (n,) that increase from call to call."""
         place = (time_s - self._origin_s) / self._step_s
         index = np.floor(place).astype(np.int64)
-        while self._first + len(self._grid) < index[-1] + 2:
+        while len(self._grid) < index[-1] + 2:
             self._grid = np.concatenate([self._grid, self._page()])
-        spare = (int(index[0]) - self._first) // _PAGE * _PAGE
-        if spare > 0:
-            self._grid = self._grid[spare:]
-            self._first += spare
         weight = (place - index)[:, None]
-        index -= self._first
         low: Floats = self._grid[index]
         high: Floats = self._grid[index + 1]
         result: Floats = low + weight * (high - low)
         return result
+
+    def lived(self, time_s: Floats) -> Floats:
+        """Values (m, channels) on the grid points nearest to those of the times (n,) that have been."""
+        index = np.unique(np.rint((time_s - self._origin_s) / self._step_s).astype(np.int64))
+        return np.asarray(self._grid[index[(index >= 0) & (index < len(self._grid))]], np.float64)
 
     def _page(self) -> Floats:
         drawn = self._rng.standard_normal((_PAGE, *self._state.shape)) * self._drive

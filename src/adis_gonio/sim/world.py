@@ -139,20 +139,26 @@ class World:
         """Hidden parameters by the names that a fit uses.
 
         `delta_k` (1), `delta_phi` (degree), `alpha` (degree), `scale_x…` (the gain, 1 is perfect),
-        `skew_xy…` (degree, 90° minus the angle between the axes), `bias_x…` (mg, before flicker),
+        `skew_xy…` (degree, 90° minus the angle between the axes), `bias_x…` (mg),
         `bias_temperature_x…` (mg/°C), `scale_temperature_x…` (1/°C), and the parameters of added effects
         as `effect.parameter` in the effect's units.
 
         Parameters
         ----------
         time_s : (n,) float or None
-            Times to whose mean temperature the biases and gains belong; None for 25 °C.
+            Times to whose mean temperature the biases and gains belong; the biases hold the mean of
+            the flicker that was lived through then. None: 25 °C and no flicker.
         """
         result = dict(self._hidden)
-        warm = 0.0 if time_s is None else float(np.mean(self.temperature_c(time_s))) - REFERENCE_C
+        warm, wander = 0.0, np.zeros(3)
+        if time_s is not None:
+            warm = float(np.mean(self.temperature_c(time_s))) - REFERENCE_C
+            lived = np.empty((0, 6)) if self._flicker is None else self._flicker.lived(time_s)
+            if len(lived):
+                wander = lived[:, :3].mean(axis=0)
         for k, axis in enumerate(AXES):
             result[f"scale_{axis}"] *= 1 + float(self._scale_tempco[k]) * warm
-            result[f"bias_{axis}"] = float(self._bias[k] + self._tempco[k] * warm)
+            result[f"bias_{axis}"] = float(self._bias[k] + self._tempco[k] * warm + wander[k])
             result[f"bias_temperature_{axis}"] = float(self._tempco[k])
             result[f"scale_temperature_{axis}"] = float(self._scale_tempco[k])
         if warm:

@@ -1,0 +1,225 @@
+import math
+
+import numpy as np
+import pytest
+
+from adis_gonio.errors import DataError
+from adis_gonio.fitting.readings import reduce_session
+from adis_gonio.fitting.spectrum import noise_of_means
+from adis_gonio.model.records import Dwell, Session
+
+LSB = 0.4672
+
+
+def filtered(rng, n, filter_m, sd=4.7):
+    """Noise (n,) through the chip's Bartlett filter, and the variance of its mean."""
+    box = np.full(2**filter_m, 0.5**filter_m)
+    weights = np.convolve(box, box)
+    noise = np.convolve(rng.normal(0, sd, n + len(weights) - 1), weights, "valid")
+    correlation = np.correlate(weights, weights, "full")
+    lag = np.abs(np.arange(len(correlation)) - len(weights) + 1)
+    return noise, sd**2 * float(correlation @ (n - lag)) / n**2
+
+
+def dwell(rows, k=0, **more):
+    rows = np.asarray(rows, dtype=float)
+    return Dwell(position=k, time_s=k * 100 + np.arange(len(rows)) / 819.2, accel=rows, **more)
+
+
+def session(*dwells, **more):
+    return Session(dwells=dwells, **{"accel_unit": "mg", "sensor": "generic", **more})
+
+
+@pytest.mark.parametrize(("filter_m", "n"), [(0, 300), (1, 600), (2, 600), (3, 1200), (4, 1200), (6, 4000)])
+def test_the_variance_of_a_mean_is_that_of_correlated_samples(filter_m, n):
+    rng = np.random.default_rng(filter_m)
+    ratio, dof = [], []
+    for _ in range(60):
+        pair = [filtered(rng, n, filter_m) for _ in range(8)]
+        rows = [np.stack([pair[2 * k][0], pair[2 * k + 1][0]], axis=1) for k in range(4)]
+        noise = noise_of_means(rows)
+        ratio.append(noise.covariance[0, 0, 0] / pair[0][1])
+        dof.append(noise.dof[0])
+    # One standard error of the mean ratio is sqrt(2/dof/60).
+    assert np.mean(ratio) == pytest.approx(1, abs=0.05 + 3 * math.sqrt(2 / np.median(dof) / 60))
+    # The stated degrees of freedom are those of the scatter seen, within a factor of two and a half.
+    seen = 2 / np.var(ratio)
+    assert 0.4 < np.median(dof) / seen < 2.5
+
+
+def test_sigma_over_root_n_would_be_wrong_by_the_filter():
+    rng = np.random.default_rng(1)
+    noise, true = filtered(rng, 8000, 5)
+    naive = noise.var() / 8000
+    mine = noise_of_means([np.stack([noise, noise[::-1]], axis=1)]).covariance[0, 0, 0]
+    assert true / naive > 30
+    assert 0.4 < mine / true < 2.5
+
+
+def test_white_noise_keeps_its_degrees_of_freedom():
+    rng = np.random.default_rng(2)
+    dof = [noise_of_means([rng.normal(size=(50, 2)) for _ in range(6)]).dof[0] for _ in range(40)]
+    assert np.median(dof) == pytest.approx(6 * 49, rel=0.02)
+
+
+def test_dwells_of_one_noise_are_pooled_and_others_keep_their_own():
+    rng = np.random.default_rng(3)
+    same = noise_of_means([rng.normal(0, 2, (100, 2)) for _ in range(5)])
+    assert same.pooled
+    np.testing.assert_allclose(same.covariance[0], same.covariance[4])
+    rows = [rng.normal(0, 2, (100, 2)) for _ in range(4)] + [rng.normal(0, 9, (100, 2))]
+    mixed = noise_of_means(rows)
+    assert not mixed.pooled
+    assert mixed.covariance[4, 0, 0] / mixed.covariance[0, 0, 0] > 8
+    assert mixed.dof[0] < 120
+
+
+def test_correlation_between_axes_is_kept_where_it_is_real():
+    rng = np.random.default_rng(4)
+    common = [rng.normal(size=(400, 1)) for _ in range(4)]
+    rows = [c + 0.5 * rng.normal(size=(400, 2)) for c in common]
+    covariance = noise_of_means(rows).covariance[0]
+    assert covariance[0, 1] / covariance[0, 0] == pytest.approx(0.8, abs=0.06)
+    assert noise_of_means([rng.normal(size=(400, 2)) for _ in range(4)]).covariance[0, 0, 1] == 0
+
+
+def test_flicker_in_long_dwells_is_seen_and_bounded_where_absent():
+    rng = np.random.default_rng(5)
+    n, allan, white = 32768, 0.5, 4.0
+    frequency = np.arange(1, n // 2 + 1) / n
+
+    def flicker():
+        lines = np.zeros(n // 2 + 1, dtype=complex)
+        amplitude = np.sqrt(allan**2 / (4 * math.log(2)) / frequency * n / 2)
+        lines[1:] = amplitude * (rng.normal(size=n // 2) + 1j * rng.normal(size=n // 2))
+        return np.fft.irfft(lines, n)
+
+    with_it = noise_of_means(
+        [rng.normal(0, white, (n, 2)) + np.stack([flicker(), flicker()], 1) for _ in range(4)]
+    )
+    total = with_it.covariance[0, 0, 0] + with_it.flicker[0]
+    assert 0.3 < total / allan**2 < 4
+    without = noise_of_means([rng.normal(0, white, (n, 2)) for _ in range(4)])
+    assert (without.flicker == 0).all()
+    assert (np.sqrt(without.flicker_limit) < 0.1).all()
+
+
+def test_the_figure_of_the_variant_is_the_floor_unless_the_dwells_exclude_it():
+    rng = np.random.default_rng(6)
+
+    def u(sensor, n):
+        dwells = [dwell(rng.normal(0, 4.7, (n, 2)), k) for k in range(2)]
+        return math.sqrt(reduce_session(session(*dwells, sensor=sensor)).covariance[0, 0, 0])
+
+    n = 2000
+    white = 4.7 / math.sqrt(n)
+    assert u("generic", n) == pytest.approx(white, rel=0.1)
+    assert u("adis16354", n) == pytest.approx(math.hypot(white, 0.1), rel=0.1)
+    # A minute and a half of white noise to 0.02 mg: 0.1 mg of flicker would have shown.
+    assert u("adis16354", 80000) < 0.08
+
+
+@pytest.mark.parametrize("noise_lsb", [0.0, 0.15, 0.3, 1.0])
+def test_quantization_of_a_quiet_sensor_is_in_the_uncertainty(noise_lsb):
+    rng = np.random.default_rng(7)
+    n, squares, stated = 64, [], []
+    for _ in range(300):
+        level = rng.uniform(100, 2000, (2, 2))
+        rows = np.round(level[:, None, :] + rng.normal(0, noise_lsb, (2, n, 2)))
+        quiet = session(dwell(rows[0], 0), dwell(rows[1], 1), accel_unit="lsb", sensor="adis16354")
+        readings = reduce_session(quiet)
+        squares.append(np.mean((readings.mean / LSB - level) ** 2))
+        stated.append(readings.covariance[:, 0, 0].mean() / LSB**2)
+    floor = np.mean(stated) - np.mean(squares)
+    # At 1 LSB the floor of 0.1 mg may come on top; below, nothing else hides the step of the converter.
+    assert -0.2 * np.mean(squares) < floor < 0.35 * np.mean(squares) + (0.1 / LSB) ** 2 * (noise_lsb > 0)
+
+
+def test_units_become_mg():
+    rows = np.array([[1.0, 0.0], [1.0, 2.0]])
+    factor = {"mg": 1.0, "g": 1000.0, "mps2": 1000 / 9.80665, "lsb": 0.4672, "counts": 1.0}
+    for unit, value in factor.items():
+        readings = reduce_session(session(dwell(rows), accel_unit=unit, sensor="adis16354"))
+        np.testing.assert_allclose(readings.mean, [[value, value]])
+        assert readings.unit == ("counts" if unit == "counts" else "mg")
+    assert reduce_session(session(dwell(rows), accel_unit="lsb", sensor="adis16350")).mean[
+        0, 0
+    ] == pytest.approx(2.522)
+
+
+def test_readings_of_one_row_have_the_stated_uncertainty_or_none():
+    stated = reduce_session(session(dwell([[1.0, 2.0]]), reading_u_mg=0.3))
+    np.testing.assert_allclose(stated.covariance[0], 0.09 * np.eye(2))
+    assert np.isinf(stated.dof[0])
+    assert stated.known.all()
+    assert not reduce_session(session(dwell([[1.0, 2.0]]))).known.any()
+
+
+def test_check_dwells_are_left_out():
+    readings = reduce_session(
+        session(dwell([[1.0, 2.0]], 0), dwell([[5.0, 6.0]], 1, use="check"), reading_u_mg=1)
+    )
+    assert readings.position.tolist() == [0]
+    with pytest.raises(DataError, match="no dwell to fit"):
+        reduce_session(session(dwell([[5.0, 6.0]], 1, use="check")))
+
+
+def test_third_axis_is_left_out_in_the_plane_and_needed_in_space():
+    assert reduce_session(session(dwell([[1.0, 2.0, 3.0]]))).mean.shape == (1, 2)
+    assert reduce_session(session(dwell([[1.0, 2.0, 3.0]]), plane="none")).mean.shape == (1, 3)
+    with pytest.raises(DataError, match="three axes"):
+        reduce_session(session(dwell([[1.0, 2.0]]), plane="none"))
+
+
+class TestDeadData:
+    rng = np.random.default_rng(8)
+
+    def words(self, n=300, level=(2000, 100)):
+        return np.round(self.rng.normal(level, 10, (n, 2)))
+
+    def refused(self, *dwells, **more):
+        with pytest.raises(DataError) as caught:
+            reduce_session(session(*dwells, **{"accel_unit": "lsb", "sensor": "adis16354", **more}))
+        assert "\n" not in str(caught.value)
+        return str(caught.value)
+
+    def test_all_zero_names_the_position(self):
+        assert "all-zero accelerations in position 4" in self.refused(
+            dwell(self.words(), 3), dwell(np.zeros((300, 2)), 4)
+        )
+
+    def test_one_axis_that_stands_while_others_move_is_stuck(self):
+        rows = self.words()
+        rows[:, 1] = rows[0, 1]
+        assert "stuck data in position 7" in self.refused(dwell(self.words(), 6), dwell(rows, 7))
+        assert "stuck" in self.refused(dwell(self.words(), 6), dwell(rows, 7), accel_unit="mg")
+
+    def test_the_second_half_of_a_dwell_can_be_stuck(self):
+        rows = self.words()
+        rows[120:] = rows[120]
+        assert "stuck data in position 2" in self.refused(dwell(self.words(), 1), dwell(rows, 2))
+
+    def test_the_same_words_in_different_positions_are_stuck(self):
+        same = np.tile([2000.0, 100.0], (40, 1))
+        dwells = [dwell(same, k, angle_deg=90.0 * k) for k in range(2)]
+        assert "stuck data in positions 0, 1" in self.refused(*dwells, accel_unit="mg")
+        loose = [dwell(same, k) for k in range(3)]
+        assert "stuck" in self.refused(*loose, accel_unit="mg")
+
+    def test_a_chip_that_shows_no_noise_in_any_dwell_is_stuck(self):
+        frozen = [dwell(np.tile([2000.0 - k, 100.0 + 9 * k], (400, 1)), k) for k in range(3)]
+        assert "stuck data in positions 0, 1, 2" in self.refused(*frozen)
+
+    def test_a_quiet_converter_of_an_unknown_sensor_may_repeat_its_word(self):
+        frozen = [dwell(np.tile([2000.0 - k, 100.0 + 9 * k], (400, 1)), k) for k in range(3)]
+        readings = reduce_session(session(*frozen, accel_unit="mg"))
+        assert (np.diagonal(readings.covariance, axis1=1, axis2=2) > 0).all()
+
+    def test_the_longest_filter_is_not_taken_for_stuck(self):
+        rng = np.random.default_rng(9)
+        for _ in range(20):
+            dwells = []
+            for k in range(3):
+                rows = np.stack([filtered(rng, 700, 6)[0] for _ in range(2)], axis=1)
+                dwells.append(dwell(np.round((rows + np.array([900, 50 * k])) / LSB), k))
+            reduce_session(session(*dwells, accel_unit="lsb", sensor="adis16354"))

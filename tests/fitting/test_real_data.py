@@ -1,0 +1,87 @@
+"""Recordings of real sensors, by others; see the table of sources in the documentation."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from adis_gonio.errors import FitError
+from adis_gonio.fitting import fit
+from adis_gonio.session.loading import load_session
+
+DATA = Path(os.environ.get("ADIS_GONIO_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+
+pytestmark = pytest.mark.skipif(
+    not (DATA / "README.md").exists(),
+    reason=f"no recordings in {DATA}; set ADIS_GONIO_DATA to the folder that holds them",
+)
+
+
+def load(name):
+    return load_session(DATA / f"{name}.csv.gz")
+
+
+@pytest.fixture(scope="module")
+def xy_turn():
+    return load("adis16350_xy_turn")
+
+
+@pytest.mark.parametrize(
+    ("method", "delta_k", "delta_phi"),
+    [("paper", 0.0340, -4.333), ("two-position", 0.0346, -4.332), ("four-position", 0.0011, 0.072)],
+)
+def test_xy_turn_by_the_closed_methods(xy_turn, method, delta_k, delta_phi):
+    result = fit(xy_turn, method)
+    assert result["delta_k"].value == pytest.approx(delta_k, abs=5e-5)
+    assert result["delta_phi"].value == pytest.approx(delta_phi, abs=5.1e-4)
+    blind = [w for w in result.warnings if "bias cannot be seen in two positions" in w]
+    assert bool(blind) == (method != "four-position")
+
+
+def test_xy_turn_bias_of_four_positions(xy_turn):
+    result = fit(xy_turn, "four-position")
+    assert result["bias_x"].value == pytest.approx(57.3, abs=0.05)
+    assert result["bias_y"].value == pytest.approx(-20.6, abs=0.05)
+
+
+def test_xy_turn_by_likelihood_agrees_with_four_positions(xy_turn):
+    four, ml = fit(xy_turn, "four-position"), fit(xy_turn)
+    assert ml.method == "ml"
+    for name in ("delta_k", "delta_phi", "bias_x", "bias_y"):
+        assert abs(ml[name].value - four[name].value) < 3 * four[name].u
+
+
+def test_fourteen_poses():
+    result = fit(load("adis16350_14_poses"), "ml")
+    assert result["bias_x"].value == pytest.approx(57, abs=1)
+    assert result["bias_y"].value == pytest.approx(-21, abs=1)
+    assert result["bias_z"].value == pytest.approx(46, abs=1)
+    assert result.residual_rms_mg == pytest.approx(2.0, abs=0.1)
+    assert any("the model lacks something" in w for w in result.warnings)
+    assert "delta_k" not in result
+
+
+def test_xsens_dwells_and_scale_are_found():
+    session = load("xsens_mti_recording")
+    assert 36 <= len(session.dwells) <= 40
+    assert any("dwells were found by stillness" in note for note in session.notes)
+    result = fit(session)
+    for name, value in (("scale_x", 414.4), ("scale_y", 412.0), ("scale_z", 414.6)):
+        assert result[name].value == pytest.approx(value, abs=0.1)
+    for name, value in (("bias_x", 33123.9), ("bias_y", 33275.1), ("bias_z", 32364.5)):
+        assert result[name].value == pytest.approx(value, abs=0.5)
+    assert result.residual_rms_mg <= 0.11
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_mpu9150_is_left_with_its_noise(number):
+    session = load(f"mpu9150_{number}_recording")
+    assert 20 <= len(session.dwells) <= 26
+    result = fit(session)
+    assert result.residual_rms_mg <= 0.28
+    assert result.extra_mg == 0
+
+
+def test_one_pose_through_a_chamber_is_one_position():
+    with pytest.raises(FitError, match="one position only"):
+        fit(load("thermal_cycle"))

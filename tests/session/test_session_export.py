@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adis_gonio.errors import SessionError
+from adis_gonio.sensor import open_sensor
+from adis_gonio.session import (
+    SessionRunner,
+    Settings,
+    export_csv,
+    export_json,
+    load_session,
+    plan,
+)
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("export") / "a.session"
+    with open_sensor("sim:?seed=2") as sensor:
+        runner = SessionRunner.begin(
+            sensor,
+            path,
+            plan("tumble", 3, check=1),
+            Settings(dwell_s=0.5, settle_s=0.1),
+            auto=True,
+            gravity_mps2=9.81,
+            fixture_sigma_deg=0.1,
+            title="Δ bench",
+        )
+        list(runner.run())
+    return path
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz"])
+def test_the_csv_of_an_archive_is_the_same_session(archive, tmp_path, name):
+    session = load_session(archive)
+    export_csv(session, tmp_path / name)
+    back = load_session(tmp_path / name)
+    assert (back.sensor, back.accel_unit, back.plane) == (session.sensor, session.accel_unit, session.plane)
+    assert (back.gravity_mps2, back.fixture_sigma_deg) == (9.81, 0.1)
+    assert back.title == "Δ bench"
+    assert len(back.dwells) == len(session.dwells) == 7
+    for ours, theirs in zip(session.dwells, back.dwells, strict=True):
+        assert (ours.angle_deg, ours.approach, ours.use) == (theirs.angle_deg, theirs.approach, theirs.use)
+        assert np.array_equal(ours.accel, theirs.accel)
+        assert np.array_equal(ours.time_s, theirs.time_s)
+        assert np.array_equal(ours.gyro, theirs.gyro)
+        assert np.array_equal(ours.supply_v, theirs.supply_v)
+
+
+def test_the_json_holds_samples_and_facts(archive, tmp_path):
+    session = load_session(archive)
+    export_json(session, tmp_path / "a.json")
+    document = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
+    assert document["title"] == "Δ bench"
+    assert document["facts"]["truth"] == session.facts["truth"]
+    assert document["facts"]["registers"]["before"]["SMPL_PRD"] == 1
+    assert [entry["use"] for entry in document["dwells"]].count("check") == 1
+    for entry, dwell in zip(document["dwells"], session.dwells, strict=True):
+        assert np.array_equal(entry["accel"], dwell.accel)
+        assert entry["angle_deg"] == dwell.angle_deg
+
+
+def test_an_export_never_overwrites_and_says_where_it_failed(archive, tmp_path):
+    session = load_session(archive)
+    mine = tmp_path / "mine.csv"
+    mine.write_text("mine")
+    for export in (export_csv, export_json):
+        with pytest.raises(SessionError, match=r"mine\.csv: exists already"):
+            export(session, mine)
+        with pytest.raises(SessionError, match="cannot be written: No such file or directory"):
+            export(session, tmp_path / "none" / "a.csv")
+    assert mine.read_text() == "mine"
+
+
+def test_the_package_itself_imports_without_scipy():
+    import subprocess
+    import sys
+
+    code = (
+        "import sys, adis_gonio.session as s; s.SessionRunner; s.read_session; s.plan; s.events; "
+        "print('scipy' in sys.modules)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "False"
