@@ -343,6 +343,8 @@ def main() -> int:
                 ]
                 if lost:
                     behind.append(f"{kind}: {peer} is ahead in {', '.join(lost)}")
+    if options.without_trace:
+        return 0
     print("\n".join(behind) if behind else "trace is ahead of, or level with, every peer in every column")
     return 0
 
