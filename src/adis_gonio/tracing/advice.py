@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adis_gonio.model.effects import Conditions, catalogue
+from adis_gonio.model.effects import AXES, Conditions, catalogue
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.result import Detectable
@@ -40,8 +40,8 @@ def advise(
     lines += _coverage(data, detectable)
     if not adequate and not lines:
         lines.append(
-            "the residual is larger than the noise within the dwells and no single cause explains it: repeat "
-            "each position at another time and from the other side"
+            "the residual is larger than the noise within the dwells and no single cause explains it: "
+            "repeat each position at another time and from the other side"
         )
     return tuple(lines)
 
@@ -72,7 +72,8 @@ def _separating(data: Observations, rivals: Sequence[Fitted]) -> str:
     names = " or ".join(" + ".join(term.label for term in model) or "base model" for model, _ in rivals[:3])
     return (
         f"to tell {names} apart, measure at {'; '.join(labels)}: there they differ by up to "
-        f"{apart[best[0]]:.2g} mg ({apart[best[0]] / max(noise, 1e-12):.1f} standard uncertainties of a reading)"
+        f"{apart[best[0]]:.2g} mg ({apart[best[0]] / max(noise, 1e-12):.1f} standard uncertainties of a "
+        "reading)"
     )
 
 
@@ -96,7 +97,7 @@ def _options(data: Observations) -> tuple[Observations, list[tuple[str, ...]]]:
         for v in itertools.product((-1, 0, 1), repeat=3):
             if any(v):
                 unit = np.array(v, dtype=float) / np.linalg.norm(v)
-                word = " ".join(f"{'+' if s > 0 else '−'}{'xyz'[k]}" for k, s in enumerate(v) if s)
+                word = " ".join(f"{'+' if s > 0 else '−'}{AXES[k]}" for k, s in enumerate(v) if s)
                 places.append((f"gravity along {word}", unit))
     rows = list(itertools.product(places, waits, temperatures, supplies, sides))
     n = len(rows)
@@ -118,14 +119,14 @@ def _options(data: Observations) -> tuple[Observations, list[tuple[str, ...]]]:
     mean = np.zeros((n, data.axes))
     if not data.planar:
         mean = data.gravity_mg * np.array([p[1] for p, *_ in rows])
-    words = []
-    for (place, _), wait, t, v, side in rows:
+    words: list[tuple[str, ...]] = []
+    for (place, _), wait, t, volts, side in rows:
         words.append(
             (
                 place,
                 "" if wait == 0 else f"{wait / 60:.0f} min later",
                 "" if t is None else f"at {t:.0f} °C",
-                "" if v is None else f"at {v:.2f} V",
+                "" if volts is None else f"at {volts:.2f} V",
                 "" if side == 0 else f"approached from {'below' if side > 0 else 'above'}",
             )
         )
@@ -154,7 +155,8 @@ def _predicted(options: Observations, model: Sequence[Term], fitted: State) -> F
     state = State(fitted.base, np.zeros(n), unit, fitted.values)
     # Only what is across the tangents can be seen: the prediction's part along the reading.
     at = predict(options, model, settle(options, model, state, passes=0))
-    return (at.predicted_mg * unit).sum(axis=1, keepdims=True)
+    along: Floats = (at.predicted_mg * unit).sum(axis=1, keepdims=True)
+    return along
 
 
 def _coverage(data: Observations, detectable: dict[str, Detectable]) -> list[str]:
@@ -166,12 +168,14 @@ def _coverage(data: Observations, detectable: dict[str, Detectable]) -> list[str
         if places < 9:
             order = (places - 1) // 2
             lines.append(
-                f"{places} different angles show harmonics up to {order} only; a quadratic needs 5 angles, a "
-                "cubic 7, an asymmetry 9: add positions between (every 40° or closer)"
+                f"{places} different angles show harmonics up to {order} only; a quadratic needs 5 angles, "
+                "a cubic 7, an asymmetry 9: add positions between (every 40° or closer)"
             )
         if c.approach is None or len(np.unique(c.approach)) < 2:
             lines.append("approach several positions from both sides: backlash and hysteresis need it")
-        order_of = np.corrcoef(c.time_s, c.angle_rad)[0, 1] if len(data) > 2 and np.ptp(c.angle_rad) else 0.0
+        order_of = (
+            np.corrcoef(c.time_s, c.angle_rad)[0, 1] if len(data) > 2 and np.ptp(c.angle_rad) else 0.0
+        )
         if abs(order_of) > 0.95:
             lines.append(
                 "positions came in order, so that time is angle: repeat some in another order to see drift "
@@ -181,7 +185,8 @@ def _coverage(data: Observations, detectable: dict[str, Detectable]) -> list[str
         lines.append("no temperature was recorded: terms in temperature cannot be looked for")
     elif np.ptp(c.temperature_c) < 1.0:
         lines.append(
-            f"the temperature moved by {np.ptp(c.temperature_c):.1f} °C only: repeat positions at two temperatures"
+            f"the temperature moved by {np.ptp(c.temperature_c):.1f} °C only: repeat positions at two "
+            "temperatures"
         )
     del detectable
     return lines

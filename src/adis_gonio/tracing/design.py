@@ -19,9 +19,9 @@ from adis_gonio.tracing.state import State, as_reading, base_columns, predict
 from adis_gonio.tracing.terms import Term
 
 _OBSERVABLE = 0.02
-"""Least length of a column beside the base model against its whole length, for it to be seen at all: what is
-shorter would need an amplitude fifty times what it leaves, and differs from the base model by second-order
-terms only."""
+"""Least length of a column beside the base model against its whole length, for it to be seen at all: what
+is shorter would need an amplitude fifty times what it leaves, and differs from the base model by
+second-order terms only."""
 _INDEPENDENT = 1e-4
 """Least squared length of an orthonormal column beside a model, for it to be counted as another column."""
 PRIOR_SNR = 4.0
@@ -87,9 +87,12 @@ class Problem:
             a = inside[:, span].reshape(basis.shape[1], len(members), width)
             if width == 1:
                 left = np.maximum(1 - (a[:, :, 0] ** 2).sum(axis=0), 0.0)
-                gain[members] = np.where(left > _INDEPENDENT, z[:, 0] ** 2 / np.maximum(left, _INDEPENDENT), 0)
+                gain[members] = np.where(
+                    left > _INDEPENDENT, z[:, 0] ** 2 / np.maximum(left, _INDEPENDENT), 0
+                )
                 continue
-            # The ridge takes the place of a rank decision: along a direction inside the model z is zero too.
+            # The ridge takes the place of a rank decision: along a direction inside the model z is zero
+            # too.
             gram = (1 + _INDEPENDENT) * np.eye(width) - a.transpose(1, 2, 0) @ a.transpose(1, 0, 2)
             gain[members] = (z * np.linalg.solve(gram, z[:, :, None])[:, :, 0]).sum(axis=1)
         return gain
@@ -154,21 +157,21 @@ def linearise(data: Observations, model: Sequence[Term], state: State, terms: Se
         stack = together[:, index].transpose(1, 0, 2)  # (members, rows, width)
         gram = stack.transpose(0, 2, 1) @ stack
         root = np.linalg.cholesky(gram + 1e-10 * np.eye(width))
-        whole = (np.diagonal(root, axis1=1, axis2=2) ** 2 > _RANK).all(axis=1)
+        whole = [bool((np.diagonal(one) ** 2 > _RANK).all()) for one in root]
         halves = np.linalg.inv(root).transpose(0, 2, 1)
         turned = stack @ halves
-        for k, member in enumerate(members):
+        for k, member in enumerate(members.tolist()):
             half, columns = halves[k], turned[k]
             if not whole[k]:
                 values, vectors = np.linalg.eigh(gram[k])
-                seen = values > _RANK
+                seen = np.asarray(values > _RANK)
                 if not seen.any():
                     hidden.append(terms[member])
                     continue
                 half = vectors[:, seen] / np.sqrt(values[seen])
                 columns = stack[k] @ half
             raw_half = half / before[index[k]][:, None]
-            blocks.setdefault(columns.shape[1], []).append((int(member), columns, raw_half))
+            blocks.setdefault(columns.shape[1], []).append((member, columns, raw_half))
 
     chosen: list[int] = []
     pieces, back, groups, first, width_of = [np.zeros((len(y), 0))], [], [], [], []
@@ -184,24 +187,30 @@ def linearise(data: Observations, model: Sequence[Term], state: State, terms: Se
             at_column += width
         groups.append((width, np.arange(begin, len(chosen))))
     picked = tuple(terms[k] for k in chosen)
+    together = np.ascontiguousarray(np.concatenate(pieces, axis=1))
+    begins = np.array(first, dtype=np.intp)
     return Problem(
         terms=picked,
-        columns=np.ascontiguousarray(np.concatenate(pieces, axis=1)),
-        first=np.array(first, dtype=np.intp),
+        columns=together,
+        first=begins,
         width=np.array(width_of, dtype=np.intp),
         target=y,
         dof=len(y) - base.shape[1],
         back=tuple(back),
         hidden=tuple(hidden),
         cost=np.array([term.cost for term in picked]),
-        column_price=np.array([_column_price(piece) for piece in pieces[1:]]),
+        column_price=_column_prices(together, begins),
         blocks=tuple(groups),
     )
 
 
-def _column_price(block: Floats) -> float:
-    """½ Σ ln(1 + s² n) over the columns of an orthonormal block, each spread over n = 1/Σ u⁴ rows."""
-    return float(0.5 * np.log1p(PRIOR_SNR**2 / (block**4).sum(axis=0)).sum())
+def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
+    """½ Σ ln(1 + s² n) over the columns of each block, a column being spread over n = 1/Σ u⁴ rows."""
+    if not len(first):
+        return np.zeros(0)
+    price = 0.5 * np.log1p(PRIOR_SNR**2 / np.maximum((columns**4).sum(axis=0), 1e-300))
+    blocks: Floats = np.add.reduceat(price, first)
+    return blocks
 
 
 def span(problem: Problem, model: Sequence[int]) -> tuple[Floats, Floats]:

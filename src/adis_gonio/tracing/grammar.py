@@ -1,9 +1,10 @@
 """The grammar of nameless terms: where a cause enters × what drives it (THEORY.md section 4).
 
-Where: a bias of an axis, a gain of an axis, the true angle. What: a power, modulus or sign of the reading; a
-harmonic of the stage; temperature, time, supply, approach, the previous position, the temperature's rate,
-products of two; by a line, a power, a step, a knee, an exponential, a lag, an oscillation, a bump; and
-smooth functions (polynomials of growing degree), which stand for everything that no formula names.
+Where: a bias of an axis, a gain of an axis, the true angle. What: a power, modulus or sign of the
+reading; a harmonic of the stage; temperature, time, supply, approach, the previous position, the
+temperature's rate, products of two; by a line, a power, a step, a knee, an exponential, a lag, an
+oscillation, a bump; and smooth functions (polynomials of growing degree), which stand for everything that
+no formula names.
 
 Covariates are used in normal form: centred on the middle of what the session saw and scaled to ±1, except
 where a zero means something (25 °C, 5 V, the session's start). A function whose zero means nothing also
@@ -23,6 +24,7 @@ from adis_gonio.model.effects import Conditions
 from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.effects.lag import lagged
 from adis_gonio.model.records import Floats
+from adis_gonio.tracing import shapes
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.terms import Driver, NamelessTerm, Where
 
@@ -33,6 +35,9 @@ FAMILY_WEIGHT = {"reading": 1.0, "angle": 1.0, "time": 1.0, "temperature": 1.0, 
 """Weight of the terms of one covariate against others (0.7); approach, memory and products among these."""
 SMOOTH_WEIGHT = 0.25
 """Part of a covariate's weight that its smooth functions have; its formulas have the rest."""
+
+
+EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "angle")
 
 
 @dataclass(frozen=True)
@@ -86,7 +91,9 @@ def _drivers(data: Observations) -> Iterator[_Made]:
         yield from _of_angle(data)
     yield from _of_time(data)
     if conditions.temperature_c is not None and np.ptp(conditions.temperature_c) > 0:
-        yield from _of_scalar("temperature", "T", "25 °C", lambda c: c.covariate("temperature_c"), REFERENCE_C, data)
+        yield from _of_scalar(
+            "temperature", "T", "25 °C", lambda c: c.covariate("temperature_c"), REFERENCE_C, data
+        )
         yield from _of_rate(data)
     if conditions.supply_v is not None and np.ptp(conditions.supply_v) > 0:
         yield from _of_scalar("supply", "V", "5 V", lambda c: c.covariate("supply_v"), REFERENCE_V, data)
@@ -99,6 +106,12 @@ def _drivers(data: Observations) -> Iterator[_Made]:
 
 def _column(function: Callable[[Conditions], Floats]) -> Callable[[Conditions], Floats]:
     return lambda conditions: function(conditions)[:, None]
+
+
+def _of_rows(
+    function: shapes.Shape, get: Callable[[Conditions], Floats], scale: float
+) -> Callable[[Conditions], Floats]:
+    return lambda conditions: function(get(conditions) / scale)
 
 
 def _with_constant(function: Callable[[Conditions], Floats]) -> Callable[[Conditions], Floats]:
@@ -122,7 +135,7 @@ def _both(
     `named` are the places where the catalogue has this formula already.
     """
     if named:
-        places = tuple(place for place in ("bias", "gain", "angle") if place not in named)
+        places: tuple[Where, ...] = tuple(place for place in EVERYWHERE if place not in named)
         yield _Made(family, False, Driver(form, covariates, _column(function)), places)
         return
     yield _Made(family, False, Driver(form, covariates, _column(function)))
@@ -164,7 +177,7 @@ def _of_reading(data: Observations) -> Iterator[_Made]:
             Driver(
                 f"max(a − {knee:g} g, 0)",
                 ("reading",),
-                by_axis=own(lambda a, knee=knee: np.maximum(a - knee, 0)),  # type: ignore[misc]
+                by_axis=own(shapes.knee(knee, 1.0)),
             ),
             ("bias",),
         )
@@ -189,23 +202,17 @@ def _of_reading(data: Observations) -> Iterator[_Made]:
 
         def powers(ideal: Floats, axis: int, degree: int = degree) -> Floats:
             a = ideal[:, axis]
-            return np.stack([_legendre(a, k) for k in range(2, degree + 1)], axis=1)
+            return np.stack([shapes.legendre(k)(a) for k in range(2, degree + 1)], axis=1)
 
         def powers_and_constant(ideal: Floats, axis: int, degree: int = degree) -> Floats:
             a = ideal[:, axis]
-            return np.stack([_legendre(a, k) for k in [0, *range(2, degree + 1)]], axis=1)
+            return np.stack([shapes.legendre(k)(a) for k in [0, *range(2, degree + 1)]], axis=1)
 
         form = f"a smooth function of the reading (degree {degree})"
         yield _Made("reading", True, Driver(form, ("reading",), by_axis=powers), ("bias",))
         yield _Made(
             "reading", True, Driver(form + " + const", ("reading",), by_axis=powers_and_constant), ("bias",)
         )
-
-
-def _legendre(u: Floats, degree: int) -> Floats:
-    coefficients = np.zeros(degree + 1)
-    coefficients[degree] = 1.0
-    return np.asarray(np.polynomial.legendre.legval(u, coefficients))
 
 
 def _of_angle(data: Observations) -> Iterator[_Made]:
@@ -227,7 +234,7 @@ def _of_angle(data: Observations) -> Iterator[_Made]:
             yield _Made(
                 "angle",
                 False,
-                Driver(f"{word} {k}θ", ("angle",), of_angle(lambda t, f=f, k=k: f(k * t))),  # type: ignore[misc]
+                Driver(f"{word} {k}θ", ("angle",), of_angle(shapes.multiple(f, k))),
                 ("bias", "angle"),
             )
     turn = 2 * np.pi
@@ -244,18 +251,21 @@ def _of_angle(data: Observations) -> Iterator[_Made]:
         yield _Made("angle", False, Driver(form, ("angle",), of_angle(function)))
     for centre in range(0, 360, 15):
         for width in (8.0, 25.0):
-
-            def bump(t: Floats, c: float = np.deg2rad(centre), w: float = np.deg2rad(width)) -> Floats:
-                return np.asarray(np.exp((np.cos(t - c) - 1) / w**2))
-
             form = f"a bump at θ = {centre}° of width {width:g}°"
-            yield _Made("angle", False, Driver(form, ("angle",), of_angle(bump)), ("bias", "angle"))
+            yield _Made(
+                "angle",
+                False,
+                Driver(
+                    form,
+                    ("angle",),
+                    of_angle(shapes.ring_bump(float(np.deg2rad(centre)), float(np.deg2rad(width)))),
+                ),
+                ("bias", "angle"),
+            )
     # Two harmonics have names: of the stage, and as products of readings on an axis.
     for top in (3, 4, 5, 6):
         form = f"a smooth function of the angle (harmonics to {top})"
-        yield _Made(
-            "angle", True, Driver(form, ("angle",), harmonic(tuple(range(2, top + 1)))), ("bias",)
-        )
+        yield _Made("angle", True, Driver(form, ("angle",), harmonic(tuple(range(2, top + 1)))), ("bias",))
         yield _Made("angle", True, Driver(form, ("angle",), harmonic(tuple(range(1, top + 1)))), ("angle",))
 
 
@@ -295,18 +305,17 @@ def _of_scalar(
 
     covariates = (family,)
     named: tuple[Where, ...] = ("bias", "gain") if family == "temperature" else ("bias",)
-    yield from _both(family, covariates, f"{d}", about(lambda u: u), named)
-    for form, function in {
-        f"{d}²": lambda u: u**2,
-        f"{d}³": lambda u: u**3,
+    yield from _both(family, covariates, f"{d}", about(shapes.line), named)
+    curves: dict[str, shapes.Shape] = {
+        f"{d}²": shapes.power(2),
+        f"{d}³": shapes.power(3),
         f"|{letter} − {zero}|": np.abs,
-    }.items():
+    }
+    for form, function in curves.items():
         yield from _both(family, covariates, form, about(function))
     for knot in _knots(values, 12):
         place = (knot - middle) / half
-        yield from _both(
-            family, covariates, f"a step at {letter} = {knot:.4g}", inside(lambda u, p=place: (u > p) * 1.0)
-        )
+        yield from _both(family, covariates, f"a step at {letter} = {knot:.4g}", inside(shapes.step(place)))
     for knot in np.linspace(middle - 0.8 * half, middle + 0.8 * half, 9):
         place = (knot - middle) / half
         for side, sign in (("above", 1.0), ("below", -1.0)):
@@ -314,14 +323,14 @@ def _of_scalar(
                 family,
                 covariates,
                 f"a knee at {letter} = {knot:.4g} ({side})",
-                inside(lambda u, p=place, s=sign: np.maximum(s * (u - p), 0)),
+                inside(shapes.knee(place, sign)),
             )
     for rate in (-3.0, -1.5, 1.5, 3.0):
         yield from _both(
             family,
             covariates,
             f"exp({rate / half:+.3g} {letter})",
-            inside(lambda u, r=rate: np.exp(r * u - abs(r))),
+            inside(shapes.growth(rate)),
         )
     for knot in np.linspace(middle - 0.75 * half, middle + 0.75 * half, 7):
         for width in (0.2, 0.45):
@@ -330,7 +339,7 @@ def _of_scalar(
                 family,
                 covariates,
                 f"a bump at {letter} = {knot:.4g} of width {width * half:.2g}",
-                inside(lambda u, p=place, w=width: np.exp(-0.5 * ((u - p) / w) ** 2)),
+                inside(shapes.bump(place, width)),
             )
     yield from _waves(family, letter, get, middle, half, 5)
     yield from _smooth(family, get, middle, half, len(np.unique(values)))
@@ -358,7 +367,7 @@ def _smooth(
 
         def columns(c: Conditions, degree: int = degree) -> Floats:
             u = (get(c) - middle) / half
-            return np.stack([_legendre(u, k) for k in range(1, degree + 1)], axis=1)
+            return np.stack([shapes.legendre(k)(u) for k in range(1, degree + 1)], axis=1)
 
         form = f"a smooth function of {family} (degree {degree})"
         if family == "temperature" and degree <= 3:
@@ -386,9 +395,7 @@ def _of_time(data: Observations) -> Iterator[_Made]:
     yield from _both("time", covariates, "√t", lambda c: np.sqrt(np.maximum(c.time_s, 0) / (2 * half)))
     for knot in _knots(time, 60):
         place = (knot - middle) / half
-        yield from _both(
-            "time", covariates, f"a step at t = {knot:.4g} s", inside(lambda u, p=place: (u > p) * 1.0)
-        )
+        yield from _both("time", covariates, f"a step at t = {knot:.4g} s", inside(shapes.step(place)))
     for knot in np.linspace(middle - 0.8 * half, middle + 0.8 * half, 9):
         place = (knot - middle) / half
         for side, sign in (("after", 1.0), ("before", -1.0)):
@@ -396,7 +403,7 @@ def _of_time(data: Observations) -> Iterator[_Made]:
                 "time",
                 covariates,
                 f"a knee at t = {knot:.4g} s ({side})",
-                inside(lambda u, p=place, s=sign: np.maximum(s * (u - p), 0)),
+                inside(shapes.knee(place, sign)),
             )
     for tau in np.geomspace(0.1, 2.0, 6):
         for word, sign in (("−", -1.0), ("+", 1.0)):
@@ -404,7 +411,7 @@ def _of_time(data: Observations) -> Iterator[_Made]:
                 "time",
                 covariates,
                 f"exp({word}t/{2 * half * tau:.3g} s)",
-                inside(lambda u, t=tau, s=sign: np.exp((s * (u + 1) / 2 - (s > 0)) / t)),
+                inside(shapes.approach(float(tau), sign)),
                 ("bias",) if sign < 0 else (),
             )
     for knot in np.linspace(middle - 0.75 * half, middle + 0.75 * half, 7):
@@ -414,7 +421,7 @@ def _of_time(data: Observations) -> Iterator[_Made]:
                 "time",
                 covariates,
                 f"a bump at t = {knot:.4g} s of width {width * half:.3g} s",
-                inside(lambda u, p=place, w=width: np.exp(-0.5 * ((u - p) / w) ** 2)),
+                inside(shapes.bump(place, width)),
             )
     yield from _waves("time", "t", get, middle, half, 7)
     yield from _smooth("time", get, middle, half, len(time))
@@ -446,18 +453,19 @@ def _of_rate(data: Observations) -> Iterator[_Made]:
 
     middle, half = _scaled(rate(data.conditions))
     if half > 1e-9:
-        for form, function in {
-            "dT/dt": lambda u: u,
+        curves: dict[str, shapes.Shape] = {
+            "dT/dt": shapes.line,
             "|dT/dt|": np.abs,
             "sign dT/dt": np.sign,
-            "(dT/dt)²": lambda u: u**2,
-        }.items():
+            "(dT/dt)²": shapes.power(2),
+        }
+        for form, function in curves.items():
             scale = max(abs(middle) + half, 1e-12)
             yield from _both(
                 "temperature_rate",
                 ("temperature_rate",),
                 form,
-                lambda c, f=function, s=scale: f(rate(c) / s),
+                _of_rows(function, rate, scale),
             )
 
 
@@ -482,28 +490,37 @@ def _of_memory(data: Observations) -> Iterator[_Made]:
         def pair(c: Conditions, k: int = k) -> Floats:
             return np.stack([np.sin(k * previous(c)), np.cos(k * previous(c))], axis=1)
 
-        yield _Made(family, False, Driver(f"sin {k}θ′, cos {k}θ′ of the previous position", covariates, pair))
+        yield _Made(
+            family, False, Driver(f"sin {k}θ′, cos {k}θ′ of the previous position", covariates, pair)
+        )
         for word, f in (("sin", np.sin), ("cos", np.cos)):
             yield _Made(
                 family,
                 False,
-                Driver(f"{word} {k}θ′ of the previous position", covariates, _column(lambda c, f=f, k=k: f(k * previous(c)))),
+                Driver(
+                    f"{word} {k}θ′ of the previous position",
+                    covariates,
+                    _column(_of_rows(shapes.multiple(f, k), previous, 1.0)),
+                ),
             )
     largest = max(float(np.abs(move(data.conditions)).max()), 1e-9)
-    for form, function in {
-        "the move θ − θ′": lambda u: u,
+    moves: dict[str, shapes.Shape] = {
+        "the move θ − θ′": shapes.line,
         "|θ − θ′|": np.abs,
         "sign(θ − θ′)": lambda u: np.sign(np.round(u, 9)),
-    }.items():
+    }
+    for form, function in moves.items():
         yield _Made(
             family,
             False,
-            Driver(form, covariates, _column(lambda c, f=function: f(move(c) / largest))),
+            Driver(form, covariates, _column(_of_rows(function, move, largest))),
         )
     for top in (2, 3, 4):
 
         def columns(c: Conditions, top: int = top) -> Floats:
-            return np.stack([f(k * previous(c)) for k in range(1, top + 1) for f in (np.sin, np.cos)], axis=1)
+            return np.stack(
+                [f(k * previous(c)) for k in range(1, top + 1) for f in (np.sin, np.cos)], axis=1
+            )
 
         form = f"a smooth function of the previous position (harmonics to {top})"
         yield _Made(family, True, Driver(form, covariates, columns))

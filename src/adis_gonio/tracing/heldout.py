@@ -20,7 +20,7 @@ from adis_gonio.tracing.terms import Term
 FOLDS = 5
 BLOCKS = 4
 SHORT = 16
-"""Up to so many dwells twice as many folds: a fifth less of them would be another session."""
+"""Up to so many dwells each is left out alone: a fifth less of them would be another session."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,9 @@ def leave(data: Observations, model: Sequence[Term], fitted: State) -> Left:
     start = State(
         fitted.base,
         np.zeros(n),
-        data.mean_mg / np.linalg.norm(data.mean_mg, axis=1, keepdims=True) if not data.planar else np.zeros((n, 0)),
+        data.mean_mg / np.linalg.norm(data.mean_mg, axis=1, keepdims=True)
+        if not data.planar
+        else np.zeros((n, 0)),
         fitted.values,
     )
     if data.planar and data.conditions.angle_rad is None:
@@ -71,7 +73,7 @@ def rms(residual_mg: Floats, planar: bool) -> float:
 def folds(data: Observations) -> dict[str, list[NDArray[np.bool_]]]:
     """Fold designs that apply: name → masks (n,) of the dwells that are left out."""
     n = len(data)
-    count = min(FOLDS if n > SHORT else 2 * FOLDS, n)
+    count = min(FOLDS, n) if n > SHORT else n
     order = np.arange(n)
     # A fixed shuffle, so that no fold holds every fifth angle of a turn only.
     shuffled = np.random.default_rng(5).permutation(n)
@@ -83,7 +85,7 @@ def folds(data: Observations) -> dict[str, list[NDArray[np.bool_]]]:
 
 
 def _poses_repeat(data: Observations, blocks: list[NDArray[np.bool_]]) -> bool:
-    """True where every dwell left out has a neighbour within 1.5 steps of angle (45° in space) on both sides."""
+    """True where every dwell left out has a neighbour: 2.5 steps of angle, in space 45° away."""
     if not data.planar:
         unit = data.mean_mg / np.linalg.norm(data.mean_mg, axis=1, keepdims=True)
         near = np.arccos(np.clip(unit @ unit.T, -1, 1)) < np.pi / 4
@@ -128,7 +130,7 @@ def refitted(model: Sequence[Term], start: State) -> Callable[[Observations], tu
         from adis_gonio.tracing.state import begin
 
         begun = begin(data)
-        state = State(start.base if data.planar else start.base, begun.delta_rad, begun.unit, start.values)
+        state = State(start.base, begun.delta_rad, begun.unit, start.values)
         return model, refit(data, model, state)
 
     return fit

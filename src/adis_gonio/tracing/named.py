@@ -79,7 +79,9 @@ def covariates_of(kind: type[Effect]) -> tuple[str, ...]:
     return found or ("reading",)
 
 
-def _variants(kind: type[Effect], data: Observations) -> Iterator[tuple[Effect, tuple[tuple[int, float], ...]]]:
+def _variants(
+    kind: type[Effect], data: Observations
+) -> Iterator[tuple[Effect, tuple[tuple[int, float], ...]]]:
     letters = AXES[: data.axes]
     subsets: list[tuple[str, ...]] = [()]
     if kind.by_axis:

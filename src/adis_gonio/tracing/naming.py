@@ -37,9 +37,9 @@ class Names:
 def judge(selection: Selection) -> Names:
     """Names that stand.
 
-    A name stands if the models that hold it have `CERTAIN` of the posterior, and no nameless term of the same
-    kind of covariate (slow or of position) stands in the same model: that name may be a piece of the unknown
-    cause.
+    A name stands if the models that hold it have `CERTAIN` of the posterior, and no nameless term of the
+    same kind of covariate (slow or of position) stands in the same model: that name may be a piece of the
+    unknown cause.
     """
     verdict, terms = selection.verdict, selection.problem.terms
     model = [terms[k] for k in verdict.best]

@@ -65,7 +65,7 @@ class Observations:
     @property
     def axes(self) -> int:
         """Axes of a reading: 2 in the plane, 3 in space."""
-        return self.mean_mg.shape[1]
+        return int(self.mean_mg.shape[1])
 
     @property
     def planar(self) -> bool:
@@ -127,8 +127,8 @@ def observe(session: Session) -> Observations:
 def _together(dof: Floats) -> float:
     """Degrees of freedom of the noise of all readings together.
 
-    Dwells that share one noise have its degrees of freedom each, more than there are dwells; those that have
-    noise of their own have few each, which add up.
+    Dwells that share one noise have its degrees of freedom each, more than there are dwells; those that
+    have noise of their own have few each, which add up.
     """
     if not dof.size:
         return float("inf")

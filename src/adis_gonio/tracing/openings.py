@@ -13,8 +13,8 @@ LEVEL = 0.1
 def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
     """Names that, added alone, take a significant part of an inadequate model's residual (F-test at 10 %).
 
-    The noise is then the residual itself, since what was measured within the dwells does not explain it. The
-    best variant of each name counts; the most likely comes first. None of them is claimed.
+    The noise is then the residual itself, since what was measured within the dwells does not explain it.
+    The best variant of each name counts; the most likely comes first. None of them is claimed.
     """
     from scipy import stats
 

@@ -15,7 +15,8 @@ from adis_gonio.tracing.selection import Selection
 
 PERMUTATIONS = 400
 LEAST_Z = 4.5
-"""Standard deviations of the permuted statistic; it is skew, so that this is about 1 in 1000 a covariate."""
+"""Standard deviations of the permuted statistic; it is skew, so that this is about 1 in 1000 a
+covariate."""
 
 
 def dependence(data: Observations, selection: Selection) -> Unnamed | None:
@@ -71,7 +72,9 @@ def _covariates(data: Observations) -> dict[str, Floats]:
     if c.angle_rad is not None:
         out["angle"] = np.column_stack([np.cos(c.angle_rad), np.sin(c.angle_rad)])
     if c.previous_angle_rad is not None:
-        out["previous_angle"] = np.column_stack([np.cos(c.previous_angle_rad), np.sin(c.previous_angle_rad)])
+        out["previous_angle"] = np.column_stack(
+            [np.cos(c.previous_angle_rad), np.sin(c.previous_angle_rad)]
+        )
     if c.angle_rad is None:
         for k, letter in enumerate(AXES[: data.axes]):
             out[f"reading_{letter}"] = data.mean_mg[:, k : k + 1]

@@ -3,11 +3,12 @@
 A model's score is ½ (χ² that it explains) − price of its columns − price of its terms. With the price of a
 column ½ ln(1 + s² n), n the rows over which it is spread, and that of a term −ln of its share of the prior,
 exp(score) is the Bayes factor of the model against the base model under a Gaussian prior of s standard
-uncertainties on each amplitude, times its prior. A sum of such factors over all candidates has expectation 1
-where there is no effect, so that it exceeds 100 in at most 1 % of sessions whatever the candidates are
-(Markov). That bound is far from sharp, since candidates are many and alike: over sessions of 12 to 48 readings
-the 99 % quantile of the best score of pure noise is −5.5 (−6.4 to −4.9) where `ANOTHER` is −ln 0.01
-(scripts/trace_level.py), so that `ANOTHER` = 0 holds the family-wise error rate at 1 %.
+uncertainties on each amplitude, times its prior. A sum of such factors over all candidates has
+expectation 1 where there is no effect, so that it exceeds 100 in at most 1 % of sessions whatever the
+candidates are (Markov). That bound is far from sharp, since candidates are many and alike: over sessions
+of 12 to 48 readings the 99 % quantile of the best score of pure noise is −5.5 (−6.4 to −4.9) where
+`ANOTHER` is −ln 0.01 (scripts/trace_level.py), so that `ANOTHER` = 0 holds the family-wise error rate at
+1 %.
 
 Models are sets and every set is scored once, so that the search cannot go round in circles.
 """
@@ -77,7 +78,7 @@ class Search:
         return self.scores[model] + float(sum(self.prices[k] for k in model))
 
     def hope(self, model: Model) -> float:
-        """The most that further terms could add: half of what is left of χ² beyond its degrees of freedom."""
+        """The most that further terms could add: half of χ² beyond its degrees of freedom."""
         left = self.problem.chi2 / self.inflation - 2 * self.explained(model)
         return 0.5 * max(left - self.problem.dof, 0.0)
 
@@ -110,8 +111,8 @@ def search(
     start : iterable of models
         Opened besides (those of an earlier round).
     spare : int
-        Degrees of freedom that a model has to leave; by default half of those beside the base model, since a
-        model with more columns than checks could not fail.
+        Degrees of freedom that a model has to leave; by default half of those beside the base model,
+        since a model with more columns than checks could not fail.
     """
     if spare is None:
         spare = max(problem.dof // 2, 1)

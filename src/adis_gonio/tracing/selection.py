@@ -18,8 +18,8 @@ ADEQUATE = 0.01
 """Level of the test of adequacy."""
 ROUNDS = 4
 MOSTLY = 0.97
-"""Share of the excess from which constants count as a bias of their own, not as part of another function: the
-constant is then more than five times what varies."""
+"""Share of the excess from which constants count as a bias of their own, not as part of another function:
+the constant is then more than five times what varies."""
 
 
 @dataclass(frozen=True)
@@ -65,9 +65,7 @@ def adequacy(chi2: float, dof: int, noise_dof: float) -> float:
 def fit_model(data: Observations, problem: Problem, chosen: Sequence[int], state: State) -> Refit:
     """Full refit of a model of the linear problem, from the amplitudes that it has there."""
     model = [problem.terms[k] for k in chosen]
-    values = tuple(
-        term.start(a) for term, a in zip(model, amplitudes(problem, chosen), strict=True)
-    )
+    values = tuple(term.start(a) for term, a in zip(model, amplitudes(problem, chosen), strict=True))
     return refit(data, model, State(state.base, state.delta_rad, state.unit, values))
 
 
@@ -80,7 +78,8 @@ def select(
 ) -> Selection:
     """Choose terms for these readings (all of them: `check` dwells are the caller's business)."""
     base = refit(data, (), begin(data))
-    fit, model, state = base, (), base.state
+    fit, state = base, base.state
+    model: tuple[Term, ...] = ()
     inflation = 1.0 if data.known else max(base.chi2 / max(base.dof, 1), 1e-12)
     before: tuple[str, ...] | None = None
     for _ in range(rounds):

@@ -1,9 +1,10 @@
 """One dwell in one pose, sample by sample: what the zero follows while the part stands still.
 
-A pose cannot show gains, angles or a bias, so the base model is a constant an axis and the effects are those
-that move in time: temperature (to the third power), its lag, drift, warm-up, supply. Neighbouring samples are
-no independent witnesses, so that nothing here rests on their noise: an effect is added where it lowers the
-error in blocks of time that took no part in its fit, in most blocks (t-test over blocks, family-wise 1 %).
+A pose cannot show gains, angles or a bias, so the base model is a constant an axis and the effects are
+those that move in time: temperature (to the third power), its lag, drift, warm-up, supply. Neighbouring
+samples are no independent witnesses, so that nothing here rests on their noise: an effect is added where
+it lowers the error in blocks of time that took no part in its fit, in most blocks (t-test over blocks,
+family-wise 1 %).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.errors import FitError
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect
@@ -169,7 +171,7 @@ def _picks(model: list[list[_Candidate]]) -> list[tuple[int, ...]]:
     return list(itertools.product(*grids))
 
 
-def _held_out(readings: Floats, model: list[list[_Candidate]], blocks: Floats) -> Floats:
+def _held_out(readings: Floats, model: list[list[_Candidate]], blocks: NDArray[np.intp]) -> Floats:
     """Held-out sums of squares (blocks, axes); shapes chosen on the other blocks only.
 
     Normal equations are summed block by block once a choice of shapes, so that leaving a block out is a
@@ -202,7 +204,7 @@ def _best_addition(
     readings: Floats,
     model: list[list[_Candidate]],
     candidates: list[list[_Candidate]],
-    blocks: Floats,
+    blocks: NDArray[np.intp],
     losses: Floats,
 ) -> tuple[list[_Candidate] | None, float, Floats]:
     """Group whose addition lowers the held-out error most, if the gain is real."""
@@ -225,7 +227,7 @@ def _best_addition(
     return best[1], best[2], best[3]
 
 
-def _figures(readings: Floats, model: list[list[_Candidate]], blocks: Floats) -> ErrorFigures:
+def _figures(readings: Floats, model: list[list[_Candidate]], blocks: NDArray[np.intp]) -> ErrorFigures:
     fitted, _ = _fitted(readings, model)
     return ErrorFigures(
         residual_rms_mg=float(np.sqrt(((readings - fitted) ** 2).mean())),
@@ -254,7 +256,11 @@ def _fitted(
 
 
 def _finding(
-    readings: Floats, model: list[list[_Candidate]], which: int, blocks: Floats, tests: list[float]
+    readings: Floats,
+    model: list[list[_Candidate]],
+    which: int,
+    blocks: NDArray[np.intp],
+    tests: list[float],
 ) -> Finding:
     made = model[which][0].effect
     _, per_axis = _fitted(readings, model)
@@ -267,7 +273,9 @@ def _finding(
     for axis, (pick, coefficients) in enumerate(per_axis):
         for k in range(width):
             prototype = prototypes[axis * width + k]
-            parameters[prototype.name] = Value(float(coefficients[at + k]), float(spread[axis, k]), prototype.unit)
+            parameters[prototype.name] = Value(
+                float(coefficients[at + k]), float(spread[axis, k]), prototype.unit
+            )
         chosen = model[which][pick[which]]
         if shape is not None and chosen.shape is not None:
             parameters[shape.name] = Value(chosen.shape, None, shape.unit)
@@ -285,7 +293,9 @@ def _finding(
     )
 
 
-def _spread(readings: Floats, model: list[list[_Candidate]], which: int, blocks: Floats) -> Floats:
+def _spread(
+    readings: Floats, model: list[list[_Candidate]], which: int, blocks: NDArray[np.intp]
+) -> Floats:
     """Standard uncertainties (axes, width) by leaving out a block at a time (jackknife)."""
     at = 1 + sum(group[0].columns.shape[1] for group in model[:which])
     width = model[which][0].columns.shape[1]
@@ -304,7 +314,7 @@ def _spread(readings: Floats, model: list[list[_Candidate]], which: int, blocks:
 
 
 def _detectable(
-    readings: Floats, model: list[list[_Candidate]], blocks: Floats
+    readings: Floats, model: list[list[_Candidate]], blocks: NDArray[np.intp]
 ) -> dict[str, Detectable]:
     out = {}
     for which, group in enumerate(model):

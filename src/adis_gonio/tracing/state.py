@@ -1,11 +1,12 @@
 """The model at one point: what it predicts, how it is whitened, and its full nonlinear refit.
 
-In the plane position i stands at ψ_i = α − θ_i + δ_i (+ effects of the stage) with δ_i ~ N(0, σ_f²), and the
-ideal readings are K_x G cos ψ, K_y G sin(ψ + Δφ) (THEORY.md section 2). In space they are M u_i G with M lower
-triangular (three gains, three skews; a rotation is not observable) and u_i any unit vector. δ_i and u_i are
-nuisance parameters. They are eliminated dwell by dwell: with C = L Lᵀ the covariance of a reading and T its
-tangents, rows are whitened by (I − β û ûᵀ) L⁻¹, û ∥ L⁻¹ t, β = 1 − (1 + σ_f² |L⁻¹ t|²)^(−1/2), which is the
-inverse root of C + σ_f² t tᵀ and, for σ_f → ∞, the projection that leaves nothing along t.
+In the plane position i stands at ψ_i = α − θ_i + δ_i (+ effects of the stage) with δ_i ~ N(0, σ_f²), and
+the ideal readings are K_x G cos ψ, K_y G sin(ψ + Δφ) (THEORY.md section 2). In space they are M u_i G
+with M lower triangular (three gains, three skews; a rotation is not observable) and u_i any unit vector.
+δ_i and u_i are nuisance parameters. They are eliminated dwell by dwell: with C = L Lᵀ the covariance of a
+reading and T its tangents, rows are whitened by (I − β û ûᵀ) L⁻¹, û ∥ L⁻¹ t, β = 1 − (1 + σ_f² |L⁻¹
+t|²)^(−1/2), which is the inverse root of C + σ_f² t tᵀ and, for σ_f → ∞, the projection that leaves
+nothing along t.
 """
 
 from __future__ import annotations
@@ -169,7 +170,8 @@ def _whitening(data: Observations, tangent: Floats) -> Floats:
         across = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
         return across[:, None, :] @ root
     beta = 1 - 1 / np.sqrt(1 + (data.fixture_rad * size) ** 2)
-    return root - (beta * unit)[:, :, None] * (unit[:, None, :] @ root)
+    whitening: Floats = root - (beta * unit)[:, :, None] * (unit[:, None, :] @ root)
+    return whitening
 
 
 def base_columns(data: Observations, state: State, at: Prediction) -> Floats:
@@ -241,7 +243,7 @@ def refit(
     scaled = _jacobian(data, model, state, at)
     size = np.linalg.norm(scaled, axis=0)
     size[size == 0] = 1.0
-    u, s, vt = np.linalg.svd(scaled / size, full_matrices=False)
+    _, s, vt = np.linalg.svd(scaled / size, full_matrices=False)
     keep = s > 1e-9 * (s[0] if s.size else 1.0)
     half = (vt[keep].T / s[keep]) / size[:, None]
     covariance = half @ half.T

@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -78,13 +79,10 @@ class NamedTerm(Term):
     effect : Effect
     shapes : tuple of (int, float)
         Index among the parameters, and value, of each shape.
-    unit : float
-        Amplitude for which columns are computed.
     """
 
     effect: Effect
     shapes: tuple[tuple[int, float], ...] = ()
-    scales: tuple[float, ...] = ()
 
     @property
     def name(self) -> str | None:
@@ -96,7 +94,7 @@ class NamedTerm(Term):
         """True for effects of the stage."""
         return self.effect.enters is Enters.ATTITUDE
 
-    @property
+    @cached_property
     def amplitude_index(self) -> list[int]:
         """Indices of the amplitudes among the parameters."""
         fixed = {index for index, _ in self.shapes}
@@ -109,7 +107,7 @@ class NamedTerm(Term):
 
     def start(self, amplitudes: Floats) -> Floats:
         """Amplitudes found, shapes of the grid."""
-        values = np.zeros(len(self.effect.parameters))
+        values = np.zeros(len(self.amplitude_index) + len(self.shapes))
         values[self.amplitude_index] = amplitudes
         for index, shape in self.shapes:
             values[index] = shape
@@ -182,7 +180,9 @@ class NamelessTerm(Term):
     def form(self) -> str:
         """Formula in words."""
         letters = ", ".join(AXES[k] for k in self.axes)
-        head = {"bias": f"bias of {letters}", "gain": f"gain of {letters}", "angle": "true angle"}[self.where]
+        head = {"bias": f"bias of {letters}", "gain": f"gain of {letters}", "angle": "true angle"}[
+            self.where
+        ]
         return f"{head} follows {self.driver.form}"
 
     def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:

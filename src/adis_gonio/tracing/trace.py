@@ -13,8 +13,8 @@ from adis_gonio.tracing.advice import advise
 from adis_gonio.tracing.detect import detectable
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.heldout import cross_validate, folds, leave, rms
-from adis_gonio.tracing.naming import SLOW, Names, describe, judge
 from adis_gonio.tracing.named import named_terms
+from adis_gonio.tracing.naming import SLOW, Names, describe, judge
 from adis_gonio.tracing.observations import Observations, observe
 from adis_gonio.tracing.openings import undecided
 from adis_gonio.tracing.remainder import dependence
@@ -33,8 +33,9 @@ BASE_SPACE = (
     ("scale_z", "1"),
 )
 SURVIVES = {"whole dwells": 0.0, "blocks of time": -4.0, "check": -9.0}
-"""Least held-out gain in χ² of an effect under each design. Dwells left out one by one have to gain; a block
-of time asks for extrapolation, and a few check dwells scatter, so that only a loss counts against it."""
+"""Least held-out gain in χ² of an effect under each design. Dwells left out one by one have to gain; a
+block of time asks for extrapolation, and a few check dwells scatter, so that only a loss counts against
+it."""
 
 
 def trace(session: Session, max_effects: int = 6) -> TraceResult:
@@ -84,10 +85,16 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
     found = tuple(_finding(selection, name) for name in names.stand)
     seen = detectable(selection.found, selection.verdict.best, missing)
     rivals = _rivals(selection)
-    fitted = [(selection.model, selection.fit)]
-    if any(name not in names.stand for name in (t.name for t in selection.model) if name) or names.confounded:
+    fitted: list[tuple[Sequence[Term], Refit]] = [(selection.model, selection.fit)]
+    if (
+        any(name not in names.stand for name in (t.name for t in selection.model) if name)
+        or names.confounded
+    ):
         fitted += [
-            ([selection.problem.terms[k] for k in m], fit_model(training, selection.problem, m, selection.fit.state))
+            (
+                [selection.problem.terms[k] for k in m],
+                fit_model(training, selection.problem, m, selection.fit.state),
+            )
             for m in _other_models(selection)[:3]
         ]
     return TraceResult(
@@ -178,8 +185,7 @@ def _losses(
         return {"check": float(leave(checking, terms, fitted.state).whitened2.sum())}
     kept = _keeping(terms, start)
     return {
-        name: float(left.whitened2.sum())
-        for name, left in cross_validate(data, folds(data), kept).items()
+        name: float(left.whitened2.sum()) for name, left in cross_validate(data, folds(data), kept).items()
     }
 
 
@@ -268,10 +274,16 @@ def _rms_deg(turned: list[Floats]) -> float | None:
 
 
 def _active_terms(selection: Selection, terms: Sequence[Term]) -> list[Term]:
-    """Candidates inside a fold: all names, and the nameless terms that showed promise anywhere."""
-    promise = selection.found.promise
-    best = {selection.problem.terms[k].label for k in np.argsort(-promise)[:150]}
-    return [t for t in terms if t.name is not None or t.label in best]
+    """Candidates inside a fold: what showed promise anywhere, and the best of each name and axes."""
+    promise, candidates = selection.found.promise, selection.problem.terms
+    ranked = [candidates[k] for k in np.argsort(-promise)]
+    active = {term.label for term in ranked[:150]} | {term.label for term in selection.model}
+    seen = set()
+    for term in ranked:
+        if isinstance(term, NamedTerm) and (term.effect.name, term.effect.axes) not in seen:
+            seen.add((term.effect.name, term.effect.axes))
+            active.add(term.label)
+    return [term for term in terms if term.label in active]
 
 
 def _selected(rows: Observations, terms: Sequence[Term], max_effects: int) -> tuple[Sequence[Term], Refit]:
@@ -382,8 +394,10 @@ def _base(data: Observations, fit: Refit, inflation: float) -> dict[str, Value]:
 def _notes(data: Observations, selection: Selection) -> tuple[str, ...]:
     notes = list(data.notes)
     if not data.known:
-        notes.append("the noise of a reading is not known; it was estimated from the residual, so that adequacy "
-                     "cannot be tested")
+        notes.append(
+            "the noise of a reading is not known; it was estimated from the residual, so that adequacy "
+            "cannot be tested"
+        )
     elif selection.inflation > 1:
         notes.append(
             f"no model explains the residual down to the measured noise; effects were judged against "

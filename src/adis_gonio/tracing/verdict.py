@@ -1,9 +1,10 @@
 """From scored models to names: what stands, what cannot be told apart, what has no name.
 
 Scores are log evidences, so that models near the best have posterior odds. Models that predict the same in
-*this* session are one model: the representative is the simplest (fewest nameless terms, fewest columns, then
-the more common cause), the others are its equivalents and are reported beside it. A name stands where the
-models that hold it have `CERTAIN` of the posterior; else it is confounded with whatever takes its place.
+*this* session are one model: the representative is the simplest (fewest nameless terms, fewest columns,
+then the more common cause), the others are its equivalents and are reported beside it. A name stands
+where the models that hold it have `CERTAIN` of the posterior; else it is confounded with whatever takes
+its place.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ WINDOW = 7.0
 COMPARED = 100
 """Models near the best that are compared with one another."""
 ALIKE = 0.3
-"""Models whose fitted predictions differ by less than this in χ² (half a standard uncertainty altogether) are
-indistinguishable in the session."""
+"""Models whose fitted predictions differ by less than this in χ² (half a standard uncertainty altogether)
+are indistinguishable in the session."""
 
 Skeleton = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
 
