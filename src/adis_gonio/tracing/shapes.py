@@ -17,13 +17,20 @@ def line(u: Floats) -> Floats:
 
 
 def power(exponent: int) -> Shape:
-    """U to a power."""
-    return lambda u: np.power(u, float(exponent))
+    """Power of u."""
+
+    def raised(u: Floats) -> Floats:
+        out = u.copy()
+        for _ in range(exponent - 1):
+            out = out * u
+        return out
+
+    return raised
 
 
 def step(place: float) -> Shape:
     """0 up to a place, 1 beyond."""
-    return lambda u: (u > place) * 1.0
+    return lambda u: np.where(u > place, 1.0, 0.0)
 
 
 def knee(place: float, sign: float) -> Shape:

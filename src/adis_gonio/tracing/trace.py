@@ -32,10 +32,9 @@ BASE_SPACE = (
     ("skew_yz", "1"),
     ("scale_z", "1"),
 )
-SURVIVES = {"whole dwells": 0.0, "blocks of time": -4.0, "check": -9.0}
-"""Least held-out gain in χ² of an effect under each design. Dwells left out one by one have to gain; a
-block of time asks for extrapolation, and a few check dwells scatter, so that only a loss counts against
-it."""
+SURVIVES = {"whole dwells": 0.0, "blocks of time": -4.0}
+"""Least held-out gain in χ² of an effect under each design: dwells left out one by one have to gain; a
+block of time asks for extrapolation, so that only a loss counts against it."""
 
 
 def trace(session: Session, max_effects: int = 6) -> TraceResult:
@@ -72,7 +71,7 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
     terms: list[Term] = [*named, *nameless_terms(training)]
     selection = select(training, terms, max_effects)
     names = judge(selection)
-    selection, names, dropped = _surviving(training, checking, selection, names)
+    selection, names, dropped = _surviving(training, selection, names)
 
     if not selection.adequate:
         could = undecided(selection)
@@ -128,7 +127,7 @@ def _enough(data: Observations) -> None:
 
 
 def _surviving(
-    data: Observations, checking: Observations | None, selection: Selection, names: Names
+    data: Observations, selection: Selection, names: Names
 ) -> tuple[Selection, Names, dict[str, str]]:
     """Take back names without a held-out gain; the model is refitted without them."""
     problem = selection.problem
@@ -136,13 +135,13 @@ def _surviving(
     reasons: dict[str, str] = {}
     if not chosen:
         return selection, names, reasons
-    whole = _losses(data, checking, selection, chosen)
+    whole = _losses(data, selection, chosen)
     keep = list(chosen)
     for name in dict.fromkeys(describe(problem.terms[k]) for k in chosen):
         members = [k for k in chosen if describe(problem.terms[k]) == name]
         if any("(dwell=" in problem.terms[k].label for k in members):
             continue  # a single dwell cannot be predicted from the others
-        without = _losses(data, checking, selection, tuple(k for k in chosen if k not in members))
+        without = _losses(data, selection, tuple(k for k in chosen if k not in members))
         for design, loss in without.items():
             gain = (loss - whole[design]) / selection.inflation
             least = SURVIVES[design]
@@ -174,15 +173,10 @@ def _surviving(
     return changed, Names(stand, names.open, (*names.confounded, *more)), reasons
 
 
-def _losses(
-    data: Observations, checking: Observations | None, selection: Selection, model: tuple[int, ...]
-) -> dict[str, float]:
-    """χ² of dwells that took no part, by design, of one model fitted to the others."""
+def _losses(data: Observations, selection: Selection, model: tuple[int, ...]) -> dict[str, float]:
+    """χ² of dwells left out in folds, by design, of one model; `check` dwells take no part."""
     terms = [selection.problem.terms[k] for k in model]
     start = _state_of(selection, model)
-    if checking is not None:
-        fitted = refit(data, terms, start)
-        return {"check": float(leave(checking, terms, fitted.state).whitened2.sum())}
     kept = _keeping(terms, start)
     return {
         name: float(left.whitened2.sum()) for name, left in cross_validate(data, folds(data), kept).items()
