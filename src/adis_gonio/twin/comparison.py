@@ -10,7 +10,7 @@ import numpy as np
 
 from adis_gonio.model.records import Floats, Session
 from adis_gonio.tracing.observations import Observations, observe
-from adis_gonio.tracing.state import State, begin, refit
+from adis_gonio.tracing.state import Refit, State, begin, refit
 from adis_gonio.tracing.terms import Term
 
 _LEAST_DIFFERENCES = 8
@@ -27,6 +27,8 @@ class TwinComparison:
         Whitened residuals of the readings under the same model; 1 is what their noise explains.
     p_residual : float
         Kolmogorov-Smirnov test that both are of one distribution.
+    p_variance : float
+        F test, two-sided, that χ² per degree of freedom is the same.
     tau_s : (t,) float
         Averaging times of the Allan deviations.
     allan_measured_mg, allan_twin_mg : (t, axes) float
@@ -38,6 +40,7 @@ class TwinComparison:
     residual_measured: Floats
     residual_twin: Floats
     p_residual: float
+    p_variance: float
     tau_s: Floats
     allan_measured_mg: Floats
     allan_twin_mg: Floats
@@ -48,7 +51,7 @@ class TwinComparison:
     @property
     def agrees(self) -> bool:
         """Residuals do not differ (1 %); Allan deviations and densities are within a factor of 1.5."""
-        return self.p_residual >= 0.01 and all(
+        return min(self.p_residual, self.p_variance) >= 0.01 and all(
             abs(np.log(ratio)) < np.log(1.5) for ratio in (self.allan_ratio, self.density_ratio)
         )
 
@@ -69,17 +72,19 @@ class TwinComparison:
             "residual_sd_measured": float(np.std(self.residual_measured)),
             "residual_sd_twin": float(np.std(self.residual_twin)),
             "p_residual": self.p_residual,
+            "p_variance": self.p_variance,
             "allan_ratio": self.allan_ratio,
             "density_ratio": self.density_ratio,
         }
 
 
 def compare(measured: Session, twin: Session, model: Sequence[Term], state: State) -> TwinComparison:
-    """Compare a session with its twin under the same model, refitted to each from the state of the trace."""
+    """Compare a session with its twin under the same model, refitted to each from the trace's state."""
     from scipy import stats
 
     ours, theirs = observe(measured), observe(twin)
-    residual = [_residual(data, model, state) for data in (ours, theirs)]
+    fits = [refit(data, tuple(model), replace(begin(data), values=state.values)) for data in (ours, theirs)]
+    residual = [_residual(fitted) for fitted in fits]
     same = stats.ks_2samp(residual[0].tolist(), residual[1].tolist())
     samples = [_samples(session, data) for session, data in ((measured, ours), (twin, theirs))]
     periods = [_period(session) for session in (measured, twin)]
@@ -91,6 +96,7 @@ def compare(measured: Session, twin: Session, model: Sequence[Term], state: Stat
         residual_measured=residual[0],
         residual_twin=residual[1],
         p_residual=float(same.pvalue),
+        p_variance=_p_variance(*fits),
         tau_s=tau_s,
         allan_measured_mg=allan[0],
         allan_twin_mg=allan[1],
@@ -100,11 +106,20 @@ def compare(measured: Session, twin: Session, model: Sequence[Term], state: Stat
     )
 
 
-def _residual(data: Observations, model: Sequence[Term], state: State) -> Floats:
-    fitted = refit(data, tuple(model), replace(begin(data), values=state.values))
+def _residual(fitted: Refit) -> Floats:
     rows = fitted.prediction.residual.ravel()
     # Directions that a free attitude takes up have no residual.
     return np.asarray(rows[np.abs(rows) > 1e-9], np.float64)
+
+
+def _p_variance(ours: Refit, theirs: Refit) -> float:
+    from scipy import stats
+
+    if ours.dof <= 0 or theirs.dof <= 0:
+        return 1.0
+    ratio = (ours.chi2 / ours.dof) / max(theirs.chi2 / theirs.dof, 1e-300)
+    below = float(stats.f.cdf(ratio, ours.dof, theirs.dof))
+    return 2 * min(below, 1 - below)
 
 
 def _samples(session: Session, data: Observations) -> list[Floats]:
