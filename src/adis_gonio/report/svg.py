@@ -1,8 +1,8 @@
 """Line and point plots as inline SVG, without any library.
 
 Every series has a shape or a dash of its own besides its colour, so that a page printed in black and white
-stays readable. Colours are CSS variables with a fallback: a page's style sheet adapts them to light and dark,
-and an SVG that stands alone is drawn on a transparent ground by the fallback.
+stays readable. Colours are CSS variables with a fallback: a page's style sheet adapts them to light and
+dark, and an SVG that stands alone is drawn on a transparent ground by the fallback.
 """
 
 from __future__ import annotations
@@ -289,7 +289,8 @@ def _frame(
     ]
     if zero:
         out.append(
-            f'<path d="M{left:.1f} {y_axis(0):.1f}H{right:.1f}" stroke="currentColor" stroke-opacity=".55"/>'
+            f'<path d="M{left:.1f} {y_axis(0):.1f}H{right:.1f}" stroke="currentColor" '
+            'stroke-opacity=".55"/>'
         )
     out += [
         f'<text x="{x_axis(v):.1f}" y="{bottom + 16:.1f}" text-anchor="middle">{escape(text)}</text>'

@@ -6,6 +6,7 @@ the terms that a step's name can mean, the one whose full refit has the step's r
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -75,7 +76,7 @@ class StepView:
 
 @dataclass(frozen=True)
 class Views:
-    """Everything that is drawn of a trace: its steps, and what the final model leaves (before: base model)."""
+    """All that is drawn of a trace: its steps, and what the final model leaves (before: the base model)."""
 
     steps: tuple[StepView, ...]
     left: tuple[Panel, ...]
@@ -103,7 +104,7 @@ def views(session: Session, result: TraceResult) -> Views:
     checking = data.rows(data.check) if data.check.any() else None
     chain = _chain(training, result)
     steps = []
-    for before, after in zip(chain[:-1], chain[1:], strict=True):
+    for before, after in itertools.pairwise(chain):
         name = describe(after.model[-1]) if after is not before else ""
         term = after.model[-1] if after is not before else None
         steps.append(
@@ -115,7 +116,7 @@ def views(session: Session, result: TraceResult) -> Views:
 
 
 def _chain(data: Observations, result: TraceResult) -> list[_Fitted]:
-    """The base model and the model after each step; a step that is not recognised repeats the one before."""
+    """The base model and the model after each step; an unrecognised step repeats the one before."""
     base = _Fitted((), refit(data, (), begin(data)))
     chain = [base]
     if not result.steps:
@@ -317,7 +318,7 @@ def _left(
 ) -> tuple[Panel, ...]:
     """What the final model leaves against every covariate that moved, those of the unnamed rest first."""
     unnamed = result.unnamed.covariates if result.unnamed is not None else ()
-    names = [name for name in dict.fromkeys((*unnamed, *_LEFT))]
+    names = list(dict.fromkeys((*unnamed, *_LEFT)))
     if not data.planar:
         names += [f"reading_{letter}" for letter in AXES[: data.axes]]
     quantities = [f"residual_{letter}" for letter in AXES[: data.axes]] if data.planar else ["norm"]
@@ -336,7 +337,7 @@ def _series_views(session: Session, result: TraceResult) -> Views:
     dwell = next(dwell for dwell in session.dwells if len(dwell))
     readings = dwell.accel * _mg(session, dwell)
     conditions = _conditions(dwell)
-    n, axes = readings.shape
+    axes = readings.shape[1]
     blocks: dict[str, Floats] = {}
     for finding in result.found:
         columns = _series_columns(finding, conditions, axes)

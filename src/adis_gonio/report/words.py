@@ -1,0 +1,236 @@
+"""What a trace says, in sentences: the terminal's summary and the page use the same ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from adis_gonio.errors import AdisGonioError
+from adis_gonio.model.effects import catalogue, effect
+from adis_gonio.model.effects.base import Parameter
+from adis_gonio.model.records import Session
+from adis_gonio.report.numbers import listed, number, p_text, percent, times, uncertain, with_unit
+from adis_gonio.tracing.result import Detectable, Finding, TraceResult, Value
+
+_IN_SAMPLES = "looked for within the dwells"
+_COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")
+_SURE = ((0.999, "as good as certain"), (0.98, "very likely"), (0.9, "likely"), (0.0, "open"))
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What the session would have shown.
+
+    Attributes
+    ----------
+    visible, weak : tuple of (name, text)
+        Effects with the smallest amplitude that would have shown: below, and above what a bench sees.
+    blind : tuple of (names, reason)
+        Effects that could not show at any physical amplitude.
+    """
+
+    visible: tuple[tuple[str, str], ...]
+    weak: tuple[tuple[str, str], ...]
+    blind: tuple[tuple[tuple[str, ...], str], ...]
+
+
+def title(session: Session) -> str:
+    """Name of the session: its title, else its file."""
+    return session.title or session.source.rsplit("/", maxsplit=1)[-1] or "session"
+
+
+def shape(session: Session) -> str:
+    """What kind of session it is, such as `24 dwells, adis16354, one plane`."""
+    dwells = [dwell for dwell in session.dwells if len(dwell)]
+    if len(dwells) == 1:
+        kind = f"one pose, {len(dwells[0])} samples"
+    else:
+        kind = f"{len(dwells)} dwells" + (
+            ", one plane" if session.plane == "xy" else ", attitudes in space"
+        )
+    checks = sum(dwell.use == "check" for dwell in dwells)
+    held = f", {checks} of them for checking" if checks else ""
+    return f"{kind}{held}, {session.sensor}"
+
+
+def with_axes(finding: Finding) -> str:
+    """`bias (x, y)`."""
+    return f"{finding.effect} ({', '.join(finding.axes)})" if finding.axes else finding.effect
+
+
+def value_text(value: Value) -> str:
+    """Value with uncertainty and unit."""
+    return with_unit(uncertain(value.value, value.u), value.unit)
+
+
+def how_sure(finding: Finding) -> str:
+    """`very likely: probability 99.6 %, p < 10⁻¹²`."""
+    word = next(word for least, word in _SURE if finding.probability >= least)
+    return f"{word}: probability {percent(finding.probability)}, {p_text(finding.p_value)}"
+
+
+def headline(result: TraceResult) -> str:
+    """The outcome in one or two sentences."""
+    names = [with_axes(finding) for finding in result.found]
+    tested = result.after.chi2_per_dof is not None
+    what = f"{listed(names)} {'was' if len(names) == 1 else 'were'} found" if names else ""
+    if result.unnamed is not None:
+        first = f"{what}; besides" if names else "No effect of the catalogue fits, but"
+        cause = listed(list(result.unnamed.covariates))
+        end = "" if result.adequate else " Not all of the residual is explained."
+        return _capital(f"{first} the residual follows {cause} in a way that has no name.{end}")
+    if result.adequate and tested:
+        if not names:
+            return (
+                "The base model explains this session: what is left is the noise that was measured within "
+                "the dwells. Nothing had to be added."
+            )
+        count = _COUNTS[len(names)] if len(names) < len(_COUNTS) else str(len(names))
+        word = "effect brings" if len(names) == 1 else "effects bring"
+        return f"{count} {word} the residual down to the measured noise: {listed(names)}."
+    if result.adequate or not tested:
+        ending = "whether anything is left cannot be tested: the noise of a reading is not known by itself"
+        return _capital(f"{what or 'nothing was found beyond the base model'}; {ending}.")
+    ending = "the residual stays larger than the noise, and no single cause could be named for the rest"
+    return _capital(f"{what or 'nothing can be named'}; {ending}.")
+
+
+def gains(result: TraceResult) -> str:
+    """Error before and after in a sentence."""
+    before, after = result.before, result.after
+    parts = [
+        f"The residual goes from {number(before.residual_rms_mg)} to {number(after.residual_rms_mg)} mg"
+        f"{times(before.residual_rms_mg, after.residual_rms_mg)}"
+    ]
+    if before.heldout_rms_mg is not None and after.heldout_rms_mg is not None:
+        parts.append(
+            f"on data that took no part from {number(before.heldout_rms_mg)} to "
+            f"{number(after.heldout_rms_mg)} mg{times(before.heldout_rms_mg, after.heldout_rms_mg)}"
+        )
+    else:
+        parts.append(
+            "there was too little data to leave any out, so that nothing proves this on other data"
+        )
+    if before.angle_rms_deg is not None and after.angle_rms_deg is not None:
+        parts.append(
+            f"the error of the angle from {number(before.angle_rms_deg)}° to "
+            f"{number(after.angle_rms_deg)}°{times(before.angle_rms_deg, after.angle_rms_deg)}"
+        )
+    return "; ".join(parts) + "."
+
+
+def confounded(result: TraceResult, most: int = 4) -> list[str]:
+    """Groups that the session cannot tell apart, those that begin alike in one line."""
+    groups: dict[str, list[str]] = {}
+    for names in result.confounded:
+        if len(names) == 1:
+            groups.setdefault(names[0], [])
+            continue
+        rest = groups.setdefault(names[0], [])
+        rest += [name for name in names[1:] if name not in rest]
+    lines = []
+    for first, others in groups.items():
+        text = first
+        if others:
+            more = f" or {len(others) - most} more" if len(others) > most else ""
+            text = f"{first} — or {', or '.join(others[:most])}{more}"
+        reason = result.reasons.get(first)
+        lines.append(f"{text}: {reason}" if reason else text)
+    return lines
+
+
+def open_names(result: TraceResult) -> list[str]:
+    """Reasons of effects that are not in a group."""
+    grouped = {names[0] for names in result.confounded}
+    return [f"{name}: {reason}" for name, reason in result.reasons.items() if name not in grouped]
+
+
+def unnamed(result: TraceResult) -> str:
+    """What has no name, with how sure."""
+    rest = result.unnamed
+    if rest is None:
+        return ""
+    sure = p_text(rest.p_value)
+    if rest.probability is not None:
+        sure = f"probability {percent(rest.probability)}, {sure}"
+    return f"{rest.form} (explains {percent(rest.explains)} of the excess; {sure})"
+
+
+def sight(result: TraceResult) -> Sight:
+    """What the session would have shown, from the smallest amplitude against what a bench sees."""
+    found = {finding.effect for finding in result.found}
+    visible: list[tuple[str, str]] = []
+    weak: list[tuple[str, str]] = []
+    blind: dict[str, list[str]] = {}
+    for name in catalogue():
+        if name in found or name not in result.detectable:
+            continue
+        entry = result.detectable[name]
+        prototype = _parameter(name, entry)
+        if entry.amplitude is None:
+            blind.setdefault(entry.reason or "its trace lies in what is fitted", []).append(name)
+        elif prototype is not None and entry.amplitude > prototype.high:
+            blind.setdefault("too little of what drives it; no physical amplitude would show", []).append(
+                name
+            )
+        elif prototype is not None and entry.amplitude > abs(prototype.typical):
+            weak.append((name, amplitude(entry)))
+        else:
+            visible.append((name, amplitude(entry)))
+    return Sight(
+        tuple(visible),
+        tuple(weak),
+        tuple((tuple(names), _reason(reason)) for reason, names in blind.items()),
+    )
+
+
+def amplitude(entry: Detectable) -> str:
+    """Smallest amplitude with unit."""
+    return "–" if entry.amplitude is None else with_unit(number(entry.amplitude, 2), entry.unit)
+
+
+def typical(name: str, entry: Detectable) -> str:
+    """What a bench sees of the parameter, with unit."""
+    prototype = _parameter(name, entry)
+    return "" if prototype is None else with_unit(f"{abs(prototype.typical):.4g}", prototype.unit)
+
+
+def advice(result: TraceResult) -> Sequence[str]:
+    """What to do next; a word where nothing is asked for."""
+    return result.advice or ("nothing: the session answers what it was asked",)
+
+
+def _reason(reason: str) -> str:
+    if reason == _IN_SAMPLES:
+        return "they change the samples, not the mean of a dwell, and are looked for within the dwells"
+    words = {
+        "temperature_c, temperature_history": "temperature",
+        "temperature_c": "temperature",
+        "supply_v": "supply",
+        "angle_rad": "declared angle",
+        "previous_angle_rad": "declared angle",
+    }
+    for field, word in words.items():
+        if reason == f"{field} not recorded":
+            return f"{word} not recorded"
+    return reason.replace("_", " ")
+
+
+def _parameter(name: str, entry: Detectable) -> Parameter | None:
+    """The parameter that an amplitude is of."""
+    kind = catalogue().get(name)
+    if kind is None or not entry.parameter:
+        return None
+    try:
+        made = effect(name, ("x", "y", "z"))
+    except AdisGonioError:
+        return None
+    stem = entry.parameter.rsplit("_", 1)[0]
+    for parameter in made.parameters:
+        if parameter.name == entry.parameter:
+            return parameter
+    return next((p for p in made.parameters if p.name.rsplit("_", 1)[0] == stem), None)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
