@@ -40,6 +40,10 @@ SMOOTH_WEIGHT = 0.25
 EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "angle")
 
 
+LEAST_DWELLS = 1.9
+"""Dwells (participation ratio) that a bump has to touch."""
+
+
 @dataclass(frozen=True)
 class _Made:
     """A driver with its place in the prior."""
@@ -52,7 +56,7 @@ class _Made:
 
 def nameless_terms(data: Observations) -> list[NamelessTerm]:
     """All nameless candidates of a session with their price."""
-    made = list(_drivers(data))
+    made = [m for m in _drivers(data) if not _one_dwell(m.driver, data.conditions)]
     families = sorted({m.family for m in made})
     weight = {family: FAMILY_WEIGHT.get(family, 0.7) for family in families}
     total = sum(weight.values())
@@ -82,6 +86,17 @@ def nameless_terms(data: Observations) -> list[NamelessTerm]:
                 NamelessTerm(label, m.driver.covariates, -math.log(share), where, subset, m.driver)
             )
     return terms
+
+
+def _one_dwell(driver: Driver, conditions: Conditions) -> bool:
+    """True for a bump or a step that touches one dwell only: an outlier or a slip, which have names."""
+    if driver.common is None or not driver.form.startswith(("a bump", "a step")):
+        return False
+    rows = driver.common(conditions)[:, -1]
+    if driver.form.startswith("a step"):
+        rows = np.minimum(rows.sum(), (1 - rows).sum()) * np.ones(1)
+        return bool(rows[0] < 2)
+    return bool((rows**2).sum() ** 2 < LEAST_DWELLS * (rows**4).sum())
 
 
 def _drivers(data: Observations) -> Iterator[_Made]:
