@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+SPACE = "\u00a0"
+"""No line ends between a number and its unit."""
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -29,34 +31,35 @@ def uncertain(value: float, u: float | None) -> str:
         power = str(-round(math.log10(scale))).translate(_RAISED)
         return f"({uncertain(value * scale, u * scale)})·10{power}"
     digits = max(0, 1 - exponent)
-    return f"{value:.{digits}f} ± {u:.{digits}f}".replace("-", "−")
+    return f"{value:.{digits}f}{SPACE}±{SPACE}{u:.{digits}f}".replace("-", "−")
 
 
 def with_unit(text: str, unit: str) -> str:
     """Text with its unit; `1` is none, degrees are a sign."""
     if unit in ("", "1"):
         return text
-    if unit in ("degree", "°"):
+    if unit in ("degree", "deg", "°"):
         return f"({text})°" if "±" in text else f"{text}°"
-    return f"{text} {unit}"
+    return f"{text}{SPACE}{unit}"
 
 
 def p_text(p: float) -> str:
     """`p = 0.004`, or `p < 10⁻¹²` where digits mean nothing."""
     if p < 1e-12:
-        return "p < 10⁻¹²"
+        return f"p{SPACE}<{SPACE}10⁻¹²"
     if p < 1e-3:
-        return f"p ≈ 10{str(math.ceil(math.log10(p))).translate(_RAISED)}"
-    return f"p = {p:.2g}"
+        return f"p{SPACE}<{SPACE}10{str(math.ceil(math.log10(p))).translate(_RAISED)}"
+    return f"p{SPACE}={SPACE}{p:.2g}"
 
 
 def percent(fraction: float) -> str:
     """Percentage that never claims a round 0 or 100 that is none."""
     if fraction >= 0.9995:
-        return "> 99.9 %"
+        return f">{SPACE}99.9{SPACE}%"
     if fraction < 0.0005:
-        return "< 0.1 %"
-    return f"{100 * fraction:.1f} %" if fraction >= 0.995 or fraction < 0.095 else f"{100 * fraction:.0f} %"
+        return f"<{SPACE}0.1{SPACE}%"
+    digits = 1 if fraction >= 0.985 or fraction < 0.095 else 0
+    return f"{100 * fraction:.{digits}f}{SPACE}%"
 
 
 def times(before: float | None, after: float | None) -> str:

@@ -48,7 +48,7 @@ def build_page(
     """
     software = f"adis-gonio {__version__}"
     result = traced if isinstance(traced, TraceResult) else None
-    body = [make.summary(session, traced, fits), make.fitted(fits, failures or {})]
+    body = [make.summary(traced, fits, views), make.fitted(fits, failures or {})]
     if result is not None:
         body += [make.found(result), make.errors(result)]
         if views is not None:

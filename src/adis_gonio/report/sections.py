@@ -19,7 +19,7 @@ from adis_gonio.report.parts import Figure, Section, Table
 from adis_gonio.report.svg import Role, Series, plot
 from adis_gonio.tracing.figures import Panel, Views
 from adis_gonio.tracing.observations import Observations, observe
-from adis_gonio.tracing.result import TraceResult
+from adis_gonio.tracing.result import TraceResult, Value
 
 _COVARIATES = {
     "angle": "declared angle / °",
@@ -45,23 +45,37 @@ _NAMES = {
 _ORDER = ("delta_k", "delta_phi")
 
 
-def summary(session: Session, traced: TraceResult | str, fits: Sequence[FitResult]) -> Section:
+def summary(traced: TraceResult | str, fits: Sequence[FitResult], views: Views | None) -> Section:
     """The outcome in words."""
-    lines = []
-    for fit in fits[-1:]:
-        pair = [
-            f"{_NAMES[name]} = {with_unit(uncertain(fit[name].value, fit[name].u), fit[name].unit)}"
-            for name in _ORDER
-            if name in fit
-        ]
-        if pair:
-            lines.append(f"By method {fit.method}: {', '.join(pair)} (± standard uncertainty).")
+    best = fits[-1] if fits else None
+    by_method = ""
+    if best is not None:
+        pair = {e.name: Value(e.value, e.u, e.unit) for e in best.parameters if e.name in _ORDER}
+        by_method = _pair(pair)
     if isinstance(traced, str):
+        lines = [f"By method {best.method}: {by_method}."] if best is not None and by_method else []
         return Section("Summary", words=[*lines, f"The session could not be traced: {traced}"])
-    words_ = [words.headline(traced), words.gains(traced), *lines]
+    lines = [words.headline(traced), words.gains(traced)]
+    final = {name: value for name, value in traced.base.items() if name in _ORDER}
+    if views is not None and views.delta_k is not None:
+        final["delta_k"] = views.delta_k
+    if final:
+        beside = f" (method {best.method}, before the trace: {by_method})" if best and by_method else ""
+        names = "with the effects found" if traced.steps else "by the base model"
+        lines.append(f"{_capital(names)}: {_pair(final)}{beside if traced.steps else ''}.")
     if traced.confounded:
-        words_.append(f"It cannot tell apart: {'; '.join(words.confounded(traced))}.")
-    return Section("Summary", words=words_, points=[], notes=[])
+        lines.append(f"This session cannot tell apart: {'; '.join(words.confounded(traced))}.")
+    return Section("Summary", words=lines)
+
+
+def _pair(values: Mapping[str, Value]) -> str:
+    return ", ".join(
+        f"{_NAMES[name]} = {words.value_text(values[name])}" for name in _ORDER if name in values
+    )
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def fitted(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Section:
@@ -73,7 +87,7 @@ def fitted(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Section:
         entries = [next((e for e in fit.parameters if e.name == name), None) for fit in fits]
         unit = next(e.unit for e in entries if e is not None)
         cells = ["" if e is None else uncertain(e.value, e.u) for e in entries]
-        rows.append([_NAMES.get(name, name), {"degree": "°"}.get(unit, unit), *cells])
+        rows.append([_NAMES.get(name, name), {"degree": "°", "deg": "°"}.get(unit, unit), *cells])
     rows.append(["residual, rms", "mg", *(number(fit.residual_rms_mg) for fit in fits)])
     rows.append(
         ["χ² / degrees of freedom", "", *(f"{number(f.chi2)} / {f.dof}" if f.dof else "–" for f in fits)]
@@ -146,6 +160,7 @@ def errors(traced: TraceResult) -> Section:
     for name, error in steps:
         cells = (error.residual_rms_mg, error.heldout_rms_mg, error.angle_rms_deg, error.chi2_per_dof)
         rows.append([name, *(number(cell) for cell in cells)])
+    base = [[_NAMES.get(name, name), words.value_text(value)] for name, value in traced.base.items()]
     table = Table(
         ["model", "residual / mg", "left out / mg", "error of the angle / °", "χ² / dof"],
         rows,
@@ -153,7 +168,10 @@ def errors(traced: TraceResult) -> Section:
         strong=(len(rows) - 1,),
         caption=f"Root mean squares. Left out: {traced.heldout_design or 'nothing'}.",
     )
-    return Section("Error before and after", words=[words.gains(traced)], tables=[table])
+    tables = [table]
+    if base:
+        tables.append(Table(["base parameter", "in the final model"], base, numeric=(1,)))
+    return Section("Error before and after", tables=tables)
 
 
 def steps(traced: TraceResult, views: Views) -> Section:
@@ -179,8 +197,11 @@ def left(views: Views) -> Section:
     figures = []
     for covariate in dict.fromkeys(panel.covariate for panel in views.left):
         panels = [panel for panel in views.left if panel.covariate == covariate]
+        # Axes side by side, so that their bars do not hide each other.
+        aside = 0.012 * float(np.ptp(panels[0].x)) if len(panels) > 1 else 0.0
         series = [
-            Series(p.x, p.after, _axis(p), _bars(p), role) for p, role in zip(panels, roles, strict=False)
+            Series(p.x + (k - (len(panels) - 1) / 2) * aside, p.after, _axis(p), _bars(p), roles[k])
+            for k, p in enumerate(panels)
         ]
         x = _COVARIATES.get(covariate, _reading(covariate))
         y = "residual of the norm / mg" if panels[0].quantity == "norm" else "residual / mg"
@@ -209,18 +230,17 @@ def rivals(traced: TraceResult) -> Section:
 def sight(traced: TraceResult) -> Section:
     """What would have shown and what could not."""
     seen = words.sight(traced)
-    blind = {name: reason for names, reason in seen.blind for name in names}
     found_ = {finding.effect for finding in traced.found}
     rows = []
     for names, verdict in (
+        (sorted(found_ & set(traced.detectable)), "found"),
         ([name for name, _ in seen.visible], "not there: it would have shown"),
         ([name for name, _ in seen.weak], "not there, or smaller than that"),
-        (sorted(found_ & set(traced.detectable)), "found"),
     ):
         for name in names:
             entry = traced.detectable[name]
             rows.append([name, words.amplitude(entry), words.typical(name, entry), verdict])
-    rows += [[name, "–", "", f"could not be seen: {reason}"] for name, reason in blind.items()]
+    rows += [[", ".join(names), "–", "", f"could not be seen: {reason}"] for names, reason in seen.blind]
     table = Table(
         ["effect", "smallest amplitude", "of a usual bench", "so it is"],
         rows,

@@ -212,7 +212,7 @@ def _ticks(low: float, high: float, log: bool, about: int) -> list[tuple[float, 
         return [(v, _number(v)) for v in values if low <= v <= high]
     raw = (high - low) / about
     power = 10.0 ** math.floor(math.log10(raw))
-    step_size = next(m * power for m in (1, 2, 5, 10) if m * power >= raw * 0.999)
+    step_size = next(m * power for m in (1, 2, 5, 10) if m * power >= raw * 0.75)
     for degrees in (15.0, 30.0, 45.0, 60.0, 90.0):
         # A turn in degrees reads best in parts of a right angle.
         if 300 <= high - low <= 800 and step_size >= 50 and degrees * about >= (high - low) * 0.8:
@@ -222,7 +222,7 @@ def _ticks(low: float, high: float, log: bool, about: int) -> list[tuple[float, 
     first = math.ceil(low / step_size - 1e-9)
     last = math.floor(high / step_size + 1e-9)
     values = [k * step_size for k in range(first, last + 1)]
-    if step_size >= 1e5 or step_size < 1e-4:
+    if step_size >= 1e5 or digits > 7 or (digits > 4 and max(abs(low), abs(high)) < 1e-2):
         return [(v, _number(v)) for v in values]
     return [(v, f"{v + 0.0:.{digits}f}".replace("-", "−")) for v in values]
 

@@ -20,7 +20,7 @@ from adis_gonio.tracing.heldout import leave, rms
 from adis_gonio.tracing.named import covariates_of, named_terms
 from adis_gonio.tracing.naming import describe
 from adis_gonio.tracing.observations import Observations, observe
-from adis_gonio.tracing.result import Finding, Step, TraceResult
+from adis_gonio.tracing.result import Finding, Step, TraceResult, Value
 from adis_gonio.tracing.selection import fit_model
 from adis_gonio.tracing.state import Refit, begin, refit
 from adis_gonio.tracing.terms import NamedTerm, NamelessTerm, Term
@@ -29,6 +29,8 @@ _SAME = 1e-4
 """Relative difference of two residuals up to which a refitted step is the step of the trace."""
 _REFITS = 16
 _LEFT = ("angle", "time", "temperature", "supply")
+_LEAST_SPAN = {"temperature": 0.145, "supply": 0.0018}
+"""Spans (°C, V) below one step of the part's own sensors: nothing can be read from such an axis."""
 
 
 @dataclass(frozen=True)
@@ -76,10 +78,20 @@ class StepView:
 
 @dataclass(frozen=True)
 class Views:
-    """All that is drawn of a trace: its steps, and what the final model leaves (before: the base model)."""
+    """All that is shown of a trace beside its result.
+
+    Attributes
+    ----------
+    steps : tuple of StepView
+    left : tuple of Panel
+        What the final model leaves; before: the base model.
+    delta_k : Value or None
+        K_x/K_y − 1 of the final model, with the covariance of both; None without a plane.
+    """
 
     steps: tuple[StepView, ...]
     left: tuple[Panel, ...]
+    delta_k: Value | None = None
 
 
 @dataclass(frozen=True)
@@ -112,7 +124,21 @@ def views(session: Session, result: TraceResult) -> Views:
         )
     names = [step.effect for step in result.steps]
     steps = [replace(view, effect=name) for view, name in zip(steps, names, strict=True)]
-    return Views(tuple(steps), _left(training, checking, result, chain[0], chain[-1]))
+    return Views(
+        tuple(steps),
+        _left(training, checking, result, chain[0], chain[-1]),
+        _delta_k(result, chain[-1].fit) if data.planar else None,
+    )
+
+
+def _delta_k(result: TraceResult, fit: Refit) -> Value:
+    """ΔK with the covariance of the refit, at the level of noise that the trace worked with."""
+    _, kx, ky, _ = fit.state.base
+    slope = np.array([1 / ky, -kx / ky**2])
+    u = float(np.sqrt(slope @ fit.covariance[1:3, 1:3] @ slope))
+    stated, own = result.base["scale_x"].u, float(np.sqrt(fit.covariance[1, 1]))
+    level = stated / own if stated is not None and own > 0 else 1.0
+    return Value(float(kx / ky - 1), u * level, "1")
 
 
 def _chain(data: Observations, result: TraceResult) -> list[_Fitted]:
@@ -325,7 +351,7 @@ def _left(
     out = []
     for name in names:
         values = _values(data.conditions, data, name)
-        if values is not None and np.ptp(values) > 0:
+        if values is not None and np.ptp(values) > (0.0 if name in unnamed else _LEAST_SPAN.get(name, 0.0)):
             out += [_panel(data, checking, name, quantity, base, last) for quantity in quantities]
     return tuple(out)
 
