@@ -116,14 +116,19 @@ def fitted(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Section:
         strong=tuple(k for k, name in enumerate(names) if name in _ORDER),
         caption="± one standard uncertainty; value ± 1.96 u covers 95 %.",
     )
-    return Section("Results by method", tables=[table] if fits else [], notes=notes)
+    none = (
+        []
+        if fits or failures
+        else ["The session supports none of the methods: it has one pose or too few."]
+    )
+    return Section("Results by method", words=none, tables=[table] if fits else [], notes=notes)
 
 
 def found(traced: TraceResult) -> Section:
     """What was found, what it is confounded with, what has no name."""
     rows = []
     for finding in traced.found:
-        values = "; ".join(f"{name} = {words.value_text(v)}" for name, v in finding.parameters.items())
+        values = "\n".join(f"{name} = {words.value_text(v)}" for name, v in finding.parameters.items())
         rows.append(
             [
                 words.with_axes(finding),
@@ -131,12 +136,11 @@ def found(traced: TraceResult) -> Section:
                 percent(finding.explains),
                 percent(finding.probability),
                 p_text(finding.p_value),
-                finding.cause,
             ]
         )
     tables = []
     if rows:
-        head = ["effect", "parameters", "explains", "probability", "test", "cause"]
+        head = ["effect", "parameters", "explains", "probability", "test"]
         caption = "“Explains” is the share of what the base model leaves beyond the measured noise."
         tables.append(Table(head, rows, caption=caption, numeric=(2, 3)))
     parts = [
@@ -145,8 +149,10 @@ def found(traced: TraceResult) -> Section:
         Section("Not called found", points=words.open_names(traced)),
         Section("Within the dwells", points=traced.within),
     ]
+    causes = {finding.effect: finding.cause for finding in traced.found}
     return Section(
         "What was found",
+        notes=[f"{name}: {cause}" for name, cause in causes.items()],
         words=[] if rows else ["No effect had to be added, or none could be named."],
         tables=tables,
         parts=[part for part in parts if part.points],
@@ -200,7 +206,13 @@ def left(views: Views) -> Section:
         # Axes side by side, so that their bars do not hide each other.
         aside = 0.012 * float(np.ptp(panels[0].x)) if len(panels) > 1 else 0.0
         series = [
-            Series(p.x + (k - (len(panels) - 1) / 2) * aside, p.after, _axis(p), _bars(p), roles[k])
+            Series(
+                p.x + (k - (len(panels) - 1) / 2) * aside,
+                p.after,
+                _axis(p) if len(panels) > 1 else "",
+                _bars(p),
+                roles[k],
+            )
             for k, p in enumerate(panels)
         ]
         x = _COVARIATES.get(covariate, _reading(covariate))

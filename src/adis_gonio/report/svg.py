@@ -37,7 +37,7 @@ _DASHES: dict[str, str] = {
 }
 _MOST_MARKERS = 400
 """Up to so many points have markers with error bars; more are dots."""
-_MOST_POINTS = 3000
+_MOST_POINTS = 2000
 _CHARACTER = 6.9
 """Mean width of a character at the size of the labels, in units of the drawing."""
 

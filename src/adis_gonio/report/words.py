@@ -73,12 +73,12 @@ def headline(result: TraceResult) -> str:
     """The outcome in one or two sentences."""
     names = [with_axes(finding) for finding in result.found]
     tested = result.after.chi2_per_dof is not None
-    what = f"{listed(names)} {'was' if len(names) == 1 else 'were'} found" if names else ""
-    if result.unnamed is not None:
-        first = f"{what}; besides" if names else "No effect of the catalogue fits, but"
-        cause = listed(list(result.unnamed.covariates))
+    what = f"Found: {listed(names)}." if names else ""
+    rest = result.unnamed
+    if rest is not None:
+        begin = f"{what} Besides, the" if names else "The"
         end = "" if result.adequate else " Not all of the residual is explained."
-        return _capital(f"{first} the residual follows {cause} in a way that has no name.{end}")
+        return f"{begin} residual follows {listed(list(rest.covariates))} in a way that has no name.{end}"
     if result.adequate and tested:
         if not names:
             return (
@@ -89,10 +89,15 @@ def headline(result: TraceResult) -> str:
         word = "effect brings" if len(names) == 1 else "effects bring"
         return f"{count} {word} the residual down to the measured noise: {listed(names)}."
     if result.adequate or not tested:
-        ending = "whether anything is left cannot be tested: the noise of a reading is not known by itself"
-        return _capital(f"{what or 'nothing was found beyond the base model'}; {ending}.")
-    ending = "the residual stays larger than the noise, and no single cause could be named for the rest"
-    return _capital(f"{what or 'nothing can be named'}; {ending}.")
+        ending = "Whether anything is left cannot be tested: the noise of a reading is not known by itself."
+        return f"{what or 'Nothing was found beyond the base model.'} {ending}"
+    if result.confounded or result.reasons:
+        ending = (
+            "The residual stays larger than the noise, and this session cannot decide what causes the rest."
+        )
+    else:
+        ending = "The residual stays larger than the noise, and nothing could be named for the rest."
+    return f"{what or 'Nothing was found for certain.'} {ending}"
 
 
 def gains(result: TraceResult) -> str:
@@ -230,7 +235,3 @@ def _parameter(name: str, entry: Detectable) -> Parameter | None:
         if parameter.name == entry.parameter:
             return parameter
     return next((p for p in made.parameters if p.name.rsplit("_", 1)[0] == stem), None)
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
