@@ -244,6 +244,15 @@ def test_a_large_bias_does_not_leave_second_order_effects() -> None:
     assert result.unnamed is None
 
 
+def test_a_large_bias_stands_beside_a_nameless_step() -> None:
+    bias = (effect("bias"), {"bias_x": 40.0, "bias_y": -35.0})
+    data = observations([bias], added=lambda c, a: np.outer(c.order >= 13, [0.9, 0.0]), seed=10)
+    result = trace_observations(data)
+    assert [finding.effect for finding in result.found] == ["bias"]
+    assert result.unnamed is not None
+    assert result.unnamed.covariates == ("time",)
+
+
 def test_detectable_amplitude_is_found_and_a_third_of_it_is_not() -> None:
     seen = trace_observations(observations(seed=30)).detectable["quadratic"]
     assert seen.unit == "mg/g²"
