@@ -126,9 +126,11 @@ def _found(screen: Console, result: TraceResult) -> None:
     table.add_column(justify="right", width=3)
     table.add_column(no_wrap=True)
     table.add_column()
-    for k, finding in enumerate(result.found, 1):
-        values = [f"{name} = {words.value_text(value)}" for name, value in finding.parameters.items()]
-        table.add_row(f"{k}.", _plain(words.with_axes(finding), "bold"), _plain("; ".join(values)))
+    for k, finding in enumerate(words.ordered(result), 1):
+        first, *more = words.parameters(finding) or ["–"]
+        table.add_row(f"{k}.", _plain(words.with_axes(finding), "bold"), _plain(first))
+        for line in more:
+            table.add_row("", "", _plain(line))
         table.add_row("", "", _plain(f"explains {percent(finding.explains)} of the excess residual"))
         table.add_row("", "", _plain(words.how_sure(finding)))
         table.add_row("", "", _plain(finding.cause, "dim"))
@@ -136,25 +138,23 @@ def _found(screen: Console, result: TraceResult) -> None:
 
 
 def _errors(screen: Console, result: TraceResult) -> None:
+    from rich.padding import Padding
     from rich.table import Table
 
-    from adis_gonio.report.numbers import number
+    from adis_gonio.report import words
 
     _heading(screen, "Error before and after")
+    head, rows = words.error_rows(result)
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
-    table.add_column("   model")
-    for head in ("residual\nmg", "left out\nmg", "angle\n°", "χ² / dof"):
-        table.add_column(head, justify="right", no_wrap=True)
-    rows = [("base model", result.before), *((f"+ {step.effect}", step.error) for step in result.steps)]
-    for k, (name, error) in enumerate(rows):
-        cells = (error.residual_rms_mg, error.heldout_rms_mg, error.angle_rms_deg, error.chi2_per_dof)
-        last = k == len(rows) - 1
-        table.add_row(
-            _plain(f"   {name}"), *(number(cell) for cell in cells), style="bold" if last and k else None
-        )
+    table.add_column(f"   {head[0]}")
+    for name in head[1:]:
+        table.add_column(name.replace("error of the angle", "angle").replace(" / ", "\n"), justify="right")
+    for k, (name, *cells) in enumerate(rows):
+        last = 0 < k == len(rows) - 1
+        table.add_row(_plain(f"   {name}"), *cells, style="bold" if last else None)
     screen.print(table)
     if result.heldout_design:
-        screen.print(f"   left out: {result.heldout_design}", style="dim", markup=False)
+        screen.print(Padding(_plain(f"left out: {result.heldout_design}", "dim"), (0, 0, 0, 3)))
 
 
 def _sight(screen: Console, result: TraceResult) -> None:
@@ -169,7 +169,7 @@ def _sight(screen: Console, result: TraceResult) -> None:
     _items(screen, "What this session could not have seen", items)
     if seen.visible:
         listed = ", ".join(f"{name} {text}" for name, text in seen.visible)
-        _items(screen, "Not there: it would have shown (90 % power) from", [listed])
+        _items(screen, f"{words.absent(result).capitalize()} (90 % power) from", [listed])
 
 
 def _plain(text: str, style: str = "") -> Text:

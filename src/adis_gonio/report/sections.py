@@ -127,12 +127,11 @@ def fitted(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Section:
 def found(traced: TraceResult) -> Section:
     """What was found, what it is confounded with, what has no name."""
     rows = []
-    for finding in traced.found:
-        values = "\n".join(f"{name} = {words.value_text(v)}" for name, v in finding.parameters.items())
+    for finding in words.ordered(traced):
         rows.append(
             [
                 words.with_axes(finding),
-                values,
+                "\n".join(words.parameters(finding)),
                 percent(finding.explains),
                 percent(finding.probability),
                 p_text(finding.p_value),
@@ -149,7 +148,7 @@ def found(traced: TraceResult) -> Section:
         Section("Not called found", points=words.open_names(traced)),
         Section("Within the dwells", points=traced.within),
     ]
-    causes = {finding.effect: finding.cause for finding in traced.found}
+    causes = {finding.effect: finding.cause for finding in words.ordered(traced)}
     return Section(
         "What was found",
         notes=[f"{name}: {cause}" for name, cause in causes.items()],
@@ -161,16 +160,12 @@ def found(traced: TraceResult) -> Section:
 
 def errors(traced: TraceResult) -> Section:
     """Error before and after, step by step."""
-    rows = []
-    steps = [("base model (before)", traced.before), *((f"+ {s.effect}", s.error) for s in traced.steps)]
-    for name, error in steps:
-        cells = (error.residual_rms_mg, error.heldout_rms_mg, error.angle_rms_deg, error.chi2_per_dof)
-        rows.append([name, *(number(cell) for cell in cells)])
+    head, rows = words.error_rows(traced)
     base = [[_NAMES.get(name, name), words.value_text(value)] for name, value in traced.base.items()]
     table = Table(
-        ["model", "residual / mg", "left out / mg", "error of the angle / °", "χ² / dof"],
+        head,
         rows,
-        numeric=(1, 2, 3, 4),
+        numeric=tuple(range(1, len(head))),
         strong=(len(rows) - 1,),
         caption=f"Root mean squares. Left out: {traced.heldout_design or 'nothing'}.",
     )
@@ -246,7 +241,8 @@ def sight(traced: TraceResult) -> Section:
     rows = []
     for names, verdict in (
         (sorted(found_ & set(traced.detectable)), "found"),
-        ([name for name, _ in seen.visible], "not there: it would have shown"),
+        ([name for name, _ in seen.open], "open: cannot be told from others here"),
+        ([name for name, _ in seen.visible], words.absent(traced)),
         ([name for name, _ in seen.weak], "not there, or smaller than that"),
     ):
         for name in names:

@@ -10,11 +10,17 @@ from adis_gonio.model.effects import catalogue, effect
 from adis_gonio.model.effects.base import Parameter
 from adis_gonio.model.records import Session
 from adis_gonio.report.numbers import listed, number, p_text, percent, times, uncertain, with_unit
-from adis_gonio.tracing.result import Detectable, Finding, TraceResult, Value
+from adis_gonio.tracing.result import Detectable, ErrorFigures, Finding, TraceResult, Value
 
 _IN_SAMPLES = "looked for within the dwells"
 _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")
-_SURE = ((0.999, "as good as certain"), (0.98, "very likely"), (0.9, "likely"), (0.0, "open"))
+_SURE = (
+    (0.999, 1e-3, "as good as certain"),
+    (0.98, 1e-2, "very likely"),
+    (0.9, 5e-2, "likely"),
+    (0.0, 1.0, "open"),
+)
+"""Least probability and largest p-value of each word."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +31,8 @@ class Sight:
     ----------
     visible, weak : tuple of (name, text)
         Effects with the smallest amplitude that would have shown: below, and above what a bench sees.
+    open : tuple of (name, text)
+        The same of effects that the session cannot tell from others.
     blind : tuple of (names, reason)
         Effects that could not show at any physical amplitude.
     """
@@ -32,6 +40,7 @@ class Sight:
     visible: tuple[tuple[str, str], ...]
     weak: tuple[tuple[str, str], ...]
     blind: tuple[tuple[tuple[str, ...], str], ...]
+    open: tuple[tuple[str, str], ...] = ()
 
 
 def title(session: Session) -> str:
@@ -63,15 +72,50 @@ def value_text(value: Value) -> str:
     return with_unit(uncertain(value.value, value.u), value.unit)
 
 
+def parameters(finding: Finding) -> list[str]:
+    """Parameters with values, those of an axis in one line."""
+    groups: dict[str, list[str]] = {}
+    for name, value in finding.parameters.items():
+        axis = name.rsplit("_", 1)[-1]
+        group = axis if axis in finding.axes and len(finding.parameters) > 3 else name
+        groups.setdefault(group, []).append(f"{name} = {value_text(value)}")
+    return ["; ".join(texts) for texts in groups.values()]
+
+
+def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the errors, base model first; columns without any figure are left out."""
+    rows: list[tuple[str, ErrorFigures]] = [
+        ("base model", result.before),
+        *((f"+ {step.effect}", step.error) for step in result.steps),
+    ]
+    columns: dict[str, list[float | None]] = {
+        "residual / mg": [error.residual_rms_mg for _, error in rows],
+        "left out / mg": [error.heldout_rms_mg for _, error in rows],
+        "error of the angle / °": [error.angle_rms_deg for _, error in rows],
+        "χ² / dof": [error.chi2_per_dof for _, error in rows],
+    }
+    shown = {head: column for head, column in columns.items() if any(cell is not None for cell in column)}
+    cells = [[name, *(number(column[k]) for column in shown.values())] for k, (name, _) in enumerate(rows)]
+    return ["model", *shown], cells
+
+
 def how_sure(finding: Finding) -> str:
     """`very likely: probability 99.6 %, p < 10⁻¹²`."""
-    word = next(word for least, word in _SURE if finding.probability >= least)
+    word = next(
+        word for least, most, word in _SURE if finding.probability >= least and finding.p_value <= most
+    )
     return f"{word}: probability {percent(finding.probability)}, {p_text(finding.p_value)}"
+
+
+def ordered(result: TraceResult) -> list[Finding]:
+    """Findings in the order in which they came in."""
+    order = [step.effect for step in result.steps]
+    return sorted(result.found, key=lambda f: order.index(f.effect) if f.effect in order else len(order))
 
 
 def headline(result: TraceResult) -> str:
     """The outcome in one or two sentences."""
-    names = [with_axes(finding) for finding in result.found]
+    names = [with_axes(finding) for finding in ordered(result)]
     tested = result.after.chi2_per_dof is not None
     what = f"Found: {listed(names)}." if names else ""
     rest = result.unnamed
@@ -164,7 +208,10 @@ def unnamed(result: TraceResult) -> str:
 def sight(result: TraceResult) -> Sight:
     """What the session would have shown, from the smallest amplitude against what a bench sees."""
     found = {finding.effect for finding in result.found}
+    undecided = {name for names in result.confounded for name in names} | set(result.reasons)
+    undecided |= {step.effect for step in result.steps}
     visible: list[tuple[str, str]] = []
+    still_open: list[tuple[str, str]] = []
     weak: list[tuple[str, str]] = []
     blind: dict[str, list[str]] = {}
     for name in catalogue():
@@ -172,7 +219,9 @@ def sight(result: TraceResult) -> Sight:
             continue
         entry = result.detectable[name]
         prototype = _parameter(name, entry)
-        if entry.amplitude is None:
+        if name in undecided:
+            still_open.append((name, amplitude(entry)))
+        elif entry.amplitude is None:
             blind.setdefault(entry.reason or "its trace lies in what is fitted", []).append(name)
         elif prototype is not None and entry.amplitude > prototype.high:
             blind.setdefault("too little of what drives it; no physical amplitude would show", []).append(
@@ -182,11 +231,22 @@ def sight(result: TraceResult) -> Sight:
             weak.append((name, amplitude(entry)))
         else:
             visible.append((name, amplitude(entry)))
+    worded: dict[str, list[str]] = {}
+    for reason, names in blind.items():
+        worded.setdefault(_reason(reason), []).extend(names)
     return Sight(
         tuple(visible),
         tuple(weak),
-        tuple((tuple(names), _reason(reason)) for reason, names in blind.items()),
+        tuple((tuple(names), reason) for reason, names in worded.items()),
+        tuple(still_open),
     )
+
+
+def absent(result: TraceResult) -> str:
+    """What may be said of an effect that would have shown and did not."""
+    if result.adequate and result.unnamed is None:
+        return "not there: it would have shown"
+    return "not recognised; it would have shown alone"
 
 
 def amplitude(entry: Detectable) -> str:

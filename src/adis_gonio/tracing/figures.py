@@ -135,10 +135,10 @@ def _delta_k(result: TraceResult, fit: Refit) -> Value:
     """ΔK with the covariance of the refit, at the level of noise that the trace worked with."""
     _, kx, ky, _ = fit.state.base
     slope = np.array([1 / ky, -kx / ky**2])
-    u = float(np.sqrt(slope @ fit.covariance[1:3, 1:3] @ slope))
+    u = np.sqrt(slope @ fit.covariance[1:3, 1:3] @ slope)
     stated, own = result.base["scale_x"].u, float(np.sqrt(fit.covariance[1, 1]))
     level = stated / own if stated is not None and own > 0 else 1.0
-    return Value(float(kx / ky - 1), u * level, "1")
+    return Value(float(kx / ky - 1), float(u * level), "1")
 
 
 def _chain(data: Observations, result: TraceResult) -> list[_Fitted]:
