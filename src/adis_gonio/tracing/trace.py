@@ -33,8 +33,8 @@ BASE_SPACE = (
     ("scale_z", "1"),
 )
 SURVIVES = {"whole dwells": 0.0, "blocks of time": -4.0}
-"""Least held-out gain in χ² of an effect under each design: dwells left out one by one have to gain; a
-block of time asks for extrapolation, so that only a loss counts against it."""
+"""Least held-out gain in χ² of a name under each design: dwells left out one by one have to gain; a block
+of time asks for extrapolation, so that only a loss counts against it."""
 
 
 def trace(session: Session, max_effects: int = 6) -> TraceResult:
@@ -144,9 +144,10 @@ def _surviving(
         without = _losses(data, selection, tuple(k for k in chosen if k not in members))
         for design, loss in without.items():
             gain = (loss - whole[design]) / selection.inflation
-            least = SURVIVES[design]
+            unnamed = any(isinstance(problem.terms[k], NamelessTerm) for k in members)
+            least = 0.0 if unnamed else SURVIVES[design]
             if design == "blocks of time":
-                if any(isinstance(problem.terms[k], NamelessTerm) for k in members):
+                if unnamed:
                     continue  # no formula to carry on with outside what was seen
                 if any(SLOW.intersection(problem.terms[k].covariates) for k in members):
                     # What moves in time is extrapolated here: it may lose what it gained, not more.
