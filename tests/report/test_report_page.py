@@ -80,8 +80,8 @@ def outline(page):
 
 @pytest.fixture(scope="module")
 def curved():
-    session = planar(k2_x=3.0)
-    result = trace(session)
+    session = planar(k2_x=3.0, seed=2)
+    result = trace(session, max_effects=2)
     return session, result, views(session, result)
 
 
@@ -187,10 +187,24 @@ def test_sections_of_others_stand_before_the_data():
 
 def test_words_say_what_was_found_and_how_sure(curved):
     _, result, _ = curved
-    assert headline(result).startswith(
-        "Two effects bring the residual down to the measured noise: bias (x, y)"
-    )
+    assert headline(result).startswith("Two effects bring the residual down to the measured noise: ")
+    assert "bias (x, y)" in headline(result)
+    assert "quadratic (x)" in headline(result)
     assert how_sure(result.found[0]).startswith("as good as certain")
+
+
+def test_a_step_that_is_not_called_found_is_said_to_be_uncertain(curved):
+    _, result, _ = curved
+    less = replace(result, found=tuple(f for f in result.found if f.effect == "bias"))
+    assert headline(less).endswith(
+        "bias (x, y) brings it down together with quadratic, which is not certain."
+    )
+
+
+def test_an_inadequate_model_is_never_said_to_reach_the_noise(curved):
+    said = headline(replace(curved[1], adequate=False))
+    assert "down to the measured noise" not in said
+    assert "stays larger than the noise" in said
 
 
 def test_a_weak_test_is_not_called_certain(curved):

@@ -148,7 +148,8 @@ def _errors(screen: Console, result: TraceResult) -> None:
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
     table.add_column(f"   {head[0]}")
     for name in head[1:]:
-        table.add_column(name.replace("error of the angle", "angle").replace(" / ", "\n"), justify="right")
+        short = name.replace("error of the angle", "angle")
+        table.add_column(short if name.endswith("dof") else short.replace(" / ", "\n"), justify="right")
     for k, (name, *cells) in enumerate(rows):
         last = 0 < k == len(rows) - 1
         table.add_row(_plain(f"   {name}"), *cells, style="bold" if last else None)

@@ -107,6 +107,12 @@ def how_sure(finding: Finding) -> str:
     return f"{word}: probability {percent(finding.probability)}, {p_text(finding.p_value)}"
 
 
+def uncertain_steps(result: TraceResult) -> list[str]:
+    """Effects of the final model that are not called found."""
+    found = {finding.effect for finding in result.found}
+    return list(dict.fromkeys(step.effect for step in result.steps if step.effect not in found))
+
+
 def ordered(result: TraceResult) -> list[Finding]:
     """Findings in the order in which they came in."""
     order = [step.effect for step in result.steps]
@@ -124,11 +130,17 @@ def headline(result: TraceResult) -> str:
         end = "" if result.adequate else " Not all of the residual is explained."
         return f"{begin} residual follows {listed(list(rest.covariates))} in a way that has no name.{end}"
     if result.adequate and tested:
-        if not names:
+        if not names and not result.steps:
             return (
                 "The base model explains this session: what is left is the noise that was measured within "
                 "the dwells. Nothing had to be added."
             )
+        unsure = uncertain_steps(result)
+        if unsure:
+            beside = f"{listed(names)} brings" if len(names) == 1 else f"{listed(names)} bring"
+            beside = f"{beside} it down together with" if names else "What brings it down is"
+            end = "which is not certain" if len(unsure) == 1 else "which are not certain"
+            return f"The residual is the measured noise: {beside} {listed(unsure)}, {end}."
         count = _COUNTS[len(names)] if len(names) < len(_COUNTS) else str(len(names))
         word = "effect brings" if len(names) == 1 else "effects bring"
         return f"{count} {word} the residual down to the measured noise: {listed(names)}."
