@@ -18,7 +18,7 @@ _SURE = (
     (0.999, 1e-3, "as good as certain"),
     (0.98, 1e-2, "very likely"),
     (0.9, 5e-2, "likely"),
-    (0.0, 1.0, "open"),
+    (0.0, 1.0, "the best of several explanations"),
 )
 """Least probability and largest p-value of each word."""
 
