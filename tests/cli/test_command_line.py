@@ -385,6 +385,15 @@ def test_nothing_is_overwritten(capsys, recorded, tmp_path):
     assert out.read_text() == "precious"
 
 
+def test_a_complete_session_is_resumed_by_showing_its_result(capsys, recorded):
+    before = recorded.read_bytes()
+    assert main(["calibrate", SIM, "--resume", "-o", str(recorded)]) == 0
+    captured = capsys.readouterr()
+    assert "nothing is left" in captured.err
+    assert "delta_phi" in captured.out
+    assert recorded.read_bytes() == before
+
+
 def test_a_file_that_cannot_hold_a_session_names_the_method_that_is_missing(capsys, tmp_path):
     path = tmp_path / "two.csv"
     path.write_text(csv_of(GOOD[:100]))

@@ -233,6 +233,15 @@ def test_free_attitudes_on_four_positions_cannot_see_all():
     assert any("cannot be seen" in w for w in result.warnings)
 
 
+def test_a_direction_beyond_linearity_counts_as_undetermined_although_not_singular():
+    rng = np.random.default_rng(11)
+    arc = np.linspace(0, 12, 15)
+    result = fit(planar(arc, sigma=math.inf, u=1.0, noise=rng.normal(0, 1.0, (15, 2))))
+    assert {"bias_x", "bias_y"} <= set(result.undetermined)
+    wide = fit(planar(np.linspace(0, 300, 15), sigma=math.inf, u=1.0, noise=rng.normal(0, 1.0, (15, 2))))
+    assert "bias_x" in wide
+
+
 def test_counts_need_no_scale_for_mismatch_and_misalignment():
     session = planar(NINE, bias=(0, 0), sigma=0.05)
     counts = tuple(
@@ -435,6 +444,8 @@ def test_what_a_method_needs_is_said_in_one_line(method, angles, words):
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
     assert caught.value.exit_code == 1
+    with pytest.raises(FitError, match=r"^there\.csv: "):
+        fit(planar(tuple(angles), source="there.csv"), method)
 
 
 def test_an_unknown_method_is_wrong_usage():

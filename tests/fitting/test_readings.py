@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.errors import DataError
+from adis_gonio.fitting import fit
 from adis_gonio.fitting.readings import reduce_session
 from adis_gonio.fitting.spectrum import noise_of_means
 from adis_gonio.model.records import Dwell, Session
@@ -223,3 +224,16 @@ class TestDeadData:
                 rows = np.stack([filtered(rng, 700, 6)[0] for _ in range(2)], axis=1)
                 dwells.append(dwell(np.round((rows + np.array([900, 50 * k])) / LSB), k))
             reduce_session(session(*dwells, accel_unit="lsb", sensor="adis16354"))
+
+
+def test_few_degrees_of_freedom_enlarge_the_interval_to_its_coverage():
+    rng = np.random.default_rng(10)
+    covered = []
+    for _ in range(400):
+        rows = [rng.normal(level, 1.0, (2, 2)) for level in ((940, 342), (342, -940))]
+        dwells = [dwell(r, k, angle_deg=90.0 * k) for k, r in enumerate(rows)]
+        delta_k = fit(session(*dwells, fixture_sigma_deg=0.0), "two-position")["delta_k"]
+        covered.append(abs(delta_k.value) < 1.96 * delta_k.u)
+    # Two degrees of freedom an axis: without Student's factor 86 % would be covered. That factor is for
+    # one axis, so that where both take part it errs on the safe side.
+    assert np.mean(covered) > 0.93

@@ -294,3 +294,8 @@ def test_a_continuous_file_without_rest_says_so(tmp_path):
     rng = np.random.default_rng(3)
     lines = [f"{k / 100},{x:.3f},{y:.3f}" for k, (x, y) in enumerate(rng.normal(0, 1, (50, 2)))]
     assert "no dwell found" in refused(write(tmp_path, "# accel_unit: mg", "time_s,ax,ay", *lines))
+
+
+def test_a_continuous_file_that_never_changes_is_named(tmp_path):
+    lines = [f"{k / 100},3,4" for k in range(500)]
+    assert "stuck data" in refused(write(tmp_path, "# accel_unit: mg", "time_s,ax,ay", *lines))

@@ -250,6 +250,36 @@ def test_a_read_only_file_is_read_and_not_resumed(plain_user_folder):
             Archive.open_existing(path).begin_run(0.0, 0.0)
 
 
+@pytest.mark.parametrize("table", ["meta", "records", "attempts", "moves"])
+def test_a_row_that_damage_hides_is_missed(tmp_path, table):
+    path = tmp_path / "a.session"
+    with begun(path) as archive:
+        for place in range(4):
+            archive.add_record("skipped", place, 0.0)
+            archive.add_attempt(attempt(place, moves=[Move(1.0, 2.0, 1)]))
+    connection = sqlite3.connect(path)
+    (page_bytes,) = connection.execute("PRAGMA page_size").fetchone()
+    sql = "SELECT rootpage FROM sqlite_master WHERE name = ?"
+    (page,) = connection.execute(sql, (table,)).fetchone()
+    connection.close()
+    content = bytearray(path.read_bytes())
+    start = (page - 1) * page_bytes
+    assert content[start] == 0x0D  # a leaf of a table
+    content[start + 4] -= 1  # one cell fewer, and the file is a valid one else
+    path.write_bytes(content)
+    with pytest.raises(DataError, match="is damaged"):
+        read_session(path)
+
+
+@pytest.mark.parametrize("kept", [5000, 20_000, 40_000])
+def test_of_a_truncated_file_the_message_says_how_much_is_missing(tmp_path, kept):
+    path = session_file(tmp_path / "a.session")
+    size = path.stat().st_size
+    path.write_bytes(path.read_bytes()[:kept])
+    with pytest.raises(DataError, match=f"is truncated, {kept} of {size} bytes"):
+        read_session(path)
+
+
 @pytest.mark.parametrize("kept", [8, 60, 1000, 4096, 5000, 20_000])
 def test_a_truncated_file_is_one_line_and_left_as_it_is(tmp_path, kept):
     path = session_file(tmp_path / "a.session")

@@ -70,9 +70,13 @@ def command(*, url: str, output: Path, resume: bool, as_json: bool, **options: A
         raise SessionError(f"{output}: exists already; --resume goes on with it, or choose another name")
     if resume and not output.exists():
         raise SessionError(f"{output}: no such session to resume")
-    with open_sensor(url, variant=options["variant"], check=not options["no_check"]) as sensor:
-        runner = _runner(sensor, output, resume=resume, **options)
-        complete = Bench(runner, auto=options["auto"]).run()
+    if resume and _nothing_left(output):
+        click.echo(f"{output}: complete, nothing is left to do", err=True)
+        complete = True
+    else:
+        with open_sensor(url, variant=options["variant"], check=not options["no_check"]) as sensor:
+            runner = _runner(sensor, output, resume=resume, **options)
+            complete = Bench(runner, auto=options["auto"]).run()
     session = load_session(output)
     truth = session.facts.get("truth")
     from adis_gonio.fitting import applicable_methods, fit
@@ -86,6 +90,15 @@ def command(*, url: str, output: Path, resume: bool, as_json: bool, **options: A
         print_results([fit(session, method=name).as_dict() for name in applicable_methods(session)], truth)
         click.echo(f"session: {output}")
     return 0 if complete else 1
+
+
+def _nothing_left(path: Path) -> bool:
+    """True where all positions are done and the plan has no longer form to offer."""
+    from adis_gonio.session.archive import ArchiveView
+    from adis_gonio.session.plans import extension
+
+    with ArchiveView(path) as view:
+        return not view.pending() and extension(view.plan(), len(view.dwells())) is None
 
 
 def _runner(

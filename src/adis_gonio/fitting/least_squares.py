@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -23,6 +23,8 @@ LIMIT = 0.1
 """Largest standard uncertainty, in natural units (1 rad, a gain of 1, 1 g), of a direction that counts as
 determined. At 0.1 terms of second order are a tenth of the first: beyond it neither the value nor a
 linearised uncertainty means anything, and physically a bias of 100 mg or a gain off by 10 % is no news."""
+
+_PRIOR = 0.5
 
 _PARTICIPATES = 1e-4
 """Least squared share of a parameter in the undetermined space for it to be counted as affected."""
@@ -179,12 +181,38 @@ def determine(
     while True:
         mask = free.copy()
         mask[held] = False
-        solution = solve(problem, start, mask)
+        try:
+            solution = solve(problem, start, mask)
+        except FitError:
+            # A valley without a bottom: with a wide prior it has one, and its floor shows what is lost.
+            solution = solve(_WithPrior(problem, start), start, mask)
+            solution = replace(solution, fisher=problem.evaluate(solution.beta).fisher)
+            if not _null_space(solution.fisher, mask).shape[1]:
+                raise
         null = _null_space(solution.fisher, mask)
         share = (null**2).sum(axis=1)
         if not null.shape[1] or not groups:
             return Determination(solution, tuple(held), null)
         held += [k for k in groups.pop(0) if mask[k] and share[k] > _PARTICIPATES]
+
+
+class _WithPrior:
+    """A problem with a prior of `_PRIOR` natural units about its start on every parameter."""
+
+    def __init__(self, problem: Problem, start: Floats) -> None:
+        self._problem = problem
+        self._start = start
+        self.names = problem.names
+
+    def evaluate(self, beta: Floats) -> Reduced:
+        """χ² and its derivatives with the prior added."""
+        bare = self._problem.evaluate(beta)
+        away = (beta - self._start) / _PRIOR**2
+        return Reduced(
+            bare.cost + float(away @ (beta - self._start)),
+            bare.gradient - away,
+            bare.fisher + np.eye(len(beta)) / _PRIOR**2,
+        )
 
 
 def _null_space(fisher: Floats, free: NDArray[np.bool_]) -> Floats:

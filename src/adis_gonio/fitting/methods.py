@@ -44,7 +44,13 @@ def fit(session: Session, method: str | None = None) -> FitResult:
     """
     if method is not None and method not in METHODS:
         raise UsageError(f"no method is called '{method}'; known: {', '.join(METHODS)}")
-    result = fit_readings(reduce_session(session), method)
+    readings = reduce_session(session)
+    try:
+        result = fit_readings(readings, method)
+    except FitError as error:
+        if not session.source:
+            raise
+        raise type(error)(f"{session.source}: {error}") from error
     return replace(result, warnings=(*session.notes, *result.warnings))
 
 

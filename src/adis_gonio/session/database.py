@@ -219,6 +219,22 @@ def damaged(path: Path, what: str) -> DataError:
     return DataError(f"{path}: is damaged ({what}); restore it from a copy (it was left as it is)")
 
 
+def _truncated(path: Path) -> DataError | None:
+    """Error of a file that is shorter than its own header says; None where it is not."""
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            head = file.read(32)
+    except OSError:
+        return None
+    page_bytes = int.from_bytes(head[16:18], "big")
+    whole = int.from_bytes(head[28:32], "big") * (65536 if page_bytes == 1 else page_bytes)
+    if len(head) == 32 and size >= whole:
+        return None
+    of = f", {size} of {whole} bytes" if len(head) == 32 else ""
+    return DataError(f"{path}: is truncated{of}; restore it from a copy (it was left as it is)")
+
+
 def _one_line(text: str) -> str:
     """SQLite quotes SQL and what it finds in pages: one printable line of it is enough."""
     words = " ".join(text.split())
@@ -232,7 +248,7 @@ def _explain(path: Path, error: sqlite3.Error) -> DataError | SessionError:
     if name.startswith("SQLITE_NOTADB"):
         return DataError(f"{path}: is no session file")
     if name.startswith("SQLITE_CORRUPT") or text.startswith(("no such table", "no such column")):
-        return damaged(path, text)
+        return _truncated(path) or damaged(path, text)
     if name.startswith("SQLITE_FULL"):
         return SessionError(
             f"{path}: the disk is full; make room and resume, all completed dwells are kept"
@@ -271,8 +287,9 @@ def _check_file(path: Path) -> None:
         raise SessionError(f"{path}: cannot be read: {error.strerror}") from None
     if head and head != _MAGIC[: len(head)]:
         raise DataError(f"{path}: is no session file")
-    if head and len(head) < len(_MAGIC):
-        raise DataError(f"{path}: is truncated; restore it from a copy (it was left as it is)")
+    truncated = _truncated(path) if head and len(head) < len(_MAGIC) else None
+    if truncated is not None:
+        raise truncated
 
 
 def _check_content(path: Path, connection: sqlite3.Connection) -> None:
@@ -288,14 +305,6 @@ def _check_content(path: Path, connection: sqlite3.Connection) -> None:
     if version > SCHEMA_VERSION:
         raise DataError(
             f"{path}: has schema {version}, this program reads up to {SCHEMA_VERSION}; update adis-gonio"
-        )
-    (pages,) = connection.execute("PRAGMA page_count").fetchone()
-    (page_bytes,) = connection.execute("PRAGMA page_size").fetchone()
-    size = path.stat().st_size
-    if size < pages * page_bytes:
-        raise DataError(
-            f"{path}: is truncated, {size} of {pages * page_bytes} bytes;"
-            " restore it from a copy (it was left as it is)"
         )
     # A damaged tree could hide rows without any error, hence the walk through all pages.
     (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()

@@ -84,7 +84,10 @@ def read_samples_csv(path: str | Path) -> Session:
         numbers, slices = _dwells_by_position(table)
         notes: tuple[str, ...] = ()
     else:
-        slices, found = segment_with_notes(time, accel, gyro)
+        try:
+            slices, found = segment_with_notes(time, accel, gyro)
+        except DataError as error:
+            raise DataError(f"{path.name}: {error}") from error
         numbers, notes = list(range(len(slices))), tuple(found)
         if not slices:
             raise DataError(
