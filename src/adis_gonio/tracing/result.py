@@ -6,6 +6,9 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
+from adis_gonio.tracing.state import State
+from adis_gonio.tracing.terms import Term
+
 
 @dataclass(frozen=True)
 class Value:
@@ -198,6 +201,12 @@ class TraceResult:
     notes : tuple of str
     within : tuple of str
         What the samples inside the dwells show.
+    heldout_design : str
+        How dwells were left out.
+    model : tuple of Term
+        Terms of the final model; no part of the JSON, nor of a comparison.
+    state : State or None
+        State of the final refit, `state.values[k]` belonging to `model[k]`; as `model`.
     """
 
     adequate: bool
@@ -215,6 +224,8 @@ class TraceResult:
     notes: tuple[str, ...] = ()
     within: tuple[str, ...] = ()
     heldout_design: str = ""
+    model: tuple[Term, ...] = field(default=(), repr=False, compare=False)
+    state: State | None = field(default=None, repr=False, compare=False)
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `trace`."""

@@ -113,6 +113,8 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
         reasons={**names.open, **dropped},
         notes=_notes(data, selection),
         heldout_design=design,
+        model=selection.model,
+        state=selection.fit.state,
     )
 
 
