@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.state import Refit, State, angles, predict, refit, settle
@@ -19,6 +20,8 @@ from adis_gonio.tracing.terms import Term
 
 FOLDS = 5
 BLOCKS = 4
+REACH = 0.5
+"""Share of the range of what a term added, by which it may go beyond on other dwells."""
 SHORT = 16
 """Up to so many dwells each is left out alone: a fifth less of them would be another session."""
 
@@ -42,8 +45,72 @@ class Left:
     whitened2: Floats
 
 
+@dataclass(frozen=True)
+class _Bounded(Term):
+    """A fitted term that adds to other dwells little more than what it added to those that it was fitted on.
+
+    Attributes
+    ----------
+    term : Term
+    low, high : (axes,) or () float
+        Bounds of what it adds, in mg or rad.
+    """
+
+    term: Term
+    low: Floats
+    high: Floats
+
+    @property
+    def name(self) -> str | None:
+        """As the term."""
+        return self.term.name
+
+    @property
+    def enters_angle(self) -> bool:
+        """As the term."""
+        return self.term.enters_angle
+
+    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """As the term."""
+        return self.term.columns(ideal_mg, conditions)
+
+    def start(self, amplitudes: Floats) -> Floats:
+        """As the term."""
+        return self.term.start(amplitudes)
+
+    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """What the term adds, within the bounds."""
+        bounded: Floats = np.clip(self.term.added(values, ideal_mg, conditions), self.low, self.high)
+        return bounded
+
+    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """As the term."""
+        return self.term.derivative(values, ideal_mg, conditions)
+
+    def bounds(self) -> Floats:
+        """As the term."""
+        return self.term.bounds()
+
+
+def bounded(data: Observations, model: Sequence[Term], fitted: Refit) -> tuple[Term, ...]:
+    """Terms for dwells that took no part: what each adds is bounded by what it added to those of the fit.
+
+    The range of the fit is extended by `REACH` of itself at either end: a line reaches over the block of
+    time that was left out, while a polynomial of high degree, or two terms that only together are
+    determined, cannot explode. A term of a dwell that was left out adds nothing.
+    """
+    terms = []
+    for term, values in zip(model, fitted.state.values, strict=True):
+        ideal = data.mean_mg if term.enters_angle else fitted.prediction.ideal_mg
+        added = term.added(values, ideal, data.conditions)
+        low, high = added.min(axis=0), added.max(axis=0)
+        more = REACH * (high - low)
+        terms.append(_Bounded(term.label, term.covariates, term.cost, term, low - more, high + more))
+    return tuple(terms)
+
+
 def leave(data: Observations, model: Sequence[Term], fitted: State) -> Left:
-    """Residuals of a fitted model on other dwells."""
+    """Residuals of a fitted model on other dwells; see `bounded` for its terms."""
     n = len(data)
     start = State(
         fitted.base,
@@ -115,7 +182,7 @@ def cross_validate(
         whitened = np.full(len(data), np.nan)
         for mask in masks:
             model, fitted = fit(data.rows(~mask))
-            left = leave(data.rows(mask), model, fitted.state)
+            left = leave(data.rows(mask), bounded(data.rows(~mask), model, fitted), fitted.state)
             residual[mask], whitened[mask] = left.residual_mg, left.whitened2
             if left.angle_rad is not None:
                 turned[mask] = left.angle_rad
@@ -142,4 +209,4 @@ def goniometer_error(data: Observations, model: Sequence[Term], fitted: Refit) -
     return left.angle_rad
 
 
-__all__ = ["Left", "angles", "cross_validate", "folds", "goniometer_error", "leave", "refitted", "rms"]
+__all__ = ["Left", "angles", "bounded", "cross_validate", "folds", "goniometer_error", "leave", "refitted", "rms"]

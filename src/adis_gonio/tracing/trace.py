@@ -12,14 +12,15 @@ from adis_gonio.model.records import Floats, Session
 from adis_gonio.tracing.advice import advise
 from adis_gonio.tracing.detect import detectable
 from adis_gonio.tracing.grammar import nameless_terms
-from adis_gonio.tracing.heldout import cross_validate, folds, leave, rms
+from adis_gonio.tracing.gates import held_out_gains
+from adis_gonio.tracing.heldout import bounded, cross_validate, folds, leave, rms
 from adis_gonio.tracing.named import named_terms
-from adis_gonio.tracing.naming import SLOW, Names, describe, judge
+from adis_gonio.tracing.naming import Names, describe, judge
 from adis_gonio.tracing.observations import Observations, observe
 from adis_gonio.tracing.openings import undecided
 from adis_gonio.tracing.remainder import dependence
 from adis_gonio.tracing.result import ErrorFigures, Finding, Rival, Step, TraceResult, Unnamed, Value
-from adis_gonio.tracing.selection import Selection, fit_model, select
+from adis_gonio.tracing.selection import ADEQUATE, Selection, adequacy, fit_model, select
 from adis_gonio.tracing.state import Refit, State, begin, refit
 from adis_gonio.tracing.terms import NamedTerm, NamelessTerm, Term
 
@@ -32,9 +33,10 @@ BASE_SPACE = (
     ("skew_yz", "1"),
     ("scale_z", "1"),
 )
-SURVIVES = {"whole dwells": 0.0, "blocks of time": -4.0}
-"""Least held-out gain in χ² of a name under each design: dwells left out one by one have to gain; a block
-of time asks for extrapolation, so that only a loss counts against it."""
+WORSE = 1.05
+"""Largest held-out error of the final model in units of the base model's."""
+LEAST_DWELLS = 5
+"""Least dwells of which any are left out."""
 
 
 def trace(session: Session, max_effects: int = 6) -> TraceResult:
@@ -80,6 +82,15 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
 
     nested = _in_order(training, selection)
     figures, design = _figures(training, checking, selection, nested, terms, max_effects)
+    count, names, cut = _never_worse(
+        training, selection, names, nested, _guarding(training, checking, selection, nested, figures)
+    )
+    if cut:
+        # Longer models have their figures already; those of the shorter one hold for it as they are.
+        kept = [k for k in selection.verdict.best if selection.problem.terms[k] in nested[count]]
+        selection = _with_model(training, selection, kept)
+        nested, figures = nested[: count + 1], figures[: count + 1]
+        dropped = {**dropped, **cut}
     unnamed = _unnamed(training, selection)
     found = tuple(_finding(selection, name) for name in names.stand)
     seen = detectable(selection.found, selection.verdict.best, missing)
@@ -131,66 +142,74 @@ def _enough(data: Observations) -> None:
 def _surviving(
     data: Observations, selection: Selection, names: Names
 ) -> tuple[Selection, Names, dict[str, str]]:
-    """Take back names without a held-out gain; the model is refitted without them."""
-    problem = selection.problem
-    chosen = selection.verdict.best
+    """Take away effects that held-out dwells contradict, the worst first, each judged beside the others."""
     reasons: dict[str, str] = {}
-    if not chosen:
+    if len(data) < LEAST_DWELLS:
         return selection, names, reasons
-    whole = _losses(data, selection, chosen)
-    keep = list(chosen)
-    for name in dict.fromkeys(describe(problem.terms[k]) for k in chosen):
-        members = [k for k in chosen if describe(problem.terms[k]) == name]
-        if any("(dwell=" in problem.terms[k].label for k in members):
-            continue  # a single dwell cannot be predicted from the others
-        without = _losses(data, selection, tuple(k for k in chosen if k not in members))
-        for design, loss in without.items():
-            gain = (loss - whole[design]) / selection.inflation
-            unnamed = any(isinstance(problem.terms[k], NamelessTerm) for k in members)
-            least = 0.0 if unnamed else SURVIVES[design]
-            if design == "blocks of time":
-                if unnamed:
-                    continue  # no formula to carry on with outside what was seen
-                if any(SLOW.intersection(problem.terms[k].covariates) for k in members):
-                    # What moves in time is extrapolated here: it may lose what it gained, not more.
-                    least -= _gain(selection, members)[0] / selection.inflation
-            if gain <= least:
-                reasons[name] = f"no held-out gain ({design}: χ² changes by {-gain:+.1f})"
-                keep = [k for k in keep if k not in members]
-                break
-    if not reasons:
-        return selection, names, reasons
-    model = tuple(keep)
+    while selection.model:
+        worst: tuple[float, str, str] | None = None
+        for name in dict.fromkeys(describe(term) for term in selection.model):
+            members = [k for k, term in enumerate(selection.model) if describe(term) == name]
+            gains = held_out_gains(data, selection.model, selection.fit, members, selection.inflation)
+            for design, held_out in gains.items():
+                if held_out.contradicted and (worst is None or held_out.gain < worst[0]):
+                    worst = (held_out.gain, name, design)
+        if worst is None:
+            break
+        gain, name, design = worst
+        reasons[name] = f"contradicted by dwells that took no part ({design}: χ² rises by {-gain:.1f})"
+        kept = [k for k in selection.verdict.best if describe(selection.problem.terms[k]) != name]
+        selection = _with_model(data, selection, kept)
+    return selection, _without(names, reasons), reasons
+
+
+def _with_model(data: Observations, selection: Selection, chosen: Sequence[int]) -> Selection:
+    """The same selection with another model, refitted in full."""
+    problem, model = selection.problem, tuple(chosen)
     fit = fit_model(data, problem, model, selection.base.state)
-    verdict = replace(selection.verdict, best=model)
-    changed = replace(
-        selection, verdict=verdict, model=tuple(problem.terms[k] for k in model), fit=fit, adequate=False
+    adequate = adequacy(fit.chi2, fit.dof, data.noise_dof) >= ADEQUATE if data.known else True
+    return replace(
+        selection,
+        verdict=replace(selection.verdict, best=model),
+        model=tuple(problem.terms[k] for k in model),
+        fit=fit,
+        adequate=adequate,
     )
-    from adis_gonio.tracing.selection import ADEQUATE, adequacy
 
-    changed = replace(
-        changed, adequate=adequacy(fit.chi2, fit.dof, data.noise_dof) >= ADEQUATE if data.known else True
-    )
-    stand = tuple(name for name in names.stand if name not in reasons)
+
+def _without(names: Names, reasons: dict[str, str]) -> Names:
+    """Names less those that were taken away, which stand under `confounded`."""
     more = tuple((name,) for name in reasons if name in names.stand)
-    return changed, Names(stand, names.open, (*names.confounded, *more)), reasons
+    stand = tuple(name for name in names.stand if name not in reasons)
+    return Names(stand, names.open, tuple(dict.fromkeys((*names.confounded, *more))))
 
 
-def _losses(data: Observations, selection: Selection, model: tuple[int, ...]) -> dict[str, float]:
-    """χ² of dwells left out in folds, by design, of one model; `check` dwells take no part."""
-    terms = [selection.problem.terms[k] for k in model]
-    start = _state_of(selection, model)
-    kept = _keeping(terms, start)
-    return {
-        name: float(left.whitened2.sum()) for name, left in cross_validate(data, folds(data), kept).items()
-    }
+def _never_worse(
+    data: Observations,
+    selection: Selection,
+    names: Names,
+    nested: list[tuple[Term, ...]],
+    errors: Sequence[float | None],
+) -> tuple[int, Names, dict[str, str]]:
+    """Longest nested model whose held-out error is at most `WORSE` that of the base model.
 
-
-def _state_of(selection: Selection, model: Sequence[int]) -> State:
-    """State of a part of the chosen model, its values from the fit."""
-    values = dict(zip((t.label for t in selection.model), selection.fit.state.values, strict=True))
-    state = selection.fit.state
-    return replace(state, values=tuple(values[selection.problem.terms[k].label] for k in model))
+    Returns its number, the names that are left, and the reasons of the others.
+    """
+    last = len(nested) - 1
+    base = errors[0]
+    if base is None:
+        return last, names, {}
+    for count in range(last, -1, -1):
+        error = errors[count]
+        if error is not None and error <= WORSE * base:
+            break
+    cut = {describe(term) for term in selection.model} - {describe(term) for term in nested[count]}
+    after = errors[last]
+    assert after is not None
+    reasons = dict.fromkeys(
+        sorted(cut), f"the held-out error would go from {base:.3g} to {after:.3g} mg with it"
+    )
+    return count, _without(names, reasons), reasons
 
 
 def _keeping(terms: Sequence[Term], start: State):  # type: ignore[no-untyped-def]
@@ -233,9 +252,9 @@ def _figures(
         state = replace(begun, values=tuple(values[t.label] for t in model))
         fits.append(refit(data, model, state))
     if checking is not None:
-        lefts = [[leave(checking, m, f.state)] for m, f in zip(nested, fits, strict=True)]
+        lefts = [[leave(checking, bounded(data, m, f), f.state)] for m, f in zip(nested, fits, strict=True)]
         design = f"{len(checking)} check dwells"
-    elif len(data) < 5 or data.zero_unknown is None:
+    elif len(data) < LEAST_DWELLS:
         lefts, design = [[] for _ in nested], "too few dwells to leave any out"
     else:
         designs = folds(data)
@@ -261,6 +280,30 @@ def _figures(
             )
         )
     return figures, design
+
+
+def _guarding(
+    data: Observations,
+    checking: Observations | None,
+    selection: Selection,
+    nested: list[tuple[Term, ...]],
+    figures: Sequence[ErrorFigures],
+) -> list[float | None]:
+    """Held-out errors of the nested models by which the final one is chosen.
+
+    Where there are `check` dwells these must not choose, so that folds of the others do.
+    """
+    if checking is None:
+        return [figure.heldout_rms_mg for figure in figures]
+    if len(data) < LEAST_DWELLS or len(nested) == 1:
+        return [None for _ in nested]
+    values = dict(zip((t.label for t in selection.model), selection.fit.state.values, strict=True))
+    out: list[float | None] = []
+    for model in nested:
+        state = replace(selection.base.state, values=tuple(values[t.label] for t in model))
+        left = cross_validate(data, folds(data), _keeping(model, state)).values()
+        out.append(rms(np.concatenate([part.residual_mg for part in left]), data.planar))
+    return out
 
 
 def _rms_deg(turned: list[Floats]) -> float | None:
