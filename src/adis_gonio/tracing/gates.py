@@ -1,10 +1,11 @@
 """Held-out evidence against single effects of a chosen model.
 
-About the fitted state the model is linear, so that a fold is left out by linear algebra: with X the whitened
-columns, the held-out rows have error e = y_b − X_b β₋b with covariance V = 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ (Cook
-and Weisberg, Residuals and Influence in Regression, 1982). Directions in which V says that the larger model
-cannot predict the fold (a parameter that only these rows determine) are no evidence and are left out for both
-models; the rest is compared under a loss that grows slowly, so that no single row decides.
+About the fitted state the model is linear, so that a fold is left out by linear algebra: with X the
+whitened columns, the held-out rows have error e = y_b − X_b β₋b with covariance
+V = 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ (Cook and Weisberg, Residuals and Influence in Regression, 1982). Directions
+in which V says that the larger model cannot predict the fold (a parameter that only these rows determine)
+are no evidence and are left out for both models; the rest is compared under a loss that grows slowly, so
+that no single row decides.
 """
 
 from __future__ import annotations
@@ -25,8 +26,11 @@ PREDICTED = 4.0
 """Largest variance of a held-out direction, in units of its noise, that still counts as a prediction."""
 ROBUST = 3.0
 """Standard uncertainties from which the loss c² ln(1 + z²/c²) leaves the square."""
-CONTRADICTED = 2.0
-"""Standard deviations of the folds' gains by which a loss has to be below zero."""
+CONTRADICTED = 1.0
+"""Spreads by which the gain has to be below zero. A gain is at most √folds spreads from zero, since the
+spread is taken about zero: 2 where there are four blocks."""
+CONFIRMED = 1.5
+"""Spreads above zero from which the folds confirm an effect."""
 LEAST_LOSS = 4.0
 """Least pooled loss that counts against an effect."""
 
@@ -40,7 +44,7 @@ class HeldOutGain:
     gain : float
         Pooled fall of the robust loss in units of χ²; negative for a loss.
     spread : float
-        Standard deviation of `gain` over the folds.
+        Root of the sum of squares of the folds' gains: the standard deviation of `gain` if it is zero.
     """
 
     gain: float
@@ -50,6 +54,11 @@ class HeldOutGain:
     def contradicted(self) -> bool:
         """True where the folds speak against the effect, not merely fail to confirm it."""
         return self.gain < -max(LEAST_LOSS, CONTRADICTED * self.spread)
+
+    @property
+    def confirmed(self) -> bool:
+        """True where the folds together speak for the effect."""
+        return self.gain > CONFIRMED * self.spread
 
 
 def held_out_gains(

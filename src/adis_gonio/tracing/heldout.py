@@ -47,7 +47,7 @@ class Left:
 
 @dataclass(frozen=True)
 class _Bounded(Term):
-    """A fitted term that adds to other dwells little more than what it added to those that it was fitted on.
+    """A fitted term that adds to other dwells little more than to those that it was fitted on.
 
     Attributes
     ----------
@@ -209,4 +209,14 @@ def goniometer_error(data: Observations, model: Sequence[Term], fitted: Refit) -
     return left.angle_rad
 
 
-__all__ = ["Left", "angles", "bounded", "cross_validate", "folds", "goniometer_error", "leave", "refitted", "rms"]
+__all__ = [
+    "Left",
+    "angles",
+    "bounded",
+    "cross_validate",
+    "folds",
+    "goniometer_error",
+    "leave",
+    "refitted",
+    "rms",
+]

@@ -11,8 +11,8 @@ from adis_gonio.errors import FitError
 from adis_gonio.model.records import Floats, Session
 from adis_gonio.tracing.advice import advise
 from adis_gonio.tracing.detect import detectable
-from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.gates import held_out_gains
+from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.heldout import bounded, cross_validate, folds, leave, rms
 from adis_gonio.tracing.named import named_terms
 from adis_gonio.tracing.naming import Names, describe, judge
@@ -23,6 +23,7 @@ from adis_gonio.tracing.result import ErrorFigures, Finding, Rival, Step, TraceR
 from adis_gonio.tracing.selection import ADEQUATE, Selection, adequacy, fit_model, select
 from adis_gonio.tracing.state import Refit, State, begin, refit
 from adis_gonio.tracing.terms import NamedTerm, NamelessTerm, Term
+from adis_gonio.tracing.verdict import CERTAIN
 
 BASE_PLANAR = (("alpha", "degree"), ("scale_x", "1"), ("scale_y", "1"), ("delta_phi", "degree"))
 BASE_SPACE = (
@@ -142,7 +143,10 @@ def _enough(data: Observations) -> None:
 def _surviving(
     data: Observations, selection: Selection, names: Names
 ) -> tuple[Selection, Names, dict[str, str]]:
-    """Take away effects that held-out dwells contradict, the worst first, each judged beside the others."""
+    """Take away effects that held-out dwells contradict, the worst first, each judged beside the others.
+
+    Uncertain names go as well where dwells do not confirm them.
+    """
     reasons: dict[str, str] = {}
     if len(data) < LEAST_DWELLS:
         return selection, names, reasons
@@ -160,7 +164,27 @@ def _surviving(
         reasons[name] = f"contradicted by dwells that took no part ({design}: χ² rises by {-gain:.1f})"
         kept = [k for k in selection.verdict.best if describe(selection.problem.terms[k]) != name]
         selection = _with_model(data, selection, kept)
-    return selection, _without(names, reasons), reasons
+    selection, unconfirmed = _confirmed(data, selection, names)
+    return selection, _without(names, reasons), {**reasons, **unconfirmed}
+
+
+def _confirmed(data: Observations, selection: Selection, names: Names) -> tuple[Selection, dict[str, str]]:
+    """Take uncertain effects out of the model where neither the folds nor adequacy ask for them."""
+    reasons: dict[str, str] = {}
+    for name in names.open:
+        if selection.verdict.names.get(name, 0.0) >= CERTAIN or not selection.adequate:
+            continue
+        members = [k for k, term in enumerate(selection.model) if term.name == name]
+        if not members:
+            continue
+        gains = held_out_gains(data, selection.model, selection.fit, members, selection.inflation)
+        weak = [design for design, held_out in gains.items() if not held_out.confirmed]
+        kept = [k for k in selection.verdict.best if selection.problem.terms[k].name != name]
+        trial = _with_model(data, selection, kept) if weak else selection
+        if weak and trial.adequate:
+            selection = trial
+            reasons[name] = f"{names.open[name]}, and dwells that took no part do not confirm it"
+    return selection, reasons
 
 
 def _with_model(data: Observations, selection: Selection, chosen: Sequence[int]) -> Selection:
