@@ -53,3 +53,15 @@ def test_trace_names_what_is_there_and_nothing_else(kind: str) -> None:
     # scripts/trace_statistics.py holds this kind to 1.10 like the others.
     assert np.median(ratios) <= (2.0 if kind == "beyond" else 1.10)
     assert max(v.worse for v in verdicts) <= 1.05
+
+
+@pytest.mark.xfail(
+    strict=False,
+    reason="target of 1.10 not met yet: measured a median ratio of 1.62 over 40 sessions (seed 7), and a "
+    "held-out error more than 5 % worse than before in 3 of them",
+)
+def test_held_out_error_beyond_the_grammar_is_that_of_the_oracle() -> None:
+    with crew(1) as pools:
+        verdicts = rounds("beyond", range(COUNTS["beyond"]), SEED + 1, pools)
+    assert np.median([v.heldout_ratio for v in verdicts if not np.isnan(v.heldout_ratio)]) <= 1.10
+    assert max(v.worse for v in verdicts) <= 1.05

@@ -7,7 +7,8 @@ import pytest
 
 from adis_gonio import trace
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.tracing.gates import HeldOutGain, held_out_gains
+from adis_gonio.tracing.gates import HeldOutGain, _fold, held_out_gains
+from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.heldout import bounded, folds, leave
 from adis_gonio.tracing.named import named_terms
 from adis_gonio.tracing.naming import Names
@@ -45,10 +46,6 @@ def fitted(data: Observations, *labels: str):
     begun = begin(data)
     values = tuple(term.start(np.zeros(len(term.amplitude_index))) for term in model)
     return model, refit(data, model, State(begun.base, begun.delta_rad, begun.unit, values))
-
-
-def a_warm_up(data: Observations) -> str:
-    return next(term.label for term in named_terms(data)[0] if term.label.startswith("warm_up[x]"))
 
 
 @pytest.mark.parametrize("seed", [2, 3, 5])
@@ -129,19 +126,30 @@ def test_no_term_adds_much_more_to_other_dwells_than_to_those_of_its_fit() -> No
     data = observe(forth_and_back())
     late = np.arange(len(data)) >= 27
     rest, out = data.rows(~late), data.rows(late)
-    model, _ = fitted(data, a_warm_up(data))
+    label = "bias[x]~a smooth function of time (degree 8)"
+    term = next(term for term in nameless_terms(data) if term.label == label)
     begun = begin(rest)
-    # An amplitude that the rest does not determine: nearly a constant there.
-    values = model[0].start(np.array([1e6]))
-    values[-1] = 1e9
-    fit = refit(rest, model, State(begun.base, begun.delta_rad, begun.unit, (values,)), free=False)
-    ideal = fit.prediction.ideal_mg
-    inside = model[0].added(values, ideal, rest.conditions)[:, 0]
-    (held,) = bounded(rest, model, fit)
+    # The polynomial that is smallest over the fit is large outside.
+    early = term.columns(rest.mean_mg, rest.conditions)[:, 0]
+    values = np.linalg.eigh(early.T @ early)[1][:, 0]
+    state = State(begun.base, begun.delta_rad, begun.unit, (values,))
+    fit = refit(rest, [term], state, free=False)
+    inside = term.added(values, fit.prediction.ideal_mg, rest.conditions)[:, 0]
+    free = term.added(values, out.mean_mg, out.conditions)[:, 0]
+    (held,) = bounded(rest, [term], fit)
     outside = held.added(values, out.mean_mg, out.conditions)[:, 0]
-    assert np.ptp(inside) > 0
-    assert outside.max() <= inside.max() + 0.5 * np.ptp(inside) + 1e-9
-    assert outside.min() >= inside.min() - 0.5 * np.ptp(inside) - 1e-9
+    low, high = inside.min() - 0.5 * np.ptp(inside), inside.max() + 0.5 * np.ptp(inside)
+    assert np.abs(free).max() > 10 * np.abs(inside).max()
+    assert (outside >= low - 1e-12).all()
+    assert (outside <= high + 1e-12).all()
+
+
+def test_a_direction_that_only_the_left_out_row_determines_is_no_evidence() -> None:
+    without = np.ones((8, 1))
+    whole = np.column_stack([np.ones(8), np.eye(8)[0]])
+    left = np.arange(8) == 0
+    assert _fold(whole, without, 30.0 * np.eye(8)[0], left) == 0.0
+    assert _fold(without, np.zeros((8, 1)), np.full(8, 30.0), left) > 10
 
 
 def test_bounds_do_not_hinder_a_line_over_a_block_that_was_left_out() -> None:
