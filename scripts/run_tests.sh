@@ -1,12 +1,14 @@
 #!/usr/bin/env bash
 # Sets everything up in .venv and runs all checks: lint, format, types, tests on all cores.
 # Arguments go to pytest, such as: scripts/run_tests.sh tests/sim -k stall
+# EXTRAS=dev,rigs adds the firmware's rig; scripts/install_rigs.sh installs what it needs beyond pip.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 [ -x .venv/bin/python ] || python3 -m venv .venv
-.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable ".[${EXTRAS:-dev}]"
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 .venv/bin/mypy
+.venv/bin/python scripts/generate_protocol.py --check
 exec .venv/bin/pytest -n auto "$@"

@@ -74,6 +74,19 @@ def test_the_vectorised_decoder_agrees_with_the_table_row_by_row(words):
     assert decode_numbers(OUTPUTS, array)[0].tolist() == expected
 
 
+@pytest.mark.parametrize(
+    "names", [("XACCL_OUT", "SUPPLY_OUT", "XTEMP_OUT"), ("ENDURANCE", "ALM_MAG1", "ZGYRO_OUT")]
+)
+@pytest.mark.parametrize("count", [0, 1, 10_921, 10_922, 10_923, 40_000])
+def test_long_blocks_decode_like_single_words(names, count):
+    table = [BY_NAME[name] for name in names]
+    words = np.random.default_rng(count).integers(0, 1 << 16, (count, 3)).astype(np.uint16)
+    numbers = decode_numbers(table, words[:, ::-1][:, ::-1])  # a view that is not contiguous serves too
+    assert numbers.shape == words.shape
+    expected = [[row.number(int(word)) for row, word in zip(table, scan, strict=True)] for scan in words]
+    assert numbers.tolist() == expected
+
+
 def test_a_block_gives_units_flags_and_columns():
     names = ("XACCL_OUT", "ZGYRO_OUT", "XTEMP_OUT", "SUPPLY_OUT")
     words = np.array([[0x885C, 0x7FFF, 0x0FFF, 0x8AAA], [0x37A4, 0x0001, 0x3800, 0x4AAA]], np.uint16)

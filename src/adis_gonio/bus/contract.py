@@ -112,6 +112,8 @@ class SpiBus(ABC):
 
     url: str = ""
     capabilities: frozenset[Capability] = frozenset()
+    unbroken_frames: int | None = None
+    """Frames of a batch that follow each other without a pause; None where any number does."""
 
     def __init__(self, timing: SpiTiming) -> None:
         self._timing = timing

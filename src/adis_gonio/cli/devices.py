@@ -5,13 +5,22 @@ from __future__ import annotations
 import click
 
 from adis_gonio.bus import find_devices
+from adis_gonio.bus.udev import rules
 from adis_gonio.cli.show import console, json_option, print_json
 
 
 @click.command("devices")
+@click.option("--udev", is_flag=True, help="Print the udev rules that let a user open the bridges.")
 @json_option
-def command(*, as_json: bool) -> None:
-    """List the buses and the devices that are connected, with the URL that opens each."""
+def command(*, udev: bool, as_json: bool) -> None:
+    """List the buses and the devices that are connected, with the URL that opens each.
+
+    Linux wants a rule before a user may open them: adis-gonio devices --udev | sudo tee
+    /etc/udev/rules.d/70-adis-gonio.rules, then plug the device in again.
+    """
+    if udev:
+        click.echo(rules(), nl=False)
+        return
     devices = find_devices()
     if as_json:
         print_json({"devices": [device.as_dict() for device in devices]})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,9 @@ from adis_gonio.sensor.variants import Variant, variant
 
 Floats = NDArray[np.float64]
 
+_IN_CACHE = 32_768
+"""Words that are handled at a time: long rows for numpy's inner loops, short enough for the cache."""
+
 
 def decode_numbers(table: Sequence[Register], words: Words) -> NDArray[np.int32]:
     """Numbers of registers: flags and unused bits masked off, signs extended.
@@ -37,11 +41,35 @@ def decode_numbers(table: Sequence[Register], words: Words) -> NDArray[np.int32]
     -------
     (n, k) int32
     """
-    # Shifting the number to the top of 32 bits and back extends the sign or clears the rest.
-    shifts = np.array([32 - register.bits for register in table], np.uint32)
-    signed = np.array([register.signed for register in table])
-    top = words.astype(np.uint32) << shifts
-    return np.where(signed, top.view(np.int32) >> shifts.astype(np.int32), (top >> shifts).view(np.int32))
+    width = words.shape[1]
+    masks, signs = _masks_and_signs(tuple((row.bits, row.signed) for row in table))
+    scans = len(masks) // width
+    bits = np.empty(scans * width, np.uint16)
+    numbers = np.empty(words.shape, np.int32)
+    for at in range(0, words.shape[0], scans):
+        part = words[at : at + scans].reshape(-1)
+        size = part.size
+        held = bits[:size]
+        np.bitwise_and(part, masks[:size], out=held)
+        np.bitwise_xor(held, signs[:size], out=held)
+        np.subtract(held, signs[:size], out=held)
+        numbers[at : at + scans].reshape(-1)[:] = held.view(np.int16)
+    for k, row in enumerate(table):
+        if row.bits == 16 and not row.signed:  # the only kind that is not a signed number of 16 bits
+            numbers[:, k] &= 0xFFFF
+    return numbers
+
+
+@lru_cache(maxsize=64)
+def _masks_and_signs(layout: tuple[tuple[int, bool], ...]) -> tuple[Words, Words]:
+    """Rows of masks and sign bits for as many scans as are handled at a time.
+
+    (word & mask ^ sign) - sign masks the flags off and extends the sign; sign is 0 where there is none.
+    """
+    mask = np.array([(1 << bits) - 1 for bits, _ in layout], np.uint16)
+    sign = np.array([1 << bits - 1 if signed else 0 for bits, signed in layout], np.uint16)
+    scans = max(1, _IN_CACHE // len(layout))
+    return np.tile(mask, scans), np.tile(sign, scans)
 
 
 def scales(

@@ -164,6 +164,9 @@ class PolledScans(ScanStream):
         passes = max(LEAST_PASSES, int(np.ceil(self._block_scans * scan_s / self._pass_s)))
         if not self._probed:  # a bridge may be far slower than its timing: look before a long batch
             passes, self._probed = LEAST_PASSES, True
+        if self._bus.unbroken_frames is not None:
+            # A pause within a batch would hide updates from some columns and not from others.
+            passes = min(passes, max(1, (self._bus.unbroken_frames - 1) // len(self._frames)))
         frames = np.append(np.tile(self._frames, passes), np.uint16(IDLE))
         begin = self._bus.now_s()
         if begin + self._pass_s - self._polled_s > self._period_s:
@@ -218,14 +221,16 @@ class PolledScans(ScanStream):
         self._last_s = float(time_s[-1])
         gaps = np.diff(time_s, prepend=before) / self._period_s
         poll = self._pass_s / self._period_s
-        if poll < ALIGNABLE:  # a gap is known to less than half a period: the count is exact
+        in_bursts = self._bus.unbroken_frames is not None  # times within one are spread over its transport
+        if poll < ALIGNABLE and not in_bursts:  # known to less than half a period: the count is exact
             missed = np.rint(gaps) - 1
-        elif poll < 1:  # only a lower bound is sure
+        elif poll < 1 and not in_bursts:  # only a lower bound is sure
             missed = np.floor(gaps - poll)
         else:  # right on the average
             missed = gaps - 1
-        total = self._missed + np.cumsum(np.maximum(missed, 0))
-        whole = np.floor(total).astype(np.int64)
+        # In bursts the times jitter: what one gap has too much another has too little.
+        total = self._missed + np.cumsum(missed if in_bursts else np.maximum(missed, 0))
+        whole = np.floor(np.maximum.accumulate(np.maximum(total, 0))).astype(np.int64)
         self._missed = float(total[-1] - whole[-1])
         counts = np.diff(whole, prepend=0)
         return self._block(words, time_s, int(whole[-1]), counts)

@@ -206,6 +206,13 @@ class SimulatedChip:
         """Time up to which the chip has lived."""
         return self._time_s
 
+    @property
+    def pending_reply(self) -> int:
+        """What a sound frame that began now would shift out; pin-level rigs need it before its end."""
+        if self._state in (State.STARTING, State.RESTORING, State.ASLEEP, State.DEAD):
+            return self.floating_word
+        return self._reply
+
     def run_to(self, time_s: float) -> None:
         """Let the chip live until a time."""
         if time_s > self._time_s:

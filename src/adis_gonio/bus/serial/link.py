@@ -1,0 +1,229 @@
+"""Requests and replies over a serial port: ids, retries, resynchronisation (firmware_proto/PROTOCOL.md).
+
+A request is repeated with its own id until it is answered or its tries are used up; the firmware executes
+an id once, so that repeating is safe for writes too. What arrives with another id is late and thrown away.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+from adis_gonio.bus.host import Clock
+from adis_gonio.bus.wire import Body, Packet, Receiver, encode
+from adis_gonio.bus.wire import protocol as wire
+from adis_gonio.errors import BusTimeoutError, ProtocolError
+
+RETRY_S = wire.RETRY_MS / 1000
+TRIES = 5
+"""Times that a request is sent before the firmware is called silent."""
+HELLO_EVERY_S = 0.3
+
+B = TypeVar("B", bound=Body)
+
+
+class Port(Protocol):
+    """A serial port as the link needs it; failures are typed errors already."""
+
+    def receive(self, wait_s: float, /) -> bytes:
+        """Whatever has arrived; waits for the first byte for at most `wait_s`."""
+
+    def send(self, data: bytes, /) -> None:
+        """Send all bytes."""
+
+    def close(self) -> None:
+        """Give the port back."""
+
+
+class RefusedError(Exception):
+    """The firmware refused a request: that copy of it executed nothing.
+
+    Attributes
+    ----------
+    code : int
+        Of `wire.Refusal`.
+    once : bool
+        The request had been sent a single time, so no earlier copy can have been executed either.
+    """
+
+    def __init__(self, request: str, error: wire.Error, *, once: bool) -> None:
+        try:
+            text = wire.REFUSAL_TEXT[wire.Refusal(error.code)]
+        except ValueError:
+            text = f"code {error.code}"
+        super().__init__(f"the firmware refused {request}: {text} ({error.detail})")
+        self.code = error.code
+        self.once = once
+
+
+@dataclass
+class LinkCounts:
+    """What went on besides the work."""
+
+    requests: int = 0
+    retries: int = 0
+    late: int = 0
+
+
+class Link:
+    """The host's side of the protocol.
+
+    Parameters
+    ----------
+    port : Port
+        Open.
+    url : str
+        For messages.
+    clock : Clock
+        Time for waits.
+    tries : int
+        Times that a request is sent.
+    dice : random.Random
+        Draws nonces and the first id.
+
+    Attributes
+    ----------
+    scans : deque of (Packet, float)
+        Packets of streams with their times of arrival, in order.
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        *,
+        url: str,
+        clock: Clock,
+        tries: int = TRIES,
+        dice: random.Random | None = None,
+    ) -> None:
+        self.port = port
+        self.url = url
+        self.counts = LinkCounts()
+        self.receiver = Receiver()
+        self.scans: deque[tuple[Packet, float]] = deque()
+        self._clock = clock
+        self._tries = tries
+        self._dice = dice or random.Random()
+        # Ids never start anew on this port, so that a straggler of an old session is behind in any new.
+        self._id = self._dice.randrange(1 << 16)
+        self._replies: deque[Packet] = deque()
+
+    # -- requests ---------------------------------------------------------------------------------------
+
+    def hello(self, wait_s: float) -> wire.HelloReply:
+        """Open a session; repeats for so long, since a board may still boot.
+
+        Raises
+        ------
+        BusTimeoutError
+            No firmware answered.
+        ProtocolError
+            It speaks another version.
+        """
+        nonce = self._dice.randrange(1 << 32)
+        packet = self._packet(wire.HelloRequest(wire.VERSION, nonce))
+        end_s = self._clock.now_s() + wait_s
+        bad = self.receiver.counts.bad
+        while (left := end_s - self._clock.now_s()) > 0:
+            self.port.send(packet)
+            answer = self._await(wire.HelloReply, min(HELLO_EVERY_S, left))
+            if isinstance(answer, wire.Error) and answer.code == wire.Refusal.PROTOCOL_VERSION:
+                raise self._other_version(answer.detail)
+            if isinstance(answer, wire.HelloReply) and answer.nonce == nonce:
+                if answer.protocol != wire.VERSION:
+                    raise self._other_version(answer.protocol)
+                return answer
+        noise = ", only noise (another baud rate?)" if self.receiver.counts.bad > bad else ""
+        raise BusTimeoutError(
+            f"{self.url}: no adis-gonio firmware answers within {wait_s:g} s{noise}; is it flashed, and is"
+            " this its port (docs/hardware.md)?"
+        )
+
+    def request(self, body: Body, reply: type[B], runs_s: float = 0.0) -> B:
+        """Send a request and return its reply.
+
+        Parameters
+        ----------
+        runs_s : float
+            Time that the firmware needs to execute it.
+
+        Raises
+        ------
+        RefusedError
+            The firmware said no.
+        BusTimeoutError
+            No answer to any try.
+        """
+        packet = self._packet(body)
+        self.counts.requests += 1
+        for attempt in range(self._tries):
+            self.counts.retries += attempt > 0
+            self.port.send(packet)
+            answer = self._await(reply, RETRY_S + 1.1 * runs_s)
+            if isinstance(answer, wire.Error):
+                raise RefusedError(type(body).__name__, answer, once=attempt == 0)
+            if answer is not None:
+                return answer
+        raise BusTimeoutError(
+            f"{self.url}: no answer from the firmware to {self._tries} tries of {type(body).__name__}"
+        )
+
+    @property
+    def last_id(self) -> int:
+        """Id of the last request."""
+        return self._id
+
+    def pump(self, wait_s: float) -> bool:
+        """Take in what arrives; False where nothing did in time."""
+        data = self.port.receive(wait_s)
+        if not data:
+            return False
+        arrival_s = self._clock.now_s()
+        for packet in self.receiver.feed(data):
+            if packet.type == wire.PacketType.SCANS:
+                self.scans.append((packet, arrival_s))
+            else:
+                self._replies.append(packet)
+        return True
+
+    # -- packets ----------------------------------------------------------------------------------------
+
+    def _packet(self, body: Body) -> bytes:
+        self._id = (self._id + 1) & 0xFFFF
+        return encode(Packet.of(body, self._id))
+
+    def _await(self, reply: type[B], wait_s: float) -> B | wire.Error | None:
+        end_s = self._clock.now_s() + wait_s
+        while True:
+            while self._replies:
+                packet = self._replies.popleft()
+                answer = self._judge(packet, reply)
+                if answer is not None:
+                    return answer
+                self.counts.late += 1
+            left = end_s - self._clock.now_s()
+            if left <= 0:
+                return None
+            self.pump(left)
+
+    def _judge(self, packet: Packet, reply: type[B]) -> B | wire.Error | None:
+        """The reply in a packet; None where it is another's or unsound."""
+        if packet.id != self._id:
+            return None
+        try:
+            if packet.type == reply.TYPE:
+                return reply.unpack(packet.body)
+            if packet.type == wire.PacketType.ERROR:
+                error = wire.Error.unpack(packet.body)
+                return error if error.request | wire.REPLY_BIT == reply.TYPE else None
+        except ProtocolError:
+            pass
+        return None
+
+    def _other_version(self, version: int) -> ProtocolError:
+        return ProtocolError(
+            f"{self.url}: the firmware speaks protocol version {version}, this package {wire.VERSION}:"
+            " flash the firmware of this release (docs/hardware.md)"
+        )

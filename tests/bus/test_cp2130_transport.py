@@ -1,0 +1,303 @@
+"""The CP2130 transport over the real pyusb on a fake backend, down to transfers."""
+
+import contextlib
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adis_gonio.bus import BusUrl, Capability, SpiTiming
+from adis_gonio.bus.cp2130 import find_devices, open_from_url
+from adis_gonio.bus.cp2130 import requests as r
+from adis_gonio.errors import (
+    BusError,
+    BusTimeoutError,
+    CannotOpenError,
+    NotInstalledError,
+    ProtocolError,
+    UsageError,
+)
+from adis_gonio.sim import SimulatedChip, World
+from contract.bus_contract import BusContract, Rig, WatchedChip
+from fakes.clock import VirtualClock
+from fakes.cp2130_device import Cp2130Device
+from fakes.faults import Faults
+from fakes.pins import ChipPins
+
+FakeUsbBackend = pytest.importorskip("fakes.cp2130_usb", reason="pyusb is not installed").FakeUsbBackend
+UsbBoard = pytest.importorskip("fakes.cp2130_usb").UsbBoard
+
+SEED = 6
+
+
+class Bench:
+    """Boards at ports, and the URL that opens the first."""
+
+    def __init__(self, serials=("A1",), *, faults=None, latency_s=0.1e-3):
+        self.clock = VirtualClock()
+        self.boards = []
+        for k, serial in enumerate(serials):
+            chip = WatchedChip(World(seed=SEED), start_s=-0.5)
+            device = Cp2130Device(ChipPins(chip, self.clock), serial)
+            self.boards.append(UsbBoard(device, address=5 + k, faults=faults, latency_s=latency_s))
+        self.backend = FakeUsbBackend(*self.boards)
+        self.board = self.boards[0] if self.boards else None
+
+    @property
+    def device(self):
+        return self.board.device
+
+    @property
+    def chip(self):
+        return self.device.pins.chip
+
+    def open(self, url="cp2130:"):
+        return open_from_url(BusUrl.parse(url), backend=self.backend, clock=self.clock)
+
+
+class TestCp2130(BusContract):
+    latency_s = 0.1e-3
+    url = "cp2130:?reset_gpio=5&event_counter=1"
+
+    def make(self) -> Rig:
+        bench = Bench(latency_s=self.latency_s)
+        bus = bench.open(self.url)
+
+        def silence():
+            bench.board.faults = Faults(hang=1.0, hang_s=0.3)
+            bench.board.faults.hangs(bench.clock.now_s())
+            bench.board.faults.hang = 0.0
+
+        faults = {
+            "a reply too short": (lambda: setattr(bench.device, "short", True), ProtocolError),
+            "stuck": (lambda: setattr(bench.device, "stuck", True), BusTimeoutError),
+            "hung": (silence, BusTimeoutError),
+        }
+        twin = SimulatedChip(World(seed=SEED), start_s=-0.5)
+        return Rig(bus, bench.chip, twin, faults)
+
+
+class TestCp2130OnAnImpossiblyFastCable(TestCp2130):
+    """The stall must not rest upon USB being slow."""
+
+    latency_s = 1e-7
+    url = "cp2130:A1"
+
+
+def test_a_frame_is_one_write_read_of_two_bytes_on_the_channel_that_was_named():
+    bench = Bench()
+    bench.device.cs_pin = 3
+    with bench.open("cp2130:?cs=3") as bus:
+        bus.configure(SpiTiming(1e6, 9, 40))
+        before = bench.board.out_transfers
+        assert bus.exchange([0x3800, 0x3600, 0])[1:] == [0x0402, 0x0001]
+        assert bench.board.out_transfers == before + 3
+    assert bench.device.words[3] == 0b111100
+    assert bench.device.selected == [int(k == 3) for k in range(11)]
+    assert bench.device.delays[3] == bytes(7)
+
+
+@pytest.mark.parametrize(
+    ("asked", "kept"), [(1e6, 750e3), (250e3, 187.5e3), (1.5e6, 1.5e6), (93_751, 93_750)]
+)
+def test_the_clock_is_the_fastest_that_is_not_above_what_was_asked(asked, kept):
+    with Bench().open() as bus:
+        assert bus.configure(SpiTiming(asked, 9, 40)).clock_hz == kept
+
+
+def test_a_clock_below_the_slowest_is_refused_and_the_old_one_stays():
+    with Bench().open() as bus:
+        before = bus.timing
+        with pytest.raises(UsageError, match="slowest clock"):
+            bus.configure(SpiTiming(50e3, 9, 40))
+        assert bus.timing == before
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+def test_the_otp_memory_is_never_touched():
+    bench = Bench(faults=Faults(seed=2, drop=0.02, busy=0.05, stuck=0.02, short=0.02))
+    for _ in range(20):
+        with contextlib.suppress(BusError), bench.open("cp2130:?reset_gpio=5&event_counter=1") as bus:
+            for _ in range(30):
+                with contextlib.suppress(BusError):
+                    bus.exchange([0x3800] * 5)
+            bus.hard_reset()
+    assert bench.device.otp_requests == 0
+
+
+# -- which board ---------------------------------------------------------------------------------------
+
+
+def test_boards_are_listed_and_told_apart_by_serial_number():
+    bench = Bench(("A1", "B2"))
+    assert [d.url for d in find_devices(backend=bench.backend)] == ["cp2130:A1", "cp2130:B2"]
+    with bench.open("cp2130:B2") as bus:
+        bus.exchange([0])
+    assert len(bench.boards[1].device.pins.chip.seen) == 1
+    assert not bench.boards[0].device.pins.chip.seen
+
+
+def test_with_two_boards_the_first_one_is_never_taken():
+    bench = Bench(("A1", "B2"))
+    with pytest.raises(UsageError, match="cp2130:A1 or cp2130:B2"):
+        bench.open()
+    assert not any(board.claimed for board in bench.boards)
+
+
+def test_boards_of_the_same_serial_number_are_told_apart_by_address():
+    bench = Bench(("A1", "A1"))
+    urls = [d.url for d in find_devices(backend=bench.backend)]
+    assert urls == ["cp2130:?bus=1&address=5", "cp2130:?bus=1&address=6"]
+    with bench.open(urls[1]) as bus:
+        bus.exchange([0])
+    assert len(bench.boards[1].device.pins.chip.seen) == 1
+
+
+def test_a_missing_board_is_said_with_what_is_there():
+    with pytest.raises(CannotOpenError, match="no CP2130 is connected"):
+        Bench(()).open()
+    with pytest.raises(CannotOpenError, match="no such CP2130 is connected; connected: cp2130:A1"):
+        Bench().open("cp2130:ZZ")
+
+
+def test_a_board_that_another_has_claimed_is_busy_and_is_free_after_closing():
+    bench = Bench()
+    bus = bench.open()
+    with pytest.raises(CannotOpenError, match="busy"):
+        bench.open()
+    bus.close()
+    bench.open().close()
+    assert not bench.board.claimed
+
+
+def test_a_failed_opening_gives_the_board_back():
+    bench = Bench()
+    bench.device.counter_mode = bench.device._mode = 0
+    with pytest.raises(UsageError, match="event counter"):
+        bench.open("cp2130:?event_counter=1")
+    assert not bench.board.claimed
+    bench.open().close()
+
+
+@pytest.mark.parametrize("url", ["cp2130:", "cp2130:A1"])
+def test_without_permission_the_message_carries_the_udev_rule(url):
+    bench = Bench()
+    bench.board.permitted = False
+    with pytest.raises(CannotOpenError, match=r'no permission for /dev/bus/usb/001/005.*"87a0"') as caught:
+        bench.open(url)
+    assert "\n" not in str(caught.value)
+    listed = find_devices(backend=bench.backend)[0]
+    assert listed.url == "cp2130:?bus=1&address=5"
+    assert "no permission" in listed.description
+
+
+def test_without_libusb_the_extra_is_named(monkeypatch):
+    monkeypatch.setattr("adis_gonio.bus.cp2130._libusb", lambda: None)
+    with pytest.raises(NotInstalledError, match=r"adis-gonio\[usb\]"):
+        find_devices()
+
+
+@pytest.mark.parametrize(
+    "url", ["cp2130:?cs=11", "cp2130:?speed=1", "cp2130:?cs=2&reset_gpio=2", "cp2130:?timeout_ms=x"]
+)
+def test_a_wrong_option_is_refused(url):
+    bench = Bench()
+    with pytest.raises(UsageError):
+        bench.open(url)
+    bench.open().close()
+
+
+# -- failures -------------------------------------------------------------------------------------------
+
+
+def test_after_a_time_out_the_port_is_reset_and_set_up_anew():
+    bench = Bench()
+    bus = bench.open()
+    bus.configure(SpiTiming(1e6, 9, 40))
+    bench.device.stuck = True
+    with pytest.raises(BusTimeoutError):
+        bus.exchange([0])
+    assert bench.board.resets == 1
+    assert bus.exchange([0x3800, 0])[1] == 0x0402
+    assert bench.chip.seen[-1].clock_hz == 750e3
+
+
+def test_a_late_reply_is_not_taken_for_the_next_one():
+    bench = Bench()
+    bus = bench.open()
+    bus.exchange([0x3600, 0])
+    bench.board.faults = Faults(delay=1.0, delay_s=0.2, seed=1)
+    for _ in range(40):
+        with contextlib.suppress(BusError):
+            assert bus.exchange([0x3800, 0x3600, 0])[1:] == [0x0402, 0x0001]
+    bench.board.faults = Faults()
+    assert bus.exchange([0x3800, 0x3600, 0])[1:] == [0x0402, 0x0001]
+
+
+def test_a_frame_is_never_sent_again():
+    bench = Bench()
+    bus = bench.open()
+    bench.board.faults = Faults(seed=1, short=1.0)
+    with pytest.raises(ProtocolError, match="1 bytes"):
+        bus.exchange([0xA012, 0])
+    assert [f.word for f in bench.chip.seen] == [0xA012]
+
+
+def test_unplugging_is_a_clear_error_and_plugging_in_again_works():
+    bench = Bench()
+    bus = bench.open()
+    bench.board.plugged = False
+    for _ in range(2):
+        with pytest.raises(CannotOpenError, match="gone"):
+            bus.exchange([0])
+    bus.close()
+    bench.board.replug()
+    with bench.open() as again:
+        assert again.exchange([0x3800, 0])[1] == 0x0402
+
+
+def test_a_silent_device_fails_within_its_time_out():
+    bench = Bench()
+    bus = bench.open("cp2130:?timeout_ms=100")
+    bench.board.faults = Faults(drop=1.0)
+    before = bench.clock.now_s()
+    with pytest.raises(BusTimeoutError, match=r"0\.1 s"):
+        bus.exchange([0] * 100)
+    assert bench.clock.now_s() - before < 0.35
+
+
+def test_capabilities_are_those_that_were_wired():
+    assert Bench().open().capabilities == frozenset()
+    both = Bench().open("cp2130:?reset_gpio=5&event_counter=1").capabilities
+    assert both == {Capability.HARD_RESET, Capability.EVENT_COUNTER}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_under_faults_no_wrong_word_is_accepted(seed):
+    rates = dict.fromkeys(("drop", "delay", "busy", "stuck", "short"), 0.01)
+    bench = Bench(faults=Faults(seed=seed, hang=0.001, **rates))
+    bus = None
+    while bus is None:
+        with contextlib.suppress(BusError):
+            bus = bench.open()
+    good = bad = 0
+    for _ in range(400):
+        try:
+            replies = bus.exchange([0x3800, 0x3600, 0x3A00, 0])
+        except BusError:
+            bad += 1
+            continue
+        good += 1
+        assert replies[1:] == [0x0402, 0x0001, 0x0000]
+    assert good > 200
+    assert bad > 5
+    bench.board.faults = Faults()
+    assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=70))
+def test_parsers_take_any_bytes(data):
+    for parse in (r.parse_frame, r.parse_counter, r.parse_spi_words):
+        with contextlib.suppress(ProtocolError):
+            parse(data)

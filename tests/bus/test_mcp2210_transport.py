@@ -1,0 +1,369 @@
+"""The MCP2210 transport over a fake module hid, down to reports."""
+
+import contextlib
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adis_gonio.bus import BusUrl, Capability, SpiTiming
+from adis_gonio.bus.mcp2210 import find_devices, open_from_url
+from adis_gonio.bus.mcp2210 import reports as r
+from adis_gonio.errors import (
+    BusError,
+    BusTimeoutError,
+    CannotOpenError,
+    NotInstalledError,
+    ProtocolError,
+    UsageError,
+)
+from adis_gonio.sim import SimulatedChip, World
+from contract.bus_contract import BusContract, Rig, WatchedChip
+from fakes.clock import VirtualClock
+from fakes.faults import Faults
+from fakes.mcp2210_device import Mcp2210Device
+from fakes.mcp2210_hid import FakeHid, HidBoard
+from fakes.pins import ChipPins
+
+SEED = 5
+
+
+class Bench:
+    """Boards at ports, and the URL that opens the first."""
+
+    def __init__(self, serials=("A1",), *, faults=None, latency_s=0.5e-3):
+        self.clock = VirtualClock()
+        self.boards = []
+        for k, serial in enumerate(serials):
+            chip = WatchedChip(World(seed=SEED), start_s=-0.5)
+            device = Mcp2210Device(ChipPins(chip, self.clock), serial)
+            self.boards.append(HidBoard(device, path=f"1-{k + 1}:1.0", faults=faults, latency_s=latency_s))
+        self.hid = FakeHid(*self.boards)
+        self.board = self.boards[0] if self.boards else None
+
+    @property
+    def device(self):
+        return self.board.device
+
+    @property
+    def chip(self):
+        return self.device.pins.chip
+
+    def open(self, url="mcp2210:"):
+        return open_from_url(BusUrl.parse(url), hid=self.hid, clock=self.clock)
+
+
+class TestMcp2210(BusContract):
+    latency_s = 0.5e-3
+    url = "mcp2210:?reset_gpio=3&event_counter=1"
+
+    def make(self) -> Rig:
+        bench = Bench(latency_s=self.latency_s)
+        self.bench = bench
+        bus = bench.open(self.url)
+
+        def silence():
+            bench.board.faults = Faults(hang=1.0, hang_s=0.4)
+            bench.board.faults.hangs(bench.clock.now_s())
+            bench.board.faults.hang = 0.0
+
+        faults = {
+            "an answer too short": (lambda: setattr(bench.device, "short", True), ProtocolError),
+            "busy for ever": (lambda: setattr(bench.device, "busy", 2), CannotOpenError),
+            "hung": (silence, BusTimeoutError),
+        }
+        twin = SimulatedChip(World(seed=SEED), start_s=-0.5)
+        return Rig(bus, bench.chip, twin, faults)
+
+
+class TestMcp2210OnAnImpossiblyFastCable(TestMcp2210):
+    """The stall must not rest upon USB being slow."""
+
+    latency_s = 1e-7
+    url = "mcp2210:A1"
+
+
+def test_a_frame_is_one_transaction_of_two_bytes_in_mode_3_with_cs_on_the_pin_that_was_named():
+    bench = Bench()
+    bench.device.cs_pin = 4
+    with bench.open("mcp2210:?cs=4") as bus:
+        bus.configure(SpiTiming(1e6, 9, 40))
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+    spi = bench.device.spi
+    assert (spi.transaction, spi.mode, spi.idle_cs, spi.active_cs) == (2, 3, 0x1FF, 0x1EF)
+    assert (spi.cs_to_data, spi.last_to_cs, spi.between) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(("asked", "kept"), [(1e6, 1e6), (300e3, 300e3), (7e5, 12e6 // 18), (1999, 1998)])
+def test_the_clock_is_the_fastest_divider_that_is_not_above_what_was_asked(asked, kept):
+    with Bench().open() as bus:
+        assert bus.configure(SpiTiming(asked, 9, 40)).clock_hz == kept
+
+
+def test_other_pins_and_settings_stay_as_the_board_had_them():
+    bench = Bench()
+    bench.device.designations[7] = 2
+    bench.device.flags = 0b10001
+    bench.device.outputs, bench.device.directions = 0x0AA, 0x155
+    bench.open("mcp2210:?cs=1&reset_gpio=2").close()
+    assert bytes(bench.device.designations) == bytes([0, 1, 0, 0, 0, 0, 0, 2, 0])
+    assert bench.device.flags == 0b10001
+    assert (bench.device.outputs, bench.device.directions) == (0x0AA, 0x155 | 1 << 2)
+
+
+def test_neither_nvram_nor_eeprom_is_ever_touched():
+    bench = Bench(faults=Faults(seed=3, drop=0.02, busy=0.05, stuck=0.02, short=0.02))
+    for _ in range(20):
+        with _anything(), bench.open("mcp2210:?reset_gpio=3") as bus:
+            for _ in range(30):
+                with _anything():
+                    bus.exchange([0x3800] * 5)
+            with _anything():
+                bus.hard_reset()
+    used = {report[0] for report in bench.board.sent}
+    assert used <= {0x11, 0x12, 0x20, 0x21, 0x30, 0x31, 0x32, 0x33, 0x40, 0x41, 0x42}
+    assert bench.device.nvram_writes == 0
+
+
+class _anything:  # noqa: N801
+    """Lets typed errors of the bus pass, and nothing else."""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, error, trace):
+        return kind is not None and issubclass(kind, BusError)
+
+
+# -- which board ------------------------------------------------------------------------------------
+
+
+def test_boards_are_listed_and_told_apart_by_serial_number():
+    bench = Bench(("A1", "B2"))
+    assert [d.url for d in find_devices(hid=bench.hid)] == ["mcp2210:A1", "mcp2210:B2"]
+    with bench.open("mcp2210:B2") as bus:
+        bus.exchange([0])
+    assert len(bench.boards[1].device.pins.chip.seen) == 1
+    assert not bench.boards[0].device.pins.chip.seen
+
+
+def test_with_two_boards_the_first_one_is_never_taken():
+    bench = Bench(("A1", "B2"))
+    with pytest.raises(UsageError, match="mcp2210:A1 or mcp2210:B2"):
+        bench.open()
+    assert not any(board.sent for board in bench.boards)
+
+
+def test_boards_of_the_same_serial_number_are_told_apart_by_path():
+    bench = Bench(("A1", "A1"))
+    urls = [d.url for d in find_devices(hid=bench.hid)]
+    assert urls == ["mcp2210:?path=1-1%3A1.0", "mcp2210:?path=1-2%3A1.0"]
+    with bench.open(urls[1]) as bus:
+        bus.exchange([0])
+    assert len(bench.boards[1].device.pins.chip.seen) == 1
+
+
+def test_a_missing_board_is_said_with_what_is_there():
+    with pytest.raises(CannotOpenError, match="no MCP2210 is connected"):
+        Bench(()).open()
+    with pytest.raises(CannotOpenError, match="no such MCP2210 is connected; connected: mcp2210:A1"):
+        Bench().open("mcp2210:ZZ")
+
+
+def test_a_board_that_another_has_open_is_busy_and_is_free_after_closing():
+    bench = Bench()
+    bus = bench.open()
+    with pytest.raises(CannotOpenError, match="busy"):
+        bench.open()
+    bus.close()
+    bench.open().close()
+
+
+def test_a_failed_opening_gives_the_board_back():
+    bench = Bench()
+    bench.board.faults = Faults(drop=1.0)
+    with pytest.raises(BusTimeoutError):
+        bench.open()
+    bench.board.faults = Faults()
+    bench.open().close()
+
+
+def test_without_permission_the_message_carries_the_udev_rule(monkeypatch):
+    bench = Bench()
+    monkeypatch.setattr("adis_gonio.bus.mcp2210.readable_and_writable", lambda path: False)
+    with pytest.raises(CannotOpenError, match=r'no permission.*devices --udev.*"04d8"') as caught:
+        bench.open()
+    assert "\n" not in str(caught.value)
+    assert "no permission" in find_devices(hid=bench.hid)[0].description
+
+
+def test_a_module_hid_of_another_package_is_named(monkeypatch):
+    monkeypatch.setattr("importlib.import_module", lambda name: object())
+    with pytest.raises(NotInstalledError, match="pip uninstall hid"):
+        open_from_url(BusUrl.parse("mcp2210:"))
+
+
+def test_without_hidapi_the_extra_is_named(monkeypatch):
+    def refuse(name):
+        raise ImportError(name)
+
+    monkeypatch.setattr("importlib.import_module", refuse)
+    with pytest.raises(NotInstalledError, match=r"adis-gonio\[hid\]"):
+        open_from_url(BusUrl.parse("mcp2210:"))
+    with pytest.raises(NotInstalledError, match=r"adis-gonio\[hid\]"):
+        find_devices()
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "mcp2210:?cs=9",
+        "mcp2210:?cs=x",
+        "mcp2210:?chip=1",
+        "mcp2210:?backend=usb",
+        "mcp2210:?timeout_ms=0",
+        "mcp2210:?cs=3&reset_gpio=3",
+        "mcp2210:?cs=6&event_counter=1",
+    ],
+)
+def test_a_wrong_option_is_refused(url):
+    bench = Bench()
+    with pytest.raises(UsageError):
+        bench.open(url)
+    bench.open().close()
+
+
+# -- failures ----------------------------------------------------------------------------------------
+
+
+def test_a_refused_transfer_is_cancelled_and_tried_once_more():
+    bench = Bench()
+    bus = bench.open()
+    for arm in (lambda: setattr(bench.device, "busy", 1), lambda: setattr(bench.device, "stuck", True)):
+        arm()
+        cancels = bench.device.cancels
+        before = len(bench.chip.seen)
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+        assert bench.device.cancels == cancels + 1
+        assert len(bench.chip.seen) == before + 2, "what was refused was not clocked"
+    bus.close()
+
+
+def test_another_master_on_the_bus_is_said():
+    bench = Bench()
+    bus = bench.open()
+    bench.device.external_owner = True
+    with pytest.raises(CannotOpenError, match="another master"):
+        bus.exchange([0])
+    bench.device.external_owner = False
+    assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+def test_every_failure_ends_in_a_cancel():
+    bench = Bench()
+    bus = bench.open()
+    bench.device.short = True
+    cancels = bench.device.cancels
+    with pytest.raises(ProtocolError, match="1 of 2 bytes"):
+        bus.exchange([0, 0])
+    assert bench.device.cancels == cancels + 1
+
+
+def test_an_accepted_frame_is_never_sent_again():
+    bench = Bench()
+    bus = bench.open()
+    bench.device.slow_polls = 10**6
+    with pytest.raises(BusTimeoutError, match="does not finish"):
+        bus.exchange([0xA012, 0])
+    assert [f.word for f in bench.chip.seen] == [0xA012]
+    bench.device.slow_polls = 0
+
+
+def test_a_late_answer_is_not_taken_for_the_next_one():
+    bench = Bench()
+    bus = bench.open()
+    bus.exchange([0x3600, 0])
+    bench.board.faults = Faults(delay=1.0, delay_s=0.2, seed=1)
+    for _ in range(40):
+        with _anything():
+            bus.exchange([0x3800, 0x3600, 0])
+    bench.board.faults = Faults()
+    bench.clock.sleep_s(2.0)
+    assert bus.exchange([0x3800, 0x3600, 0])[1:] == [0x0402, 0x0001]
+
+
+def test_unplugging_is_a_clear_error_and_plugging_in_again_works():
+    bench = Bench()
+    bus = bench.open()
+    bench.board.plugged = False
+    for _ in range(2):
+        with pytest.raises(CannotOpenError, match="gone"):
+            bus.exchange([0])
+    bus.close()
+    bench.board.replug()
+    with bench.open() as again:
+        assert again.exchange([0x3800, 0])[1] == 0x0402
+
+
+def test_a_silent_device_fails_within_its_time_out():
+    bench = Bench()
+    bus = bench.open("mcp2210:?timeout_ms=100")
+    bench.board.faults = Faults(drop=1.0)
+    before = bench.clock.now_s()
+    with pytest.raises(BusTimeoutError, match=r"0\.1 s"):
+        bus.exchange([0] * 100)
+    assert bench.clock.now_s() - before < 0.25
+
+
+def test_capabilities_are_those_that_were_wired():
+    assert Bench().open().capabilities == frozenset()
+    both = Bench().open("mcp2210:?reset_gpio=3&event_counter=1").capabilities
+    assert both == {Capability.HARD_RESET, Capability.EVENT_COUNTER}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_under_faults_no_wrong_word_is_accepted(seed):
+    rates = dict.fromkeys(("drop", "duplicate", "flip", "delay", "busy", "stuck", "short"), 0.01)
+    bench = Bench(faults=Faults(seed=seed, hang=0.001, **rates))
+    bus = None
+    while bus is None:
+        with _anything():
+            bus = bench.open()
+    good = bad = 0
+    for _ in range(400):
+        try:
+            replies = bus.exchange([0x3800, 0x3600, 0x3A00, 0])
+        except BusError:
+            bad += 1
+            continue
+        good += 1
+        assert replies[1:] == [0x0402, 0x0001, 0x0000]
+    assert good > 200
+    assert bad > 5
+    bench.board.faults = Faults()
+    bench.clock.sleep_s(2.0)
+    assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+# -- parsers ------------------------------------------------------------------------------------------
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=70))
+def test_parsers_take_any_bytes(data):
+    for parse in (
+        r.ChipSettings.parse,
+        r.SpiSettings.parse,
+        r.Progress.parse,
+        r.parse_events,
+        lambda answer: r.parse_pins(answer, r.Command.GET_GPIO_VALUES),
+    ):
+        with contextlib.suppress(ProtocolError):
+            parse(data)
+
+
+@settings(deadline=None)
+@given(st.binary(min_size=63, max_size=63))
+def test_a_progress_never_carries_more_than_a_frame(data):
+    with contextlib.suppress(ProtocolError):
+        assert len(r.Progress.parse(b"\x42" + data).data) <= 2

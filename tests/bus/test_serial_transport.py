@@ -1,0 +1,561 @@
+"""The serial transport: protocol, retries, sessions and streams over a fake firmware; and a real pty."""
+
+import contextlib
+import errno
+import random
+import sys
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adis_gonio.bus import BusUrl, Capability, SpiTiming, open_bus
+from adis_gonio.bus.serial import find_devices, open_from_url, ports
+from adis_gonio.bus.serial.clocks import ClockMap
+from adis_gonio.bus.wire import Receiver
+from adis_gonio.errors import (
+    BusError,
+    BusTimeoutError,
+    CannotOpenError,
+    NotInstalledError,
+    ProtocolError,
+    UsageError,
+)
+from adis_gonio.sim import SimulatedChip, World
+from contract.bus_contract import DATA_READY_ON, BusContract, Rig, WatchedChip
+from fakes.clock import DeviceClock, VirtualClock
+from fakes.faults import Faults
+from fakes.firmware import FakeFirmware
+from fakes.pins import ChipPins
+from fakes.serial_port import FakePort, PtyBoard
+
+SEED = 8
+FAST = SpiTiming(1e6, 9.0, 40.0)
+SEVEN = [0x0400, 0x0600, 0x0800, 0x0A00, 0x0C00, 0x0E00, 0x1000]
+
+
+class Bench:
+    """A board in virtual time."""
+
+    def __init__(self, *, faults=None, watched=True, **board):
+        self.clock = VirtualClock()
+        kind = WatchedChip if watched else SimulatedChip
+        self.chip = kind(World(seed=SEED), start_s=-0.5)
+        self.firmware = FakeFirmware(ChipPins(self.chip, self.clock), **board)
+        self.port = FakePort(self.firmware, faults)
+
+    def open(self, options=""):
+        return open_from_url(BusUrl.parse(f"serial:fake{options}"), port=self.port, clock=self.clock)
+
+    def replug(self):
+        self.port = FakePort(self.firmware)
+        self.firmware.restart()
+
+
+class TestSerial(BusContract):
+    def make(self) -> Rig:
+        bench = Bench()
+        bus = bench.open()
+
+        def silence():
+            bench.port.faults = Faults(hang=1.0, hang_s=2.0)
+            bench.port.faults.hangs(bench.clock.now_s())
+            bench.port.faults.hang = 0.0
+
+        twin = SimulatedChip(World(seed=SEED), start_s=-0.5)
+        return Rig(bus, bench.chip, twin, {"hung": (silence, BusTimeoutError)})
+
+
+needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="a pty needs POSIX")
+
+
+@needs_pty
+class TestSerialOverAPty(BusContract):
+    """The real pyserial on a real tty without modem lines, in real time."""
+
+    @pytest.fixture
+    def rig(self):
+        clock = DeviceClock()
+        chip = WatchedChip(World(seed=SEED), start_s=-0.5)
+        with PtyBoard(FakeFirmware(ChipPins(chip, clock))) as board:
+            bus = open_bus(f"serial:{board.path}")
+            try:
+                yield Rig(bus, chip, SimulatedChip(World(seed=SEED), start_s=-0.5))
+            finally:
+                bus.close()
+
+    def make(self) -> Rig:
+        raise NotImplementedError
+
+    def test_the_event_counter_counts_edges_since_the_last_call(self, rig):
+        """As in the contract, but a loaded machine may sleep longer than it was asked to."""
+        bus = rig.bus
+        assert bus.read_event_counter() == 0
+        bus.exchange([DATA_READY_ON])
+        begin = bus.now_s()
+        bus.sleep_s(0.3)
+        first = bus.read_event_counter()
+        assert 0.3 * 819.2 * 0.98 <= first <= (bus.now_s() - begin) * 819.2 + 3
+
+
+# -- sessions -----------------------------------------------------------------------------------------
+
+
+def test_opening_learns_what_the_board_can_do():
+    with Bench(board="ATmega328P 0042").open() as bus:
+        assert bus.firmware.board == "ATmega328P 0042"
+        assert bus.capabilities == {
+            Capability.STREAM,
+            Capability.EVENT_COUNTER,
+            Capability.HARD_RESET,
+        }
+    assert Bench(capabilities=0).open().capabilities == frozenset()
+    assert Bench(capabilities=2).open().capabilities == {Capability.EVENT_COUNTER}
+
+
+def test_a_board_that_boots_after_opening_is_waited_for():
+    bench = Bench(boot_s=2.0)
+    with bench.open() as bus:
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+    assert 2.0 < bench.clock.now_s() < 3.0
+
+
+def test_a_silent_port_says_what_to_look_at():
+    bench = Bench(boot_s=1e9)
+    with pytest.raises(BusTimeoutError, match=r"within 3 s; is it flashed.*docs/hardware\.md"):
+        bench.open()
+    assert bench.port.closed
+
+
+def test_noise_alone_suggests_the_baud_rate():
+    bench = Bench(boot_s=1e9)
+    bench.port._back.put(b"\x12\x34\x00\x81\x55\x00" * 5, 0.5)
+    with pytest.raises(BusTimeoutError, match="another baud rate"):
+        bench.open()
+
+
+def test_another_protocol_version_is_said():
+    with pytest.raises(ProtocolError, match="speaks protocol version 2, this package 1"):
+        Bench(version=2).open()
+
+
+def test_a_firmware_that_restarts_gets_a_session_and_its_timing_again():
+    bench = Bench()
+    bus = bench.open()
+    bus.configure(FAST)
+    bench.firmware.restart()
+    assert bus.exchange([0x3800, 0])[1] == 0x0402
+    assert bench.chip.seen[-1].clock_hz == 1e6
+    assert bench.chip.seen[-1].start_s - bench.chip.seen[-2].start_s == pytest.approx(40e-6)
+
+
+def test_after_a_restart_within_a_request_its_frames_are_not_sent_again():
+    bench = Bench()
+    bus = bench.open()
+    send = bench.firmware.send
+
+    def die_before_the_reply(kind, request_id, body):
+        send(kind, request_id, body)
+        if kind == 0x83:
+            bench.firmware.send = send
+            bench.firmware.restart()
+
+    bench.firmware.send = die_before_the_reply
+    with pytest.raises(ProtocolError, match="restarted during a request"):
+        bus.exchange([0xA012])
+    assert [f.word for f in bench.chip.seen] == [0xA012]
+    assert bus.exchange([0x2000, 0])[1] & 0xFF == 0x12
+
+
+def test_a_stream_that_was_left_running_is_stopped_by_the_next_request():
+    bench = Bench()
+    bus = bench.open()
+    bus.configure(FAST)
+    bus.exchange([DATA_READY_ON])
+    stream = bus.stream(SEVEN)
+    next(stream)
+    bench.port.faults = Faults(drop=1.0)
+    stream.close()
+    bench.port.faults = Faults()
+    assert bus.exchange([0x3800, 0])[1] == 0x0402
+    assert bench.chip.seen[-1].clock_hz == 1e6
+
+
+# -- requests -----------------------------------------------------------------------------------------
+
+
+def test_a_request_whose_reply_is_lost_is_repeated_and_executed_once():
+    bench = Bench()
+    bus = bench.open()
+    take = bench.port._back.take
+    lost = []
+
+    def lose_one(now, size):
+        data = take(now, size)
+        if data and not lost:
+            lost.append(data)
+            return b""
+        return data
+
+    bench.port._back.take = lose_one
+    bus.exchange([0xA012, 0x2000])
+    assert lost
+    assert bench.firmware.counters["repeated"] == 1
+    assert [f.word for f in bench.chip.seen] == [0xA012, 0x2000]
+
+
+def test_every_copy_of_a_request_has_its_id_and_the_next_one_another():
+    bench = Bench()
+    bus = bench.open()
+    bench.port.sent.clear()
+    bench.port.faults = Faults(drop=1.0)
+    with pytest.raises(BusTimeoutError, match="5 tries"):
+        bus.exchange([0])
+    assert len(bench.port.sent) == 5
+    assert len(set(bench.port.sent)) == 1
+
+
+def test_long_batches_go_in_several_requests_and_keep_the_timing():
+    bench = Bench()
+    with bench.open() as bus:
+        bus.configure(FAST)
+        assert bus.exchange([0x3800] * 333)[1:] == [0x0402] * 332
+    assert len(bench.chip.seen) == 333
+
+
+def test_a_slow_batch_is_not_repeated_while_it_runs():
+    bench = Bench()
+    with bench.open() as bus:
+        bus.configure(SpiTiming(125e3, 1000, 20_000))
+        bus.exchange([0x3800] * 90)
+    assert bus._link.counts.retries == 0
+
+
+def test_waits_that_the_board_cannot_keep_are_refused():
+    with Bench().open() as bus:
+        before = bus.timing
+        with pytest.raises(UsageError, match="at most 65000"):
+            bus.configure(SpiTiming(1e6, 9, 1e6))
+        with pytest.raises(UsageError, match="slowest clock is 125000 Hz"):
+            bus.configure(SpiTiming(1e5, 9, 40))
+        assert bus.timing == before
+
+
+def test_fractions_of_a_microsecond_are_rounded_up():
+    with Bench().open() as bus:
+        assert bus.configure(SpiTiming(1e6, 9.2, 40.5)) == SpiTiming(1e6, 10.0, 41.0)
+
+
+@pytest.mark.parametrize("options", ["?baud=x", "?edge=both", "?speed=1", "?boot_ms=1"])
+def test_a_wrong_option_is_refused(options):
+    with pytest.raises(UsageError):
+        Bench().open(options)
+
+
+# -- faults -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_under_faults_no_wrong_word_is_accepted(seed):
+    rates = dict.fromkeys(("drop", "duplicate", "flip", "delay", "chunk"), 0.01)
+    bench = Bench(watched=False)
+    bus = bench.open()
+    bus.configure(FAST)
+    bench.port.faults = Faults(seed=seed, hang=0.001, **rates)
+    good = bad = 0
+    for k in range(400):
+        ask = [0x3800, 0x3600, 0x3A00, 0] if k % 2 else [0x3600, 0x3800, 0x3800, 0]
+        try:
+            replies = bus.exchange(ask)
+        except BusError:
+            bad += 1
+            continue
+        good += 1
+        assert replies[1:] == ([0x0402, 0x0001, 0] if k % 2 else [0x0001, 0x0402, 0x0402])
+    assert good > 200
+    assert bad > 5
+    assert bus._link.counts.retries > 100
+    bench.port.faults = Faults()
+    bench.clock.sleep_s(2.0)
+    assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+def test_late_replies_are_discarded_and_counted():
+    bench = Bench()
+    bus = bench.open()
+    bus._link._tries = 1
+    for k in range(60):
+        bench.port.faults = Faults(seed=k, delay=0.05, delay_s=0.4)
+        with contextlib.suppress(BusError):
+            replies = bus.exchange([0x3800, 0x3600, 0] if k % 2 else [0x3600, 0x3800, 0])
+            assert replies[1:] == ([0x0402, 0x0001] if k % 2 else [0x0001, 0x0402])
+    assert bus._link.counts.late > 3
+
+
+def test_unplugging_is_a_clear_error_and_plugging_in_again_works():
+    bench = Bench()
+    bus = bench.open()
+    bench.port.plugged = False
+    for _ in range(2):
+        with pytest.raises(CannotOpenError, match="gone"):
+            bus.exchange([0])
+    bus.close()
+    bench.replug()
+    with bench.open() as again:
+        assert again.exchange([0x3800, 0])[1] == 0x0402
+
+
+def test_unplugging_within_a_stream_is_a_clear_error():
+    bench = Bench()
+    bus = bench.open()
+    bus.exchange([DATA_READY_ON])
+    with bus.stream(SEVEN) as stream:
+        next(stream)
+        bench.port.plugged = False
+        with pytest.raises(CannotOpenError, match="gone"):
+            next(stream)
+    bus.close()
+
+
+# -- streams ------------------------------------------------------------------------------------------
+
+
+def streamed(bench, blocks, *, block_scans=64, frames=SEVEN, options="", before=None):
+    with bench.open(options) as bus:
+        bus.configure(FAST)
+        bus.exchange([DATA_READY_ON])
+        if before:
+            before(bus)
+        with bus.stream(frames, block_scans=block_scans) as stream:
+            return [next(stream) for _ in range(blocks)]
+
+
+def test_a_stream_loses_and_repeats_nothing_at_the_full_rate():
+    bench = Bench(watched=False)
+    blocks = streamed(bench, 40, block_scans=82)
+    times = np.concatenate([block.time_s for block in blocks])
+    words = np.concatenate([block.words for block in blocks])
+    assert sum(block.lost for block in blocks) == 0
+    assert len(times) >= 3280
+    assert np.diff(times) == pytest.approx(1 / 819.2, rel=0.03)
+    assert times[-1] - times[0] == pytest.approx((len(times) - 1) / 819.2, abs=0.01)
+    assert (words >> 15 == 1).all(), "every word is new"
+
+
+def test_scans_lost_on_the_wire_are_counted_to_the_last_one():
+    bench = Bench(watched=False)
+
+    def spoil(bus):
+        bench.port.faults = Faults(seed=4, flip=0.001, drop=0.001)
+
+    blocks = streamed(bench, 25, frames=[0x0A00, 0x0C00], before=spoil)
+    first, rest = blocks[0], blocks[1:]
+    scans = sum(len(block.time_s) for block in rest)
+    lost = sum(block.lost for block in rest)
+    assert lost > 100
+    span_s = rest[-1].time_s[-1] - first.time_s[-1]
+    assert scans + lost == pytest.approx(span_s * 819.2, abs=8)  # the times are those of the host
+    assert bench.firmware.all_lost == 0
+
+
+def test_triggers_that_the_firmware_lost_are_counted():
+    bench = Bench(watched=False)
+    frames = SEVEN * 4  # 29 frames of 56 µs and more: longer than an update
+    blocks = streamed(bench, 8, frames=frames, before=lambda bus: bus.configure(SpiTiming(1e6, 9, 56)))
+    scans = sum(len(block.time_s) for block in blocks)
+    assert sum(block.lost for block in blocks) == pytest.approx(scans, abs=4)
+
+
+def test_times_follow_a_board_whose_clock_is_off_and_wraps():
+    bench = Bench(watched=False, drift=0.005, start_us=2**32 - 4_000_000)
+    blocks = streamed(bench, 100, block_scans=82, frames=[0x0A00])
+    times = np.concatenate([block.time_s for block in blocks])
+    late = times[-1] - bench.clock.now_s()
+    assert -0.05 < late < 0.005
+    rate = (len(times) - 4000 - 1) / (times[-1] - times[4000])
+    assert rate == pytest.approx(819.2, rel=5e-4)
+
+
+def test_a_slow_stream_comes_in_small_packets_without_a_time_out():
+    bench = Bench(watched=False)
+
+    def slow(bus):
+        bus.configure(SpiTiming(250e3, 75, 160))
+        bus.exchange([0xB6FF])  # 0.413 samples a second
+
+    blocks = streamed(bench, 2, block_scans=2, before=slow)
+    assert sum(len(block.time_s) for block in blocks) == 4
+    assert np.diff(np.concatenate([b.time_s for b in blocks])) == pytest.approx(2.42, rel=0.03)
+
+
+def test_a_rising_edge_can_be_asked_for():
+    bench = Bench(watched=False)
+    streamed(bench, 1, options="?edge=rising")
+    triggers = [raw[3] for raw in bench.firmware.executed if raw[0] == 4]
+    assert triggers == [0]
+
+
+def test_a_firmware_that_restarts_within_a_stream_is_an_error():
+    bench = Bench()
+    with bench.open() as bus:
+        bus.exchange([DATA_READY_ON])
+        with bus.stream(SEVEN) as stream:
+            next(stream)
+            bench.firmware.restart()
+            with pytest.raises(ProtocolError, match="restarted"):
+                next(stream)
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+def test_closing_the_bus_stops_the_stream():
+    bench = Bench()
+    bus = bench.open()
+    bus.exchange([DATA_READY_ON])
+    bus.stream(SEVEN)
+    bus.close()
+    assert bench.firmware._stream is None
+    assert bench.port.closed
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.floats(0.001, 0.3), st.floats(0, 0.05)), min_size=2, max_size=60))
+def test_the_map_of_clocks_never_runs_backwards(steps):
+    clock = ClockMap(0, 100.0)
+    at = 0.0
+    last = 0.0
+    for span, delay in steps:
+        times = clock.times(round(at * 1e6), round(span * 1e6), 5, 100.0 + at + span + delay)
+        assert times[0] >= last - 1e-9
+        assert (np.diff(times) > 0).all()
+        last = times[-1]
+        at += span + 0.001
+
+
+# -- ports --------------------------------------------------------------------------------------------
+
+
+@needs_pty
+def test_a_port_is_opened_for_one_program_alone():
+    with PtyBoard(FakeFirmware(ChipPins(SimulatedChip(World(seed=1)), DeviceClock()))) as board:
+        bus = open_bus(f"serial:{board.path}")
+        with pytest.raises(CannotOpenError, match="busy"):
+            open_bus(f"serial:{board.path}")
+        bus.close()
+        open_bus(f"serial:{board.path}").close()
+
+
+@needs_pty
+def test_unplugging_a_real_tty_is_a_clear_error():
+    with PtyBoard(FakeFirmware(ChipPins(SimulatedChip(World(seed=1)), DeviceClock()))) as board:
+        bus = open_bus(f"serial:{board.path}")
+        board.unplug()
+        before = time.monotonic()
+        with pytest.raises((CannotOpenError, BusTimeoutError)):
+            bus.exchange([0])
+        assert time.monotonic() - before < 3.0
+        bus.close()
+
+
+class Comport:
+    def __init__(self, device, serial_number, vid=0x2341):
+        self.device, self.serial_number, self.vid, self.pid = device, serial_number, vid, 0x43
+        self.product, self.description = "Arduino Uno", "tty"
+
+
+@pytest.fixture
+def comports(monkeypatch):
+    found = []
+    serial = pytest.importorskip("serial.tools.list_ports")
+    monkeypatch.setattr(serial, "comports", lambda: found)
+    return found
+
+
+def test_usb_ports_are_listed_with_their_serial_numbers_and_not_opened(comports):
+    comports += [
+        Comport("/dev/ttyACM1", "B2"),
+        Comport("/dev/ttyACM0", "A1"),
+        Comport("/dev/ttyS0", "", None),
+    ]
+    rows = find_devices()
+    assert [row.url for row in rows] == ["serial:/dev/ttyACM0", "serial:/dev/ttyACM1"]
+    assert "serial number A1" in rows[0].description
+
+
+def test_with_two_ports_none_is_taken_and_a_serial_number_chooses(comports, monkeypatch):
+    comports += [Comport("/dev/ttyACM0", "A1"), Comport("/dev/ttyACM1", "B2")]
+    with pytest.raises(UsageError, match="ttyACM0 or serial:/dev/ttyACM1"):
+        open_bus("serial:")
+    opened = []
+    monkeypatch.setattr(ports, "open_port", lambda place, baud, url: opened.append(place) or Bench().port)
+    bench = Bench()
+    monkeypatch.setattr(ports, "open_port", lambda place, baud, url: opened.append(place) or bench.port)
+    open_from_url(BusUrl.parse("serial:?serial_number=B2"), clock=bench.clock).close()
+    assert opened == ["/dev/ttyACM1"]
+
+
+def test_without_a_port_the_message_says_so(comports):
+    with pytest.raises(CannotOpenError, match="no USB serial port is connected"):
+        open_bus("serial:")
+    with pytest.raises(CannotOpenError, match="no port with serial number Z"):
+        open_bus("serial:?serial_number=Z")
+
+
+@pytest.mark.parametrize(
+    ("code", "says"),
+    [
+        (errno.EACCES, 'no permission for /dev/x.*SUBSYSTEM=="tty".*GROUP="dialout"'),
+        (errno.EBUSY, "busy"),
+        (errno.ENOENT, "no port /dev/x is connected"),
+    ],
+)
+def test_what_cannot_be_opened_says_who_must_act(comports, monkeypatch, code, says):
+    serial = pytest.importorskip("serial")
+
+    def refuse(*args, **options):
+        raise serial.SerialException(code, "could not open port")
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    with pytest.raises(CannotOpenError, match=says) as caught:
+        open_bus("serial:/dev/x")
+    assert "\n" not in str(caught.value)
+
+
+def test_without_pyserial_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "serial", None)
+    with pytest.raises(NotInstalledError, match=r"adis-gonio\[serial\]"):
+        open_bus("serial:/dev/x")
+
+
+def test_a_module_serial_of_another_package_is_named(monkeypatch):
+    serial = pytest.importorskip("serial")
+    monkeypatch.delattr(serial, "serial_for_url")
+    with pytest.raises(NotInstalledError, match="pip uninstall serial"):
+        open_bus("serial:/dev/x")
+
+
+# -- parsers ------------------------------------------------------------------------------------------
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=600), st.integers(0, 1000))
+def test_the_receiver_takes_any_bytes(data, seed):
+    receiver = Receiver()
+    dice = random.Random(seed)
+    at = 0
+    while at < len(data):
+        size = dice.randrange(1, 60)
+        receiver.feed(data[at : at + size])
+        at += size
+    assert len(receiver.feed(b"\0")) <= 1
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=400))
+def test_random_bytes_make_the_firmware_send_no_frame_but_what_was_asked(data):
+    bench = Bench(watched=True)
+    bus = bench.open()
+    bench.port._there.put(data, bench.clock.now_s())
+    assert bus.exchange([0x3800, 0])[1] == 0x0402
+    assert [f.word for f in bench.chip.seen] == [0x3800, 0]

@@ -1,0 +1,233 @@
+"""The spidev transport over a fake kernel, down to the structures of ioctl."""
+
+import ctypes
+import errno
+import sys
+
+import pytest
+
+from adis_gonio.bus import BusUrl, Capability, SpiTiming
+from adis_gonio.bus.spidev import find_devices, open_from_url
+from adis_gonio.bus.spidev import kernel as k
+from adis_gonio.errors import BusError, BusTimeoutError, CannotOpenError, ProtocolError, UsageError
+from adis_gonio.sim import SimulatedChip, World
+from contract.bus_contract import BusContract, Rig, WatchedChip
+from fakes.clock import VirtualClock
+from fakes.faults import Faults
+from fakes.pins import ChipPins
+from fakes.spidev_kernel import FakeSpidevKernel
+
+SEED = 7
+PATH = "/dev/spidev0.0"
+FAST = SpiTiming(1e6, 9.0, 40.0)
+
+
+class Bench:
+    """A machine with one SPI file."""
+
+    def __init__(self, **options):
+        self.clock = VirtualClock()
+        self.chip = WatchedChip(World(seed=SEED), start_s=-0.5)
+        self.pins = ChipPins(self.chip, self.clock)
+        self.kernel = FakeSpidevKernel({PATH: self.pins}, **options)
+
+    def open(self, options=""):
+        url = BusUrl.parse(f"spidev:{PATH}{options}")
+        return open_from_url(url, system=self.kernel, clock=self.clock)
+
+
+class TestSpidev(BusContract):
+    options = "?reset_gpio=17"
+
+    def make(self) -> Rig:
+        bench = Bench(**self.machine())
+
+        def once(**rates):
+            def arm():
+                bench.kernel.faults = Faults(**rates)
+                happens = bench.kernel.faults.happens
+
+                def first_only(kind):
+                    hit = happens(kind)
+                    if hit:
+                        bench.kernel.faults = Faults()
+                    return hit
+
+                bench.kernel.faults.happens = first_only
+
+            return arm
+
+        faults = {
+            "time-out": (once(hang=1.0), BusTimeoutError),
+            "failed": (once(drop=1.0), ProtocolError),
+            "busy": (once(busy=1.0), ProtocolError),
+            "short": (once(short=1.0), ProtocolError),
+        }
+        twin = SimulatedChip(World(seed=SEED), start_s=-0.5)
+        return Rig(bench.open(self.options), bench.chip, twin, faults)
+
+    def machine(self):
+        return {}
+
+
+class TestSpidevOnAnArm64WithAShortBuffer(TestSpidev):
+    """Each transfer counts as a cache line against bufsiz: 32 in a message."""
+
+    options = ""
+
+    def machine(self):
+        return {"align": 128, "call_s": 0.0}
+
+
+class TestSpidevWithALongerCsHighTime(TestSpidev):
+    options = "?cs_high_us=100"
+
+    def machine(self):
+        return {"cs_high_s": 100e-6, "call_s": 0.0}
+
+
+def test_structures_are_as_large_as_the_kernels():
+    assert ctypes.sizeof(k.Transfer) == 32
+    assert ctypes.sizeof(k.LineRequest) == 592
+    assert ctypes.sizeof(k.LineValues) == 16
+    assert (k.message(1), k.WR_MODE32, k.GET_LINE) == (0x40206B00, 0x40046B05, 0xC250B407)
+
+
+def test_a_batch_in_fast_mode_is_one_ioctl():
+    bench = Bench()
+    with bench.open() as bus:
+        bus.configure(FAST)
+        bench.kernel.messages.clear()
+        bus.exchange([0x3800] * 300)
+    assert bench.kernel.messages == [300]
+
+
+def test_the_clock_fills_the_period_so_that_cs_rises_right_after_the_last_bit():
+    bench = Bench()
+    with bench.open() as bus:
+        kept = bus.configure(FAST)
+        assert kept.clock_hz == pytest.approx(16 / 30e-6, rel=1e-5)
+        bus.exchange([0] * 3)
+    starts = [frame.start_s for frame in bench.chip.seen[-3:]]
+    assert starts[1] - starts[0] == pytest.approx(40e-6, rel=1e-3)
+
+
+def test_in_normal_mode_each_frame_is_a_message_because_the_kernel_cannot_keep_the_stall():
+    bench = Bench()
+    with bench.open() as bus:
+        bench.kernel.messages.clear()
+        bus.exchange([0x3800] * 5)
+    assert bench.kernel.messages == [1] * 5
+
+
+def test_long_batches_are_split_at_511_and_keep_the_stall():
+    bench = Bench(bufsiz=65536)
+    with bench.open() as bus:
+        bus.configure(FAST)
+        bench.kernel.messages.clear()
+        assert bus.exchange([0x3800] * 1200)[1:] == [0x0402] * 1199
+    assert bench.kernel.messages == [511, 511, 178]
+
+
+def test_a_short_buffer_is_found_once_and_remembered():
+    bench = Bench(align=128)
+    with bench.open() as bus:
+        bus.configure(FAST)
+        for _ in range(2):
+            bench.kernel.messages.clear()
+            assert bus.exchange([0x3800] * 300)[1:] == [0x0402] * 299
+            assert max(bench.kernel.messages) <= 32
+            assert sum(bench.kernel.messages) == 300
+
+
+def test_a_file_that_another_has_is_busy_and_free_after_closing():
+    bench = Bench()
+    bus = bench.open()
+    with pytest.raises(CannotOpenError, match="busy"):
+        bench.open()
+    bus.close()
+    bench.open().close()
+    assert not bench.kernel.files
+
+
+def test_a_failed_opening_gives_everything_back():
+    bench = Bench()
+    bench.kernel.reset_line = 3
+    with pytest.raises(CannotOpenError, match="busy"):
+        bench.open("?reset_gpio=17")
+    with pytest.raises(UsageError, match="no line 99"):
+        bench.open("?reset_gpio=gpiochip0:99")
+    assert not bench.kernel.files
+
+
+@pytest.mark.parametrize(
+    ("code", "says"),
+    [
+        (errno.ENOENT, "dtparam=spi=on"),
+        (errno.EACCES, 'no permission.*devices --udev.*SUBSYSTEM=="spidev"'),
+        (errno.EBUSY, "busy"),
+    ],
+)
+def test_what_cannot_be_opened_says_who_must_act(code, says):
+    bench = Bench()
+    bench.kernel.refuse_open = code
+    with pytest.raises(CannotOpenError, match=says) as caught:
+        bench.open()
+    assert "\n" not in str(caught.value)
+
+
+def test_files_are_listed_and_with_two_none_is_taken(tmp_path):
+    for name in ("spidev0.0", "spidev0.1"):
+        (tmp_path / name).touch()
+    urls = [d.url for d in find_devices(folder=str(tmp_path))]
+    assert urls == [f"spidev:{tmp_path}/spidev0.0", f"spidev:{tmp_path}/spidev0.1"]
+    with pytest.raises(UsageError, match=r"spidev0\.0 or spidev:"):
+        open_from_url(BusUrl.parse("spidev:"), system=Bench().kernel, folder=str(tmp_path))
+
+
+def test_without_any_file_the_message_says_what_to_enable(tmp_path):
+    with pytest.raises(CannotOpenError, match="dtparam"):
+        open_from_url(BusUrl.parse("spidev:"), system=Bench().kernel, folder=str(tmp_path))
+
+
+@pytest.mark.parametrize("options", ["?reset_gpio=x", "?cs_high_us=-1", "?speed=1"])
+def test_a_wrong_option_is_refused(options):
+    with pytest.raises(UsageError):
+        Bench().open(options)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a real ioctl needs Linux")
+def test_a_file_that_is_no_spidev_is_said_by_the_real_kernel():
+    with pytest.raises(ProtocolError, match="no spidev file"):
+        open_from_url(BusUrl.parse("spidev:/dev/null"))
+
+
+def test_the_controller_going_away_is_a_clear_error():
+    bench = Bench()
+    bus = bench.open()
+    bench.kernel.unplugged = True
+    with pytest.raises(CannotOpenError, match="gone"):
+        bus.exchange([0])
+
+
+def test_only_a_wired_reset_is_a_capability():
+    assert Bench().open().capabilities == frozenset()
+    assert Bench().open("?reset_gpio=gpiochip0:17").capabilities == {Capability.HARD_RESET}
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_under_faults_no_wrong_word_is_accepted(seed):
+    bench = Bench(faults=Faults(seed=seed, drop=0.01, hang=0.01, busy=0.01, short=0.01))
+    bus = bench.open()
+    bus.configure(FAST)
+    good = bad = 0
+    for _ in range(500):
+        try:
+            replies = bus.exchange([0x3800, 0x3600, 0x3A00, 0])
+        except BusError:
+            bad += 1
+            continue
+        good += 1
+        assert replies[1:] == [0x0402, 0x0001, 0x0000]
+    assert good > 300
+    assert bad > 20

@@ -1,0 +1,38 @@
+"""Clocks of the fakes: one that stands still unless somebody waits or works, and the wall's."""
+
+import time
+
+
+class VirtualClock:
+    """Time that only moves on when it is waited for; a time-out costs nothing."""
+
+    def __init__(self, now_s: float = 0.0) -> None:
+        self._now_s = now_s
+
+    def now_s(self) -> float:
+        return self._now_s
+
+    def sleep_s(self, seconds: float) -> None:
+        if seconds > 0:
+            self._now_s += seconds
+
+    def advance_to(self, time_s: float) -> None:
+        """Work goes on until a time."""
+        self._now_s = max(self._now_s, time_s)
+
+
+class DeviceClock:
+    """The wall's clock, from 0 on, for device models that live in real time (pty, USB/IP)."""
+
+    def __init__(self) -> None:
+        self._zero_s = time.monotonic()
+
+    def now_s(self) -> float:
+        return time.monotonic() - self._zero_s
+
+    def sleep_s(self, seconds: float) -> None:
+        time.sleep(max(0.0, seconds))
+
+    def advance_to(self, time_s: float) -> None:
+        """Wait until the work would be done."""
+        self.sleep_s(time_s - self.now_s())

@@ -1,0 +1,184 @@
+"""Linux's spidev and GPIO files at the level of ioctl, as the kernel's SPI core treats them.
+
+Memory is read and written at the addresses that the structures name. The order of things is the core's:
+transfer, `delay_usecs`, rise of CS where `cs_change` is set, 10 µs, fall of CS; at the end of a message CS
+rises unless the last transfer asked to keep it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import struct
+
+from fakes.faults import Faults
+from fakes.pins import ChipPins
+
+TRANSFER = struct.Struct("<QQIIHBBBBBB")
+MESSAGE = 0x40006B00
+WR_BITS, WR_SPEED, WR_MODE32, RD_MODE32 = 0x40016B03, 0x40046B04, 0x40046B05, 0x80046B05
+GET_LINE, SET_VALUES = 0xC250B407, 0xC010B40F
+CS_HIGH_S = 10e-6
+
+
+def os_error(code: int) -> OSError:
+    return OSError(code, os.strerror(code))
+
+
+class FakeSpidevKernel:
+    """A machine with spidev files.
+
+    Parameters
+    ----------
+    pins : mapping of path to ChipPins
+        What hangs on each file.
+    bufsiz : int
+        Module parameter of spidev.
+    align : int
+        What a transfer is rounded up to against `bufsiz` (ARCH_DMA_MINALIGN).
+    """
+
+    def __init__(
+        self,
+        pins: dict[str, ChipPins],
+        *,
+        bufsiz: int = 4096,
+        align: int = 8,
+        cs_high_s: float = CS_HIGH_S,
+        faults: Faults | None = None,
+        call_s: float = 5e-6,
+    ) -> None:
+        self.pins = pins
+        self.bufsiz = bufsiz
+        self.align = align
+        self.cs_high_s = cs_high_s
+        self.faults = faults or Faults()
+        self.call_s = call_s
+        self.refuse_open: int | None = None
+        self.unplugged = False
+        self.reset_line = 17
+        self.locked: set[str] = set()
+        self.files: dict[int, str] = {}
+        self.modes: dict[str, int] = {}
+        self.messages: list[int] = []
+        self.line_low = False
+        self._next = 100
+
+    # -- calls ------------------------------------------------------------------------------------------
+
+    def open(self, path: str) -> int:
+        if self.refuse_open is not None:
+            raise os_error(self.refuse_open)
+        if path not in self.pins and not path.endswith("gpiochip0"):
+            raise os_error(errno.ENOENT)
+        return self._new(path)
+
+    def lock(self, fd: int) -> None:
+        path = self.files[fd]
+        if path in self.locked:
+            raise BlockingIOError(errno.EWOULDBLOCK, "Resource temporarily unavailable")
+        self.locked.add(path)
+
+    def close(self, fd: int) -> None:
+        path = self.files.pop(fd)
+        if path not in self.files.values():
+            self.locked.discard(path)
+
+    def ioctl(self, fd: int, request: int, argument) -> int:
+        path = self.files[fd]
+        size = request >> 16 & 0x3FFF
+        assert size == ctypes.sizeof(argument), "the size in the number is the argument's"
+        if path == "line":
+            return self._set_line(request, bytes(argument))
+        if path.endswith("gpiochip0"):
+            return self._get_line(request, argument)
+        if self.unplugged:
+            raise os_error(errno.ESHUTDOWN)
+        if request & ~0x3FFF0000 == MESSAGE:
+            return self._message(path, bytes(argument), size)
+        if request == WR_MODE32:
+            self.modes[path] = struct.unpack("<I", bytes(argument))[0]
+        elif request == RD_MODE32:
+            ctypes.memmove(ctypes.addressof(argument), struct.pack("<I", self.modes.get(path, 0)), 4)
+        elif request not in (WR_BITS, WR_SPEED):
+            raise os_error(errno.ENOTTY)
+        return 0
+
+    def _new(self, path: str) -> int:
+        self._next += 1
+        self.files[self._next] = path
+        return self._next
+
+    # -- SPI ---------------------------------------------------------------------------------------------
+
+    def _message(self, path: str, data: bytes, size: int) -> int:
+        pins, faults = self.pins[path], self.faults
+        clock = pins.clock
+        clock.advance_to(clock.now_s() + self.call_s)
+        if not size or size % TRANSFER.size:
+            raise os_error(errno.EINVAL)
+        transfers = list(TRANSFER.iter_unpack(data))
+        if sum(-(-length // self.align) * self.align for _, _, length, *_ in transfers) > self.bufsiz:
+            raise os_error(errno.EMSGSIZE)
+        if faults.happens("unplug"):
+            self.unplugged = True
+            raise os_error(errno.ESHUTDOWN)
+        if faults.happens("busy"):
+            raise os_error(errno.EBUSY)
+        self.messages.append(len(transfers))
+        total = 0
+        now = clock.now_s()
+        for k, (tx, rx, length, speed, delay, _bits, change, *_rest) in enumerate(transfers):
+            last = k == len(transfers) - 1
+            if last and change:
+                raise AssertionError("cs_change on the last transfer keeps CS low")
+            if not last and not change:
+                raise AssertionError("two frames in one chip-select period")
+            if faults.happens("hang"):
+                clock.advance_to(now + 1.0)
+                raise os_error(errno.ETIMEDOUT)
+            if faults.happens("drop"):
+                raise os_error(errno.EIO)
+            reply = pins.transfer(
+                ctypes.string_at(tx, length),
+                clock_hz=speed,
+                mode=self.modes.get(path, 0) & 3,
+                cs_hold_s=delay * 1e-6,
+                start_s=now,
+            )
+            ctypes.memmove(rx, reply, length)
+            total += length
+            now = pins.free_s + self.cs_high_s
+        return total - (1 if faults.happens("short") else 0)
+
+    # -- GPIO ---------------------------------------------------------------------------------------------
+
+    def _get_line(self, request: int, argument) -> int:
+        if request != GET_LINE:
+            raise os_error(errno.ENOTTY)
+        data = bytes(argument)
+        assert len(data) == 592
+        offset, flags = struct.unpack_from("<I", data)[0], struct.unpack_from("<Q", data, 288)[0]
+        attributes, kind, value = (
+            struct.unpack_from("<I", data, 296)[0],
+            *struct.unpack_from("<I4xQ", data, 320),
+        )
+        lines = struct.unpack_from("<I", data, 560)[0]
+        assert (flags, attributes, kind, value, lines) == (1 << 3 | 1 << 6, 1, 2, 1, 1), "open-drain, high"
+        if offset > 53:
+            raise os_error(errno.EINVAL)
+        if offset != self.reset_line:
+            raise os_error(errno.EBUSY)
+        fd = self._new("line")
+        ctypes.memmove(ctypes.addressof(argument) + 588, struct.pack("<i", fd), 4)
+        return 0
+
+    def _set_line(self, request: int, data: bytes) -> int:
+        assert request == SET_VALUES
+        bits, mask = struct.unpack("<QQ", data)
+        assert mask == 1
+        if self.line_low and bits:
+            next(iter(self.pins.values())).hard_reset()
+        self.line_low = not bits
+        return 0

@@ -1,0 +1,138 @@
+"""The client's side of the bench: plugs boards in and out, finds what the kernel made of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+SETTLE_S = 10
+USB_DEVICES = Path("/sys/bus/usb/devices")
+
+
+class Bench:
+    """Boards on the guest's virtual USB ports, held by a process of their own."""
+
+    def __init__(self) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "kernel.device_process"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self._ports: dict[int, str] = {}
+
+    def plug(self, kind: str, serial: str) -> int:
+        """Plug a board in, wait until kernel and udev are done with it; return its port."""
+        port = min(set(range(8)) - set(self._ports))
+        self._command("plug", kind=kind, serial=serial, port=port)
+        self._ports[port] = serial
+        self._until(lambda: serial in serials() and self._has_driver(serial), f"{serial} to be enumerated")
+        settle()
+        return port
+
+    def unplug(self, port: int) -> None:
+        """Pull a board out, wait until the kernel has noticed (it may have been gone already)."""
+        serial = self._ports.pop(port, None)
+        self._command("unplug", port=port)
+        self._until(lambda: serial not in serials(), f"{serial} to go")
+        settle()
+
+    def stall(self, port: int, address: int) -> None:
+        """Halt an endpoint until the host clears it."""
+        self._command("stall", port=port, address=address)
+
+    def refuse(self, port: int, address: int) -> None:
+        """Make an endpoint not answer."""
+        self._command("refuse", port=port, address=address)
+
+    def heal(self, port: int) -> None:
+        """End stalls and refusals: what waited goes on, late."""
+        self._command("heal", port=port)
+
+    def unplug_after(self, port: int, count: int) -> None:
+        """Pull the board out when `count` more transfers of data have gone either way."""
+        self._command("unplug_after", port=port, count=count)
+
+    def state(self, port: int) -> dict[str, Any]:
+        """Figures of a board."""
+        return self._command("state", port=port)
+
+    def clear(self) -> None:
+        """Pull everything out."""
+        for port in list(self._ports):
+            self.unplug(port)
+
+    def close(self) -> None:
+        """End the device process; what is still plugged in goes with it."""
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        self._process.wait(SETTLE_S)
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+
+    def _command(self, command: str, **arguments: Any) -> dict[str, Any]:
+        if self._process.stdin is None or self._process.stdout is None:
+            raise RuntimeError("the device process has no pipes")
+        self._process.stdin.write(json.dumps({"do": command, **arguments}) + "\n")
+        self._process.stdin.flush()
+        answer: dict[str, Any] = json.loads(self._process.stdout.readline())
+        if "error" in answer:
+            raise RuntimeError(f"{command} {arguments}: {answer['error']}")
+        return answer
+
+    @staticmethod
+    def _has_driver(serial: str) -> bool:
+        """Interfaces are bound to their drivers after the device shows up (vendor interfaces to none)."""
+        device = serials()[serial]
+        for interface in device.glob(f"{device.name}:*"):
+            if (interface / "bInterfaceClass").read_text().strip() != "ff" and not (
+                interface / "driver"
+            ).exists():
+                return False
+        return any(device.glob(f"{device.name}:*"))
+
+    @staticmethod
+    def _until(condition: Any, what: str) -> None:
+        end = time.monotonic() + SETTLE_S
+        while True:
+            try:
+                if condition():
+                    return
+            except (OSError, KeyError):
+                pass  # it changed while it was read
+            if time.monotonic() > end:
+                raise TimeoutError(f"waited {SETTLE_S} s for {what}")
+            time.sleep(0.01)
+
+
+def serials() -> dict[str, Path]:
+    """Folders in sysfs of the devices that the kernel has, by serial number."""
+    found = {}
+    for device in USB_DEVICES.iterdir():
+        try:
+            found[(device / "serial").read_text().strip()] = device
+        except OSError:
+            continue
+    return found
+
+
+def node(serial: str, subsystem: str) -> Path:
+    """Device node that the kernel made for a board: subsystem `hidraw` or `tty`; `usb` for its USB node."""
+    device = serials()[serial]
+    if subsystem == "usb":
+        bus, number = (int((device / name).read_text()) for name in ("busnum", "devnum"))
+        return Path(f"/dev/bus/usb/{bus:03}/{number:03}")
+    names = [path.name for path in device.glob(f"{device.name}:*/**/{subsystem}/*")]
+    if len(names) != 1:
+        raise LookupError(f"{serial} has {names} in {subsystem}")
+    return Path("/dev") / names[0]
+
+
+def settle() -> None:
+    """Wait for udevd."""
+    subprocess.run(["udevadm", "settle", f"--timeout={SETTLE_S}"], check=True, env=dict(os.environ))

@@ -1,0 +1,100 @@
+"""What a person at the bench meets: the list of devices, missing permission, the udev rules."""
+
+import grp
+import json
+import stat
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from adis_gonio.cli import app
+from kernel.bench import Bench, node, settle
+
+BENCH_USER = 4242
+RULES = Path("/etc/udev/rules.d/70-adis-gonio.rules")
+SUPPLY_5_V = 2730
+PROGRAM_TIME_S = 80
+
+
+def command(*arguments: str) -> str:
+    """What `adis-gonio` prints; in this process, because the guest takes seconds to start a program."""
+    done = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+def open_as_user(urls: Sequence[str], groups: Sequence[str]) -> list[dict[str, Any]]:
+    """What a user of some groups gets from the boards."""
+    done = subprocess.run(
+        [sys.executable, "-m", "kernel.open_urls", *urls],
+        user=BENCH_USER,
+        group=BENCH_USER,
+        extra_groups=[grp.getgrnam(name).gr_gid for name in groups],
+        capture_output=True,
+        text=True,
+        timeout=PROGRAM_TIME_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def plug_all(bench: Bench) -> list[str]:
+    """One board of each kind; their URLs, for both of hidapi's backends."""
+    bench.plug("mcp2210", "A1")
+    bench.plug("cp2130", "B2")
+    bench.plug("serial", "C3")
+    return ["mcp2210:?backend=hidraw", "mcp2210:?backend=libusb", "cp2130:", f"serial:{node('C3', 'tty')}"]
+
+
+@pytest.fixture
+def no_rules(bench: Bench) -> Iterator[None]:
+    """A machine on which the rules are not installed, nor afterwards."""
+    RULES.unlink(missing_ok=True)
+    subprocess.run(["udevadm", "control", "--reload"], check=True)
+    yield
+    RULES.unlink(missing_ok=True)
+    subprocess.run(["udevadm", "control", "--reload"], check=True)
+
+
+def test_devices_lists_what_is_connected(bench: Bench) -> None:
+    plug_all(bench)
+    devices = {
+        row["url"]: row["description"] for row in json.loads(command("devices", "--json"))["devices"]
+    }
+    assert str(node("A1", "hidraw")) in devices["mcp2210:A1"]
+    assert "CP2130" in devices["cp2130:B2"]
+    assert "serial number C3" in devices[f"serial:{node('C3', 'tty')}"]
+
+
+@pytest.mark.usefixtures("no_rules")
+def test_without_the_rules_a_user_is_refused_and_told_the_rule_with_them_it_works(bench: Bench) -> None:
+    urls = plug_all(bench)
+    # Debian gives ttys to dialout without any rule of ours: this user is in no group.
+    refused = open_as_user(urls, [])
+    assert [row.get("error") for row in refused] == ["CannotOpenError"] * len(urls)
+    for row, words in zip(
+        refused,
+        ('SUBSYSTEM=="hidraw"', 'SUBSYSTEM=="usb"', 'ATTR{idProduct}=="87a0"', 'SUBSYSTEM=="tty"'),
+        strict=True,
+    ):
+        assert "no permission" in row["message"]
+        assert "adis-gonio devices --udev" in row["message"]
+        assert words in row["message"]
+
+    RULES.write_text(command("devices", "--udev"))
+    subprocess.run(["udevadm", "control", "--reload"], check=True)
+    bench.clear()
+    plug_all(bench)
+    settle()
+    allowed = open_as_user(urls, ["plugdev", "dialout"])
+    assert [row.get("message") for row in allowed] == [None] * len(urls)
+    assert all(abs(row["supply"] - SUPPLY_5_V) < 100 for row in allowed)
+    for place in (node("A1", "hidraw"), node("A1", "usb"), node("B2", "usb")):
+        assert stat.filemode(place.stat().st_mode) == "crw-rw----"
+        assert place.group() == "plugdev"
