@@ -3,10 +3,29 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from adis_gonio.cli.trace import working
+
+if TYPE_CHECKING:
+    from adis_gonio.model import Session
+    from adis_gonio.report.parts import Section
+    from adis_gonio.tracing import TraceResult
+
+
+def _twin(session: Session, traced: TraceResult) -> list[Section]:
+    """The twin's section, where the session can have one."""
+    from adis_gonio.errors import AdisGonioError
+    from adis_gonio.report.parts import Section
+    from adis_gonio.report.twin import twin_section
+
+    try:
+        section = twin_section(session, traced)
+    except AdisGonioError as error:
+        return [Section("The digital twin against the measured data", words=(f"There is none: {error}.",))]
+    return [] if section is None else [section]
 
 
 @click.command("report")
@@ -49,6 +68,8 @@ def command(*, session: Path, output: Path) -> None:
         except AdisGonioError as error:
             page = build_page(loaded, fits, str(error), failures=failures)
         else:
-            page = build_page(loaded, fits, traced, drawn, failures=failures)
+            page = build_page(
+                loaded, fits, traced, drawn, sections=_twin(loaded, traced), failures=failures
+            )
     output.write_text(page, encoding="utf-8")
     click.echo(f"{output}: {len(page.encode()) // 1024 + 1} kB", err=True)
