@@ -15,6 +15,7 @@ unplugged and reopened now and then.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import random
 import sys
 import time
@@ -159,12 +160,14 @@ def reopen(rig: Rig) -> SpiBus:
     """Plug in again and open, for as long as it takes."""
     while True:
         rig.replug()
-        try:
+        with contextlib.suppress(BusError):
             bus = rig.open()
-            bus.configure(FAST)
-        except BusError:
-            continue
-        return bus
+            try:
+                bus.configure(FAST)
+            except BusError:
+                bus.close()
+            else:
+                return bus
 
 
 def run(name: str, requests: int, seed: int) -> dict[str, object]:

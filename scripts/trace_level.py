@@ -1,0 +1,108 @@
+"""Level and speed of the search of `trace`.
+
+    python scripts/trace_level.py --sessions 24 --draws 400
+
+Level: pure noise is drawn in the whitened problem of simulated sessions, and the best score of any
+candidate recorded. A candidate is added where its score is above 0, so that the share of positive best
+scores is the family-wise error rate; the 99 % quantile says how far the prices
+(`tracing.search.ANOTHER`) are from 1 %.
+
+Speed: the selection among all candidates against one scipy `least_squares` fit of base and candidate
+for each, on a session of 48 readings.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from adis_gonio.model.records import Floats
+from adis_gonio.tracing.design import Problem, linearise
+from adis_gonio.tracing.grammar import nameless_terms
+from adis_gonio.tracing.named import named_terms
+from adis_gonio.tracing.observations import Observations
+from adis_gonio.tracing.search import price, search
+from adis_gonio.tracing.state import begin, predict, refit
+from adis_gonio.tracing.terms import Term
+from tracing.test_trace_engine import QUADRATIC, observations
+
+
+def problem_of(data: Observations) -> tuple[Problem, list[Term]]:
+    """Linear problem of a session about its base fit, with all candidates."""
+    terms: list[Term] = [*named_terms(data)[0], *nameless_terms(data)]
+    return linearise(data, (), refit(data, (), begin(data)).state, terms), terms
+
+
+def best_scores(problem: Problem, draws: int, rng: np.random.Generator) -> Floats:
+    """Best score of any single candidate in each of `draws` residuals of pure noise."""
+    noise = rng.standard_normal((len(problem.target), draws))
+    prices, best = price(problem), np.full(draws, -np.inf)
+    for width, members in problem.blocks:
+        begin_at = int(problem.first[members[0]])
+        block = problem.columns[:, begin_at : begin_at + width * len(members)]
+        gains = ((block.T @ noise).reshape(len(members), width, draws) ** 2).sum(axis=1)
+        best = np.maximum(best, (0.5 * gains - prices[members, None]).max(axis=0))
+    return best
+
+
+def refit_by_scipy(data: Observations, term: Term) -> float:
+    """Seconds of one fit of base parameters and one candidate by scipy, angles given."""
+    from dataclasses import replace
+
+    from scipy.optimize import least_squares
+
+    start = refit(data, (), begin(data)).state
+    columns = term.columns(predict(data, (), start).ideal_mg, data.conditions).shape[-1]
+
+    def residual(x: Floats) -> Floats:
+        state = replace(start, base=x[:4], values=(term.start(x[4:]),))
+        return predict(data, (term,), state).residual.ravel()
+
+    begun = time.perf_counter()
+    least_squares(residual, np.concatenate([start.base, np.zeros(columns)]), x_scale="jac")
+    return time.perf_counter() - begun
+
+
+def main() -> int:
+    """Print level and speed; exit status 1 where a target is missed."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--sessions", type=int, default=24)
+    parser.add_argument("--draws", type=int, default=400)
+    options = parser.parse_args()
+    rng = np.random.default_rng(1)
+    scores = []
+    for k in range(options.sessions):
+        data = observations(seed=k, n=int(rng.choice([12, 16, 24, 36, 48])), shuffled=bool(k % 2))
+        scores.append(best_scores(problem_of(data)[0], options.draws, rng))
+    together = np.concatenate(scores)
+    rate = float((together > 0).mean())
+    quantiles = [float(np.quantile(one, 0.99)) for one in scores]
+    print(
+        f"best score of noise: 99 % quantile {np.quantile(together, 0.99):+.2f} "
+        f"({min(quantiles):+.2f} to {max(quantiles):+.2f} a session), above 0 in {rate:.2%}"
+    )
+
+    data = observations([QUADRATIC], n=48)
+    begun = time.perf_counter()
+    problem, terms = problem_of(data)
+    search(problem, 6)
+    ours = time.perf_counter() - begun
+    sample = rng.choice(len(problem.terms), 40, replace=False)
+    theirs = float(np.mean([refit_by_scipy(data, problem.terms[k]) for k in sample])) * len(problem.terms)
+    print(
+        f"selection among {len(terms)} candidates, pairs included: {ours:.2f} s; one scipy fit each: "
+        f"{theirs:.0f} s; ratio {theirs / ours:.0f}"
+    )
+    return int(rate > 0.01 or theirs < 50 * ours)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,232 @@
+"""The whitened linear problem in which effects are chosen: one block of orthonormal columns a term.
+
+About a state of the model, readings minus prediction and the columns of every term are whitened and
+projected off the base model. Each term's block is then made orthonormal, so that its score statistic is the
+sum of squares of its scores and a search needs nothing but dot products of columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.model.records import Floats
+from adis_gonio.tracing.observations import Observations
+from adis_gonio.tracing.state import State, as_reading, base_columns, predict
+from adis_gonio.tracing.terms import Term
+
+_OBSERVABLE = 0.02
+"""Least length of a column beside the base model against its whole length, for it to be seen at all: what
+is shorter would need an amplitude fifty times what it leaves, and differs from the base model by
+second-order terms only."""
+_INDEPENDENT = 1e-4
+"""Least squared length of an orthonormal column beside a model, for it to be counted as another column."""
+PRIOR_SNR = 4.0
+"""Prior standard deviation of an effect in a reading, in standard uncertainties of a reading."""
+_RANK = 1e-7
+"""Least squared length of a column beside the others of its own term."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The linear problem.
+
+    Attributes
+    ----------
+    terms : tuple of Term
+        Candidates that this session can see at all.
+    columns : (rows, P) float
+        Orthonormal blocks, term after term in order of their width.
+    first, width : (M,) int
+        Where the block of each term begins, and its columns.
+    target : (rows,) float
+        Whitened readings, off the base model.
+    dof : int
+        Rows minus the rank of the base model.
+    back : tuple of (d, width) float
+        Amplitudes of a term from coefficients of its block.
+    cost, column_price : (M,) float
+        −ln of each term's share of the prior, and the price of its columns.
+    hidden : tuple of Term
+        Candidates that the session cannot see: their columns lie in the base model.
+    """
+
+    terms: tuple[Term, ...]
+    columns: Floats
+    first: NDArray[np.intp]
+    width: NDArray[np.intp]
+    target: Floats
+    dof: int
+    back: tuple[Floats, ...]
+    hidden: tuple[Term, ...]
+    cost: Floats
+    column_price: Floats
+    blocks: tuple[tuple[int, NDArray[np.intp]], ...]
+
+    @property
+    def chi2(self) -> float:
+        """χ² of the base model."""
+        return float(self.target @ self.target)
+
+    def block(self, term: int) -> Floats:
+        """Columns (rows, width) of a term."""
+        return self.columns[:, self.first[term] : self.first[term] + self.width[term]]
+
+    def gains(self, basis: Floats, residual: Floats) -> Floats:
+        """χ² that each term (M,) takes from a residual (rows,), beside an orthonormal model (rows, k)."""
+        score = residual @ self.columns
+        inside = basis.T @ self.columns
+        gain = np.zeros(len(self.terms))
+        for width, members in self.blocks:
+            start = int(self.first[members[0]])
+            span = slice(start, start + width * len(members))
+            z = score[span].reshape(len(members), width)
+            a = inside[:, span].reshape(basis.shape[1], len(members), width)
+            if width == 1:
+                left = np.maximum(1 - (a[:, :, 0] ** 2).sum(axis=0), 0.0)
+                gain[members] = np.where(
+                    left > _INDEPENDENT, z[:, 0] ** 2 / np.maximum(left, _INDEPENDENT), 0
+                )
+                continue
+            # The ridge takes the place of a rank decision: along a direction inside the model z is zero
+            # too.
+            gram = (1 + _INDEPENDENT) * np.eye(width) - a.transpose(1, 2, 0) @ a.transpose(1, 0, 2)
+            gain[members] = (z * np.linalg.solve(gram, z[:, :, None])[:, :, 0]).sum(axis=1)
+        return gain
+
+    def only(self, chosen: NDArray[np.intp]) -> Problem:
+        """The same problem with some of the terms (increasing numbers)."""
+        index = np.concatenate(
+            [np.arange(self.first[k], self.first[k] + self.width[k]) for k in chosen]
+        ).astype(np.intp)
+        width = self.width[chosen]
+        groups = tuple((int(w), np.flatnonzero(width == w)) for w in np.unique(width))
+        return replace(
+            self,
+            terms=tuple(self.terms[k] for k in chosen),
+            columns=np.ascontiguousarray(self.columns[:, index]),
+            first=np.concatenate([[0], np.cumsum(width)[:-1]]).astype(np.intp),
+            width=width,
+            back=tuple(self.back[k] for k in chosen),
+            cost=self.cost[chosen],
+            column_price=self.column_price[chosen],
+            blocks=groups,
+        )
+
+
+def linearise(data: Observations, model: Sequence[Term], state: State, terms: Sequence[Term]) -> Problem:
+    """Linear problem about a state whose model holds some of the terms."""
+    at = predict(data, model, state)
+    left = data.mean_mg - at.predicted_mg
+    if data.planar:
+        left = left + at.tangent[:, :, 0] * state.delta_rad[:, None]
+    for term, values in zip(model, state.values, strict=True):
+        added = term.added(values, at.ideal_mg, data.conditions)
+        if not term.enters_angle:
+            left = left + added
+        elif data.planar:
+            left = left + at.tangent[:, :, 0] * added[:, None]
+    y = np.einsum("nrk,nk->nr", at.whiten, left).ravel()
+
+    base = (at.whiten @ base_columns(data, state, at)).reshape(len(y), -1)
+    base = base / np.maximum(np.linalg.norm(base, axis=0), 1e-300)
+    u, s, _ = np.linalg.svd(base, full_matrices=False)
+    base = u[:, s > 1e-8 * s[0]]
+    y = y - base @ (base.T @ y)
+
+    raw = [as_reading(term, term.columns(at.ideal_mg, data.conditions), at) for term in terms]
+    widths = np.array([block.shape[2] for block in raw], dtype=np.intp)
+    together = (at.whiten @ np.concatenate(raw, axis=2)).reshape(len(y), -1)
+    before = np.linalg.norm(together, axis=0)
+    together = together / np.where(before > 0, before, 1.0)
+    together = together - base @ (base.T @ together)
+    after = np.linalg.norm(together, axis=0)
+    seen_at_all = after > _OBSERVABLE
+    together = together * np.where(seen_at_all, 1 / np.where(seen_at_all, after, 1.0), 0.0)
+    before = np.where(seen_at_all, before * after, 1.0)
+    starts = np.concatenate([[0], np.cumsum(widths)[:-1]])
+
+    blocks: dict[int, list[tuple[int, Floats, Floats]]] = {}
+    hidden = []
+    for width in np.unique(widths):
+        members = np.flatnonzero(widths == width)
+        index = starts[members, None] + np.arange(width)
+        stack = together[:, index].transpose(1, 0, 2)  # (members, rows, width)
+        gram = stack.transpose(0, 2, 1) @ stack
+        root = np.linalg.cholesky(gram + 1e-10 * np.eye(width))
+        whole = [bool((np.diagonal(one) ** 2 > _RANK).all()) for one in root]
+        halves = np.linalg.inv(root).transpose(0, 2, 1)
+        turned = stack @ halves
+        for k, member in enumerate(members.tolist()):
+            half, columns = halves[k], turned[k]
+            if not whole[k]:
+                values, vectors = np.linalg.eigh(gram[k])
+                seen = np.asarray(values > _RANK)
+                if not seen.any():
+                    hidden.append(terms[member])
+                    continue
+                half = vectors[:, seen] / np.sqrt(values[seen])
+                columns = stack[k] @ half
+            raw_half = half / before[index[k]][:, None]
+            blocks.setdefault(columns.shape[1], []).append((member, columns, raw_half))
+
+    chosen: list[int] = []
+    pieces, back, groups, first, width_of = [np.zeros((len(y), 0))], [], [], [], []
+    at_column = 0
+    for width in sorted(blocks):
+        begin = len(chosen)
+        for member, columns, raw_half in blocks[width]:
+            chosen.append(member)
+            pieces.append(columns)
+            back.append(raw_half)
+            first.append(at_column)
+            width_of.append(width)
+            at_column += width
+        groups.append((width, np.arange(begin, len(chosen))))
+    picked = tuple(terms[k] for k in chosen)
+    together = np.ascontiguousarray(np.concatenate(pieces, axis=1))
+    begins = np.array(first, dtype=np.intp)
+    return Problem(
+        terms=picked,
+        columns=together,
+        first=begins,
+        width=np.array(width_of, dtype=np.intp),
+        target=y,
+        dof=len(y) - base.shape[1],
+        back=tuple(back),
+        hidden=tuple(hidden),
+        cost=np.array([term.cost for term in picked]),
+        column_price=_column_prices(together, begins),
+        blocks=tuple(groups),
+    )
+
+
+def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
+    """½ Σ ln(1 + s² n) over the columns of each block, a column being spread over n = 1/Σ u⁴ rows."""
+    if not len(first):
+        return np.zeros(0)
+    price = 0.5 * np.log1p(PRIOR_SNR**2 / np.maximum((columns**4).sum(axis=0), 1e-300))
+    blocks: Floats = np.add.reduceat(price, first)
+    return blocks
+
+
+def span(problem: Problem, model: Sequence[int]) -> tuple[Floats, Floats]:
+    """Orthonormal basis (rows, k) of a model's columns, and what is left of the target beside it."""
+    if not len(model):
+        return np.zeros((len(problem.target), 0)), problem.target
+    u, s, _ = np.linalg.svd(np.concatenate([problem.block(k) for k in model], axis=1), full_matrices=False)
+    basis = u[:, s > np.sqrt(_INDEPENDENT)]
+    return basis, problem.target - basis @ (basis.T @ problem.target)
+
+
+def amplitudes(problem: Problem, model: Sequence[int]) -> list[Floats]:
+    """Amplitudes of each term of a model by linear least squares."""
+    if not len(model):
+        return []
+    columns = np.concatenate([problem.block(k) for k in model], axis=1)
+    solved = np.linalg.lstsq(columns, problem.target, rcond=1e-8)[0]
+    cuts = np.cumsum([0] + [int(problem.width[k]) for k in model])
+    return [problem.back[k] @ solved[cuts[i] : cuts[i + 1]] for i, k in enumerate(model)]

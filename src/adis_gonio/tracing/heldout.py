@@ -1,0 +1,222 @@
+"""Errors on dwells that took no part: `check` dwells, else folds with the selection inside the fold.
+
+Folds are made of whole dwells: every fifth one, and, where positions repeat so that no fold leaves a gap of
+angles, blocks of time. Plain leave-one-out flatters a model where poses repeat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.model.effects import Conditions
+from adis_gonio.model.records import Floats
+from adis_gonio.tracing.observations import Observations
+from adis_gonio.tracing.state import Refit, State, angles, predict, refit, settle
+from adis_gonio.tracing.terms import Term
+
+FOLDS = 5
+BLOCKS = 4
+REACH = 0.5
+"""Share of the range of what a term added, by which it may go beyond on other dwells."""
+SHORT = 16
+"""Up to so many dwells each is left out alone: a fifth less of them would be another session."""
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a model leaves on dwells that took no part.
+
+    Attributes
+    ----------
+    residual_mg : (n, axes) float
+        Reading minus model at the attitude that fits this dwell best within the fixture's tolerance.
+    angle_rad : (n,) float or None
+        Angle by the calibrated goniometer minus declared angle.
+    whitened2 : (n,) float
+        Squared whitened residual of each dwell.
+    """
+
+    residual_mg: Floats
+    angle_rad: Floats | None
+    whitened2: Floats
+
+
+@dataclass(frozen=True)
+class _Bounded(Term):
+    """A fitted term that adds to other dwells little more than to those that it was fitted on.
+
+    Attributes
+    ----------
+    term : Term
+    low, high : (axes,) or () float
+        Bounds of what it adds, in mg or rad.
+    """
+
+    term: Term
+    low: Floats
+    high: Floats
+
+    @property
+    def name(self) -> str | None:
+        """As the term."""
+        return self.term.name
+
+    @property
+    def enters_angle(self) -> bool:
+        """As the term."""
+        return self.term.enters_angle
+
+    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """As the term."""
+        return self.term.columns(ideal_mg, conditions)
+
+    def start(self, amplitudes: Floats) -> Floats:
+        """As the term."""
+        return self.term.start(amplitudes)
+
+    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """What the term adds, within the bounds."""
+        bounded: Floats = np.clip(self.term.added(values, ideal_mg, conditions), self.low, self.high)
+        return bounded
+
+    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """As the term."""
+        return self.term.derivative(values, ideal_mg, conditions)
+
+    def bounds(self) -> Floats:
+        """As the term."""
+        return self.term.bounds()
+
+
+def bounded(data: Observations, model: Sequence[Term], fitted: Refit) -> tuple[Term, ...]:
+    """Terms for dwells that took no part: what each adds is bounded by what it added to those of the fit.
+
+    The range of the fit is extended by `REACH` of itself at either end: a line reaches over the block of
+    time that was left out, while a polynomial of high degree, or two terms that only together are
+    determined, cannot explode. A term of a dwell that was left out adds nothing.
+    """
+    terms = []
+    for term, values in zip(model, fitted.state.values, strict=True):
+        ideal = data.mean_mg if term.enters_angle else fitted.prediction.ideal_mg
+        added = term.added(values, ideal, data.conditions)
+        low, high = added.min(axis=0), added.max(axis=0)
+        more = REACH * (high - low)
+        terms.append(_Bounded(term.label, term.covariates, term.cost, term, low - more, high + more))
+    return tuple(terms)
+
+
+def leave(data: Observations, model: Sequence[Term], fitted: State) -> Left:
+    """Residuals of a fitted model on other dwells; see `bounded` for its terms."""
+    n = len(data)
+    start = State(
+        fitted.base,
+        np.zeros(n),
+        data.mean_mg / np.linalg.norm(data.mean_mg, axis=1, keepdims=True)
+        if not data.planar
+        else np.zeros((n, 0)),
+        fitted.values,
+    )
+    if data.planar and data.conditions.angle_rad is None:
+        start = replace(start, delta_rad=np.arctan2(data.mean_mg[:, 1], data.mean_mg[:, 0]))
+    state = settle(data, model, start, passes=4)
+    at = predict(data, model, state)
+    turned = None
+    if data.planar and data.conditions.angle_rad is not None:
+        free = replace(data, fixture_rad=float("inf"))
+        turned = settle(free, model, start, passes=4).delta_rad
+    return Left(data.mean_mg - at.predicted_mg, turned, (at.residual**2).sum(axis=1))
+
+
+def rms(residual_mg: Floats, planar: bool) -> float:
+    """Root mean square: over readings of both axes in the plane, of the norm's residual in space."""
+    squares = residual_mg**2
+    return float(np.sqrt(squares.mean() if planar else squares.sum(axis=1).mean()))
+
+
+def folds(data: Observations) -> dict[str, list[NDArray[np.bool_]]]:
+    """Fold designs that apply: name → masks (n,) of the dwells that are left out."""
+    n = len(data)
+    count = min(FOLDS, n) if n > SHORT else n
+    order = np.arange(n)
+    # A fixed shuffle, so that no fold holds every fifth angle of a turn only.
+    shuffled = np.random.default_rng(5).permutation(n)
+    designs = {"whole dwells": [shuffled % count == k for k in range(count)]}
+    blocks = [order * BLOCKS // n == k for k in range(BLOCKS)]
+    if n >= 2 * BLOCKS and _poses_repeat(data, blocks):
+        designs["blocks of time"] = blocks
+    return designs
+
+
+def _poses_repeat(data: Observations, blocks: list[NDArray[np.bool_]]) -> bool:
+    """True where every dwell left out has a neighbour: 2.5 steps of angle, in space 45° away."""
+    if not data.planar:
+        unit = data.mean_mg / np.linalg.norm(data.mean_mg, axis=1, keepdims=True)
+        near = np.arccos(np.clip(unit @ unit.T, -1, 1)) < np.pi / 4
+        return all(bool(near[np.ix_(b, ~b)].any(axis=1).all()) for b in blocks)
+    theta = data.conditions.angle_rad
+    if theta is None:
+        return False
+    turn = 2 * np.pi
+    step = turn / max(len(np.unique(np.round(np.mod(theta, turn), 3))), 1)
+    for block in blocks:
+        gap = np.mod(theta[block][:, None] - theta[~block][None, :] + np.pi, turn) - np.pi
+        if not (np.abs(gap).min(axis=1) < 2.5 * step).all():
+            return False
+    return True
+
+
+def cross_validate(
+    data: Observations,
+    designs: dict[str, list[NDArray[np.bool_]]],
+    fit: Callable[[Observations], tuple[Sequence[Term], Refit]],
+) -> dict[str, Left]:
+    """Left-out residuals of every dwell under each design; `fit` selects and fits on the other dwells."""
+    out = {}
+    for name, masks in designs.items():
+        residual = np.full(data.mean_mg.shape, np.nan)
+        turned = np.full(len(data), np.nan)
+        whitened = np.full(len(data), np.nan)
+        for mask in masks:
+            model, fitted = fit(data.rows(~mask))
+            left = leave(data.rows(mask), bounded(data.rows(~mask), model, fitted), fitted.state)
+            residual[mask], whitened[mask] = left.residual_mg, left.whitened2
+            if left.angle_rad is not None:
+                turned[mask] = left.angle_rad
+        out[name] = Left(residual, None if np.isnan(turned).any() else turned, whitened)
+    return out
+
+
+def refitted(model: Sequence[Term], start: State) -> Callable[[Observations], tuple[Sequence[Term], Refit]]:
+    """A `fit` for `cross_validate` that keeps the model and fits it again."""
+
+    def fit(data: Observations) -> tuple[Sequence[Term], Refit]:
+        from adis_gonio.tracing.state import begin
+
+        begun = begin(data)
+        state = State(start.base, begun.delta_rad, begun.unit, start.values)
+        return model, refit(data, model, state)
+
+    return fit
+
+
+def goniometer_error(data: Observations, model: Sequence[Term], fitted: Refit) -> Floats | None:
+    """Angle by the calibrated goniometer minus declared angle (n,) in rad, of dwells that were fitted."""
+    left = leave(data, model, fitted.state)
+    return left.angle_rad
+
+
+__all__ = [
+    "Left",
+    "angles",
+    "bounded",
+    "cross_validate",
+    "folds",
+    "goniometer_error",
+    "leave",
+    "refitted",
+    "rms",
+]

@@ -1,0 +1,252 @@
+"""What a trace says: findings, steps, rivals, the unnamed rest, errors before and after, advice."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from adis_gonio.tracing.state import State
+from adis_gonio.tracing.terms import Term
+
+
+@dataclass(frozen=True)
+class Value:
+    """A value with its standard uncertainty (None: not determined) and unit."""
+
+    value: float
+    u: float | None
+    unit: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """`{"value", "u", "unit"}`."""
+        return {"value": _number(self.value), "u": _number(self.u), "unit": self.unit}
+
+
+@dataclass(frozen=True)
+class ErrorFigures:
+    """How well a model does.
+
+    Attributes
+    ----------
+    residual_rms_mg : float
+        Residual of the dwells that were fitted.
+    heldout_rms_mg : float or None
+        Reading minus model at the attitude that fits the dwell best, over dwells that took no part.
+    angle_rms_deg : float or None
+        Angle from the reading by the calibrated goniometer minus declared angle, over these dwells.
+    chi2_per_dof : float or None
+        None where the noise of a reading is not known or no degree of freedom is left.
+    """
+
+    residual_rms_mg: float
+    heldout_rms_mg: float | None
+    angle_rms_deg: float | None
+    chi2_per_dof: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The keys of `error.before`."""
+        return {
+            "residual_rms_mg": _number(self.residual_rms_mg),
+            "heldout_rms_mg": _number(self.heldout_rms_mg),
+            "angle_rms_deg": _number(self.angle_rms_deg),
+            "chi2_per_dof": _number(self.chi2_per_dof),
+        }
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One named effect that the trace added.
+
+    Attributes
+    ----------
+    effect : str
+    axes : tuple of str
+    parameters : mapping of str to Value
+    p_value : float
+        Of the effect in the final model (group score test), times the number of candidates, at most 1.
+    explains : float
+        Fraction of the base model's excess residual.
+    probability : float
+        Posterior that the effect is present.
+    equivalents : tuple of str
+        Models that predict the same in this session.
+    cause : str
+        In one sentence.
+    """
+
+    effect: str
+    axes: tuple[str, ...]
+    parameters: dict[str, Value]
+    p_value: float
+    explains: float
+    probability: float
+    equivalents: tuple[str, ...] = ()
+    cause: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of `found`."""
+        return {
+            "effect": self.effect,
+            "axes": list(self.axes),
+            "parameters": {name: value.as_dict() for name, value in self.parameters.items()},
+            "p_value": self.p_value,
+            "explains": self.explains,
+            "probability": self.probability,
+            "equivalents": list(self.equivalents),
+            "cause": self.cause,
+        }
+
+
+@dataclass(frozen=True)
+class Unnamed:
+    """Structure that has no name.
+
+    Attributes
+    ----------
+    covariates : tuple of str
+        What it depends on: angle, time, order, temperature, temperature_rate, supply, approach,
+        previous_angle, reading, variance.
+    form : str
+        Formula in words.
+    explains : float
+        Fraction of the base model's excess residual.
+    probability : float or None
+        Posterior of these covariates; None for a dependence test.
+    p_value : float
+    """
+
+    covariates: tuple[str, ...]
+    form: str
+    explains: float
+    probability: float | None
+    p_value: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """The value of `unnamed`."""
+        return {
+            "covariates": list(self.covariates),
+            "form": self.form,
+            "explains": self.explains,
+            "probability": self.probability,
+            "p_value": self.p_value,
+        }
+
+
+@dataclass(frozen=True)
+class Step:
+    """One term as it came in."""
+
+    effect: str
+    error: ErrorFigures
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of `steps`."""
+        return {"effect": self.effect, **self.error.as_dict()}
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """Smallest amplitude that the session would have shown; None where it can show none."""
+
+    amplitude: float | None
+    unit: str
+    parameter: str
+    reason: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """One value of `detectable`."""
+        return {
+            "amplitude": _number(self.amplitude),
+            "unit": self.unit,
+            "parameter": self.parameter,
+            "reason": self.reason,
+        }
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A model near the best: its terms, and its posterior."""
+
+    terms: tuple[str, ...]
+    probability: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of `rivals`."""
+        return {"terms": list(self.terms), "probability": self.probability}
+
+
+@dataclass(frozen=True)
+class TraceResult:
+    """The trace of a session.
+
+    Attributes
+    ----------
+    adequate : bool
+        The final model leaves no more than the noise that was measured within the dwells.
+    found : tuple of Finding
+    steps : tuple of Step
+    confounded : tuple of tuple of str
+        Effects, or an effect and nameless forms, that this session cannot tell apart.
+    unnamed : Unnamed or None
+    before, after : ErrorFigures
+    detectable : mapping of str to Detectable
+    advice : tuple of str
+    rivals : tuple of Rival
+        Models near the best, the best first.
+    base : mapping of str to Value
+        Base parameters of the final model.
+    reasons : mapping of str to str
+        Why an effect is confounded or not called found.
+    notes : tuple of str
+    within : tuple of str
+        What the samples inside the dwells show.
+    heldout_design : str
+        How dwells were left out.
+    model : tuple of Term
+        Terms of the final model; no part of the JSON, nor of a comparison.
+    state : State or None
+        State of the final refit, `state.values[k]` belonging to `model[k]`; as `model`.
+    """
+
+    adequate: bool
+    found: tuple[Finding, ...]
+    steps: tuple[Step, ...]
+    confounded: tuple[tuple[str, ...], ...]
+    unnamed: Unnamed | None
+    before: ErrorFigures
+    after: ErrorFigures
+    detectable: dict[str, Detectable]
+    advice: tuple[str, ...]
+    rivals: tuple[Rival, ...] = ()
+    base: dict[str, Value] = field(default_factory=dict)
+    reasons: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    within: tuple[str, ...] = ()
+    heldout_design: str = ""
+    model: tuple[Term, ...] = field(default=(), repr=False, compare=False)
+    state: State | None = field(default=None, repr=False, compare=False)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The JSON document of `trace`."""
+        return {
+            "adequate": self.adequate,
+            "found": [finding.as_dict() for finding in self.found],
+            "steps": [step.as_dict() for step in self.steps],
+            "confounded": [list(names) for names in self.confounded],
+            "unnamed": None if self.unnamed is None else self.unnamed.as_dict(),
+            "error": {"before": self.before.as_dict(), "after": self.after.as_dict()},
+            "detectable": {name: value.as_dict() for name, value in self.detectable.items()},
+            "next": list(self.advice),
+            "rivals": [rival.as_dict() for rival in self.rivals],
+            "base": {name: value.as_dict() for name, value in self.base.items()},
+            "reasons": dict(self.reasons),
+            "notes": list(self.notes),
+            "within": list(self.within),
+            "heldout_design": self.heldout_design,
+        }
+
+
+def _number(value: float | None) -> float | None:
+    """JSON has no infinities and no NaN."""
+    return None if value is None or not math.isfinite(value) else float(value)

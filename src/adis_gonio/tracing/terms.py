@@ -1,0 +1,223 @@
+"""Terms: what can be added to the base model, named or nameless, in one shape for search and fit.
+
+A term is a group of columns ∂reading/∂parameter (or ∂angle/∂parameter). A *named* term is an effect of the
+catalogue on some axes; its shapes (time constants) stand on a grid for the search and are free in the fit.
+A *nameless* term is a point of the grammar: where it enters × what drives it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from adis_gonio.model.effects import AXES, Conditions, Effect, Enters
+from adis_gonio.model.records import Floats
+
+Where = Literal["bias", "gain", "angle"]
+
+
+@dataclass(frozen=True)
+class Term(ABC):
+    """Base of all terms.
+
+    Attributes
+    ----------
+    label : str
+        Unique in a session.
+    covariates : tuple of str
+        What drives it.
+    cost : float
+        Price of having chosen it among all, in nats: −ln of its share of the prior.
+    """
+
+    label: str
+    covariates: tuple[str, ...]
+    cost: float
+
+    @property
+    def name(self) -> str | None:
+        """Name of the catalogue; None for a nameless term."""
+        return None
+
+    @property
+    @abstractmethod
+    def enters_angle(self) -> bool:
+        """True where it turns the part, False where it adds to readings."""
+
+    @abstractmethod
+    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """Columns by its amplitudes: (n, axes, d) in mg, or (n, d) in rad."""
+
+    @abstractmethod
+    def start(self, amplitudes: Floats) -> Floats:
+        """Values (p,) of all its parameters at the amplitudes (d,) that the search found."""
+
+    @abstractmethod
+    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """What it adds: (n, axes) in mg, or (n,) in rad."""
+
+    @abstractmethod
+    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """∂added/∂values: (n, axes, p) or (n, p)."""
+
+    @abstractmethod
+    def bounds(self) -> Floats:
+        """Bounds (p, 2) of the values."""
+
+
+@dataclass(frozen=True)
+class NamedTerm(Term):
+    """An effect of the catalogue with its shapes at one point of their grid.
+
+    Attributes
+    ----------
+    effect : Effect
+    shapes : tuple of (int, float)
+        Index among the parameters, and value, of each shape.
+    """
+
+    effect: Effect
+    shapes: tuple[tuple[int, float], ...] = ()
+
+    @property
+    def name(self) -> str | None:
+        """Name of the catalogue."""
+        return self.effect.name
+
+    @property
+    def enters_angle(self) -> bool:
+        """True for effects of the stage."""
+        return self.effect.enters is Enters.ATTITUDE
+
+    @cached_property
+    def amplitude_index(self) -> list[int]:
+        """Indices of the amplitudes among the parameters."""
+        fixed = {index for index, _ in self.shapes}
+        return [k for k in range(len(self.effect.parameters)) if k not in fixed]
+
+    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """Derivative by the amplitudes at amplitude zero."""
+        values = self.start(np.zeros(len(self.amplitude_index)))
+        return self.effect.derivative(values, ideal_mg, conditions)[..., self.amplitude_index]
+
+    def start(self, amplitudes: Floats) -> Floats:
+        """Amplitudes found, shapes of the grid."""
+        values = np.zeros(len(self.amplitude_index) + len(self.shapes))
+        values[self.amplitude_index] = amplitudes
+        for index, shape in self.shapes:
+            values[index] = shape
+        return values
+
+    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """As the effect says."""
+        if self.enters_angle:
+            return self.effect.attitude_rad(values, conditions)
+        return self.effect.reading_mg(values, ideal_mg, conditions)
+
+    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """As the effect says."""
+        return self.effect.derivative(values, ideal_mg, conditions)
+
+    def bounds(self) -> Floats:
+        """Physical bounds of the catalogue."""
+        return np.array([[p.low, p.high] for p in self.effect.parameters])
+
+
+@dataclass(frozen=True)
+class Driver:
+    """What drives a nameless term: functions of the conditions, or of the readings axis by axis.
+
+    Attributes
+    ----------
+    form : str
+        Formula in words of the covariates.
+    covariates : tuple of str
+    common : callable or None
+        Conditions → (n, q): the same on every axis.
+    by_axis : callable or None
+        (ideal in g (n, axes), axis) → (n, q): functions of the readings.
+    """
+
+    form: str
+    covariates: tuple[str, ...]
+    common: Callable[[Conditions], Floats] | None = None
+    by_axis: Callable[[Floats, int], Floats] | None = None
+
+
+@dataclass(frozen=True)
+class NamelessTerm(Term):
+    """A point of the grammar.
+
+    Attributes
+    ----------
+    where : {"bias", "gain", "angle"}
+    axes : tuple of int
+        Axes on which it acts, each with its own amplitudes; empty for the angle.
+    driver : Driver
+    """
+
+    where: Where
+    axes: tuple[int, ...]
+    driver: Driver
+    tangent_rad: float = field(default=1e-3, repr=False)
+
+    @property
+    def enters_angle(self) -> bool:
+        """True for functions that turn the part."""
+        return self.where == "angle"
+
+    @property
+    def with_constant(self) -> bool:
+        """True where a constant stands beside the function."""
+        return self.driver.form.endswith("+ const")
+
+    @property
+    def form(self) -> str:
+        """Formula in words."""
+        letters = ", ".join(AXES[k] for k in self.axes)
+        head = {"bias": f"bias of {letters}", "gain": f"gain of {letters}", "angle": "true angle"}[
+            self.where
+        ]
+        return f"{head} follows {self.driver.form}"
+
+    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """The driver's functions (amplitude in mg; in mg at 1 g for a gain; in mrad for the angle)."""
+        n, k = ideal_mg.shape
+        if self.driver.common is not None:
+            common = self.driver.common(conditions)
+            if self.where == "angle":
+                return self.tangent_rad * common
+            by_axis = [common] * len(self.axes)
+        else:
+            assert self.driver.by_axis is not None
+            by_axis = [self.driver.by_axis(ideal_mg / 1000.0, axis) for axis in self.axes]
+        q = by_axis[0].shape[1]
+        out = np.zeros((n, k, q * len(self.axes)))
+        for j, axis in enumerate(self.axes):
+            rows = by_axis[j]
+            if self.where == "gain":
+                rows = rows * (ideal_mg[:, axis, None] / 1000.0)
+            out[:, axis, q * j : q * (j + 1)] = rows
+        return out
+
+    def start(self, amplitudes: Floats) -> Floats:
+        """The amplitudes: there are no shapes."""
+        return np.array(amplitudes, dtype=float)
+
+    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """Columns times amplitudes."""
+        total: Floats = self.columns(ideal_mg, conditions) @ values
+        return total
+
+    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """The columns: a nameless term is linear."""
+        return self.columns(ideal_mg, conditions)
+
+    def bounds(self) -> Floats:
+        """None."""
+        raise NotImplementedError

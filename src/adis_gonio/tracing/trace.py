@@ -1,0 +1,470 @@
+"""`trace`: residual → missing effect → corrected model → error before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from adis_gonio.errors import FitError
+from adis_gonio.model.records import Floats, Session
+from adis_gonio.tracing.advice import advise
+from adis_gonio.tracing.detect import detectable
+from adis_gonio.tracing.gates import held_out_gains
+from adis_gonio.tracing.grammar import nameless_terms
+from adis_gonio.tracing.heldout import bounded, cross_validate, folds, leave, rms
+from adis_gonio.tracing.named import named_terms
+from adis_gonio.tracing.naming import Names, describe, judge
+from adis_gonio.tracing.observations import Observations, observe
+from adis_gonio.tracing.openings import undecided
+from adis_gonio.tracing.remainder import dependence
+from adis_gonio.tracing.result import ErrorFigures, Finding, Rival, Step, TraceResult, Unnamed, Value
+from adis_gonio.tracing.selection import ADEQUATE, Selection, adequacy, fit_model, select
+from adis_gonio.tracing.state import Refit, State, begin, refit
+from adis_gonio.tracing.terms import NamedTerm, NamelessTerm, Term
+from adis_gonio.tracing.verdict import CERTAIN
+
+BASE_PLANAR = (("alpha", "degree"), ("scale_x", "1"), ("scale_y", "1"), ("delta_phi", "degree"))
+BASE_SPACE = (
+    ("scale_x", "1"),
+    ("skew_xy", "1"),
+    ("scale_y", "1"),
+    ("skew_xz", "1"),
+    ("skew_yz", "1"),
+    ("scale_z", "1"),
+)
+WORSE = 1.05
+"""Largest held-out error of the final model in units of the base model's."""
+LEAST_DWELLS = 5
+"""Least dwells of which any are left out."""
+
+
+def trace(session: Session, max_effects: int = 6) -> TraceResult:
+    """Trace the residual of a session to the effects that the seed paper's model lacks.
+
+    Parameters
+    ----------
+    session : Session
+        Planar (declared angles) or in space (`plane` none); one dwell with temperature is traced sample by
+        sample (`adis_gonio.tracing.series`).
+    max_effects : int
+        Most terms that the model may take on.
+
+    Raises
+    ------
+    DataError
+        As `adis_gonio.fitting.reduce_session`.
+    FitError
+        Fewer readings than base parameters.
+    """
+    if len([dwell for dwell in session.dwells if len(dwell)]) == 1:
+        from adis_gonio.tracing.series import trace_series
+
+        return trace_series(session, max_effects)
+    return trace_observations(observe(session), max_effects)
+
+
+def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
+    """Trace readings; see `trace`."""
+    training = data.rows(~data.check)
+    checking = data.rows(data.check) if data.check.any() else None
+    _enough(training)
+    named, missing = named_terms(training)
+    terms: list[Term] = [*named, *nameless_terms(training)]
+    selection = select(training, terms, max_effects)
+    names = judge(selection)
+    selection, names, dropped = _surviving(training, selection, names)
+
+    if not selection.adequate:
+        could = undecided(selection)
+        if len(could) > 1:
+            names = replace(names, confounded=(*names.confounded, could))
+
+    nested = _in_order(training, selection)
+    figures, design = _figures(training, checking, selection, nested, terms, max_effects)
+    count, names, cut = _never_worse(
+        training, selection, names, nested, _guarding(training, checking, selection, nested, figures)
+    )
+    if cut:
+        # Longer models have their figures already; those of the shorter one hold for it as they are.
+        kept = [k for k in selection.verdict.best if selection.problem.terms[k] in nested[count]]
+        selection = _with_model(training, selection, kept)
+        nested, figures = nested[: count + 1], figures[: count + 1]
+        dropped = {**dropped, **cut}
+    unnamed = _unnamed(training, selection)
+    found = tuple(_finding(selection, name) for name in names.stand)
+    seen = detectable(selection.found, selection.verdict.best, missing)
+    rivals = _rivals(selection)
+    fitted: list[tuple[Sequence[Term], Refit]] = [(selection.model, selection.fit)]
+    if (
+        any(name not in names.stand for name in (t.name for t in selection.model) if name)
+        or names.confounded
+    ):
+        fitted += [
+            (
+                [selection.problem.terms[k] for k in m],
+                fit_model(training, selection.problem, m, selection.fit.state),
+            )
+            for m in _other_models(selection)[:3]
+        ]
+    return TraceResult(
+        adequate=selection.adequate,
+        found=found,
+        steps=tuple(
+            Step(describe(model[-1]), error) for model, error in zip(nested[1:], figures[1:], strict=True)
+        ),
+        confounded=names.confounded,
+        unnamed=unnamed,
+        before=figures[0],
+        after=figures[-1],
+        detectable=seen,
+        advice=advise(training, fitted, names.confounded, seen, selection.adequate),
+        rivals=rivals,
+        base=_base(data, selection.fit, selection.inflation),
+        reasons={**names.open, **dropped},
+        notes=_notes(data, selection),
+        heldout_design=design,
+        model=selection.model,
+        state=selection.fit.state,
+    )
+
+
+def _enough(data: Observations) -> None:
+    base = 4 if data.planar else 6
+    rows = len(data) * (1 if np.isinf(data.fixture_rad) else 2)
+    if rows < base:
+        raise FitError(
+            f"{len(data)} positions give {rows} equations for {base} base parameters; measure at least "
+            f"{-(-base // (rows // len(data)))} positions"
+        )
+
+
+def _surviving(
+    data: Observations, selection: Selection, names: Names
+) -> tuple[Selection, Names, dict[str, str]]:
+    """Take away effects that held-out dwells contradict, the worst first, each judged beside the others.
+
+    Uncertain names go as well where dwells do not confirm them.
+    """
+    reasons: dict[str, str] = {}
+    if len(data) < LEAST_DWELLS:
+        return selection, names, reasons
+    while selection.model:
+        worst: tuple[float, str, str] | None = None
+        for name in dict.fromkeys(describe(term) for term in selection.model):
+            members = [k for k, term in enumerate(selection.model) if describe(term) == name]
+            gains = held_out_gains(data, selection.model, selection.fit, members, selection.inflation)
+            for design, held_out in gains.items():
+                if held_out.contradicted and (worst is None or held_out.gain < worst[0]):
+                    worst = (held_out.gain, name, design)
+        if worst is None:
+            break
+        gain, name, design = worst
+        reasons[name] = f"contradicted by dwells that took no part ({design}: χ² rises by {-gain:.1f})"
+        kept = [k for k in selection.verdict.best if describe(selection.problem.terms[k]) != name]
+        selection = _with_model(data, selection, kept)
+    selection, unconfirmed = _confirmed(data, selection, names)
+    return selection, _without(names, reasons), {**reasons, **unconfirmed}
+
+
+def _confirmed(data: Observations, selection: Selection, names: Names) -> tuple[Selection, dict[str, str]]:
+    """Take uncertain effects out of the model where neither the folds nor adequacy ask for them."""
+    reasons: dict[str, str] = {}
+    for name in names.open:
+        if selection.verdict.names.get(name, 0.0) >= CERTAIN or not selection.adequate:
+            continue
+        members = [k for k, term in enumerate(selection.model) if term.name == name]
+        if not members:
+            continue
+        gains = held_out_gains(data, selection.model, selection.fit, members, selection.inflation)
+        weak = [design for design, held_out in gains.items() if not held_out.confirmed]
+        kept = [k for k in selection.verdict.best if selection.problem.terms[k].name != name]
+        trial = _with_model(data, selection, kept) if weak else selection
+        if weak and trial.adequate:
+            selection = trial
+            reasons[name] = f"{names.open[name]}, and dwells that took no part do not confirm it"
+    return selection, reasons
+
+
+def _with_model(data: Observations, selection: Selection, chosen: Sequence[int]) -> Selection:
+    """The same selection with another model, refitted in full."""
+    problem, model = selection.problem, tuple(chosen)
+    fit = fit_model(data, problem, model, selection.base.state)
+    adequate = adequacy(fit.chi2, fit.dof, data.noise_dof) >= ADEQUATE if data.known else True
+    return replace(
+        selection,
+        verdict=replace(selection.verdict, best=model),
+        model=tuple(problem.terms[k] for k in model),
+        fit=fit,
+        adequate=adequate,
+    )
+
+
+def _without(names: Names, reasons: dict[str, str]) -> Names:
+    """Names less those that were taken away, which stand under `confounded`."""
+    more = tuple((name,) for name in reasons if name in names.stand)
+    stand = tuple(name for name in names.stand if name not in reasons)
+    return Names(stand, names.open, tuple(dict.fromkeys((*names.confounded, *more))))
+
+
+def _never_worse(
+    data: Observations,
+    selection: Selection,
+    names: Names,
+    nested: list[tuple[Term, ...]],
+    errors: Sequence[float | None],
+) -> tuple[int, Names, dict[str, str]]:
+    """Longest nested model whose held-out error is at most `WORSE` that of the base model.
+
+    Returns its number, the names that are left, and the reasons of the others.
+    """
+    last = len(nested) - 1
+    base = errors[0]
+    if base is None:
+        return last, names, {}
+    for count in range(last, -1, -1):
+        error = errors[count]
+        if error is not None and error <= WORSE * base:
+            break
+    cut = {describe(term) for term in selection.model} - {describe(term) for term in nested[count]}
+    after = errors[last]
+    assert after is not None
+    reasons = dict.fromkeys(
+        sorted(cut), f"the held-out error would go from {base:.3g} to {after:.3g} mg with it"
+    )
+    return count, _without(names, reasons), reasons
+
+
+def _keeping(terms: Sequence[Term], start: State):  # type: ignore[no-untyped-def]
+    def fit(data: Observations) -> tuple[Sequence[Term], Refit]:
+        begun = begin(data)
+        return terms, refit(data, terms, State(begun.base, begun.delta_rad, begun.unit, start.values), 8)
+
+    return fit
+
+
+def _in_order(data: Observations, selection: Selection) -> list[tuple[Term, ...]]:
+    """Nested models from the base to the chosen one, the term of the largest gain first."""
+    left = list(selection.verdict.best)
+    model: list[int] = []
+    nested: list[tuple[Term, ...]] = [()]
+    from adis_gonio.tracing.design import span
+
+    while left:
+        chi2 = {k: float((span(selection.problem, [*model, k])[1] ** 2).sum()) for k in left}
+        best = min(chi2, key=lambda k: chi2[k])
+        model.append(best)
+        left.remove(best)
+        nested.append(tuple(selection.problem.terms[k] for k in model))
+    return nested
+
+
+def _figures(
+    data: Observations,
+    checking: Observations | None,
+    selection: Selection,
+    nested: list[tuple[Term, ...]],
+    terms: Sequence[Term],
+    max_effects: int,
+) -> tuple[list[ErrorFigures], str]:
+    """Error figures of the base model, each step and the final model."""
+    values = dict(zip((t.label for t in selection.model), selection.fit.state.values, strict=True))
+    fits = []
+    for model in nested:
+        begun = selection.base.state
+        state = replace(begun, values=tuple(values[t.label] for t in model))
+        fits.append(refit(data, model, state))
+    if checking is not None:
+        lefts = [[leave(checking, bounded(data, m, f), f.state)] for m, f in zip(nested, fits, strict=True)]
+        design = f"{len(checking)} check dwells"
+    elif len(data) < LEAST_DWELLS:
+        lefts, design = [[] for _ in nested], "too few dwells to leave any out"
+    else:
+        designs = folds(data)
+        design = "; ".join(f"{name} ({len(masks)} folds)" for name, masks in designs.items())
+        lefts = []
+        for model, fitted in zip(nested[:-1] if len(nested) > 1 else nested, fits, strict=False):
+            lefts.append(list(cross_validate(data, designs, _keeping(model, fitted.state)).values()))
+        if len(nested) > 1:
+            active = _active_terms(selection, terms)
+            again = lambda rows: _selected(rows, active, max_effects)  # noqa: E731
+            lefts.append(list(cross_validate(data, designs, again).values()))
+            design += ", effects chosen anew in each"
+    figures = []
+    for fitted, left in zip(fits, lefts, strict=True):
+        residual = [part.residual_mg for part in left]
+        turned = [part.angle_rad for part in left if part.angle_rad is not None]
+        figures.append(
+            ErrorFigures(
+                residual_rms_mg=rms(data.mean_mg - fitted.prediction.predicted_mg, data.planar),
+                heldout_rms_mg=rms(np.concatenate(residual), data.planar) if residual else None,
+                angle_rms_deg=_rms_deg(turned),
+                chi2_per_dof=fitted.chi2 / fitted.dof if data.known and fitted.dof > 0 else None,
+            )
+        )
+    return figures, design
+
+
+def _guarding(
+    data: Observations,
+    checking: Observations | None,
+    selection: Selection,
+    nested: list[tuple[Term, ...]],
+    figures: Sequence[ErrorFigures],
+) -> list[float | None]:
+    """Held-out errors of the nested models by which the final one is chosen.
+
+    Where there are `check` dwells these must not choose, so that folds of the others do.
+    """
+    if checking is None:
+        return [figure.heldout_rms_mg for figure in figures]
+    if len(data) < LEAST_DWELLS or len(nested) == 1:
+        return [None for _ in nested]
+    values = dict(zip((t.label for t in selection.model), selection.fit.state.values, strict=True))
+    out: list[float | None] = []
+    for model in nested:
+        state = replace(selection.base.state, values=tuple(values[t.label] for t in model))
+        left = cross_validate(data, folds(data), _keeping(model, state)).values()
+        out.append(rms(np.concatenate([part.residual_mg for part in left]), data.planar))
+    return out
+
+
+def _rms_deg(turned: list[Floats]) -> float | None:
+    if not turned:
+        return None
+    wrapped = np.mod(np.concatenate(turned) + np.pi, 2 * np.pi) - np.pi
+    return float(np.degrees(np.sqrt((wrapped**2).mean())))
+
+
+def _active_terms(selection: Selection, terms: Sequence[Term]) -> list[Term]:
+    """Candidates inside a fold: what showed promise anywhere, and the best of each name and axes."""
+    promise, candidates = selection.found.promise, selection.problem.terms
+    ranked = [candidates[k] for k in np.argsort(-promise)]
+    active = {term.label for term in ranked[:150]} | {term.label for term in selection.model}
+    seen = set()
+    for term in ranked:
+        if isinstance(term, NamedTerm) and (term.effect.name, term.effect.axes) not in seen:
+            seen.add((term.effect.name, term.effect.axes))
+            active.add(term.label)
+    return [term for term in terms if term.label in active]
+
+
+def _selected(rows: Observations, terms: Sequence[Term], max_effects: int) -> tuple[Sequence[Term], Refit]:
+    chosen = select(rows, terms, max_effects, beam=6, rounds=2)
+    return chosen.model, chosen.fit
+
+
+def _finding(selection: Selection, name: str) -> Finding:
+    from scipy import stats
+
+    problem = selection.problem
+    members = [k for k in selection.verdict.best if problem.terms[k].name == name]
+    gain, width = _gain(selection, members)
+    parameters: dict[str, Value] = {}
+    axes: list[str] = []
+    cause = ""
+    at = len(selection.fit.state.base)
+    scale = np.sqrt(selection.inflation)
+    for term, values in zip(selection.model, selection.fit.state.values, strict=True):
+        if isinstance(term, NamedTerm) and term.name == name:
+            cause = term.effect.cause
+            axes += [axis for axis in term.effect.axes if axis not in axes]
+            for k, parameter in enumerate(term.effect.parameters):
+                u = float(np.sqrt(selection.fit.covariance[at + k, at + k]) * scale)
+                parameters[parameter.name] = Value(float(values[k]), u, parameter.unit)
+            for choice in term.effect.choices():
+                parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
+        at += len(values)
+    p = float(stats.chi2.sf(gain / selection.inflation, width)) * len(problem.terms)
+    same = [
+        " + ".join(sorted({describe(problem.terms[k]) for k in m}))
+        for m in selection.verdict.same.get(selection.verdict.best, [])
+        if name not in {problem.terms[k].name for k in m}
+    ]
+    return Finding(
+        effect=name,
+        axes=tuple(axes),
+        parameters=parameters,
+        p_value=min(p, 1.0),
+        explains=_explains(selection, gain),
+        probability=selection.verdict.names.get(name, 1.0),
+        equivalents=tuple(dict.fromkeys(same))[:5],
+        cause=cause,
+    )
+
+
+def _gain(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
+    """χ² that some terms take beside the others of the model, and their columns."""
+    from adis_gonio.tracing.design import span
+
+    best = selection.verdict.best
+    with_all = float((span(selection.problem, best)[1] ** 2).sum())
+    others = [k for k in best if k not in members]
+    without = float((span(selection.problem, others)[1] ** 2).sum())
+    return without - with_all, int(sum(selection.problem.width[k] for k in members))
+
+
+def _explains(selection: Selection, gain: float) -> float:
+    excess = selection.problem.chi2 - selection.problem.dof * min(selection.inflation, 1.0)
+    return float(np.clip(gain / max(excess, 1e-12), 0.0, 1.0))
+
+
+def _unnamed(data: Observations, selection: Selection) -> Unnamed | None:
+    """Nameless terms of the model; else what the residual of an inadequate model depends on."""
+    from scipy import stats
+
+    problem, verdict = selection.problem, selection.verdict
+    members = [k for k in verdict.best if isinstance(problem.terms[k], NamelessTerm)]
+    if members:
+        terms = [problem.terms[k] for k in members]
+        gain, width = _gain(selection, members)
+        covariates = tuple(dict.fromkeys(c for term in terms for c in term.covariates))
+        forms = [term.form for term in terms if isinstance(term, NamelessTerm)]
+        return Unnamed(
+            covariates=covariates,
+            form="; ".join(forms),
+            explains=_explains(selection, gain),
+            probability=min(verdict.covariates.get(term.covariates, 0.0) for term in terms),
+            p_value=min(1.0, float(stats.chi2.sf(gain / selection.inflation, width)) * len(problem.terms)),
+        )
+    if selection.adequate or not data.known:
+        return None
+    return dependence(data, selection)
+
+
+def _rivals(selection: Selection) -> tuple[Rival, ...]:
+    ranked = sorted(selection.verdict.weights.items(), key=lambda item: -item[1])[:8]
+    terms = selection.problem.terms
+    return tuple(Rival(tuple(terms[k].label for k in model), weight) for model, weight in ranked)
+
+
+def _other_models(selection: Selection) -> list[tuple[int, ...]]:
+    weights = selection.verdict.weights
+    best = selection.verdict.best
+    return [m for m in sorted(weights, key=lambda m: -weights[m]) if m != best and m]
+
+
+def _base(data: Observations, fit: Refit, inflation: float) -> dict[str, Value]:
+    scale = np.sqrt(inflation)
+    out = {}
+    for k, (name, unit) in enumerate(BASE_PLANAR if data.planar else BASE_SPACE):
+        factor = 180 / np.pi if unit == "degree" else 1.0
+        u = float(np.sqrt(fit.covariance[k, k])) * scale * factor
+        out[name] = Value(float(fit.state.base[k]) * factor, u, unit)
+    return out
+
+
+def _notes(data: Observations, selection: Selection) -> tuple[str, ...]:
+    notes = list(data.notes)
+    if not data.known:
+        notes.append(
+            "the noise of a reading is not known; it was estimated from the residual, so that adequacy "
+            "cannot be tested"
+        )
+    elif selection.inflation > 1:
+        notes.append(
+            f"no model explains the residual down to the measured noise; effects were judged against "
+            f"{np.sqrt(selection.inflation):.2g} times that noise"
+        )
+    return tuple(notes)

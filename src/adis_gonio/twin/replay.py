@@ -1,0 +1,104 @@
+"""Measure the twin as the session was measured: same positions, same times, same settings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from adis_gonio.errors import DataError
+from adis_gonio.model.records import Dwell, Session
+from adis_gonio.sensor.driver import Adis16354
+from adis_gonio.sensor.registers import ACCEL_OUT
+from adis_gonio.sensor.settings import sample_period_s
+from adis_gonio.sim.bus import SimBus
+from adis_gonio.tracing.observations import Observations, observe
+from adis_gonio.tracing.state import State
+from adis_gonio.tracing.terms import Term
+from adis_gonio.twin.world import LikeWorld, noise_of
+
+_OPENING_S = 5.0
+"""Time of the world at which the session begins: the driver has opened the sensor by then."""
+_REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
+
+
+def simulate_like(session: Session, model: tuple[Term, ...], state: State, *, seed: int = 0) -> Session:
+    """Session from the simulator whose world is a traced model.
+
+    The sensor is read through the driver, frame by frame. Where the session gives no time for a move, the
+    twin is that much later.
+
+    Parameters
+    ----------
+    session : Session
+        The measured one.
+    model, state
+        Terms and values of its trace, over all its dwells in order.
+    seed : int
+        Of noise and fixture errors.
+
+    Raises
+    ------
+    DataError
+        A dwell is too short to have a noise, or the session is one pose.
+    """
+    if len(session.dwells) < 2:
+        raise DataError("a twin needs a session of several positions")
+    data = observe(session)
+    scale = _scale_mg(session, data)
+    noise = noise_of(session, scale, data.axes)
+    world = LikeWorld(data, model, state, noise, sensor=session.sensor, seed=seed, offset_s=_OPENING_S)
+    bus = SimBus(world=world, stream=True)
+    begin_s = float(session.dwells[0].time_s[0])
+    period_s = sample_period_s(noise.smpl_prd)
+    dwells: list[Dwell] = []
+    with Adis16354(bus, world.variant, check=False) as sensor:
+        sensor.configure(smpl_prd=noise.smpl_prd, filter_m=noise.filter_m, data_ready=True)
+        for k, dwell in enumerate(session.dwells):
+            if dwell.angle_deg is not None and data.planar:
+                bus.stage.move_to(dwell.angle_deg, dwell.approach)
+            else:
+                bus.stage.orient(_attitude(data, state, k))
+            start_s = float(dwell.time_s[0]) - begin_s + _OPENING_S
+            settle_s = sensor.configuration().settling_s
+            bus.sleep_s(max(start_s - bus.now_s(), settle_s, 0.5))
+            length_s = float(dwell.time_s[-1] - dwell.time_s[0])
+            count = max(2, round(length_s / period_s) + 1)
+            block = sensor.read_scans(count, _REGISTERS)
+            dwells.append(
+                replace(
+                    dwell,
+                    time_s=block.time_s - _OPENING_S + begin_s,
+                    accel=block.numbers()[:, : dwell.accel.shape[1]].astype(np.float64),
+                    gyro=None,
+                    temperature_c=block.temperature_c if dwell.temperature_c is not None else None,
+                    supply_v=block.supply_v if dwell.supply_v is not None else None,
+                    first_row=None,
+                )
+            )
+    return replace(
+        session,
+        dwells=tuple(dwells),
+        sensor=world.variant.name,
+        accel_unit="lsb",
+        title=f"twin of {session.title or session.source}",
+        source="",
+        notes=(),
+        facts={"configuration": {"smpl_prd": noise.smpl_prd, "filter_m": noise.filter_m}},
+    )
+
+
+def _attitude(data: Observations, state: State, k: int) -> list[float]:
+    """What an ideal sensor reads in dwell k, as a direction."""
+    if data.planar:
+        psi = float(state.base[0] + state.delta_rad[k])
+        return [float(np.cos(psi)), float(np.sin(psi)), 0.0]
+    return [float(value) for value in state.unit[k]]
+
+
+def _scale_mg(session: Session, data: Observations) -> float:
+    """How many mg a unit of the samples is, from the readings that both are made of."""
+    spread = np.array([dwell.accel[:, : data.axes].mean(axis=0) for dwell in session.dwells if len(dwell)])
+    centred = spread - spread.mean(axis=0)
+    reading = data.mean_mg - data.mean_mg.mean(axis=0)
+    return float((centred * reading).sum() / (centred**2).sum())

@@ -1,0 +1,265 @@
+"""A simulated world that is like a measured session: its model, its noise, its surroundings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from adis_gonio.errors import DataError
+from adis_gonio.model.effects import Conditions, Effect, Enters, Parameter
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats, Session
+from adis_gonio.sensor.settings import sample_period_s, smpl_prd_for
+from adis_gonio.sensor.variants import VARIANTS
+from adis_gonio.sim.noise import Flicker, White
+from adis_gonio.sim.settings import WorldSettings
+from adis_gonio.sim.world import World
+from adis_gonio.tracing.observations import Observations
+from adis_gonio.tracing.state import State
+from adis_gonio.tracing.terms import Term
+
+
+@dataclass(frozen=True)
+class SamplesNoise:
+    """Noise of single samples, as the chip would have to make it.
+
+    Attributes
+    ----------
+    smpl_prd, filter_m : int
+        Settings of the chip whose output is correlated like the samples.
+    white_mg : (axes,) float
+        rms before the filter.
+    floor_mg : (axes,) float
+        Allan deviation of the 1/f noise.
+    """
+
+    smpl_prd: int
+    filter_m: int
+    white_mg: Floats
+    floor_mg: Floats
+
+
+def bartlett(filter_m: int) -> Floats:
+    """Weights of the chip's filter: two boxcars of 2^M taps, one after the other."""
+    taps = 2**filter_m
+    return np.convolve(np.full(taps, 1 / taps), np.full(taps, 1 / taps))
+
+
+def noise_of(session: Session, scale_mg: float, axes: int) -> SamplesNoise:
+    """Noise of a session's samples on its first axes; `scale_mg` brings its unit to mg.
+
+    The white noise before the filter has the spectral density that the samples have at zero, which is what
+    readings are made of (the filter passes it on unchanged). An archive says how the chip was set. A CSV
+    does not: the rate is then the nearest that the chip has, and the filter the one that leaves the samples
+    nearest to their variance.
+    """
+    from adis_gonio.fitting.spectrum import noise_of_means
+
+    dwells = [dwell for dwell in session.dwells if len(dwell) > 8]
+    if not dwells:
+        raise DataError(
+            "a twin needs dwells of more than eight samples: averaged readings have no noise to copy"
+        )
+    samples = [scale_mg * dwell.accel[:, :axes] for dwell in dwells]
+    means = noise_of_means(samples)
+    period_s = float(np.median(np.concatenate([np.diff(dwell.time_s) for dwell in dwells])))
+    counts = np.array([len(part) for part in samples], np.float64)
+    diagonals = np.diagonal(means.covariance, axis1=1, axis2=2)
+    density = np.median(diagonals * counts[:, np.newaxis], axis=0) * period_s
+    variance = np.mean([part.var(axis=0, ddof=1) for part in samples], axis=0)
+    told = session.facts.get("configuration")
+    if isinstance(told, dict):
+        smpl_prd, filter_m = int(told["smpl_prd"]), int(told["filter_m"])
+    else:
+        slowest, fastest = 1 / sample_period_s(0xFF), 1 / sample_period_s(1)
+        smpl_prd = smpl_prd_for(min(max(1 / period_s, slowest), fastest))
+        filter_m = 0
+    white = np.sqrt(density / sample_period_s(smpl_prd))
+    if not isinstance(told, dict):
+        wanted = float(np.mean(np.log(variance / white**2)))
+        filter_m = min(range(7), key=lambda m: abs(math.log((bartlett(m) ** 2).sum()) - wanted))
+    return SamplesNoise(smpl_prd, filter_m, white, np.sqrt(means.flicker))
+
+
+@dataclass(frozen=True)
+class TermEffect(Effect):
+    """A term of a traced model as an effect of the world: named or not, at the values that were fitted.
+
+    Attributes
+    ----------
+    term : Term
+    columns : int
+        Axes that the model knows; the others are left alone.
+    history : tuple or None
+        Measured history of the temperature, which the term sees instead of the world's.
+    offset_s : float
+        Time of the world at which the session begins.
+    """
+
+    term: Term = field(kw_only=True)
+    columns: int = field(kw_only=True)
+    history: tuple[Floats, Floats] | None = field(kw_only=True)
+    offset_s: float = field(kw_only=True)
+
+    name = "traced"
+    cause = "a term that a trace found"
+    formula = "as fitted"
+    separated_by = ""
+    by_axis = False
+
+    @classmethod
+    def choices(cls) -> tuple[str, ...]:
+        """None: its fields are no choices of a user."""
+        return ()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Values of the term, without units: they are what the trace fitted."""
+        return tuple(
+            Parameter(f"value_{k}", "", float(low), float(high), 0.0)
+            for k, (low, high) in enumerate(self.term.bounds())
+        )
+
+    def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
+        """What the term adds to the angle, (n,) in rad."""
+        zeros = np.zeros((len(conditions), self.columns))
+        return np.asarray(self.term.added(values, zeros, self._seen(conditions)), np.float64)
+
+    def reading_mg(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """What the term adds to the readings, (n, axes) in mg."""
+        added = np.zeros_like(ideal_mg)
+        known = ideal_mg[:, : self.columns]
+        added[:, : self.columns] = self.term.added(values, known, self._seen(conditions))
+        return added
+
+    def _seen(self, conditions: Conditions) -> Conditions:
+        return replace(
+            conditions,
+            time_s=conditions.time_s - self.offset_s,
+            temperature_history=self.history,
+            variance_mg2=None,
+        )
+
+
+@dataclass(frozen=True)
+class AngleTerm(TermEffect):
+    """A term that turns the part."""
+
+    enters = Enters.ATTITUDE
+
+
+class LikeWorld(World):
+    """World with the model, the noise and the surroundings of a measured session.
+
+    Parameters
+    ----------
+    data : Observations
+        Of the session.
+    model : sequence of Term
+        Terms of the traced model.
+    state : State
+        Its values.
+    noise : SamplesNoise
+    sensor : str
+        Variant to simulate; another sensor is simulated as an ADIS16354.
+    seed : int
+    offset_s : float
+        Time of the world at which the session begins.
+    """
+
+    def __init__(
+        self,
+        data: Observations,
+        model: Sequence[Term],
+        state: State,
+        noise: SamplesNoise,
+        *,
+        sensor: str,
+        seed: int,
+        offset_s: float,
+    ) -> None:
+        self._data = data
+        self._offset_s = offset_s
+        history = data.conditions.temperature_history
+        effects = []
+        for term, values in zip(model, state.values, strict=True):
+            kind = AngleTerm if term.enters_angle else TermEffect
+            effects.append((kind(term=term, columns=data.axes, history=history, offset_s=offset_s), values))
+        part = sensor if sensor in VARIANTS else "adis16354"
+        super().__init__(_settings(data, state), part=part, seed=seed, effects=effects)
+        white = np.full(3, float(noise.white_mg.mean()))
+        white[: data.axes] = noise.white_mg
+        floor = np.zeros(3)
+        floor[: data.axes] = noise.floor_mg
+        own = np.random.SeedSequence((seed, 1)).spawn(2)
+        surroundings = [self.settings.temperature_noise_c] * 3 + [self.settings.supply_noise_v]
+        gyro = self.variant.performance.gyro_noise_dps
+        self._white = White(
+            np.array([*white, gyro, gyro, gyro, *surroundings]), np.random.default_rng(own[0])
+        )
+        self._flicker = Flicker(
+            np.array([*floor, 0.0, 0.0, 0.0]), np.random.default_rng(own[1]), start_s=-10.0
+        )
+        self._temperature_offset = np.zeros(3)
+
+    def temperature_c(self, time_s: Floats) -> Floats:
+        """Temperature (n,) in °C as it was measured; 25 °C where it was not."""
+        history = self._data.conditions.temperature_history
+        if history is None:
+            return np.full(len(time_s), 25.0)
+        return np.interp(time_s - self._offset_s, *history)
+
+    def supply_v(self, time_s: Floats) -> Floats:
+        """Supply (n,) in V as it was measured; 5 V where it was not."""
+        conditions = self._data.conditions
+        if conditions.supply_v is None:
+            return np.full(len(time_s), 5.0)
+        return np.interp(time_s - self._offset_s, conditions.time_s, conditions.supply_v)
+
+
+def _settings(data: Observations, state: State) -> WorldSettings:
+    common = {
+        "gravity_mps2": data.gravity_mg * STANDARD_GRAVITY_MPS2 / 1000,
+        "fixture_sigma_deg": math.degrees(data.fixture_rad) if math.isfinite(data.fixture_rad) else 0.0,
+        "vibration_mg": 0.0,
+        "axis_tilt_deg": 0.0,
+        "backlash_deg": 0.0,
+    }
+    for axis in "xyz":
+        common |= {
+            f"bias_{axis}_mg": 0.0,
+            f"bias_tempco_{axis}_mg_per_c": 0.0,
+            f"scale_tempco_{axis}_ppm_per_c": 0.0,
+        }
+    if data.planar:
+        alpha, scale_x, scale_y, delta_phi = (float(value) for value in state.base)
+        return WorldSettings(
+            **common,
+            alpha_deg=math.degrees(alpha),
+            delta_k=scale_x / scale_y - 1,
+            scale_y=scale_y,
+            delta_phi_deg=math.degrees(delta_phi),
+            skew_xz_deg=0.0,
+            skew_yz_deg=0.0,
+            scale_z=1.0,
+        )
+    lower = np.zeros((3, 3))
+    lower[np.tril_indices(3)] = state.base
+    gains = np.linalg.norm(lower, axis=1)
+    unit = lower / gains[:, None]
+    skews = {
+        name: math.degrees(math.asin(float(unit[i] @ unit[j])))
+        for name, i, j in (("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
+    }
+    return WorldSettings(
+        **common,
+        alpha_deg=0.0,
+        delta_k=float(gains[0] / gains[1] - 1),
+        scale_y=float(gains[1]),
+        scale_z=float(gains[2]),
+        delta_phi_deg=skews["xy"],
+        skew_xz_deg=skews["xz"],
+        skew_yz_deg=skews["yz"],
+    )

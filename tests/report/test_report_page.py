@@ -1,0 +1,269 @@
+"""The page: complete, self-contained, safe, and true to the results."""
+
+import html.parser
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adis_gonio import fit, trace
+from adis_gonio.model.effects import Conditions, effect
+from adis_gonio.model.records import Dwell, Session
+from adis_gonio.report import Figure, Section, Series, Table, plot
+from adis_gonio.report.numbers import p_text, percent, uncertain, with_unit
+from adis_gonio.report.page import build_page
+from adis_gonio.report.words import confounded, headline, how_sure, sight
+from adis_gonio.tracing.figures import views
+
+
+def planar(k2_x=0.0, bias=(8.0, -5.0), eccentric=0.0, seed=1, check=False, title=""):
+    """A turn forth and back in steps of 20°, single readings of 0.1 mg."""
+    rng = np.random.default_rng(seed)
+    angles = np.concatenate([np.arange(0, 360, 20.0), np.arange(350, -10, -20.0)])
+    theta = np.radians(angles)
+    psi = np.radians(12.0) - theta + np.radians(0.003) * rng.standard_normal(len(theta))
+    conditions = Conditions(np.arange(len(theta)) * 20.0, angle_rad=theta)
+    psi = psi + effect("stage_eccentricity", ()).attitude_rad(np.array([eccentric, 0.0]), conditions)
+    ideal = 1000 * np.stack([1.002 * np.cos(psi), np.sin(psi + np.radians(0.2))], axis=1)
+    ideal = ideal + np.array(bias)
+    ideal[:, 0] += k2_x * np.cos(psi) ** 2
+    ideal += 0.1 * rng.standard_normal(ideal.shape)
+    dwells = tuple(
+        Dwell(
+            k,
+            np.array([20.0 * k]),
+            ideal[k : k + 1],
+            angle_deg=float(angles[k]),
+            use="check" if check and k % 6 == 0 else "fit",
+        )
+        for k in range(len(angles))
+    )
+    return Session(
+        dwells, accel_unit="mg", fixture_sigma_deg=0.003, reading_u_mg=0.1, sensor="generic", title=title
+    )
+
+
+class Outline(html.parser.HTMLParser):
+    """Tags that are open, and every attribute that could load something."""
+
+    void = ("meta", "br", "hr", "img", "link", "input")
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.loads, self.headings, self.text = [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in self.void:
+            self.open.append(tag)
+        if tag in ("script", "link", "img", "iframe", "object", "embed"):
+            self.loads.append(tag)
+        self.loads += [
+            f"{k}={v}" for k, v in attrs if k in ("src", "href", "xlink:href", "data") or k[:2] == "on"
+        ]
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] in ("h2", "h3"):
+            self.headings.append(data)
+        self.text.append(data)
+
+
+def outline(page):
+    seen = Outline()
+    seen.feed(page)
+    assert seen.open == []
+    return seen
+
+
+@pytest.fixture(scope="module")
+def curved():
+    session = planar(k2_x=3.0, seed=2)
+    result = trace(session)
+    # The page is under test here, not the choice of effects: only the two that were put in are kept.
+    steps = tuple(step for step in result.steps if step.effect in ("bias", "quadratic"))
+    found = tuple(finding for finding in result.found if finding.effect in ("bias", "quadratic"))
+    assert {finding.effect for finding in found} == {"bias", "quadratic"}
+    result = replace(
+        result, steps=steps, found=found, after=steps[-1].error, adequate=True, confounded=(), reasons={}
+    )
+    return session, result, views(session, result)
+
+
+@pytest.fixture(scope="module")
+def page(curved):
+    session, result, drawn = curved
+    return build_page(session, [fit(session, "mmpm"), fit(session, "ml")], result, drawn)
+
+
+def test_the_page_is_well_formed_and_loads_nothing(page):
+    assert outline(page).loads == []
+    assert not re.search(r"url\(|@import|https?://(?!www\.w3\.org/2000/svg)", page)
+
+
+def test_the_page_answers_every_question(page):
+    wanted = {
+        "Summary", "Results by method", "What was found", "Error before and after",
+        "Residual, step by step", "What is left", "Rivals", "What could not be seen",
+        "What to measure next", "Data and configuration",
+    }  # fmt: skip
+    assert wanted <= set(outline(page).headings)
+
+
+def test_results_by_method_begin_with_delta_k_and_delta_phi(page):
+    body = page[page.index("Results by method") :]
+    assert body.index("<td>ΔK</td>") < body.index("<td>Δφ</td>") < body.index("<td>α</td>")
+
+
+def test_every_step_has_a_figure(page, curved):
+    _, result, _ = curved
+    steps = [h for h in outline(page).headings if h.startswith("Step ")]
+    assert steps == [f"Step {k}: {step.effect}" for k, step in enumerate(result.steps, 1)]
+    body = page[page.index("Residual, step by step") : page.index("What is left")]
+    assert body.count("<svg") >= len(result.steps)
+
+
+def test_figures_show_the_residual_that_the_steps_state(curved):
+    _, result, drawn = curved
+    assert [view.effect for view in drawn.steps] == [step.effect for step in result.steps]
+    by_axis = [p for p in drawn.left if p.covariate == "angle"]
+    rms = np.sqrt(np.mean([p.after**2 for p in by_axis]))
+    assert rms == pytest.approx(result.after.residual_rms_mg, rel=1e-3)
+    assert np.sqrt(np.mean([p.before**2 for p in by_axis])) == pytest.approx(
+        result.before.residual_rms_mg, rel=1e-3
+    )
+
+
+def test_a_quadratic_is_drawn_against_the_reading_that_it_curves(curved):
+    _, _, drawn = curved
+    (panel,) = next(view.panels for view in drawn.steps if view.effect == "quadratic")
+    assert (panel.covariate, panel.quantity) == ("reading_x", "residual_x")
+    curve = np.polyfit(panel.x, panel.before, 2)[0]
+    assert curve == pytest.approx(3.0, abs=1.0)
+    assert abs(np.polyfit(panel.x, panel.after, 2)[0]) < 0.2
+
+
+def test_an_error_of_the_stage_is_drawn_as_an_angle():
+    session = planar(eccentric=0.1)
+    drawn = views(session, trace(session))
+    (panel,) = next(view.panels for view in drawn.steps if view.effect == "stage_eccentricity")
+    assert (panel.covariate, panel.quantity) == ("angle", "angle")
+    assert np.ptp(panel.before) > 0.1 > 4 * np.std(panel.after)
+
+
+def test_check_dwells_are_drawn_apart():
+    session = planar(k2_x=3.0, check=True)
+    panel = views(session, trace(session)).steps[0].panels[0]
+    assert (len(panel.x), len(panel.check_x)) == (30, 6)
+
+
+def test_delta_k_of_the_final_model_has_its_covariance(curved):
+    _, result, drawn = curved
+    base = result.base
+    assert drawn.delta_k.value == pytest.approx(base["scale_x"].value / base["scale_y"].value - 1, abs=1e-4)
+    assert abs(drawn.delta_k.value - 0.002) < 4 * drawn.delta_k.u
+    assert 0 < drawn.delta_k.u < 2 * np.hypot(base["scale_x"].u, base["scale_y"].u)
+
+
+def test_whatever_comes_from_a_file_is_escaped():
+    bad = '<script>alert("x")</script>'
+    session = planar(title=bad)
+    session = replace(session, notes=(bad,), sensor=bad, facts={"url": bad, "problems": [bad]})
+    page = build_page(
+        session, [], bad, sections=[Section(bad, [bad], [bad], tables=[Table([bad], [[bad]])])]
+    )
+    assert "<script" not in page
+    assert outline(page).loads == []
+
+
+def test_a_session_that_cannot_be_traced_still_has_a_page():
+    page = build_page(planar(), [], "2 positions give 4 equations", failures={"ml": "singular"})
+    assert "2 positions give 4 equations" in page
+    assert "ml: singular" in page
+
+
+def test_sections_of_others_stand_before_the_data():
+    figure = Figure(plot([Series([0, 1], [0, 1])], "x", "y", title="twin"), "a caption")
+    mine = Section("The twin against the data", figures=[figure])
+    page = build_page(planar(), [], "none", sections=[mine])
+    assert page.index("The twin against the data") < page.index("Data and configuration")
+    assert figure.svg in page
+
+
+def test_words_say_what_was_found_and_how_sure(curved):
+    _, result, _ = curved
+    assert headline(result).startswith("Two effects bring the residual down to the measured noise: ")
+    assert "bias (x, y)" in headline(result)
+    assert "quadratic (x)" in headline(result)
+    sure = replace(result.found[0], probability=1.0, p_value=0.0)
+    assert how_sure(sure).startswith("as good as certain")
+
+
+def test_a_step_that_is_not_called_found_is_said_to_be_uncertain(curved):
+    _, result, _ = curved
+    less = replace(result, found=tuple(f for f in result.found if f.effect == "bias"))
+    assert headline(less).endswith(
+        "bias (x, y) brings it down together with quadratic, which is not certain."
+    )
+
+
+def test_an_inadequate_model_is_never_said_to_reach_the_noise(curved):
+    said = headline(replace(curved[1], adequate=False))
+    assert "down to the measured noise" not in said
+    assert "stays larger than the noise" in said
+
+
+def test_a_weak_test_is_not_called_certain(curved):
+    weak = replace(curved[1].found[0], p_value=0.02, probability=1.0)
+    assert how_sure(weak).startswith("likely")
+
+
+def test_nothing_is_called_absent_that_cannot_be_told_from_others(curved):
+    _, result, _ = curved
+    seen = sight(replace(result, confounded=(("cubic", "asymmetry"),)))
+    assert {"cubic", "asymmetry"} == {name for name, _ in seen.open}
+    assert not {"cubic", "asymmetry"} & {name for name, _ in (*seen.visible, *seen.weak)}
+
+
+def test_nothing_is_called_absent_beside_an_inadequate_model(curved):
+    from adis_gonio.report.words import absent
+
+    assert absent(curved[1]).startswith("not there")
+    assert not absent(replace(curved[1], adequate=False)).startswith("not there")
+
+
+def test_effects_of_what_was_not_recorded_are_said_to_be_unseen(curved):
+    reasons = {name: reason for names, reason in sight(curved[1]).blind for name in names}
+    assert reasons["bias_temperature"] == "temperature not recorded"
+    assert "supply" in reasons["supply_bias"]
+
+
+def test_groups_that_begin_alike_are_one_line(curved):
+    many = replace(curved[1], confounded=(("bias", "a"), ("bias", "b"), ("quadratic", "a")))
+    assert confounded(many) == ["bias — or a, or b", "quadratic — or a"]
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "text"),
+    [
+        (3.23939, 0.0613, "3.239 ± 0.061"),
+        (-58.7495, 2.483, "−58.7 ± 2.5"),
+        (1234.5, 120.0, "1234 ± 120"),
+        (2.76e-6, 5.2e-7, "(2.76 ± 0.52)·10⁻⁶"),
+        (391.335, None, "391.3"),
+    ],
+)
+def test_numbers_have_two_digits_of_their_uncertainty(value, u, text):
+    assert uncertain(value, u).replace("\u00a0", " ") == text
+
+
+def test_units_and_probabilities_read_well():
+    assert with_unit("3.2 ± 0.1", "degree") == "(3.2 ± 0.1)°"
+    assert with_unit("3.2", "1") == "3.2"
+    assert [percent(f).replace("\u00a0", " ") for f in (1.0, 0.996, 0.54, 0.02, 0.0)] == [
+        "> 99.9 %", "99.6 %", "54 %", "2.0 %", "< 0.1 %",
+    ]  # fmt: skip
+    assert p_text(0.0).replace("\u00a0", " ") == "p < 10⁻¹²"
+    assert p_text(0.0113).replace("\u00a0", " ") == "p = 0.011"

@@ -1,0 +1,100 @@
+"""The twin is like what was measured, and the comparison tells when it is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adis_gonio import load_session, trace
+from adis_gonio.cli import main
+from adis_gonio.errors import DataError
+from adis_gonio.twin import compare, simulate_like
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """A session with a strong quadratic term, seen only as a file."""
+    path = tmp_path_factory.mktemp("twin") / "measured.csv"
+    arguments = ["--plan", "tumble", "--dwell", "3", "--seed", "4", "--effect", "quadratic:k2_x=3"]
+    assert main(["simulate", *arguments, "-o", str(path)]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def traced(measured):
+    return trace(load_session(measured))
+
+
+def test_the_twin_of_a_simulated_session_agrees_with_it_and_has_its_effects(measured, traced):
+    session = load_session(measured)
+    twin = simulate_like(session, traced.model, traced.state, seed=1)
+    assert [dwell.angle_deg for dwell in twin.dwells] == [dwell.angle_deg for dwell in session.dwells]
+    found = compare(session, twin, traced.model, traced.state)
+    assert found.agrees, found.as_dict()
+    assert found.allan_ratio == pytest.approx(1, abs=0.1)
+    again = trace(twin)
+    quadratic = next(finding for finding in again.found if finding.effect == "quadratic")
+    value = quadratic.parameters["k2_x"]
+    assert value.value == pytest.approx(3.0, abs=5 * value.u + 0.3)
+
+
+def test_a_model_that_lacks_the_effect_makes_a_twin_that_does_not_agree(measured, traced):
+    session = load_session(measured)
+    kept = [k for k, term in enumerate(traced.model) if term.name == "bias"]
+    model = tuple(traced.model[k] for k in kept)
+    state = replace(traced.state, values=tuple(traced.state.values[k] for k in kept))
+    twin = simulate_like(session, model, state, seed=1)
+    assert not compare(session, twin, model, state).agrees
+
+
+def test_a_session_with_other_noise_does_not_agree(measured, traced):
+    session = load_session(measured)
+    twin = simulate_like(session, traced.model, traced.state, seed=1)
+    rng = np.random.default_rng(3)
+    louder = tuple(
+        replace(dwell, accel=dwell.accel + rng.normal(0, 12, dwell.accel.shape)) for dwell in session.dwells
+    )
+    assert not compare(replace(session, dwells=louder), twin, traced.model, traced.state).agrees
+
+
+def test_the_twin_of_a_real_recording_has_its_noise(data_folder):
+    session = load_session(data_folder / "adis16350_xy_turn.csv.gz")
+    result = trace(session)
+    twin = simulate_like(session, result.model, result.state, seed=2)
+    assert twin.sensor == "adis16350"
+    found = compare(session, twin, result.model, result.state)
+    assert found.allan_ratio == pytest.approx(1, abs=0.25)
+    assert found.density_ratio == pytest.approx(1, abs=0.25)
+
+
+def test_simulate_like_writes_the_twin_as_a_samples_csv(capsys, measured, tmp_path):
+    out = tmp_path / "twin.csv.gz"
+    assert main(["simulate", "--like", str(measured), "--seed", "5", "-o", str(out)]) == 0
+    assert len(load_session(out).dwells) == 24
+    assert main(["simulate", "--like", str(measured), "-o", str(tmp_path / "twin.session")]) == 2
+    assert "name it .csv" in capsys.readouterr().err
+
+
+def test_readings_that_somebody_averaged_have_no_noise_to_copy(measured, traced):
+    session = load_session(measured)
+    single = tuple(
+        replace(
+            dwell,
+            time_s=dwell.time_s[:1],
+            accel=dwell.accel[:1],
+            gyro=None,
+            temperature_c=None,
+            supply_v=None,
+        )
+        for dwell in session.dwells
+    )
+    with pytest.raises(DataError, match="no noise to copy"):
+        simulate_like(replace(session, dwells=single, reading_u_mg=0.1), traced.model, traced.state)
+
+
+def test_the_report_holds_the_comparison(measured, tmp_path):
+    out = tmp_path / "page.html"
+    assert main(["report", str(measured), "-o", str(out)]) == 0
+    page = out.read_text()
+    assert "The digital twin against the measured data" in page
+    assert "Allan deviation of x" in page
