@@ -83,7 +83,7 @@ SETUPS = {
         Setup("four-position", "four-position", (0, 90, 180, 270)),
         Setup("mmpm", "mmpm", tuple(range(0, 360, 40))),
         Setup("ml", "ml", tuple(range(0, 360, 40)), efficient=True),
-        Setup("ml (space)", "ml", parameters=SPATIAL, attitudes=24, samples=600),
+        Setup("ml (space)", "ml", parameters=SPATIAL, attitudes=24, samples=600, efficient=True),
     )
 }
 

@@ -4,6 +4,11 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# A busy machine is slow, not wrong: hypothesis' limit of time for an example would fail it.
+settings.register_profile("no deadline", deadline=None)
+settings.load_profile("no deadline")
 
 DATA = Path(os.environ.get("ADIS_GONIO_DATA", Path(__file__).parents[1] / ".." / "shared" / "data"))
 
