@@ -26,7 +26,7 @@ PYTEST = (
     *("-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:hypothesispytest"),
     *("--color=no", "-v", "-rA", "--durations=0", "-o", "junit_family=legacy"),
 )
-GUEST_TIME_S = 400
+GUEST_TIME_S = 1200
 """An idle host needs a quarter of it; a busy one shall not fail for that."""
 FIRMWARE_END_S = 20
 
