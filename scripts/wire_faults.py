@@ -19,6 +19,7 @@ import contextlib
 import random
 import sys
 import time
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -48,7 +49,7 @@ OFFSETS = tuple(range(0x1A, 0x26, 2))
 """Registers that only writes change; each is given a value of its own."""
 
 
-class Rig:
+class Rig(ABC):
     """A fake with a chip that answers every register with a number of its own."""
 
     def __init__(self, seed: int) -> None:
@@ -58,17 +59,17 @@ class Rig:
         self.quiet = Faults(seed=seed)
         self.faults = self.quiet
 
+    @abstractmethod
     def open(self) -> SpiBus:
         """A bus on the fake."""
-        raise NotImplementedError
 
+    @abstractmethod
     def set(self, faults: Faults) -> None:
         """Let other faults happen from now on."""
-        raise NotImplementedError
 
+    @abstractmethod
     def replug(self) -> None:
         """Out and in again."""
-        raise NotImplementedError
 
 
 class SerialRig(Rig):
