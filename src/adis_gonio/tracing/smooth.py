@@ -1,9 +1,9 @@
 """Smooth remainders: Gaussian processes in a covariate, where no formula of the grammar need be right.
 
 A Gaussian process of kernel k is a linear term with as many columns as its kernel has features,
-φ(u)·φ(u′) = k(u, u′), and a normal prior on their amplitudes (Rasmussen and Williams, Gaussian Processes for
-Machine Learning, 2006, sections 2.1 and 5.4). Its length and its amplitude are chosen by the evidence, so
-that it bends no more than the readings ask for, and away from them it returns to the line of the others
+φ(u)·φ(u′) = k(u, u′), and a normal prior on their amplitudes (Rasmussen and Williams, Gaussian Processes
+for Machine Learning, 2006, sections 2.1 and 5.4). Its length and its amplitude are chosen by the evidence,
+so that it bends no more than the readings ask for, and away from them it returns to the line of the others
 instead of running off as a polynomial does.
 """
 

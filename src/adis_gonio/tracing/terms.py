@@ -204,7 +204,7 @@ class NamelessTerm(Term):
         return f"{head} follows {self.driver.form}"
 
     def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
-        """The driver's functions (amplitude in mg; in mg at 1 g for a gain or lean; in mrad for the angle)."""
+        """The driver's functions; amplitudes in mg, at 1 g for a gain or lean, in mrad for the angle."""
         n, k = ideal_mg.shape
         if self.driver.common is not None:
             common = self.driver.common(conditions)

@@ -90,9 +90,8 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
         labels.append(describe(averaged.model[-1]))
     rival = _Fold(_active_terms(selection, terms), averaged, max_effects)
     figures, design = _figures(training, checking, selection, nested, rival)
-    count, names, cut = _never_worse(
-        selection, names, nested, labels, _guarding(training, checking, selection, nested, figures, rival)
-    )
+    guard = _guarding(training, checking, selection, nested, figures, rival)
+    count, names, cut = _never_worse(names, labels, guard)
     if count < len(nested) - 1:
         # Longer models have their figures already; those of the shorter one hold for it as they are.
         kept = [k for k in selection.verdict.best if selection.problem.terms[k] in nested[count]]
@@ -225,17 +224,13 @@ def _without(names: Names, reasons: dict[str, str]) -> Names:
 
 
 def _never_worse(
-    selection: Selection,
-    names: Names,
-    nested: list[tuple[Term, ...]],
-    labels: Sequence[str],
-    errors: Sequence[float | None],
+    names: Names, labels: Sequence[str], errors: Sequence[float | None]
 ) -> tuple[int, Names, dict[str, str]]:
     """Longest nested model whose held-out error is at most `WORSE` that of the base model.
 
     Returns its number, the names that are left, and the reasons of the others.
     """
-    last = len(nested) - 1
+    last = len(labels)
     base = errors[0]
     if base is None:
         return last, names, {}
