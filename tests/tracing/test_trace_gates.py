@@ -13,7 +13,6 @@ from adis_gonio.tracing.heldout import bounded, folds, leave
 from adis_gonio.tracing.named import named_terms
 from adis_gonio.tracing.naming import Names
 from adis_gonio.tracing.observations import Observations, observe
-from adis_gonio.tracing.selection import select
 from adis_gonio.tracing.state import State, begin, refit
 from adis_gonio.tracing.trace import _never_worse
 
@@ -190,13 +189,8 @@ def test_a_dwell_that_was_left_out_is_not_predicted_by_its_own_slip() -> None:
     ],
 )
 def test_the_model_is_the_longest_that_is_not_worse_than_nothing(errors, count: int) -> None:
-    data = observe(forth_and_back(k2_x=3.0))
-    selection = select(data, named_terms(data)[0], 3)
-    model, _ = fitted(data, "bias[xy]", "quadratic[x]", "cubic[y]")
-    selection = replace(selection, model=model)
-    nested = [model[:k] for k in range(4)]
     names = Names(("bias", "quadratic", "cubic"), {}, ())
-    kept, left, reasons = _never_worse(data, selection, names, nested, errors)
+    kept, left, reasons = _never_worse(names, names.stand, errors)
     assert kept == count
     assert left.stand == names.stand[:count]
     assert set(reasons) == set(names.stand[count:])

@@ -73,7 +73,7 @@ def held_out_gains(
     inflation : float
         Factor on the noise variance.
     """
-    base, blocks, target = _linear(data, model, fit)
+    base, blocks, target = linear(data, model, fit)
     root = np.sqrt(inflation)
     target = target / root
     whole = np.concatenate([base, *blocks], axis=1) / root
@@ -86,8 +86,15 @@ def held_out_gains(
     return out
 
 
-def _linear(data: Observations, model: Sequence[Term], fit: Refit) -> tuple[Floats, list[Floats], Floats]:
-    """Whitened base columns, columns of each term's amplitudes, and readings less the base model."""
+def linear(data: Observations, model: Sequence[Term], fit: Refit) -> tuple[Floats, list[Floats], Floats]:
+    """Whitened base columns, columns of each term's amplitudes, and readings less the base model.
+
+    Returns
+    -------
+    base : (rows, k) float
+    blocks : list of (rows, d) float
+    target : (rows,) float
+    """
     at, conditions = fit.prediction, data.conditions
 
     def white(columns: Floats) -> Floats:

@@ -51,7 +51,7 @@ class Selection:
     adequate: bool
 
 
-def adequacy(chi2: float, dof: int, noise_dof: float) -> float:
+def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
     """p-value of a residual against the noise that was measured within the dwells."""
     from scipy import stats
 

@@ -77,13 +77,14 @@ class Refit:
     covariance : (p, p) float
         Of base parameters and then the values of the terms.
     chi2, dof : float
+        Of the readings; a term with a prior uses as many degrees of freedom as the prior leaves it.
     prediction : Prediction
     """
 
     state: State
     covariance: Floats
     chi2: float
-    dof: int
+    dof: float
     prediction: Prediction
 
 
@@ -219,35 +220,65 @@ def refit(
     """
     state = settle(data, model, state)
     at = predict(data, model, state)
-    chi2 = float((at.residual**2).sum())
-    columns = len(state.base) + sum(len(v) for v in state.values)
-    scaled = np.zeros((at.residual.size, columns))
+    precision = _prior_precision(model, state)
+    loss = _loss(at, precision, state)
     for _ in range(iterations if free else 0):
-        scaled = _jacobian(data, model, state, at)
+        scaled, left = _with_prior(_jacobian(data, model, state, at), at.residual.ravel(), precision, state)
         size = np.linalg.norm(scaled, axis=0)
         size[size == 0] = 1.0
-        step = np.linalg.lstsq(scaled / size, at.residual.ravel(), rcond=1e-9)[0] / size
+        step = np.linalg.lstsq(scaled / size, left, rcond=1e-9)[0] / size
         moved = False
         for damping in (1.0, 0.5, 0.2, 0.05, 0.01):
             trial = settle(data, model, _stepped(model, state, damping * step))
             there = predict(data, model, trial)
-            new = float((there.residual**2).sum())
-            if new <= chi2 * (1 + 1e-12):
+            new = _loss(there, precision, trial)
+            if new <= loss * (1 + 1e-12):
                 moved = True
                 break
         if not moved:
             break
-        gain, state, at, chi2 = chi2 - new, trial, there, new
-        if gain < 1e-6 * max(1.0, 1e-3 * chi2):
+        gain, state, at, loss = loss - new, trial, there, new
+        if gain < 1e-6 * max(1.0, 1e-3 * loss):
             break
-    scaled = _jacobian(data, model, state, at)
+    jacobian = _jacobian(data, model, state, at)
+    scaled, _ = _with_prior(jacobian, at.residual.ravel(), precision, state)
     size = np.linalg.norm(scaled, axis=0)
     size[size == 0] = 1.0
     _, s, vt = np.linalg.svd(scaled / size, full_matrices=False)
     keep = s > 1e-9 * (s[0] if s.size else 1.0)
     half = (vt[keep].T / s[keep]) / size[:, None]
     covariance = half @ half.T
-    return Refit(state, covariance, chi2, at.residual.size - int(keep.sum()), at)
+    # What a prior holds back is no degree of freedom of the fit.
+    used = float(((jacobian @ half) ** 2).sum()) if precision.any() else float(keep.sum())
+    chi2 = float((at.residual**2).sum())
+    return Refit(state, covariance, chi2, at.residual.size - used, at)
+
+
+def _prior_precision(model: Sequence[Term], state: State) -> Floats:
+    """1/σ of the prior of each parameter (p,); zero where there is none."""
+    parts = [np.zeros(len(state.base))]
+    for term, values in zip(model, state.values, strict=True):
+        parts.append(np.full(len(values), 0.0 if term.prior_sd is None else 1.0 / term.prior_sd))
+    return np.concatenate(parts)
+
+
+def _loss(at: Prediction, precision: Floats, state: State) -> float:
+    """χ² of the readings and of the priors."""
+    values = np.concatenate([state.base, *state.values])
+    return float((at.residual**2).sum() + ((precision * values) ** 2).sum())
+
+
+def _with_prior(
+    jacobian: Floats, residual: Floats, precision: Floats, state: State
+) -> tuple[Floats, Floats]:
+    """Jacobian and residual with a row more for each prior."""
+    held = np.flatnonzero(precision)
+    if not held.size:
+        return jacobian, residual
+    values = np.concatenate([state.base, *state.values])
+    rows = np.zeros((held.size, len(values)))
+    rows[np.arange(held.size), held] = precision[held]
+    return np.concatenate([jacobian, rows]), np.concatenate([residual, -(precision * values)[held]])
 
 
 def _jacobian(data: Observations, model: Sequence[Term], state: State, at: Prediction) -> Floats:
