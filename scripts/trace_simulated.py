@@ -5,9 +5,8 @@
 
 Sessions are those of `adis-gonio simulate`: the sensor of the seed (gains, misalignments, biases), its
 white noise and its 1/f noise, on a stage of the default tolerance. A session says something false where
-`trace` finds an effect that is not in its world, or something unnamed. Each rate stands with its 95 % Wilson
-interval; a second table has the median of the smallest amplitudes that sessions would have shown, which is
-what caution costs.
+`trace` finds an effect that is not in its world, or something unnamed. Each rate stands with its 95 %
+Wilson interval; the median of the smallest amplitudes that sessions would have shown is what caution costs.
 """
 
 from __future__ import annotations
