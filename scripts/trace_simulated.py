@@ -77,7 +77,7 @@ class Answer:
     truth: tuple[str, ...]
     claimed: tuple[str, ...]
     unnamed: tuple[str, ...]
-    confounded: frozenset[str]
+    confounded: tuple[frozenset[str], ...]
     adequate: bool
     chi2: float
     detectable: dict[str, float] = field(default_factory=dict)
@@ -85,14 +85,15 @@ class Answer:
 
     @property
     def false(self) -> tuple[str, ...]:
-        """What is not so."""
-        extra = tuple(name for name in self.claimed if name not in (*self.truth, BIASED))
+        """What is not so; a name is, where it is said that it may as well be one that was put in."""
+        instead = {name for group in self.confounded if group & set(self.truth) for name in group}
+        extra = tuple(name for name in self.claimed if name not in {*self.truth, BIASED, *instead})
         return extra + (("unnamed " + "+".join(self.unnamed),) if self.unnamed else ())
 
     @property
     def found(self) -> bool:
         """Every effect that was put in is called found, or named among those that cannot be told apart."""
-        return set(self.truth) <= set(self.claimed) | self.confounded
+        return set(self.truth) <= {*self.claimed, *(name for group in self.confounded for name in group)}
 
 
 def drawn(count: int, index: int) -> tuple[tuple[str, str], ...]:
@@ -128,7 +129,7 @@ def answer(folder: str, case: str, seed: int, count: int, index: int) -> Answer:
         truth=tuple(name for name, _ in effects),
         claimed=tuple(finding.effect for finding in result.found),
         unnamed=() if result.unnamed is None else result.unnamed.covariates,
-        confounded=frozenset(name for group in result.confounded for name in group),
+        confounded=tuple(frozenset(group) for group in result.confounded),
         adequate=result.adequate,
         chi2=result.after.chi2_per_dof or np.nan,
         detectable={name: entry.amplitude or np.nan for name, entry in result.detectable.items()},
@@ -188,7 +189,8 @@ def main() -> int:
             print("\n".join(lines(case, answers)), flush=True)
             for entry in answers:
                 if entry.false or not entry.found:
-                    print(f"    {case} {entry.index}: {entry.truth} → {entry.claimed} {entry.unnamed}")
+                    said = "+".join(entry.claimed) + (f" unnamed {entry.unnamed}" if entry.unnamed else "")
+                    print(f"    {case} {entry.index}: {'+'.join(entry.truth)} → {said}", flush=True)
     if options.case == "all":
         print(f"{'all':12} something false            {rate([bool(a.false) for a in every])}")
     return 0

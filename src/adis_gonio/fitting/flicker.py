@@ -60,8 +60,11 @@ def scatter_of_means(dwells: int) -> float:
 
 def modes(covariance: Floats) -> tuple[Floats, Floats]:
     """Factor (n, k) of the slowest modes of a covariance, and the variances (n,) that it leaves out."""
-    values, vectors = np.linalg.eigh(covariance)
-    kept = np.flatnonzero(values > 1e-12 * max(float(values[-1]), 1e-300))[-MOST_MODES:]
+    from scipy.linalg import eigh
+
+    n = len(covariance)
+    values, vectors = eigh(covariance, subset_by_index=(max(n - MOST_MODES, 0), n - 1))
+    kept = values > 1e-12 * max(float(values[-1]), 1e-300)
     factor = vectors[:, kept] * np.sqrt(values[kept])
     left = np.diagonal(covariance) - (factor**2).sum(axis=1)
     return factor, np.maximum(left, 0.0)

@@ -92,8 +92,8 @@ class Problem:
                 )
                 continue
             # The ridge takes the place of a rank decision: along a direction inside the model z is zero
-            # too. It costs 1e-4 of the gain, more than any price where the gain is that of a bias of hundreds
-            # of standard uncertainties; a step of refinement leaves 1e-8 of it.
+            # too. It costs 1e-4 of the gain, more than any price where a bias of hundreds of uncertainties
+            # is gained; a step of refinement leaves 1e-8 of it.
             gram = (1 + _INDEPENDENT) * np.eye(width) - a.transpose(1, 2, 0) @ a.transpose(1, 0, 2)
             inverse = np.linalg.inv(gram)
             once = inverse @ z[:, :, None]
