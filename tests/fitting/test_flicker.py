@@ -44,6 +44,7 @@ def test_dwells_whose_times_begin_anew_are_taken_one_after_the_other() -> None:
     begin = 3.0 * np.arange(6)
     expected = covariance_of_means(begin, begin + 3.0)
     np.testing.assert_allclose(covariance_of_means(np.zeros(6), np.full(6, 3.0)), expected, atol=1e-9)
+    np.testing.assert_allclose(covariance_of_means(begin, begin), expected, atol=1e-9)
 
 
 def test_few_dwells_keep_all_modes_and_many_the_slowest() -> None:

@@ -28,18 +28,20 @@ def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
     Parameters
     ----------
     begin_s, end_s : (n,) float
-        When each dwell began and ended; where a dwell begins before the one before it has ended, the times
-        cannot be those of one session and the dwells are taken as one after the other.
+        When each dwell began and ended. Where a dwell has no length, or begins before the one before it has
+        ended, these are not the times of one session and the dwells are taken as one after the other.
 
     Source
     ------
     The double integral of −ln|t − t'|; Barnes, Tables of bias functions (NBS TN 375, 1969) for its mean.
     """
     n = len(begin_s)
-    length = np.maximum(end_s - begin_s, 1e-9)
-    if (begin_s[1:] < end_s[:-1] - 1e-6 * length[:-1]).any():
-        end_s = np.cumsum(length)
-        begin_s = end_s - length
+    length = end_s - begin_s
+    if (length <= 0).any():
+        length = np.ones(n)
+        begin_s = np.arange(n, dtype=float)
+    elif (begin_s[1:] < end_s[:-1] - 0.1 * length[:-1]).any():
+        begin_s = np.cumsum(length) - length
     end_s = begin_s + length
     crossed = (
         _second_integral(begin_s[:, None] - end_s[None, :])
