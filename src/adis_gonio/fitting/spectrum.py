@@ -42,6 +42,8 @@ _FLICKER_POWER = (-1.5, -0.6)
 _CLEARLY = 2.0
 """Gain in −2 log likelihood at which the power of f counts as the better one. Simulated, 32 ordinates: 1/f
 noise gains 3 or more; the chip's filter loses, or has a power of −2 in dwells shorter than its window."""
+_NOT_QUITE = 0.05
+"""Share of what h/f explains that further terms may explain beside it: no real noise is 1/f throughout."""
 _LEAST_CYCLES = 3.5
 """Cycles a dwell at the frequency where the density has fallen to 1/e; simulated with the chip's filter, 3
 give two thirds of the true variance and 6 all of it."""
@@ -294,14 +296,16 @@ def _beside_flicker(
     for order in range(min(3, len(x) - 2)):
         one, two = (_whittle(_basis(x, order + k), weight, mean)[2] for k in (1, 2))
         beta, covariance, deviance = _whittle_with_flicker(_basis(x, order), inverse_x, weight, mean)
-        if min(one, two) - deviance < _CLEARLY:
+        better = min(one, two) - deviance
+        if better < _CLEARLY:
             continue
         richer = (
             _whittle_with_flicker(_basis(x, order + k), inverse_x, weight, mean)[2]
             for k in (1, 2)
             if order + k < len(x) - 1
         )
-        if not any(deviance - other > gain for other, gain in zip(richer, _GAINS, strict=False)):
+        allowed = (max(gain, _NOT_QUITE * better) for gain in _GAINS)
+        if not any(deviance - other > most for other, most in zip(richer, allowed, strict=False)):
             return beta, covariance
     return None
 
