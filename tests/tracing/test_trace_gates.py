@@ -56,9 +56,10 @@ def test_bias_and_curvature_stand_whatever_else_comes_in(seed: int) -> None:
 
 
 def test_an_uncertain_effect_that_nothing_asks_for_leaves_the_model() -> None:
-    # The search would add a warm-up (seed 3) and a slip (seed 2), each with less than half the posterior.
-    for seed, name in ((3, "warm_up"), (2, "position_slip")):
-        result = trace(forth_and_back(k2_x=3.0, seed=seed))
+    # One reading off by four uncertainties: the search would add a slip (seed 0) or a disturbed dwell (seed
+    # 2), each with half the posterior.
+    for seed, name in ((0, "position_slip"), (2, "outlier_dwell")):
+        result = trace(forth_and_back(k2_x=3.0, slip_mg=0.4, seed=seed))
         assert {term.name for term in result.model} == {"bias", "quadratic"}
         assert "do not confirm it" in result.reasons[name]
         assert result.adequate

@@ -96,22 +96,16 @@ def linear(data: Observations, model: Sequence[Term], fit: Refit) -> tuple[Float
     target : (rows,) float
     """
     at, conditions = fit.prediction, data.conditions
-
-    def white(columns: Floats) -> Floats:
-        turned = at.whiten @ columns
-        flat: Floats = turned.reshape(-1, turned.shape[2])
-        return flat
-
     target = at.residual.ravel()
     blocks = []
     for term, values in zip(model, fit.state.values, strict=True):
         columns = term.derivative(values, at.ideal_mg, conditions)
         if isinstance(term, NamedTerm):
             columns = columns[..., term.amplitude_index]
-        blocks.append(white(as_reading(term, columns, at)))
+        blocks.append(at.white(as_reading(term, columns, at)))
         added = term.added(values, at.ideal_mg, conditions)
-        target = target + white(as_reading(term, added[..., None], at))[:, 0]
-    return white(base_columns(data, fit.state, at)), blocks, target
+        target = target + at.white(as_reading(term, added[..., None], at))[:, 0]
+    return at.white(base_columns(data, fit.state, at)), blocks, target
 
 
 def _fold(whole: Floats, without: Floats, target: Floats, left: NDArray[np.bool_]) -> float:

@@ -11,7 +11,7 @@ from adis_gonio.tracing.design import Problem, amplitudes, linearise, span
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.search import Search, search
 from adis_gonio.tracing.state import Refit, State, begin, refit
-from adis_gonio.tracing.terms import NamelessTerm, Term
+from adis_gonio.tracing.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.tracing.verdict import Verdict, weigh
 
 ADEQUATE = 0.01
@@ -88,9 +88,17 @@ def select(
             # A constant that is far larger than what is left beside it is no part of a function's form.
             terms = [term for term in terms if not (isinstance(term, NamelessTerm) and term.with_constant)]
             problem = linearise(data, model, state, terms)
-        found = search(problem, max_terms, inflation, beam)
-        found, inflation = _inflated(data, problem, found, max_terms, beam, inflation)
-        verdict = weigh(found)
+        while True:
+            found = search(problem, max_terms, inflation, beam)
+            found, inflation = _inflated(data, problem, found, max_terms, beam, inflation)
+            verdict = weigh(found)
+            impossible = _impossible(problem, verdict.best)
+            if not impossible:
+                break
+            terms = [term for term in terms if term.label not in impossible]
+            problem = problem.only(
+                np.array([k for k, t in enumerate(problem.terms) if t.label not in impossible], np.intp)
+            )
         fit = fit_model(data, problem, verdict.best, state)
         model = tuple(problem.terms[k] for k in verdict.best)
         labels = tuple(sorted(term.label for term in model))
@@ -101,6 +109,22 @@ def select(
             break
     p = adequacy(fit.chi2, fit.dof, data.noise_dof) if data.known else 1.0
     return Selection(problem, found, verdict, model, base, fit, inflation, p >= ADEQUATE)
+
+
+def _impossible(problem: Problem, chosen: Sequence[int]) -> set[str]:
+    """Labels of the effects of a model whose amplitudes are beyond their physical bounds.
+
+    Where a covariate hardly moves (a temperature that is constant but for its noise) a column is a constant
+    with a little noise on it, which can fit better than the constant with an amplitude that no part has.
+    """
+    out = set()
+    for k, own in zip(chosen, amplitudes(problem, chosen), strict=True):
+        term = problem.terms[k]
+        if isinstance(term, NamedTerm):
+            values, (low, high) = term.start(own), term.bounds().T
+            if ((values < low) | (values > high)).any():
+                out.add(term.label)
+    return out
 
 
 def _inflated(

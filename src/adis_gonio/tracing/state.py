@@ -7,12 +7,17 @@ with M lower triangular (three gains, three skews; a rotation is not observable)
 reading and T its tangents, rows are whitened by (I − β û ûᵀ) L⁻¹, û ∥ L⁻¹ t, β = 1 − (1 + σ_f² |L⁻¹
 t|²)^(−1/2), which is the inverse root of C + σ_f² t tᵀ and, for σ_f → ∞, the projection that leaves
 nothing along t.
+
+Noise that dwells share (1/f noise, F = Φ Φᵀ over all readings) leaves the rows so whitened with the
+covariance 1 + A Aᵀ, A = W Φ. Its symmetric inverse root 1 − A g(Aᵀ A) Aᵀ, g(λ) = 1/(r (r + 1)) with r =
+√(1 + λ), is applied to them, which of all roots changes rows least: a row still belongs to its dwell.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -56,15 +61,44 @@ class Prediction:
     tangent : (n, axes, m) float
         ∂ideal/∂nuisance in mg per rad; m is 1 in the plane, 2 in space.
     whiten : (n, rows, axes) float
-    residual : (n, rows) float
-        Whitened; with the nuisance parameters' own part added back, so that it belongs to declared angles.
+        Dwell by dwell.
+    left_mg : (n, axes) float
+        Reading minus prediction, with the nuisance parameters' own part added back, so that it belongs to
+        declared angles.
+    slow_mg : (n, axes, k) float or None
+        Modes of the noise that dwells share.
     """
 
     ideal_mg: Floats
     predicted_mg: Floats
     tangent: Floats
     whiten: Floats
-    residual: Floats
+    left_mg: Floats
+    slow_mg: Floats | None
+
+    @cached_property
+    def residual(self) -> Floats:
+        """Whitened residual (n, rows)."""
+        return self.white(self.left_mg[:, :, None]).reshape(len(self.left_mg), -1)
+
+    @cached_property
+    def _shared(self) -> tuple[Floats, Floats] | None:
+        """A (n·rows, k) and the middle V g(λ) Vᵀ (k, k), with Aᵀ A = V λ Vᵀ."""
+        if self.slow_mg is None or not self.slow_mg.shape[2]:
+            return None
+        rows = (self.whiten @ self.slow_mg).reshape(-1, self.slow_mg.shape[2])
+        values, vectors = np.linalg.eigh(rows.T @ rows)
+        root = np.sqrt(1 + np.maximum(values, 0.0))
+        return rows, (vectors / (root * (root + 1))) @ vectors.T
+
+    def white(self, columns: Floats) -> Floats:
+        """Columns (n·rows, d), whitened, of what stands in readings (n, axes, d) in mg."""
+        turned = self.whiten @ columns
+        flat: Floats = turned.reshape(-1, turned.shape[2])
+        if self._shared is None:
+            return flat
+        rows, middle = self._shared
+        return flat - rows @ (middle @ (rows.T @ flat))
 
 
 @dataclass(frozen=True)
@@ -117,7 +151,7 @@ def predict(data: Observations, model: Sequence[Term], state: State) -> Predicti
     left = data.mean_mg - predicted
     if data.planar:
         left = left + tangent[:, :, 0] * state.delta_rad[:, None]
-    return Prediction(ideal, predicted, tangent, whiten, np.einsum("nrk,nk->nr", whiten, left))
+    return Prediction(ideal, predicted, tangent, whiten, left, data.slow_mg)
 
 
 def angles(data: Observations, model: Sequence[Term], state: State) -> Floats:
@@ -157,7 +191,7 @@ def _across(unit: Floats) -> Floats:
 
 
 def _whitening(data: Observations, tangent: Floats) -> Floats:
-    root = np.linalg.inv(np.linalg.cholesky(data.covariance))
+    root = np.linalg.inv(np.linalg.cholesky(data.own_covariance))
     along = root @ tangent
     if not data.planar:
         # One direction is left: across both whitened tangents.
@@ -285,8 +319,7 @@ def _jacobian(data: Observations, model: Sequence[Term], state: State, at: Predi
     blocks = [base_columns(data, state, at)]
     for term, values in zip(model, state.values, strict=True):
         blocks.append(as_reading(term, term.derivative(values, at.ideal_mg, data.conditions), at))
-    columns = at.whiten @ np.concatenate(blocks, axis=2)
-    return columns.reshape(-1, columns.shape[2])
+    return at.white(np.concatenate(blocks, axis=2))
 
 
 def _stepped(model: Sequence[Term], state: State, step: Floats) -> State:
