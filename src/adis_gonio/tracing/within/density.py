@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage, signal
+from scipy import fft, ndimage, optimize, signal
 
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.within.samples import Samples
@@ -25,12 +25,16 @@ LOWEST = 6
 """Cycles a dwell below which a line cannot be told from slow noise or drift."""
 LEAST_SAMPLES = 32
 _FILTERS = range(7)
-_FLOORS = (0.0, *np.geomspace(1e-6, 0.3, 12).tolist())
+_FLOORS = (0.0, *np.geomspace(1e-5, 0.3, 8).tolist())
 """Floors of the filtered density, in units of its value at zero."""
-_FLICKERS = (0.0, *np.geomspace(0.03, 300.0, 13).tolist())
+_FLICKERS = (0.0, *np.geomspace(0.01, 300.0, 10).tolist())
 """1/f noise at the lowest frequency searched, in units of the white noise."""
-_CELLS = 200
+_POWERS = (1, 2)
+"""Of 1/f; a slow signal on a coarse converter jumps, which falls off with the square."""
+_CELLS = 120
 _LENGTHS = 5
+_STEEP = 1.5
+"""Ordinates to each side over which the density's shape counts as one."""
 TAPER_LOSS = 1.944
 """n Σw⁴ / (Σw²)² of Hann's taper: degrees of freedom that it costs."""
 _WIDTHS = (6, 16, 40)
@@ -101,7 +105,9 @@ def density_of(samples: Samples) -> Density | None:
     base = np.stack(
         [_smooth(pooled[:, axis], searched, width, each) for axis in range(samples.axes)], axis=1
     )
-    base = base * shape
+    # Where the density is steep (edges and notches of a filter) a small error of its shape is a large one of
+    # the density: there its largest value nearby counts.
+    base = base * ndimage.maximum_filter1d(shape, 2 * round(_STEEP * each) + 1, axis=0)
     return Density(dwells, frequency, searched, power, level, base, 2 * width + 1)
 
 
@@ -149,31 +155,41 @@ def _shape(pooled: Floats, frequency: Floats, counts: NDArray[np.intp], size: in
     Whittle likelihood with the scale fitted, over cells of neighbours; the model is averaged over the same
     cells, so that a cell may be wider than a notch of the filter.
     """
-    edges = np.unique(np.linspace(0, len(frequency), _CELLS, endpoint=False).astype(np.intp))
+    # Cells grow with frequency: the foot of a long filter has few ordinates.
+    edges = np.unique((len(frequency) * np.linspace(0, 1, _CELLS, endpoint=False) ** 2).astype(np.intp))
     weight = np.diff(np.append(edges, len(frequency))).astype(float)
     seen = np.add.reduceat(pooled, edges) / weight
-    flicker = frequency[0] / frequency
-    low = np.add.reduceat(flicker, edges) / weight
-    best, shape = np.inf, np.ones_like(pooled)
+    slow = {power: (frequency[0] / frequency) ** power for power in _POWERS}
+    first = round(float(frequency[0]) * size)
+
+    def deviance(own: Floats) -> Floats:
+        """−2 log likelihood less a constant, of models (…, cells) with their scale fitted."""
+        return np.asarray(np.log(own) @ weight + weight.sum() * np.log((seen / own) @ weight))
+
+    best, chosen, start, power = np.inf, np.ones_like(pooled), (0.0, 0.0), _POWERS[0]
     for filter_m in _FILTERS:
         if 2 ** (filter_m + 1) > counts.max():
             break
-        response = _expected(filter_m, counts, size)[: len(frequency) + _first(frequency, size)]
-        response = response[_first(frequency, size) :]
+        response = _expected(filter_m, counts, size)[first : first + len(frequency)]
         white = np.add.reduceat(response, edges) / weight
-        floors = _FLOORS if filter_m else (0.0,)
-        for floor in floors:
-            own = white + floor + np.array(_FLICKERS)[:, None] * low
-            deviance = np.log(own) @ weight + weight.sum() * np.log((seen / own) @ weight)
-            k = int(deviance.argmin())
-            if deviance[k] < best:
-                best = float(deviance[k])
-                shape = response + floor + _FLICKERS[k] * flicker
-    return shape
-
-
-def _first(frequency: Floats, size: int) -> int:
-    return round(float(frequency[0]) * size)
+        for own_power, rising in slow.items():
+            low = np.array(_FLICKERS)[:, None] * (np.add.reduceat(rising, edges) / weight)
+            for floor in _FLOORS if filter_m else (0.0,):
+                losses = deviance(white + floor + low)
+                k = int(losses.argmin())
+                if losses[k] < best:
+                    best, chosen, power = float(losses[k]), response, own_power
+                    start = (floor, _FLICKERS[k])
+    white = np.add.reduceat(chosen, edges) / weight
+    low = np.add.reduceat(slow[power], edges) / weight
+    finer = optimize.minimize(
+        lambda logs: float(deviance(white + np.exp(logs[0]) + np.exp(logs[1]) * low)),
+        np.log(np.maximum(start, 1e-7)),
+        method="Nelder-Mead",
+        options={"maxiter": 80, "xatol": 0.02, "fatol": 0.02},
+    )
+    floor, amount = np.exp(finer.x)
+    return np.asarray(chosen + floor + amount * slow[power], dtype=np.float64)
 
 
 def _expected(filter_m: int, counts: NDArray[np.intp], size: int) -> Floats:

@@ -67,7 +67,8 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
         for k, (away, middle, own) in looks.items():
             rows = samples.values[k]
             spread = max(own, usual, 0.5 * float(scatter[k, axis]))
-            size = (np.abs(away) - samples.quantum[axis]) / spread
+            # A neighbours' median and the sample are both rounded.
+            size = (np.abs(away) - 1.5 * samples.quantum[axis]) / spread
             wild = size > limit
             if not wild.any():
                 continue
