@@ -85,9 +85,7 @@ def _course(elapsed_s: Floats, tau: float | None) -> Floats:
     return elapsed_s if tau is None else np.exp(-elapsed_s / tau)
 
 
-def _projections(
-    samples: Samples, usable: Floats, tau: float | None
-) -> tuple[Floats, Floats]:
+def _projections(samples: Samples, usable: Floats, tau: float | None) -> tuple[Floats, Floats]:
     """Amplitudes of each dwell times the norm of the course (d, axes), and that norm (d,)."""
     z, norm = np.zeros((len(samples), samples.axes)), np.zeros(len(samples))
     for k in np.flatnonzero(usable).tolist():
@@ -234,7 +232,9 @@ def _finding(
             f"{with_u(parameters['tau'])}{by}; it moves the means by up to {number(shift, 2)} mg"
         )
         if needed > 0:
-            advice = f"wait {number(needed, 2)} s longer after each move before recording: the dwells settle"
+            advice = (
+                f"wait {number(needed, 2)} s longer after each move before recording: the dwells settle"
+            )
         places = tuple(
             Place(
                 int(samples.position[k]),

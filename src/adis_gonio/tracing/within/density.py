@@ -96,9 +96,7 @@ def density_of(samples: Samples) -> Density | None:
     pooled = (power / level[:, None, :]).mean(axis=0)
     shape = np.ones((len(frequency), samples.axes))
     for axis in range(samples.axes):
-        shape[searched, axis] = _shape(
-            pooled[searched, axis], frequency[searched], counts[dwells], size
-        )
+        shape[searched, axis] = _shape(pooled[searched, axis], frequency[searched], counts[dwells], size)
     # The median of an exponential distribution is ln 2 of its mean.
     level = np.maximum(np.median(band / shape[None, searched], axis=1) / np.log(2), 1e-300)
     pooled = (power / level[:, None, :]).mean(axis=0) / shape

@@ -13,6 +13,7 @@ A dwell that stands out is then described by the form that leaves least: a step,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from scipy import stats
@@ -21,7 +22,6 @@ from adis_gonio.model.records import Floats
 from adis_gonio.tracing.values import Value
 from adis_gonio.tracing.within.finding import (
     LEVEL,
-    Kind,
     Place,
     View,
     WithinFinding,
@@ -41,6 +41,8 @@ _EFFICIENCY = 0.37
 """Of the median absolute deviation, against a standard deviation."""
 _LIVELY = 0.6
 _TAUS = 8
+_CLEAR = 4.0
+"""Standard uncertainties by which a form has to stand out to describe a dwell."""
 _POINTS = 300
 
 
@@ -54,6 +56,27 @@ class _Scale:
     """First sample of the later stretch (m,)."""
     independent: Floats
     """Independent places of each dwell (d,)."""
+
+
+_Form = Literal["step", "drift", "settling", "disturbance"]
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What the scales showed: where each dwell and axis differs most, and the noise at every scale."""
+
+    place: Floats
+    stretch: Floats
+    difference_mg: Floats
+    """All (d, axes): first sample of the later stretch, length of the stretches, their difference."""
+    noise: list[tuple[Floats, Floats]]
+    """Of each scale: length of the stretches (d,), standard deviation (d, axes) in units of `unit`."""
+    unit: Floats
+
+    def u_mg(self, dwell: int, axis: int, stretch: float) -> float:
+        """Standard uncertainty of a difference of two means over stretches of some length."""
+        best = min(self.noise, key=lambda one: abs(np.log(max(one[0][dwell], 1e-9) / stretch)))
+        return float(best[1][dwell, axis] * np.sqrt(2 / max(best[0][dwell], 1.0)) * self.unit[dwell, axis])
 
 
 def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFinding]:
@@ -74,16 +97,16 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
     scales = _scales(samples, unit, max(_SHORTEST, 2 * reach))
     tests = sum(sum(len(own) for own in scale.differences) for scale in scales) * samples.axes
     p = np.ones((len(samples), samples.axes))
-    u = np.full((len(samples), samples.axes), np.nan)
+    look = _Look(np.zeros_like(p), np.ones_like(p), np.zeros_like(p), [], unit)
     # Noise below the converter's step: a mean may be off by half of one.
     spread = np.array([rows.std(axis=0) for rows in samples.values])
     coarse = np.where(spread < _LIVELY * samples.quantum, 0.5 * samples.quantum / unit, 0.0)
     for scale in scales:
-        _judge(scale, coarse, tests, p, u)
+        _judge(scale, coarse, tests, p, look)
     flagged = np.argwhere(p < LEVEL)
-    described = [_describe(samples, int(k), int(axis), float(u[k, axis]) * unit[k, axis]) for k, axis in flagged]
+    described = [_describe(samples, int(k), int(axis), look) for k, axis in flagged]
     found = []
-    for kind in ("step", "drift", "settling"):
+    for kind in get_args(_Form):
         chosen = [
             (k, axis, place, model)
             for (k, axis), (own, place, model) in zip(flagged.tolist(), described, strict=True)
@@ -98,7 +121,9 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
 def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
     counts = samples.counts
     sums = [
-        np.concatenate([np.zeros((1, samples.axes)), np.cumsum((rows - rows.mean(axis=0)) / unit[k], axis=0)])
+        np.concatenate(
+            [np.zeros((1, samples.axes)), np.cumsum((rows - rows.mean(axis=0)) / unit[k], axis=0)]
+        )
         for k, rows in enumerate(samples.values)
     ]
     longest = int(counts.max())
@@ -130,12 +155,16 @@ def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
     return scales
 
 
-def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, u: Floats) -> None:
-    """Lower the p-values (d, axes) by those of one scale; `u` is the height's uncertainty there."""
+def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) -> None:
+    """Lower the p-values (d, axes) by those of one scale."""
+    noise = np.zeros_like(p)
+    look.noise.append((np.array([float(own[0]) if len(own) else 0.0 for own in scale.places]), noise))
     every = np.concatenate(scale.differences)
     stretch = np.array([float(own[0]) if len(own) else 1.0 for own in scale.places])
     for axis in range(p.shape[1]):
-        squares = np.array([(own[:, axis] ** 2).mean() if len(own) else np.nan for own in scale.differences])
+        squares = np.array(
+            [(own[:, axis] ** 2).mean() if len(own) else np.nan for own in scale.differences]
+        )
         weight = _independent(scale.independent, squares)
         total = float(weight.sum())
         largest = np.array([np.abs(own[:, axis]).max(initial=0.0) for own in scale.differences])
@@ -149,11 +178,16 @@ def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, u: Floats) ->
             others = (weight @ known - weight * known) / np.maximum(total - weight, 1e-12)
             spreads = np.sqrt(np.maximum(others, 1e-24))
             own_p = stats.t.sf(largest / spreads, np.maximum(total - weight, 1e-12))
+        noise[:, axis] = spreads
         for k in np.flatnonzero(largest > 0).tolist():
             value = corrected(2 * float(own_p[k]), tests)
             if value < p[k, axis]:
                 p[k, axis] = value
-                u[k, axis] = spreads[k] * np.sqrt(2 / stretch[k])
+                at = int(np.abs(scale.differences[k][:, axis]).argmax())
+                look.place[k, axis] = scale.places[k][at]
+                look.stretch[k, axis] = stretch[k]
+                height = scale.differences[k][at, axis] * np.sqrt(2 / stretch[k])
+                look.difference_mg[k, axis] = height * look.unit[k, axis]
 
 
 def _independent(nominal: Floats, squares: Floats) -> Floats:
@@ -172,8 +206,12 @@ def _independent(nominal: Floats, squares: Floats) -> Floats:
     return np.where(use, np.minimum(nominal, each), 0.0)
 
 
-def _describe(samples: Samples, k: int, axis: int, u: float) -> tuple[Kind, Place, Floats]:
-    """The form that describes a dwell best, and its course (n,) about the dwell's mean."""
+def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, Place, Floats]:
+    """The form that describes a dwell best, and its course (n,) about the dwell's mean.
+
+    A form that does not stand out of the noise of its own scale describes nothing: what was seen is then a
+    disturbance of the length at which it was seen.
+    """
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     elapsed = samples.elapsed_s(k)
     n = len(rows)
@@ -184,7 +222,7 @@ def _describe(samples: Samples, k: int, axis: int, u: float) -> tuple[Kind, Plac
     gain = total**2 * n / (first * (n - first))
     inner = slice(2, max(n - 3, 3))
     cut = int(np.argmax(gain[inner])) + inner.start
-    fitted: dict[Kind, tuple[float, Floats, Place]] = {}
+    fitted: dict[_Form, tuple[float, Floats, Place]] = {}
     height = float(rows[cut + 1 :].mean() - rows[: cut + 1].mean())
     model = np.where(np.arange(n) > cut, height, 0.0)
     model = model - model.mean()
@@ -196,7 +234,7 @@ def _describe(samples: Samples, k: int, axis: int, u: float) -> tuple[Kind, Plac
             position,
             letter,
             float(samples.time_s[k][cut + 1]),
-            Value(height, u, "mg"),
+            Value(height, look.u_mg(k, axis, min(cut + 1, n - cut - 1)), "mg"),
             height * smaller * (1 if cut + 1 >= n - cut - 1 else -1),
         ),
     )
@@ -208,18 +246,27 @@ def _describe(samples: Samples, k: int, axis: int, u: float) -> tuple[Kind, Plac
         slope**2 * energy,
         slope * line,
         # Half-means of a line are half its span apart.
-        Place(position, letter, None, Value(slope, 2 * u / length, "mg/s"), slope * length / 2),
+        Place(
+            position,
+            letter,
+            None,
+            Value(slope, 2 * look.u_mg(k, axis, n / 2) / length, "mg/s"),
+            slope * length / 2,
+        ),
     )
-    best: tuple[float, float, float, Floats] | None = None
-    for tau in np.geomspace(3 * samples.period_s, length / 3, _TAUS) if length > 9 * samples.period_s else ():
+    best: tuple[float, float, float, Floats, float] | None = None
+    for tau in (
+        np.geomspace(3 * samples.period_s, length / 3, _TAUS) if length > 9 * samples.period_s else ()
+    ):
         course = np.exp(-elapsed / tau)
         centred = course - course.mean()
         own = max(float(centred @ centred), 1e-300)
         amplitude = float(centred @ rows) / own
         if best is None or amplitude**2 * own > best[0]:
-            best = (amplitude**2 * own, amplitude, float(course.mean()), centred)
+            best = (amplitude**2 * own, amplitude, float(course.mean()), centred, float(tau))
     if best is not None:
-        explained, amplitude, mean, centred = best
+        explained, amplitude, mean, centred, tau = best
+        decay = min(tau / samples.period_s, n / 2)
         fitted["settling"] = (
             explained,
             amplitude * centred,
@@ -227,23 +274,46 @@ def _describe(samples: Samples, k: int, axis: int, u: float) -> tuple[Kind, Plac
                 position,
                 letter,
                 float(samples.time_s[k][0]),
-                Value(amplitude, u, "mg"),
+                Value(amplitude, look.u_mg(k, axis, decay), "mg"),
                 amplitude * mean,
             ),
         )
     kind = max(fitted, key=lambda name: fitted[name][0])
-    return kind, fitted[kind][2], fitted[kind][1]
+    _, course, place = fitted[kind]
+    size = place.value
+    if size is not None and size.u is not None and abs(size.value) > _CLEAR * size.u:
+        return kind, place, course
+    stretch, at = float(look.stretch[k, axis]), int(look.place[k, axis])
+    height = float(look.difference_mg[k, axis])
+    course = np.zeros(n)
+    course[at : at + int(stretch)] = height
+    shown = Value(height, look.u_mg(k, axis, stretch), "mg")
+    shift = height * stretch / n
+    return "disturbance", Place(position, letter, float(samples.time_s[k][at]), shown, shift), course
 
 
-_WORDS: dict[str, tuple[str, str, str]] = {
+_WORDS: dict[_Form, tuple[str, str, str]] = {
     "step": ("the reading steps within", "height", "something moved (the part, its mount, the stage)"),
-    "drift": ("the samples drift within", "slope", "the part or the stage creeps, or its temperature moves"),
-    "settling": ("the samples settle within", "settling", "the dwell began too early, or something was touched"),
+    "drift": (
+        "the samples drift within",
+        "slope",
+        "the part or the stage creeps, or its temperature moves",
+    ),
+    "disturbance": (
+        "the samples are disturbed for a moment in",
+        "height",
+        "something was touched or shook",
+    ),
+    "settling": (
+        "the samples settle within",
+        "settling",
+        "the dwell began too early, or something was touched",
+    ),
 }
 
 
 def _finding(
-    samples: Samples, kind: Kind, chosen: list[tuple[int, int, Place, Floats]], p_value: float
+    samples: Samples, kind: _Form, chosen: list[tuple[int, int, Place, Floats]], p_value: float
 ) -> WithinFinding:
     words, name, cause = _WORDS[kind]
     places = tuple(place for _, _, place, _ in chosen)
@@ -269,7 +339,7 @@ def _finding(
     )
 
 
-def _view(samples: Samples, k: int, axis: int, model: Floats, kind: Kind) -> View:
+def _view(samples: Samples, k: int, axis: int, model: Floats, kind: _Form) -> View:
     """Course of one dwell in at most `_POINTS` means of neighbours."""
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     time = samples.elapsed_s(k)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.values import Value
 
-Kind = Literal["drift", "settling", "step", "tone", "spikes", "stuck", "noise_change"]
+Kind = Literal["drift", "settling", "step", "disturbance", "tone", "spikes", "stuck", "noise_change"]
 
 LEVEL = 0.01
 """Family-wise level: probability that a session without anything shows any finding."""
@@ -85,7 +85,7 @@ class WithinFinding:
     Attributes
     ----------
     kind : str
-        drift, settling, step, tone, spikes, stuck or noise_change.
+        drift, settling, step, disturbance, tone, spikes, stuck or noise_change.
     effect : str or None
         Name in the catalogue, where its form is the catalogue's.
     axes : tuple of str

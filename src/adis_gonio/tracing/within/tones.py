@@ -45,6 +45,8 @@ class _Peak:
 
     at: int
     p_value: float
+    dwell: int | None
+    """Row of the density of the one dwell that shows it; None where all together do."""
 
 
 def tones(samples: Samples) -> tuple[list[WithinFinding], Samples, Density | None]:
@@ -53,9 +55,10 @@ def tones(samples: Samples) -> tuple[list[WithinFinding], Samples, Density | Non
     density = density_of(samples)
     while density is not None and len(found) < MOST:
         peak = _highest(density)
-        if peak is None:
+        line = None if peak is None else _line(samples, density, peak)
+        if line is None:
             break
-        finding, samples = _line(samples, density, peak)
+        finding, samples = line
         found.append(finding)
         density = density_of(samples)
     return found, samples, density
@@ -78,7 +81,7 @@ def _highest(density: Density) -> _Peak | None:
         at = int(np.argmax(pooled[:, axis]))
         p = corrected(float(stats.f.sf(pooled[at, axis], 2 * effective, freedom[at])), tests)
         if best is None or p < best.p_value:
-            best = _Peak(at + searched.start, p)
+            best = _Peak(at + searched.start, p, None)
         single = relative[:, :, axis]
         dwell, at = np.unravel_index(int(np.argmax(single)), single.shape)
         # Spectra of single dwells differ: the line has to stand out of its own dwell as well.
@@ -88,7 +91,7 @@ def _highest(density: Density) -> _Peak | None:
         rough = effective / d
         p = corrected(float(stats.f.sf(height, 2, 2 * width[at] / TAPER_LOSS)) ** rough, tests * d)
         if p < best.p_value:
-            best = _Peak(int(at) + searched.start, p)
+            best = _Peak(int(at) + searched.start, p, int(dwell))
     return best if best is not None and best.p_value < LEVEL else None
 
 
@@ -106,8 +109,8 @@ def _quartiles(dwells: float) -> float:
     return float(np.log(high / low))
 
 
-def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFinding, Samples]:
-    """Fit a line at a peak and take it away."""
+def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFinding, Samples] | None:
+    """Fit a line at a peak and take it away; None where nothing of it is left on the samples' own times."""
     period = samples.period_s
     dwells = density.dwells.astype(np.intp)
     times = [samples.elapsed_s(int(k)) for k in dwells]
@@ -116,9 +119,13 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
     step = density.frequency[1] / period
     about = density.frequency[peak.at] / period
 
+    showing = list(zip(times, rows, weight, strict=True))
+    if peak.dwell is not None:
+        showing = showing[peak.dwell : peak.dwell + 1]
+
     def power(frequency: float) -> float:
         total = 0.0
-        for time, own, w in zip(times, rows, weight, strict=True):
+        for time, own, w in showing:
             total += float((np.abs(np.exp(-2j * np.pi * frequency * time) @ own) ** 2 / len(own)) @ w)
         return -total
 
@@ -131,16 +138,23 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
     noise = density.level * density.base[peak.at]
     # A quadrature of n samples of density S has the variance 2 S/n.
     excess = squares * counts / (4 * noise)
-    amplitude, u, shown = _sizes(squares, 4 * noise / counts, excess)
+    chosen = np.ones(len(dwells), dtype=bool)
+    if peak.dwell is not None:
+        chosen = excess.max(axis=1) > -np.log(LEVEL / excess.size)
+        if not chosen.any():
+            return None
+    amplitude, u, shown = _sizes(squares[chosen], (4 * noise / counts)[chosen], excess[chosen])
     axes = [k for k in range(samples.axes) if shown[k]] or [int(np.argmax(excess.sum(axis=0)))]
+    if not amplitude[axes].max() > 0:
+        return None
     clear = excess[:, axes].max(axis=1) > -np.log(LEVEL / (len(dwells) * len(axes)))
-    if clear.mean() > 0.5 or not clear.any():
+    if peak.dwell is None and (clear.mean() > 0.5 or not clear.any()):
         # A line that most dwells show stands in the others as well, below what one dwell can tell.
         expected = (amplitude[axes] ** 2 * counts / (4 * noise[:, axes])).sum(axis=1)
         clear |= excess[:, axes].sum(axis=1) > 0.25 * expected
-    information = float(
-        (clear[:, None] * amplitude[axes] ** 2 * counts**3 / (24 * noise[:, axes])).sum()
-    )
+    if not clear.any():
+        return None
+    information = float((clear[:, None] * amplitude[axes] ** 2 * counts**3 / (24 * noise[:, axes])).sum())
     u_frequency = 1 / (2 * np.pi * period * np.sqrt(max(information, 1e-300)))
     positions = tuple(int(p) for p in samples.position[dwells[clear]])
     if not clear.all():
@@ -154,7 +168,9 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         **{f"tone_{samples.letters[k]}": Value(float(amplitude[k]), float(u[k]), "mg") for k in axes},
         "frequency": Value(frequency, float(u_frequency), "Hz"),
     }
-    sizes = ", ".join(f"{samples.letters[k]} {with_u(parameters[f'tone_{samples.letters[k]}'])}" for k in axes)
+    sizes = ", ".join(
+        f"{samples.letters[k]} {with_u(parameters[f'tone_{samples.letters[k]}'])}" for k in axes
+    )
     finding = WithinFinding(
         kind="tone",
         effect="tone",

@@ -102,7 +102,7 @@ def _levels(samples: Samples, density: Density, axis: int) -> _Levels:
     dof = counts * share * base.mean() ** 2 / np.mean(base**2) / TAPER_LOSS
     relative = 2 / dof
     rows = [without_line(samples.values[int(k)])[:, axis] for k in density.dwells]
-    fourth = np.mean([np.mean(own**4) / max(np.mean(own**2) ** 2, 1e-300) for own in rows])
+    fourth = np.mean([np.mean((own * own) ** 2) / max(np.mean(own * own) ** 2, 1e-300) for own in rows])
     relative = relative + max(float(fourth) - 3, 0.0) / (dof / 2)
     step = samples.quantum[axis]
     if step > 0:
@@ -221,7 +221,9 @@ def _varying(
                 samples.letters[axis],
                 None,
                 Value(
-                    float(np.sqrt(own.variance[k])), float(np.sqrt(own.variance[k] / (2 * own.dof[k]))), "mg"
+                    float(np.sqrt(own.variance[k])),
+                    float(np.sqrt(own.variance[k] / (2 * own.dof[k]))),
+                    "mg",
                 ),
             )
             for k in np.flatnonzero(far).tolist()
@@ -282,13 +284,10 @@ def _start(
     """
     before, after = int(dwells[cut - 1]), int(dwells[cut])
     time = np.concatenate([samples.time_s[before], samples.time_s[after]])
-    gap = len(samples.time_s[before])
     loss = np.zeros(len(time) + 1)
     for axis, own in zip(axes, levels, strict=True):
         low, high = own.rows(quiet).common, own.rows(loud).common
-        rows = np.concatenate(
-            [without_line(samples.values[k])[:, axis] for k in (before, after)]
-        )
+        rows = np.concatenate([without_line(samples.values[k])[:, axis] for k in (before, after)])
         worth = float(np.median(own.dof / samples.counts[dwells]))
         one = 0.5 * worth * (rows**2 / low + np.log(low))
         two = 0.5 * worth * (rows**2 / high + np.log(high))
@@ -303,13 +302,10 @@ def _start(
     middle, width = (low_edge + high_edge) / 2, high_edge - low_edge
     mean = float(weight @ middle)
     variance = float(weight @ ((middle - mean) ** 2 + width**2 / 12))
-    del gap
     return mean, float(np.sqrt(variance))
 
 
-def _view(
-    samples: Samples, dwells: NDArray[np.intp], levels: list[_Levels], axes: list[int]
-) -> View:
+def _view(samples: Samples, dwells: NDArray[np.intp], levels: list[_Levels], axes: list[int]) -> View:
     axis = axes[0]
     own = levels[0]
     letter = samples.letters[axis]
