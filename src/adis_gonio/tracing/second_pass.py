@@ -111,8 +111,8 @@ def _of_single_dwells(data: Observations, result: TraceResult) -> list[str]:
         if at:
             word = "slipped" if term.name == "position_slip" else "is off"
             lines.append(
-                f"repeat position {training.position[at[0]]}: it {word} against all others; its reading was "
-                f"not dropped, {term.name} accounts for it"
+                f"repeat position {training.position[at[0]]}: it {word} against all others; its reading "
+                f"was not dropped, {term.name} accounts for it"
             )
     return lines
 
@@ -139,7 +139,7 @@ def _standing_out(data: Observations, result: TraceResult) -> tuple[list[str], l
     return (
         [f"repeat {named}: far from the final model, the others are not"],
         [
-            f"{named}: up to {size:.1f} standard uncertainties (rms over the axes) from the final model, more "
-            "than chance among its dwells; kept in the fit"
+            f"{named}: up to {size:.1f} standard uncertainties (rms over the axes) from the final model, "
+            "more than chance among its dwells; kept in the fit"
         ],
     )

@@ -39,7 +39,7 @@ def search_within(samples: Samples) -> tuple[WithinFinding, ...]:
 
 
 def correlation_reach(samples: Samples) -> int:
-    """Samples after which neighbours are no longer correlated (below `_CORRELATED`), at most `_FARTHEST`."""
+    """Samples after which neighbours correlate by less than `_CORRELATED`; at most `_FARTHEST`."""
     longest = min(_FARTHEST, int(samples.counts.max()) // 4)
     total = np.zeros(longest + 1)
     for rows in samples.values:

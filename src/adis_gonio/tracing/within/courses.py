@@ -2,12 +2,12 @@
 
 Each dwell is projected on the course (a line; exponentials of time constants from a few samples to half a
 dwell), and the amplitudes are tested against their own scatter from dwell to dwell (t): whatever slow noise
-there is within a dwell, it is independent between dwells, so that no model of it is needed. The amplitude is
-the same in all dwells, or proportional to the change of the axis' own reading in the move before it. Time
-counts from the first sample of the dwell: the file does not say when the move ended.
+there is within a dwell, it is independent between dwells, so that no model of it is needed. The amplitude
+is the same in all dwells, or proportional to the change of the axis' own reading in the move before it.
+Time counts from the first sample of the dwell: the file does not say when the move ended.
 
-The time constant is then fitted, and standard uncertainties are those of a least-squares fit whose residuals
-are correlated within dwells (sandwich, one cluster a dwell).
+The time constant is then fitted, and standard uncertainties are those of a least-squares fit whose
+residuals are correlated within dwells (sandwich, one cluster a dwell).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from adis_gonio.model.records import Floats
@@ -30,11 +31,15 @@ from adis_gonio.tracing.within.finding import (
 )
 from adis_gonio.tracing.within.samples import Samples
 
+Usable = NDArray[np.bool_]
+
 LEAST_DWELLS = 4
 _LEAST_SAMPLES = 6
 _TAUS = 12
 _LONGEST = 0.5
 """Longest time constant in lengths of a dwell: slower ones are a line."""
+_BENT = 9.0
+"""Gain, in units of the noise, from which a course is settling and no line."""
 _MG_PER_G = 1000.0
 _POINTS = 120
 
@@ -48,6 +53,9 @@ class _Candidate:
     by_move: bool
     p_value: float
     explained: float
+    """Sum of squares that it takes, in mg²."""
+    noise: float
+    """Variance of a dwell's projection on the course, in mg²."""
 
 
 def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Samples]:
@@ -71,8 +79,8 @@ def _regressors(samples: Samples) -> Floats:
     return np.stack([np.ones_like(change), change])
 
 
-def _grid(samples: Samples, usable: Floats) -> list[float | None]:
-    lengths = [float(samples.elapsed_s(k)[-1]) for k in np.flatnonzero(usable)]
+def _grid(samples: Samples, usable: Usable) -> list[float | None]:
+    lengths = [float(samples.elapsed_s(k)[-1]) for k in np.flatnonzero(usable).tolist()]
     longest = float(np.median(lengths))
     shortest = 3 * samples.period_s
     if not 0 < shortest < _LONGEST * longest:
@@ -85,7 +93,7 @@ def _course(elapsed_s: Floats, tau: float | None) -> Floats:
     return elapsed_s if tau is None else np.exp(-elapsed_s / tau)
 
 
-def _projections(samples: Samples, usable: Floats, tau: float | None) -> tuple[Floats, Floats]:
+def _projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Floats, Floats]:
     """Amplitudes of each dwell times the norm of the course (d, axes), and that norm (d,)."""
     z, norm = np.zeros((len(samples), samples.axes)), np.zeros(len(samples))
     for k in np.flatnonzero(usable).tolist():
@@ -97,12 +105,13 @@ def _projections(samples: Samples, usable: Floats, tau: float | None) -> tuple[F
     return z, norm
 
 
-def _best(samples: Samples, usable: Floats) -> _Candidate | None:
+def _best(samples: Samples, usable: Usable) -> _Candidate | None:
     """The course that explains most of those that are significant."""
     grid = _grid(samples, usable)
     kinds = _regressors(samples)
     tests = len(grid) * 2 * samples.axes
     best: _Candidate | None = None
+    line: _Candidate | None = None
     for tau in grid:
         z, norm = _projections(samples, usable, tau)
         for by_move in (False, True):
@@ -119,12 +128,20 @@ def _best(samples: Samples, usable: Floats) -> _Candidate | None:
                     continue
                 p = corrected(2 * float(stats.t.sf(abs(t[axis]), dof)), tests)
                 explained = float(slope[axis] ** 2 * energy[axis])
-                if p < LEVEL and (best is None or explained > best.explained):
-                    best = _Candidate(axis, tau, by_move, p, explained)
+                if p >= LEVEL:
+                    continue
+                own = _Candidate(axis, tau, by_move, p, explained, float(residual[axis]))
+                if best is None or explained > best.explained:
+                    best = own
+                if tau is None and (line is None or explained > line.explained):
+                    line = own
+    # An exponential has a shape to choose: where it explains hardly more than a line, a line it is.
+    if best is not None and line is not None and best.explained - line.explained < _BENT * best.noise:
+        return line
     return best
 
 
-def _fitted(samples: Samples, usable: Floats, best: _Candidate) -> tuple[WithinFinding, Samples]:
+def _fitted(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinFinding, Samples]:
     weight = _regressors(samples)[int(best.by_move)]
     dwells = np.flatnonzero(usable).tolist()
     times = {k: samples.elapsed_s(k) for k in dwells}
@@ -179,7 +196,7 @@ def _fitted(samples: Samples, usable: Floats, best: _Candidate) -> tuple[WithinF
     return finding, samples.with_values(values)
 
 
-def _axes_with(samples: Samples, usable: Floats, best: _Candidate) -> list[int]:
+def _axes_with(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
     """Axes that share the course: the first one, and those on which it is significant by itself."""
     z, norm = _projections(samples, usable, best.tau)
     g = norm[:, None] * _regressors(samples)[int(best.by_move)]

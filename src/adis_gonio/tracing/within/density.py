@@ -64,7 +64,7 @@ class Density:
         Independent ordinates in the running median.
     """
 
-    dwells: Floats
+    dwells: NDArray[np.intp]
     frequency: Floats
     searched: slice
     power: Floats
@@ -97,16 +97,18 @@ def density_of(samples: Samples) -> Density | None:
     shape = np.ones((len(frequency), samples.axes))
     for axis in range(samples.axes):
         shape[searched, axis] = _shape(pooled[searched, axis], frequency[searched], counts[dwells], size)
+    # Below and above what is searched the density counts as level.
+    shape[: searched.start], shape[searched.stop :] = shape[searched.start], shape[searched.stop - 1]
     # The median of an exponential distribution is ln 2 of its mean.
     level = np.maximum(np.median(band / shape[None, searched], axis=1) / np.log(2), 1e-300)
     pooled = (power / level[:, None, :]).mean(axis=0) / shape
     base = np.stack(
         [_smooth(pooled[:, axis], searched, width, each) for axis in range(samples.axes)], axis=1
     )
-    # Where the density is steep (edges and notches of a filter) a small error of its shape is a large one of
-    # the density: there its largest value nearby counts.
+    # Where the density is steep (edges and notches of a filter) a small error of its shape is a large one
+    # of the density: there its largest value nearby counts.
     base = base * ndimage.maximum_filter1d(shape, 2 * round(_STEEP * each) + 1, axis=0)
-    return Density(dwells, frequency, searched, power, level, base, 2 * width + 1)
+    return Density(dwells.astype(np.intp), frequency, searched, power, level, base, 2 * width + 1)
 
 
 def without_line(rows: Floats) -> Floats:
@@ -180,9 +182,13 @@ def _shape(pooled: Floats, frequency: Floats, counts: NDArray[np.intp], size: in
                     start = (floor, _FLICKERS[k])
     white = np.add.reduceat(chosen, edges) / weight
     low = np.add.reduceat(slow[power], edges) / weight
+
+    def loss(logs: Floats) -> float:
+        return float(deviance(white + np.exp(logs[0]) + np.exp(logs[1]) * low))
+
     finer = optimize.minimize(
-        lambda logs: float(deviance(white + np.exp(logs[0]) + np.exp(logs[1]) * low)),
-        np.log(np.maximum(start, 1e-7)),
+        loss,
+        np.log(np.maximum(np.array(start), 1e-7)),
         method="Nelder-Mead",
         options={"maxiter": 80, "xatol": 0.02, "fatol": 0.02},
     )

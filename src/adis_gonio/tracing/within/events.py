@@ -5,7 +5,7 @@ subtracted (Haar's wavelet at every place). For stationary noise of any spectrum
 differences of one scale are of one normal distribution, and their own scatter over all places and dwells is
 the measure for the largest: no model of the noise is needed. Where a scale has many independent places the
 scatter is taken from the median absolute deviation; at the longest scales, which a dwell holds once or
-twice, from the other dwells, with few degrees of freedom and accordingly little power.
+twice, from the other dwells but those that are far off themselves: few degrees of freedom, little power.
 
 A dwell that stands out is then described by the form that leaves least: a step, a line, an exponential.
 """
@@ -34,8 +34,9 @@ from adis_gonio.tracing.within.samples import Samples
 
 _SHORTEST = 8
 _LEAST_SAMPLES = 6
-_MANY = 30
+_MANY = 300
 """Independent places from which the median absolute deviation is the scale."""
+_RARE = 1e-3
 _LEAST_DWELLS = 6
 _EFFICIENCY = 0.37
 """Of the median absolute deviation, against a standard deviation."""
@@ -171,13 +172,14 @@ def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) 
         largest = np.maximum(largest - coarse[:, axis] * np.sqrt(stretch / 2), 0.0)
         if total >= _MANY:
             spread = 1.482602 * float(np.median(np.abs(every[:, axis])))
-            own_p = stats.t.sf(largest / max(spread, 1e-12), _EFFICIENCY * total)
+            own_p = np.asarray(stats.t.sf(largest / max(spread, 1e-12), _EFFICIENCY * total))
             spreads = np.full(len(largest), spread)
         else:
-            known = np.nan_to_num(squares)
+            known, weight = _without_outliers(np.nan_to_num(squares), weight)
+            total = float(weight.sum())
             others = (weight @ known - weight * known) / np.maximum(total - weight, 1e-12)
             spreads = np.sqrt(np.maximum(others, 1e-24))
-            own_p = stats.t.sf(largest / spreads, np.maximum(total - weight, 1e-12))
+            own_p = np.asarray(stats.t.sf(largest / spreads, np.maximum(total - weight, 1e-12)))
         noise[:, axis] = spreads
         for k in np.flatnonzero(largest > 0).tolist():
             value = corrected(2 * float(own_p[k]), tests)
@@ -188,6 +190,17 @@ def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) 
                 look.stretch[k, axis] = stretch[k]
                 height = scale.differences[k][at, axis] * np.sqrt(2 / stretch[k])
                 look.difference_mg[k, axis] = height * look.unit[k, axis]
+
+
+def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Mean squares and weights with those dwells weighted 0 that are far above the median of all."""
+    use = weight > 0
+    if use.sum() < _LEAST_DWELLS:
+        return squares, weight
+    dof = float(np.median(weight[use]))
+    middle = float(np.median(squares[use])) / float(stats.chi2.median(dof))
+    far = squares > middle * float(stats.chi2.isf(_RARE, dof))
+    return squares, np.where(far, 0.0, weight)
 
 
 def _independent(nominal: Floats, squares: Floats) -> Floats:
@@ -331,7 +344,8 @@ def _finding(
         p_value=p_value,
         sentence=(
             f"{words} {where}, most in position {worst.position}: {worst.axis} by "
-            f"{with_u(worst.value)}{when}; its mean is off by about {number(abs(worst.shift_mg or 0.0), 2)} mg"
+            f"{with_u(worst.value)}{when}; its mean is off by about "
+            f"{number(abs(worst.shift_mg or 0.0), 2)} mg"
         ),
         places=places,
         advice=f"repeat {positions_text(positions, 0)}: {cause} while the dwell was recorded",
@@ -355,6 +369,6 @@ def _view(samples: Samples, k: int, axis: int, model: Floats, kind: _Form) -> Vi
         m,
         "time since the first sample / s",
         f"{letter} about its mean / mg",
-        f"{kind.capitalize()} in position {samples.position[k]}, {letter}: means of neighbours and the fit.",
+        f"{kind.capitalize()} in position {samples.position[k]}, {letter}: samples averaged, and the fit.",
         points=True,
     )

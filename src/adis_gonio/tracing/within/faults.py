@@ -3,8 +3,8 @@
 Spikes
     A sample that differs from the median of its neighbours before *and* of those after it (so that a step
     is none), by more than a normal distribution allows for all samples of the session together. Near the
-    ends of a dwell only one side exists and decides. The scale is that of the sample's own distance from its
-    neighbours, so that slow noise does not count; one step of the converter is taken off.
+    ends of a dwell only one side exists and decides. The scale is that of the sample's own distance from
+    its neighbours, so that slow noise does not count; one and a half steps of the converter are taken off.
 Stuck values
     A run of equal values longer than those of the same axis explain: the lengths of runs of a stationary
     noise fall off exponentially (a rate that filter and converter set and that the session shows), and the
@@ -22,6 +22,7 @@ from adis_gonio.model.records import Floats
 from adis_gonio.tracing.values import Value
 from adis_gonio.tracing.within.finding import (
     LEVEL,
+    SEARCHES,
     Place,
     View,
     WithinFinding,
@@ -54,7 +55,7 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
         Samples over which neighbours are correlated: a spike ahead of the sensor's filter is as wide.
     """
     total = int(samples.counts.sum()) * samples.axes
-    limit = float(stats.norm.isf(LEVEL / (2 * corrected_factor(total))))
+    limit = float(stats.norm.isf(LEVEL / (2 * total * SEARCHES)))
     values = list(samples.values)
     places: list[Place] = []
     least_p = 1.0
@@ -95,11 +96,6 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
     if worst is None:
         return None, samples
     return _spikes_finding(samples, places, least_p, worst), samples.with_values(values)
-
-
-def corrected_factor(tests: float) -> float:
-    """By how much a p-value of so many tests grows."""
-    return corrected(1e-12, tests) / 1e-12
 
 
 def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, float]:
@@ -216,7 +212,8 @@ def stuck(samples: Samples, scatter: Floats) -> WithinFinding | None:
         parameters={"longest": Value(run, None, "1")},
         p_value=least_p,
         sentence=(
-            f"one value repeats for up to {run:.0f} samples in {where}: longer than noise and converter allow"
+            f"one value repeats for up to {run:.0f} samples in {where}, longer than noise and converter "
+            "allow"
         ),
         places=tuple(places),
         advice=f"check wiring and the reading of the sensor, then repeat {positions_text(positions, 0)}",

@@ -68,7 +68,7 @@ class Samples:
 
     def elapsed_s(self, dwell: int) -> Floats:
         """Time since the first sample of a dwell (n,)."""
-        return self.time_s[dwell] - self.time_s[dwell][0]
+        return np.asarray(self.time_s[dwell] - self.time_s[dwell][0], dtype=np.float64)
 
     def with_values(self, values: list[Floats]) -> Samples:
         """The same dwells with other samples."""

@@ -82,8 +82,10 @@ def _highest(density: Density) -> _Peak | None:
         p = corrected(float(stats.f.sf(pooled[at, axis], 2 * effective, freedom[at])), tests)
         if best is None or p < best.p_value:
             best = _Peak(at + searched.start, p, None)
-        single = relative[:, :, axis]
-        dwell, at = np.unravel_index(int(np.argmax(single)), single.shape)
+        # The converter's floor does not fall with a quiet dwell: a line has to stand out of it as well.
+        quiet = np.maximum(np.median(density.level[:, axis]) / density.level[:, axis], 1.0)
+        single = relative[:, :, axis] / quiet[:, None]
+        dwell, at = divmod(int(np.argmax(single)), points)
         # Spectra of single dwells differ: the line has to stand out of its own dwell as well.
         half = int(width[at] * PADDING / 2)
         own = single[dwell, max(0, at - half) : at + half + 1]
@@ -91,7 +93,7 @@ def _highest(density: Density) -> _Peak | None:
         rough = effective / d
         p = corrected(float(stats.f.sf(height, 2, 2 * width[at] / TAPER_LOSS)) ** rough, tests * d)
         if p < best.p_value:
-            best = _Peak(int(at) + searched.start, p, int(dwell))
+            best = _Peak(at + searched.start, p, dwell)
     return best if best is not None and best.p_value < LEVEL else None
 
 
@@ -105,14 +107,14 @@ def _effective(pooled: Floats, dwells: int) -> float:
 
 def _quartiles(dwells: float) -> float:
     """Difference between the quartiles of the logarithm of a mean of d exponential variables."""
-    low, high = stats.gamma.ppf([0.25, 0.75], dwells)
+    high, low = (float(stats.gamma.ppf(share, dwells)) for share in (0.75, 0.25))
     return float(np.log(high / low))
 
 
 def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFinding, Samples] | None:
     """Fit a line at a peak and take it away; None where nothing of it is left on the samples' own times."""
     period = samples.period_s
-    dwells = density.dwells.astype(np.intp)
+    dwells = density.dwells
     times = [samples.elapsed_s(int(k)) for k in dwells]
     rows = [without_line(samples.values[int(k)]) for k in dwells]
     weight = 1.0 / (density.level * density.base[peak.at])
@@ -121,7 +123,11 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
 
     showing = list(zip(times, rows, weight, strict=True))
     if peak.dwell is not None:
-        showing = showing[peak.dwell : peak.dwell + 1]
+        near = slice(peak.at - PADDING, peak.at + PADDING + 1)
+        height = density.power[:, near] / density.level[:, None, :] / density.base[None, near]
+        shown = height.max(axis=(1, 2)) > -np.log(LEVEL / height.size)
+        shown[peak.dwell] = True
+        showing = [showing[k] for k in np.flatnonzero(shown).tolist()]
 
     def power(frequency: float) -> float:
         total = 0.0
@@ -143,8 +149,8 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         chosen = excess.max(axis=1) > -np.log(LEVEL / excess.size)
         if not chosen.any():
             return None
-    amplitude, u, shown = _sizes(squares[chosen], (4 * noise / counts)[chosen], excess[chosen])
-    axes = [k for k in range(samples.axes) if shown[k]] or [int(np.argmax(excess.sum(axis=0)))]
+    amplitude, u, stands = _sizes(squares[chosen], (4 * noise / counts)[chosen], excess[chosen])
+    axes = [k for k in range(samples.axes) if stands[k]] or [int(np.argmax(excess.sum(axis=0)))]
     if not amplitude[axes].max() > 0:
         return None
     clear = excess[:, axes].max(axis=1) > -np.log(LEVEL / (len(dwells) * len(axes)))
@@ -180,8 +186,8 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         p_value=peak.p_value,
         sentence=(
             f"a spectral line at {with_u(parameters['frequency'])} (amplitude {sizes}) in "
-            f"{positions_text(positions, len(samples))}; above {number(0.5 / period)} Hz it would be seen as "
-            "its alias"
+            f"{positions_text(positions, len(samples))}; above {number(0.5 / period)} Hz it would be seen "
+            "as its alias"
         ),
         advice=(
             "find what shakes the table at the line's frequency, or its alias: record again at another "
@@ -247,6 +253,6 @@ def _view(density: Density, period: float, axis: int, letter: str, frequency: fl
         model,
         "frequency / Hz",
         f"density of {letter} / mg/√Hz",
-        f"Spectrum of {letter} inside the dwells with the line at {number(frequency, 4)} Hz; dashed: the noise.",
+        f"Spectrum of {letter} inside the dwells, with a line at {number(frequency, 4)} Hz.",
         y_log=True,
     )

@@ -1,9 +1,9 @@
 """Whether the samples scatter alike in all dwells: `noise_change`.
 
-Compared is the variance of a dwell above `LOWEST` cycles a dwell, where neither drift nor slow noise reaches.
-Its degrees of freedom follow from the density (neighbours that are correlated count less), from the
-excess of the samples' fourth moment over a normal distribution's, and from the converter: at noise near its
-step the variance depends on where between two codes the mean lies.
+Compared is the variance of a dwell above `LOWEST` cycles a dwell, where neither drift nor slow noise
+reaches. Its degrees of freedom follow from the density (neighbours that are correlated count less), from
+the excess of the samples' fourth moment over a normal distribution's, and from the converter: at noise near
+its step the variance depends on where between two codes the mean lies.
 
 Three tests an axis: all dwells alike (Bartlett), one change between two dwells (F, all places), one dwell
 against the others (F).
@@ -68,7 +68,7 @@ def noise_change(samples: Samples, density: Density | None) -> WithinFinding | N
     """Change of the scatter between dwells; None where there is none, or fewer than three dwells."""
     if density is None or len(density.dwells) < _LEAST_DWELLS:
         return None
-    dwells = density.dwells.astype(np.intp)
+    dwells = density.dwells
     levels = [_levels(samples, density, axis) for axis in range(samples.axes)]
     usable = [
         axis
@@ -95,15 +95,18 @@ def _levels(samples: Samples, density: Density, axis: int) -> _Levels:
     searched = density.searched
     band = density.power[:, searched, axis]
     base = density.base[searched, axis]
-    variance = np.maximum(band.sum(axis=1) / (len(density.frequency) - 1), 1e-300)
-    counts = samples.counts[density.dwells.astype(np.intp)].astype(float)
+    # What lies below the band belongs to the variance as well: its share by the density.
+    whole = float(density.base[:, axis].sum() / base.sum())
+    variance = np.maximum(whole * band.sum(axis=1) / (len(density.frequency) - 1), 1e-300)
+    counts = samples.counts[density.dwells].astype(float)
     # Two degrees an independent ordinate, weighted by the density.
     share = len(base) / len(density.frequency)
     dof = counts * share * base.mean() ** 2 / np.mean(base**2) / TAPER_LOSS
     relative = 2 / dof
     rows = [without_line(samples.values[int(k)])[:, axis] for k in density.dwells]
-    fourth = np.mean([np.mean((own * own) ** 2) / max(np.mean(own * own) ** 2, 1e-300) for own in rows])
-    relative = relative + max(float(fourth) - 3, 0.0) / (dof / 2)
+    squares = [own * own for own in rows]
+    fourth = float(np.mean([np.mean(own**2) / max(float(np.mean(own)) ** 2, 1e-300) for own in squares]))
+    relative = relative + max(fourth - 3, 0.0) / (dof / 2)
     step = samples.quantum[axis]
     if step > 0:
         sigma2 = max(float(np.median(variance)) / step**2 - 1 / 12, 0.02)
@@ -264,7 +267,7 @@ def _rectification(levels: list[_Levels]) -> str:
     """What variances that differ are good for: the mean may follow them."""
     spread = max(float(np.ptp(own.variance)) for own in levels)
     return (
-        f"; variances differ by up to {number(spread)} mg², so that a vibration_rectification would show "
+        f"; variances differ by up to {number(spread)} mg², in which a vibration_rectification could show "
         "between the dwells"
     )
 
