@@ -6,9 +6,9 @@ import json
 
 import numpy as np
 import pytest
-from tracing.dwell_samples import bartlett, draw
 
 from adis_gonio.tracing.within import Samples, WithinFinding, search_within
+from tracing.dwell_samples import bartlett, draw
 
 SEEDS = 20
 
@@ -60,7 +60,7 @@ def test_a_session_without_anything_shows_nothing():
 def test_tone_is_found_with_frequency_and_amplitude():
     """1 mg on x, 0.5 mg on y at 11.3 Hz: found in all, intervals hold."""
     truth = {"tone_x": 1.0, "tone_y": 0.5, "frequency": 11.3}
-    held = {name: 0 for name in truth}
+    held = dict.fromkeys(truth, 0)
     for seed in range(SEEDS):
 
         def line(k, time, rng):
@@ -169,7 +169,7 @@ def test_noise_that_joins_is_found_with_its_size_and_moment():
             own = np.convolve(white[:, 0], bartlett(2), "valid") * (time >= start)
             return np.column_stack([own, 0 * own])
 
-        found = [f for f in search_within(draw(np.random.default_rng(seed), added=joining))]
+        found = list(search_within(draw(np.random.default_rng(seed), added=joining)))
         assert [f.kind for f in found] == ["noise_change"]
         assert found[0].effect == "noise_change"
         assert found[0].axes == ("x",)

@@ -57,7 +57,7 @@ class Density:
     power : (d, k, axes) float
         Periodograms, mg² (two-sided density a sample).
     level : (d, axes) float
-        Level of each dwell: its density is `level · base`.
+        Level of each dwell, at least the middle one of all: its density is about `level · base`.
     base : (k, axes) float
         Pooled density, of a level of 1 on average.
     width : (k,) float
@@ -101,6 +101,8 @@ def density_of(samples: Samples) -> Density | None:
     shape[: searched.start], shape[searched.stop :] = shape[searched.start], shape[searched.stop - 1]
     # The median of an exponential distribution is ln 2 of its mean.
     level = np.maximum(np.median(band / shape[None, searched], axis=1) / np.log(2), 1e-300)
+    # The converter's floor does not fall with a quiet dwell, which would rule the notches of the filter.
+    level = np.maximum(level, np.median(level, axis=0))
     pooled = (power / level[:, None, :]).mean(axis=0) / shape
     base = np.stack(
         [_smooth(pooled[:, axis], searched, width, each) for axis in range(samples.axes)], axis=1

@@ -36,7 +36,7 @@ _SHORTEST = 8
 _LEAST_SAMPLES = 6
 _MANY = 300
 """Independent places from which the median absolute deviation is the scale."""
-_RARE = 1e-3
+_RARE, _FEW = 1e-3, 0.15
 _LEAST_DWELLS = 6
 _EFFICIENCY = 0.37
 """Of the median absolute deviation, against a standard deviation."""
@@ -193,13 +193,19 @@ def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) 
 
 
 def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Mean squares and weights with those dwells weighted 0 that are far above the median of all."""
+    """Mean squares and weights with those dwells weighted 0 that are far above most of the others.
+
+    A coarse converter leaves many dwells without any difference, so that the upper quartile is the measure;
+    where more than a few are far, none is.
+    """
     use = weight > 0
     if use.sum() < _LEAST_DWELLS:
         return squares, weight
     dof = float(np.median(weight[use]))
-    middle = float(np.median(squares[use])) / float(stats.chi2.median(dof))
-    far = squares > middle * float(stats.chi2.isf(_RARE, dof))
+    upper = float(np.quantile(squares[use], 0.75)) / float(stats.chi2.ppf(0.75, dof))
+    far = use & (squares > upper * float(stats.chi2.isf(_RARE, dof)))
+    if far.sum() > _FEW * use.sum():
+        return squares, weight
     return squares, np.where(far, 0.0, weight)
 
 

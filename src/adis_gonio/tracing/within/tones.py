@@ -82,9 +82,7 @@ def _highest(density: Density) -> _Peak | None:
         p = corrected(float(stats.f.sf(pooled[at, axis], 2 * effective, freedom[at])), tests)
         if best is None or p < best.p_value:
             best = _Peak(at + searched.start, p, None)
-        # The converter's floor does not fall with a quiet dwell: a line has to stand out of it as well.
-        quiet = np.maximum(np.median(density.level[:, axis]) / density.level[:, axis], 1.0)
-        single = relative[:, :, axis] / quiet[:, None]
+        single = relative[:, :, axis]
         dwell, at = divmod(int(np.argmax(single)), points)
         # Spectra of single dwells differ: the line has to stand out of its own dwell as well.
         half = int(width[at] * PADDING / 2)
