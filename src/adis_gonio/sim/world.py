@@ -3,7 +3,8 @@
 What a sensor reads (mg, x y z)
     ideal = G [K_x d_x, K_y (d_x sin Δφ + d_y cos Δφ), K_z (s_z · d)], d the stage's direction;
     reading = ideal (1 + tempco (T − 25 °C)) + bias + tempco (T − 25 °C) + effects + flicker + ringing
-    + noise. In the plane d = (cos ψ, sin ψ, 0), which is the convention of the samples CSV.
+    + noise + vibration of the table (broadband, a level a dwell). In the plane d = (cos ψ, sin ψ, 0),
+    which is the convention of the samples CSV.
 
 Noise is drawn update by update, so that what comes out depends on the seed and on the chip's settings,
 never on how frames are grouped or how often somebody asks.
@@ -36,6 +37,8 @@ REFERENCE_C = 25.0
 REFERENCE_V = 5.0
 GREATEST_ALPHA_DEG = 5.0
 _HISTORY_STEP_S = 1.0
+_TABLE_OVER_NOISE = 5.0
+"""Vibration of the table in units of the sensor's noise where an effect needs it."""
 
 Values = Mapping[str, float] | Sequence[float] | Floats
 
@@ -66,8 +69,8 @@ class World:
         self.settings = settings or WorldSettings()
         self.variant = variant(part)
         self.seed = seed
-        streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)]
-        hidden, white, self._flicker_rng, fixture, changes = streams
+        streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(7)]
+        hidden, white, self._flicker_rng, fixture, changes, shaking, self._level_rng = streams
         self._draw(hidden)
         self._effect_rngs = changes.spawn(len(effects))
         self.effects = tuple((effect, _values(effect, given)) for effect, given in effects)
@@ -85,6 +88,12 @@ class World:
             ),
             white,
         )
+        follows = any("variance_mg2" in effect.needs for effect, _ in self.effects)
+        self._table_mg = _or(
+            self.settings.table_vibration_mg, _TABLE_OVER_NOISE * self._noise_mg if follows else 0.0
+        )
+        self._shaking = White(np.ones(3), shaking)
+        self._levels_mg = np.empty(0)
         self._g_effect = _or(self.settings.gyro_g_dps_per_g, figures.gyro_g_sensitivity_dps_per_g)
         self._supply_effect = _or(
             self.settings.gyro_supply_dps_per_v, figures.gyro_supply_sensitivity_dps_per_v
@@ -193,7 +202,8 @@ class World:
         supply = self.supply_v(time_s)
         noise = self._white.next(n)
         flicker = self._flicker_at(time_s)
-        conditions = self._conditions(time_s, motion, temperature, supply)
+        vibration = self._vibration_mg(motion.order)
+        conditions = self._conditions(time_s, motion, temperature, supply, vibration)
 
         direction = self._turned(motion.direction, conditions)
         ideal = self._ideal(direction)
@@ -206,6 +216,8 @@ class World:
         accel += flicker[:, :3]
         accel[:, :2] += motion.ringing_mg[:, None]
         accel += noise[:, :3]
+        if self._table_mg:
+            accel += vibration[:, None] * self._shaking.next(n)
         if conditions is not None:
             for (effect, values), rng in zip(self.effects, self._effect_rngs, strict=True):
                 if effect.enters is Enters.SAMPLES:
@@ -255,8 +267,21 @@ class World:
             self._flicker = Flicker(floors, self._flicker_rng, start_s=float(np.floor(time_s[0])))
         return self._flicker.at(time_s)
 
+    def _vibration_mg(self, order: Floats) -> Floats:
+        """Level (n,) of the table's vibration in the dwells of these numbers, rms in mg."""
+        if not self._table_mg:
+            return np.zeros(len(order))
+        missing = int(order.max()) + 1 - len(self._levels_mg)
+        if missing > 0:
+            drawn = self._table_mg * self._level_rng.random(missing)
+            if not len(self._levels_mg):
+                # Stillness is judged by the scatter before the first move: it has to be the largest.
+                drawn[0] = self._table_mg
+            self._levels_mg = np.concatenate([self._levels_mg, drawn])
+        return np.asarray(self._levels_mg[order.astype(np.int64)], np.float64)
+
     def _conditions(
-        self, time_s: Floats, motion: Motion, temperature: Floats, supply: Floats
+        self, time_s: Floats, motion: Motion, temperature: Floats, supply: Floats, vibration: Floats
     ) -> Conditions | None:
         if not self.effects:
             return None
@@ -271,7 +296,7 @@ class World:
             temperature_c=temperature,
             supply_v=supply,
             temperature_history=(history_s, self.temperature_c(history_s)),
-            variance_mg2=np.full((len(time_s), 3), self._noise_mg**2),
+            variance_mg2=np.repeat((self._noise_mg**2 + vibration**2)[:, None], 3, axis=1),
         )
 
 

@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Any
 
 from adis_gonio.tracing.state import State
 from adis_gonio.tracing.terms import Term
-
-
-@dataclass(frozen=True)
-class Value:
-    """A value with its standard uncertainty (None: not determined) and unit."""
-
-    value: float
-    u: float | None
-    unit: str
-
-    def as_dict(self) -> dict[str, Any]:
-        """`{"value", "u", "unit"}`."""
-        return {"value": _number(self.value), "u": _number(self.u), "unit": self.unit}
+from adis_gonio.tracing.values import Value, finite_or_none
+from adis_gonio.tracing.within.finding import WithinFinding
 
 
 @dataclass(frozen=True)
@@ -47,10 +35,10 @@ class ErrorFigures:
     def as_dict(self) -> dict[str, Any]:
         """The keys of `error.before`."""
         return {
-            "residual_rms_mg": _number(self.residual_rms_mg),
-            "heldout_rms_mg": _number(self.heldout_rms_mg),
-            "angle_rms_deg": _number(self.angle_rms_deg),
-            "chi2_per_dof": _number(self.chi2_per_dof),
+            "residual_rms_mg": finite_or_none(self.residual_rms_mg),
+            "heldout_rms_mg": finite_or_none(self.heldout_rms_mg),
+            "angle_rms_deg": finite_or_none(self.angle_rms_deg),
+            "chi2_per_dof": finite_or_none(self.chi2_per_dof),
         }
 
 
@@ -66,9 +54,9 @@ class Finding:
     p_value : float
         Of the effect in the final model (group score test), times the number of candidates, at most 1.
     explains : float
-        Fraction of the base model's excess residual.
+        Fraction of the base model's excess residual; 0 for an effect that stands inside the dwells only.
     probability : float
-        Posterior that the effect is present.
+        Posterior that the effect is present; of one inside the dwells 1 less its p-value.
     equivalents : tuple of str
         Models that predict the same in this session.
     cause : str
@@ -157,7 +145,7 @@ class Detectable:
     def as_dict(self) -> dict[str, Any]:
         """One value of `detectable`."""
         return {
-            "amplitude": _number(self.amplitude),
+            "amplitude": finite_or_none(self.amplitude),
             "unit": self.unit,
             "parameter": self.parameter,
             "reason": self.reason,
@@ -199,7 +187,7 @@ class TraceResult:
     reasons : mapping of str to str
         Why an effect is confounded or not called found.
     notes : tuple of str
-    within : tuple of str
+    within : tuple of WithinFinding
         What the samples inside the dwells show.
     heldout_design : str
         How dwells were left out.
@@ -222,7 +210,7 @@ class TraceResult:
     base: dict[str, Value] = field(default_factory=dict)
     reasons: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    within: tuple[str, ...] = ()
+    within: tuple[WithinFinding, ...] = ()
     heldout_design: str = ""
     model: tuple[Term, ...] = field(default=(), repr=False, compare=False)
     state: State | None = field(default=None, repr=False, compare=False)
@@ -242,11 +230,19 @@ class TraceResult:
             "base": {name: value.as_dict() for name, value in self.base.items()},
             "reasons": dict(self.reasons),
             "notes": list(self.notes),
-            "within": list(self.within),
+            "within": [finding.as_dict() for finding in self.within],
             "heldout_design": self.heldout_design,
         }
 
 
-def _number(value: float | None) -> float | None:
-    """JSON has no infinities and no NaN."""
-    return None if value is None or not math.isfinite(value) else float(value)
+__all__ = [
+    "Detectable",
+    "ErrorFigures",
+    "Finding",
+    "Rival",
+    "Step",
+    "TraceResult",
+    "Unnamed",
+    "Value",
+    "WithinFinding",
+]

@@ -21,6 +21,7 @@ from adis_gonio.tracing.observations import Observations, observe
 from adis_gonio.tracing.openings import undecided
 from adis_gonio.tracing.remainder import dependence
 from adis_gonio.tracing.result import ErrorFigures, Finding, Rival, Step, TraceResult, Unnamed, Value
+from adis_gonio.tracing.second_pass import with_second_pass
 from adis_gonio.tracing.selection import ADEQUATE, Selection, adequacy, fit_model, select
 from adis_gonio.tracing.state import Refit, State, begin, refit
 from adis_gonio.tracing.terms import NamedTerm, NamelessTerm, Term
@@ -63,7 +64,8 @@ def trace(session: Session, max_effects: int = 6) -> TraceResult:
         from adis_gonio.tracing.series import trace_series
 
         return trace_series(session, max_effects)
-    return trace_observations(observe(session), max_effects)
+    data = observe(session)
+    return with_second_pass(session, data, trace_observations(data, max_effects))
 
 
 def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
