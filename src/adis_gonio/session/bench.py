@@ -101,6 +101,12 @@ class Bench:
         if free and self._spatial is None:
             raise UsageError(f"plan '{plan.name}' needs an operator: this stage turns in a plane only")
 
+    def can_reach(self, position: Position) -> bool:
+        """True where the program alone can bring the part to a position and its conditions."""
+        if position.temperature_c is not None or position.supply_v is not None:
+            return False
+        return self.stage is not None if position.angle_deg is not None else self._spatial is not None
+
     def require_same_sensor(self, archive: ArchiveView) -> None:
         """Raise `SessionError` where a session was begun with another sensor."""
         path, header, url = archive.path, archive.header(), self.sensor.bus.url
