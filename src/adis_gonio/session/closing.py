@@ -79,30 +79,33 @@ class TraceAdvisor:
     ----------
     result : TraceResult or None
         The last trace.
+    dwells : int
+        How many dwells it saw.
     """
 
     def __init__(self, most: int = MOST_EXTRA, max_effects: int = 6) -> None:
         self.most = most
         self.max_effects = max_effects
         self.result: TraceResult | None = None
+        self.dwells = 0
 
     def advise(self, session: Session, visited: int, reachable: Callable[[Position], bool]) -> Advice:
         """Trace the session, and ask for the measurements that it proposes."""
         from adis_gonio.tracing import trace
+        from adis_gonio.tracing.advice import sentences
 
         try:
             result = trace(session, self.max_effects)
         except FitError as error:
             return Advice((), ended=f"the session cannot be traced: {error}")
-        self.result = result
+        self.result, self.dwells = result, len(session.dwells)
         summary = where_it_stands(result)
         wanted = [m for m in result.measurements if m.purpose == "decide" or not tested(result)]
         within = [m for m in wanted if reachable(_position(m))]
         left = self.most - visited
         if within and left > 0:
             chosen = within[: min(AT_ONCE, left)]
-            reasons = tuple(dict.fromkeys(m.sentence for m in chosen))
-            return Advice(tuple(_position(m) for m in chosen), reasons, "", summary)
+            return Advice(tuple(_position(m) for m in chosen), sentences(chosen), "", summary)
         return Advice((), (), _ended(result, wanted, within, visited), summary)
 
 
@@ -140,12 +143,14 @@ def _position(measurement: Measurement) -> Position:
 
 def _ended(result: TraceResult, wanted: list[Measurement], within: list[Measurement], visited: int) -> str:
     """Why nothing more is asked for."""
+    from adis_gonio.tracing.advice import sentences
+
     if within:
-        return f"the limit of {visited} further positions is reached; the questions below are still open"
+        return f"the limit of further positions is reached ({visited} were added); not all is decided"
     if wanted:
         return (
-            "what is still open needs another temperature or supply, which cannot be set by program: "
-            + "; ".join(dict.fromkeys(m.sentence for m in wanted))
+            "the positions have shown what they can; what is still open needs something else: "
+            + "; ".join(sentences(wanted))
         )
     if result.adequate and tested(result):
         return "the model is adequate, and no further position would decide anything more"

@@ -295,6 +295,12 @@ def _sees_bias(angles_deg: Sequence[float]) -> bool:
     return len({round(angle % 360.0, 6) for angle in angles_deg}) >= 3
 
 
+def attitude(direction: Sequence[float]) -> str:
+    """Attitude in words, such as `+x −z along gravity`: axes that read much of it, with their signs."""
+    axes = [f"{'+' if part > 0 else '−'}{'xyz'[k]}" for k, part in enumerate(direction) if abs(part) > 0.3]
+    return f"{' '.join(axes)} along gravity"
+
+
 def extended(plan: Plan, positions: Sequence[Position]) -> Plan:
     """The same plan with further positions at its end."""
     return replace(plan, positions=(*plan.positions, *positions))

@@ -25,6 +25,7 @@ import math
 import queue
 import threading
 from collections.abc import Generator, Iterator
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal
@@ -37,7 +38,7 @@ from adis_gonio.sensor.decoding import ScanBlock
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.session.archive import Archive, Header, read_session, utc_now
 from adis_gonio.session.bench import Bench
-from adis_gonio.session.closing import Advice, Advisor
+from adis_gonio.session.closing import Advisor
 from adis_gonio.session.events import (
     Advised,
     Advising,
@@ -423,34 +424,31 @@ class SessionRunner:
             return Answer.STOP
         yield Advising(len(self._done))
         rounds = [record.value for record in self._archive.records("advised")]
-        visited = sum(entry["positions"] for entry in rounds if entry["accepted"])
-        session = read_session(self._archive.path)
-        advice = self._advisor.advise(session, visited, self._reachable)
-        count = len(advice.positions)
-        yield Advised(len(rounds) + 1, count, advice.ended, advice.summary)
-        answer = Answer.STOP
-        if advice.positions:
-            longer = extended(self._plan, advice.positions)
-            answer = yield from self._offer(ExtensionOffered(longer, None, advice.reasons), True)
-        if answer is not Answer.REPEAT:
-            self._note_advice(len(rounds) + 1, advice, accepted=answer is Answer.ACCEPT)
-        return answer
-
-    def _note_advice(self, number: int, advice: Advice, *, accepted: bool) -> None:
+        visited = len(self._plan) - rounds[0]["planned"] if rounds else 0
+        advice = self._advisor.advise(read_session(self._archive.path), visited, self._reachable)
+        count, number = len(advice.positions), len(rounds) + 1
         self._note(
             "advised",
             {
                 "round": number,
-                "positions": len(advice.positions),
-                "accepted": accepted,
-                "ended": advice.ended,
+                "planned": len(self._plan),
+                "positions": count,
                 "reasons": list(advice.reasons),
+                "ended": advice.ended,
                 "summary": advice.summary,
             },
         )
+        yield Advised(number, count, advice.ended, advice.summary)
+        if not advice.positions:
+            return Answer.STOP
+        longer = extended(self._plan, advice.positions)
+        return (yield from self._offer(ExtensionOffered(longer, None, advice.reasons), True))
 
     def _reachable(self, position: Position) -> bool:
-        """True where somebody, or the program alone with `auto`, can bring the part there."""
+        """True where somebody, or the program alone with `auto`, can and will bring the part there."""
+        refused = {replace(self._plan.positions[place], wait_s=0.0) for place in self._skipped}
+        if replace(position, wait_s=0.0) in refused:
+            return False
         return not self._auto or self._bench.can_reach(position)
 
     # -- a dwell ----------------------------------------------------------------------------------

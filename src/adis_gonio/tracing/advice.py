@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
+from adis_gonio.model.effects import AXES
 from adis_gonio.tracing.observations import Observations
-from adis_gonio.tracing.proposals import attitude, propose
+from adis_gonio.tracing.proposals import propose
 from adis_gonio.tracing.result import Measurement
 from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.terms import Term
@@ -69,7 +68,7 @@ def advise(
     measurements = tuple(
         replace(m, sentence=_sentence([m])) for m in propose(data, training, selection, terms)
     )
-    lines = [_sentence(group) for group in _grouped(measurements)]
+    lines = list(sentences(measurements))
     decided = {name for m in measurements if m.purpose == "decide" for name in (*m.one, *m.other)}
     inside = {term.name for term in selection.model}
     lines += _by_hand([c for c in confounded if c[0] in inside or not selection.adequate], decided)
@@ -80,6 +79,11 @@ def advise(
             "the noise within the dwells, and no single cause explains it"
         )
     return tuple(lines), measurements
+
+
+def sentences(measurements: Sequence[Measurement]) -> tuple[str, ...]:
+    """One sentence for all measurements that part the same."""
+    return tuple(_sentence(group) for group in _grouped(measurements))
 
 
 def place(measurement: Measurement) -> str:
@@ -99,7 +103,9 @@ def where(measurement: Measurement) -> str:
     if measurement.angle_deg is not None:
         side = " from above" if measurement.approach < 0 else ""
         return f"{measurement.angle_deg:g}°{side}"
-    return f"gravity along {attitude(measurement.direction or (0.0, 0.0, 1.0))}"
+    parts = enumerate(measurement.direction or ())
+    axes = [f"{'+' if part > 0 else '−'}{AXES[k]}" for k, part in parts if abs(part) > 0.3]
+    return f"{' '.join(axes)} along gravity"
 
 
 def duration(seconds: float) -> str:

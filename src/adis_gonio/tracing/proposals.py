@@ -9,8 +9,8 @@ taken by its lower bound from pairwise Bhattacharyya distances B (Kolchinsky and
 never more than there is to learn, whatever an extrapolation promises. Dwells are added one by one, each
 given those before it, by information per effort.
 
-Two questions are asked: which of the models near the best is true (`decide`), and whether an effect is there
-that this session could not have shown (`cover`).
+Two questions are asked: which of the models near the best is true (`decide`), and whether an effect is
+there that this session could not have shown (`cover`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.model.effects import AXES, Conditions
+from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.result import Measurement, Purpose
@@ -173,7 +173,7 @@ def _labels(model: Sequence[Term]) -> tuple[str, ...]:
 
 
 def _rivals(training: Observations, selection: Selection) -> list[Hypothesis]:
-    """The chosen model and the best model of each other set of names, until they have most of the posterior.
+    """The chosen model and the best one of each other set of names, until they have most of the posterior.
 
     A model that holds the chosen one and more counts for it: the chosen one is adequate without the rest.
     """
@@ -183,11 +183,11 @@ def _rivals(training: Observations, selection: Selection) -> list[Hypothesis]:
     ours = _labels(selection.model)
     weight: dict[tuple[str, ...], float] = {ours: 0.0}
     best: dict[tuple[str, ...], tuple[int, ...]] = {ours: selection.verdict.best}
-    for model in sorted(near, key=lambda m: -near[m]):
-        names = _labels([problem.terms[k] for k in model])
+    for numbers in sorted(near, key=lambda m: -near[m]):
+        names = _labels([problem.terms[k] for k in numbers])
         names = ours if set(ours) <= set(names) else names
-        weight[names] = weight.get(names, 0.0) + float(np.exp(near[model] - top))
-        best.setdefault(names, model)
+        weight[names] = weight.get(names, 0.0) + float(np.exp(near[numbers] - top))
+        best.setdefault(names, numbers)
     total = sum(weight.values())
     out: list[Hypothesis] = []
     together = 0.0
@@ -614,11 +614,4 @@ def _imagined(
         check=np.zeros(n, dtype=bool),
         position=rows,
         zero_unknown=data.zero_unknown,
-    )
-
-
-def attitude(direction: tuple[float, float, float]) -> str:
-    """Attitude in words, such as `+x −z up`: axes that read positive and negative gravity."""
-    return " ".join(
-        f"{'+' if part > 0 else '−'}{AXES[k]}" for k, part in enumerate(direction) if abs(part) > 0.3
     )
