@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from adis_gonio.session.plans import Position
     from adis_gonio.tracing import TraceResult
 
+_WIDTH = 100
+"""Widest text: longer lines are hard to read."""
+
 
 @click.command("calibrate")
 @click.argument("url")
@@ -297,7 +300,7 @@ class Bench:
             case events.DwellDone():
                 x, y, z = event.accel_mg
                 lost = f", {event.lost} lost" if event.lost else ""
-                self._progress.update(self._task, visible=False)
+                self._hide()
                 self._say(
                     f"  {event.position!s:>16}   x {x:+9.2f}   y {y:+9.2f}   z {z:+9.2f} mg"
                     f"   {event.samples} samples{lost}"
@@ -311,11 +314,11 @@ class Bench:
             case events.ExtensionOffered():
                 self._offer(event)
             case events.Advising():
-                self._say("")
-                self._say(f"Tracing {event.dwells} dwells …")
-                self._show("tracing", "", None, None)
+                if not self._screen.is_terminal:
+                    self._say(f"tracing {event.dwells} dwells …")
+                self._show("tracing", f"{event.dwells} dwells", None, None)
             case events.Advised():
-                self._progress.update(self._task, visible=False)
+                self._hide()
                 self._advised(event)
             case events.Waiting():
                 note = f"{event.elapsed_s:.0f} of {event.length_s:.0f} s"
@@ -339,6 +342,11 @@ class Bench:
             total=total,
             visible=True,
         )
+
+    def _hide(self) -> None:
+        """Take the bar away at once, not at its next refresh."""
+        self._progress.update(self._task, visible=False)
+        self._progress.refresh()
 
     def _ask_position(self, event: PositionAsked) -> None:
         others = "s skip, r repeat the last, q end" if event.can_repeat else "s skip, q end"
@@ -364,8 +372,8 @@ class Bench:
             text = "go on with 180° and 270°? (Enter yes, n no)"
         else:
             for reason in event.reasons:
-                self._say(f"  · {reason}")
-            text = "go on with these positions? (Enter yes, n no, that is enough)"
+                self._say_wrapped(f"{reason[0].upper()}{reason[1:]}.")
+            text = "  Go on? (Enter yes, n no: end the session here)"
         if self._auto:
             return
         answer = self._question(text, "n")
@@ -377,13 +385,21 @@ class Bench:
     def _advised(self, event: Advised) -> None:
         from adis_gonio.cli.closing import standing
 
+        self._say("")
         for line in standing(event.summary):
-            self._say(f"  {line}")
-        if event.positions:
-            count = "one more position" if event.positions == 1 else f"{event.positions} more positions"
-            self._say(f"  round {event.round}: {count}")
-        else:
-            self._say(f"  done: {event.ended}", "green" if event.summary.get("adequate") else "yellow")
+            self._say_wrapped(line)
+        if not event.positions:
+            closed = event.summary.get("adequate") and event.summary.get("tested")
+            said = f"{event.ended[0].upper()}{event.ended[1:]}."
+            self._say_wrapped(said, "green" if closed else "yellow")
+
+    def _say_wrapped(self, text: str, style: str = "") -> None:
+        """Text of several lines, indented by two."""
+        from rich.padding import Padding
+        from rich.text import Text
+
+        width = min(self._screen.width, _WIDTH)
+        self._screen.print(Padding(Text(text, style=style), (0, 0, 0, 2)), width=width)
 
     def _question(self, text: str, letters: str) -> str:
         """Ask until the answer is empty or one of the letters; `q` where nobody can answer."""

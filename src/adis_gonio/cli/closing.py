@@ -22,12 +22,15 @@ _ERRORS = {
 
 
 def standing(summary: Mapping[str, Any]) -> list[str]:
-    """Where a session stands, in at most three lines."""
+    """Where a session stands, in at most two lines."""
     if not summary:
         return []
-    lines = [f"model: {_adequate(summary)}; found: {_listed(summary['found'])}"]
+    first = f"With {summary['dwells']} dwells: the model is {_adequate(summary)}"
+    if not summary["tested"]:
+        first = f"With {summary['dwells']} dwells: no readings are left over to test the model"
+    lines = [f"{first}; found: {_listed(summary['found'])}"]
     if summary["uncertain"]:
-        lines.append(f"not certain: {_listed(summary['uncertain'])}")
+        lines.append(f"Not certain: {_listed(summary['uncertain'])}")
     return lines
 
 
@@ -48,7 +51,7 @@ def print_loop(session: Session, result: TraceResult) -> None:
         screen = Console(highlight=False, width=_WIDTH)
     planned = len(session.facts["plan"]["positions"])
     extra = planned - rounds[0]["planned"]
-    before, after = rounds[0]["summary"], where_it_stands(result)
+    before, after = rounds[0]["summary"], where_it_stands(result, len(session.dwells))
     screen.print()
     screen.print("Closing the loop", style="bold cyan", markup=False)
     if extra:

@@ -99,7 +99,7 @@ class TraceAdvisor:
         except FitError as error:
             return Advice((), ended=f"the session cannot be traced: {error}")
         self.result, self.dwells = result, len(session.dwells)
-        summary = where_it_stands(result)
+        summary = where_it_stands(result, len(session.dwells))
         wanted = [m for m in result.measurements if m.purpose == "decide" or not tested(result)]
         within = [m for m in wanted if reachable(_position(m))]
         left = self.most - visited
@@ -114,9 +114,10 @@ def tested(result: TraceResult) -> bool:
     return result.after.chi2_per_dof is not None
 
 
-def where_it_stands(result: TraceResult) -> dict[str, Any]:
+def where_it_stands(result: TraceResult, dwells: int) -> dict[str, Any]:
     """What of a trace is compared before and after further positions."""
     return {
+        "dwells": dwells,
         "adequate": result.adequate,
         "tested": tested(result),
         "found": [finding.effect for finding in result.found],

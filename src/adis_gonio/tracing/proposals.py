@@ -165,7 +165,20 @@ def label(term: Term) -> str:
         return term.name
     where = {"bias": "zero", "gain": "gain", "angle": "true angle"}
     enters = where[term.where] if isinstance(term, NamelessTerm) else "reading"
-    return f"an unnamed change of the {enters} with {', '.join(term.covariates).replace('_', ' ')}"
+    drivers = [_DRIVERS.get(name, name.replace("_", " ")) for name in term.covariates]
+    return f"an unnamed change of the {enters} with {' and '.join(drivers)}"
+
+
+_DRIVERS = {
+    "angle": "the angle",
+    "reading": "the reading",
+    "approach": "the side of approach",
+    "previous_angle": "the position before",
+    "order": "the order",
+    "supply": "the supply",
+    "temperature_rate": "the speed of warming",
+    "variance": "vibration",
+}
 
 
 def _labels(model: Sequence[Term]) -> tuple[str, ...]:
