@@ -154,11 +154,27 @@ def _ended(result: TraceResult, wanted: list[Measurement], within: list[Measurem
             + "; ".join(sentences(wanted))
         )
     if result.adequate and tested(result):
-        return "the model is adequate, and no further position would decide anything more"
+        if not _open_names(result):
+            return "the model is adequate, and no further position would decide anything more"
+        return (
+            f"the model is adequate; no further position would decide between {_open_names(result)}: "
+            "see what to measure next"
+        )
     return (
         "the advice is exhausted: no further position is expected to show what explains the rest; "
         "see what to measure next"
     )
+
+
+def _open_names(result: TraceResult) -> str:
+    """Effects of the model that something else with a name could replace, each with the first of these."""
+    inside = {step.effect for step in result.steps}
+    pairs = {}
+    for names in result.confounded:
+        others = [name for name in names[1:] if not name.startswith("unnamed") and name not in inside]
+        if names[0] in inside and others:
+            pairs.setdefault(names[0], others[0])
+    return ", and between ".join(f"{name} and {other}" for name, other in pairs.items())
 
 
 __all__ = ["Advice", "Advisor", "TraceAdvisor", "where_it_stands"]

@@ -44,6 +44,9 @@ LEAST_INFORMATION: dict[Purpose, float] = {"decide": 0.05, "cover": 0.02}
 could not have shown has 0.1."""
 TYPICALS = 2.0
 """Prior standard deviation of an effect in units of what a bench sees."""
+START_RAD, SENSOR = 0.3, 0.03
+"""Prior standard deviations of the start angle, and of gains (1 is perfect) and skews (rad), about the fit:
+what a session has not turned to is not therefore unknown by more than sensors differ."""
 FAR = 1e6
 """Whitened predictions are cut here: an extrapolation may overflow."""
 
@@ -301,9 +304,8 @@ def _prior(
     training: Observations, model: Sequence[Term], state: State, flat: Floats
 ) -> tuple[Floats, Floats]:
     """Mean and precision of the parameters: base wide, effects as a bench sees them."""
-    # Base parameters: radians and gains; any sensor and stage lie well within ±0.3 of the fit.
     means = [state.base]
-    sigmas = [np.full(len(state.base), 0.3)]
+    sigmas = [np.array([START_RAD, SENSOR, SENSOR, SENSOR] if training.planar else [SENSOR] * 6)]
     at = len(state.base)
     for term, values in zip(model, state.values, strict=True):
         if isinstance(term, NamedTerm):
