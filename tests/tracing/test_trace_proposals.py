@@ -164,7 +164,7 @@ def test_a_turn_without_declared_angles_gets_words_only():
     assert any(line.startswith("declare the angles") for line in result.advice)
 
 
-def test_attitudes_in_space_are_proposed_where_a_hemisphere_is_missing():
+def test_in_space_attitudes_are_proposed_as_directions():
     rng = np.random.default_rng(5)
     dwells = []
     for k in range(10):
@@ -180,8 +180,8 @@ def test_attitudes_in_space_are_proposed_where_a_hemisphere_is_missing():
     result = trace(session)
     assert result.measurements
     assert all(m.angle_deg is None and m.direction is not None for m in result.measurements)
-    along_z = [abs(m.direction[2]) for m in result.measurements if m.direction is not None]
-    assert max(along_z) > 0.5
+    lengths = [np.linalg.norm(m.direction) for m in result.measurements if m.direction is not None]
+    assert lengths == pytest.approx([1.0] * len(lengths))
 
 
 # -- words ----------------------------------------------------------------------------------------------
