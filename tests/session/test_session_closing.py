@@ -246,7 +246,8 @@ def test_what_was_skipped_cannot_be_reached_again(path):
         assert view.plan().positions[5].temperature_c == 35.0
 
 
-def test_a_program_alone_cannot_heat_and_a_planar_stage_cannot_orient(path):
+def test_a_program_alone_cannot_heat_where_the_world_does_not_let_it(path, monkeypatch):
+    monkeypatch.delattr("adis_gonio.sim.world.World.bring_to")
     space = Position(None, 0, direction=(0.0, 0.0, 1.0))
     advisor = Scripted(
         (Position(45.0), Position(45.0, temperature_c=35.0), Position(45.0, supply_v=5.2), space)
@@ -254,6 +255,23 @@ def test_a_program_alone_cannot_heat_and_a_planar_stage_cannot_orient(path):
     run(path, advisor, until=lambda event: isinstance(event, Advised))
     # The simulated stage turns in space as well.
     assert advisor.seen[0][2] == [True, False, False, True]
+
+
+def test_the_simulator_brings_temperature_and_supply_to_what_is_wanted(path):
+    rounds = ((Position(45.0, temperature_c=40.0), Position(90.0, supply_v=5.2)), (Position(10.0),))
+    run(path, Scripted(*rounds))
+    dwells = read_session(path).dwells
+    warm = [float(dwell.temperature_c.mean()) for dwell in dwells]
+    supply = [float(dwell.supply_v.mean()) for dwell in dwells]
+    assert np.ptp(warm[:4]) < 0.5
+    assert warm[4] - warm[3] == pytest.approx(40.0 - 25.0, abs=1.0)
+    assert warm[5:] == pytest.approx([warm[4]] * 2, abs=0.5)
+    assert supply == pytest.approx([5.0] * 5 + [5.2] * 2, abs=0.01)
+    for cut in (4, 5):
+        other = path.with_name(f"{cut}.session")
+        run(other, Scripted(*rounds), until=lambda e, k=cut: isinstance(e, DwellDone) and e.place == k)
+        run(other, Scripted(*rounds[1:]), resume=True)
+        assert words(other) == words(path)
 
 
 def test_attitudes_in_space_are_asked_for_too(path):

@@ -188,9 +188,7 @@ def test_in_space_attitudes_are_proposed_as_directions():
 
 
 def made(angle: float, **changes: object) -> Measurement:
-    first = Measurement(
-        angle, None, 1, 0.0, None, None, 7.3, 0.5, "decide", ("quadratic",), ("asymmetry",)
-    )
+    first = Measurement(angle, None, 1, 0.0, None, None, 7.3, 0.5, "decide", ("quadratic",), ("asymmetry",))
     return replace(first, **changes)
 
 

@@ -169,7 +169,7 @@ def _ended(result: TraceResult, wanted: list[Measurement], within: list[Measurem
 def _open_names(result: TraceResult) -> str:
     """Effects of the model that something else with a name could replace, each with the first of these."""
     inside = {step.effect for step in result.steps}
-    pairs = {}
+    pairs: dict[str, str] = {}
     for names in result.confounded:
         others = [name for name in names[1:] if not name.startswith("unnamed") and name not in inside]
         if names[0] in inside and others:

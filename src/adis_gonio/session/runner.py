@@ -74,6 +74,9 @@ SUPPLY_LIMITS_V = (4.75, 5.25)
 """Specified supply (DS, B)."""
 
 
+WARMING_S = 600.0
+"""Wait for another temperature, where the program sets it."""
+
 WAIT_STEP_S = 5.0
 """Between two looks at the clock and the operator during a wait."""
 
@@ -456,6 +459,13 @@ class SessionRunner:
     def _dwell(self, place: int) -> Iterator[Event]:
         position = self._plan.positions[place]
         recording = self._new_recording(place)
+        if self._bench.sets_conditions and self._bench.wants_conditions(position):
+            wanted = {"temperature_c": position.temperature_c, "supply_v": position.supply_v}
+            # The record's time is the one at which the change begins: nothing may come between.
+            self._note("conditions", wanted)
+            self._bench.set_conditions(**wanted)
+            if position.temperature_c is not None and (yield from self._wait(place, WARMING_S)):
+                return
         move = self._bench.move_to(position)
         if move is not None:
             recording.moves.append(move)
