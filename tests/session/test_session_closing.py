@@ -16,6 +16,7 @@ import pytest
 from adis_gonio.model.records import Session
 from adis_gonio.sensor import open_sensor
 from adis_gonio.session.archive import ArchiveView, read_session
+from adis_gonio.session.bench import Bench
 from adis_gonio.session.closing import AT_ONCE, Advice, TraceAdvisor
 from adis_gonio.session.events import (
     Advised,
@@ -247,7 +248,7 @@ def test_what_was_skipped_cannot_be_reached_again(path):
 
 
 def test_a_program_alone_cannot_heat_where_the_world_does_not_let_it(path, monkeypatch):
-    monkeypatch.delattr("adis_gonio.sim.world.World.bring_to")
+    monkeypatch.setattr(Bench, "sets_conditions", False)
     space = Position(None, 0, direction=(0.0, 0.0, 1.0))
     advisor = Scripted(
         (Position(45.0), Position(45.0, temperature_c=35.0), Position(45.0, supply_v=5.2), space)

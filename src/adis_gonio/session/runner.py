@@ -77,7 +77,7 @@ SUPPLY_LIMITS_V = (4.75, 5.25)
 WARMING_S = 600.0
 """Wait for another temperature, where the program sets it."""
 
-WAIT_STEP_S = 5.0
+WAIT_STEP_S = 1.0
 """Between two looks at the clock and the operator during a wait."""
 
 
