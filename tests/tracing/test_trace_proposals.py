@@ -218,5 +218,5 @@ def test_places_say_conditions_in_the_order_in_which_they_are_brought_about():
         place(warm)
         == "45° from above, with the part at 35 °C, with a supply of 5.20 V, after waiting 10 min"
     )
-    assert place(made(0.0, angle_deg=None, direction=(0.7, 0.0, -0.7))) == "+x −z along gravity"
+    assert place(made(0.0, angle_deg=None, direction=(0.7, 0.0, -0.7))) == "an attitude that reads +x −z"
     assert (duration(30.0), duration(90.0)) == ("30 s", "1.5 min")

@@ -432,7 +432,7 @@ def _to_do(position: Position) -> tuple[str, str]:
     if position.angle_deg is None:
         todo = "hold the part in"
         if position.direction is not None:
-            place += f", about {attitude(position.direction)}"
+            place += f", {attitude(position.direction)},"
     first = []
     if position.temperature_c is not None:
         first.append(f"bring the part to {position.temperature_c:.0f} °C")

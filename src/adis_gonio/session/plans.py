@@ -296,9 +296,9 @@ def _sees_bias(angles_deg: Sequence[float]) -> bool:
 
 
 def attitude(direction: Sequence[float]) -> str:
-    """Attitude in words, such as `+x −z along gravity`: axes that read much of it, with their signs."""
+    """Attitude in words, such as `one that reads +x −z`: axes that read much of gravity, with signs."""
     axes = [f"{'+' if part > 0 else '−'}{'xyz'[k]}" for k, part in enumerate(direction) if abs(part) > 0.3]
-    return f"{' '.join(axes)} along gravity"
+    return f"one that reads {' '.join(axes)}"
 
 
 def extended(plan: Plan, positions: Sequence[Position]) -> Plan:

@@ -105,7 +105,7 @@ def where(measurement: Measurement) -> str:
         return f"{measurement.angle_deg:g}°{side}"
     parts = enumerate(measurement.direction or ())
     axes = [f"{'+' if part > 0 else '−'}{AXES[k]}" for k, part in parts if abs(part) > 0.3]
-    return f"{' '.join(axes)} along gravity"
+    return f"an attitude that reads {' '.join(axes)}"
 
 
 def duration(seconds: float) -> str:
