@@ -15,7 +15,7 @@ from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.sensor.registers import REGISTERS
 from adis_gonio.sensor.scanning import ScanStream
 from adis_gonio.session.plans import Plan, Position
-from adis_gonio.session.rows import Move, StoredAttempt
+from adis_gonio.session.rows import Move, Record, StoredAttempt
 from adis_gonio.session.settings import Settings
 from adis_gonio.session.view import ArchiveView
 from adis_gonio.session.watch import window_samples
@@ -51,6 +51,16 @@ class World(Protocol):
 
     def truth(self, time_s: Floats | None = None) -> dict[str, float]:
         """What the simulation hides, as it was in the mean of some times where these are given."""
+
+
+@runtime_checkable
+class ControlledWorld(World, Protocol):
+    """Surroundings whose temperature and supply a program can set."""
+
+    def bring_to(
+        self, time_s: float, temperature_c: float | None = None, supply_v: float | None = None
+    ) -> None:
+        """Heat or cool the part, or set the supply, from a time on."""
 
 
 class Bench:
@@ -100,6 +110,27 @@ class Bench:
         free = any(position.angle_deg is None for position in plan.positions)
         if free and self._spatial is None:
             raise UsageError(f"plan '{plan.name}' needs an operator: this stage turns in a plane only")
+
+    def can_reach(self, position: Position) -> bool:
+        """True where the program alone can bring the part to a position and its conditions."""
+        if self.wants_conditions(position) and not self.sets_conditions:
+            return False
+        return self.stage is not None if position.angle_deg is not None else self._spatial is not None
+
+    @property
+    def sets_conditions(self) -> bool:
+        """True where the program can set temperature and supply."""
+        return isinstance(self.world, ControlledWorld)
+
+    @staticmethod
+    def wants_conditions(position: Position) -> bool:
+        """True where a position comes with a temperature or a supply."""
+        return position.temperature_c is not None or position.supply_v is not None
+
+    def set_conditions(self, temperature_c: float | None, supply_v: float | None) -> None:
+        """Set temperature and supply, from now on."""
+        if isinstance(self.world, ControlledWorld):
+            self.world.bring_to(self.now_s, temperature_c, supply_v)
 
     def require_same_sensor(self, archive: ArchiveView) -> None:
         """Raise `SessionError` where a session was begun with another sensor."""
@@ -211,9 +242,15 @@ class Bench:
         """
         ends = {a.number: a.ended_bus_s for a in archive.attempts()}
         end_s = ends[attempt] if attempt else archive.records("noise")[-1].bus_s
-        for move in archive.moves_before(attempt):
-            self._wait_until(move.bus_s)
-            self._carry_out(move)
+        # What is set at the time of a move was set before it: a stable sort keeps it so.
+        happened: list[Move | Record] = [*archive.conditions_before(attempt)]
+        happened += archive.moves_before(attempt)
+        for event in sorted(happened, key=lambda event: event.bus_s):
+            self._wait_until(event.bus_s)
+            if isinstance(event, Move):
+                self._carry_out(event)
+            else:
+                self.set_conditions(event.value["temperature_c"], event.value["supply_v"])
         if attempt:
             # At its end the dwell's STATUS was read, which clears it: a bit that is left would show as EA.
             self._wait_until(end_s - CHECKPOINT_S / 2)

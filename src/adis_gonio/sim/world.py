@@ -36,6 +36,8 @@ from adis_gonio.sim.stage import Motion, Stage
 REFERENCE_C = 25.0
 REFERENCE_V = 5.0
 GREATEST_ALPHA_DEG = 5.0
+WARMING_TAU_S = 60.0
+"""Time constant with which the part goes to a temperature that it is brought to."""
 _HISTORY_STEP_S = 1.0
 _TABLE_OVER_NOISE = 5.0
 """Vibration of the table in units of the sensor's noise where an effect needs it."""
@@ -76,6 +78,8 @@ class World:
         self.effects = tuple((effect, _values(effect, given)) for effect, given in effects)
         self.stage = Stage(self.settings, float(np.radians(self._hidden["alpha"])), fixture)
         self._flicker: Flicker | None = None
+        self._warmed: list[tuple[float, float]] = []
+        self._supplied: list[tuple[float, float]] = []
         figures = self.variant.performance
         self._noise_mg = _or(self.settings.noise_mg, figures.noise_mg)
         gyro_noise = _or(self.settings.gyro_noise_dps, figures.gyro_noise_dps)
@@ -184,13 +188,30 @@ class World:
         if given.ambient_swing_c:
             ambient = ambient + given.ambient_swing_c * np.sin(2 * np.pi * time_s / given.ambient_period_s)
         on_s = np.maximum(time_s + given.powered_s, 0.0)
-        return np.asarray(
-            ambient + given.self_heating_c * -np.expm1(-on_s / given.self_heating_tau_s), np.float64
-        )
+        warmth = ambient + given.self_heating_c * -np.expm1(-on_s / given.self_heating_tau_s)
+        for since_s, change in self._warmed:
+            warmth = warmth + change * -np.expm1(-np.maximum(time_s - since_s, 0.0) / WARMING_TAU_S)
+        return np.asarray(warmth, np.float64)
 
     def supply_v(self, time_s: Floats) -> Floats:
         """Supply (n,) in V without its noise."""
-        return self.settings.supply_v + self.settings.supply_drift_v_per_h * time_s / 3600
+        supply = self.settings.supply_v + self.settings.supply_drift_v_per_h * time_s / 3600
+        for since_s, change in self._supplied:
+            supply = supply + np.where(time_s >= since_s, change, 0.0)
+        return np.asarray(supply, np.float64)
+
+    def bring_to(
+        self, time_s: float, temperature_c: float | None = None, supply_v: float | None = None
+    ) -> None:
+        """Heat or cool the part, or set the supply, from a time on that has not been sampled yet.
+
+        The temperature goes there exponentially (`WARMING_TAU_S`); drifts and swings go on beneath.
+        """
+        now = np.array([time_s])
+        if temperature_c is not None:
+            self._warmed.append((time_s, temperature_c - float(self.temperature_c(now)[0])))
+        if supply_v is not None:
+            self._supplied.append((time_s, supply_v - float(self.supply_v(now)[0])))
 
     # -- what the chip feels ----------------------------------------------------------------------
 

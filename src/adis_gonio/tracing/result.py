@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from adis_gonio.tracing.state import State
 from adis_gonio.tracing.terms import Term
@@ -152,6 +152,73 @@ class Detectable:
         }
 
 
+Purpose = Literal["decide", "cover"]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One more dwell that is worth while.
+
+    Attributes
+    ----------
+    angle_deg : float or None
+        Angle to declare; None in space.
+    direction : tuple of 3 float or None
+        In space: what an ideal sensor would read there, in units of G.
+    approach : {1, -1, 0}
+        Direction of travel in which the angle is reached; 0 does not matter.
+    wait_s : float
+        How long to wait before it, beside the usual time between two dwells.
+    temperature_c, supply_v : float or None
+        Temperature and supply that are wanted; None as they are.
+    separation : float
+        Expected difference of the two in standard uncertainties of what is measured, beyond what the
+        measurements before it part already.
+    information : float
+        Expected information about what is true, in nats, given the measurements before it.
+    purpose : {"decide", "cover"}
+        Which of the models near the best is true, or whether something is there that the session could
+        not have shown.
+    one, other : tuple of str
+        What is told apart: effects that only one of the two models has. One of them may be empty.
+    sentence : str
+    """
+
+    angle_deg: float | None
+    direction: tuple[float, float, float] | None
+    approach: int
+    wait_s: float
+    temperature_c: float | None
+    supply_v: float | None
+    separation: float
+    information: float
+    purpose: Purpose
+    one: tuple[str, ...]
+    other: tuple[str, ...]
+    sentence: str = ""
+
+    @property
+    def by_position(self) -> bool:
+        """True where nothing but a position (and patience) is wanted."""
+        return self.temperature_c is None and self.supply_v is None
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of `measurements`."""
+        return {
+            "angle_deg": self.angle_deg,
+            "direction": None if self.direction is None else list(self.direction),
+            "approach": self.approach,
+            "wait_s": self.wait_s,
+            "temperature_c": self.temperature_c,
+            "supply_v": self.supply_v,
+            "separation": _number(self.separation),
+            "information": _number(self.information),
+            "purpose": self.purpose,
+            "separates": [list(self.one), list(self.other)],
+            "sentence": self.sentence,
+        }
+
+
 @dataclass(frozen=True)
 class Rival:
     """A model near the best: its terms, and its posterior."""
@@ -191,6 +258,9 @@ class TraceResult:
         What the samples inside the dwells show.
     heldout_design : str
         How dwells were left out.
+    measurements : tuple of Measurement
+        Advice in figures, for a program or a running session: further dwells, in the order in which they
+        are worth while.
     model : tuple of Term
         Terms of the final model; no part of the JSON, nor of a comparison.
     state : State or None
@@ -212,6 +282,7 @@ class TraceResult:
     notes: tuple[str, ...] = ()
     within: tuple[WithinFinding, ...] = ()
     heldout_design: str = ""
+    measurements: tuple[Measurement, ...] = ()
     model: tuple[Term, ...] = field(default=(), repr=False, compare=False)
     state: State | None = field(default=None, repr=False, compare=False)
 
@@ -226,6 +297,7 @@ class TraceResult:
             "error": {"before": self.before.as_dict(), "after": self.after.as_dict()},
             "detectable": {name: value.as_dict() for name, value in self.detectable.items()},
             "next": list(self.advice),
+            "measurements": [measurement.as_dict() for measurement in self.measurements],
             "rivals": [rival.as_dict() for rival in self.rivals],
             "base": {name: value.as_dict() for name, value in self.base.items()},
             "reasons": dict(self.reasons),

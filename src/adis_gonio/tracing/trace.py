@@ -106,18 +106,7 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
     found = tuple(_finding(selection, name) for name in names.stand)
     seen = detectable(selection.found, selection.verdict.best, missing)
     rivals = _rivals(selection)
-    fitted: list[tuple[Sequence[Term], Refit]] = [(selection.model, selection.fit)]
-    if (
-        any(name not in names.stand for name in (t.name for t in selection.model) if name)
-        or names.confounded
-    ):
-        fitted += [
-            (
-                [selection.problem.terms[k] for k in m],
-                fit_model(training, selection.problem, m, selection.fit.state),
-            )
-            for m in _other_models(selection)[:3]
-        ]
+    advice, measurements = advise(data, training, selection, terms, names.confounded)
     return TraceResult(
         adequate=selection.adequate,
         found=found,
@@ -129,7 +118,8 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
         before=figures[0],
         after=figures[-1],
         detectable=seen,
-        advice=advise(training, fitted, names.confounded, seen, selection.adequate),
+        advice=advice,
+        measurements=measurements,
         rivals=rivals,
         base=_base(data, selection.fit, selection.inflation),
         reasons={**names.open, **dropped},
@@ -489,12 +479,6 @@ def _rivals(selection: Selection) -> tuple[Rival, ...]:
     ranked = sorted(selection.verdict.weights.items(), key=lambda item: -item[1])[:8]
     terms = selection.problem.terms
     return tuple(Rival(tuple(terms[k].label for k in model), weight) for model, weight in ranked)
-
-
-def _other_models(selection: Selection) -> list[tuple[int, ...]]:
-    weights = selection.verdict.weights
-    best = selection.verdict.best
-    return [m for m in sorted(weights, key=lambda m: -weights[m]) if m != best and m]
 
 
 def _base(data: Observations, fit: Refit, inflation: float) -> dict[str, Value]:
