@@ -277,7 +277,7 @@ class SerialBus(SpiBus):
 
     def _renew(self) -> None:
         """Open a new session and set the timing in force, which a hello sets back."""
-        self.firmware = self._link.hello(AGAIN_S, self.firmware)
+        self.firmware = self._link.hello(AGAIN_S)
         timing = self.timing
         request = wire.ConfigureRequest(
             int(timing.clock_hz), math.ceil(timing.stall_us), math.ceil(timing.period_us)

@@ -123,11 +123,11 @@ class SerialStream(FrameStream):
         count, rest = divmod(len(scans.words), self._width)
         if not count or rest:
             return None
-        missed = (scans.sequence - self._next_sequence) & 0xFFFF
-        if missed > 0x8000:
+        missed = (scans.sequence - self._next_sequence) & 0xFFFF_FFFF
+        if missed > 0x8000_0000:
             return None  # a packet from before: a repetition on the line
         lost = missed + ((scans.lost - self._lost) & 0xFFFF)
-        self._next_sequence = (scans.sequence + count) & 0xFFFF
+        self._next_sequence = (scans.sequence + count) & 0xFFFF_FFFF
         self._lost = scans.lost
         left_s = arrival_s - (len(packet.body) + _AROUND) * self._byte_s
         times = self._clock.times(scans.first_us, scans.span_us, count, left_s)
