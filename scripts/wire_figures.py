@@ -114,6 +114,7 @@ def host_cpu(packets: list[tuple[float, bytes]]) -> tuple[float, int, int]:
             bus,
             stream_id=int.from_bytes(_unstuffed(packets[0][1])[1:3], "little"),
             width=len(FRAMES),
+            packet_scans=16,
             block_scans=82,
             clock=ClockMap(0, time.monotonic()),
             byte_s=20e-6,

@@ -28,6 +28,7 @@ from contract.bus_contract import DATA_READY_ON, BusContract, Rig, WatchedChip
 from fakes.clock import DeviceClock, VirtualClock
 from fakes.faults import Faults
 from fakes.firmware import FakeFirmware
+from fakes.numbered_scans import Judge, NumberingFirmware, words_of
 from fakes.pins import ChipPins
 from fakes.serial_port import FakePort, PtyBoard
 
@@ -360,6 +361,37 @@ def test_scans_lost_on_the_wire_are_counted_to_the_last_one():
     assert bench.firmware.all_lost == 0
 
 
+@pytest.mark.parametrize(("width", "scans", "rate"), [(3, 4, 0.01), (7, 16, 0.001)])
+def test_on_a_bad_line_every_word_of_a_stream_is_right_and_every_gap_is_counted(width, scans, rate):
+    """scripts/wire_faults.py --only stream does it for a hundred thousand packets."""
+    bench = Bench(watched=False)
+    bench.chip.memory["MSC_CTRL"] = 0x04
+    bench.firmware = NumberingFirmware(bench.firmware.pins)
+    bench.port = FakePort(bench.firmware)
+    bus = bench.open()
+    judge = Judge(width)
+    with bus.stream([0x0A00] * width, block_scans=scans) as stream:
+        rates = dict.fromkeys(("drop", "duplicate", "flip", "delay", "chunk"), rate)
+        bench.port.faults = Faults(seed=5, delay_s=0.001, **rates)
+        while bench.firmware.packets < 1500:
+            block = next(stream)
+            judge.look(block.words, block.lost)
+        bench.port.faults = Faults()
+    assert judge.sound, judge.found
+    assert judge.found["gaps"] > 100
+    assert judge.found["scans"] > 500
+
+
+def test_the_judge_of_streams_sees_a_wrong_word():
+    words = words_of(np.arange(70_000, 70_010), 7)
+    judge = Judge(7)
+    judge.look(words, 0)
+    assert judge.sound
+    words[4, 5] ^= 1
+    judge.look(words, 0)
+    assert judge.found["wrong words"] == 1
+
+
 def test_triggers_that_the_firmware_lost_are_counted():
     bench = Bench(watched=False)
     frames = SEVEN * 4  # 29 frames of 56 µs and more: longer than an update
@@ -388,6 +420,23 @@ def test_a_slow_stream_comes_in_small_packets_without_a_time_out():
     blocks = streamed(bench, 2, block_scans=2, before=slow)
     assert sum(len(block.time_s) for block in blocks) == 4
     assert np.diff(np.concatenate([b.time_s for b in blocks])) == pytest.approx(2.42, rel=0.03)
+
+
+def test_a_line_on_which_no_packet_of_scans_comes_through_is_a_time_out_and_no_wait_for_ever():
+    bench = Bench(watched=False)
+    packed = bench.firmware._packed
+    with bench.open() as bus:
+        bus.configure(FAST)
+        bus.exchange([DATA_READY_ON])
+        with bus.stream(SEVEN, block_scans=16) as stream:
+            next(stream)
+            bench.firmware._packed = lambda kind, number, body: (
+                b"\1\0" if kind == 0xC4 else packed(kind, number, body)
+            )
+            begin = bench.clock.now_s()
+            with pytest.raises(BusTimeoutError, match="no packet of scans came through whole"):
+                next(stream)
+            assert bench.clock.now_s() - begin < 5
 
 
 def test_a_rising_edge_can_be_asked_for():

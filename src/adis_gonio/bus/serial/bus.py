@@ -181,14 +181,14 @@ class SerialBus(SpiBus):
             if block_scans < 1:
                 raise UsageError(f"a block of {block_scans} scans is not possible; give at least 1")
             self._link.scans.clear()
-            request = wire.StreamRequest(
-                self._trigger, min(fit, block_scans), 1, 0, np.array(frames, np.uint16)
-            )
+            packet_scans = min(fit, block_scans)
+            request = wire.StreamRequest(self._trigger, packet_scans, 1, 0, np.array(frames, np.uint16))
             reply = self._ask(request, wire.StreamReply)
             self._stream = SerialStream(
                 self,
                 stream_id=self._link.last_id,
                 width=width,
+                packet_scans=packet_scans,
                 block_scans=block_scans,
                 clock=ClockMap(reply.now_us, self.now_s()),
                 byte_s=self._byte_s,
