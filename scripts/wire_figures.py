@@ -36,7 +36,7 @@ from adis_gonio.bus.serial.stream import SerialStream
 from adis_gonio.bus.wire.protocol import CRC_SIZE, HEADER_SIZE, Scans
 from adis_gonio.sensor.decoding import decode_numbers
 from adis_gonio.sensor.registers import registers
-from adis_gonio.sensor.scanning import StreamedScans
+from adis_gonio.sensor.scanning import ScanLayout, StreamedScans
 from adis_gonio.sim import SimulatedChip, World
 from fakes.clock import VirtualClock
 from fakes.firmware import FakeFirmware
@@ -120,7 +120,7 @@ def host_cpu(packets: list[tuple[float, bytes]]) -> tuple[float, int, int]:
             byte_s=20e-6,
             stop=lambda: None,
         )
-        scans = StreamedScans(stream, TABLE, "adis16354", 300, 1 / RATE_HZ)
+        scans = StreamedScans(stream, ScanLayout(TABLE, "adis16354", 300, 1 / RATE_HZ))
         lost = 0
         total = sum((len(data) - AROUND) // 14 for _, data in packets)
         first = next(scans)

@@ -28,7 +28,7 @@ class NumberingFirmware(FakeFirmware):
     """Answers each frame of a scan with a word of its sample, without asking the chip."""
 
     packets = 0
-    _words: list[int] = []
+    _words: list[int] | None = None
     _column = 0
 
     def frame(self, word: int, not_before_s: float = -1.0) -> int:

@@ -112,6 +112,8 @@ class SpiBus(ABC):
 
     url: str = ""
     capabilities: frozenset[Capability] = frozenset()
+    edge_rises: bool = False
+    """Which edge of data-ready starts a scan of a stream: the rising one, or else the falling one."""
     unbroken_frames: int | None = None
     """Frames of a batch that follow each other without a pause; None where any number does."""
 

@@ -85,6 +85,7 @@ class SerialBus(SpiBus):
         self.url = url
         self._clock = clock
         self._trigger = trigger
+        self.edge_rises = trigger is wire.Trigger.RISING
         self._byte_s = 10 / baud
         self._link = link or Link(port, url=url, clock=clock)
         self._release = release or port.close
