@@ -5,9 +5,10 @@ bus is usable afterwards. The fakes live in virtual time, so that time-outs cost
 
     python scripts/wire_faults.py [--requests 100000] [--seed 1] [--only serial,stream,mcp2210,…]
 
-`stream` sends as many packets of scans over the bad serial line: short ones (three registers, four scans), and
-long ones (seven registers) at the full rates, where hardly any arrives whole, and at a tenth of them. Every scan says by its own words which
-sample it is, so that each word that is accepted and each gap that is counted is judged.
+`stream` sends as many packets of scans over the bad serial line: short ones (three registers, four scans),
+and long ones (seven registers) at the full rates, where hardly any arrives whole, and at a tenth of them.
+Every scan says by its own words which sample it is, so that each word that is accepted and each gap that is
+counted is judged.
 
 Rates: 1 % of each fault a byte on the serial line (drop, duplicate, flip, delay, chunk) and 0.1 % hangs a
 delivery. On USB the unit is a packet, as the cable's own CRC and sequence bits guard its bytes: 1 % each of
@@ -230,7 +231,7 @@ def run(name: str, requests: int, seed: int) -> dict[str, object]:
 STREAMS = ((3, 4, 1.0), (7, 16, 1.0), (7, 16, 0.1))
 """Registers, scans in a packet, part of the full rate of faults."""
 STREAM_DELAY_S = 0.001
-"""Mean delay of a delayed byte in streams: with longer ones the line would carry less than the firmware sends."""
+"""Mean delay of a delayed byte in streams; with longer ones the line would carry less than is sent."""
 CYCLE = 1000
 """Packets until a stream is closed and another begun."""
 

@@ -150,11 +150,10 @@ def test_a_stream_that_leaves_the_registers_writes_nothing():
 def test_without_the_wire_a_stream_polls_and_data_ready_is_off_again(monkeypatch):
     bus, chip, _ = watched("serial")
     monkeypatch.setattr(ChipPins, "data_ready_edges", lambda pins: 0)
-    with Adis16354(bus) as sensor:
-        with sensor.stream(["XACCL_OUT"]) as stream:
-            assert isinstance(stream, PolledScans)
-            assert chip.memory["MSC_CTRL"] == 0
-            assert len(next(stream)) > 0
+    with Adis16354(bus) as sensor, sensor.stream(["XACCL_OUT"]) as stream:
+        assert isinstance(stream, PolledScans)
+        assert chip.memory["MSC_CTRL"] == 0
+        assert len(next(stream)) > 0
 
 
 def test_a_stream_that_cannot_begin_sets_data_ready_back():

@@ -25,8 +25,8 @@ _MASK = _ROW.field("data_ready").mask | _ROW.field("polarity").mask | _ROW.field
 class DataReadyLoan:
     """Enables data-ready on DIO1, where the bridges' wiring has it, and sets back what stood there.
 
-    The polarity is taken so that the edge which the bus waits for is the pulse's first. Only the low byte of
-    MSC_CTRL is written, and of that only the three bits of data-ready change.
+    The polarity is taken so that the edge which the bus waits for is the pulse's first. Only the low byte
+    of MSC_CTRL is written, and of that only the three bits of data-ready change.
 
     Raises
     ------

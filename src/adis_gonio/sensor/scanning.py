@@ -45,7 +45,7 @@ LEAST_PASSES = 4
 
 
 COUNTER_SLACK = 2.0
-"""Updates by which edges and scans may disagree: some edges lie between a scan and the counter's reading."""
+"""Updates by which edges and scans may disagree: some lie between a scan and the counter's reading."""
 
 
 @dataclass(frozen=True)

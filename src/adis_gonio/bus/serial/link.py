@@ -220,7 +220,7 @@ class Link:
         *,
         nonce: int | None = None,
     ) -> _Answer[B] | None:
-        """Send a request until its answer is there; `again` says by the copies sent whether one more may go."""
+        """Send a request until it is answered; `again` says by the copies sent whether one more may go."""
         sent = 0
         while again(sent):
             self.port.send(packet)
