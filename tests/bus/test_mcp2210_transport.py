@@ -73,7 +73,7 @@ class TestMcp2210(BusContract):
             "hung": (silence, BusTimeoutError),
         }
         twin = SimulatedChip(World(seed=SEED), start_s=-0.5)
-        return Rig(bus, bench.chip, twin, faults)
+        return Rig(bus, bench.chip, twin, faults, slowest_hz=1_500)
 
 
 class TestMcp2210OnAnImpossiblyFastCable(TestMcp2210):

@@ -66,7 +66,7 @@ class TestSerial(BusContract):
             bench.port.faults.hang = 0.0
 
         twin = SimulatedChip(World(seed=SEED), start_s=-0.5)
-        return Rig(bus, bench.chip, twin, {"hung": (silence, BusTimeoutError)})
+        return Rig(bus, bench.chip, twin, {"hung": (silence, BusTimeoutError)}, slowest_hz=125_000)
 
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="a pty needs POSIX")
@@ -83,7 +83,7 @@ class TestSerialOverAPty(BusContract):
         with PtyBoard(FakeFirmware(ChipPins(chip, clock))) as board:
             bus = open_bus(f"serial:{board.path}")
             try:
-                yield Rig(bus, chip, SimulatedChip(World(seed=SEED), start_s=-0.5))
+                yield Rig(bus, chip, SimulatedChip(World(seed=SEED), start_s=-0.5), slowest_hz=125_000)
             finally:
                 bus.close()
 
@@ -94,8 +94,8 @@ class TestSerialOverAPty(BusContract):
         """As in the contract, but a loaded machine may sleep longer than it was asked to."""
         bus = rig.bus
         assert bus.read_event_counter() == 0
-        bus.exchange([DATA_READY_ON])
         begin = bus.now_s()
+        bus.exchange([DATA_READY_ON])
         bus.sleep_s(0.3)
         first = bus.read_event_counter()
         assert 0.3 * 819.2 * 0.98 <= first <= (bus.now_s() - begin) * 819.2 + 3

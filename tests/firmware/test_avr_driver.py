@@ -145,7 +145,7 @@ class TestFirmwareBinary(BusContract):
         rig = make_rig(World(seed=SEED), chip=chip)
         rig.sleep_s(0.02)
         bus = open_serial(rig)
-        yield ContractRig(bus, chip, SimulatedChip(World(seed=SEED), start_s=-0.5))
+        yield ContractRig(bus, chip, SimulatedChip(World(seed=SEED), start_s=-0.5), slowest_hz=125_000)
         bus.close()
 
     def make(self) -> ContractRig:

@@ -157,7 +157,7 @@ class Mcp2210Bus(SpiBus):
 
     def _configure(self, timing: SpiTiming) -> SpiTiming:
         if timing.clock_hz < SLOWEST_HZ:
-            raise UsageError(f"{self.url}: the clock is {SLOWEST_HZ} Hz at least, not {timing.clock_hz:g}")
+            raise UsageError(f"{self.url}: the slowest clock is {SLOWEST_HZ} Hz, not {timing.clock_hz:g}")
         self._settle()
         wanted = SpiSettings.for_frames(timing.clock_hz, self._cs)
         self._ask_done(Command.SET_SPI, wanted.request())
