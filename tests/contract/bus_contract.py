@@ -39,11 +39,18 @@ class WireFrame:
     start_s: float
     clock_hz: float
     reply: int
+    cs_hold_s: float
 
     @property
     def rise_s(self) -> float:
         """Rise of chip select."""
-        return self.start_s + 16 / self.clock_hz
+        return self.start_s + 16 / self.clock_hz + self.cs_hold_s
+
+    def given_to(self, chip: SimulatedChip) -> int:
+        """What another chip answers to the same. The hold counts: the chip takes the word at the rise."""
+        return chip.frame(
+            self.word, start_s=self.start_s, clock_hz=self.clock_hz, cs_hold_s=self.cs_hold_s
+        )
 
 
 class WatchedChip(SimulatedChip):
@@ -55,7 +62,7 @@ class WatchedChip(SimulatedChip):
 
     def frame(self, word, *, start_s, clock_hz, bits=16, cs_hold_s=0.0):
         reply = super().frame(word, start_s=start_s, clock_hz=clock_hz, bits=bits, cs_hold_s=cs_hold_s)
-        self.seen.append(WireFrame(word, start_s, clock_hz, reply))
+        self.seen.append(WireFrame(word, start_s, clock_hz, reply, cs_hold_s))
         return reply
 
     def frames_at(self, words, starts_s, *, clock_hz):
@@ -116,7 +123,7 @@ class BusContract(ABC):
             replies = rig.bus.exchange(batch)
             wire = rig.chip.seen[sent:]
             assert [frame.word for frame in wire] == batch
-            expected = [rig.twin.frame(f.word, start_s=f.start_s, clock_hz=f.clock_hz) for f in wire]
+            expected = [frame.given_to(rig.twin) for frame in wire]
             assert replies == expected
             assert all(type(reply) is int for reply in replies)
 
