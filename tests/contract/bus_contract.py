@@ -48,9 +48,7 @@ class WireFrame:
 
     def given_to(self, chip: SimulatedChip) -> int:
         """What another chip answers to the same. The hold counts: the chip takes the word at the rise."""
-        return chip.frame(
-            self.word, start_s=self.start_s, clock_hz=self.clock_hz, cs_hold_s=self.cs_hold_s
-        )
+        return chip.frame(self.word, start_s=self.start_s, clock_hz=self.clock_hz, cs_hold_s=self.cs_hold_s)
 
 
 class WatchedChip(SimulatedChip):
