@@ -84,7 +84,7 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp22
     with contextlib.ExitStack() as stack:
         device: HidDevice = _open(hid, url.text, fits[0], stack)
         if blocks:
-            device = TimedWrites(device, timeout_ms / 1000)
+            device = TimedWrites(device)
         stack.callback(device.close)
         kept = contextlib.ExitStack()
         bus = Mcp2210Bus(

@@ -51,7 +51,7 @@ from adis_gonio.bus.mcp2210.reports import (
     status_words,
     transfer,
 )
-from adis_gonio.bus.mcp2210.writes import HidDevice
+from adis_gonio.bus.mcp2210.writes import WRITE_S, HidDevice
 from adis_gonio.errors import BusError, BusTimeoutError, ProtocolError, UsageError
 
 TIMEOUT_S = 0.25
@@ -289,9 +289,7 @@ class Mcp2210Bus(SpiBus):
             self._takes_reports = True
         except TimeoutError as error:
             self._takes_reports = False
-            raise BusTimeoutError(
-                f"{self.url}: the device takes no report within {self._timeout_s:g} s"
-            ) from error
+            raise BusTimeoutError(f"{self.url}: the device takes no report within {WRITE_S:g} s") from error
         except (OSError, ValueError) as error:
             raise gone(self.url) from error
         if sent < 0:

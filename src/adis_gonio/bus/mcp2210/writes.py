@@ -11,6 +11,8 @@ import contextlib
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Protocol
 
+WRITE_S = 1.0
+"""Time for a write. A board takes a report within 1 ms, but a busy host may be away for longer."""
 LONGEST_WRITE_S = 6.0
 """Until then the kernel has given a write up."""
 
@@ -42,7 +44,7 @@ class TimedWrites:
         Time for a write, one before it that is still on its way included.
     """
 
-    def __init__(self, device: HidDevice, timeout_s: float) -> None:
+    def __init__(self, device: HidDevice, timeout_s: float = WRITE_S) -> None:
         self._device = device
         self._timeout_s = timeout_s
         self._thread = ThreadPoolExecutor(1, "mcp2210-write")
