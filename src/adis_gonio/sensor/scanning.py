@@ -5,7 +5,7 @@ Two ways, behind one iterator of `ScanBlock`:
 * the bus streams by itself at each data-ready edge (`Capability.STREAM`, and data-ready enabled);
 * polling: the list of reads runs again and again, and the chip's ND bit says which words are new. What
   was missed follows from the time between the scans; where the bus counts data-ready edges, they hold the
-  count to the chip's own clock, whose rate is not known to better than a few percent.
+  count to the chip's own clock, which may differ from the nominal rate.
 
 Polling without tearing. An update may fall between two reads of one pass, so that the pass mixes two
 updates. Each *column*, however, sees every update once: ND is set by an update and cleared by the read of
