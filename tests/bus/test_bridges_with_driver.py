@@ -12,7 +12,7 @@ from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.sensor.scanning import PolledScans, StreamedScans
 from adis_gonio.sim import SimulatedChip, World, rules
 from adis_gonio.sim.chip import State
-from fakes.clock import DeviceClock, VirtualClock
+from fakes.clock import VirtualClock, WorkClock
 from fakes.cp2130_device import Cp2130Device
 from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
 from fakes.firmware import FakeFirmware
@@ -197,7 +197,7 @@ def test_the_event_counter_counts_by_the_chips_own_clock(monkeypatch, options, e
 def test_a_stream_over_a_real_tty_loses_nothing():
     chip = SimulatedChip(World(seed=SEED), start_s=-0.5)
     with (
-        PtyBoard(FakeFirmware(ChipPins(chip, DeviceClock()))) as board,
+        PtyBoard(FakeFirmware(ChipPins(chip, WorkClock()))) as board,
         Adis16354(open_bus(f"serial:{board.path}")) as sensor,
     ):
         sensor.configure(data_ready=True, sample_rate_hz=163.8)

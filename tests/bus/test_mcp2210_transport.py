@@ -442,6 +442,17 @@ def test_a_write_that_blocks_is_a_time_out_and_the_next_ones_wait_their_turn():
     assert device.closed.is_set()
 
 
+def test_a_write_that_fails_late_is_a_time_out_and_one_that_fails_at_once_is_a_device_that_is_gone(
+    monkeypatch,
+):
+    device = BlockingDevice()
+    device.write = lambda data: -1
+    assert TimedWrites(device).write(b"a") == -1
+    monkeypatch.setattr(writes, "AT_ONCE_S", -1.0)
+    with pytest.raises(TimeoutError):
+        TimedWrites(device).write(b"a")
+
+
 @pytest.mark.parametrize("patience_s", [30.0, 0.05])
 def test_closing_never_frees_a_device_under_a_write(monkeypatch, patience_s):
     monkeypatch.setattr(writes, "LONGEST_WRITE_S", patience_s)

@@ -25,7 +25,7 @@ from adis_gonio.errors import (
 )
 from adis_gonio.sim import SimulatedChip, World
 from contract.bus_contract import DATA_READY_ON, BusContract, Rig, WatchedChip
-from fakes.clock import DeviceClock, VirtualClock
+from fakes.clock import VirtualClock, WorkClock
 from fakes.faults import Faults
 from fakes.firmware import FakeFirmware
 from fakes.numbered_scans import Judge, NumberingFirmware, words_of
@@ -78,7 +78,7 @@ class TestSerialOverAPty(BusContract):
 
     @pytest.fixture
     def rig(self):
-        clock = DeviceClock()
+        clock = WorkClock()
         chip = WatchedChip(World(seed=SEED), start_s=-0.5)
         with PtyBoard(FakeFirmware(ChipPins(chip, clock))) as board:
             bus = open_bus(f"serial:{board.path}")
@@ -487,7 +487,7 @@ def test_the_map_of_clocks_never_runs_backwards(steps):
 
 @needs_pty
 def test_a_port_is_opened_for_one_program_alone():
-    with PtyBoard(FakeFirmware(ChipPins(SimulatedChip(World(seed=1)), DeviceClock()))) as board:
+    with PtyBoard(FakeFirmware(ChipPins(SimulatedChip(World(seed=1)), WorkClock()))) as board:
         bus = open_bus(f"serial:{board.path}")
         with pytest.raises(CannotOpenError, match="busy"):
             open_bus(f"serial:{board.path}")
@@ -497,7 +497,7 @@ def test_a_port_is_opened_for_one_program_alone():
 
 @needs_pty
 def test_unplugging_a_real_tty_is_a_clear_error():
-    with PtyBoard(FakeFirmware(ChipPins(SimulatedChip(World(seed=1)), DeviceClock()))) as board:
+    with PtyBoard(FakeFirmware(ChipPins(SimulatedChip(World(seed=1)), WorkClock()))) as board:
         bus = open_bus(f"serial:{board.path}")
         board.unplug()
         before = time.monotonic()

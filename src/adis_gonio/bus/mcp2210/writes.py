@@ -8,11 +8,14 @@ asked waits for it as long as he likes.
 from __future__ import annotations
 
 import contextlib
+import time
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Protocol
 
 WRITE_S = 1.0
 """Time for a write. A board takes a report within 1 ms, but a busy host may be away for longer."""
+AT_ONCE_S = 0.5
+"""What fails later than this was not taken; a device that is gone fails at once."""
 LONGEST_WRITE_S = 6.0
 """Until then the kernel has given a write up."""
 
@@ -54,8 +57,15 @@ class TimedWrites:
         """Send a report with a leading report id; a negative number is a failure."""
         if self._last is not None and not wait([self._last], self._timeout_s).done:
             raise TimeoutError("an earlier report is still on its way")
-        self._last = self._thread.submit(self._device.write, data)
+        self._last = self._thread.submit(self._write, data)
         return self._last.result(self._timeout_s)
+
+    def _write(self, data: bytes) -> int:
+        begin_s = time.monotonic()
+        sent = self._device.write(data)
+        if sent < 0 and time.monotonic() - begin_s > AT_ONCE_S:
+            raise TimeoutError("hidapi's own time-out")
+        return sent
 
     def read(self, size: int, timeout_ms: int = 0, /) -> list[int]:
         """A report, or nothing in time; `OSError` once the device is gone."""

@@ -73,10 +73,7 @@ class SerialPort:
             raise gone(self._url) from error
 
     def close(self) -> None:
-        """Give the port back. What a board that hangs has not taken is thrown away."""
-        # Linux would wait for it in close, for 30 s. termios.error is no OSError.
-        with contextlib.suppress(Exception):
-            self._port.reset_output_buffer()
+        """Give the port back. Linux waits up to 30 s where a board that hangs has not taken all bytes."""
         with contextlib.suppress(OSError):
             self._port.close()
 
