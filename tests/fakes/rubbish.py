@@ -60,7 +60,7 @@ class Rubbish:
         """Random bytes, or a right answer that was cut, lengthened or changed."""
         dice = self.dice
         kind = dice.randrange(8)
-        if kind == 0:
+        if kind == 0 or len(right) < kind:  # a short answer has little to change
             return dice.randbytes(dice.randrange(LONGEST))
         if kind == 1:
             return dice.randbytes(len(right))
@@ -121,7 +121,7 @@ class _Bench:
         """Use buses until so many bytes went in."""
         dice = self.rubbish.dice
         while self.rubbish.fed < count:
-            self.rubbish.only_what_shows = not self.rubbish.only_what_shows
+            self.rubbish.only_what_shows = dice.random() < 0.4
             try:
                 self.rubbish.on = dice.random() < 0.3  # seldom an opening survives rubbish
                 bus = open_bus()
