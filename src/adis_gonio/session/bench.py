@@ -8,9 +8,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from adis_gonio.bus import Capability
 from adis_gonio.errors import SessionError, UsageError
 from adis_gonio.model.records import Floats
+from adis_gonio.sensor.data_ready import USED_BY
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.sensor.registers import REGISTERS
 from adis_gonio.sensor.scanning import ScanStream
@@ -152,12 +152,12 @@ class Bench:
         """Set the sensor up as the settings say; return all registers before and after."""
         settings = self.settings
         before = self.sensor.read_all()
-        streams = Capability.STREAM in self.sensor.bus.capabilities
+        used = bool(USED_BY & self.sensor.bus.capabilities)
         self.configuration = self.sensor.configure(
             smpl_prd=settings.smpl_prd,
             filter_m=settings.filter_m,
             gyro_range_dps=settings.gyro_range_dps,
-            data_ready=streams if settings.data_ready is None else settings.data_ready,
+            data_ready=used if settings.data_ready is None else settings.data_ready,
         )
         self.period_s = self.configuration.sample_period_s
         self.settle_s = max(settings.settle_s, self.configuration.settling_s)
@@ -187,7 +187,10 @@ class Bench:
         """The running stream of scans, opened when first needed; two blocks fill a window."""
         if self._stream is None:
             block_scans = max(8, self.window // 2)
-            self._stream = self.sensor.stream(self.settings.registers, block_scans=block_scans)
+            # The session has set the registers, and they stay as the archive says.
+            self._stream = self.sensor.stream(
+                self.settings.registers, block_scans=block_scans, leave_registers=True
+            )
         return self._stream
 
     def close_stream(self) -> None:
