@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from adis_gonio.fitting.flicker import MOST_MODES, covariance_of_means, modes, scatter_of_means
-from adis_gonio.fitting.spectrum import noise_of_means
 from adis_gonio.sim.noise import Flicker
 
 
@@ -62,24 +61,3 @@ def test_few_dwells_keep_all_modes_and_many_the_slowest() -> None:
     drift = begin - begin.mean()
     slow = drift @ factor
     assert slow @ slow == pytest.approx(drift @ covariance @ drift, rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("dwell_s", "filter_m", "allan_mg"), [(5.0, 2, 0.3), (10.0, 5, 0.1), (40.0, 2, 0.1)]
-)
-def test_strong_flicker_is_not_taken_for_noise_that_averages_out(dwell_s, filter_m, allan_mg) -> None:
-    """White noise through the chip's filter plus 1/f noise, 24 dwells: each is told for what it is."""
-    rng = np.random.default_rng(5)
-    n, rate, white_mg, taps = int(819.2 * dwell_s), 819.2, 4.7, 2**filter_m
-    flicker = Flicker(np.full(2, allan_mg), np.random.default_rng(6))
-    window = np.convolve(np.full(taps, 1 / taps), np.full(taps, 1 / taps))
-    dwells = []
-    for k in range(24):
-        raw = rng.normal(0, white_mg, (2, n + 2 * taps - 2))
-        filtered = np.stack([np.convolve(row, window, "valid") for row in raw], axis=1)
-        dwells.append(filtered + flicker.at(k * (dwell_s + 4.5) + np.arange(n) / rate))
-    noise = noise_of_means(dwells)
-    white = np.sqrt(np.diagonal(noise.covariance[0]) * n) / white_mg
-    np.testing.assert_allclose(white, 1.0, atol=0.2)
-    # The lowest ordinates of 24 dwells tell the level to a fifth.
-    assert np.sqrt(noise.flicker.mean()) == pytest.approx(allan_mg, rel=0.35)

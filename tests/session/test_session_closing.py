@@ -326,16 +326,11 @@ def test_a_model_that_is_not_adequate_and_has_no_advice_left_says_so(monkeypatch
 
 def test_what_cannot_be_reached_is_named_at_the_end(monkeypatch):
     warm = (measurement(45.0, temperature_c=35.0),)
-    open_still = {"adequate": False}
-    said = advised(monkeypatch, warm, reach=lambda p: p.temperature_c is None, **open_still)
+    said = advised(monkeypatch, warm, reach=lambda position: position.temperature_c is None)
     assert said.positions == ()
     assert "45°, with the part at 35 °C" in said.ended
-    (asked,) = advised(monkeypatch, warm, **open_still).positions
+    (asked,) = advised(monkeypatch, warm).positions
     assert asked.temperature_c == 35.0
-    # Positions come first, and an adequate model is not worth another temperature.
-    (first,) = advised(monkeypatch, (measurement(90.0), *warm), **open_still).positions
-    assert first == Position(90.0)
-    assert "45°, with the part at 35 °C" in advised(monkeypatch, warm).ended
 
 
 def test_a_session_that_cannot_be_traced_ends_the_loop_in_one_line(path):

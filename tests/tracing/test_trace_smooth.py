@@ -75,7 +75,7 @@ def test_evidence_is_the_ratio_of_gaussian_densities(inflation: float) -> None:
         term = candidate.term
         at = base.prediction
         mg = as_reading(term, term.columns(at.ideal_mg, data.conditions), at)
-        white = free.T @ (at.whiten @ mg).reshape(len(target), -1)
+        white = free.T @ at.white(mg)
         cover = noise + term.shrinkage**2 * white @ white.T
         something = stats.multivariate_normal(cov=cover).logpdf(free.T @ target)
         assert score == pytest.approx(something - nothing - candidate.price, abs=1e-6)

@@ -217,9 +217,13 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
     lines = []
     for first, others in groups.items():
         text = first
-        if others:
-            more = f" or {len(others) - most} more" if len(others) > most else ""
-            text = f"{first} — or {', or '.join(others[:most])}{more}"
+        named = [name for name in others if not name.startswith("unnamed")]
+        nameless = [name for name in others if name.startswith("unnamed")]
+        told = named[:most] + nameless[:1]
+        if told:
+            more = len(named[most:]) + len(nameless[1:])
+            kind = "forms without a name" if not named[most:] else "more"
+            text = f"{first} — or {', or '.join(told)}" + (f" (or {more} other {kind})" if more else "")
         reason = result.reasons.get(first)
         lines.append(f"{text}: {reason}" if reason else text)
     return lines

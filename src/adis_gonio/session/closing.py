@@ -8,7 +8,6 @@ positions, or at a limit.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
@@ -102,14 +101,10 @@ class TraceAdvisor:
         self.result, self.dwells = result, len(session.dwells)
         summary = where_it_stands(result, len(session.dwells))
         wanted = [m for m in result.measurements if m.purpose == "decide" or not tested(result)]
-        # An adequate model is not worth another temperature or supply: that stays advice.
-        closing = result.adequate and tested(result)
-        within = [m for m in wanted if reachable(_position(m)) and (m.by_position or not closing)]
+        within = [m for m in wanted if reachable(_position(m))]
         left = self.most - visited
         if within and left > 0:
-            # Positions before the first other temperature or supply, which brings its own effects in.
-            positions = list(itertools.takewhile(lambda m: m.by_position, within))
-            chosen = (positions or within)[: min(AT_ONCE, left)]
+            chosen = within[: min(AT_ONCE, left)]
             return Advice(tuple(_position(m) for m in chosen), sentences(chosen), "", summary)
         return Advice((), (), _ended(result, wanted, within, visited), summary)
 

@@ -21,7 +21,7 @@ from adis_gonio.tracing.gates import linear
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.smooth import Process, evidence, processes
-from adis_gonio.tracing.state import Prediction, Refit, as_reading, refit
+from adis_gonio.tracing.state import Refit, as_reading, refit
 from adis_gonio.tracing.terms import Driver, NamelessTerm, Term
 
 WINDOW = 6.0
@@ -146,16 +146,10 @@ def _named_columns(data: Observations, selection: Selection) -> list[Floats]:
     """Whitened columns of all parameters of the named terms."""
     at = selection.fit.prediction
     return [
-        _white(at, as_reading(term, term.derivative(values, at.ideal_mg, data.conditions), at))
+        at.white(as_reading(term, term.derivative(values, at.ideal_mg, data.conditions), at))
         for term, values in zip(selection.model, selection.fit.state.values, strict=True)
         if term.name is not None
     ]
-
-
-def _white(at: Prediction, columns: Floats) -> Floats:
-    turned = at.whiten @ columns
-    flat: Floats = turned.reshape(-1, turned.shape[2])
-    return flat
 
 
 def _orthonormal(columns: Floats) -> Floats:
@@ -223,7 +217,7 @@ def _ridge(
 ) -> tuple[Floats, Floats, float]:
     """Values of all parameters, their covariance in units of the noise, and degrees of freedom used."""
     at = selection.fit.prediction
-    blocks = [_white(at, as_reading(t, t.columns(at.ideal_mg, data.conditions), at)) for t in terms]
+    blocks = [at.white(as_reading(t, t.columns(at.ideal_mg, data.conditions), at)) for t in terms]
     columns = np.concatenate([fixed, *blocks], axis=1)
     priors = [np.zeros(fixed.shape[1])]
     for term, block in zip(terms, blocks, strict=True):

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adis_gonio.model.effects import AXES, Conditions, catalogue, effect
+from adis_gonio.model.effects import AXES, Conditions, catalogue
 from adis_gonio.model.records import Floats, Session
 from adis_gonio.tracing.design import linearise, span
 from adis_gonio.tracing.grammar import nameless_terms
@@ -358,17 +358,13 @@ def _left(
 
 def _series_views(session: Session, result: TraceResult) -> Views:
     """The same for one pose as a time series: residuals of single samples."""
-    from adis_gonio.tracing.series import _conditions, _mg
+    from adis_gonio.tracing.series import mg_per_unit, series_columns, series_conditions
 
     dwell = next(dwell for dwell in session.dwells if len(dwell))
-    readings = dwell.accel * _mg(session, dwell)
-    conditions = _conditions(dwell)
+    readings = dwell.accel * mg_per_unit(session, dwell)
+    conditions = series_conditions(dwell)
     axes = readings.shape[1]
-    blocks: dict[str, Floats] = {}
-    for finding in result.found:
-        columns = _series_columns(finding, conditions, axes)
-        if columns is not None:
-            blocks[finding.effect] = columns
+    blocks = {finding.effect: series_columns(finding, conditions, axes) for finding in result.found}
     after = _series_left(readings, list(blocks.values()))
     steps = []
     for step in result.steps:
@@ -379,7 +375,7 @@ def _series_views(session: Session, result: TraceResult) -> Views:
         name = (covariates_of(catalogue()[step.effect]) or ("time",))[0]
         x = _series_covariate(conditions, name)
         if step.effect == "thermal_lag":
-            name, x = "temperature_lag", blocks[step.effect][:, 0, 0]
+            name, x = "temperature_lag", blocks[step.effect][0][:, 0]
         steps.append(StepView(step.effect, _series_panels(name, x, before, after), beside_all=True))
     left: list[Panel] = []
     base = _series_left(readings, [])
@@ -388,13 +384,11 @@ def _series_views(session: Session, result: TraceResult) -> Views:
     return Views(tuple(steps), tuple(left))
 
 
-def _series_left(readings: Floats, blocks: Sequence[Floats]) -> Floats:
-    """Readings (n, axes) minus the best constant and columns (n, axes, d) of each axis."""
+def _series_left(readings: Floats, blocks: Sequence[Sequence[Floats]]) -> Floats:
+    """Readings (n, axes) minus the best constant and columns of each axis, each block (n, d) by axis."""
     left = np.empty_like(readings)
     for axis in range(readings.shape[1]):
-        design = np.concatenate(
-            [np.ones((len(readings), 1)), *(block[:, axis] for block in blocks)], axis=1
-        )
+        design = np.concatenate([np.ones((len(readings), 1)), *(block[axis] for block in blocks)], axis=1)
         size = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
         solved = np.linalg.lstsq(design / size, readings[:, axis], rcond=None)[0]
         left[:, axis] = readings[:, axis] - design / size @ solved
@@ -424,24 +418,6 @@ def _series_panels(name: str, x: Floats, before: Floats, after: Floats) -> tuple
         )
         for k in range(before.shape[1])
     )
-
-
-def _series_columns(finding: Finding, conditions: Conditions, axes: int) -> Floats | None:
-    """Columns (n, axes, d) of a finding's amplitudes, its shapes as found."""
-    choices = {}
-    if "degree" in catalogue()[finding.effect].choices():
-        degree = len(finding.parameters) // max(len(finding.axes), 1)
-        choices = {"degree": degree}
-    made = effect(finding.effect, finding.axes, **choices)
-    values = np.array(
-        [finding.parameters[p.name].value if p.name in finding.parameters else 0.0 for p in made.parameters]
-    )
-    slope = made.derivative(values, np.ones((len(conditions), axes)), conditions)
-    free = [k for k, parameter in enumerate(made.parameters) if not parameter.shape]
-    width = len(free) // axes
-    if not width:
-        return None
-    return np.stack([slope[:, k, free[k * width : (k + 1) * width]] for k in range(axes)], axis=1)
 
 
 __all__ = ["Panel", "StepView", "Views", "views"]

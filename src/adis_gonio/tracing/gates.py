@@ -17,13 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.model.records import Floats
-from adis_gonio.tracing.heldout import folds
+from adis_gonio.tracing.heldout import PREDICTED, folds
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.state import Refit, as_reading, base_columns
 from adis_gonio.tracing.terms import NamedTerm, Term
 
-PREDICTED = 4.0
-"""Largest variance of a held-out direction, in units of its noise, that still counts as a prediction."""
 ROBUST = 3.0
 """Standard uncertainties from which the loss c² ln(1 + z²/c²) leaves the square."""
 CONTRADICTED = 1.0

@@ -1,7 +1,8 @@
 """Errors on dwells that took no part: `check` dwells, else folds with the selection inside the fold.
 
-Folds are made of whole dwells: every fifth one, and, where positions repeat so that no fold leaves a gap of
-angles, blocks of time. Plain leave-one-out flatters a model where poses repeat.
+Folds are made of whole dwells: every fifth one; where positions repeat so that no fold leaves a gap of
+angles, blocks of time; and all dwells about one body axis. Plain leave-one-out flatters a model where poses
+repeat: another dwell of the same pose stands in for the one that was left out.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.observations import Observations
-from adis_gonio.tracing.state import Refit, State, angles, predict, refit, settle
+from adis_gonio.tracing.state import Refit, State, angles, base_columns, begin, predict, refit, settle
 from adis_gonio.tracing.terms import Term
 
 FOLDS = 5
@@ -24,6 +25,11 @@ REACH = 0.5
 """Share of the range of what a term added, by which it may go beyond on other dwells."""
 SHORT = 16
 """Up to so many dwells each is left out alone: a fifth less of them would be another session."""
+PREDICTED = 4.0
+"""Largest variance of a held-out prediction, in units of its noise, that still counts as a prediction."""
+BY_AXIS = "body axes"
+REPEATED = np.deg2rad(2.0)
+"""Dwells nearer to one another than this are in one position."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +154,52 @@ def folds(data: Observations) -> dict[str, list[NDArray[np.bool_]]]:
     blocks = [order * BLOCKS // n == k for k in range(BLOCKS)]
     if n >= 2 * BLOCKS and _poses_repeat(data, blocks):
         designs["blocks of time"] = blocks
+    by_axis = _about_axes(data)
+    if by_axis and 2 * int(determined(data, by_axis).sum()) >= n:
+        designs[BY_AXIS] = by_axis
     return designs
+
+
+def _about_axes(data: Observations) -> list[NDArray[np.bool_]]:
+    """Masks (n,) of the dwells whose gravity lies nearest each end of each body axis.
+
+    In one plane only where positions repeat, since a turn whose positions are all different has no dwell
+    that stands in for another, and a quarter of it that is missing is another session.
+    """
+    if data.planar:
+        theta = data.conditions.angle_rad
+        if theta is None:
+            return []
+        apart = np.abs(np.mod(theta[:, None] - theta[None, :] + np.pi, 2 * np.pi) - np.pi)
+        if 2 * int(((apart < REPEATED).sum(axis=1) > 1).sum()) < len(data):
+            return []
+    size = np.abs(data.mean_mg)
+    nearest = size.argmax(axis=1)
+    up = np.take_along_axis(data.mean_mg, nearest[:, None], axis=1)[:, 0] > 0
+    groups = 2 * nearest + up
+    return [groups == group for group in np.unique(groups)]
+
+
+def determined(data: Observations, masks: Sequence[NDArray[np.bool_]]) -> NDArray[np.bool_]:
+    """Dwells (n,) that the dwells outside their fold predict by the base model with a bias on each axis.
+
+    With X the whitened columns, the prediction of held-out rows has covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in
+    units of the noise. A dwell counts up to a variance of `PREDICTED`; beyond, its error is that of a fit
+    that has never seen the axis, not of the model.
+    """
+    at = predict(data, (), begin(data))
+    zero = np.tile(data.gravity_mg * np.eye(data.axes), (len(data), 1, 1))
+    columns = at.whiten @ np.concatenate([base_columns(data, begin(data), at), zero], axis=2)
+    out = np.zeros(len(data), dtype=bool)
+    for mask in masks:
+        rest = columns[~mask].reshape(-1, columns.shape[2])
+        size = np.maximum(np.linalg.norm(rest, axis=0), 1e-300)
+        _, s, vt = np.linalg.svd(rest / size, full_matrices=False)
+        if len(s) < columns.shape[2] or s[-1] < 1e-8 * s[0]:
+            continue
+        carried = (columns[mask] / size) @ (vt.T / s)
+        out[mask] = (1 + (carried**2).sum(axis=2)).max(axis=1) <= PREDICTED
+    return out
 
 
 def _poses_repeat(data: Observations, blocks: list[NDArray[np.bool_]]) -> bool:
@@ -174,7 +225,10 @@ def cross_validate(
     designs: dict[str, list[NDArray[np.bool_]]],
     fit: Callable[[Observations], tuple[Sequence[Term], Refit]],
 ) -> dict[str, Left]:
-    """Left-out residuals of every dwell under each design; `fit` selects and fits on the other dwells."""
+    """Left-out residuals of every dwell under each design; `fit` selects and fits on the other dwells.
+
+    Under the design by axes, of those that the others determine.
+    """
     out = {}
     for name, masks in designs.items():
         residual = np.full(data.mean_mg.shape, np.nan)
@@ -186,6 +240,9 @@ def cross_validate(
             residual[mask], whitened[mask] = left.residual_mg, left.whitened2
             if left.angle_rad is not None:
                 turned[mask] = left.angle_rad
+        if name == BY_AXIS:
+            counts = determined(data, masks)
+            residual, turned, whitened = residual[counts], turned[counts], whitened[counts]
         out[name] = Left(residual, None if np.isnan(turned).any() else turned, whitened)
     return out
 

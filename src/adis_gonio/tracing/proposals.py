@@ -386,9 +386,8 @@ def _greedy(
         predicted = _predict(data, inflation, hypotheses, options, places)
         gain = _information(weights, set_of, predicted) - known
         effort = np.array([place.effort for place in options])
-        # Another temperature or supply brings its own effects in: only where no position decides.
-        conditions = np.array([place.conditions for place in options])
-        for k in np.lexsort((-gain / effort, conditions)).tolist():
+        for k in np.argsort(-gain / effort)[:20].tolist():
+            # The order of the grid would decide between equals; so does what was rounded.
             if gain[k] < LEAST_INFORMATION[purpose]:
                 continue
             with_it = predicted.of(k).after(set_of)

@@ -25,20 +25,25 @@ class ErrorFigures:
         Angle from the reading by the calibrated goniometer minus declared angle, over these dwells.
     chi2_per_dof : float or None
         None where the noise of a reading is not known or no degree of freedom is left.
+    heldout_by_axis_mg : mapping of str to float or None
+        The held-out error axis by axis, where one pose is traced sample by sample.
     """
 
     residual_rms_mg: float
     heldout_rms_mg: float | None
     angle_rms_deg: float | None
     chi2_per_dof: float | None
+    heldout_by_axis_mg: dict[str, float] | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """The keys of `error.before`."""
+        """The keys of `error.before`; errors by axis where there are any."""
+        by_axis = self.heldout_by_axis_mg
         return {
             "residual_rms_mg": finite_or_none(self.residual_rms_mg),
             "heldout_rms_mg": finite_or_none(self.heldout_rms_mg),
             "angle_rms_deg": finite_or_none(self.angle_rms_deg),
             "chi2_per_dof": finite_or_none(self.chi2_per_dof),
+            **({} if by_axis is None else {"heldout_by_axis_mg": dict(by_axis)}),
         }
 
 
@@ -211,8 +216,8 @@ class Measurement:
             "wait_s": self.wait_s,
             "temperature_c": self.temperature_c,
             "supply_v": self.supply_v,
-            "separation": _number(self.separation),
-            "information": _number(self.information),
+            "separation": finite_or_none(self.separation),
+            "information": finite_or_none(self.information),
             "purpose": self.purpose,
             "separates": [list(self.one), list(self.other)],
             "sentence": self.sentence,

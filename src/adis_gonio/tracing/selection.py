@@ -84,9 +84,15 @@ def select(
     before: tuple[str, ...] | None = None
     for _ in range(rounds):
         problem = linearise(data, model, state, terms)
-        if _mostly_bias(problem):
+        constants = _mostly_bias(problem)
+        if constants is not None:
             # A constant that is far larger than what is left beside it is no part of a function's form.
             terms = [term for term in terms if not (isinstance(term, NamelessTerm) and term.with_constant)]
+            if not model and max_terms:
+                # Its square, b²/2G, may be many times the noise: candidates are judged about the state
+                # that has it, or they would be chosen for what the linear problem leaves of it.
+                state = fit_model(data, problem, [constants], state).state
+                model = (problem.terms[constants],)
             problem = linearise(data, model, state, terms)
         while True:
             found = search(problem, max_terms, inflation, beam)
@@ -105,9 +111,14 @@ def select(
         linear = problem.chi2 - 2 * inflation * found.explained(verdict.best)
         settled = abs(linear - fit.chi2) < 1.0 * inflation or labels == before
         state, before = fit.state, labels
+        if data.known and inflation > 1 and adequacy(fit.chi2, fit.dof, data.noise_dof) >= ADEQUATE:
+            # What asked for more noise was the linear problem's error, not the model's.
+            inflation, settled = 1.0, False
         if settled:
             break
     p = adequacy(fit.chi2, fit.dof, data.noise_dof) if data.known else 1.0
+    if p < ADEQUATE:
+        inflation = max(inflation, fit.chi2 / fit.dof)  # uncertainties by what the final model leaves
     return Selection(problem, found, verdict, model, base, fit, inflation, p >= ADEQUATE)
 
 
@@ -153,12 +164,12 @@ def _inflated(
     return found, inflation
 
 
-def _mostly_bias(problem: Problem) -> bool:
-    """True where constants alone explain nearly all of the base model's excess."""
+def _mostly_bias(problem: Problem) -> int | None:
+    """Number of the bias on most axes, where it alone explains nearly all of the base model's excess."""
     constants = [k for k, term in enumerate(problem.terms) if term.name == "bias"]
-    if not constants or not any(isinstance(t, NamelessTerm) and t.with_constant for t in problem.terms):
-        return False
+    if not constants:
+        return None
     widest = max(constants, key=lambda k: problem.width[k])
     left = float((span(problem, [widest])[1] ** 2).sum()) - problem.dof
     excess = problem.chi2 - problem.dof
-    return excess > 0 and left < (1 - MOSTLY) * excess
+    return widest if excess > 0 and left < (1 - MOSTLY) * excess else None

@@ -110,7 +110,7 @@ def evidence(
         key = (id(term.driver), term.where, term.axes)
         if key not in spectra:
             columns = as_reading(term, term.columns(at.ideal_mg, data.conditions), at)
-            white = (at.whiten @ columns).reshape(len(target), -1)
+            white = at.white(columns)
             white = white - beside @ (beside.T @ white)
             values, vectors = np.linalg.eigh(white.T @ white)
             spectra[key] = np.maximum(values, 0.0), (vectors.T @ (white.T @ target)) ** 2

@@ -14,7 +14,7 @@ from adis_gonio.tracing.averaging import Averaged, average
 from adis_gonio.tracing.detect import detectable
 from adis_gonio.tracing.gates import held_out_gains
 from adis_gonio.tracing.grammar import nameless_terms
-from adis_gonio.tracing.heldout import bounded, cross_validate, folds, leave, rms
+from adis_gonio.tracing.heldout import Left, bounded, cross_validate, folds, leave, rms
 from adis_gonio.tracing.named import named_terms
 from adis_gonio.tracing.naming import Names, describe, judge
 from adis_gonio.tracing.observations import Observations, observe
@@ -39,7 +39,7 @@ BASE_SPACE = (
 WORSE = 1.05
 """Largest held-out error of the final model in units of the base model's."""
 LEAST_DWELLS = 5
-"""Least dwells of which any are left out."""
+"""Least dwells of which some are left out of the selection as well."""
 
 
 def trace(session: Session, max_effects: int = 6) -> TraceResult:
@@ -278,7 +278,7 @@ def _figures(
         lefts = [[leave(checking, bounded(data, m, f), f.state)] for m, f in zip(nested, fits, strict=True)]
         design = f"{len(checking)} check dwells"
     elif len(data) < LEAST_DWELLS:
-        lefts, design = [[] for _ in nested], "too few dwells to leave any out"
+        lefts, design = _figures_of_few(data, nested, fits)
     else:
         designs = folds(data)
         design = "; ".join(f"{name} ({len(masks)} folds)" for name, masks in designs.items())
@@ -287,7 +287,11 @@ def _figures(
             lefts.append(list(cross_validate(data, designs, _keeping(model, fitted.state)).values()))
         if len(nested) > 1:
             lefts.append(list(cross_validate(data, designs, fold.chosen_anew).values()))
-            design += ", effects chosen anew in each"
+            design += "; effects chosen anew in each fold"
+            if fold.averaged is None:
+                kept = cross_validate(data, designs, _keeping(nested[-1], fits[-1].state)).values()
+                error = rms(np.concatenate([part.residual_mg for part in kept]), data.planar)
+                design += f", {error:.3g} mg with those found kept"
     figures = []
     for fitted, left in zip(fits, lefts, strict=True):
         residual = [part.residual_mg for part in left]
@@ -301,6 +305,30 @@ def _figures(
             )
         )
     return figures, design
+
+
+def _figures_of_few(
+    data: Observations, nested: list[tuple[Term, ...]], fits: Sequence[Refit]
+) -> tuple[list[list[Left]], str]:
+    """Each dwell left out alone with the effects kept, where the others determine the final model.
+
+    The others are too few to choose effects from: only the values are fitted anew.
+    """
+    singles = [np.arange(len(data)) == k for k in range(len(data))]
+    model, state = nested[-1], fits[-1].state
+    columns = len(state.base) + sum(len(values) for values in state.values)
+    rest = [_keeping(model, state)(data.rows(~mask))[1] for mask in singles]
+    if any(fit.prediction.residual.size - fit.dof < columns for fit in rest):
+        return [[] for _ in nested], (
+            f"the model has {columns} parameters: {len(data) - 1} dwells do not determine it, so that none "
+            "could be left out"
+        )
+    design = f"each of {len(data)} dwells in turn, effects kept: the others are too few to choose any from"
+    designs = {design: singles}
+    return [
+        list(cross_validate(data, designs, _keeping(model, fitted.state)).values())
+        for model, fitted in zip(nested, fits, strict=True)
+    ], design
 
 
 def _guarding(
@@ -498,7 +526,7 @@ def _notes(data: Observations, selection: Selection) -> tuple[str, ...]:
             "the noise of a reading is not known; it was estimated from the residual, so that adequacy "
             "cannot be tested"
         )
-    elif selection.inflation > 1:
+    elif selection.inflation > 1 and not selection.adequate:
         notes.append(
             f"no model explains the residual down to the measured noise; effects were judged against "
             f"{np.sqrt(selection.inflation):.2g} times that noise"
