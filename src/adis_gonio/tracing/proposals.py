@@ -166,8 +166,8 @@ def label(term: Term) -> str:
     """Name; of a nameless term what it changes, and with what."""
     if term.name is not None:
         return term.name
-    where = {"bias": "zero", "gain": "gain", "angle": "true angle"}
-    enters = where[term.where] if isinstance(term, NamelessTerm) else "reading"
+    where = {"bias": "zero", "gain": "gain", "angle": "true angle", "lean": "lean of the part"}
+    enters = where.get(str(term.where), "reading") if isinstance(term, NamelessTerm) else "reading"
     drivers = [_DRIVERS.get(name, name.replace("_", " ")) for name in term.covariates]
     return f"an unnamed change of the {enters} with {' and '.join(drivers)}"
 
