@@ -7,7 +7,7 @@ import pytest
 
 from adis_gonio.fitting.flicker import covariance_of_means, modes
 from adis_gonio.tracing.design import linearise, span
-from adis_gonio.tracing.gates import _linear
+from adis_gonio.tracing.gates import linear
 from adis_gonio.tracing.named import named_terms
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.search import search
@@ -99,7 +99,7 @@ def test_problem_refit_and_gates_agree_on_chi2() -> None:
     terms = named_terms(data)[0]
     problem = linearise(data, (), fit.state, terms)
     assert problem.chi2 == pytest.approx(fit.chi2, rel=1e-3)
-    base, _, target = _linear(data, (), fit)
+    base, _, target = linear(data, (), fit)
     left = target - base @ np.linalg.lstsq(base, target, rcond=1e-10)[0]
     assert left @ left == pytest.approx(fit.chi2, rel=1e-3)
     k = next(i for i, term in enumerate(problem.terms) if term.label == "bias_drift[y]")
