@@ -101,14 +101,14 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
         nested, figures = nested[: count + 1], figures[: count + 1]
         dropped, averaged = {**dropped, **cut}, None
     unnamed = _unnamed(training, selection, averaged)
-    if averaged is not None:
-        selection = _with_average(training, selection, averaged)
-    found = tuple(_finding(selection, name) for name in names.stand)
+    final = selection if averaged is None else _with_average(training, selection, averaged)
+    found = tuple(_finding(final, name) for name in names.stand)
     seen = detectable(selection.found, selection.verdict.best, missing)
     rivals = _rivals(selection)
-    advice, measurements = advise(data, training, selection, terms, names.confounded)
+    open_still = replace(selection, adequate=final.adequate)
+    advice, measurements = advise(data, training, open_still, terms, names.confounded)
     return TraceResult(
-        adequate=selection.adequate,
+        adequate=final.adequate,
         found=found,
         steps=tuple(
             Step(label, error) for label, error in zip(labels[: len(nested) - 1], figures[1:], strict=True)
@@ -121,12 +121,12 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
         advice=advice,
         measurements=measurements,
         rivals=rivals,
-        base=_base(data, selection.fit, selection.inflation),
+        base=_base(data, final.fit, final.inflation),
         reasons={**names.open, **dropped},
         notes=_notes(data, selection),
         heldout_design=design,
-        model=selection.model,
-        state=selection.fit.state,
+        model=final.model,
+        state=final.fit.state,
     )
 
 
