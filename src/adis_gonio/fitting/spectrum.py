@@ -229,26 +229,52 @@ def _whittle_with_flicker(
 
 def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
     """True where the lowest ordinates follow a power of f near −1 better than the foot of a filter does."""
+    lowest = _lowest(groups)
+    if lowest is None:
+        return False
+    k, total, mean = lowest
+    one = np.ones(_SLOPE)
+    power, _, by_power = _whittle(np.stack([one, np.log(k)], axis=1), total, mean)
+    low, high = _FLICKER_POWER
+    return bool(low < power[1] < high and by_power < _by_filter(k, total, mean) - _CLEARLY)
+
+
+def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
+    """True where the lowest ordinates follow white noise plus h/f better than the foot of a filter does.
+
+    Over a wide band the fall of a long filter looks like h/f beside a polynomial; here it is flat.
+    """
+    lowest = _lowest(groups)
+    if lowest is None:
+        return False
+    k, total, mean = lowest
+    _, _, by_flicker = _whittle_with_flicker(np.ones((_SLOPE, 1)), _SLOPE / k, total, mean)
+    return by_flicker < _by_filter(k, total, mean) - _CLEARLY
+
+
+def _by_filter(k: Floats, total: Floats, mean: Floats) -> float:
+    """−2 log likelihood of the foot of a filter over the lowest ordinates."""
+    x2 = (k / _SLOPE) ** 2
+    return _whittle(np.stack([np.ones(_SLOPE), x2, x2**2], axis=1), total, mean)[2]
+
+
+def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
+    """Numbers, weights and pooled means of the lowest ordinates; None where no dwell has so many."""
     groups = [group for group in groups if len(group.weight) > _SLOPE]
     if not groups:
-        return False
-    k = np.arange(1, _SLOPE + 1)
+        return None
     total, moment = np.zeros(_SLOPE), np.zeros(_SLOPE)
     for group in groups:
         auto = np.diagonal(group.cross[:, :_SLOPE], axis1=2, axis2=3)
         own = auto.mean(axis=1, keepdims=True)
         total += len(group.dwell) * auto.shape[2]
         moment += np.where(own > 0, auto / np.where(own > 0, own, 1.0), 0.0).sum(axis=(0, 2))
-    mean = np.maximum(moment / total, 1e-12)
-    one, x2 = np.ones(_SLOPE), (k / _SLOPE) ** 2
-    power, _, by_power = _whittle(np.stack([one, np.log(k)], axis=1), total, mean)
-    _, _, by_filter = _whittle(np.stack([one, x2, x2**2], axis=1), total, mean)
-    low, high = _FLICKER_POWER
-    return bool(low < power[1] < high and by_power < by_filter - _CLEARLY)
+    return np.arange(1.0, _SLOPE + 1), total, np.maximum(moment / total, 1e-12)
 
 
 def _choose_foot(groups: list[_Ordinates]) -> _Foot:
     best: _Foot | None = None
+    flicker = _flicker_at_foot(groups)
     band = 0.5
     while True:
         cells = _cells(groups, band)
@@ -271,7 +297,7 @@ def _choose_foot(groups: list[_Ordinates]) -> _Foot:
             if best is None or variance < best.log_zero_variance:
                 best = _Foot(band, float(at_zero @ beta), variance, total, beta)
             break
-        beside = _beside_flicker(x, weight, mean, inverse_x)
+        beside = _beside_flicker(x, weight, mean, inverse_x) if flicker else None
         if beside is not None:
             beta, covariance = beside
             at_zero = _basis(np.zeros(1), len(beta) - 1)[0]

@@ -202,8 +202,12 @@ def _open(
     floor = min(
         max(top - here, float(gained.max())) - found.window, float(np.partition(gained, -few)[-few])
     )
+    wanted = gained >= floor
+    if not model:
+        # Alone a named term may be far behind sixty nameless ones that do the work of two named ones.
+        wanted |= np.array([term.name is not None for term in problem.terms])
     fresh: dict[Model, float] = {}
-    for k in np.flatnonzero((gained >= floor) & np.isfinite(gained)):
+    for k in np.flatnonzero(wanted & np.isfinite(gained)):
         fresh[tuple(sorted((*model, int(number[k]))))] = here + float(gained[k])
     found.scores.update(fresh)
     return fresh
