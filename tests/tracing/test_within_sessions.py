@@ -104,12 +104,8 @@ def test_vibration_raises_the_scatter_and_moves_the_mean(tmp_path):
     (found,) = within(path)
     assert (found.kind, found.effect) == ("noise_change", None)
     # Of the same seed but without the effect: what is left of the difference is proportional to variance.
-    shift = np.array(
-        [
-            0.4672 * (a.accel[:, 0].mean() - b.accel[:, 0].mean())
-            for a, b in zip(session.dwells, other.dwells)
-        ]
-    )
+    means = [np.array([d.accel[:, 0].mean() for d in s.dwells]) * 0.4672 for s in (session, other)]
+    shift = means[0] - means[1]
     slope, _ = np.polyfit(variance, shift, 1)
     assert 1e6 * slope == pytest.approx(4000, rel=0.3)
 
