@@ -79,7 +79,7 @@ def test_ctrl_c_ends_it_with_the_register_set_back(board, tmp_path, piped):
         wait_until(lambda: out.exists() and out.read_text().count("\n") > 100)
         assert registers_of(board) == 4
         program.send_signal(signal.SIGINT)
-        screen, told = program.communicate(timeout=60) if piped else (None, program.stderr.read())
+        screen, told = program.communicate(timeout=300) if piped else (None, program.stderr.read())
     if not piped:
         screen = os.read(inner, 1 << 16).decode()
         os.close(inner)
@@ -97,18 +97,18 @@ def test_unplugging_is_one_line_and_what_came_before_it_is_kept(board, capsys, t
     out = tmp_path / "rest.csv"
 
     def unplug() -> None:
-        wait_until(lambda: out.exists() and out.read_text().count("\n") > 100)
-        board.unplug()
+        try:
+            wait_until(lambda: out.exists() and out.read_text().count("\n") > 100)
+        finally:
+            board.unplug()
 
     thread = threading.Thread(target=unplug)
     thread.start()
-    begin = time.monotonic()
     assert main(["stream", f"serial:{board.path}", *ACCEL, "-o", str(out)]) == 1
     thread.join()
     told = capsys.readouterr().err.splitlines()
     assert len(told) == 3, told
     assert told[2].startswith(f"adis-gonio: serial:{board.path}: ")
-    assert time.monotonic() - begin < 60
     scans, _ = counted(told[1])
     assert scans > 90
     assert sum(not line.startswith("#") for line in out.read_text().splitlines()) == scans + 1
@@ -125,7 +125,7 @@ def test_a_reader_that_goes_away_ends_it_cleanly(board):
 
 
 def wait_until(condition) -> None:
-    end_s = time.monotonic() + 60
+    end_s = time.monotonic() + 300  # a busy machine takes its time to start a program
     while not condition():
         assert time.monotonic() < end_s
         time.sleep(0.02)

@@ -16,7 +16,7 @@ from adis_gonio.model.records import Session
 from adis_gonio.report import words
 from adis_gonio.report.numbers import number, p_text, percent, uncertain, with_unit
 from adis_gonio.report.parts import Figure, Section, Table
-from adis_gonio.report.svg import Role, Series, plot
+from adis_gonio.report.svg import Role, Series, Style, plot
 from adis_gonio.tracing.figures import Panel, Views
 from adis_gonio.tracing.observations import Observations, observe
 from adis_gonio.tracing.result import TraceResult, Value, WithinFinding
@@ -34,6 +34,7 @@ _COVARIATES = {
     "approach": "side of approach",
     "variance": "variance within the dwell / mg²",
 }
+_ROLES: tuple[Role, Role] = ("before", "after")
 _MOST_PLACES = 24
 """Lines of the table of single dwells that one finding may take."""
 _SIDES = {-1.0: "from above", 1.0: "from below"}
@@ -172,12 +173,12 @@ def within(traced: TraceResult) -> Section:
     for finding in traced.within:
         view = finding.view
         if view is not None:
-            seen = Series(
-                view.x, view.y, "samples", role="before", style="points" if view.points else "line"
-            )
-            series = [seen]
+            # A line of the role "before" is dashed: with lines that is for what was fitted.
+            seen, fit = _ROLES if view.points else _ROLES[::-1]
+            style: Style = "points" if view.points else "line"
+            series = [Series(view.x, view.y, "samples", role=seen, style=style)]
             if len(view.model_x):
-                series.append(Series(view.model_x, view.model_y, "fitted", role="after", style="line"))
+                series.append(Series(view.model_x, view.model_y, view.model_label, role=fit, style="line"))
             drawn = plot(
                 series,
                 view.x_label,

@@ -126,7 +126,7 @@ def test_a_device_that_takes_nothing_is_a_time_out(bench: Bench, bridge: Bridge)
         with pytest.raises(BusTimeoutError):
             bus.exchange([0x0E00, 0])
         # Not after the 5 s that the kernel gives a write on hidraw; serial has five tries.
-        assert time.monotonic() - start < 4
+        assert time.monotonic() - start < 4.5
         bench.heal(port)
         assert supply_is_read(bus)
     with open_bus(bridge.url()) as bus:

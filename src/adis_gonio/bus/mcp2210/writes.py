@@ -12,8 +12,9 @@ import time
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Protocol
 
-WRITE_S = 1.0
-"""Time for a write. A board takes a report within 1 ms, but a busy host may be away for longer."""
+WRITE_S = 2.5
+"""Time for a write: longer than hidapi's own second on libusb, so that there none is left on its way, and
+half of the kernel's on hidraw. A board takes a report within 1 ms, but a busy host may be away."""
 AT_ONCE_S = 0.5
 """What fails later than this was not taken; a device that is gone fails at once."""
 LONGEST_WRITE_S = 6.0

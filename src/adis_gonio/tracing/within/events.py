@@ -341,6 +341,7 @@ def _finding(
     assert worst.value is not None
     when = "" if worst.time_s is None or kind == "settling" else f" at {worst.time_s:.1f} s"
     where = positions_text(positions, len(samples))
+    most = f", most in position {worst.position}" if len(positions) > 1 else ""
     return WithinFinding(
         kind=kind,
         effect=None,
@@ -349,7 +350,7 @@ def _finding(
         parameters={f"{name}_{worst.axis}": worst.value},
         p_value=p_value,
         sentence=(
-            f"{words} {where}, most in position {worst.position}: {worst.axis} by "
+            f"{words} {where}{most}: {worst.axis} by "
             f"{with_u(worst.value)}{when}; its mean is off by about "
             f"{number(abs(worst.shift_mg or 0.0), 2)} mg"
         ),

@@ -129,10 +129,16 @@ def _spikes_finding(
 ) -> WithinFinding:
     size, k, axis, top = worst
     positions = tuple(sorted({place.position for place in places}))
-    spoiled = tuple(sorted({p.position for p in places if abs(p.shift_mg or 0.0) > 0}))
+    noise = {
+        int(position): float(np.min(rows.std(axis=0))) / np.sqrt(len(rows))
+        for position, rows in zip(samples.position, samples.values, strict=True)
+    }
+    # Spikes that move a mean by less than a third of its noise do no harm.
+    spoiled = tuple(sorted({p.position for p in places if abs(p.shift_mg or 0.0) > noise[p.position] / 3}))
+    repeat = f"; repeat {positions_text(spoiled, 0)}, whose means they move" if spoiled else ""
     count = len(places)
     low, high = max(0, top - 40), min(len(samples.values[k]), top + 41)
-    time = samples.time_s[k][low:high]
+    time = samples.elapsed_s(k)[low:high]
     letter = samples.letters[axis]
     return WithinFinding(
         kind="spikes",
@@ -149,16 +155,13 @@ def _spikes_finding(
             f"largest {number(size)} mg"
         ),
         places=tuple(places),
-        advice=(
-            f"look for what makes the spikes (contacts, supply, a touch) and repeat "
-            f"{positions_text(spoiled, 0)}: their means hold the spikes"
-        ),
+        advice=f"look for what makes the spikes (contacts, supply, a touch){repeat}",
         view=View(
             time,
             samples.values[k][low:high, axis],
             np.zeros(0),
             np.zeros(0),
-            "time / s",
+            "time since the first sample / s",
             f"{letter} / mg",
             f"The largest spike: {letter}, position {samples.position[k]}.",
         ),
@@ -195,7 +198,7 @@ def stuck(samples: Samples, scatter: Floats) -> WithinFinding | None:
                         int(samples.position[k]),
                         samples.letters[axis],
                         float(samples.time_s[k][begin]),
-                        Value(float(longest), None, "1"),
+                        Value(float(longest), None, "samples"),
                     )
                 )
     if not places:
@@ -209,7 +212,7 @@ def stuck(samples: Samples, scatter: Floats) -> WithinFinding | None:
         effect=None,
         axes=tuple(sorted({place.axis for place in places})),
         positions=positions,
-        parameters={"longest": Value(run, None, "1")},
+        parameters={"longest": Value(run, None, "samples")},
         p_value=least_p,
         sentence=(
             f"one value repeats for up to {run:.0f} samples in {where}, longer than noise and converter "

@@ -62,7 +62,8 @@ class View:
         Points.
     model_x, model_y : (m,) float
         What the finding says of them.
-    x_label, y_label, caption : str
+    x_label, y_label, caption, model_label : str
+    y_log : bool
     points : bool
         True where y are single points rather than a course.
     """
@@ -74,6 +75,7 @@ class View:
     x_label: str
     y_label: str
     caption: str
+    model_label: str = "fitted"
     y_log: bool = False
     points: bool = False
 

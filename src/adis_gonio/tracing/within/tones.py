@@ -252,5 +252,6 @@ def _view(density: Density, period: float, axis: int, letter: str, frequency: fl
         "frequency / Hz",
         f"density of {letter} / mg/√Hz",
         f"Spectrum of {letter} inside the dwells, with a line at {number(frequency, 4)} Hz.",
+        model_label="noise",
         y_log=True,
     )
