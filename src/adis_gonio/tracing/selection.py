@@ -21,6 +21,10 @@ MOSTLY = 0.97
 """Share of the excess from which constants count as a bias of their own, not as part of another function:
 the constant is then more than five times what varies."""
 
+LARGEST = 0.5
+"""Most that a nameless term may add, in g or rad. Larger ones come from what the readings do not determine:
+a function and the base model that nearly cancel."""
+
 
 @dataclass(frozen=True)
 class Selection:
@@ -85,25 +89,29 @@ def select(
     for _ in range(rounds):
         problem = linearise(data, model, state, terms)
         constants = _mostly_bias(problem)
+        first = None
+        if constants is None and not model:
+            constants, first = _mostly_bias_refitted(data, problem, base)
         if constants is not None:
             # A constant that is far larger than what is left beside it is no part of a function's form.
             terms = [term for term in terms if not (isinstance(term, NamelessTerm) and term.with_constant)]
             if not model and max_terms:
                 # Its square, b²/2G, may be many times the noise: candidates are judged about the state
                 # that has it, or they would be chosen for what the linear problem leaves of it.
-                state = fit_model(data, problem, [constants], state).state
+                state = (first or fit_model(data, problem, [constants], state)).state
                 model = (problem.terms[constants],)
             problem = linearise(data, model, state, terms)
+        assumed = inflation
         while True:
-            found = search(problem, max_terms, inflation, beam)
-            found, inflation = _inflated(data, problem, found, max_terms, beam, inflation)
+            found = search(problem, max_terms, assumed, beam)
+            found, inflation = _inflated(data, problem, found, max_terms, beam, assumed)
             verdict = weigh(found)
-            impossible = _impossible(problem, verdict.best)
-            if not impossible:
+            impossible = _impossible(data, problem, verdict.best)
+            if impossible is None:
                 break
-            terms = [term for term in terms if term.label not in impossible]
+            terms = [term for term in terms if term.label != impossible]
             problem = problem.only(
-                np.array([k for k, t in enumerate(problem.terms) if t.label not in impossible], np.intp)
+                np.array([k for k, t in enumerate(problem.terms) if t.label != impossible], np.intp)
             )
         fit = fit_model(data, problem, verdict.best, state)
         model = tuple(problem.terms[k] for k in verdict.best)
@@ -122,20 +130,26 @@ def select(
     return Selection(problem, found, verdict, model, base, fit, inflation, p >= ADEQUATE)
 
 
-def _impossible(problem: Problem, chosen: Sequence[int]) -> set[str]:
-    """Labels of the effects of a model whose amplitudes are beyond their physical bounds.
+def _impossible(data: Observations, problem: Problem, chosen: Sequence[int]) -> str | None:
+    """Label of the least common term of a model among those beyond their physical bounds, or None.
 
-    Where a covariate hardly moves (a temperature that is constant but for its noise) a column is a constant
-    with a little noise on it, which can fit better than the constant with an amplitude that no part has.
+    A nameless term has no bounds of its own, but no cause adds more than `LARGEST` of gravity. Where a
+    covariate hardly moves (a temperature that is constant but for its noise) a column is a constant with a
+    little noise on it, which can fit better than the constant with an amplitude that no part has. The
+    amplitude of what it stands beside is then out of bounds as well, through no fault of that term.
     """
-    out = set()
+    out = []
     for k, own in zip(chosen, amplitudes(problem, chosen), strict=True):
         term = problem.terms[k]
         if isinstance(term, NamedTerm):
             values, (low, high) = term.start(own), term.bounds().T
-            if ((values < low) | (values > high)).any():
-                out.add(term.label)
-    return out
+            beyond = bool(((values < low) | (values > high)).any())
+        else:
+            added = np.abs(term.added(term.start(own), data.mean_mg, data.conditions)).max()
+            beyond = bool(added > (LARGEST if term.enters_angle else LARGEST * data.gravity_mg))
+        if beyond:
+            out.append(term)
+    return max(out, key=lambda term: term.cost).label if out else None
 
 
 def _inflated(
@@ -166,10 +180,29 @@ def _inflated(
 
 def _mostly_bias(problem: Problem) -> int | None:
     """Number of the bias on most axes, where it alone explains nearly all of the base model's excess."""
-    constants = [k for k, term in enumerate(problem.terms) if term.name == "bias"]
-    if not constants:
+    widest = _widest_bias(problem)
+    if widest is None:
         return None
-    widest = max(constants, key=lambda k: problem.width[k])
     left = float((span(problem, [widest])[1] ** 2).sum()) - problem.dof
     excess = problem.chi2 - problem.dof
     return widest if excess > 0 and left < (1 - MOSTLY) * excess else None
+
+
+def _mostly_bias_refitted(
+    data: Observations, problem: Problem, base: Refit
+) -> tuple[int | None, Refit | None]:
+    """The same by a full refit, which a bias may need that is far from what the base model took it for."""
+    widest = _widest_bias(problem)
+    if widest is None or problem.dof <= int(problem.width[widest]):
+        return None, None
+    trial = fit_model(data, problem, [widest], base.state)
+    excess = base.chi2 - base.dof
+    if excess <= 0 or trial.chi2 - trial.dof >= (1 - MOSTLY) * excess:
+        return None, None
+    return widest, trial
+
+
+def _widest_bias(problem: Problem) -> int | None:
+    """Number of the bias on most axes."""
+    constants = [k for k, term in enumerate(problem.terms) if term.name == "bias"]
+    return max(constants, key=lambda k: problem.width[k]) if constants else None

@@ -28,6 +28,9 @@ from adis_gonio.tracing.terms import Term
 _SPACE = np.array([[0, 0], [1, 0], [1, 1], [2, 0], [2, 1], [2, 2]])
 """Entries of M in the order of the base parameters in space."""
 
+GAIN_SPREAD = 0.2
+"""Prior standard deviation of gains and skews in space."""
+
 
 @dataclass(frozen=True)
 class State:
@@ -254,10 +257,10 @@ def refit(
     """
     state = settle(data, model, state)
     at = predict(data, model, state)
-    precision = _prior_precision(model, state)
-    loss = _loss(at, precision, state)
+    prior = _prior(data, model, state)
+    loss = _loss(at, prior, state)
     for _ in range(iterations if free else 0):
-        scaled, left = _with_prior(_jacobian(data, model, state, at), at.residual.ravel(), precision, state)
+        scaled, left = _with_prior(_jacobian(data, model, state, at), at.residual.ravel(), prior, state)
         size = np.linalg.norm(scaled, axis=0)
         size[size == 0] = 1.0
         step = np.linalg.lstsq(scaled / size, left, rcond=1e-9)[0] / size
@@ -265,7 +268,7 @@ def refit(
         for damping in (1.0, 0.5, 0.2, 0.05, 0.01):
             trial = settle(data, model, _stepped(model, state, damping * step))
             there = predict(data, model, trial)
-            new = _loss(there, precision, trial)
+            new = _loss(there, prior, trial)
             if new <= loss * (1 + 1e-12):
                 moved = True
                 break
@@ -275,7 +278,7 @@ def refit(
         if gain < 1e-6 * max(1.0, 1e-3 * loss):
             break
     jacobian = _jacobian(data, model, state, at)
-    scaled, _ = _with_prior(jacobian, at.residual.ravel(), precision, state)
+    scaled, _ = _with_prior(jacobian, at.residual.ravel(), prior, state)
     size = np.linalg.norm(scaled, axis=0)
     size[size == 0] = 1.0
     _, s, vt = np.linalg.svd(scaled / size, full_matrices=False)
@@ -283,36 +286,53 @@ def refit(
     half = (vt[keep].T / s[keep]) / size[:, None]
     covariance = half @ half.T
     # What a prior holds back is no degree of freedom of the fit.
-    used = float(((jacobian @ half) ** 2).sum()) if precision.any() else float(keep.sum())
+    used = float(((jacobian @ half) ** 2).sum()) if prior.precision.any() else float(keep.sum())
     chi2 = float((at.residual**2).sum())
     return Refit(state, covariance, chi2, at.residual.size - used, at)
 
 
-def _prior_precision(model: Sequence[Term], state: State) -> Floats:
-    """1/σ of the prior of each parameter (p,); zero where there is none."""
-    parts = [np.zeros(len(state.base))]
+@dataclass(frozen=True)
+class _Prior:
+    """Normal prior of the parameters: 1/σ (p,), zero where there is none, and its centre (p,)."""
+
+    precision: Floats
+    centre: Floats
+
+    def away(self, state: State) -> Floats:
+        """Parameters' distance (p,) from the centre in σ."""
+        away: Floats = self.precision * (np.concatenate([state.base, *state.values]) - self.centre)
+        return away
+
+
+def _prior(data: Observations, model: Sequence[Term], state: State) -> _Prior:
+    """Priors of terms that have one, and in space of the base.
+
+    Few poses with free attitudes leave directions of the base undetermined, in which a fit would run to
+    gains of twenty. In the plane the declared angles hold the base.
+    """
+    base = np.zeros(len(state.base)) if data.planar else begin(data).base
+    parts = [np.full(len(base), 0.0 if data.planar else 1 / GAIN_SPREAD)]
     for term, values in zip(model, state.values, strict=True):
         parts.append(np.full(len(values), 0.0 if term.prior_sd is None else 1.0 / term.prior_sd))
-    return np.concatenate(parts)
+    precision = np.concatenate(parts)
+    centre = np.zeros(len(precision))
+    centre[: len(base)] = base
+    return _Prior(precision, centre)
 
 
-def _loss(at: Prediction, precision: Floats, state: State) -> float:
+def _loss(at: Prediction, prior: _Prior, state: State) -> float:
     """χ² of the readings and of the priors."""
-    values = np.concatenate([state.base, *state.values])
-    return float((at.residual**2).sum() + ((precision * values) ** 2).sum())
+    return float((at.residual**2).sum() + (prior.away(state) ** 2).sum())
 
 
-def _with_prior(
-    jacobian: Floats, residual: Floats, precision: Floats, state: State
-) -> tuple[Floats, Floats]:
+def _with_prior(jacobian: Floats, residual: Floats, prior: _Prior, state: State) -> tuple[Floats, Floats]:
     """Jacobian and residual with a row more for each prior."""
-    held = np.flatnonzero(precision)
+    held = np.flatnonzero(prior.precision)
     if not held.size:
         return jacobian, residual
-    values = np.concatenate([state.base, *state.values])
-    rows = np.zeros((held.size, len(values)))
-    rows[np.arange(held.size), held] = precision[held]
-    return np.concatenate([jacobian, rows]), np.concatenate([residual, -(precision * values)[held]])
+    rows = np.zeros((held.size, len(prior.precision)))
+    rows[np.arange(held.size), held] = prior.precision[held]
+    return np.concatenate([jacobian, rows]), np.concatenate([residual, -prior.away(state)[held]])
 
 
 def _jacobian(data: Observations, model: Sequence[Term], state: State, at: Prediction) -> Floats:
