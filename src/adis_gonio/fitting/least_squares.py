@@ -185,15 +185,29 @@ def determine(
             solution = solve(problem, start, mask)
         except FitError:
             # A valley without a bottom: with a wide prior it has one, and its floor shows what is lost.
-            solution = solve(_WithPrior(problem, start), start, mask)
-            solution = replace(solution, fisher=problem.evaluate(solution.beta).fisher)
-            if not _null_space(solution.fisher, mask).shape[1]:
-                raise
+            floor = _floor_of_valley(problem, start, mask)
+            if floor is None:
+                if not groups:
+                    raise
+                # The valley is the noise's own (the six faces of a cube show no skew but by their tilts).
+                held += [k for k in groups.pop(0) if mask[k]]
+                continue
+            solution = floor
         null = _null_space(solution.fisher, mask)
         share = (null**2).sum(axis=1)
         if not null.shape[1] or not groups:
             return Determination(solution, tuple(held), null)
         held += [k for k in groups.pop(0) if mask[k] and share[k] > _PARTICIPATES]
+
+
+def _floor_of_valley(problem: Problem, start: Floats, free: NDArray[np.bool_]) -> Solution | None:
+    """Solution with a wide prior, if it shows an undetermined direction; its information without."""
+    try:
+        solution = solve(_WithPrior(problem, start), start, free)
+    except FitError:
+        return None
+    solution = replace(solution, fisher=problem.evaluate(solution.beta).fisher)
+    return solution if _null_space(solution.fisher, free).shape[1] else None
 
 
 class _WithPrior:

@@ -9,7 +9,7 @@ import numpy as np
 from adis_gonio.errors import FitError, SingularError, UsageError
 from adis_gonio.fitting.closed_form import LEAST_MMPM, fit_mmpm, fit_paper, fit_positions, rows_at
 from adis_gonio.fitting.likelihood import fit_planar, fit_spatial
-from adis_gonio.fitting.readings import Readings, reduce_session
+from adis_gonio.fitting.readings import Readings, reduce_session, refuse_other_units
 from adis_gonio.fitting.result import FitResult
 from adis_gonio.model.records import Session
 
@@ -45,6 +45,7 @@ def fit(session: Session, method: str | None = None) -> FitResult:
     if method is not None and method not in METHODS:
         raise UsageError(f"no method is called '{method}'; known: {', '.join(METHODS)}")
     readings = reduce_session(session)
+    refuse_other_units(session, readings)
     try:
         result = fit_readings(readings, method)
     except FitError as error:

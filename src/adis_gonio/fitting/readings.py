@@ -36,6 +36,10 @@ from adis_gonio.sensor.variants import VARIANTS
 MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
 
 
+OFF_UNIT = 2.0
+"""Factor from 1 g beyond which still readings are in another unit: no sensor's gain is so far off."""
+
+
 @dataclass(frozen=True)
 class Readings:
     """One row a dwell.
@@ -89,6 +93,27 @@ class Readings:
         """Readings of some rows (m,)."""
         names = ("mean", "covariance", "dof", "angle_rad", "position", "samples", "known")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+
+def refuse_other_units(session: Session, readings: Readings) -> None:
+    """Raise `DataError` where readings of still poses are nowhere near 1 g: another unit, or no gravity.
+
+    Parameters
+    ----------
+    readings : Readings
+        Of this session.
+    """
+    if readings.unit != "mg":
+        return
+    length = float(np.median(np.linalg.norm(readings.mean, axis=1))) / session.gravity_mg
+    if 1 / OFF_UNIT < length < OFF_UNIT:
+        return
+    also = "; a plane that is turned has to be vertical" if session.plane == "xy" and length < 1 else ""
+    raise DataError(
+        f"{session.source or 'session'}: readings are {length:.3g} g long where 1 g acts: accel_unit "
+        f"{session.accel_unit} cannot be right (lsb goes by the sensor, {session.sensor}); state the unit "
+        f"of the file, or counts where it is not known{also}"
+    )
 
 
 def reduce_session(session: Session) -> Readings:

@@ -23,7 +23,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 def uncertain(value: float, u: float | None) -> str:
     """Value ± standard uncertainty, both to two digits of the uncertainty."""
-    if u is None or not math.isfinite(u) or u <= 0:
+    if u is None or not math.isfinite(u) or u <= 0 or u < 1e-12 * abs(value):
         return number(value, 4)
     exponent = math.floor(math.log10(u))
     if exponent < -5:

@@ -205,6 +205,8 @@ def _limits(
 
 def _ticks(low: float, high: float, log: bool, about: int) -> list[tuple[float, str]]:
     if log:
+        low = max(low, 1e-12 * high, 1e-300)  # what is not above zero has no place on the scale
+        high = max(high, 10 * low)
         first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
         mantissas = (1, 2, 5) if last - first <= 2 else (1,)
         step = max(1, math.ceil((last - first) / 8))

@@ -338,7 +338,7 @@ def _sensitivity(hidden: Mapping[str, float]) -> Floats:
     """
     xy, xz, yz = (math.sin(math.radians(hidden[f"skew_{pair}"])) for pair in ("xy", "xz", "yz"))
     y_of_y = math.sqrt(1 - xy * xy)
-    y_of_z = (yz - xz * xy) / y_of_y
+    y_of_z = (yz - xz * xy) / y_of_y if y_of_y > 0 else math.inf
     square = 1 - xz * xz - y_of_z * y_of_z
     if square <= 0:
         raise UsageError("no three axes have skews of this size; give skews of a few degrees")

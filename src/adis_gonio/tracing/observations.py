@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from adis_gonio.fitting.readings import Readings
 
 HISTORY_POINTS = 2000
+SEEN = 0.02
+"""Least root mean square over the poses of what a gain or a skew of 1 adds to the norm beside the other
+base parameters and a bias, for it to be fitted: six faces of a cube set down a degree off show less of a
+skew and would pay for a bias of milli-g with a skew of degrees."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,8 @@ class Observations:
         Numbers of the dwells in the file.
     zero_unknown : bool
         True where the file is in counts, so that the zero of an axis is part of the unit.
+    fitted : (4,) or (6,) bool or None
+        Base parameters that are fitted; None: those that these poses show. Folds have those of the session.
     notes : tuple of str
         What has to be said about the noise.
     slow_mg : (n, axes, k) float or None
@@ -61,6 +67,7 @@ class Observations:
     check: NDArray[np.bool_]
     position: NDArray[np.intp]
     zero_unknown: bool = False
+    fitted: NDArray[np.bool_] | None = None
     notes: tuple[str, ...] = ()
     slow_mg: Floats | None = None
 
@@ -85,6 +92,28 @@ class Observations:
         shared: Floats = (self.slow_mg**2).sum(axis=2)[:, :, None] * np.eye(self.axes)
         return self.covariance - shared
 
+    @property
+    def base_seen(self) -> NDArray[np.bool_]:
+        """Base parameters that the poses show (4,) or (6,); the others stay at their nominal values.
+
+        In a plane with free attitudes the start angle is part of them. In space the norm of a reading
+        changes by u_i² with a gain, u_i u_j with a skew and u_i with a bias.
+        """
+        if self.fitted is not None:
+            return self.fitted
+        if self.planar:
+            return np.array([np.isfinite(self.fixture_rad), True, True, True])
+        unit = self.mean_mg / np.maximum(np.linalg.norm(self.mean_mg, axis=1, keepdims=True), 1e-300)
+        x, y, z = unit.T
+        seen = np.array([np.sqrt((u**4).mean()) >= SEEN for u in (x, x, y, x, x, z)])
+        beside = np.column_stack([x * x, y * y, z * z, unit])
+        for place, skew in ((1, x * y), (3, x * z), (4, y * z)):
+            left = skew - beside @ np.linalg.lstsq(beside, skew, rcond=1e-9)[0]
+            seen[place] = np.sqrt((left**2).mean()) >= SEEN
+            if seen[place]:
+                beside = np.column_stack([beside, skew])
+        return seen
+
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Observations:
         """Some of the dwells."""
         return replace(
@@ -106,11 +135,12 @@ def observe(session: Session) -> Observations:
     DataError
         As `adis_gonio.fitting.reduce_session`.
     """
-    from adis_gonio.fitting.readings import reduce_session
+    from adis_gonio.fitting.readings import reduce_session, refuse_other_units
 
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     everything = replace(session, dwells=tuple(replace(dwell, use="fit") for dwell in dwells))
     readings = reduce_session(everything)
+    refuse_other_units(session, readings)
     to_mg = _counts_to_mg(readings)
     mean = readings.mean
     covariance = readings.covariance

@@ -199,7 +199,7 @@ def _whitening(data: Observations, tangent: Floats) -> Floats:
     if not data.planar:
         # One direction is left: across both whitened tangents.
         normal = np.cross(along[:, :, 0], along[:, :, 1])
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
         return normal[:, None, :] @ root
     along = along[:, :, 0]
     size = np.linalg.norm(along, axis=1, keepdims=True)
@@ -221,10 +221,12 @@ def base_columns(data: Observations, state: State, at: Prediction) -> Floats:
         columns[:, 0, 1] = at.ideal_mg[:, 0] / state.base[1]
         columns[:, 1, 2] = at.ideal_mg[:, 1] / state.base[2]
         columns[:, 1, 3] = at.tangent[:, 1, 0]
+        columns[:, :, ~data.base_seen] = 0.0
         return columns
     columns = np.zeros((n, 3, 6))
     for k, (row, column) in enumerate(_SPACE):
         columns[:, row, k] = data.gravity_mg * state.unit[:, column]
+    columns[:, :, ~data.base_seen] = 0.0
     return columns
 
 
@@ -376,9 +378,10 @@ def settle(data: Observations, model: Sequence[Term], state: State, passes: int 
             state = replace(state, delta_rad=delta)
         else:
             whitened = np.einsum("nrk,nk->nr", root, left)
-            turn = np.linalg.solve(
-                along.transpose(0, 2, 1) @ along, along.transpose(0, 2, 1) @ whitened[:, :, None]
-            )
+            gram = along.transpose(0, 2, 1) @ along
+            # Where an axis has lost its gain a pose may have but one tangent.
+            gram += 1e-12 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(2) + 1e-300 * np.eye(2)
+            turn = np.linalg.solve(gram, along.transpose(0, 2, 1) @ whitened[:, :, None])
             moved = state.unit + (_across(state.unit) @ turn)[:, :, 0]
             state = replace(state, unit=moved / np.linalg.norm(moved, axis=1, keepdims=True))
     return state

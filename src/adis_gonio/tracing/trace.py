@@ -73,6 +73,7 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
     training = data.rows(~data.check)
     checking = data.rows(data.check) if data.check.any() else None
     _enough(training)
+    training = replace(training, fitted=training.base_seen)
     named, missing = named_terms(training)
     terms: list[Term] = [*named, *nameless_terms(training)]
     selection = select(training, terms, max_effects)
@@ -121,7 +122,7 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
         advice=advice,
         measurements=measurements,
         rivals=rivals,
-        base=_base(data, final.fit, final.inflation),
+        base=_base(training, final.fit, final.inflation),
         reasons={**names.open, **dropped},
         notes=_notes(data, selection),
         heldout_design=design,
@@ -131,12 +132,14 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
 
 
 def _enough(data: Observations) -> None:
+    if not len(data):
+        raise FitError("every dwell is for checking: there is none to fit")
     base = 4 if data.planar else 6
     rows = len(data) * (1 if np.isinf(data.fixture_rad) else 2)
     if rows < base:
         raise FitError(
             f"{len(data)} positions give {rows} equations for {base} base parameters; measure at least "
-            f"{-(-base // (rows // len(data)))} positions"
+            f"{-(-base // max(rows // len(data), 1))} positions"
         )
 
 
@@ -515,7 +518,7 @@ def _base(data: Observations, fit: Refit, inflation: float) -> dict[str, Value]:
     for k, (name, unit) in enumerate(BASE_PLANAR if data.planar else BASE_SPACE):
         factor = 180 / np.pi if unit == "degree" else 1.0
         u = float(np.sqrt(fit.covariance[k, k])) * scale * factor
-        out[name] = Value(float(fit.state.base[k]) * factor, u, unit)
+        out[name] = Value(float(fit.state.base[k]) * factor, u if data.base_seen[k] else None, unit)
     return out
 
 

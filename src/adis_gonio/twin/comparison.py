@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.errors import DataError
 from adis_gonio.model.records import Floats, Session
 from adis_gonio.tracing.observations import Observations, observe
 from adis_gonio.tracing.state import Refit, State, begin, refit
@@ -85,6 +86,8 @@ def compare(measured: Session, twin: Session, model: Sequence[Term], state: Stat
     ours, theirs = observe(measured), observe(twin)
     fits = [refit(data, tuple(model), replace(begin(data), values=state.values)) for data in (ours, theirs)]
     residual = [_residual(fitted) for fitted in fits]
+    if not all(part.size for part in residual):
+        raise DataError("there are no more readings than parameters: nothing is left to compare")
     same = stats.ks_2samp(residual[0].tolist(), residual[1].tolist())
     samples = [_samples(session, data) for session, data in ((measured, ours), (twin, theirs))]
     periods = [_period(session) for session in (measured, twin)]
@@ -132,7 +135,12 @@ def _samples(session: Session, data: Observations) -> list[Floats]:
 
 
 def _period(session: Session) -> float:
-    return float(np.median(np.concatenate([np.diff(dwell.time_s) for dwell in session.dwells])))
+    """Sample period in s; by the length of dwells, since coarse times may stand still between samples."""
+    lengths = [np.ptp(dwell.time_s) / (len(dwell) - 1) for dwell in session.dwells if len(dwell) > 1]
+    period = float(np.median(lengths)) if lengths else 0.0
+    if not period > 0:
+        raise DataError("a twin needs times: those of the samples stand still")
+    return period
 
 
 def _allan(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats]:
@@ -180,9 +188,12 @@ def _common(curves: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, list[Float
     (place, ours), (other, theirs) = curves
     inside = (place >= other[0] * 0.999) & (place <= other[-1] * 1.001)
     at = np.log(place[inside])
-    moved = np.stack([np.exp(np.interp(at, np.log(other), np.log(column))) for column in theirs.T], axis=1)
+    least = 1e-9 * max(float(theirs.max(initial=0.0)), 1e-99)  # bands without any noise
+    logs = [np.interp(at, np.log(other), np.log(np.maximum(column, least))) for column in theirs.T]
+    moved = np.stack([np.exp(column) for column in logs], axis=1)
     return place[inside], [ours[inside], moved]
 
 
 def _ratio(measured: Floats, twin: Floats) -> float:
-    return float(np.exp(np.mean(np.log(measured / twin)))) if measured.size else 1.0
+    both = (measured > 0) & (twin > 0)  # a spectrum that is quantization only has empty bands
+    return float(np.exp(np.mean(np.log(measured[both] / twin[both])))) if both.any() else 1.0

@@ -64,7 +64,10 @@ def noise_of(session: Session, scale_mg: float, axes: int) -> SamplesNoise:
         )
     samples = [scale_mg * dwell.accel[:, :axes] for dwell in dwells]
     means = noise_of_means(samples)
-    period_s = float(np.median(np.concatenate([np.diff(dwell.time_s) for dwell in dwells])))
+    # Of coarse times, many differences are zero; a dwell's length still tells.
+    period_s = float(np.median([np.ptp(dwell.time_s) / (len(dwell) - 1) for dwell in dwells]))
+    if not period_s > 0:
+        raise DataError("a twin needs times: those of the samples stand still")
     counts = np.array([len(part) for part in samples], np.float64)
     diagonals = np.diagonal(means.covariance, axis1=1, axis2=2)
     density = np.median(diagonals * counts[:, np.newaxis], axis=0) * period_s
