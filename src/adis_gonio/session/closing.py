@@ -93,6 +93,7 @@ class TraceAdvisor:
         """Trace the session, and ask for the measurements that it proposes."""
         from adis_gonio.tracing import trace
         from adis_gonio.tracing.advice import sentences
+        from adis_gonio.tracing.proposals import LEAST_SEPARATION
 
         try:
             result = trace(session, self.max_effects)
@@ -100,7 +101,11 @@ class TraceAdvisor:
             return Advice((), ended=f"the session cannot be traced: {error}")
         self.result, self.dwells = result, len(session.dwells)
         summary = where_it_stands(result, len(session.dwells))
-        wanted = [m for m in result.measurements if m.purpose == "decide" or not tested(result)]
+        wanted = [
+            m
+            for m in result.measurements
+            if (m.purpose == "decide" and m.separation >= LEAST_SEPARATION) or not tested(result)
+        ]
         within = [m for m in wanted if reachable(_position(m))]
         left = self.most - visited
         if within and left > 0:

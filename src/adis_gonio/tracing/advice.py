@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from adis_gonio.model.effects import AXES
 from adis_gonio.tracing.observations import Observations
-from adis_gonio.tracing.proposals import propose
+from adis_gonio.tracing.proposals import LEAST_SEPARATION, propose
 from adis_gonio.tracing.result import Measurement
 from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.terms import Term
@@ -69,7 +69,10 @@ def advise(
         replace(m, sentence=_sentence([m])) for m in propose(data, training, selection, terms)
     )
     lines = list(sentences(measurements))
-    decided = {name for m in measurements if m.purpose == "decide" for name in (*m.one, *m.other)}
+    strong = [m for m in measurements if m.purpose == "decide" and m.separation >= LEAST_SEPARATION]
+    decided = {name for m in strong for name in (*m.one, *m.other)}
+    if not training.planar:
+        decided |= {name for name, remedy in _REMEDIES.items() if remedy == _OUT_OF_PLANE}
     inside = {term.name for term in selection.model}
     lines += _by_hand([c for c in confounded if c[0] in inside or not selection.adequate], decided)
     lines += _not_recorded(training)
@@ -117,7 +120,12 @@ def _grouped(measurements: Sequence[Measurement]) -> list[list[Measurement]]:
     """Measurements that part the same, in order; all that only look for what was not to be seen."""
     groups: dict[object, list[Measurement]] = {}
     for m in measurements:
-        groups.setdefault((m.one, m.other) if m.purpose == "decide" else "cover", []).append(m)
+        key: object = (m.one, m.other)
+        if m.purpose == "cover":
+            key = "cover"
+        elif m.separation < LEAST_SEPARATION:
+            key = "faint"
+        groups.setdefault(key, []).append(m)
     return list(groups.values())
 
 
@@ -128,12 +136,32 @@ def _sentence(group: Sequence[Measurement]) -> str:
         names = list(dict.fromkeys(name for m in group for name in (*m.one, *m.other)))
         return f"measure at {what}: only then could {_joined(names, ', ')} be seen, if there"
     strongest = max(m.separation for m in group)
+    if strongest < LEAST_SEPARATION:
+        return _faint(group)
     figure = f"more than {PLAIN:.0f}" if strongest > PLAIN else f"about {strongest:.0f}"
     apart = f"expected difference {figure} standard uncertainties"
     one, other = (_joined(names, ", ") for names in (first.one, first.other))
     if not one or not other:
         return f"measure at {what}: that shows whether {one or other} is there ({apart})"
     return f"measure at {what}: that tells {one} from {other} ({apart})"
+
+
+def _faint(group: Sequence[Measurement]) -> str:
+    """The positions that tell most where a dwell at none of them decides."""
+    what = list(dict.fromkeys(place(m) for m in group))
+    where = _joined(what, "; " if any("," in w for w in what) else ", ")
+    names = _joined(list(dict.fromkeys(name for m in group for name in _varying(m))), ", ")
+    strongest = max(m.separation for m in group)
+    return (
+        f"no single position tells {names} apart; those that tell most: {where}, each several times in the "
+        f"course of the session (a dwell differs there by {strongest:.1f} standard uncertainties of what "
+        "is left)"
+    )
+
+
+def _varying(measurement: Measurement) -> tuple[str, ...]:
+    """Names in which two models differ."""
+    return tuple(sorted(set(measurement.one) ^ set(measurement.other)))
 
 
 def _joined(words: Sequence[str], comma: str) -> str:

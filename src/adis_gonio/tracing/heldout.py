@@ -155,7 +155,7 @@ def folds(data: Observations) -> dict[str, list[NDArray[np.bool_]]]:
     if n >= 2 * BLOCKS and _poses_repeat(data, blocks):
         designs["blocks of time"] = blocks
     by_axis = _about_axes(data)
-    if by_axis and 2 * int(determined(data, by_axis).sum()) >= n:
+    if by_axis and 3 * int(determined(data, by_axis).sum()) >= n:
         designs[BY_AXIS] = by_axis
     return designs
 

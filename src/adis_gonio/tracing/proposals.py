@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.observations import Observations
+from adis_gonio.tracing.openings import undecided
 from adis_gonio.tracing.result import Measurement, Purpose
 from adis_gonio.tracing.selection import Selection, fit_model
 from adis_gonio.tracing.state import Refit, State, as_reading, base_columns, predict
@@ -39,6 +40,8 @@ UNSEEN = 0.03
 """Prior probability of an effect that the session could not have shown."""
 LEAST_SEPARATION = 3.0
 """Standard uncertainties by which a measurement has to be expected to part two hypotheses."""
+FAINT_SEPARATION = 0.1
+"""The same where nothing better is to be had of a session whose model is not adequate: to be repeated."""
 LEAST_INFORMATION: dict[Purpose, float] = {"decide": 0.05, "cover": 0.02}
 """Least expected information in nats. Of 0.7 nats in two equally likely models; an effect that the session
 could not have shown has 0.1."""
@@ -153,6 +156,11 @@ def propose(
     else:
         inflation, rivals = _explanations(training, selection, terms)
     chosen, decided = _greedy(data, inflation, rivals, most, "decide", [])
+    if not decided and not selection.adequate:
+        # Where the noise is what no model explains, little parts much; what parts most is still to be said.
+        chosen, decided = _greedy(data, inflation, rivals, most, "decide", [], FAINT_SEPARATION)
+        everything = {name for h in rivals for name in h.labels}
+        decided = [replace(m, other=tuple(sorted(everything - set(m.one)))) for m in decided]
     known = {name for h in rivals for name in h.labels}
     unseen = _normalised(_extended(training, selection, terms, selection.inflation, known))
     _, covered = _greedy(data, selection.inflation, unseen, most, "cover", chosen)
@@ -224,13 +232,19 @@ def _explanations(
 ) -> tuple[float, list[Hypothesis]]:
     """What could explain the rest of a model that is not adequate: each effect more, and what to judge by.
 
-    Judged against the measured noise, or against the least that one effect more leaves.
+    Judged against the measured noise, or against the least that one effect more leaves. Where names stand
+    out that this session cannot decide between, these are what to decide: that nothing is there is no
+    rival of a model that is not adequate.
     """
     extended = _extended(training, selection, terms, 1.0, set())
     freedom = max(selection.fit.dof - 1, 1)
     inflation = max(1.0, min(h.chi2 for h in extended) / freedom)
     if inflation > 1.0:
         extended = _extended(training, selection, terms, inflation, set())
+    could = set(undecided(selection))
+    standing = [h for h in extended if could & set(h.labels)]
+    if len(standing) > 1:
+        extended = standing
     likely = sorted(extended, key=lambda h: -h.weight)[:MOST_RIVALS]
     return inflation, _normalised([h for h in likely if h.weight > 0.02 * likely[0].weight])
 
@@ -369,6 +383,7 @@ def _greedy(
     most: int,
     purpose: Purpose,
     before: list[Place],
+    least: float = LEAST_SEPARATION,
 ) -> tuple[list[Place], list[Measurement]]:
     """Dwells one by one, each the most informative for its effort given those before it."""
     places = list(before)
@@ -388,11 +403,11 @@ def _greedy(
         effort = np.array([place.effort for place in options])
         for k in np.argsort(-gain / effort)[:20].tolist():
             # The order of the grid would decide between equals; so does what was rounded.
-            if gain[k] < LEAST_INFORMATION[purpose]:
+            if gain[k] < LEAST_INFORMATION[purpose] * min(least / LEAST_SEPARATION, 1.0) ** 2:
                 continue
             with_it = predicted.of(k).after(set_of)
             apart = _apart(with_it) - _apart(set_of)
-            worth = _worth(weights, apart, options[k].conditions)
+            worth = _worth(weights, apart, options[k].conditions, least)
             if worth is not None:
                 break
         else:
@@ -402,7 +417,7 @@ def _greedy(
         parted = [two]
         if purpose == "cover":
             reach = np.maximum(apart[one], apart[:, one])
-            parted = [j for j in range(len(weights)) if j != one and reach[j] >= LEAST_SEPARATION**2]
+            parted = [j for j in range(len(weights)) if j != one and reach[j] >= least**2]
         out.append(_measurement(options[k], hypotheses, one, parted, separation, float(gain[k]), purpose))
         places.append(options[k])
         set_of = with_it
@@ -410,10 +425,10 @@ def _greedy(
     return places, out
 
 
-def _worth(weights: Floats, apart: Floats, conditions: bool) -> tuple[int, int] | None:
+def _worth(weights: Floats, apart: Floats, conditions: bool, least: float) -> tuple[int, int] | None:
     """The pair that a dwell parts, the more probable one first; None where it parts none enough."""
     both = np.maximum(apart, apart.T)
-    likely = np.sqrt(np.outer(weights, weights)) * (both >= LEAST_SEPARATION**2)
+    likely = np.sqrt(np.outer(weights, weights)) * (both >= least**2)
     if conditions:
         low = WORTH_CONDITIONS * weights.max()
         likely = likely * (np.minimum.outer(weights, weights) >= low)
