@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from tracing.blind import KINDS
 from tracing.rounds import crew, rounds
+from tracing.space import SPACE
 from tracing.verdict import Verdict
 
 
@@ -162,6 +163,7 @@ def main() -> int:
     parser.add_argument("--sessions", type=int, default=500, help="sessions of each kind (default 500)")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--space", action="store_true", help="poses in space with free attitudes")
     parser.add_argument("--no-confusion", action="store_true", help="leave out the second table")
     options = parser.parse_args()
 
@@ -171,7 +173,7 @@ def main() -> int:
     with crew(options.jobs) as pools:
         for kind in KINDS if options.kind == "all" else (options.kind,):
             begin = time.perf_counter()
-            verdicts = rounds(kind, range(options.sessions), options.seed, pools)
+            verdicts = rounds(SPACE * options.space + kind, range(options.sessions), options.seed, pools)
             print(f"{kind}: {len(verdicts)} in {time.perf_counter() - begin:.0f} s", file=sys.stderr)
             lines += figures(kind, verdicts)
             broken = [v.failure for v in verdicts if v.failure]

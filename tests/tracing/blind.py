@@ -96,7 +96,7 @@ def _draw_terms(kind: str, index: int, rng: np.random.Generator, bench: Bench) -
         if not peak > 1e-9:
             return None
         sized.append(term.scaled(rng.uniform(*SIZES) / peak))
-    if not _believable(sized):
+    if not believable(sized):
         return None
     for k, term in enumerate(sized):
         others = [lens.columns(other) for j, other in enumerate(sized) if j != k]
@@ -109,7 +109,7 @@ def _draw_terms(kind: str, index: int, rng: np.random.Generator, bench: Bench) -
     return tuple(sized)
 
 
-def _believable(terms: list[Term]) -> bool:
+def believable(terms: list[Term]) -> bool:
     """Whether the sizes that a projection asks for are a bench's: an effect of at most some 100 mg."""
     limits = {
         "tempco": 20,

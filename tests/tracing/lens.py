@@ -68,7 +68,7 @@ class Lens:
 
     def unexplained(self, target: Floats, columns: Iterable[Floats]) -> float:
         """Noncentrality of `target` (2n,) that the columns leave."""
-        return float(np.sum(_remainder(target, list(columns)) ** 2))
+        return float(np.sum(remainder(target, list(columns)) ** 2))
 
     def unexplained_by_names(
         self, target: Floats, names: Iterable[str], beside: Iterable[Floats] = ()
@@ -81,12 +81,12 @@ class Lens:
         options = sorted((alternatives(name, self.rows) for name in names), key=len)
         for terms in options:
             tried = [self.columns(term) for term in terms]
-            left = [np.sum(_remainder(target, [*taken, columns]) ** 2) for columns in tried]
+            left = [np.sum(remainder(target, [*taken, columns]) ** 2) for columns in tried]
             taken.append(tried[int(np.argmin(left))])
-        return float(np.sum(_remainder(target, taken) ** 2))
+        return float(np.sum(remainder(target, taken) ** 2))
 
 
-def _remainder(target: Floats, columns: list[Floats]) -> Floats:
+def remainder(target: Floats, columns: list[Floats]) -> Floats:
     if not columns:
         return target
     matrix = np.concatenate(columns)

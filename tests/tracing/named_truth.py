@@ -7,7 +7,7 @@ the samples.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from tracing.plans import Floats, Rows
 
 Basis = Callable[[Rows, Floats], Floats]
-AXES = "xy"
+AXES = "xyz"
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def _term(name: str, axes: str, choice: float) -> Term:
     ones = np.ones(len(axes))
     if name in _READING:
         label, drive, needs = _READING[name]
-        labels = tuple(label.format(i=i, p="yx"[AXES.index(i)]) for i in axes)
+        labels = tuple(label.format(i=i, p="yxy"[AXES.index(i)]) for i in axes)
         return Term(name, on_axes(axes, drive), ones, reported=labels, needs=needs)
     if name in _STAGE:
         labels, waves, needs = _STAGE[name]
@@ -169,38 +169,44 @@ def _term(name: str, axes: str, choice: float) -> Term:
     raise KeyError(name)
 
 
-def draw_named(rng: np.random.Generator, name: str, rows: Rows, check: NDArray[np.bool_]) -> Term:
+def draw_named(
+    rng: np.random.Generator,
+    name: str,
+    rows: Rows,
+    check: NDArray[np.bool_],
+    choices: Sequence[str] = ("x", "y", "xy"),
+) -> Term:
     """A catalogued term with random axes, signs and shapes (its size is set afterwards)."""
-    axes = str(rng.choice(["x", "y", "xy"]))
+    axes = str(rng.choice(choices))
     choice = 0.0
     if name in {"thermal_lag", "warm_up"}:
         choice = float(rows.time_s[-1] * np.exp(rng.uniform(np.log(0.05), np.log(0.4))))
     elif name in {"position_slip", "outlier_dwell"}:
         choice = float(rng.choice(np.flatnonzero(~check)[1:]))
-        axes = "xy"
+        axes = choices[-1]
     term = _term(name, axes, choice)
     size = rng.choice([-1, 1], len(term.coefficients)) * rng.uniform(0.5, 1, len(term.coefficients))
     return replace(term, coefficients=term.coefficients * size)
 
 
-def alternatives(name: str, rows: Rows) -> list[Term]:
-    """All that `name` could mean in a session: both axes, time constants by a grid, each dwell, degrees."""
+def alternatives(name: str, rows: Rows, axes: str = "xy") -> list[Term]:
+    """All that `name` could mean in a session: every axis, time constants by grid, each dwell, degrees."""
     if name in {"thermal_lag", "warm_up"}:
         taus = rows.time_s[-1] * np.geomspace(0.01, 4, 14)
-        return [_term(name, "xy", float(tau)) for tau in taus]
+        return [_term(name, axes, float(tau)) for tau in taus]
     if name in {"position_slip", "outlier_dwell"}:
-        return [_term(name, "xy", float(k)) for k in rows.order]
+        return [_term(name, axes, float(k)) for k in rows.order]
     if name == "bias_temperature":
         powers = []
         for degree in (1, 2, 3):
 
             def basis(r: Rows, a: Floats, degree: int = degree) -> Floats:
                 line = [
-                    on_axes("xy", lambda r, a, i, p=p: ((r.temperature_c - 25) / 10) ** p)(r, a)
+                    on_axes(axes, lambda r, a, i, p=p: ((r.temperature_c - 25) / 10) ** p)(r, a)
                     for p in range(1, degree + 1)
                 ]
                 return np.concatenate(line)
 
-            powers.append(Term(name, basis, np.ones(2 * degree), needs=("surroundings",)))
+            powers.append(Term(name, basis, np.ones(len(axes) * degree), needs=("surroundings",)))
         return powers
-    return [_term(name, "xy", 0.0)]
+    return [_term(name, axes, 0.0)]

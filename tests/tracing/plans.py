@@ -120,7 +120,7 @@ def _angles(rng: np.random.Generator) -> tuple[Floats, str]:
     return np.round(angles, 6), f"{order}, {turns} turns"
 
 
-def _course(rng: np.random.Generator, time_s: Floats, kind: str) -> Floats:
+def course(rng: np.random.Generator, time_s: Floats, kind: str) -> Floats:
     """A course in time of about unit size."""
     x = time_s / time_s[-1]
     if kind == "cycling":
@@ -165,9 +165,9 @@ def draw_bench(rng: np.random.Generator) -> Bench:
     previous = np.concatenate([theta[:1], theta[:-1]])
 
     thermal = str(rng.choice(["cycling", "rising", "wandering", "cycling", "still"]))
-    temperature = rng.uniform(18, 34) + rng.uniform(3, 12) * _course(rng, time, thermal)
+    temperature = rng.uniform(18, 34) + rng.uniform(3, 12) * course(rng, time, thermal)
     electric = str(rng.choice(["switched", "wandering", "cycling", "switched", "still"]))
-    supply = rng.uniform(4.95, 5.05) + rng.uniform(0.05, 0.2) * _course(rng, time, electric)
+    supply = rng.uniform(4.95, 5.05) + rng.uniform(0.05, 0.2) * course(rng, time, electric)
     samples = Rows(
         np.round(time, 4),
         theta[index],

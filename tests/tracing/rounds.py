@@ -18,7 +18,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tracing.blind import draw, write
+from tracing import blind as planar
+from tracing import space
+from tracing.blind import Blind
 from tracing.verdict import Verdict, failed, judge
 
 Tracer = Callable[[str], dict[str, Any]]
@@ -26,8 +28,13 @@ Tracer = Callable[[str], dict[str, Any]]
 
 def write_session(path: str, kind: str, seed: int, index: int) -> str:
     """Write one session to `path`; what it hides stays in this process."""
-    write(Path(path), *draw(kind, seed, index))
+    world = space if kind.startswith(space.SPACE) else planar
+    world.write(Path(path), *_draw(kind, seed, index))
     return path
+
+
+def _draw(kind: str, seed: int, index: int) -> tuple[Blind, Any]:
+    return (space if kind.startswith(space.SPACE) else planar).draw(kind, seed, index)
 
 
 def trace_file(path: str) -> dict[str, Any]:
@@ -45,7 +52,7 @@ def trace_file(path: str) -> dict[str, Any]:
 
 def judge_answer(answer: dict[str, Any], kind: str, seed: int, index: int) -> Verdict:
     """Draw the truth again and judge; a tracer that raised is wrong in every respect."""
-    blind, _ = draw(kind, seed, index)
+    blind, _ = _draw(kind, seed, index)
     if "failure" in answer:
         where = f"{kind} {seed}/{index} ({blind.bench.setting})"
         return failed(blind, f"{where}:\n{answer['failure']}", answer["seconds"])

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 
+from tracing import space
 from tracing.blind import Blind
 from tracing.lens import TELLABLE, Lens
 from tracing.named_truth import NAMES, Term
@@ -126,7 +127,8 @@ def failed(blind: Blind, failure: str, seconds: float) -> Verdict:
 
 def judge(blind: Blind, result: Mapping[str, Any], seconds: float = 0.0) -> Verdict:
     """Judge the JSON of `trace` of one session."""
-    lens = Lens(blind.bench)
+    spatial = isinstance(blind.bench, space.SpaceBench)
+    lens = space.SpaceLens(blind.bench) if spatial else Lens(blind.bench)
     claimed = tuple(entry["effect"] for entry in result["found"])
     unnamed = result["unnamed"]
     nameless = blind.terms[:1] if blind.undeclared else ()
@@ -143,9 +145,11 @@ def judge(blind: Blind, result: Mapping[str, Any], seconds: float = 0.0) -> Verd
     said = [] if unnamed is None else [covariate(word) for word in unnamed["covariates"]]
     form = "" if unnamed is None else str(unnamed["form"])
     before, after = (result["error"][when]["heldout_rms_mg"] for when in ("before", "after"))
-    oracle, by_folds = oracle_rms(blind, lens)
+    oracle, by_folds = space.oracle_rms(blind) if spatial else oracle_rms(blind, lens)
     ratio = after / oracle if after is not None else np.nan
     alone = len(named) == 1 and not nameless and set(claimed) == blind.names
+    if spatial and blind.names & {"outlier_dwell"}:
+        alone = False  # only the norm of one reading is seen: its three offsets are one number
     return Verdict(
         truth=tuple(term.name for term in blind.terms),
         kind=blind.kind,

@@ -91,6 +91,14 @@ def _variants(
             for subset in itertools.combinations(letters, size)
         ]
     choices = kind.choices()
+    if "dwell" in choices and kind.by_axis and not data.planar and data.conditions.order is not None:
+        # Of one reading with a free attitude only the norm is seen: one number, which the axis nearest to
+        # gravity gets.
+        nearest = np.abs(data.mean_mg).argmax(axis=1)
+        for k in np.flatnonzero(~data.check):
+            choice = {"dwell": int(data.conditions.order[k])}
+            yield kind((letters[nearest[k]],), **choice), ()
+        return
     options: list[dict[str, int]] = [{}]
     if "dwell" in choices and data.conditions.order is not None:
         # Never a dwell for checking: its column would be empty.
