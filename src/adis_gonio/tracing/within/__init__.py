@@ -27,8 +27,8 @@ _FARTHEST = 64
 def search_within(samples: Samples) -> tuple[WithinFinding, ...]:
     """Findings inside the dwells, as `TraceResult.within` lists them."""
     spread = scatter(samples)
-    frozen = stuck(samples, spread)
     reach = correlation_reach(samples)
+    frozen = stuck(samples, spread, reach)
     wild, samples = spikes(samples, spread, reach)
     lines, samples, density = tones(samples)
     change = noise_change(samples, density)

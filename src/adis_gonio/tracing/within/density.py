@@ -33,6 +33,8 @@ _POWERS = (1, 2)
 """Of 1/f; a slow signal on a coarse converter jumps, which falls off with the square."""
 _CELLS = 120
 _LENGTHS = 5
+_LINE = 2.0
+"""Ordinates to each side that a line reaches under Hann's taper."""
 _STEEP = 1.5
 """Ordinates to each side over which the density's shape counts as one."""
 TAPER_LOSS = 1.944
@@ -60,6 +62,8 @@ class Density:
         Level of each dwell, at least the middle one of all: its density is about `level · base`.
     base : (k, axes) float
         Pooled density, of a level of 1 on average.
+    bound : (k, axes) float
+        What a line has to stand above: `base`, or what lies beside it where that is more.
     width : (k,) float
         Independent ordinates in the running median.
     """
@@ -70,6 +74,7 @@ class Density:
     power: Floats
     level: Floats
     base: Floats
+    bound: Floats
     width: Floats
 
 
@@ -110,7 +115,23 @@ def density_of(samples: Samples) -> Density | None:
     # Where the density is steep (edges and notches of a filter) a small error of its shape is a large one
     # of the density: there its largest value nearby counts.
     base = base * ndimage.maximum_filter1d(shape, 2 * round(_STEEP * each) + 1, axis=0)
-    return Density(dwells.astype(np.intp), frequency, searched, power, level, base, 2 * width + 1)
+    # On a slope of the density one side is as high as a line would be: a line stands above both.
+    bound = np.maximum(base, _flanks((power / level[:, None, :]).mean(axis=0), each))
+    return Density(dwells.astype(np.intp), frequency, searched, power, level, base, bound, 2 * width + 1)
+
+
+def _flanks(pooled: Floats, each: float) -> Floats:
+    """Larger one of the means (k, axes) over the ordinates on both sides that a line does not reach."""
+    near, far = round(_LINE * each), round(2 * _LINE * each)
+    sums = np.concatenate([np.zeros((1, pooled.shape[1])), np.cumsum(pooled, axis=0)])
+    at = np.arange(len(pooled))
+
+    def mean(first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
+        first, last = np.clip(first, 0, len(pooled)), np.clip(last, 0, len(pooled))
+        count = np.maximum(last - first, 1)[:, None]
+        return np.asarray((sums[last] - sums[first]) / count, dtype=np.float64)
+
+    return np.maximum(mean(at - far, at - near + 1), mean(at + near, at + far + 1))
 
 
 def without_line(rows: Floats) -> Floats:

@@ -8,15 +8,16 @@ Spikes
 Stuck values
     A run of equal values longer than those of the same axis explain: the lengths of runs of a stationary
     noise fall off exponentially (a rate that filter and converter set and that the session shows), and the
-    longest run of a dwell takes no part in the estimate of that rate. Where the noise is below half a step
-    of the converter a constant word is normal, and nothing is looked for.
+    longest run of a dwell takes no part in the estimate of that rate. Slow noise may also stay in one step
+    for as long as its correlation and its scatter allow, which is reckoned apart. Where the noise is below
+    `_LIVELY` steps of the converter a constant word is normal, and nothing is looked for.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, stats
+from scipy import ndimage, special, stats
 
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.values import Value
@@ -168,7 +169,7 @@ def _spikes_finding(
     )
 
 
-def stuck(samples: Samples, scatter: Floats) -> WithinFinding | None:
+def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None:
     """Runs of equal values that noise and converter do not explain."""
     places: list[Place] = []
     least_p = 1.0
@@ -189,7 +190,11 @@ def stuck(samples: Samples, scatter: Floats) -> WithinFinding | None:
                 excess = max(excess, float(np.mean(kept[k][kept[k] > start] - start)))
             excess = _SAFETY * excess + 0.5
             chances = max(1.0, (own > start).sum())
-            p = corrected(float(chances * np.exp(-(longest - start) / excess)), tests)
+            p = float(chances * np.exp(-(longest - start) / excess))
+            # Slow noise stays in one step for some of its correlation times by itself.
+            stays = float(special.erf(samples.quantum[axis] / (2 * np.sqrt(2) * scatter[k, axis])))
+            slow = len(samples.values[k]) / reach * stays ** (longest / reach)
+            p = corrected(max(p, slow), tests)
             if p < LEVEL:
                 least_p = min(least_p, p)
                 begin = int(own[: int(own.argmax())].sum())

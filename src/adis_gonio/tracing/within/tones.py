@@ -67,7 +67,7 @@ def tones(samples: Samples) -> tuple[list[WithinFinding], Samples, Density | Non
 def _highest(density: Density) -> _Peak | None:
     """The most significant line, if any is."""
     searched = density.searched
-    relative = density.power[:, searched] / density.level[:, None, :] / density.base[None, searched]
+    relative = density.power[:, searched] / density.level[:, None, :] / density.bound[None, searched]
     d, points, axes = relative.shape
     if points < 1:
         return None
@@ -122,7 +122,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
     showing = list(zip(times, rows, weight, strict=True))
     if peak.dwell is not None:
         near = slice(peak.at - PADDING, peak.at + PADDING + 1)
-        height = density.power[:, near] / density.level[:, None, :] / density.base[None, near]
+        height = density.power[:, near] / density.level[:, None, :] / density.bound[None, near]
         shown = height.max(axis=(1, 2)) > -np.log(LEVEL / height.size)
         shown[peak.dwell] = True
         showing = [showing[k] for k in np.flatnonzero(shown).tolist()]
