@@ -128,8 +128,8 @@ class ScanStream(ABC):
     @abstractmethod
     def _next(self) -> ScanBlock: ...
 
-    @abstractmethod
-    def _stop(self) -> None: ...
+    def _stop(self) -> None:  # noqa: B027 - most streams have nothing to stop
+        """End what runs on the bus."""
 
     def _block(
         self, words: Words, time_s: Floats, lost: int, missed: NDArray[np.int64] | None = None
@@ -209,9 +209,6 @@ class PolledScans(ScanStream):
                     "no new data from the sensor: it sleeps, restarts or is not connected"
                     " (bit ND never came in any output register)"
                 )
-
-    def _stop(self) -> None:
-        pass
 
     def _heed_counter(self) -> None:
         """Let the next block mend what time has counted too few or too many by the edges."""
