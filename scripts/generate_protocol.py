@@ -1,4 +1,4 @@
-"""Write the C header and the Python constants of the wire protocol from firmware_proto/protocol.toml.
+"""Write the C headers and the Python constants of the wire protocol from firmware_proto/protocol.toml.
 
 `--check` writes nothing and exits with 1 where a file is not up to date.
 """
@@ -13,6 +13,7 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 TABLE = ROOT / "firmware_proto" / "protocol.toml"
 HEADER = ROOT / "firmware_proto" / "core" / "gonio_protocol.h"
+CRC_TABLE = ROOT / "firmware_proto" / "core" / "gonio_crc_table.h"
 MODULE = ROOT / "src" / "adis_gonio" / "bus" / "wire" / "protocol.py"
 
 SIZES = {"u8": 1, "u16": 2, "u32": 4}
@@ -77,7 +78,8 @@ def header(table: Table) -> str:
     out.append("")
     for name in ("header_size", "crc_size", "max_raw"):
         define(name, f"{packet[name]}u")
-    define("crc_initial", f"0x{packet['crc_initial']:04X}u", packet["crc"])
+    define("crc_initial", f"0x{packet['crc_initial']:08X}ul", packet["crc"])
+    define("crc_final", f"0x{packet['crc_final']:08X}ul")
     define("delimiter", f"0x{packet['delimiter']:02X}u")
     define("reply_bit", f"0x{packet['reply_bit']:02X}u")
     out.append("")
@@ -105,6 +107,21 @@ def header(table: Table) -> str:
     return "\n".join([*out, "", "#endif", ""])
 
 
+def crc_entry(byte: int, polynomial: int) -> int:
+    """Remainder of a byte, bits reflected."""
+    for _ in range(8):
+        byte = byte >> 1 ^ (polynomial if byte & 1 else 0)
+    return byte
+
+
+def crc_table(table: Table) -> str:
+    """The C file with the table of the CRC; whoever includes it says by GONIO_IN_FLASH where it is kept."""
+    entries = [f"0x{crc_entry(byte, table['packet']['crc_polynomial']):08X}ul," for byte in range(256)]
+    rows = ["    " + " ".join(entries[at : at + 8]) for at in range(0, 256, 8)]
+    head = [f"/* {NOTE} */", f"/* {table['packet']['crc']}, by bytes. */"]
+    return "\n".join([*head, "static const uint32_t crc_table[256] GONIO_IN_FLASH = {", *rows, "};", ""])
+
+
 def sentence(text: str) -> str:
     """The text with a capital."""
     return text[0].upper() + text[1:]
@@ -126,7 +143,7 @@ def module(table: Table) -> str:
     out += [f"VERSION = {protocol['version']}", f"BAUD = {protocol['baud']:_}"]
     out += [f"BAUD_FAST = {protocol['baud_fast']:_}", ""]
     out += [f"{name.upper()} = {packet[name]}" for name in ("header_size", "crc_size", "max_raw")]
-    out += [f"CRC_INITIAL = 0x{packet['crc_initial']:04X}", f"CRC_CHECK = 0x{packet['crc_check']:04X}"]
+    out += [f"CRC_CHECK = 0x{packet['crc_check']:08X}"]
     out += [f"REPLY_BIT = 0x{packet['reply_bit']:02X}", ""]
     for name, value in table["limits"].items():
         text = f"0x{value:04X}" if name.endswith(("bit", "frame")) else str(value)
@@ -178,7 +195,7 @@ def main(arguments: list[str]) -> int:
     table = tomllib.loads(TABLE.read_text(encoding="utf-8"))
     check(table)
     stale = []
-    for path, text in ((HEADER, header(table)), (MODULE, module(table))):
+    for path, text in ((HEADER, header(table)), (CRC_TABLE, crc_table(table)), (MODULE, module(table))):
         if arguments == ["--check"]:
             if not path.exists() or path.read_text(encoding="utf-8") != text:
                 stale.append(path)

@@ -3,7 +3,12 @@
 Shows that no wrong word is accepted, that every failure is a typed error within its time-out, and that the
 bus is usable afterwards. The fakes live in virtual time, so that time-outs cost nothing.
 
-    python scripts/wire_faults.py [--requests 100000] [--seed 1] [--only serial,mcp2210,…]
+    python scripts/wire_faults.py [--requests 100000] [--seed 1] [--only serial,stream,mcp2210,…]
+
+`stream` sends as many packets of scans over the bad serial line: short ones (three registers, four scans),
+and long ones (seven registers) at the full rates, where hardly any arrives whole, and at a tenth of them.
+Every scan says by its own words which sample it is, so that each word that is accepted and each gap that is
+counted is judged.
 
 Rates: 1 % of each fault a byte on the serial line (drop, duplicate, flip, delay, chunk) and 0.1 % hangs a
 delivery. On USB the unit is a packet, as the cable's own CRC and sequence bits guard its bytes: 1 % each of
@@ -36,12 +41,14 @@ from fakes.faults import Faults
 from fakes.firmware import FakeFirmware
 from fakes.mcp2210_device import Mcp2210Device
 from fakes.mcp2210_hid import FakeHid, HidBoard
+from fakes.numbered_scans import Judge, NumberingFirmware
 from fakes.pins import ChipPins
 from fakes.serial_port import FakePort
 from fakes.spidev_kernel import FakeSpidevKernel
 
 FAST = SpiTiming(1e6, 9.0, 40.0)
 UNPLUG = 2e-4
+DATA_READY = 0x04
 LONGEST_S = 8.0
 """Longest that one exchange may take, repetitions, recovery and a new session included."""
 
@@ -218,17 +225,84 @@ def run(name: str, requests: int, seed: int) -> dict[str, object]:
     }
 
 
+# -- streams ---------------------------------------------------------------------------------------------
+
+
+STREAMS = ((3, 4, 1.0), (7, 16, 1.0), (7, 16, 0.1))
+"""Registers, scans in a packet, part of the full rate of faults."""
+STREAM_DELAY_S = 0.001
+"""Mean delay of a delayed byte in streams; with longer ones the line would carry less than is sent."""
+CYCLE = 1000
+"""Packets until a stream is closed and another begun."""
+
+
+class StreamRig(SerialRig):
+    """Scans with numbers instead of a chip's words."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(seed)
+        self.chip.memory["MSC_CTRL"] = DATA_READY
+        self.firmware = self.numbering = NumberingFirmware(self.pins)
+        self.port = FakePort(self.firmware)
+
+
+def run_streams(packets: int, seed: int) -> dict[str, object]:
+    """So many packets of scans over a bad line."""
+    rig = StreamRig(seed)
+    bus = rig.open()
+    happened: Counter[str] = Counter()
+    outcome: Counter[str] = Counter()
+    longest = 0.0
+    sound = True
+    cycle = 0
+    while rig.numbering.packets < packets:
+        width, scans, part = STREAMS[cycle % len(STREAMS)]
+        cycle += 1
+        rates = {kind: rate * part for kind, rate in BYTES.items()}
+        faults = Faults(seed=seed + cycle, delay_s=STREAM_DELAY_S, **rates)
+        rig.set(rig.quiet)
+        rig.clock.sleep_s(LONGEST_S)
+        judge, until = Judge(width), rig.numbering.packets + CYCLE
+        with bus.stream([0x0A00] * width, block_scans=scans) as stream:
+            rig.set(faults)
+            while rig.numbering.packets < until:
+                begin = rig.clock.now_s()
+                try:
+                    block = next(stream)
+                except BusError as error:
+                    outcome[type(error).__name__] += 1
+                    longest = max(longest, rig.clock.now_s() - begin)
+                    break
+                judge.look(block.words, block.lost)
+            rig.set(rig.quiet)
+        outcome.update(judge.found)
+        happened.update(faults.seen)
+        sound &= judge.sound
+    usable = bus.exchange([0, 0]) is not None
+    return {
+        "packets": rig.numbering.packets,
+        "outcome": dict(outcome),
+        "faults": dict(happened),
+        "longest_s": round(longest, 2),
+        "usable": usable,
+        "passed": usable and sound and outcome["scans"] > 0 and longest < LONGEST_S,
+    }
+
+
 def main() -> int:
     """Run the rigs and print what happened."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--requests", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default=",".join(RIGS))
+    parser.add_argument("--only", default=",".join([*RIGS, "stream"]))
     options = parser.parse_args()
     good = True
     for name in options.only.split(","):
         begin = time.perf_counter()
-        result = run(name, options.requests, options.seed)
+        if name == "stream":
+            result = run_streams(options.requests, options.seed)
+        else:
+            result = run(name, options.requests, options.seed)
         good &= bool(result["passed"])
         print(f"{name} ({time.perf_counter() - begin:.0f} s)")
         for key, value in result.items():

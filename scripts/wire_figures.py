@@ -33,9 +33,10 @@ from adis_gonio.bus.serial.bus import SerialBus
 from adis_gonio.bus.serial.clocks import ClockMap
 from adis_gonio.bus.serial.ports import open_port
 from adis_gonio.bus.serial.stream import SerialStream
+from adis_gonio.bus.wire.protocol import CRC_SIZE, HEADER_SIZE, Scans
 from adis_gonio.sensor.decoding import decode_numbers
 from adis_gonio.sensor.registers import registers
-from adis_gonio.sensor.scanning import StreamedScans
+from adis_gonio.sensor.scanning import ScanLayout, StreamedScans
 from adis_gonio.sim import SimulatedChip, World
 from fakes.clock import VirtualClock
 from fakes.firmware import FakeFirmware
@@ -46,6 +47,8 @@ NAMES = ("XGYRO_OUT", "YGYRO_OUT", "ZGYRO_OUT", "XACCL_OUT", "YACCL_OUT", "ZACCL
 TABLE = registers(NAMES)
 FRAMES = [row.address << 8 for row in TABLE]
 RATE_HZ = 819.2
+AROUND = HEADER_SIZE + Scans.LAYOUT.size + CRC_SIZE + 2
+"""Bytes of a packet beside its words: header, fields, CRC, COBS, delimiter."""
 
 PLAYER = """
 import os, pickle, sys, time
@@ -84,15 +87,15 @@ def record(seconds: float) -> tuple[list[tuple[float, bytes]], int]:
                 block = next(stream)
                 scans += len(block.time_s)
                 assert not block.lost
-    scans = sum((len(data) - 19) // 14 for _, data in packets)
+    scans = sum((len(data) - AROUND) // 14 for _, data in packets)
     return [(at - begin_s, data) for at, data in packets], scans
 
 
 def bytes_per_scan(packets: list[tuple[float, bytes]]) -> float:
     """Bytes on the line for each scan, against the 14 bytes of seven words."""
-    # 19 bytes beside the words, and a byte more where COBS needs a second run; there are no such.
+    # A byte more where COBS needs a second run; there are no such.
     full = [data for _, data in packets if len(data) > 100]
-    scans = sum((len(data) - 19) // 14 for data in full)
+    scans = sum((len(data) - AROUND) // 14 for data in full)
     return sum(map(len, full)) / scans / 14
 
 
@@ -111,14 +114,15 @@ def host_cpu(packets: list[tuple[float, bytes]]) -> tuple[float, int, int]:
             bus,
             stream_id=int.from_bytes(_unstuffed(packets[0][1])[1:3], "little"),
             width=len(FRAMES),
+            packet_scans=16,
             block_scans=82,
             clock=ClockMap(0, time.monotonic()),
             byte_s=20e-6,
             stop=lambda: None,
         )
-        scans = StreamedScans(stream, TABLE, "adis16354", 300, 1 / RATE_HZ)
+        scans = StreamedScans(stream, ScanLayout(TABLE, "adis16354", 300, 1 / RATE_HZ))
         lost = 0
-        total = sum((len(data) - 19) // 14 for _, data in packets)
+        total = sum((len(data) - AROUND) // 14 for _, data in packets)
         first = next(scans)
         seen = len(first)
         cpu, wall = time.process_time(), time.monotonic()

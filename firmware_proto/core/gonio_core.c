@@ -40,7 +40,7 @@ static struct {
     uint8_t open;
     uint32_t nonce;
     uint16_t last_id;
-    uint16_t last_crc;
+    uint32_t last_crc;
 } session;
 
 static struct {
@@ -78,30 +78,6 @@ static struct {
     uint32_t packet_lost;
 } stream;
 
-/* -- bytes ---------------------------------------------------------------------------------------- */
-
-static uint16_t get16(const uint8_t *at)
-{
-    return (uint16_t)(at[0] | ((uint16_t)at[1] << 8));
-}
-
-static uint32_t get32(const uint8_t *at)
-{
-    return get16(at) | ((uint32_t)get16(at + 2) << 16);
-}
-
-static void put16(uint8_t *at, uint16_t value)
-{
-    at[0] = (uint8_t)value;
-    at[1] = (uint8_t)(value >> 8);
-}
-
-static void put32(uint8_t *at, uint32_t value)
-{
-    put16(at, (uint16_t)value);
-    put16(at + 2, (uint16_t)(value >> 16));
-}
-
 /* -- frames: the only way to the chip --------------------------------------------------------------- */
 
 static uint16_t frame(uint16_t word)
@@ -121,7 +97,7 @@ static void send_later(uint8_t *raw, uint8_t length)
 static void begin(uint8_t *raw, uint8_t type, uint16_t id)
 {
     raw[0] = type;
-    put16(raw + 1, id);
+    gonio_put16(raw + 1, id);
 }
 
 /* An error in `raw`; returns its length. */
@@ -130,13 +106,13 @@ static uint8_t refuse(uint8_t *raw, uint8_t type, uint16_t id, uint8_t code, uin
     begin(raw, GP_TYPE_ERROR, id);
     raw[BODY(GP_ERROR_REQUEST)] = type;
     raw[BODY(GP_ERROR_CODE)] = code;
-    put16(raw + BODY(GP_ERROR_DETAIL), detail);
+    gonio_put16(raw + BODY(GP_ERROR_DETAIL), detail);
     return BODY(GP_ERROR_SIZE);
 }
 
 static uint8_t refuse_request(uint8_t code, uint16_t detail)
 {
-    return refuse(reply, request[0], get16(request + 1), code, detail);
+    return refuse(reply, request[0], gonio_get16(request + 1), code, detail);
 }
 
 /* -- triggers ----------------------------------------------------------------------------------------- */
@@ -212,10 +188,10 @@ static void stop_triggers(void)
 static void close_packet(void)
 {
     uint8_t *body = stream.packet + GP_HEADER_SIZE;
-    put16(body + GP_SCANS_SEQUENCE, (uint16_t)(stream.sent - stream.scans));
-    put16(body + GP_SCANS_LOST, (uint16_t)stream.packet_lost);
-    put32(body + GP_SCANS_FIRST_US, stream.first_us);
-    put32(body + GP_SCANS_SPAN_US, stream.last_us - stream.first_us);
+    gonio_put32(body + GP_SCANS_SEQUENCE, stream.sent - stream.scans);
+    gonio_put16(body + GP_SCANS_LOST, (uint16_t)stream.packet_lost);
+    gonio_put32(body + GP_SCANS_FIRST_US, stream.first_us);
+    gonio_put32(body + GP_SCANS_SPAN_US, stream.last_us - stream.first_us);
     stream.closed = 1;
 }
 
@@ -237,7 +213,7 @@ static void run_list(void)
     uint8_t k;
     (void)frame(stream.list[0]);
     for (k = 1; k <= stream.list_length; k++) {
-        put16(out, frame(k < stream.list_length ? stream.list[k] : GP_IDLE_FRAME));
+        gonio_put16(out, frame(k < stream.list_length ? stream.list[k] : GP_IDLE_FRAME));
         out += 2;
     }
 }
@@ -326,30 +302,30 @@ static uint8_t hello(void)
     stream.filled = 0;
     stream.scans = 0;
     session.open = 1;
-    session.nonce = get32(request + BODY(GP_HELLO_REQUEST_NONCE));
+    session.nonce = gonio_get32(request + BODY(GP_HELLO_REQUEST_NONCE));
     board_set_timing(find_clock(GP_DEFAULT_CLOCK_HZ), GP_DEFAULT_STALL_US, GP_DEFAULT_PERIOD_US);
     body[GP_HELLO_REPLY_PROTOCOL] = GP_VERSION;
     body[GP_HELLO_REPLY_MAJOR] = GONIO_MAJOR;
     body[GP_HELLO_REPLY_MINOR] = GONIO_MINOR;
     body[GP_HELLO_REPLY_PATCH] = GONIO_PATCH;
-    put16(body + GP_HELLO_REPLY_CAPABILITIES, GP_CAP_STREAM | GP_CAP_DATA_READY | GP_CAP_HARD_RESET);
+    gonio_put16(body + GP_HELLO_REPLY_CAPABILITIES, GP_CAP_STREAM | GP_CAP_DATA_READY | GP_CAP_HARD_RESET);
     body[GP_HELLO_REPLY_MAX_FRAMES] = GONIO_MAX_FRAMES;
     body[GP_HELLO_REPLY_MAX_LIST] = GONIO_MAX_LIST;
     body[GP_HELLO_REPLY_MAX_SCAN_BYTES] = GONIO_MAX_SCAN_BYTES;
-    put16(body + GP_HELLO_REPLY_MAX_WAIT_US, GONIO_MAX_WAIT_US);
-    put32(body + GP_HELLO_REPLY_NOW_US, board_now_us());
-    put32(body + GP_HELLO_REPLY_NONCE, session.nonce);
+    gonio_put16(body + GP_HELLO_REPLY_MAX_WAIT_US, GONIO_MAX_WAIT_US);
+    gonio_put32(body + GP_HELLO_REPLY_NOW_US, board_now_us());
+    gonio_put32(body + GP_HELLO_REPLY_NONCE, session.nonce);
     for (k = 0; k < GP_CLOCKS; k++) {
-        put32(body + GP_HELLO_REPLY_CLOCKS_HZ + 4u * k, board_clocks_hz[k]);
+        gonio_put32(body + GP_HELLO_REPLY_CLOCKS_HZ + 4u * k, board_clocks_hz[k]);
     }
     return (uint8_t)(BODY(GP_HELLO_REPLY_SIZE) + board_name(body + GP_HELLO_REPLY_BOARD, BOARD_NAME_ROOM));
 }
 
 static uint8_t configure(const uint8_t *body)
 {
-    uint8_t clock = find_clock(get32(body + GP_CONFIGURE_REQUEST_CLOCK_HZ));
-    uint16_t stall_us = get16(body + GP_CONFIGURE_REQUEST_STALL_US);
-    uint16_t period_us = get16(body + GP_CONFIGURE_REQUEST_PERIOD_US);
+    uint8_t clock = find_clock(gonio_get32(body + GP_CONFIGURE_REQUEST_CLOCK_HZ));
+    uint16_t stall_us = gonio_get16(body + GP_CONFIGURE_REQUEST_STALL_US);
+    uint16_t period_us = gonio_get16(body + GP_CONFIGURE_REQUEST_PERIOD_US);
     if (clock == GP_CLOCKS) {
         return refuse_request(GP_ERROR_BAD_VALUE, GP_CONFIGURE_REQUEST_CLOCK_HZ);
     }
@@ -360,9 +336,9 @@ static uint8_t configure(const uint8_t *body)
         return refuse_request(GP_ERROR_BAD_VALUE, GP_CONFIGURE_REQUEST_PERIOD_US);
     }
     board_set_timing(clock, stall_us, period_us);
-    put32(reply + BODY(GP_CONFIGURE_REPLY_CLOCK_HZ), board_clocks_hz[clock]);
-    put16(reply + BODY(GP_CONFIGURE_REPLY_STALL_US), stall_us);
-    put16(reply + BODY(GP_CONFIGURE_REPLY_PERIOD_US), period_us);
+    gonio_put32(reply + BODY(GP_CONFIGURE_REPLY_CLOCK_HZ), board_clocks_hz[clock]);
+    gonio_put16(reply + BODY(GP_CONFIGURE_REPLY_STALL_US), stall_us);
+    gonio_put16(reply + BODY(GP_CONFIGURE_REPLY_PERIOD_US), period_us);
     return BODY(GP_CONFIGURE_REPLY_SIZE);
 }
 
@@ -370,7 +346,7 @@ static uint8_t configure(const uint8_t *body)
 static uint8_t find_bits(const uint8_t *frames, uint8_t count, uint16_t bits)
 {
     uint8_t k = 0;
-    while (k < count && (get16(frames + 2u * k) & bits) == 0u) {
+    while (k < count && (gonio_get16(frames + 2u * k) & bits) == 0u) {
         k++;
     }
     return k;
@@ -391,13 +367,13 @@ static uint8_t exchange(const uint8_t *body, uint8_t length)
         return refuse_request(GP_ERROR_BAD_FRAME, k);
     }
     for (k = 0; k < count; k++) {
-        writes = (uint8_t)(writes + ((get16(frames + 2u * k) & GP_WRITE_BIT) != 0u));
+        writes = (uint8_t)(writes + ((gonio_get16(frames + 2u * k) & GP_WRITE_BIT) != 0u));
     }
     if (writes != body[GP_EXCHANGE_REQUEST_WRITES]) {
         return refuse_request(GP_ERROR_WRITE_COUNT, writes);
     }
     for (k = 0; k < count; k++) {
-        put16(reply + BODY(GP_EXCHANGE_REPLY_WORDS) + 2u * k, frame(get16(frames + 2u * k)));
+        gonio_put16(reply + BODY(GP_EXCHANGE_REPLY_WORDS) + 2u * k, frame(gonio_get16(frames + 2u * k)));
     }
     return (uint8_t)(BODY(GP_EXCHANGE_REPLY_WORDS) + 2u * count);
 }
@@ -409,8 +385,8 @@ static uint8_t start_stream(const uint8_t *body, uint8_t length)
     uint8_t count = bytes / 2u;
     uint8_t kind = body[GP_STREAM_REQUEST_TRIGGER];
     uint8_t scans = body[GP_STREAM_REQUEST_SCANS];
-    uint16_t decimation = get16(body + GP_STREAM_REQUEST_DECIMATION);
-    uint32_t period_us = get32(body + GP_STREAM_REQUEST_PERIOD_US);
+    uint16_t decimation = gonio_get16(body + GP_STREAM_REQUEST_DECIMATION);
+    uint32_t period_us = gonio_get32(body + GP_STREAM_REQUEST_PERIOD_US);
     uint32_t now_us;
     uint8_t k;
     if (count == 0u || bytes % 2u != 0u || count > GONIO_MAX_LIST) {
@@ -434,7 +410,7 @@ static uint8_t start_stream(const uint8_t *body, uint8_t length)
         return refuse_request(GP_ERROR_BAD_VALUE, GP_STREAM_REQUEST_PERIOD_US);
     }
     for (k = 0; k < count; k++) {
-        stream.list[k] = get16(frames + 2u * k);
+        stream.list[k] = gonio_get16(frames + 2u * k);
     }
     stream.list_length = count;
     stream.scans_a_packet = scans;
@@ -443,7 +419,7 @@ static uint8_t start_stream(const uint8_t *body, uint8_t length)
     stream.sent = 0;
     stream.by_period = kind == GP_TRIGGER_PERIOD;
     stream.period_us = period_us;
-    begin(stream.packet, GP_TYPE_SCANS, get16(request + 1));
+    begin(stream.packet, GP_TYPE_SCANS, gonio_get16(request + 1));
     if (kind != GP_TRIGGER_PERIOD) {
         board_select_edge(kind == GP_TRIGGER_FALLING);
     }
@@ -458,7 +434,7 @@ static uint8_t start_stream(const uint8_t *body, uint8_t length)
     now_us = board_now_us();
     stream.next_us = now_us + period_us;
     stream.on = 1;
-    put32(reply + BODY(GP_STREAM_REPLY_NOW_US), now_us);
+    gonio_put32(reply + BODY(GP_STREAM_REPLY_NOW_US), now_us);
     return BODY(GP_STREAM_REPLY_SIZE);
 }
 
@@ -468,19 +444,19 @@ static uint8_t stop(void)
     if (stream.scans != 0u && stream.closed == 0u) {
         close_packet();
     }
-    put32(reply + BODY(GP_STOP_REPLY_SCANS), stream.sent);
-    put32(reply + BODY(GP_STOP_REPLY_LOST), stream.lost_total);
+    gonio_put32(reply + BODY(GP_STOP_REPLY_SCANS), stream.sent);
+    gonio_put32(reply + BODY(GP_STOP_REPLY_LOST), stream.lost_total);
     return BODY(GP_STOP_REPLY_SIZE);
 }
 
 static uint8_t reset(const uint8_t *body)
 {
-    uint16_t low_us = get16(body + GP_RESET_REQUEST_LOW_US);
+    uint16_t low_us = gonio_get16(body + GP_RESET_REQUEST_LOW_US);
     if (low_us < LEAST_LOW_US || low_us > LONGEST_LOW_US) {
         return refuse_request(GP_ERROR_BAD_VALUE, GP_RESET_REQUEST_LOW_US);
     }
     board_reset_chip(low_us);
-    put32(reply + BODY(GP_RESET_REPLY_NOW_US), board_now_us());
+    gonio_put32(reply + BODY(GP_RESET_REPLY_NOW_US), board_now_us());
     return BODY(GP_RESET_REPLY_SIZE);
 }
 
@@ -491,17 +467,17 @@ static uint8_t statistics(void)
     board_lock();
     edges = trigger.edges;
     board_unlock();
-    put32(body + GP_STATISTICS_REPLY_NOW_US, board_now_us());
-    put32(body + GP_STATISTICS_REPLY_EDGES, edges);
-    put32(body + GP_STATISTICS_REPLY_LOST, lost_so_far());
-    put32(body + GP_STATISTICS_REPLY_FRAMES, counts.frames);
-    put16(body + GP_STATISTICS_REPLY_PACKETS, counts.packets);
-    put16(body + GP_STATISTICS_REPLY_CRC_ERRORS, counts.crc_errors);
-    put16(body + GP_STATISTICS_REPLY_COBS_ERRORS, counts.cobs_errors);
-    put16(body + GP_STATISTICS_REPLY_LENGTH_ERRORS, counts.length_errors);
-    put16(body + GP_STATISTICS_REPLY_DISCARDED, counts.discarded);
-    put16(body + GP_STATISTICS_REPLY_REPEATED, counts.repeated);
-    put16(body + GP_STATISTICS_REPLY_RECEIVE_OVERRUNS, board_receive_overruns());
+    gonio_put32(body + GP_STATISTICS_REPLY_NOW_US, board_now_us());
+    gonio_put32(body + GP_STATISTICS_REPLY_EDGES, edges);
+    gonio_put32(body + GP_STATISTICS_REPLY_LOST, lost_so_far());
+    gonio_put32(body + GP_STATISTICS_REPLY_FRAMES, counts.frames);
+    gonio_put16(body + GP_STATISTICS_REPLY_PACKETS, counts.packets);
+    gonio_put16(body + GP_STATISTICS_REPLY_CRC_ERRORS, counts.crc_errors);
+    gonio_put16(body + GP_STATISTICS_REPLY_COBS_ERRORS, counts.cobs_errors);
+    gonio_put16(body + GP_STATISTICS_REPLY_LENGTH_ERRORS, counts.length_errors);
+    gonio_put16(body + GP_STATISTICS_REPLY_DISCARDED, counts.discarded);
+    gonio_put16(body + GP_STATISTICS_REPLY_REPEATED, counts.repeated);
+    gonio_put16(body + GP_STATISTICS_REPLY_RECEIVE_OVERRUNS, board_receive_overruns());
     return BODY(GP_STATISTICS_REPLY_SIZE);
 }
 
@@ -522,7 +498,7 @@ static uint8_t execute(uint8_t length)
     if (length < least[type - 1u] || (has_tail == 0u && length > least[type - 1u])) {
         return refuse_request(GP_ERROR_BAD_LENGTH, length);
     }
-    begin(reply, type | GP_REPLY_BIT, get16(request + 1));
+    begin(reply, type | GP_REPLY_BIT, gonio_get16(request + 1));
     switch (type) {
     case GP_TYPE_HELLO_REQUEST:
         return hello();
@@ -552,9 +528,9 @@ static uint8_t execute(uint8_t length)
 static void take_packet(uint8_t length)
 {
     uint8_t type = request[0];
-    uint16_t id = get16(request + 1);
+    uint16_t id = gonio_get16(request + 1);
     uint8_t body_length = (uint8_t)(length - GP_HEADER_SIZE - GP_CRC_SIZE);
-    uint16_t crc = get16(request + length - GP_CRC_SIZE);
+    uint32_t crc = gonio_get32(request + length - GP_CRC_SIZE);
     uint8_t fresh = 0;
     counts.packets++;
     if ((type & GP_REPLY_BIT) != 0u) {
@@ -571,7 +547,7 @@ static void take_packet(uint8_t length)
             send_later(request, refuse(request, type, id, GP_ERROR_BAD_LENGTH, body_length));
             return;
         }
-        fresh = session.open == 0u || get32(body + GP_HELLO_REQUEST_NONCE) != session.nonce;
+        fresh = session.open == 0u || gonio_get32(body + GP_HELLO_REQUEST_NONCE) != session.nonce;
     } else if (session.open == 0u) {
         send_later(request, refuse(request, type, id, GP_ERROR_NO_SESSION, 0));
         return;

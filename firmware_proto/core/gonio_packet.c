@@ -2,18 +2,47 @@
 
 #include "gonio_board.h"
 
-/* By bytes: an 8-bit processor shifts 16 bits slowly. */
-uint16_t gonio_crc16(const uint8_t *data, uint8_t length)
+/* A processor with two address spaces would copy constants to RAM, where there is no room for a kilobyte. */
+#ifdef __AVR__
+#include <avr/pgmspace.h>
+#define GONIO_IN_FLASH PROGMEM
+#define FETCH(entry) pgm_read_dword(&(entry))
+#else
+#define GONIO_IN_FLASH
+#define FETCH(entry) (entry)
+#endif
+#include "gonio_crc_table.h"
+
+/* By a table: bit by bit an 8-bit processor takes longer for a packet of scans than until the next sample. */
+uint32_t gonio_crc32(const uint8_t *data, uint8_t length)
 {
-    uint8_t high = (uint8_t)(GP_CRC_INITIAL >> 8);
-    uint8_t low = (uint8_t)(GP_CRC_INITIAL & 0xFFu);
+    uint32_t crc = GP_CRC_INITIAL;
     while (length-- > 0u) {
-        uint8_t x = (uint8_t)(high ^ *data++);
-        x ^= (uint8_t)(x >> 4);
-        high = (uint8_t)(low ^ (uint8_t)(x << 4) ^ (x >> 3));
-        low = (uint8_t)((uint8_t)(x << 5) ^ x);
+        crc = (crc >> 8) ^ FETCH(crc_table[(uint8_t)(crc ^ *data++)]);
     }
-    return (uint16_t)((uint16_t)high << 8 | low);
+    return crc ^ GP_CRC_FINAL;
+}
+
+uint16_t gonio_get16(const uint8_t *at)
+{
+    return (uint16_t)(at[0] | ((uint16_t)at[1] << 8));
+}
+
+uint32_t gonio_get32(const uint8_t *at)
+{
+    return gonio_get16(at) | ((uint32_t)gonio_get16(at + 2) << 16);
+}
+
+void gonio_put16(uint8_t *at, uint16_t value)
+{
+    at[0] = (uint8_t)value;
+    at[1] = (uint8_t)(value >> 8);
+}
+
+void gonio_put32(uint8_t *at, uint32_t value)
+{
+    gonio_put16(at, (uint16_t)value);
+    gonio_put16(at + 2, (uint16_t)(value >> 16));
 }
 
 void gonio_decoder_init(struct gonio_decoder *decoder, uint8_t *raw, uint8_t room)
@@ -51,8 +80,7 @@ static enum gonio_decoded complete(const struct gonio_decoder *decoder)
         return GONIO_BAD_LENGTH;
     }
     body_end = (uint8_t)(decoder->length - GP_CRC_SIZE);
-    if (gonio_crc16(decoder->raw, body_end) !=
-        (uint16_t)(decoder->raw[body_end] | ((uint16_t)decoder->raw[body_end + 1u] << 8))) {
+    if (gonio_crc32(decoder->raw, body_end) != gonio_get32(decoder->raw + body_end)) {
         return GONIO_BAD_CRC;
     }
     return GONIO_PACKET;
@@ -86,9 +114,7 @@ enum gonio_decoded gonio_decode(struct gonio_decoder *decoder, uint8_t byte)
 
 uint8_t gonio_seal(uint8_t *raw, uint8_t length)
 {
-    uint16_t crc = gonio_crc16(raw, length);
-    raw[length] = (uint8_t)crc;
-    raw[length + 1u] = (uint8_t)(crc >> 8);
+    gonio_put32(raw + length, gonio_crc32(raw, length));
     return (uint8_t)(length + GP_CRC_SIZE);
 }
 

@@ -7,9 +7,10 @@
 #define GP_BAUD_FAST 1000000ul
 
 #define GP_HEADER_SIZE 3u
-#define GP_CRC_SIZE 2u
+#define GP_CRC_SIZE 4u
 #define GP_MAX_RAW 252u
-#define GP_CRC_INITIAL 0xFFFFu /* CRC-16/IBM-3740 */
+#define GP_CRC_INITIAL 0xFFFFFFFFul /* CRC-32/ISO-HDLC */
+#define GP_CRC_FINAL 0xFFFFFFFFul
 #define GP_DELIMITER 0x00u
 #define GP_REPLY_BIT 0x80u
 
@@ -144,12 +145,12 @@
 
 /* scans: Scans of consecutive triggers of the stream whose request had this id. */
 #define GP_TYPE_SCANS 0xC4u
-#define GP_SCANS_SEQUENCE 0u /* u16: scans sent in this stream before the first one here, wraps */
-#define GP_SCANS_LOST 2u /* u16: triggers lost in this stream before the first scan here, wraps */
-#define GP_SCANS_FIRST_US 4u /* u32: time of the first scan's trigger */
-#define GP_SCANS_SPAN_US 8u /* u32: time from the first scan's trigger to the last one's */
-#define GP_SCANS_WORDS 12u /* words: reply to each frame of the list, scan by scan */
-#define GP_SCANS_SIZE 12u /* without a tail */
+#define GP_SCANS_SEQUENCE 0u /* u32: scans sent in this stream before the first one here, wraps */
+#define GP_SCANS_LOST 4u /* u16: triggers lost in this stream before the first scan here, wraps */
+#define GP_SCANS_FIRST_US 6u /* u32: time of the first scan's trigger */
+#define GP_SCANS_SPAN_US 10u /* u32: time from the first scan's trigger to the last one's */
+#define GP_SCANS_WORDS 14u /* words: reply to each frame of the list, scan by scan */
+#define GP_SCANS_SIZE 14u /* without a tail */
 
 /* error: Reply to a refused request: nothing was executed. */
 #define GP_TYPE_ERROR 0xFFu

@@ -35,7 +35,7 @@ static int check(const char *kind, const char *left, const char *right)
     uint32_t raw_length = bytes_of(left, raw);
     if (strcmp(kind, "crc") == 0) {
         unsigned crc = 0;
-        return sscanf(right, "%x", &crc) == 1 && gonio_crc16(raw, (uint8_t)raw_length) == crc;
+        return sscanf(right, "%x", &crc) == 1 && gonio_crc32(raw, (uint8_t)raw_length) == crc;
     }
     if (strcmp(kind, "packet") == 0) { /* header and body; what stands on the wire */
         uint8_t wire[600];

@@ -74,7 +74,7 @@ class TestCp2130(BusContract):
             "hung": (silence, BusTimeoutError),
         }
         twin = SimulatedChip(World(seed=SEED), start_s=-0.5)
-        return Rig(bus, bench.chip, twin, faults)
+        return Rig(bus, bench.chip, twin, faults, slowest_hz=93_750)
 
 
 class TestCp2130OnAnImpossiblyFastCable(TestCp2130):

@@ -1,14 +1,16 @@
 """The MCP2210 transport over a fake module hid, down to reports."""
 
 import contextlib
+import threading
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adis_gonio.bus import BusUrl, Capability, SpiTiming
-from adis_gonio.bus.mcp2210 import find_devices, open_from_url
+from adis_gonio.bus.mcp2210 import find_devices, open_from_url, writes
 from adis_gonio.bus.mcp2210 import reports as r
+from adis_gonio.bus.mcp2210.writes import TimedWrites
 from adis_gonio.errors import (
     BusError,
     BusTimeoutError,
@@ -73,7 +75,7 @@ class TestMcp2210(BusContract):
             "hung": (silence, BusTimeoutError),
         }
         twin = SimulatedChip(World(seed=SEED), start_s=-0.5)
-        return Rig(bus, bench.chip, twin, faults)
+        return Rig(bus, bench.chip, twin, faults, slowest_hz=1_500)
 
 
 class TestMcp2210OnAnImpossiblyFastCable(TestMcp2210):
@@ -391,3 +393,114 @@ def test_parsers_take_any_bytes(data):
 def test_a_progress_never_carries_more_than_a_frame(data):
     with contextlib.suppress(ProtocolError):
         assert len(r.Progress.parse(b"\x42" + data).data) <= 2
+
+
+# -- writes that block --------------------------------------------------------------------------------
+
+
+class BlockingDevice:
+    """hidapi's device where the kernel waits for the board."""
+
+    def __init__(self):
+        self.free = threading.Event()
+        self.free.set()
+        self.written, self.closed_while_writing, self.closed = [], None, threading.Event()
+        self.writing = False
+
+    def write(self, data):
+        self.writing = True
+        self.free.wait(30)
+        self.writing = False
+        self.written.append(data)
+        return len(data)
+
+    def read(self, size, timeout_ms=0):
+        return []
+
+    def set_nonblocking(self, on):
+        return 0
+
+    def close(self):
+        self.closed_while_writing = self.writing
+        self.closed.set()
+
+
+def test_a_write_that_blocks_is_a_time_out_and_the_next_ones_wait_their_turn():
+    device = BlockingDevice()
+    timed = TimedWrites(device, 0.05)
+    assert timed.write(b"a") == 1
+    device.free.clear()
+    for _ in range(3):
+        with pytest.raises(TimeoutError):
+            timed.write(b"b")
+    assert device.written == [b"a"]
+    device.free.set()
+    timed._timeout_s = 30
+    assert timed.write(b"c") == 1
+    assert device.written == [b"a", b"b", b"c"], "in order, and none of the refused ones later"
+    timed.close()
+    assert device.closed.is_set()
+
+
+def test_a_write_that_fails_late_is_a_time_out_and_one_that_fails_at_once_is_a_device_that_is_gone(
+    monkeypatch,
+):
+    device = BlockingDevice()
+    device.write = lambda data: -1
+    assert TimedWrites(device).write(b"a") == -1
+    monkeypatch.setattr(writes, "AT_ONCE_S", -1.0)
+    with pytest.raises(TimeoutError):
+        TimedWrites(device).write(b"a")
+
+
+@pytest.mark.parametrize("patience_s", [30.0, 0.05])
+def test_closing_never_frees_a_device_under_a_write(monkeypatch, patience_s):
+    monkeypatch.setattr(writes, "LONGEST_WRITE_S", patience_s)
+    device = BlockingDevice()
+    timed = TimedWrites(device, 0.05)
+    device.free.clear()
+    with pytest.raises(TimeoutError):
+        timed.write(b"b")
+    later = threading.Timer(0.3, device.free.set)
+    later.start()
+    timed.close()
+    assert device.closed.wait(30)
+    assert device.closed_while_writing is False
+    later.join()
+
+
+def test_a_device_that_takes_no_report_is_a_time_out_and_nothing_more_is_sent_to_it():
+    bench = Bench()
+    with bench.open() as bus:
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+        tried = []
+
+        def refuse(data):
+            tried.append(data)
+            raise TimeoutError
+
+        takes, bus._device.write = bus._device.write, refuse
+        with pytest.raises(BusTimeoutError, match="takes no report"):
+            bus.exchange([0x3800, 0])
+        assert len(tried) == 1
+        bus._device.write = takes
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+@pytest.mark.parametrize("after", range(1, 9))
+def test_an_interruption_by_the_operator_leaves_no_answer_to_the_next_request(after):
+    bench = Bench()
+    with bench.open() as bus:
+        read, calls = bus._device.read, []
+
+        def interrupted(size, timeout_ms=0):
+            calls.append(timeout_ms)
+            if len(calls) == after:
+                raise KeyboardInterrupt
+            return read(size, timeout_ms)
+
+        bus._device.read = interrupted
+        with contextlib.suppress(KeyboardInterrupt):
+            bus.exchange([0x3800, 0x3600, 0])
+        bus._device.read = read
+        assert bus.exchange([0x3600, 0x3800, 0])[1:] == [0x0001, 0x0402]

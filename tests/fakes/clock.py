@@ -36,3 +36,25 @@ class DeviceClock:
     def advance_to(self, time_s: float) -> None:
         """Wait until the work would be done."""
         self.sleep_s(time_s - self.now_s())
+
+
+class WorkClock(DeviceClock):
+    """The same for a model whose answers carry the time at which they are ready.
+
+    Work sets it forward at once, before the wall's clock has come so far; whoever sends the answer waits
+    for it. A model that slept for every frame would be late by as many wake-ups of a busy machine.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._done_s = 0.0
+
+    def wall_s(self) -> float:
+        """The wall's clock."""
+        return super().now_s()
+
+    def now_s(self) -> float:
+        return max(self.wall_s(), self._done_s)
+
+    def advance_to(self, time_s: float) -> None:
+        self._done_s = max(self._done_s, time_s)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
+import zlib
 from collections import deque
 
 from fakes.pins import ChipPins
@@ -26,14 +27,8 @@ PULSE_S = 50e-6
 
 
 def crc(data: bytes) -> int:
-    """CRC-16/IBM-3740 bit by bit."""
-    value = 0xFFFF
-    for byte in data:
-        value ^= byte << 8
-        for _ in range(8):
-            value = value << 1 ^ (0x1021 if value & 0x8000 else 0)
-            value &= 0xFFFF
-    return value
+    """CRC-32/ISO-HDLC, the one of zlib."""
+    return zlib.crc32(data)
 
 
 def stuff(data: bytes) -> bytes:
@@ -166,8 +161,8 @@ class FakeFirmware:
     @staticmethod
     def _packed(kind: int, request_id: int, body: bytes) -> bytes:
         raw = struct.pack("<BH", kind, request_id) + body
-        assert len(raw) + 2 <= 252
-        return stuff(raw + struct.pack("<H", crc(raw))) + b"\0"
+        assert len(raw) + 4 <= 252
+        return stuff(raw + struct.pack("<I", crc(raw))) + b"\0"
 
     def _put(self, data: bytes, ready_s: float | None = None) -> None:
         start = max(self.pins.clock.now_s() if ready_s is None else ready_s, self._line_free_s)
@@ -178,9 +173,9 @@ class FakeFirmware:
         raw = unstuff(stuffed)
         if raw is None:
             self.counters["cobs"] += 1
-        elif not 5 <= len(raw) <= 252:
+        elif not 7 <= len(raw) <= 252:
             self.counters["length"] += 1
-        elif crc(raw[:-2]) != struct.unpack("<H", raw[-2:])[0]:
+        elif crc(raw[:-4]) != struct.unpack("<I", raw[-4:])[0]:
             self.counters["crc"] += 1
         else:
             self.counters["packets"] += 1
@@ -188,8 +183,8 @@ class FakeFirmware:
 
     def _request(self, raw: bytes) -> None:
         kind, request_id = struct.unpack_from("<BH", raw)
-        check = struct.unpack("<H", raw[-2:])[0]
-        body = raw[3:-2]
+        check = struct.unpack("<I", raw[-4:])[0]
+        body = raw[3:-4]
         if kind & 0x80:
             self.counters["discarded"] += 1
             return
@@ -435,8 +430,8 @@ class _Stream:
         firmware = self.firmware
         first, last = firmware.now_us(self._times[0]), firmware.now_us(self._times[-1])
         head = struct.pack(
-            "<HHII",
-            self.sent & 0xFFFF,
+            "<IHII",
+            self.sent & 0xFFFF_FFFF,
             self._first_lost & 0xFFFF,
             first,
             (last - first) & 0xFFFF_FFFF,

@@ -81,7 +81,7 @@ class FakePort:
 
 
 class PtyBoard:
-    """The firmware behind a pty, pumped by a thread in real time; `path` opens with pyserial.
+    """The firmware, on a `WorkClock`, behind a pty and pumped by a thread; `path` opens with pyserial.
 
     A pty has no modem lines, so that RTS and DTR fail as they do on such ports.
     """
@@ -100,21 +100,23 @@ class PtyBoard:
         there, back = FaultyStream(self.faults), FaultyStream(self.faults)
         clock, firmware = self.firmware.pins.clock, self.firmware
         while not self._stop.is_set():
-            now = clock.now_s()
+            now = clock.wall_s()
             times = [t for t in (there.next_s(), back.next_s(), firmware.next_event_s()) if t is not None]
             wait = min([0.05, *(max(0.0, t - now) for t in times)])
             try:
                 if select.select([self._master], [], [], wait)[0]:
-                    there.put(os.read(self._master, 4096), clock.now_s())
-                now = clock.now_s()
+                    there.put(os.read(self._master, 4096), clock.wall_s())
+                now = clock.wall_s()
                 firmware.run(now)
                 data = there.take(now, BUFFER)
                 if data and not self.faults.hangs(now):
                     firmware.feed(data)
+                elif firmware.next_event_s() is None:
+                    firmware.pins.data_ready_edges()  # so that a request never finds a chip far behind
                 while firmware.out:
                     ready_s, packet = firmware.out.popleft()
                     back.put(packet, max(ready_s, now))
-                data = back.take(clock.now_s(), BUFFER)
+                data = back.take(clock.wall_s(), BUFFER)
                 if data:
                     os.write(self._master, data)
             except OSError:

@@ -18,7 +18,8 @@ from adis_gonio.bus.wire.protocol import (
 Reply = TypeVar("Reply", bound=Body)
 
 
-TRIES = 3
+TRIES = 8
+"""Beside a dense stream the simulated UART loses bytes that a real one would not (see rig.py)."""
 
 
 class RefusedError(Exception):

@@ -96,6 +96,22 @@ def test_seven_registers_at_the_full_rate_reach_the_user_without_a_gap(rig):
     assert all((block.words & 0x8000).all() for block in blocks)
 
 
+def test_a_stream_enables_data_ready_by_itself_and_sets_it_back(rig):
+    with Adis16354(open_serial(rig)) as sensor:
+        sensor.configure(smpl_prd=1, filter_m=0, linear_g=True)
+        with pytest.raises(KeyboardInterrupt), sensor.stream(SEVEN) as stream:  # noqa: PT012
+            block = next(stream)
+            assert rig.chip.memory["MSC_CTRL"] == 0x84
+            raise KeyboardInterrupt
+        assert len(block) >= 200
+        assert block.lost == 0
+        assert rig.chip.memory["MSC_CTRL"] == 0x80
+        with sensor.stream(SEVEN, leave_registers=True) as stream:
+            assert "polling" in stream.how
+            assert len(next(stream)) > 0
+        assert rig.chip.memory["MSC_CTRL"] == 0x80
+
+
 def test_a_hard_reset_brings_back_what_is_saved(rig):
     with Adis16354(open_serial(rig)) as sensor:
         sensor.write("XACCL_OFF", 100)
@@ -145,7 +161,7 @@ class TestFirmwareBinary(BusContract):
         rig = make_rig(World(seed=SEED), chip=chip)
         rig.sleep_s(0.02)
         bus = open_serial(rig)
-        yield ContractRig(bus, chip, SimulatedChip(World(seed=SEED), start_s=-0.5))
+        yield ContractRig(bus, chip, SimulatedChip(World(seed=SEED), start_s=-0.5), slowest_hz=125_000)
         bus.close()
 
     def make(self) -> ContractRig:

@@ -186,6 +186,19 @@ def test_seven_registers_at_the_full_rate_come_without_a_lost_or_repeated_scan(m
     assert counts.receive_overruns == 0
 
 
+def test_the_longest_list_keeps_the_full_rate(make_rig):
+    """Sixteen frames, an idle one, and the CRC of a packet of 180 bytes fit between two updates."""
+    rig, client = connect(make_rig)
+    exchange(client, DATA_READY_ON)
+    configure(client, 1_000_000, 9, 40)
+    longest = [*OUTPUTS, *OUTPUTS, *OUTPUTS][:16]
+    packets, totals = stream(rig, client, longest, 0.5)
+    scans = np.concatenate([packet.words for packet in packets]).reshape(-1, 16)
+    assert len(scans) == totals.scans >= 408
+    assert totals.lost == 0
+    assert (scans[:, :7] & 0x8000).all()
+
+
 def test_stamps_are_right_where_the_timer_wraps_under_the_interrupt(make_rig):
     rig, client = connect(make_rig)
     configure(client, 1_000_000, 9, 40)

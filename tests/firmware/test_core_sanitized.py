@@ -1,6 +1,7 @@
 """The core under the sanitizers; scripts/fuzz_wire.py runs it for longer."""
 
 import re
+import shutil
 import subprocess
 
 import pytest
@@ -28,6 +29,12 @@ def test_random_bytes_and_broken_requests_crash_nothing_and_send_no_write(host_b
 def test_the_c_core_agrees_with_the_shared_vectors(host_build):
     told = run(str(host_build("vectors")), str(HOST.parent / "vectors.txt"))
     assert re.fullmatch(r"\d+ vectors, 0 wrong\n", told)
+
+
+def test_static_analysis_finds_nothing_in_core_and_port():
+    if shutil.which("cppcheck") is None:
+        pytest.skip("cppcheck is not installed (Debian: cppcheck)")
+    run("make", "-s", "-C", str(HOST), "check")
 
 
 def test_the_c_core_notices_a_wrong_vector(host_build, tmp_path):

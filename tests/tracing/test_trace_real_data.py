@@ -44,8 +44,9 @@ def test_four_positions_show_a_bias_and_the_angle_before_and_after(capsys):
     value = document["found"][0]["parameters"]["bias_x"]
     assert value["u"] < 0.5
     # What four positions cannot tell.
-    assert any("4 different angles show harmonics up to 1 only" in line for line in document["next"])
     assert document["detectable"]["cubic"]["amplitude"] is None
+    assert document["detectable"]["stage_ellipticity"]["amplitude"] is None
+    assert document["detectable"]["quadratic"]["amplitude"] > 5
 
 
 def test_fourteen_poses_cannot_decide_between_drift_and_curvature(capsys):
@@ -53,12 +54,12 @@ def test_fourteen_poses_cannot_decide_between_drift_and_curvature(capsys):
     assert names(document) == {"bias"}
     assert not document["adequate"]
     assert any({"quadratic", "bias_drift"} <= set(group) for group in document["confounded"])
-    assert any("gravity along" in line for line in document["next"])
-    after = document["error"]["after"]
-    assert after["residual_rms_mg"] == pytest.approx(2.1, abs=0.2)
-    # Choosing effects from thirteen poses is not stable, and that is said beside the figure.
-    kept = float(document["heldout_design"].split("fold, ")[1].split(" mg")[0])
-    assert kept < 8 < after["heldout_rms_mg"]
+    assert any("quadratic" in line and "point each axis 45°" in line for line in document["next"])
+    assert any("bias_drift" in line and "repeat some positions" in line for line in document["next"])
+    before, after = document["error"]["before"], document["error"]["after"]
+    assert after["residual_rms_mg"] == pytest.approx(2.3, abs=0.3)
+    # As good as the published 7.0, which keeps the model; here effects are chosen anew in each fold.
+    assert after["heldout_rms_mg"] <= 7.0 < 0.1 * before["heldout_rms_mg"]
 
 
 @pytest.mark.parametrize("name", ["xsens_mti_recording", *(f"mpu9150_{k}_recording" for k in range(5))])
@@ -69,7 +70,8 @@ def test_nothing_beyond_bias_scale_and_skew_is_claimed(capsys, name):
     assert document["adequate"]
     before, after = document["error"]["before"], document["error"]["after"]
     assert after["heldout_rms_mg"] < 0.1 * before["heldout_rms_mg"]
-    assert "body axes" in document["heldout_design"]
+    if name.startswith("mpu9150"):  # the poses of the other are too close to the faces
+        assert "body axes" in document["heldout_design"]
 
 
 def test_thermal_cycle_is_a_polynomial_and_its_lag(capsys):

@@ -294,6 +294,7 @@ GRAMMAR: dict[str, Draw] = {
     "turn_time": _turn_time,
     "drift_square": _drift_square,
     "drift_knee": _drift_knee,
+    "lean_temperature": _lean_temperature,  # an axis that turns against the other
 }
 
 
@@ -457,6 +458,26 @@ def _one_sided(rng: np.random.Generator, rows: Rows) -> Term:
     )
 
 
+def _lean_wanders(rng: np.random.Generator, rows: Rows) -> Term:
+    f = _smooth_draw(rng, 0.0, rows.time_s[-1], rng.uniform(0.15, 0.3))
+    axes = _axes(rng)
+    basis = on_axes(axes, lambda r, a, i: a[:, 1 - i] / 1000 * f(r.time_s))
+    made = _made("lean_wanders", basis, _sizes(rng, axes), "time", "", "")
+    return replace(made, also=("reading",))
+
+
+def _growing_play(rng: np.random.Generator, rows: Rows) -> Term:
+    rate = rng.uniform(1.0, 4.0) / rows.time_s[-1]
+    return _turned(
+        "growing_play",
+        lambda r: r.approach * (1 - np.exp(-rate * r.time_s)),
+        "approach time",
+        "",
+        "backlash",
+        "approach",
+    )
+
+
 BEYOND: dict[str, Draw] = {
     "smooth_of_angle": _gp_angle_bias,
     "smooth_of_temperature": _gp_temperature,
@@ -472,5 +493,6 @@ BEYOND: dict[str, Draw] = {
     "gain_wanders": _gain_wander,
     "two_slopes": _two_slopes,
     "one_sided_bend": _one_sided,
-    "lean_temperature": _lean_temperature,  # an axis that turns against the other
+    "lean_wanders": _lean_wanders,
+    "growing_play": _growing_play,
 }

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cobs import cobs as reference_cobs
-from crccheck.crc import Crc16Ibm3740
+from crccheck.crc import Crc32
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from adis_gonio.bus.wire import Body, Packet, Receiver, cobs, crc16, encode
+from adis_gonio.bus.wire import Body, Packet, Receiver, cobs, crc32, encode
 from adis_gonio.bus.wire import protocol as wire
 from adis_gonio.errors import ProtocolError
 
@@ -35,11 +35,11 @@ def vectors(kind: str) -> list[tuple[bytes, str]]:
 
 @pytest.mark.parametrize(("data", "crc"), vectors("crc"))
 def test_crc_vectors(data, crc):
-    assert crc16(data) == int(crc, 16)
+    assert crc32(data) == int(crc, 16)
 
 
 def test_the_check_value_of_the_crc():
-    assert crc16(b"123456789") == wire.CRC_CHECK == 0x29B1
+    assert crc32(b"123456789") == wire.CRC_CHECK == 0xCBF43926
 
 
 @pytest.mark.parametrize(("raw", "on_the_wire"), vectors("packet"))
@@ -93,7 +93,7 @@ def test_cobs_refuses_what_an_independent_implementation_refuses(data):
 
 @given(BYTES)
 def test_the_crc_is_that_of_an_independent_implementation(data):
-    assert crc16(data) == Crc16Ibm3740.calc(data)
+    assert crc32(data) == Crc32.calc(data)
 
 
 # -- packets ------------------------------------------------------------
@@ -162,7 +162,7 @@ def test_a_sound_packet_of_an_unknown_type_is_counted_and_dropped():
 
 
 @pytest.mark.parametrize(
-    "packet", [Packet(1, 1, bytes(248)), Packet(256, 1), Packet(1, 65536), Packet(1, -1)]
+    "packet", [Packet(1, 1, bytes(246)), Packet(256, 1), Packet(1, 65536), Packet(1, -1)]
 )
 def test_what_is_no_packet_cannot_be_encoded(packet):
     with pytest.raises(ValueError, match="packet"):

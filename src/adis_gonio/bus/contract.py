@@ -13,7 +13,8 @@ Who waits
     frame of one batch and the first of the next too. Slower is always allowed.
 Timing is configuration
     `configure(timing)` sets it once and returns what the bus will do; calls carry no delays. A bus
-    that cannot keep a timing raises `UsageError` and leaves the old one in force.
+    that cannot keep a timing, such as a clock below its slowest, raises `UsageError` and leaves the old
+    one in force.
 Bit 14
     is zero in every frame of this family. A batch with a frame outside 0…0xFFFF or with bit 14 set is
     refused whole (`UsageError`) before anything is sent.
@@ -112,6 +113,8 @@ class SpiBus(ABC):
 
     url: str = ""
     capabilities: frozenset[Capability] = frozenset()
+    edge_rises: bool = False
+    """Which edge of data-ready starts a scan of a stream: the rising one, or else the falling one."""
     unbroken_frames: int | None = None
     """Frames of a batch that follow each other without a pause; None where any number does."""
 

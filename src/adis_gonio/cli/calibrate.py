@@ -12,12 +12,19 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from adis_gonio.cli.show import console, json_option, no_check_option, print_json, variant_option
-from adis_gonio.errors import SessionError, UsageError
+from adis_gonio.errors import FitError, SessionError, UsageError
 
 if TYPE_CHECKING:
+    from adis_gonio.model.records import Session
     from adis_gonio.sensor import Adis16354
     from adis_gonio.session import SessionRunner
-    from adis_gonio.session.events import Event, PositionAsked
+    from adis_gonio.session.closing import TraceAdvisor
+    from adis_gonio.session.events import Advised, Event, ExtensionOffered, PositionAsked
+    from adis_gonio.session.plans import Position
+    from adis_gonio.tracing import TraceResult
+
+_WIDTH = 100
+"""Widest text: longer lines are hard to read."""
 
 
 @click.command("calibrate")
@@ -32,6 +39,17 @@ if TYPE_CHECKING:
 )
 @click.option("--auto", is_flag=True, help="Move the stage by program and answer all prompts (simulator).")
 @click.option("--extend", is_flag=True, help="With --auto: go on from two to four positions.")
+@click.option(
+    "--trace",
+    "closing",
+    is_flag=True,
+    help="Then trace the session, and go on with the positions that would decide what is still open.",
+)
+@click.option(
+    "--max-extra",
+    type=click.IntRange(0, 1000),
+    help="With --trace: most positions beyond the plan (default 24).",
+)
 @click.option("--resume", is_flag=True, help="Go on with the session in the file.")
 @click.option(
     "--dwell", "dwell_s", type=float, default=10.0, show_default=True, help="Length of a dwell in s."
@@ -57,11 +75,23 @@ if TYPE_CHECKING:
 @variant_option
 @no_check_option
 @json_option
-def command(*, url: str, output: Path, resume: bool, as_json: bool, **options: Any) -> int:
+def command(
+    *,
+    url: str,
+    output: Path,
+    resume: bool,
+    as_json: bool,
+    closing: bool,
+    max_extra: int | None,
+    **options: Any,
+) -> int:
     """Calibrate a sensor on a stage, position by position, and compute ΔK and Δφ.
 
     Every sample goes into the session file as it is taken. The file survives a kill at any moment;
     --resume goes on with what is missing. Ctrl-C ends the session and keeps all of it.
+
+    With --trace the session then says which further positions would decide what is still open, and goes on
+    with them until the model is adequate or no position is expected to show more.
     """
     from adis_gonio.sensor import open_sensor
     from adis_gonio.session import load_session
@@ -70,26 +100,61 @@ def command(*, url: str, output: Path, resume: bool, as_json: bool, **options: A
         raise SessionError(f"{output}: exists already; --resume goes on with it, or choose another name")
     if resume and not output.exists():
         raise SessionError(f"{output}: no such session to resume")
-    if resume and _nothing_left(output):
+    if max_extra is not None and not closing:
+        raise UsageError("--max-extra limits what --trace adds: give --trace as well")
+    advisor = _advisor(max_extra) if closing else None
+    if resume and not closing and _nothing_left(output):
         click.echo(f"{output}: complete, nothing is left to do", err=True)
         complete = True
     else:
         with open_sensor(url, variant=options["variant"], check=not options["no_check"]) as sensor:
-            runner = _runner(sensor, output, resume=resume, **options)
+            runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
             complete = Bench(runner, auto=options["auto"]).run()
     session = load_session(output)
     truth = session.facts.get("truth")
+    traced = _traced(session, advisor) if advisor is not None else None
     from adis_gonio.fitting import applicable_methods, fit
 
     if as_json:
         document = fit(session).as_dict()
-        print_json(document | {"session": str(output), "complete": complete, "truth": truth})
-    else:
-        from adis_gonio.cli.fit import print_results
+        document |= {"session": str(output), "complete": complete, "truth": truth}
+        if traced is not None:
+            document |= {"trace": traced.as_dict(), "rounds": session.facts["advised"]}
+        print_json(document)
+        return 0 if complete else 1
+    from adis_gonio.cli.fit import print_results
 
-        print_results([fit(session, method=name).as_dict() for name in applicable_methods(session)], truth)
-        click.echo(f"session: {output}")
+    print_results([fit(session, method=name).as_dict() for name in applicable_methods(session)], truth)
+    if traced is not None:
+        from adis_gonio.cli.closing import print_loop
+        from adis_gonio.cli.trace import print_trace
+
+        click.echo()
+        print_trace(session, traced)
+        print_loop(session, traced)
+    click.echo(f"session: {output}")
     return 0 if complete else 1
+
+
+def _advisor(max_extra: int | None) -> TraceAdvisor:
+    from adis_gonio.session.closing import MOST_EXTRA, TraceAdvisor
+
+    return TraceAdvisor(MOST_EXTRA if max_extra is None else max_extra)
+
+
+def _traced(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
+    """The advisor's last trace where it saw all of the session, else a new one; None where none can be."""
+    from adis_gonio.cli.trace import working
+    from adis_gonio.tracing import trace
+
+    if advisor.result is not None and advisor.dwells == len(session.dwells):
+        return advisor.result
+    try:
+        with working(f"tracing {len(session.dwells)} dwells"):
+            return trace(session, advisor.max_effects)
+    except FitError as error:
+        click.echo(f"not traced: {error}", err=True)
+        return None
 
 
 def _nothing_left(path: Path) -> bool:
@@ -111,6 +176,7 @@ def _runner(
     check: int,
     auto: bool,
     extend: bool,
+    advisor: TraceAdvisor | None,
     **options: Any,
 ) -> SessionRunner:
     from adis_gonio.model.gravity import normal_gravity_mps2
@@ -123,7 +189,7 @@ def _runner(
             raise UsageError(
                 "--resume goes on with the session's own plan: leave --plan and --positions out"
             )
-        return SessionRunner.resume(sensor, output, auto=auto, extend=extend)
+        return SessionRunner.resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
     if options["latitude"] is not None and options["gravity_mps2"] is not None:
         raise UsageError("give --gravity or --latitude, not both")
     world = getattr(sensor.bus, "world", None)
@@ -154,6 +220,7 @@ def _runner(
         fixture_sigma_deg=fixture,
         title=options["title"],
         note=options["note"],
+        advisor=advisor,
     )
 
 
@@ -233,7 +300,7 @@ class Bench:
             case events.DwellDone():
                 x, y, z = event.accel_mg
                 lost = f", {event.lost} lost" if event.lost else ""
-                self._progress.update(self._task, visible=False)
+                self._hide()
                 self._say(
                     f"  {event.position!s:>16}   x {x:+9.2f}   y {y:+9.2f}   z {z:+9.2f} mg"
                     f"   {event.samples} samples{lost}"
@@ -245,7 +312,17 @@ class Bench:
             case events.Problem():
                 self._say(f"  {event.message}", "yellow")
             case events.ExtensionOffered():
-                self._offer(event.blindness.message)
+                self._offer(event)
+            case events.Advising():
+                if not self._screen.is_terminal:
+                    self._say(f"tracing {event.dwells} dwells …")
+                self._show("tracing", f"{event.dwells} dwells", None, None)
+            case events.Advised():
+                self._hide()
+                self._advised(event)
+            case events.Waiting():
+                note = f"{event.elapsed_s:.0f} of {event.length_s:.0f} s"
+                self._show("waiting", note, event.elapsed_s, event.length_s)
             case events.Finished():
                 if not event.complete:
                     self._say(
@@ -266,10 +343,14 @@ class Bench:
             visible=True,
         )
 
+    def _hide(self) -> None:
+        """Take the bar away at once, not at its next refresh."""
+        self._progress.update(self._task, visible=False)
+        self._progress.refresh()
+
     def _ask_position(self, event: PositionAsked) -> None:
         others = "s skip, r repeat the last, q end" if event.can_repeat else "s skip, q end"
-        place = str(event.position)
-        todo = "hold the part in" if event.position.angle_deg is None else "turn the part to"
+        place, todo = _to_do(event.position)
         answer = self._question(
             f"{event.number} of {event.total}: {todo} {place} and press Enter ({others})", "srq"
         )
@@ -285,15 +366,40 @@ class Bench:
             case _:
                 self._runner.stop()
 
-    def _offer(self, message: str) -> None:
-        self._say(message, "yellow")
+    def _offer(self, event: ExtensionOffered) -> None:
+        if event.blindness is not None:
+            self._say(event.blindness.message, "yellow")
+            text = "go on with 180° and 270°? (Enter yes, n no)"
+        else:
+            for reason in event.reasons:
+                self._say_wrapped(f"{reason[0].upper()}{reason[1:]}.")
+            text = "  Go on? (Enter yes, n no: end the session here)"
         if self._auto:
             return
-        answer = self._question("go on with 180° and 270°? (Enter yes, n no)", "n")
+        answer = self._question(text, "n")
         if answer == "":
             self._runner.accept()
         else:
             self._runner.decline()
+
+    def _advised(self, event: Advised) -> None:
+        from adis_gonio.cli.closing import standing
+
+        self._say("")
+        for line in standing(event.summary):
+            self._say_wrapped(line)
+        if not event.positions:
+            closed = event.summary.get("adequate") and event.summary.get("tested")
+            said = f"{event.ended[0].upper()}{event.ended[1:]}."
+            self._say_wrapped(said, "green" if closed else "yellow")
+
+    def _say_wrapped(self, text: str, style: str = "") -> None:
+        """Text of several lines, indented by two."""
+        from rich.padding import Padding
+        from rich.text import Text
+
+        width = min(self._screen.width, _WIDTH)
+        self._screen.print(Padding(Text(text, style=style), (0, 0, 0, 2)), width=width)
 
     def _question(self, text: str, letters: str) -> str:
         """Ask until the answer is empty or one of the letters; `q` where nobody can answer."""
@@ -316,3 +422,20 @@ class Bench:
         finally:
             self._asking = False
             self._progress.start()
+
+
+def _to_do(position: Position) -> tuple[str, str]:
+    """Place and what to do with the part, as words of a prompt."""
+    from adis_gonio.session.plans import attitude
+
+    place, todo = str(position), "turn the part to"
+    if position.angle_deg is None:
+        todo = "hold the part in"
+        if position.direction is not None:
+            place += f", {attitude(position.direction)},"
+    first = []
+    if position.temperature_c is not None:
+        first.append(f"bring the part to {position.temperature_c:.0f} °C")
+    if position.supply_v is not None:
+        first.append(f"set the supply to {position.supply_v:.2f} V")
+    return place, ", ".join([*first, todo])

@@ -27,6 +27,9 @@ from adis_gonio.sensor.registers import registers as rows_of
 @click.option(
     "--gravity", "gravity_mps2", type=float, default=9.80665, show_default=True, help="For the file."
 )
+@click.option(
+    "--leave-registers", is_flag=True, help="Write nothing: data-ready is used only if it is enabled."
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON document with every scan, at the end.")
 @variant_option
 @no_check_option
@@ -41,6 +44,7 @@ def command(
     filter_m: int | None,
     range_dps: int | None,
     gravity_mps2: float,
+    leave_registers: bool,
     as_json: bool,
     variant: str,
     no_check: bool,
@@ -48,8 +52,11 @@ def command(
     """Show what the sensor measures, and record it with -o.
 
     The screen shows the mean and the standard deviation of every value since the line before. The file
-    gets every scan; it has no positions, `adis-gonio fit` finds the dwells by stillness. The registers
-    are left as they are unless --rate, --filter or --range is given.
+    gets every scan; it has no positions, `adis-gonio fit` finds the dwells by stillness.
+
+    Where the bridge can use the sensor's data-ready line, it is enabled in MSC_CTRL while the stream runs
+    and set back at its end, Ctrl-C included. The other registers are left as they are unless --rate,
+    --filter or --range is given.
     """
     if seconds is not None and not seconds > 0:
         raise UsageError(f"--seconds is {seconds:g}: take a time above 0")
@@ -58,6 +65,8 @@ def command(
     if as_json and seconds is None:
         raise UsageError("--json needs --seconds: a document has an end")
     chosen = tuple(row.name for row in rows_of(names.split(","))) if names else DEFAULT_SCAN
+    if leave_registers and not (rate_hz is filter_m is range_dps is None):
+        raise UsageError("--leave-registers writes nothing, so it excludes --rate, --filter and --range")
     with contextlib.ExitStack() as stack:
         sensor = stack.enter_context(open_sensor(url, variant=variant, check=not no_check))
         if rate_hz is not None or filter_m is not None or range_dps is not None:
@@ -73,9 +82,18 @@ def command(
             )
         rate = sensor.configuration().sample_rate_hz
         scans_a_line = max(1, round(every_s * rate))
-        stream = stack.enter_context(sensor.stream(chosen, block_scans=min(scans_a_line, 1024)))
         waiting: list[ScanBlock] = []
         scans = lost = 0
+
+        def tell_the_sum() -> None:
+            where = f", recorded in {output}" if output is not None else ""
+            click.echo(f"{scans} scans, {lost} lost{where}", err=True)
+
+        stack.callback(tell_the_sum)  # after a failure too: what came before it stands
+        stream = stack.enter_context(
+            sensor.stream(chosen, block_scans=min(scans_a_line, 1024), leave_registers=leave_registers)
+        )
+        click.echo(f"{url}: {rate:.4g} samples/s, {stream.how}", err=True)
         begin: float | None = None
         end = False
         try:
@@ -98,8 +116,6 @@ def command(
             click.echo("", err=True)
     if as_json:
         _document(waiting, lost)
-    where = f", recorded in {output}" if output is not None else ""
-    click.echo(f"{scans} scans, {lost} lost{where}", err=True)
 
 
 def _until(block: ScanBlock, end_s: float) -> tuple[ScanBlock, bool]:

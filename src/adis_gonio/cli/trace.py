@@ -87,7 +87,7 @@ def print_trace(session: Session, result: TraceResult) -> None:
     _items(screen, "What this session cannot tell apart", words.confounded(result))
     _items(screen, "Without a name", [words.unnamed(result)] if result.unnamed else [])
     _items(screen, "Looked like something, but not called found", words.open_names(result))
-    _items(screen, "Within the dwells", result.within)
+    _items(screen, "Inside the dwells", words.within(result))
     _sight(screen, result)
     _items(screen, "What to measure next", words.advice(result), numbered=True)
     _items(screen, "Remarks", [*session.notes, *result.notes])
@@ -131,7 +131,12 @@ def _found(screen: Console, result: TraceResult) -> None:
         table.add_row(f"{k}.", _plain(words.with_axes(finding), "bold"), _plain(first))
         for line in more:
             table.add_row("", "", _plain(line))
-        table.add_row("", "", _plain(f"explains {percent(finding.explains)} of the excess residual"))
+        if finding.explains or finding not in words.inside_only(result):
+            table.add_row("", "", _plain(f"explains {percent(finding.explains)} of the excess residual"))
+        else:
+            table.add_row(
+                "", "", _plain("inside the dwells; explains nothing of the residual of the means")
+            )
         table.add_row("", "", _plain(words.how_sure(finding)))
         table.add_row("", "", _plain(finding.cause, "dim"))
     screen.print(table)

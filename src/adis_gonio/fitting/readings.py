@@ -21,12 +21,13 @@ Without that it is unknown (`Readings.known`), and a fit estimates it from its r
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.errors import DataError, FitError
+from adis_gonio.fitting.flicker import scatter_of_means
 from adis_gonio.fitting.screening import refuse_dead_data
 from adis_gonio.fitting.spectrum import MeanNoise, noise_of_means
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats, Session
@@ -67,6 +68,9 @@ class Readings:
         Standard uncertainty of a declared angle; inf free, None not stated.
     notes : tuple of str
         What has to be said about the noise.
+    flicker : (axes,) float
+        Allan variance of the 1/f noise that is in `covariance`, in the unit squared. There it is noise of
+        each reading's own; in truth neighbours share most of it (`adis_gonio.fitting.flicker`).
     """
 
     mean: Floats
@@ -80,6 +84,7 @@ class Readings:
     gravity_mg: float
     fixture_sigma_rad: float | None
     notes: tuple[str, ...] = ()
+    flicker: Floats = field(default_factory=lambda: np.zeros(3))
 
     def __len__(self) -> int:
         return len(self.mean)
@@ -144,6 +149,7 @@ def reduce_session(session: Session) -> Readings:
     covariance = np.broadcast_to(np.eye(axes), (n, axes, axes)).copy()
     dof = np.full(n, np.inf)
     known = np.zeros(n, dtype=np.bool_)
+    flicker = np.zeros(axes)
     notes: list[str] = []
     single = np.flatnonzero(samples == 1)
     if single.size:
@@ -156,7 +162,8 @@ def reduce_session(session: Session) -> Readings:
         rows = [dwells[k].accel[:, :axes] * scale for k in many.tolist()]
         noise = noise_of_means(rows)
         quantum = _quantum(session, rows, scale)
-        floor = _floor(session, noise, many.size)
+        flicker = _flicker(session, noise)
+        floor = flicker * scatter_of_means(many.size)
         covariance[many] = noise.covariance + (
             _quantization(rows, quantum)[:, :, None] + floor[None, :, None]
         ) * np.eye(axes)
@@ -180,6 +187,7 @@ def reduce_session(session: Session) -> Readings:
         gravity_mg=session.gravity_mg,
         fixture_sigma_rad=None if sigma is None else math.radians(sigma),
         notes=tuple(notes),
+        flicker=flicker,
     )
 
 
@@ -229,13 +237,11 @@ def _quantization(rows: list[Floats], quantum: Floats) -> Floats:
     return np.asarray(quantum**2 / (2 * math.pi**2) * series.sum(axis=-1))
 
 
-def _floor(session: Session, noise: MeanNoise, dwells: int) -> Floats:
-    """Variance (axes,) in mg² that 1/f noise adds to each mean."""
+def _flicker(session: Session, noise: MeanNoise) -> Floats:
+    """Allan variance (axes,) of the 1/f noise in mg²."""
     variant = VARIANTS.get(session.sensor)
     stated = 0.0 if variant is None else variant.performance.bias_instability_mg**2
     if session.accel_unit == "counts":
         stated = 0.0
     shown = noise.flicker > 0
-    allan = np.where(shown, noise.flicker, np.minimum(stated, noise.flicker_limit))
-    spread = 1.0 if dwells < 2 else dwells * math.log(dwells) / (2 * (dwells - 1) * math.log(2))
-    return allan * spread
+    return np.where(shown, noise.flicker, np.minimum(stated, noise.flicker_limit))

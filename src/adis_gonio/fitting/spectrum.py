@@ -10,10 +10,12 @@ of all bands (halved from the Nyquist frequency down) and orders for which one o
 gain (likelihood ratio, 25 %), the one with the smallest variance at zero wins. White noise thus uses the
 whole band, which is the textbook σ²/n with all its degrees of freedom, filtered noise only the flat foot.
 
-What rises towards zero faster than the fit is looked for in the three lowest ordinates of every dwell:
-their excess, read as 1/f noise, gives a floor that averaging does not lower. Where 1/f noise is so strong
-that the fit itself has followed it down to the lowest ordinates (their slope is that of a power and not of
-a filter), all of them is read as 1/f noise.
+1/f noise would be followed by the polynomial of a narrow band, and taken for noise that averaging lowers:
+a polynomial plus h/f is fitted as well, and stands for the band where it does better than one or two
+further terms. What rises towards zero faster than the polynomial is looked for in the three lowest
+ordinates of every dwell: their excess, read as 1/f noise, gives a floor that averaging does not lower.
+Where 1/f noise is so strong that the fit itself has followed it down to the lowest ordinates (their slope
+is that of a power and not of a filter), all of them is read as 1/f noise.
 """
 
 from __future__ import annotations
@@ -40,6 +42,8 @@ _FLICKER_POWER = (-1.5, -0.6)
 _CLEARLY = 2.0
 """Gain in −2 log likelihood at which the power of f counts as the better one. Simulated, 32 ordinates: 1/f
 noise gains 3 or more; the chip's filter loses, or has a power of −2 in dwells shorter than its window."""
+_NOT_QUITE = 0.05
+"""Share of what h/f explains that further terms may explain beside it: no real noise is 1/f throughout."""
 _LEAST_CYCLES = 3.5
 """Cycles a dwell at the frequency where the density has fallen to 1/e; simulated with the chip's filter, 3
 give two thirds of the true variance and 6 all of it."""
@@ -96,10 +100,11 @@ class _Foot:
     log_zero_variance: float
     total_weight: float
     coefficients: Floats
+    beside_flicker: bool = False
 
     @property
     def is_white(self) -> bool:
-        return self.band == 0.5 and len(self.coefficients) == 1
+        return self.band == 0.5 and len(self.coefficients) == 1 and not self.beside_flicker
 
     @property
     def corner(self) -> float:
@@ -192,34 +197,90 @@ def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floa
     return beta, inverse, 2 * float(weight @ (eta + mean * np.exp(-eta)))
 
 
+def _whittle_with_flicker(
+    design: Floats, inverse_x: Floats, weight: Floats, mean: Floats
+) -> tuple[Floats, Floats, float]:
+    """As `_whittle` for exp(polynomial) + h/x; h is left out of what is returned, not of the covariance."""
+    terms = design.shape[1]
+    beta = np.zeros(terms + 1)
+    high = inverse_x <= np.median(inverse_x)
+    level = max(float(np.average(mean[high], weights=weight[high])), 1e-300)
+    beta[0] = math.log(level)
+    first = int(inverse_x.argmax())
+    beta[-1] = math.log(max(float(mean[first] - level), 1e-3 * level) / float(inverse_x[first]))
+    inverse = np.eye(terms + 1)
+    for _ in range(50):
+        smooth = np.exp(np.clip(design @ beta[:-1], -60, 60))
+        rising = math.exp(min(max(float(beta[-1]), -60.0), 60.0)) * inverse_x
+        expected = smooth + rising
+        slope = np.column_stack([design * smooth[:, None], rising]) / expected[:, None]
+        inverse = np.asarray(np.linalg.pinv(slope.T @ (weight[:, None] * slope)), dtype=np.float64)
+        step = inverse @ (slope.T @ (weight * (mean / expected - 1)))
+        step /= max(1.0, float(np.abs(step).max()))
+        beta = beta + step
+        if np.abs(step).max() < 1e-5:
+            break
+    expected = (
+        np.exp(np.clip(design @ beta[:-1], -60, 60)) + math.exp(min(float(beta[-1]), 60.0)) * inverse_x
+    )
+    deviance = 2 * float(weight @ (np.log(expected) + mean / expected))
+    return beta[:-1], inverse[:-1, :-1], deviance
+
+
 def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
     """True where the lowest ordinates follow a power of f near −1 better than the foot of a filter does."""
+    lowest = _lowest(groups)
+    if lowest is None:
+        return False
+    k, total, mean = lowest
+    one = np.ones(_SLOPE)
+    power, _, by_power = _whittle(np.stack([one, np.log(k)], axis=1), total, mean)
+    low, high = _FLICKER_POWER
+    return bool(low < power[1] < high and by_power < _by_filter(k, total, mean) - _CLEARLY)
+
+
+def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
+    """True where the lowest ordinates follow white noise plus h/f better than the foot of a filter does.
+
+    Over a wide band the fall of a long filter looks like h/f beside a polynomial; here it is flat.
+    """
+    lowest = _lowest(groups)
+    if lowest is None:
+        return False
+    k, total, mean = lowest
+    _, _, by_flicker = _whittle_with_flicker(np.ones((_SLOPE, 1)), _SLOPE / k, total, mean)
+    return by_flicker < _by_filter(k, total, mean) - _CLEARLY
+
+
+def _by_filter(k: Floats, total: Floats, mean: Floats) -> float:
+    """−2 log likelihood of the foot of a filter over the lowest ordinates."""
+    x2 = (k / _SLOPE) ** 2
+    return _whittle(np.stack([np.ones(_SLOPE), x2, x2**2], axis=1), total, mean)[2]
+
+
+def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
+    """Numbers, weights and pooled means of the lowest ordinates; None where no dwell has so many."""
     groups = [group for group in groups if len(group.weight) > _SLOPE]
     if not groups:
-        return False
-    k = np.arange(1, _SLOPE + 1)
+        return None
     total, moment = np.zeros(_SLOPE), np.zeros(_SLOPE)
     for group in groups:
         auto = np.diagonal(group.cross[:, :_SLOPE], axis1=2, axis2=3)
         own = auto.mean(axis=1, keepdims=True)
         total += len(group.dwell) * auto.shape[2]
         moment += np.where(own > 0, auto / np.where(own > 0, own, 1.0), 0.0).sum(axis=(0, 2))
-    mean = np.maximum(moment / total, 1e-12)
-    one, x2 = np.ones(_SLOPE), (k / _SLOPE) ** 2
-    power, _, by_power = _whittle(np.stack([one, np.log(k)], axis=1), total, mean)
-    _, _, by_filter = _whittle(np.stack([one, x2, x2**2], axis=1), total, mean)
-    low, high = _FLICKER_POWER
-    return bool(low < power[1] < high and by_power < by_filter - _CLEARLY)
+    return np.arange(1.0, _SLOPE + 1), total, np.maximum(moment / total, 1e-12)
 
 
 def _choose_foot(groups: list[_Ordinates]) -> _Foot:
     best: _Foot | None = None
+    flicker = _flicker_at_foot(groups)
     band = 0.5
     while True:
         cells = _cells(groups, band)
         if cells is None:
             break
-        x, weight, mean = cells
+        x, weight, mean, inverse_x = cells
         total = float(weight.sum())
         if best is not None and (total < _LEAST_WEIGHT or 1 / total > best.log_zero_variance):
             break
@@ -236,6 +297,13 @@ def _choose_foot(groups: list[_Ordinates]) -> _Foot:
             if best is None or variance < best.log_zero_variance:
                 best = _Foot(band, float(at_zero @ beta), variance, total, beta)
             break
+        beside = _beside_flicker(x, weight, mean, inverse_x) if flicker else None
+        if beside is not None:
+            beta, covariance = beside
+            at_zero = _basis(np.zeros(1), len(beta) - 1)[0]
+            variance = float(at_zero @ covariance @ at_zero)
+            if best is None or variance < best.log_zero_variance:
+                best = _Foot(band, float(at_zero @ beta), variance, total, beta, beside_flicker=True)
         if total < _LEAST_WEIGHT:
             if best is None:
                 best = _Foot(band, 0.0, 1 / total, total, np.zeros(1))
@@ -247,12 +315,34 @@ def _choose_foot(groups: list[_Ordinates]) -> _Foot:
     return best
 
 
-def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Floats] | None:
+def _beside_flicker(
+    x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
+) -> tuple[Floats, Floats] | None:
+    """Polynomial beside 1/f noise and its covariance, where that does better than one or two terms more."""
+    for order in range(min(3, len(x) - 2)):
+        one, two = (_whittle(_basis(x, order + k), weight, mean)[2] for k in (1, 2))
+        beta, covariance, deviance = _whittle_with_flicker(_basis(x, order), inverse_x, weight, mean)
+        better = min(one, two) - deviance
+        if better < _CLEARLY:
+            continue
+        richer = (
+            _whittle_with_flicker(_basis(x, order + k), inverse_x, weight, mean)[2]
+            for k in (1, 2)
+            if order + k < len(x) - 1
+        )
+        allowed = (max(gain, _NOT_QUITE * better) for gain in _GAINS)
+        if not any(deviance - other > most for other, most in zip(richer, allowed, strict=False)):
+            return beta, covariance
+    return None
+
+
+def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Floats, Floats] | None:
     """Pooled ordinates below `band`, each dwell and axis relative to its own mean there.
 
-    Returns x = f/band, weight and mean of the cells that hold anything.
+    Returns x = f/band, weight, mean and mean of 1/x of the cells that hold anything.
     """
     total, moment, first = np.zeros(_CELLS), np.zeros(_CELLS), np.zeros(_CELLS)
+    inverse = np.zeros(_CELLS)
     for group in groups:
         inside = group.frequency <= band
         if not inside.any():
@@ -267,10 +357,16 @@ def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Float
         total += np.bincount(cell, w * count, _CELLS)
         moment += np.bincount(cell, w * relative.sum(axis=(0, 2)), _CELLS)
         first += np.bincount(cell, w * count * f / band, _CELLS)
+        inverse += np.bincount(cell, w * count * band / f, _CELLS)
     held = total > 0
     if not held.any():
         return None
-    return first[held] / total[held], total[held], np.maximum(moment[held] / total[held], 1e-12)
+    return (
+        first[held] / total[held],
+        total[held],
+        np.maximum(moment[held] / total[held], 1e-12),
+        inverse[held] / total[held],
+    )
 
 
 def _homogeneous(level: Floats, weight: Floats) -> bool:

@@ -87,6 +87,9 @@ class Session:
         File that it came from.
     notes : tuple of str
         What the reader of the file has to tell, one line each (segmentation, an unfinished session).
+    cut_by_stillness : bool
+        True where the dwells were cut out of a continuous recording, so that nobody declared that the part
+        was at rest.
     facts : mapping
         Whatever else the file knows (configuration, registers, versions, truth of a simulation).
     """
@@ -102,6 +105,7 @@ class Session:
     title: str = ""
     source: str = ""
     notes: tuple[str, ...] = ()
+    cut_by_stillness: bool = False
     facts: dict[str, Any] = field(default_factory=dict)
 
     @property

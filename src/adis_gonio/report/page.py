@@ -53,6 +53,7 @@ def build_page(
         body += [make.found(result), make.errors(result)]
         if views is not None:
             body += [make.steps(result, views), make.left(views)]
+        body += [make.within(result)]
         body += [make.rivals(result), make.sight(result), make.advice(result)]
     body += [*sections, make.data(session, result, software)]
     environment = Environment(

@@ -16,10 +16,11 @@ from adis_gonio.model.records import Session
 from adis_gonio.report import words
 from adis_gonio.report.numbers import number, p_text, percent, uncertain, with_unit
 from adis_gonio.report.parts import Figure, Section, Table
-from adis_gonio.report.svg import Role, Series, plot
+from adis_gonio.report.svg import Role, Series, Style, plot
 from adis_gonio.tracing.figures import Panel, Views
 from adis_gonio.tracing.observations import Observations, observe
-from adis_gonio.tracing.result import TraceResult, Value
+from adis_gonio.tracing.result import TraceResult, Value, WithinFinding
+from adis_gonio.tracing.within import Place
 
 _COVARIATES = {
     "angle": "declared angle / °",
@@ -33,6 +34,9 @@ _COVARIATES = {
     "approach": "side of approach",
     "variance": "variance within the dwell / mg²",
 }
+_ROLES: tuple[Role, Role] = ("before", "after")
+_MOST_PLACES = 24
+"""Lines of the table of single dwells that one finding may take."""
 _SIDES = {-1.0: "from above", 1.0: "from below"}
 _NAMES = {
     "delta_k": "ΔK",
@@ -126,13 +130,14 @@ def fitted(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Section:
 
 def found(traced: TraceResult) -> Section:
     """What was found, what it is confounded with, what has no name."""
+    inside = words.inside_only(traced)
     rows = []
     for finding in words.ordered(traced):
         rows.append(
             [
                 words.with_axes(finding),
                 "\n".join(words.parameters(finding)),
-                percent(finding.explains),
+                "–" if finding in inside else percent(finding.explains),
                 percent(finding.probability),
                 p_text(finding.p_value),
             ]
@@ -146,7 +151,6 @@ def found(traced: TraceResult) -> Section:
         Section("Which this session cannot tell apart", points=words.confounded(traced, most=8)),
         Section("Without a name", points=[words.unnamed(traced)] if traced.unnamed else []),
         Section("Not called found", points=words.open_names(traced)),
-        Section("Within the dwells", points=traced.within),
     ]
     causes = {finding.effect: finding.cause for finding in words.ordered(traced)}
     return Section(
@@ -156,6 +160,52 @@ def found(traced: TraceResult) -> Section:
         tables=tables,
         parts=[part for part in parts if part.points],
     )
+
+
+def within(traced: TraceResult) -> Section:
+    """What the samples inside the dwells show: sentences, a figure each, a table of single dwells."""
+    if not traced.within:
+        nothing = (
+            "Spikes, stuck values, spectral lines, changes of the noise, drift, settling, steps: none."
+        )
+        return Section("Inside the dwells", words=[nothing] if traced.state is not None else [])
+    figures, rows = [], []
+    for finding in traced.within:
+        view = finding.view
+        if view is not None:
+            # A line of the role "before" is dashed: with lines that is for what was fitted.
+            seen, fit = _ROLES if view.points else _ROLES[::-1]
+            style: Style = "points" if view.points else "line"
+            series = [Series(view.x, view.y, "samples", role=seen, style=style)]
+            if len(view.model_x):
+                series.append(Series(view.model_x, view.model_y, view.model_label, role=fit, style="line"))
+            drawn = plot(
+                series,
+                view.x_label,
+                view.y_label,
+                title=view.caption,
+                y_log=view.y_log,
+                zero=view.points and bool(len(view.model_x)),
+            )
+            figures.append(Figure(drawn, view.caption))
+        rows += [_place(finding, place) for place in finding.places[:_MOST_PLACES]]
+        left_out = len(finding.places) - _MOST_PLACES
+        if left_out > 0:
+            rows.append([finding.kind, f"{left_out} more", "", "", "", ""])
+    head = ["what", "position", "axis", "time / s", "size", "the mean is off by / mg"]
+    tables = [Table(head, rows, numeric=(3, 4, 5))] if rows else []
+    return Section("Inside the dwells", points=words.within(traced), figures=figures, tables=tables)
+
+
+def _place(finding: WithinFinding, place: Place) -> list[str]:
+    return [
+        finding.kind.replace("_", " "),
+        str(place.position),
+        place.axis,
+        "" if place.time_s is None else f"{place.time_s:.2f}",
+        "" if place.value is None else words.value_text(place.value),
+        "" if place.shift_mg is None else number(abs(place.shift_mg), 2),
+    ]
 
 
 def errors(traced: TraceResult) -> Section:

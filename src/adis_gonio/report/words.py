@@ -119,9 +119,34 @@ def ordered(result: TraceResult) -> list[Finding]:
     return sorted(result.found, key=lambda f: order.index(f.effect) if f.effect in order else len(order))
 
 
+def inside_only(result: TraceResult) -> list[Finding]:
+    """Findings that stand inside the dwells and have no part in the model of the readings."""
+    steps = {step.effect for step in result.steps}
+    seen = {finding.effect for finding in result.within}
+    return [finding for finding in result.found if finding.effect in seen - steps]
+
+
+def within(result: TraceResult) -> list[str]:
+    """What the samples inside the dwells show, with how sure."""
+    return [f"{_capital(finding.sentence)} ({p_text(finding.p_value)})." for finding in result.within]
+
+
 def headline(result: TraceResult) -> str:
-    """The outcome in one or two sentences."""
-    names = [with_axes(finding) for finding in ordered(result)]
+    """The outcome in a few sentences."""
+    inside = inside_only(result)
+    first = _of_readings(result, [finding for finding in ordered(result) if finding not in inside])
+    if inside:
+        return f"{first} Inside the dwells: {listed([with_axes(finding) for finding in inside])}."
+    return first
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
+    """What the readings say, of the findings that are in their model."""
+    names = [with_axes(finding) for finding in found]
     tested = result.after.chi2_per_dof is not None
     what = f"Found: {listed(names)}." if names else ""
     rest = result.unnamed

@@ -1,7 +1,8 @@
 """The driver: registers, configuration, scans and commands of an ADIS16354 over any bus.
 
 Rules that it keeps
-    * A frame with the write bit leaves only from a method that was asked to write.
+    * A frame with the write bit leaves only from a method that was asked to write; `stream` may enable
+      data-ready while it runs, and its argument `leave_registers` forbids it.
     * Every write is read back, and a flash update is proved by the endurance counter.
     * The bus's clock follows SMPL_PRD, and is slow whenever the mode is not known.
     * After a reset, restore, self-test or flash update nothing is sent until the part has recovered.
@@ -10,6 +11,7 @@ Rules that it keeps
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
@@ -26,6 +28,7 @@ from adis_gonio.errors import (
     VariantError,
     VerifyError,
 )
+from adis_gonio.sensor.data_ready import USED_BY, DataReadyLoan
 from adis_gonio.sensor.decoding import ScanBlock, join, scales
 from adis_gonio.sensor.frames import IDLE, NORMAL, read_frames, timing_for, write_frames
 from adis_gonio.sensor.registers import (
@@ -39,7 +42,7 @@ from adis_gonio.sensor.registers import (
     register,
     registers,
 )
-from adis_gonio.sensor.scanning import PolledScans, ScanStream, StreamedScans
+from adis_gonio.sensor.scanning import PolledScans, ScanLayout, ScanStream, StreamedScans
 from adis_gonio.sensor.settings import (
     ALARM_SOURCES,
     Alarm,
@@ -285,11 +288,31 @@ class Adis16354:
     # -- scans ------------------------------------------------------------------------------------
 
     def stream(
-        self, names: Sequence[str | Register] = DEFAULT_SCAN, *, block_scans: int = 256
+        self,
+        names: Sequence[str | Register] = DEFAULT_SCAN,
+        *,
+        block_scans: int = 256,
+        leave_registers: bool = False,
     ) -> ScanStream:
         """Fresh scans, one after another, by the best that the bus can do (see `sensor.scanning`).
 
-        Data-ready streaming is used where the bus has it and MSC_CTRL enables the line; else polling.
+        The bus streams by itself at each data-ready edge where it can; else scans are polled, and what was
+        missed is counted by the bus's event counter where it has one, else by time.
+
+        Where the bus can use data-ready and MSC_CTRL does not enable it, it is enabled on DIO1 and set back
+        when the stream is closed; where no edge arrives then, as without the wire, scans are polled.
+
+        Parameters
+        ----------
+        leave_registers : bool
+            Write nothing: data-ready is used only where it is enabled already.
+
+        Raises
+        ------
+        UsageError
+            No output register among the names, or no room for a scan in a block.
+        BusError
+            The bus failed. In the stream also where MSC_CTRL enables data-ready and no edge arrives.
         """
         table = registers(names)
         if not any(row.flags for row in table):
@@ -300,11 +323,26 @@ class Adis16354:
             raise UsageError(f"block_scans is {block_scans}: take 1 or more")
         configuration = self.configuration()
         period_s = configuration.sample_period_s
-        if configuration.data_ready and Capability.STREAM in self.bus.capabilities:
-            frames = [int(frame) for frame in read_frames(table)]
-            source = self.bus.stream(frames, block_scans=block_scans)
-            return StreamedScans(source, table, self.variant.name, self._gyro_range, period_s)
-        return PolledScans(self.bus, table, self.variant.name, self._gyro_range, period_s, block_scans)
+        ready, at_end = configuration.data_ready, contextlib.ExitStack()
+        with contextlib.ExitStack() as failed:
+            if not ready and not leave_registers and USED_BY & self.bus.capabilities:
+                loan = DataReadyLoan(self)
+                failed.callback(loan.give_back)
+                ready = loan.arrives(period_s)
+                if ready:
+                    at_end.callback(loan.give_back)
+                else:
+                    loan.give_back()
+            layout = ScanLayout(table, self.variant.name, self._gyro_range, period_s, at_end.close)
+            if ready and Capability.STREAM in self.bus.capabilities:
+                frames = [int(frame) for frame in read_frames(table)]
+                source = self.bus.stream(frames, block_scans=block_scans)
+                stream: ScanStream = StreamedScans(source, layout)
+            else:
+                counts = ready and Capability.EVENT_COUNTER in self.bus.capabilities
+                stream = PolledScans(self.bus, layout, block_scans, counts_edges=counts)
+            failed.pop_all()
+        return stream
 
     def read_scans(self, count: int, names: Sequence[str | Register] = DEFAULT_SCAN) -> ScanBlock:
         """`count` fresh scans in one block."""
@@ -312,7 +350,7 @@ class Adis16354:
             raise UsageError(f"count is {count}: take 1 or more")
         blocks: list[ScanBlock] = []
         have = 0
-        with self.stream(names, block_scans=min(count, 256)) as stream:
+        with self.stream(names, block_scans=min(count, 256), leave_registers=True) as stream:
             for block in stream:
                 blocks.append(block)
                 have += len(block)

@@ -3,7 +3,9 @@
 Two ways, behind one iterator of `ScanBlock`:
 
 * the bus streams by itself at each data-ready edge (`Capability.STREAM`, and data-ready enabled);
-* polling: the list of reads runs again and again, and the chip's ND bit says which words are new.
+* polling: the list of reads runs again and again, and the chip's ND bit says which words are new. What
+  was missed follows from the time between the scans; where the bus counts data-ready edges, they hold the
+  count to the chip's own clock, which may differ from the nominal rate.
 
 Polling without tearing. An update may fall between two reads of one pass, so that the pass mixes two
 updates. Each *column*, however, sees every update once: ND is set by an update and cleared by the read of
@@ -16,8 +18,10 @@ each pass is a scan, and what was missed follows from the time.
 
 from __future__ import annotations
 
+import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
@@ -25,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.bus import FrameStream, SpiBus, Words
-from adis_gonio.errors import SilentChipError
+from adis_gonio.errors import AdisGonioError, SilentChipError
 from adis_gonio.sensor.decoding import Floats, ScanBlock
 from adis_gonio.sensor.frames import IDLE, read_frames
 from adis_gonio.sensor.registers import ND, Register
@@ -40,16 +44,47 @@ LEAST_PASSES = 4
 """Passes in a batch: with three or more, one at least is without news."""
 
 
-class ScanStream(ABC):
-    """An iterator of `ScanBlock` that stops cleanly when closed; use it as a context manager."""
+COUNTER_SLACK = 2.0
+"""Updates by which edges and scans may disagree: some lie between a scan and the counter's reading."""
 
-    def __init__(
-        self, table: Sequence[Register], variant: str, gyro_range_dps: int | None, period_s: float
-    ) -> None:
-        self._names = tuple(row.name for row in table)
-        self._variant = variant
-        self._range = gyro_range_dps
-        self._period_s = period_s
+
+@dataclass(frozen=True)
+class ScanLayout:
+    """What a scan holds, and what is to be done when the stream ends.
+
+    Attributes
+    ----------
+    table : registers of a scan
+    variant, gyro_range_dps
+        What the words have to be read with.
+    period_s : float
+        Time between two updates of the chip.
+    at_end : callable
+        Called once, when the stream has stopped.
+    """
+
+    table: Sequence[Register]
+    variant: str
+    gyro_range_dps: int | None
+    period_s: float
+    at_end: Callable[[], object] = lambda: None
+
+
+class ScanStream(ABC):
+    """An iterator of `ScanBlock` that stops cleanly when closed; use it as a context manager.
+
+    Attributes
+    ----------
+    how : str
+        How the scans are got, in words.
+    """
+
+    how: str = ""
+
+    def __init__(self, layout: ScanLayout) -> None:
+        self._layout = layout
+        self._names = tuple(row.name for row in layout.table)
+        self._period_s = layout.period_s
         self._closed = False
         self._last_s: float | None = None
 
@@ -63,8 +98,19 @@ class ScanStream(ABC):
         return self._next()
 
     def close(self) -> None:
-        """Stop; may be called twice."""
-        self._closed = True
+        """Stop, and set back what was changed for the stream; may be called twice.
+
+        Raises
+        ------
+        BusError, VerifyError
+            The bus failed, so that data-ready may still be enabled.
+        """
+        if not self._closed:
+            self._closed = True
+            try:
+                self._stop()
+            finally:
+                self._layout.at_end()
 
     def __enter__(self) -> Self:
         return self
@@ -75,31 +121,32 @@ class ScanStream(ABC):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.close()
+        # The first error counts: where the bus is gone, setting back fails as well.
+        with contextlib.nullcontext() if error is None else contextlib.suppress(AdisGonioError):
+            self.close()
 
     @abstractmethod
     def _next(self) -> ScanBlock: ...
 
+    @abstractmethod
+    def _stop(self) -> None: ...
+
     def _block(
         self, words: Words, time_s: Floats, lost: int, missed: NDArray[np.int64] | None = None
     ) -> ScanBlock:
-        return ScanBlock(self._names, words, time_s, lost, self._variant, self._range, missed)
+        layout = self._layout
+        return ScanBlock(self._names, words, time_s, lost, layout.variant, layout.gyro_range_dps, missed)
 
 
 class StreamedScans(ScanStream):
     """Scans that the bus runs by itself at each data-ready edge."""
 
-    def __init__(
-        self,
-        stream: FrameStream,
-        table: Sequence[Register],
-        variant: str,
-        gyro_range_dps: int | None,
-        period_s: float,
-    ) -> None:
-        super().__init__(table, variant, gyro_range_dps, period_s)
+    how = "the bridge reads each sample at its data-ready edge"
+
+    def __init__(self, stream: FrameStream, layout: ScanLayout) -> None:
+        super().__init__(layout)
         self._stream = stream
-        self._flags = np.array([row.flags for row in table])
+        self._flags = np.array([row.flags for row in layout.table])
 
     def _next(self) -> ScanBlock:
         block = next(self._stream)
@@ -107,9 +154,7 @@ class StreamedScans(ScanStream):
         new = (block.words[:, self._flags] & ND).astype(bool).all(axis=1)
         return self._block(block.words[new], block.time_s[new], block.lost)
 
-    def close(self) -> None:
-        """Stop the bus's stream."""
-        super().close()
+    def _stop(self) -> None:
         self._stream.close()
 
 
@@ -119,16 +164,18 @@ class PolledScans(ScanStream):
     def __init__(
         self,
         bus: SpiBus,
-        table: Sequence[Register],
-        variant: str,
-        gyro_range_dps: int | None,
-        period_s: float,
+        layout: ScanLayout,
         block_scans: int,
+        *,
+        counts_edges: bool = False,
     ) -> None:
-        super().__init__(table, variant, gyro_range_dps, period_s)
+        super().__init__(layout)
+        self.how = "polling; missed samples are counted by " + (
+            "the bridge's counter of data-ready edges" if counts_edges else "time"
+        )
         self._bus = bus
-        self._frames = read_frames(table)
-        self._flags = np.array([row.flags for row in table])
+        self._frames = read_frames(layout.table)
+        self._flags = np.array([row.flags for row in layout.table])
         self._pass_s = len(self._frames) * bus.timing.frame_s
         self._block_scans = block_scans
         self._aligned = False
@@ -137,6 +184,11 @@ class PolledScans(ScanStream):
         self._missed = 0.0
         self._polled_s = bus.now_s()
         self._probed = False
+        self._edges: int | None = 0 if counts_edges else None
+        self._accounted = 0
+        self._ahead: float | None = None
+        if counts_edges:
+            bus.read_event_counter()
 
     def _next(self) -> ScanBlock:
         waited_from = self._bus.now_s()
@@ -149,12 +201,31 @@ class PolledScans(ScanStream):
                 self._aligned = False
                 block = self._counted(words[fresh[:, 0]], times[fresh[:, 0], 0])
             if len(block):
+                self._accounted += len(block) + block.lost
+                self._heed_counter()
                 return block
             if self._bus.now_s() - waited_from > SILENT_PERIODS * self._period_s + 1.0:
                 raise SilentChipError(
                     "no new data from the sensor: it sleeps, restarts or is not connected"
                     " (bit ND never came in any output register)"
                 )
+
+    def _stop(self) -> None:
+        pass
+
+    def _heed_counter(self) -> None:
+        """Let the next block mend what time has counted too few or too many by the edges."""
+        if self._edges is None or self._last_s is None:
+            return
+        begin_s = self._bus.now_s()
+        self._edges += self._bus.read_event_counter()
+        counted_s = (begin_s + self._bus.now_s()) / 2
+        since = (counted_s - self._last_s) / self._period_s
+        ahead = self._edges - since - self._accounted - self._missed
+        if self._ahead is None:
+            self._ahead = ahead  # edges before the first scan
+        elif abs(ahead - self._ahead) > COUNTER_SLACK:
+            self._missed += ahead - self._ahead
 
     def _poll(self) -> tuple[Words, Floats]:
         """Words and their times, both (passes, k)."""

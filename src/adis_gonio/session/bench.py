@@ -8,14 +8,14 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from adis_gonio.bus import Capability
 from adis_gonio.errors import SessionError, UsageError
 from adis_gonio.model.records import Floats
+from adis_gonio.sensor.data_ready import USED_BY
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.sensor.registers import REGISTERS
 from adis_gonio.sensor.scanning import ScanStream
 from adis_gonio.session.plans import Plan, Position
-from adis_gonio.session.rows import Move, StoredAttempt
+from adis_gonio.session.rows import Move, Record, StoredAttempt
 from adis_gonio.session.settings import Settings
 from adis_gonio.session.view import ArchiveView
 from adis_gonio.session.watch import window_samples
@@ -51,6 +51,16 @@ class World(Protocol):
 
     def truth(self, time_s: Floats | None = None) -> dict[str, float]:
         """What the simulation hides, as it was in the mean of some times where these are given."""
+
+
+@runtime_checkable
+class ControlledWorld(World, Protocol):
+    """Surroundings whose temperature and supply a program can set."""
+
+    def bring_to(
+        self, time_s: float, temperature_c: float | None = None, supply_v: float | None = None
+    ) -> None:
+        """Heat or cool the part, or set the supply, from a time on."""
 
 
 class Bench:
@@ -101,6 +111,27 @@ class Bench:
         if free and self._spatial is None:
             raise UsageError(f"plan '{plan.name}' needs an operator: this stage turns in a plane only")
 
+    def can_reach(self, position: Position) -> bool:
+        """True where the program alone can bring the part to a position and its conditions."""
+        if self.wants_conditions(position) and not self.sets_conditions:
+            return False
+        return self.stage is not None if position.angle_deg is not None else self._spatial is not None
+
+    @property
+    def sets_conditions(self) -> bool:
+        """True where the program can set temperature and supply."""
+        return isinstance(self.world, ControlledWorld)
+
+    @staticmethod
+    def wants_conditions(position: Position) -> bool:
+        """True where a position comes with a temperature or a supply."""
+        return position.temperature_c is not None or position.supply_v is not None
+
+    def set_conditions(self, temperature_c: float | None, supply_v: float | None) -> None:
+        """Set temperature and supply, from now on."""
+        if isinstance(self.world, ControlledWorld):
+            self.world.bring_to(self.now_s, temperature_c, supply_v)
+
     def require_same_sensor(self, archive: ArchiveView) -> None:
         """Raise `SessionError` where a session was begun with another sensor."""
         path, header, url = archive.path, archive.header(), self.sensor.bus.url
@@ -121,12 +152,12 @@ class Bench:
         """Set the sensor up as the settings say; return all registers before and after."""
         settings = self.settings
         before = self.sensor.read_all()
-        streams = Capability.STREAM in self.sensor.bus.capabilities
+        used = bool(USED_BY & self.sensor.bus.capabilities)
         self.configuration = self.sensor.configure(
             smpl_prd=settings.smpl_prd,
             filter_m=settings.filter_m,
             gyro_range_dps=settings.gyro_range_dps,
-            data_ready=streams if settings.data_ready is None else settings.data_ready,
+            data_ready=used if settings.data_ready is None else settings.data_ready,
         )
         self.period_s = self.configuration.sample_period_s
         self.settle_s = max(settings.settle_s, self.configuration.settling_s)
@@ -156,7 +187,10 @@ class Bench:
         """The running stream of scans, opened when first needed; two blocks fill a window."""
         if self._stream is None:
             block_scans = max(8, self.window // 2)
-            self._stream = self.sensor.stream(self.settings.registers, block_scans=block_scans)
+            # The session has set the registers, and they stay as the archive says.
+            self._stream = self.sensor.stream(
+                self.settings.registers, block_scans=block_scans, leave_registers=True
+            )
         return self._stream
 
     def close_stream(self) -> None:
@@ -211,9 +245,15 @@ class Bench:
         """
         ends = {a.number: a.ended_bus_s for a in archive.attempts()}
         end_s = ends[attempt] if attempt else archive.records("noise")[-1].bus_s
-        for move in archive.moves_before(attempt):
-            self._wait_until(move.bus_s)
-            self._carry_out(move)
+        # What is set at the time of a move was set before it: a stable sort keeps it so.
+        happened: list[Move | Record] = [*archive.conditions_before(attempt)]
+        happened += archive.moves_before(attempt)
+        for event in sorted(happened, key=lambda event: event.bus_s):
+            self._wait_until(event.bus_s)
+            if isinstance(event, Move):
+                self._carry_out(event)
+            else:
+                self.set_conditions(event.value["temperature_c"], event.value["supply_v"])
         if attempt:
             # At its end the dwell's STATUS was read, which clears it: a bit that is left would show as EA.
             self._wait_until(end_s - CHECKPOINT_S / 2)

@@ -184,16 +184,65 @@ class Problem(Event):
 
 @dataclass(frozen=True)
 class ExtensionOffered(Event):
-    """The plan is done but cannot see everything. Answers: accept, decline, repeat, stop.
+    """The plan is done but does not answer everything. Answers: accept, decline, repeat, stop.
 
     Attributes
     ----------
     plan : Plan
         Plan to go on with; it begins with what is done.
+    blindness : Blindness or None
+        What two positions cannot see; None where an advisor asks for more.
+    reasons : tuple of str
+        Why an advisor asks, one sentence each.
     """
 
     plan: Plan
-    blindness: Blindness
+    blindness: Blindness | None
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Advising(Event):
+    """The advisor looks at what has been measured, which may take seconds; `Advised` follows.
+
+    Attributes
+    ----------
+    dwells : int
+        Complete dwells so far.
+    """
+
+    dwells: int
+
+
+@dataclass(frozen=True)
+class Advised(Event):
+    """What the advisor says; where it asks for positions, `ExtensionOffered` follows.
+
+    Attributes
+    ----------
+    round : int
+        Which time, from 1.
+    positions : int
+        How many it asks for.
+    ended : str
+        Why it asks for none; empty where it does.
+    summary : dict
+        JSON form of where the session stands.
+    """
+
+    round: int
+    positions: int
+    ended: str
+    summary: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Waiting(Event):
+    """A wait that the plan asks for, before a dwell."""
+
+    place: int
+    elapsed_s: float
+    length_s: float
 
 
 @dataclass(frozen=True)

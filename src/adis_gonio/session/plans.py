@@ -52,12 +52,20 @@ class Position:
     direction : tuple of 3 float or None
         For a free attitude: what an ideal sensor would read there, in units of G. Only a suggestion, which
         a stage that turns in space can follow; a fit never sees it.
+    wait_s : float
+        How long to wait there, beside what stillness takes.
+    temperature_c, supply_v : float or None
+        Temperature of the part and supply to bring about first; None as they are. A fit takes what was
+        measured, never this.
     """
 
     angle_deg: float | None
     approach: Approach = 1
     use: Use = "fit"
     direction: tuple[float, float, float] | None = None
+    wait_s: float = 0.0
+    temperature_c: float | None = None
+    supply_v: float | None = None
 
     def __str__(self) -> str:
         place = "a new attitude" if self.angle_deg is None else f"{self.angle_deg:g}°"
@@ -285,6 +293,17 @@ def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindne
 def _sees_bias(angles_deg: Sequence[float]) -> bool:
     """True where the mean direction of an axis is told from its bias: at least three separate angles."""
     return len({round(angle % 360.0, 6) for angle in angles_deg}) >= 3
+
+
+def attitude(direction: Sequence[float]) -> str:
+    """Attitude in words, such as `one that reads +x −z`: axes that read much of gravity, with signs."""
+    axes = [f"{'+' if part > 0 else '−'}{'xyz'[k]}" for k, part in enumerate(direction) if abs(part) > 0.3]
+    return f"one that reads {' '.join(axes)}"
+
+
+def extended(plan: Plan, positions: Sequence[Position]) -> Plan:
+    """The same plan with further positions at its end."""
+    return replace(plan, positions=(*plan.positions, *positions))
 
 
 def extension(plan: Plan, done: int) -> Plan | None:

@@ -22,7 +22,8 @@ def read_session(path: str | Path) -> Session:
     A session may be read while another program records it. Samples are in LSB and °/s, times in seconds
     since the session began. `facts` holds `configuration`, `registers` (before, configured, after),
     `plan`, `settings`, `url`, `note`, `runs`, `dwells` (times, lost scans, STATUS of each), `problems`,
-    `complete`, and for simulated sessions alone `truth`, which no fit may use.
+    `advised` (what an advisor asked for, round by round), `complete`, and for simulated sessions alone
+    `truth`, which no fit may use.
 
     Raises
     ------
@@ -52,6 +53,7 @@ def read_session(path: str | Path) -> Session:
             },
             "runs": view.runs(),
             "problems": [record.value for record in view.records("problem")],
+            "advised": [record.value for record in view.records("advised")],
             "complete": not pending,
             "skipped": sorted(skipped),
             "dwells": [_facts_of(a, scans) for a, scans in zip(stored, joined, strict=True)],

@@ -25,6 +25,7 @@ import math
 import queue
 import threading
 from collections.abc import Generator, Iterator
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal
@@ -35,9 +36,12 @@ from adis_gonio.errors import AdisGonioError, SessionError, UsageError
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
 from adis_gonio.sensor.decoding import ScanBlock
 from adis_gonio.sensor.driver import Adis16354
-from adis_gonio.session.archive import Archive, Header, utc_now
+from adis_gonio.session.archive import Archive, Header, read_session, utc_now
 from adis_gonio.session.bench import Bench
+from adis_gonio.session.closing import Advisor
 from adis_gonio.session.events import (
+    Advised,
+    Advising,
     Configured,
     DwellDone,
     DwellInterrupted,
@@ -51,9 +55,10 @@ from adis_gonio.session.events import (
     StageMoved,
     Started,
     Vector,
+    Waiting,
     Watching,
 )
-from adis_gonio.session.plans import Plan, blindness, extension
+from adis_gonio.session.plans import Plan, Position, blindness, extended, extension
 from adis_gonio.session.recording import Recording
 from adis_gonio.session.settings import Settings
 from adis_gonio.session.stillness import StillnessLimits, limits_from_noise
@@ -67,6 +72,13 @@ WINDOWS_TO_STILLNESS = 4
 
 SUPPLY_LIMITS_V = (4.75, 5.25)
 """Specified supply (DS, B)."""
+
+
+WARMING_S = 600.0
+"""Wait for another temperature, where the program sets it."""
+
+WAIT_STEP_S = 1.0
+"""Between two looks at the clock and the operator during a wait."""
 
 
 class Answer(StrEnum):
@@ -86,7 +98,16 @@ class SessionRunner:
     Answers may be given from another thread than the one that iterates over `run()`.
     """
 
-    def __init__(self, bench: Bench, archive: Archive, *, auto: bool, extend: bool, resumed: bool) -> None:
+    def __init__(
+        self,
+        bench: Bench,
+        archive: Archive,
+        *,
+        auto: bool,
+        extend: bool,
+        resumed: bool,
+        advisor: Advisor | None = None,
+    ) -> None:
         self._bench = bench
         self._archive = archive
         self._header = archive.header()
@@ -94,6 +115,7 @@ class SessionRunner:
         self._auto = auto
         self._extend = extend
         self._resumed = resumed
+        self._advisor = advisor
         self._done = {attempt.place: attempt.number for attempt in archive.dwells()}
         self._skipped = archive.skipped()
         self._last_place = max(self._done, key=self._done.__getitem__, default=None)
@@ -118,6 +140,7 @@ class SessionRunner:
         fixture_sigma_deg: float | None = None,
         title: str = "",
         note: str = "",
+        advisor: Advisor | None = None,
     ) -> SessionRunner:
         """Begin a new session in a new file.
 
@@ -137,6 +160,8 @@ class SessionRunner:
             Standard uncertainty of a declared angle in degrees; None where it is not stated.
         title, note : str
             What the operator wants to keep with it.
+        advisor : Advisor or None
+            Asked for further positions when the plan is done, until it has none.
 
         Raises
         ------
@@ -164,13 +189,22 @@ class SessionRunner:
             note=note,
             simulated=bench.simulated,
         )
-        return cls(bench, Archive.create(path, header), auto=auto, extend=extend, resumed=False)
+        archive = Archive.create(path, header)
+        return cls(bench, archive, auto=auto, extend=extend, resumed=False, advisor=advisor)
 
     @classmethod
     def resume(
-        cls, sensor: Adis16354, path: str | Path, *, auto: bool = False, extend: bool = False
+        cls,
+        sensor: Adis16354,
+        path: str | Path,
+        *,
+        auto: bool = False,
+        extend: bool = False,
+        advisor: Advisor | None = None,
     ) -> SessionRunner:
         """Go on with the positions of a session that are not done yet, with the settings that it has.
+
+        These may be positions that an advisor asked for; a new advisor is asked when they are done.
 
         Raises
         ------
@@ -187,7 +221,7 @@ class SessionRunner:
             if auto:
                 bench.require_auto(archive.plan())
             bench.require_same_sensor(archive)
-            return cls(bench, archive, auto=auto, extend=extend, resumed=True)
+            return cls(bench, archive, auto=auto, extend=extend, resumed=True, advisor=advisor)
         except BaseException:
             archive.close()
             raise
@@ -374,26 +408,72 @@ class SessionRunner:
         gravity_mg = 1000.0 * self._header.gravity_mps2 / STANDARD_GRAVITY_MPS2
         blind = blindness(self._plan, typical_mg, gravity_mg)
         if longer is None or blind is None:
-            return Answer.STOP
-        answer = yield from self._ask(
-            ExtensionOffered(longer, blind),
-            {Answer.ACCEPT, Answer.DECLINE},
-            Answer.ACCEPT if self._extend else Answer.DECLINE,
-        )
+            return (yield from self._ask_advisor())
+        wanted = self._extend or self._advisor is not None
+        return (yield from self._offer(ExtensionOffered(longer, blind), wanted))
+
+    def _offer(self, offer: ExtensionOffered, wanted: bool) -> Generator[Event, None, Answer]:
+        """Offer a longer plan; it is in the archive before its first position is asked for."""
+        default = Answer.ACCEPT if wanted else Answer.DECLINE
+        answer = yield from self._ask(offer, {Answer.ACCEPT, Answer.DECLINE}, default)
         if answer is Answer.ACCEPT:
-            self._note("plan", longer.as_dict())
-            self._plan = longer
+            self._note("plan", offer.plan.as_dict())
+            self._plan = offer.plan
         return answer
+
+    def _ask_advisor(self) -> Generator[Event, None, Answer]:
+        """Let the advisor see the archive, and offer what it asks for."""
+        if self._advisor is None or not self._done:
+            return Answer.STOP
+        yield Advising(len(self._done))
+        rounds = [record.value for record in self._archive.records("advised")]
+        visited = len(self._plan) - rounds[0]["planned"] if rounds else 0
+        advice = self._advisor.advise(read_session(self._archive.path), visited, self._reachable)
+        count, number = len(advice.positions), len(rounds) + 1
+        self._note(
+            "advised",
+            {
+                "round": number,
+                "planned": len(self._plan),
+                "positions": count,
+                "reasons": list(advice.reasons),
+                "ended": advice.ended,
+                "summary": advice.summary,
+            },
+        )
+        yield Advised(number, count, advice.ended, advice.summary)
+        if not advice.positions:
+            return Answer.STOP
+        longer = extended(self._plan, advice.positions)
+        return (yield from self._offer(ExtensionOffered(longer, None, advice.reasons), True))
+
+    def _reachable(self, position: Position) -> bool:
+        """True where somebody, or the program alone with `auto`, can and will bring the part there."""
+        refused = {replace(self._plan.positions[place], wait_s=0.0) for place in self._skipped}
+        if replace(position, wait_s=0.0) in refused:
+            return False
+        return not self._auto or self._bench.can_reach(position)
 
     # -- a dwell ----------------------------------------------------------------------------------
 
     def _dwell(self, place: int) -> Iterator[Event]:
         position = self._plan.positions[place]
         recording = self._new_recording(place)
+        if self._bench.sets_conditions and self._bench.wants_conditions(position):
+            wanted = {"temperature_c": position.temperature_c, "supply_v": position.supply_v}
+            # The record's time is the one at which the change begins: nothing may come between.
+            self._note("conditions", wanted)
+            self._bench.set_conditions(**wanted)
+            if position.temperature_c is not None and (yield from self._wait(place, WARMING_S)):
+                return
         move = self._bench.move_to(position)
         if move is not None:
             recording.moves.append(move)
             yield StageMoved(position)
+        if (yield from self._wait(place, position.wait_s)):
+            # An attempt without scans keeps the move, which a resumed simulation has to live through.
+            yield self._interrupted(recording, "stopped by the operator")
+            return
         for _ in range(MOST_RESTARTS):
             reason = yield from self._record_or_keep(recording)
             if reason is None:
@@ -410,6 +490,16 @@ class SessionRunner:
         if self._auto:
             raise SessionError(f"{message}; find what moves the part and resume the session")
         yield self._problem(Problem("stillness", message, place))
+
+    def _wait(self, place: int, length_s: float) -> Generator[Event, None, bool]:
+        """Wait before a dwell; True where the operator stopped it."""
+        end_s = self._bench.now_s + length_s
+        while length_s > 0 and (left := end_s - self._bench.now_s) > 0:
+            if self._stopping.is_set():
+                return True
+            yield Waiting(place, length_s - left, length_s)
+            self._bench.sensor.bus.sleep_s(min(left, WAIT_STEP_S))
+        return False
 
     def _new_recording(self, place: int) -> Recording:
         bench = self._bench

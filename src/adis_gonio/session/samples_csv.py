@@ -113,7 +113,13 @@ def read_samples_csv(path: str | Path) -> Session:
         )
         for k, (number, rows) in enumerate(zip(numbers, slices, strict=True))
     )
-    return Session(dwells=dwells, source=str(path), notes=table.notes + notes, **settings)
+    return Session(
+        dwells=dwells,
+        source=str(path),
+        notes=table.notes + notes,
+        cut_by_stillness="position" not in names,
+        **settings,
+    )
 
 
 def write_samples_csv(session: Session, path: str | Path) -> None:

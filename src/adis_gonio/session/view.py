@@ -163,6 +163,17 @@ class ArchiveView:
             attempt = runs[run]
         return line
 
+    def conditions_before(self, attempt: int) -> list[Record]:
+        """Temperatures and supplies that the program set on the line that leads up to an attempt's end."""
+        runs = {run["run"]: run["continues"] for run in self.runs()}
+        ends = {a.number: (a.run, a.ended_bus_s) for a in self.attempts()}
+        line: list[Record] = []
+        while attempt:
+            run, end_s = ends[attempt]
+            line = [r for r in self.records("conditions") if r.run == run and r.bus_s <= end_s] + line
+            attempt = runs[run]
+        return line
+
     def close(self) -> None:
         """Close the file; may be called twice."""
         self._connection.close()

@@ -30,6 +30,7 @@ _AT_LEAST_ZERO = (
     "fixture_sigma_deg",
     "powered_s",
     "overshoot_deg",
+    "table_vibration_mg",
 )
 
 
@@ -80,6 +81,11 @@ class WorldSettings:
         Mean speed of a move.
     vibration_mg, vibration_hz, vibration_decay_s : float
         Ringing after a move stops.
+    table_vibration_mg : float or None
+        Largest rms of a broadband vibration of the table, on each axis and ahead of the sensor's filter.
+        The first dwell has the whole of it (what is at rest is learnt there), every other one a level of
+        its own, uniform from 0 to this. By default none, or five times the sensor's noise where an effect
+        that was added follows the variance (`vibration_rectification`).
     """
 
     alpha_deg: float | None = None
@@ -130,6 +136,7 @@ class WorldSettings:
     vibration_mg: float = 20.0
     vibration_hz: float = 35.0
     vibration_decay_s: float = 0.3
+    table_vibration_mg: float | None = None
 
     def __post_init__(self) -> None:
         for entry in fields(self):

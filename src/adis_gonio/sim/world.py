@@ -3,7 +3,8 @@
 What a sensor reads (mg, x y z)
     ideal = G [K_x d_x, K_y (d_x sin Δφ + d_y cos Δφ), K_z (s_z · d)], d the stage's direction;
     reading = ideal (1 + tempco (T − 25 °C)) + bias + tempco (T − 25 °C) + effects + flicker + ringing
-    + noise. In the plane d = (cos ψ, sin ψ, 0), which is the convention of the samples CSV.
+    + noise + vibration of the table (broadband, a level a dwell). In the plane d = (cos ψ, sin ψ, 0),
+    which is the convention of the samples CSV.
 
 Noise is drawn update by update, so that what comes out depends on the seed and on the chip's settings,
 never on how frames are grouped or how often somebody asks.
@@ -35,7 +36,11 @@ from adis_gonio.sim.stage import Motion, Stage
 REFERENCE_C = 25.0
 REFERENCE_V = 5.0
 GREATEST_ALPHA_DEG = 5.0
+WARMING_TAU_S = 60.0
+"""Time constant with which the part goes to a temperature that it is brought to."""
 _HISTORY_STEP_S = 1.0
+_TABLE_OVER_NOISE = 5.0
+"""Vibration of the table in units of the sensor's noise where an effect needs it."""
 
 Values = Mapping[str, float] | Sequence[float] | Floats
 
@@ -66,13 +71,15 @@ class World:
         self.settings = settings or WorldSettings()
         self.variant = variant(part)
         self.seed = seed
-        streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)]
-        hidden, white, self._flicker_rng, fixture, changes = streams
+        streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(7)]
+        hidden, white, self._flicker_rng, fixture, changes, shaking, self._level_rng = streams
         self._draw(hidden)
         self._effect_rngs = changes.spawn(len(effects))
         self.effects = tuple((effect, _values(effect, given)) for effect, given in effects)
         self.stage = Stage(self.settings, float(np.radians(self._hidden["alpha"])), fixture)
         self._flicker: Flicker | None = None
+        self._warmed: list[tuple[float, float]] = []
+        self._supplied: list[tuple[float, float]] = []
         figures = self.variant.performance
         self._noise_mg = _or(self.settings.noise_mg, figures.noise_mg)
         gyro_noise = _or(self.settings.gyro_noise_dps, figures.gyro_noise_dps)
@@ -85,6 +92,12 @@ class World:
             ),
             white,
         )
+        follows = any("variance_mg2" in effect.needs for effect, _ in self.effects)
+        self._table_mg = _or(
+            self.settings.table_vibration_mg, _TABLE_OVER_NOISE * self._noise_mg if follows else 0.0
+        )
+        self._shaking = White(np.ones(3), shaking)
+        self._levels_mg = np.empty(0)
         self._g_effect = _or(self.settings.gyro_g_dps_per_g, figures.gyro_g_sensitivity_dps_per_g)
         self._supply_effect = _or(
             self.settings.gyro_supply_dps_per_v, figures.gyro_supply_sensitivity_dps_per_v
@@ -175,13 +188,30 @@ class World:
         if given.ambient_swing_c:
             ambient = ambient + given.ambient_swing_c * np.sin(2 * np.pi * time_s / given.ambient_period_s)
         on_s = np.maximum(time_s + given.powered_s, 0.0)
-        return np.asarray(
-            ambient + given.self_heating_c * -np.expm1(-on_s / given.self_heating_tau_s), np.float64
-        )
+        warmth = ambient + given.self_heating_c * -np.expm1(-on_s / given.self_heating_tau_s)
+        for since_s, change in self._warmed:
+            warmth = warmth + change * -np.expm1(-np.maximum(time_s - since_s, 0.0) / WARMING_TAU_S)
+        return np.asarray(warmth, np.float64)
 
     def supply_v(self, time_s: Floats) -> Floats:
         """Supply (n,) in V without its noise."""
-        return self.settings.supply_v + self.settings.supply_drift_v_per_h * time_s / 3600
+        supply = self.settings.supply_v + self.settings.supply_drift_v_per_h * time_s / 3600
+        for since_s, change in self._supplied:
+            supply = supply + np.where(time_s >= since_s, change, 0.0)
+        return np.asarray(supply, np.float64)
+
+    def bring_to(
+        self, time_s: float, temperature_c: float | None = None, supply_v: float | None = None
+    ) -> None:
+        """Heat or cool the part, or set the supply, from a time on that has not been sampled yet.
+
+        The temperature goes there exponentially (`WARMING_TAU_S`); drifts and swings go on beneath.
+        """
+        now = np.array([time_s])
+        if temperature_c is not None:
+            self._warmed.append((time_s, temperature_c - float(self.temperature_c(now)[0])))
+        if supply_v is not None:
+            self._supplied.append((time_s, supply_v - float(self.supply_v(now)[0])))
 
     # -- what the chip feels ----------------------------------------------------------------------
 
@@ -193,7 +223,8 @@ class World:
         supply = self.supply_v(time_s)
         noise = self._white.next(n)
         flicker = self._flicker_at(time_s)
-        conditions = self._conditions(time_s, motion, temperature, supply)
+        vibration = self._vibration_mg(motion.order)
+        conditions = self._conditions(time_s, motion, temperature, supply, vibration)
 
         direction = self._turned(motion.direction, conditions)
         ideal = self._ideal(direction)
@@ -206,6 +237,8 @@ class World:
         accel += flicker[:, :3]
         accel[:, :2] += motion.ringing_mg[:, None]
         accel += noise[:, :3]
+        if self._table_mg:
+            accel += vibration[:, None] * self._shaking.next(n)
         if conditions is not None:
             for (effect, values), rng in zip(self.effects, self._effect_rngs, strict=True):
                 if effect.enters is Enters.SAMPLES:
@@ -255,8 +288,21 @@ class World:
             self._flicker = Flicker(floors, self._flicker_rng, start_s=float(np.floor(time_s[0])))
         return self._flicker.at(time_s)
 
+    def _vibration_mg(self, order: Floats) -> Floats:
+        """Level (n,) of the table's vibration in the dwells of these numbers, rms in mg."""
+        if not self._table_mg:
+            return np.zeros(len(order))
+        missing = int(order.max()) + 1 - len(self._levels_mg)
+        if missing > 0:
+            drawn = self._table_mg * self._level_rng.random(missing)
+            if not len(self._levels_mg):
+                # Stillness is judged by the scatter before the first move: it has to be the largest.
+                drawn[0] = self._table_mg
+            self._levels_mg = np.concatenate([self._levels_mg, drawn])
+        return np.asarray(self._levels_mg[order.astype(np.int64)], np.float64)
+
     def _conditions(
-        self, time_s: Floats, motion: Motion, temperature: Floats, supply: Floats
+        self, time_s: Floats, motion: Motion, temperature: Floats, supply: Floats, vibration: Floats
     ) -> Conditions | None:
         if not self.effects:
             return None
@@ -271,7 +317,7 @@ class World:
             temperature_c=temperature,
             supply_v=supply,
             temperature_history=(history_s, self.temperature_c(history_s)),
-            variance_mg2=np.full((len(time_s), 3), self._noise_mg**2),
+            variance_mg2=np.repeat((self._noise_mg**2 + vibration**2)[:, None], 3, axis=1),
         )
 
 

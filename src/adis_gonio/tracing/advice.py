@@ -1,192 +1,189 @@
-"""What to measure next: positions and conditions at which rivals differ most, in words."""
+"""What to measure next, in words; the measurements themselves are worked out in `proposals`."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
-import numpy as np
-
-from adis_gonio.model.effects import AXES, Conditions, catalogue
-from adis_gonio.model.records import Floats
+from adis_gonio.model.effects import AXES
 from adis_gonio.tracing.observations import Observations
-from adis_gonio.tracing.result import Detectable
-from adis_gonio.tracing.state import Refit, State, predict, settle
+from adis_gonio.tracing.proposals import propose
+from adis_gonio.tracing.result import Measurement
+from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.terms import Term
 
-Fitted = tuple[Sequence[Term], Refit]
+PLAIN = 100.0
+"""Standard uncertainties from which a figure says nothing more."""
+
+_ONE_TURN = "remount the part turned by 180° and repeat some angles"
+_OUT_OF_PLANE = "repeat the session with the part on its side, so that gravity leaves the plane"
+_CYCLE = "repeat a few positions about 10 °C warmer, and again after it has cooled"
+_REMEDIES = {
+    "bias": "repeat a few positions on another day or at another temperature",
+    "bias_temperature": _CYCLE,
+    "scale_temperature": _CYCLE,
+    "thermal_lag": "heat and let cool at different speeds, with a dwell every few minutes",
+    "supply_bias": "change the supply by hand at one position, such as from 4.8 to 5.2 V",
+    "bias_drift": "repeat some positions in another order, and once more after a break",
+    "warm_up": "switch the sensor off, let it cool, and repeat a few positions after switching on",
+    "hysteresis": "approach several positions from both sides",
+    "backlash": "approach several positions from both sides",
+    "quadratic": _OUT_OF_PLANE,
+    "cross_quadratic": _OUT_OF_PLANE,
+    "asymmetry": "add angles where an axis reads near zero, five degrees apart",
+    "cross_axis": _ONE_TURN,
+    "stage_eccentricity": _ONE_TURN,
+    "stage_ellipticity": "remount the part turned by 90° and repeat some angles",
+    "cubic": "remount the part turned by 90° and repeat some angles",
+    "axis_tilt": "level the stage's axis with a spirit level",
+    "gravity": "enter the local gravity, as from --latitude and --height",
+    "scale": "enter the local gravity, as from --latitude and --height",
+    "vibration_rectification": "repeat one position with a source of vibration on, and off",
+    "settling": "wait longer before some of the dwells",
+    "position_slip": "repeat the position",
+    "outlier_dwell": "repeat the position",
+    "misalignment": "repeat the session in another plane",
+}
+"""What to do by hand where no position of the session decides."""
+_OBLIQUE = (
+    "point each axis 45° and 60° off the vertical, up and down (readings of ±0.7 and ±0.5 g), and repeat a "
+    "few of the first poses last"
+)
+_REMEDIES_IN_SPACE = dict.fromkeys(("quadratic", "cross_quadratic", "asymmetry", "cubic"), _OBLIQUE)
+"""The same where attitudes are free: gravity is in no plane that it could leave."""
 
 
 def advise(
     data: Observations,
-    rivals: Sequence[Fitted],
+    training: Observations,
+    selection: Selection,
+    terms: Sequence[Term],
     confounded: Sequence[Sequence[str]],
-    detectable: dict[str, Detectable],
-    adequate: bool,
-) -> tuple[str, ...]:
-    """Advice, the most informative first."""
-    lines: list[str] = []
-    if len(rivals) > 1:
-        where = _separating(data, rivals)
-        if where:
-            lines.append(where)
-    kinds = catalogue()
+) -> tuple[tuple[str, ...], tuple[Measurement, ...]]:
+    """Advice in words, and as measurements; the most informative first.
+
+    Parameters
+    ----------
+    data, training : Observations
+        All dwells, and those that were fitted.
+    terms : sequence of Term
+        All candidates of the session.
+    confounded : sequence of sequences of str
+        What the session cannot tell apart.
+    """
+    measurements = tuple(
+        replace(m, sentence=_sentence([m])) for m in propose(data, training, selection, terms)
+    )
+    lines = list(sentences(measurements))
+    decided = {name for m in measurements if m.purpose == "decide" for name in (*m.one, *m.other)}
+    inside = {term.name for term in selection.model}
+    remedies = _REMEDIES if training.planar else {**_REMEDIES, **_REMEDIES_IN_SPACE}
+    groups = [c for c in confounded if c[0] in inside or not selection.adequate]
+    lines += _by_hand(groups, decided, remedies)
+    lines += _not_recorded(training)
+    if not selection.adequate and not lines:
+        lines.append(
+            "repeat each position at another time and from the other side: what is left is larger than "
+            "the noise within the dwells, and no single cause explains it"
+        )
+    return tuple(lines), measurements
+
+
+def sentences(measurements: Sequence[Measurement]) -> tuple[str, ...]:
+    """One sentence for all measurements that part the same."""
+    return tuple(_sentence(group) for group in _grouped(measurements))
+
+
+def place(measurement: Measurement) -> str:
+    """Position and conditions, such as `45° from above, after waiting 5 min`."""
+    words = [where(measurement)]
+    if measurement.temperature_c is not None:
+        words.append(f"with the part at {measurement.temperature_c:.0f} °C")
+    if measurement.supply_v is not None:
+        words.append(f"with a supply of {measurement.supply_v:.2f} V")
+    if measurement.wait_s:
+        words.append(f"after waiting {duration(measurement.wait_s)}")
+    return ", ".join(words)
+
+
+def where(measurement: Measurement) -> str:
+    """Position alone, such as `45° from above`."""
+    if measurement.angle_deg is not None:
+        side = " from above" if measurement.approach < 0 else ""
+        return f"{measurement.angle_deg:g}°{side}"
+    parts = enumerate(measurement.direction or ())
+    axes = [f"{'+' if part > 0 else '−'}{AXES[k]}" for k, part in parts if abs(part) > 0.3]
+    return f"an attitude that reads {' '.join(axes)}"
+
+
+def duration(seconds: float) -> str:
+    """`30 s`, `5 min`."""
+    return f"{seconds:.0f} s" if seconds < 60 else f"{seconds / 60:.3g} min"
+
+
+def _grouped(measurements: Sequence[Measurement]) -> list[list[Measurement]]:
+    """Measurements that part the same, in order; all that only look for what was not to be seen."""
+    groups: dict[object, list[Measurement]] = {}
+    for m in measurements:
+        groups.setdefault((m.one, m.other) if m.purpose == "decide" else "cover", []).append(m)
+    return list(groups.values())
+
+
+def _sentence(group: Sequence[Measurement]) -> str:
+    first = group[0]
+    what = _joined([place(m) for m in group], "; " if any("," in place(m) for m in group) else ", ")
+    if first.purpose == "cover":
+        names = list(dict.fromkeys(name for m in group for name in (*m.one, *m.other)))
+        return f"measure at {what}: only then could {_joined(names, ', ')} be seen, if there"
+    strongest = max(m.separation for m in group)
+    figure = f"more than {PLAIN:.0f}" if strongest > PLAIN else f"about {strongest:.0f}"
+    apart = f"expected difference {figure} standard uncertainties"
+    one, other = (_joined(names, ", ") for names in (first.one, first.other))
+    if not one or not other:
+        return f"measure at {what}: that shows whether {one or other} is there ({apart})"
+    return f"measure at {what}: that tells {one} from {other} ({apart})"
+
+
+def _joined(words: Sequence[str], comma: str) -> str:
+    if len(words) < 2:
+        return "".join(words)
+    return f"{comma.join(words[:-1])} and {words[-1]}"
+
+
+def _by_hand(
+    confounded: Sequence[Sequence[str]], decided: set[str], remedies: Mapping[str, str]
+) -> list[str]:
+    """What would part groups that no measurement parts, one line for each thing to do."""
+    to_do: dict[str, list[str]] = {}
     for names in confounded:
-        for name in names:
-            if name in kinds:
-                line = f"{name}: {kinds[name].separated_by}"
-                if line not in lines:
-                    lines.append(line)
-    lines += _coverage(data, detectable)
-    if not adequate and not lines:
-        lines.append(
-            "the residual is larger than the noise within the dwells and no single cause explains it: "
-            "repeat each position at another time and from the other side"
-        )
-    return tuple(lines)
+        # The first is what the model has; alone, it stands against nothing that has a name.
+        for name in names[1:] or names:
+            if (
+                name in remedies
+                and name not in decided
+                and name not in to_do.setdefault(remedies[name], [])
+            ):
+                to_do[remedies[name]].append(name)
+    return [
+        f"to confirm or rule out {_joined(names, ', ')}: {remedy}"
+        for remedy, names in to_do.items()
+        if names
+    ]
 
 
-def _separating(data: Observations, rivals: Sequence[Fitted]) -> str:
-    """Position and conditions at which the best model and its nearest rivals predict most apart."""
-    if data.planar and data.conditions.angle_rad is None:
-        return ""
-    options, words = _options(data)
-    predictions = []
-    for model, fitted in rivals[:4]:
-        predictions.append(_predicted(options, model, fitted.state))
-    apart = np.zeros(len(options))
-    for one, two in itertools.combinations(predictions, 2):
-        apart = np.maximum(apart, np.linalg.norm(one - two, axis=1))
-    # Differences beyond any sensor come from directions that the session does not determine at all.
-    apart = np.where(np.isfinite(apart) & (apart < 1e3), apart, 0.0)
-    if apart.max() <= 0:
-        return ""
-    noise = float(np.sqrt(np.trace(data.covariance, axis1=1, axis2=2).mean() / data.axes))
-    ranked = np.argsort(-apart)
-    best = [int(ranked[0])]
-    for k in ranked[1:]:
-        # Further positions that are not the same place again.
-        if len(best) < 3 and all(words[k][0] != words[j][0] for j in best):
-            best.append(int(k))
-    labels = [", ".join(part for part in words[k] if part) for k in best]
-    names = " or ".join(" + ".join(term.label for term in model) or "base model" for model, _ in rivals[:3])
-    return (
-        f"to tell {names} apart, measure at {'; '.join(labels)}: there they differ by up to "
-        f"{apart[best[0]]:.2g} mg ({apart[best[0]] / max(noise, 1e-12):.1f} standard uncertainties of a "
-        "reading)"
-    )
-
-
-def _options(data: Observations) -> tuple[Observations, list[tuple[str, ...]]]:
-    """Imagined dwells after the session's last one."""
+def _not_recorded(data: Observations) -> list[str]:
+    """Conditions that the session lacks altogether."""
     c = data.conditions
-    later = float(c.time_s.max() + np.ptp(c.time_s) / max(len(data) - 1, 1))
-    waits = (0.0, float(np.ptp(c.time_s)))
-    temperatures: list[float | None] = [None]
-    if c.temperature_c is not None:
-        low, high = float(c.temperature_c.min()), float(c.temperature_c.max())
-        temperatures = [low - 5, (low + high) / 2, high + 5]
-    supplies: list[float | None] = [None]
-    if c.supply_v is not None:
-        supplies = [float(c.supply_v.min()), float(c.supply_v.max())]
-    sides = (1.0, -1.0) if c.approach is not None else (0.0,)
-    places: list[tuple[str, Floats]] = []
-    if data.planar:
-        places = [(f"{a}°", np.array([np.deg2rad(a)])) for a in range(0, 360, 15)]
-    else:
-        for v in itertools.product((-1, 0, 1), repeat=3):
-            if any(v):
-                unit = np.array(v, dtype=float) / np.linalg.norm(v)
-                word = " ".join(f"{'+' if s > 0 else '−'}{AXES[k]}" for k, s in enumerate(v) if s)
-                places.append((f"gravity along {word}", unit))
-    rows = list(itertools.product(places, waits, temperatures, supplies, sides))
-    n = len(rows)
-    time = np.array([later + wait for _, wait, _, _, _ in rows])
-    angle = np.array([p[1][0] for p, *_ in rows]) if data.planar else None
-    temperature = None if c.temperature_c is None else np.array([t for _, _, t, _, _ in rows], dtype=float)
-    history = c.temperature_history
-    conditions = Conditions(
-        time_s=time,
-        angle_rad=angle,
-        order=None if c.order is None else np.full(n, c.order.max() + 1),
-        approach=None if c.approach is None else np.array([s for *_, s in rows]),
-        previous_angle_rad=None if c.previous_angle_rad is None else np.zeros(n),
-        temperature_c=temperature,
-        supply_v=None if c.supply_v is None else np.array([v for *_, v, _ in rows], dtype=float),
-        temperature_history=history,
-        variance_mg2=None if c.variance_mg2 is None else np.tile(c.variance_mg2.mean(axis=0), (n, 1)),
-    )
-    mean = np.zeros((n, data.axes))
-    if not data.planar:
-        mean = data.gravity_mg * np.array([p[1] for p, *_ in rows])
-    words: list[tuple[str, ...]] = []
-    for (place, _), wait, t, volts, side in rows:
-        words.append(
-            (
-                place,
-                "" if wait == 0 else f"{wait / 60:.0f} min later",
-                "" if t is None else f"at {t:.0f} °C",
-                "" if volts is None else f"at {volts:.2f} V",
-                "" if side == 0 else f"approached from {'below' if side > 0 else 'above'}",
-            )
-        )
-    options = Observations(
-        mean_mg=mean,
-        covariance=np.tile(data.covariance.mean(axis=0), (n, 1, 1)),
-        noise_dof=data.noise_dof,
-        known=data.known,
-        conditions=conditions,
-        gravity_mg=data.gravity_mg,
-        fixture_rad=data.fixture_rad,
-        check=np.zeros(n, dtype=bool),
-        position=np.arange(n),
-        zero_unknown=data.zero_unknown,
-    )
-    return options, words
-
-
-def _predicted(options: Observations, model: Sequence[Term], fitted: State) -> Floats:
-    """Predictions (n, axes) in the plane; in space the norm's excess over G (n, 1), attitude unknown."""
-    n = len(options)
-    if options.planar:
-        state = State(fitted.base, np.zeros(n), np.zeros((n, 0)), fitted.values)
-        return predict(options, model, state).predicted_mg
-    unit = options.mean_mg / np.linalg.norm(options.mean_mg, axis=1, keepdims=True)
-    state = State(fitted.base, np.zeros(n), unit, fitted.values)
-    # Only what is across the tangents can be seen: the prediction's part along the reading.
-    at = predict(options, model, settle(options, model, state, passes=0))
-    along: Floats = (at.predicted_mg * unit).sum(axis=1, keepdims=True)
-    return along
-
-
-def _coverage(data: Observations, detectable: dict[str, Detectable]) -> list[str]:
-    """What the session could not show at all, with what would show it."""
     lines = []
-    c = data.conditions
-    if data.planar and c.angle_rad is not None:
-        places = len(np.unique(np.round(np.mod(c.angle_rad, 2 * np.pi), 3)))
-        if places < 9:
-            order = (places - 1) // 2
-            lines.append(
-                f"{places} different angles show harmonics up to {order} only; a quadratic needs 5 angles, "
-                "a cubic 7, an asymmetry 9: add positions between (every 40° or closer)"
-            )
-        if c.approach is None or len(np.unique(c.approach)) < 2:
-            lines.append("approach several positions from both sides: backlash and hysteresis need it")
-        order_of = (
-            np.corrcoef(c.time_s, c.angle_rad)[0, 1] if len(data) > 2 and np.ptp(c.angle_rad) else 0.0
-        )
-        if abs(order_of) > 0.95:
-            lines.append(
-                "positions came in order, so that time is angle: repeat some in another order to see drift "
-                "apart from the stage"
-            )
-    if c.temperature_c is None:
-        lines.append("no temperature was recorded: terms in temperature cannot be looked for")
-    elif np.ptp(c.temperature_c) < 1.0:
+    if data.planar and c.angle_rad is None:
         lines.append(
-            f"the temperature moved by {np.ptp(c.temperature_c):.1f} °C only: repeat positions at two "
-            "temperatures"
+            "declare the angles of the stage: without them no effect of the stage can be looked for"
         )
-    del detectable
+    elif data.planar and c.approach is None:
+        lines.append(
+            "record from which side each position was reached, and approach several from both: backlash "
+            "and hysteresis show in nothing else"
+        )
+    if c.temperature_c is None:
+        lines.append("record the temperature: without it no thermal effect can be looked for")
     return lines

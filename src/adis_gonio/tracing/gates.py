@@ -71,7 +71,7 @@ def held_out_gains(
     inflation : float
         Factor on the noise variance.
     """
-    base, blocks, target = _linear(data, model, fit)
+    base, blocks, target = linear(data, model, fit)
     root = np.sqrt(inflation)
     target = target / root
     whole = np.concatenate([base, *blocks], axis=1) / root
@@ -84,25 +84,26 @@ def held_out_gains(
     return out
 
 
-def _linear(data: Observations, model: Sequence[Term], fit: Refit) -> tuple[Floats, list[Floats], Floats]:
-    """Whitened base columns, columns of each term's amplitudes, and readings less the base model."""
+def linear(data: Observations, model: Sequence[Term], fit: Refit) -> tuple[Floats, list[Floats], Floats]:
+    """Whitened base columns, columns of each term's amplitudes, and readings less the base model.
+
+    Returns
+    -------
+    base : (rows, k) float
+    blocks : list of (rows, d) float
+    target : (rows,) float
+    """
     at, conditions = fit.prediction, data.conditions
-
-    def white(columns: Floats) -> Floats:
-        turned = at.whiten @ columns
-        flat: Floats = turned.reshape(-1, turned.shape[2])
-        return flat
-
     target = at.residual.ravel()
     blocks = []
     for term, values in zip(model, fit.state.values, strict=True):
         columns = term.derivative(values, at.ideal_mg, conditions)
         if isinstance(term, NamedTerm):
             columns = columns[..., term.amplitude_index]
-        blocks.append(white(as_reading(term, columns, at)))
+        blocks.append(at.white(as_reading(term, columns, at)))
         added = term.added(values, at.ideal_mg, conditions)
-        target = target + white(as_reading(term, added[..., None], at))[:, 0]
-    return white(base_columns(data, fit.state, at)), blocks, target
+        target = target + at.white(as_reading(term, added[..., None], at))[:, 0]
+    return at.white(base_columns(data, fit.state, at)), blocks, target
 
 
 def _fold(whole: Floats, without: Floats, target: Floats, left: NDArray[np.bool_]) -> float:

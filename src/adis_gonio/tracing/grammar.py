@@ -1,10 +1,10 @@
 """The grammar of nameless terms: where a cause enters × what drives it (THEORY.md section 4).
 
-Where: a bias of an axis, a gain of an axis, the true angle. What: a power, modulus or sign of the
-reading; a harmonic of the stage; temperature, time, supply, approach, the previous position, the
-temperature's rate, products of two; by a line, a power, a step, a knee, an exponential, a lag, an
-oscillation, a bump; and smooth functions (polynomials of growing degree), which stand for everything that
-no formula names.
+Where: a bias of an axis, a gain of an axis, its lean against the others, the true angle. What: a power,
+modulus or sign of the reading; a harmonic of the stage; temperature, time, supply, approach, the previous
+position, the temperature's rate, products of two; by a line, a power, a step, a knee, an exponential, a
+lag, an oscillation, a bump; and smooth functions (polynomials of growing degree), which stand for
+everything that no formula names.
 
 Covariates are used in normal form: centred on the middle of what the session saw and scaled to ±1, except
 where a zero means something (25 °C, 5 V, the session's start). A function whose zero means nothing also
@@ -37,7 +37,7 @@ SMOOTH_WEIGHT = 0.25
 """Part of a covariate's weight that its smooth functions have; its formulas have the rest."""
 
 
-EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "angle")
+EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "lean", "angle")
 
 
 LEAST_DWELLS = 1.9
@@ -153,7 +153,7 @@ def _both(
         places: tuple[Where, ...] = tuple(place for place in EVERYWHERE if place not in named)
         yield _Made(family, False, Driver(form, covariates, _column(function)), places)
         return
-    yield _Made(family, False, Driver(form, covariates, _column(function)))
+    yield _Made(family, False, Driver(form, covariates, _column(function)), EVERYWHERE)
     yield _Made(family, False, Driver(form + " + const", covariates, _with_constant(function)), ("bias",))
 
 
@@ -387,9 +387,9 @@ def _smooth(
         form = f"a smooth function of {family} (degree {degree})"
         if family == "temperature" and degree <= 3:
             # On a bias the powers up to the third have a name.
-            yield _Made(family, True, Driver(form, (family,), columns), ("gain", "angle"))
+            yield _Made(family, True, Driver(form, (family,), columns), ("gain", "lean", "angle"))
             continue
-        yield _Made(family, True, Driver(form, (family,), columns))
+        yield _Made(family, True, Driver(form, (family,), columns), EVERYWHERE)
         yield _Made(family, True, Driver(form + " + const", (family,), _with_constant(columns)), ("bias",))
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.fitting.flicker import covariance_of_means, modes, scatter_of_means
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Dwell, Floats, Session
 
@@ -51,6 +52,9 @@ class Observations:
         Base parameters that are fitted; None: those that these poses show. Folds have those of the session.
     notes : tuple of str
         What has to be said about the noise.
+    slow_mg : (n, axes, k) float or None
+        What each of k independent modes of unit variance adds to the readings: the part of `covariance`
+        that dwells share (1/f noise). Modes of different axes are independent. None where there is none.
     """
 
     mean_mg: Floats
@@ -65,6 +69,7 @@ class Observations:
     zero_unknown: bool = False
     fitted: NDArray[np.bool_] | None = None
     notes: tuple[str, ...] = ()
+    slow_mg: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.mean_mg)
@@ -101,6 +106,14 @@ class Observations:
                 beside = np.column_stack([beside, skew])
         return seen
 
+    @property
+    def own_covariance(self) -> Floats:
+        """Covariance of the means (n, axes, axes) in mg² without what dwells share."""
+        if self.slow_mg is None:
+            return self.covariance
+        shared: Floats = (self.slow_mg**2).sum(axis=2)[:, :, None] * np.eye(self.axes)
+        return self.covariance - shared
+
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Observations:
         """Some of the dwells."""
         return replace(
@@ -110,6 +123,7 @@ class Observations:
             conditions=self.conditions.rows(index),
             check=self.check[index],
             position=self.position[index],
+            slow_mg=None if self.slow_mg is None else self.slow_mg[index],
         )
 
 
@@ -134,6 +148,8 @@ def observe(session: Session) -> Observations:
         scale, zero = to_mg
         mean = (mean - zero) / scale
         covariance = covariance / scale**2
+    flicker = readings.flicker / (1.0 if to_mg is None else to_mg[0] ** 2)
+    covariance, slow = _shared(dwells, covariance, flicker)
     sigma = readings.fixture_sigma_rad
     angles_known = bool(np.isfinite(readings.angle_rad).all())
     if session.plane != "xy" or not angles_known:
@@ -151,7 +167,31 @@ def observe(session: Session) -> Observations:
         position=readings.position,
         zero_unknown=to_mg is not None,
         notes=readings.notes,
+        slow_mg=slow,
     )
+
+
+def _shared(dwells: list[Dwell], covariance: Floats, flicker: Floats) -> tuple[Floats, Floats | None]:
+    """Covariance of each mean with its true share of 1/f noise, and the modes (n, axes, k) of that noise.
+
+    `reduce_session` has given the same share to every dwell of more than one sample.
+    """
+    many = np.array([len(dwell) > 1 for dwell in dwells])
+    if not flicker.any() or many.sum() < 2:
+        return covariance, None
+    period = [float(np.ptp(d.time_s)) / (len(d) - 1) for d in dwells if len(d) > 1]
+    begin = np.array([float(d.time_s[0]) for d in dwells if len(d) > 1])
+    end = np.array([float(d.time_s[-1]) for d in dwells if len(d) > 1]) + period
+    between = covariance_of_means(begin, end)
+    change = np.diagonal(between) - scatter_of_means(int(many.sum()))
+    covariance = covariance.copy()
+    covariance[many] += (change[:, None] * flicker)[:, :, None] * np.eye(len(flicker))
+    factor, _ = modes(between)
+    axes, k = len(flicker), factor.shape[1]
+    slow = np.zeros((len(dwells), axes, axes * k))
+    for axis in range(axes):
+        slow[many, axis, axis * k : (axis + 1) * k] = np.sqrt(flicker[axis]) * factor
+    return covariance, slow[:, :, (slow != 0).any(axis=(0, 1))]
 
 
 def _together(dof: Floats) -> float:

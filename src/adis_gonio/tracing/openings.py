@@ -8,13 +8,16 @@ from adis_gonio.tracing.design import Problem, span
 from adis_gonio.tracing.selection import Selection
 
 LEVEL = 0.1
+ALIKE = 2.0
+"""Ratio of p-values up to which another name is as likely as the best one."""
 
 
 def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
     """Names that, added alone, take a significant part of an inadequate model's residual (F-test at 10 %).
 
     The noise is then the residual itself, since what was measured within the dwells does not explain it.
-    The best variant of each name counts; the most likely comes first. None of them is claimed.
+    The best variant of each name counts; the most likely comes first, with all that are about as likely.
+    None of them is claimed.
     """
     from scipy import stats
 
@@ -32,5 +35,7 @@ def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
         left = max(chi2 - float(gains[k]), 1e-12)
         p = float(stats.f.sf(float(gains[k]) / width / (left / (dof - width)), width, dof - width))
         best[term.name] = min(best.get(term.name, np.inf), p)
-    likely = {name: p for name, p in best.items() if p < LEVEL}
+    if not best or min(best.values()) >= LEVEL:
+        return ()
+    likely = {name: p for name, p in best.items() if p < max(LEVEL, ALIKE * min(best.values()))}
     return tuple(sorted(likely, key=lambda name: likely[name])[:count])

@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from adis_gonio.tracing.state import State
 from adis_gonio.tracing.terms import Term
-
-
-@dataclass(frozen=True)
-class Value:
-    """A value with its standard uncertainty (None: not determined) and unit."""
-
-    value: float
-    u: float | None
-    unit: str
-
-    def as_dict(self) -> dict[str, Any]:
-        """`{"value", "u", "unit"}`."""
-        return {"value": _number(self.value), "u": _number(self.u), "unit": self.unit}
+from adis_gonio.tracing.values import Value, finite_or_none
+from adis_gonio.tracing.within.finding import WithinFinding
 
 
 @dataclass(frozen=True)
@@ -51,10 +39,10 @@ class ErrorFigures:
         """The keys of `error.before`; errors by axis where there are any."""
         by_axis = self.heldout_by_axis_mg
         return {
-            "residual_rms_mg": _number(self.residual_rms_mg),
-            "heldout_rms_mg": _number(self.heldout_rms_mg),
-            "angle_rms_deg": _number(self.angle_rms_deg),
-            "chi2_per_dof": _number(self.chi2_per_dof),
+            "residual_rms_mg": finite_or_none(self.residual_rms_mg),
+            "heldout_rms_mg": finite_or_none(self.heldout_rms_mg),
+            "angle_rms_deg": finite_or_none(self.angle_rms_deg),
+            "chi2_per_dof": finite_or_none(self.chi2_per_dof),
             **({} if by_axis is None else {"heldout_by_axis_mg": dict(by_axis)}),
         }
 
@@ -71,9 +59,9 @@ class Finding:
     p_value : float
         Of the effect in the final model (group score test), times the number of candidates, at most 1.
     explains : float
-        Fraction of the base model's excess residual.
+        Fraction of the base model's excess residual; 0 for an effect that stands inside the dwells only.
     probability : float
-        Posterior that the effect is present.
+        Posterior that the effect is present; of one inside the dwells 1 less its p-value.
     equivalents : tuple of str
         Models that predict the same in this session.
     cause : str
@@ -162,10 +150,77 @@ class Detectable:
     def as_dict(self) -> dict[str, Any]:
         """One value of `detectable`."""
         return {
-            "amplitude": _number(self.amplitude),
+            "amplitude": finite_or_none(self.amplitude),
             "unit": self.unit,
             "parameter": self.parameter,
             "reason": self.reason,
+        }
+
+
+Purpose = Literal["decide", "cover"]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One more dwell that is worth while.
+
+    Attributes
+    ----------
+    angle_deg : float or None
+        Angle to declare; None in space.
+    direction : tuple of 3 float or None
+        In space: what an ideal sensor would read there, in units of G.
+    approach : {1, -1, 0}
+        Direction of travel in which the angle is reached; 0 does not matter.
+    wait_s : float
+        How long to wait before it, beside the usual time between two dwells.
+    temperature_c, supply_v : float or None
+        Temperature and supply that are wanted; None as they are.
+    separation : float
+        Expected difference of the two in standard uncertainties of what is measured, beyond what the
+        measurements before it part already.
+    information : float
+        Expected information about what is true, in nats, given the measurements before it.
+    purpose : {"decide", "cover"}
+        Which of the models near the best is true, or whether something is there that the session could
+        not have shown.
+    one, other : tuple of str
+        What is told apart: effects that only one of the two models has. One of them may be empty.
+    sentence : str
+    """
+
+    angle_deg: float | None
+    direction: tuple[float, float, float] | None
+    approach: int
+    wait_s: float
+    temperature_c: float | None
+    supply_v: float | None
+    separation: float
+    information: float
+    purpose: Purpose
+    one: tuple[str, ...]
+    other: tuple[str, ...]
+    sentence: str = ""
+
+    @property
+    def by_position(self) -> bool:
+        """True where nothing but a position (and patience) is wanted."""
+        return self.temperature_c is None and self.supply_v is None
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of `measurements`."""
+        return {
+            "angle_deg": self.angle_deg,
+            "direction": None if self.direction is None else list(self.direction),
+            "approach": self.approach,
+            "wait_s": self.wait_s,
+            "temperature_c": self.temperature_c,
+            "supply_v": self.supply_v,
+            "separation": finite_or_none(self.separation),
+            "information": finite_or_none(self.information),
+            "purpose": self.purpose,
+            "separates": [list(self.one), list(self.other)],
+            "sentence": self.sentence,
         }
 
 
@@ -204,10 +259,13 @@ class TraceResult:
     reasons : mapping of str to str
         Why an effect is confounded or not called found.
     notes : tuple of str
-    within : tuple of str
+    within : tuple of WithinFinding
         What the samples inside the dwells show.
     heldout_design : str
         How dwells were left out.
+    measurements : tuple of Measurement
+        Advice in figures, for a program or a running session: further dwells, in the order in which they
+        are worth while.
     model : tuple of Term
         Terms of the final model; no part of the JSON, nor of a comparison.
     state : State or None
@@ -227,8 +285,9 @@ class TraceResult:
     base: dict[str, Value] = field(default_factory=dict)
     reasons: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    within: tuple[str, ...] = ()
+    within: tuple[WithinFinding, ...] = ()
     heldout_design: str = ""
+    measurements: tuple[Measurement, ...] = ()
     model: tuple[Term, ...] = field(default=(), repr=False, compare=False)
     state: State | None = field(default=None, repr=False, compare=False)
 
@@ -243,15 +302,24 @@ class TraceResult:
             "error": {"before": self.before.as_dict(), "after": self.after.as_dict()},
             "detectable": {name: value.as_dict() for name, value in self.detectable.items()},
             "next": list(self.advice),
+            "measurements": [measurement.as_dict() for measurement in self.measurements],
             "rivals": [rival.as_dict() for rival in self.rivals],
             "base": {name: value.as_dict() for name, value in self.base.items()},
             "reasons": dict(self.reasons),
             "notes": list(self.notes),
-            "within": list(self.within),
+            "within": [finding.as_dict() for finding in self.within],
             "heldout_design": self.heldout_design,
         }
 
 
-def _number(value: float | None) -> float | None:
-    """JSON has no infinities and no NaN."""
-    return None if value is None or not math.isfinite(value) else float(value)
+__all__ = [
+    "Detectable",
+    "ErrorFigures",
+    "Finding",
+    "Rival",
+    "Step",
+    "TraceResult",
+    "Unnamed",
+    "Value",
+    "WithinFinding",
+]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from adis_gonio.tracing.design import Problem, amplitudes, linearise, span
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.search import Search, search
 from adis_gonio.tracing.state import Refit, State, begin, refit
-from adis_gonio.tracing.terms import NamelessTerm, Term
+from adis_gonio.tracing.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.tracing.verdict import Verdict, weigh
 
 ADEQUATE = 0.01
@@ -51,7 +51,7 @@ class Selection:
     adequate: bool
 
 
-def adequacy(chi2: float, dof: int, noise_dof: float) -> float:
+def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
     """p-value of a residual against the noise that was measured within the dwells."""
     from scipy import stats
 
@@ -94,10 +94,18 @@ def select(
                 state = fit_model(data, problem, [constants], state).state
                 model = (problem.terms[constants],)
             problem = linearise(data, model, state, terms)
-        found = search(problem, max_terms, inflation, beam)
-        found, inflation = _inflated(data, problem, found, max_terms, beam, inflation)
-        verdict = weigh(found)
-        fit = fit_model(data, problem, verdict.best, state)
+        while True:
+            found = search(problem, max_terms, inflation, beam)
+            found, inflation = _inflated(data, problem, found, max_terms, beam, inflation)
+            verdict = weigh(found)
+            impossible = _impossible(problem, verdict.best)
+            if not impossible:
+                break
+            terms = [term for term in terms if term.label not in impossible]
+            problem = problem.only(
+                np.array([k for k, t in enumerate(problem.terms) if t.label not in impossible], np.intp)
+            )
+        verdict, fit = _fitted(data, problem, verdict, state, base.chi2)
         model = tuple(problem.terms[k] for k in verdict.best)
         labels = tuple(sorted(term.label for term in model))
         linear = problem.chi2 - 2 * inflation * found.explained(verdict.best)
@@ -112,6 +120,38 @@ def select(
     if p < ADEQUATE:
         inflation = max(inflation, fit.chi2 / fit.dof)  # uncertainties by what the final model leaves
     return Selection(problem, found, verdict, model, base, fit, inflation, p >= ADEQUATE)
+
+
+def _fitted(
+    data: Observations, problem: Problem, verdict: Verdict, state: State, most: float
+) -> tuple[Verdict, Refit]:
+    """Full refit of the best model, or of the next one if it ends above the χ² of the base model.
+
+    A model that holds the base model cannot be worse, so that such a refit has run away from amplitudes
+    that only the linear problem allows.
+    """
+    ranked = sorted(verdict.weights, key=lambda m: -verdict.weights[m])
+    for chosen in dict.fromkeys([verdict.best, *ranked[:4]]):
+        fit = fit_model(data, problem, chosen, state)
+        if fit.chi2 <= most * (1 + 1e-6):
+            return replace(verdict, best=chosen), fit
+    return verdict, fit_model(data, problem, verdict.best, state)
+
+
+def _impossible(problem: Problem, chosen: Sequence[int]) -> set[str]:
+    """Labels of the effects of a model whose amplitudes are beyond their physical bounds.
+
+    Where a covariate hardly moves (a temperature that is constant but for its noise) a column is a constant
+    with a little noise on it, which can fit better than the constant with an amplitude that no part has.
+    """
+    out = set()
+    for k, own in zip(chosen, amplitudes(problem, chosen), strict=True):
+        term = problem.terms[k]
+        if isinstance(term, NamedTerm):
+            values, (low, high) = term.start(own), term.bounds().T
+            if ((values < low) | (values > high)).any():
+                out.add(term.label)
+    return out
 
 
 def _inflated(

@@ -7,12 +7,17 @@ with M lower triangular (three gains, three skews; a rotation is not observable)
 reading and T its tangents, rows are whitened by (I − β û ûᵀ) L⁻¹, û ∥ L⁻¹ t, β = 1 − (1 + σ_f² |L⁻¹
 t|²)^(−1/2), which is the inverse root of C + σ_f² t tᵀ and, for σ_f → ∞, the projection that leaves
 nothing along t.
+
+Noise that dwells share (1/f noise, F = Φ Φᵀ over all readings) leaves the rows so whitened with the
+covariance 1 + A Aᵀ, A = W Φ. Its symmetric inverse root 1 − A g(Aᵀ A) Aᵀ, g(λ) = 1/(r (r + 1)) with r =
+√(1 + λ), is applied to them, which of all roots changes rows least: a row still belongs to its dwell.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -22,6 +27,12 @@ from adis_gonio.tracing.terms import Term
 
 _SPACE = np.array([[0, 0], [1, 0], [1, 1], [2, 0], [2, 1], [2, 2]])
 """Entries of M in the order of the base parameters in space."""
+_BASE_BOUNDS = (
+    np.where(_SPACE[:, 0] == _SPACE[:, 1], 0.5, -0.2),
+    np.where(_SPACE[:, 0] == _SPACE[:, 1], 2.0, 0.2),
+)
+"""Gains and skews (in radians) that a part can have: where few poses show them, a base model without a bias
+would pay for it with axes that nearly coincide."""
 
 
 @dataclass(frozen=True)
@@ -56,15 +67,44 @@ class Prediction:
     tangent : (n, axes, m) float
         ∂ideal/∂nuisance in mg per rad; m is 1 in the plane, 2 in space.
     whiten : (n, rows, axes) float
-    residual : (n, rows) float
-        Whitened; with the nuisance parameters' own part added back, so that it belongs to declared angles.
+        Dwell by dwell.
+    left_mg : (n, axes) float
+        Reading minus prediction, with the nuisance parameters' own part added back, so that it belongs to
+        declared angles.
+    slow_mg : (n, axes, k) float or None
+        Modes of the noise that dwells share.
     """
 
     ideal_mg: Floats
     predicted_mg: Floats
     tangent: Floats
     whiten: Floats
-    residual: Floats
+    left_mg: Floats
+    slow_mg: Floats | None
+
+    @cached_property
+    def residual(self) -> Floats:
+        """Whitened residual (n, rows)."""
+        return self.white(self.left_mg[:, :, None]).reshape(len(self.left_mg), -1)
+
+    @cached_property
+    def _shared(self) -> tuple[Floats, Floats] | None:
+        """A (n·rows, k) and the middle V g(λ) Vᵀ (k, k), with Aᵀ A = V λ Vᵀ."""
+        if self.slow_mg is None or not self.slow_mg.shape[2]:
+            return None
+        rows = (self.whiten @ self.slow_mg).reshape(-1, self.slow_mg.shape[2])
+        values, vectors = np.linalg.eigh(rows.T @ rows)
+        root = np.sqrt(1 + np.maximum(values, 0.0))
+        return rows, (vectors / (root * (root + 1))) @ vectors.T
+
+    def white(self, columns: Floats) -> Floats:
+        """Columns (n·rows, d), whitened, of what stands in readings (n, axes, d) in mg."""
+        turned = self.whiten @ columns
+        flat: Floats = turned.reshape(-1, turned.shape[2])
+        if self._shared is None:
+            return flat
+        rows, middle = self._shared
+        return flat - rows @ (middle @ (rows.T @ flat))
 
 
 @dataclass(frozen=True)
@@ -77,13 +117,14 @@ class Refit:
     covariance : (p, p) float
         Of base parameters and then the values of the terms.
     chi2, dof : float
+        Of the readings; a term with a prior uses as many degrees of freedom as the prior leaves it.
     prediction : Prediction
     """
 
     state: State
     covariance: Floats
     chi2: float
-    dof: int
+    dof: float
     prediction: Prediction
 
 
@@ -116,7 +157,7 @@ def predict(data: Observations, model: Sequence[Term], state: State) -> Predicti
     left = data.mean_mg - predicted
     if data.planar:
         left = left + tangent[:, :, 0] * state.delta_rad[:, None]
-    return Prediction(ideal, predicted, tangent, whiten, np.einsum("nrk,nk->nr", whiten, left))
+    return Prediction(ideal, predicted, tangent, whiten, left, data.slow_mg)
 
 
 def angles(data: Observations, model: Sequence[Term], state: State) -> Floats:
@@ -156,7 +197,7 @@ def _across(unit: Floats) -> Floats:
 
 
 def _whitening(data: Observations, tangent: Floats) -> Floats:
-    root = np.linalg.inv(np.linalg.cholesky(data.covariance))
+    root = np.linalg.inv(np.linalg.cholesky(data.own_covariance))
     along = root @ tangent
     if not data.planar:
         # One direction is left: across both whitened tangents.
@@ -221,43 +262,72 @@ def refit(
     """
     state = settle(data, model, state)
     at = predict(data, model, state)
-    chi2 = float((at.residual**2).sum())
-    columns = len(state.base) + sum(len(v) for v in state.values)
-    scaled = np.zeros((at.residual.size, columns))
+    precision = _prior_precision(model, state)
+    loss = _loss(at, precision, state)
     for _ in range(iterations if free else 0):
-        scaled = _jacobian(data, model, state, at)
+        scaled, left = _with_prior(_jacobian(data, model, state, at), at.residual.ravel(), precision, state)
         size = np.linalg.norm(scaled, axis=0)
         size[size == 0] = 1.0
-        step = np.linalg.lstsq(scaled / size, at.residual.ravel(), rcond=1e-9)[0] / size
+        step = np.linalg.lstsq(scaled / size, left, rcond=1e-9)[0] / size
         moved = False
         for damping in (1.0, 0.5, 0.2, 0.05, 0.01):
             trial = settle(data, model, _stepped(model, state, damping * step))
             there = predict(data, model, trial)
-            new = float((there.residual**2).sum())
-            if new <= chi2 * (1 + 1e-12):
+            new = _loss(there, precision, trial)
+            if new <= loss * (1 + 1e-12):
                 moved = True
                 break
         if not moved:
             break
-        gain, state, at, chi2 = chi2 - new, trial, there, new
-        if gain < 1e-6 * max(1.0, 1e-3 * chi2):
+        gain, state, at, loss = loss - new, trial, there, new
+        if gain < 1e-6 * max(1.0, 1e-3 * loss):
             break
-    scaled = _jacobian(data, model, state, at)
+    jacobian = _jacobian(data, model, state, at)
+    scaled, _ = _with_prior(jacobian, at.residual.ravel(), precision, state)
     size = np.linalg.norm(scaled, axis=0)
     size[size == 0] = 1.0
     _, s, vt = np.linalg.svd(scaled / size, full_matrices=False)
     keep = s > 1e-9 * (s[0] if s.size else 1.0)
     half = (vt[keep].T / s[keep]) / size[:, None]
     covariance = half @ half.T
-    return Refit(state, covariance, chi2, at.residual.size - int(keep.sum()), at)
+    # What a prior holds back is no degree of freedom of the fit.
+    used = float(((jacobian @ half) ** 2).sum()) if precision.any() else float(keep.sum())
+    chi2 = float((at.residual**2).sum())
+    return Refit(state, covariance, chi2, at.residual.size - used, at)
+
+
+def _prior_precision(model: Sequence[Term], state: State) -> Floats:
+    """1/σ of the prior of each parameter (p,); zero where there is none."""
+    parts = [np.zeros(len(state.base))]
+    for term, values in zip(model, state.values, strict=True):
+        parts.append(np.full(len(values), 0.0 if term.prior_sd is None else 1.0 / term.prior_sd))
+    return np.concatenate(parts)
+
+
+def _loss(at: Prediction, precision: Floats, state: State) -> float:
+    """χ² of the readings and of the priors."""
+    values = np.concatenate([state.base, *state.values])
+    return float((at.residual**2).sum() + ((precision * values) ** 2).sum())
+
+
+def _with_prior(
+    jacobian: Floats, residual: Floats, precision: Floats, state: State
+) -> tuple[Floats, Floats]:
+    """Jacobian and residual with a row more for each prior."""
+    held = np.flatnonzero(precision)
+    if not held.size:
+        return jacobian, residual
+    values = np.concatenate([state.base, *state.values])
+    rows = np.zeros((held.size, len(values)))
+    rows[np.arange(held.size), held] = precision[held]
+    return np.concatenate([jacobian, rows]), np.concatenate([residual, -(precision * values)[held]])
 
 
 def _jacobian(data: Observations, model: Sequence[Term], state: State, at: Prediction) -> Floats:
     blocks = [base_columns(data, state, at)]
     for term, values in zip(model, state.values, strict=True):
         blocks.append(as_reading(term, term.derivative(values, at.ideal_mg, data.conditions), at))
-    columns = at.whiten @ np.concatenate(blocks, axis=2)
-    return columns.reshape(-1, columns.shape[2])
+    return at.white(np.concatenate(blocks, axis=2))
 
 
 def _stepped(model: Sequence[Term], state: State, step: Floats) -> State:
@@ -274,7 +344,10 @@ def _stepped(model: Sequence[Term], state: State, step: Floats) -> State:
                 new[index] = np.clip(new[index], 0.5 * old[index], 2 * old[index])
             new = np.clip(new, low, high)
         values.append(new)
-    return replace(state, base=state.base + step[: len(state.base)], values=tuple(values))
+    base = state.base + step[: len(state.base)]
+    if len(base) == len(_SPACE):
+        base = np.clip(base, *_BASE_BOUNDS)
+    return replace(state, base=base, values=tuple(values))
 
 
 def settle(data: Observations, model: Sequence[Term], state: State, passes: int = 2) -> State:

@@ -18,7 +18,7 @@ import numpy as np
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters
 from adis_gonio.model.records import Floats
 
-Where = Literal["bias", "gain", "angle"]
+Where = Literal["bias", "gain", "lean", "angle"]
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,11 @@ class Term(ABC):
     @property
     def name(self) -> str | None:
         """Name of the catalogue; None for a nameless term."""
+        return None
+
+    @property
+    def prior_sd(self) -> float | None:
+        """Prior standard deviation of each value about zero; None where the data alone decide."""
         return None
 
     @property
@@ -155,16 +160,26 @@ class NamelessTerm(Term):
 
     Attributes
     ----------
-    where : {"bias", "gain", "angle"}
+    where : {"bias", "gain", "lean", "angle"}
+        A lean turns the axis against the others: its bias follows the driver times the other reading.
     axes : tuple of int
         Axes on which it acts, each with its own amplitudes; empty for the angle.
     driver : Driver
+    shrinkage : float or None
+        Prior standard deviation of each amplitude: the driver's functions are then features of a Gaussian
+        process.
     """
 
     where: Where
     axes: tuple[int, ...]
     driver: Driver
     tangent_rad: float = field(default=1e-3, repr=False)
+    shrinkage: float | None = None
+
+    @property
+    def prior_sd(self) -> float | None:
+        """As `shrinkage`."""
+        return self.shrinkage
 
     @property
     def enters_angle(self) -> bool:
@@ -180,13 +195,16 @@ class NamelessTerm(Term):
     def form(self) -> str:
         """Formula in words."""
         letters = ", ".join(AXES[k] for k in self.axes)
-        head = {"bias": f"bias of {letters}", "gain": f"gain of {letters}", "angle": "true angle"}[
-            self.where
-        ]
+        head = {
+            "bias": f"bias of {letters}",
+            "gain": f"gain of {letters}",
+            "lean": f"misalignment of {letters}",
+            "angle": "true angle",
+        }[self.where]
         return f"{head} follows {self.driver.form}"
 
     def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
-        """The driver's functions (amplitude in mg; in mg at 1 g for a gain; in mrad for the angle)."""
+        """The driver's functions; amplitudes in mg, at 1 g for a gain or lean, in mrad for the angle."""
         n, k = ideal_mg.shape
         if self.driver.common is not None:
             common = self.driver.common(conditions)
@@ -197,6 +215,13 @@ class NamelessTerm(Term):
             assert self.driver.by_axis is not None
             by_axis = [self.driver.by_axis(ideal_mg / 1000.0, axis) for axis in self.axes]
         q = by_axis[0].shape[1]
+        if self.where == "lean":
+            others = {axis: [j for j in range(k) if j != axis] for axis in self.axes}
+            by_axis = [
+                np.concatenate([rows * (ideal_mg[:, j, None] / 1000.0) for j in others[axis]], axis=1)
+                for rows, axis in zip(by_axis, self.axes, strict=True)
+            ]
+            q = by_axis[0].shape[1]
         out = np.zeros((n, k, q * len(self.axes)))
         for j, axis in enumerate(self.axes):
             rows = by_axis[j]

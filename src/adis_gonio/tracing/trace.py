@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from adis_gonio.errors import FitError
 from adis_gonio.model.records import Floats, Session
 from adis_gonio.tracing.advice import advise
+from adis_gonio.tracing.averaging import Averaged, average
 from adis_gonio.tracing.detect import detectable
 from adis_gonio.tracing.gates import held_out_gains
 from adis_gonio.tracing.grammar import nameless_terms
@@ -20,6 +21,7 @@ from adis_gonio.tracing.observations import Observations, observe
 from adis_gonio.tracing.openings import undecided
 from adis_gonio.tracing.remainder import dependence
 from adis_gonio.tracing.result import ErrorFigures, Finding, Rival, Step, TraceResult, Unnamed, Value
+from adis_gonio.tracing.second_pass import with_second_pass
 from adis_gonio.tracing.selection import ADEQUATE, Selection, adequacy, fit_model, select
 from adis_gonio.tracing.state import Refit, State, begin, refit
 from adis_gonio.tracing.terms import NamedTerm, NamelessTerm, Term
@@ -62,7 +64,8 @@ def trace(session: Session, max_effects: int = 6) -> TraceResult:
         from adis_gonio.tracing.series import trace_series
 
         return trace_series(session, max_effects)
-    return trace_observations(observe(session), max_effects)
+    data = observe(session)
+    return with_second_pass(session, data, trace_observations(data, max_effects))
 
 
 def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
@@ -83,44 +86,41 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
             names = replace(names, confounded=(*names.confounded, could))
 
     nested = _in_order(training, selection)
-    figures, design = _figures(training, checking, selection, nested, terms, max_effects)
-    count, names, cut = _never_worse(
-        training, selection, names, nested, _guarding(training, checking, selection, nested, figures)
-    )
-    if cut:
+    labels = [describe(model[-1]) for model in nested[1:]]
+    averaged = average(training, selection)
+    if averaged is not None and len(averaged.named) == len(selection.model):
+        nested.append(averaged.model)
+        labels.append(describe(averaged.model[-1]))
+    rival = _Fold(_active_terms(selection, terms), averaged, max_effects)
+    figures, design = _figures(training, checking, selection, nested, rival)
+    guard = _guarding(training, checking, selection, nested, figures, rival)
+    count, names, cut = _never_worse(names, labels, guard)
+    if count < len(nested) - 1:
         # Longer models have their figures already; those of the shorter one hold for it as they are.
         kept = [k for k in selection.verdict.best if selection.problem.terms[k] in nested[count]]
         selection = _with_model(training, selection, kept)
         nested, figures = nested[: count + 1], figures[: count + 1]
-        dropped = {**dropped, **cut}
-    unnamed = _unnamed(training, selection)
+        dropped, averaged = {**dropped, **cut}, None
+    unnamed = _unnamed(training, selection, averaged)
+    if averaged is not None:
+        selection = _with_average(training, selection, averaged)
     found = tuple(_finding(selection, name) for name in names.stand)
     seen = detectable(selection.found, selection.verdict.best, missing)
     rivals = _rivals(selection)
-    fitted: list[tuple[Sequence[Term], Refit]] = [(selection.model, selection.fit)]
-    if (
-        any(name not in names.stand for name in (t.name for t in selection.model) if name)
-        or names.confounded
-    ):
-        fitted += [
-            (
-                [selection.problem.terms[k] for k in m],
-                fit_model(training, selection.problem, m, selection.fit.state),
-            )
-            for m in _other_models(selection)[:3]
-        ]
+    advice, measurements = advise(data, training, selection, terms, names.confounded)
     return TraceResult(
         adequate=selection.adequate,
         found=found,
         steps=tuple(
-            Step(describe(model[-1]), error) for model, error in zip(nested[1:], figures[1:], strict=True)
+            Step(label, error) for label, error in zip(labels[: len(nested) - 1], figures[1:], strict=True)
         ),
         confounded=names.confounded,
         unnamed=unnamed,
         before=figures[0],
         after=figures[-1],
         detectable=seen,
-        advice=advise(training, fitted, names.confounded, seen, selection.adequate),
+        advice=advice,
+        measurements=measurements,
         rivals=rivals,
         base=_base(training, selection.fit, selection.inflation),
         reasons={**names.open, **dropped},
@@ -204,6 +204,13 @@ def _with_model(data: Observations, selection: Selection, chosen: Sequence[int])
     )
 
 
+def _with_average(data: Observations, selection: Selection, averaged: Averaged) -> Selection:
+    """The same selection with the averaged model in place of the chosen one."""
+    fit = averaged.fit
+    adequate = adequacy(fit.chi2, fit.dof, data.noise_dof) >= ADEQUATE if data.known else True
+    return replace(selection, model=averaged.model, fit=fit, adequate=adequate)
+
+
 def _without(names: Names, reasons: dict[str, str]) -> Names:
     """Names less those that were taken away, which stand under `confounded`."""
     more = tuple((name,) for name in reasons if name in names.stand)
@@ -212,17 +219,13 @@ def _without(names: Names, reasons: dict[str, str]) -> Names:
 
 
 def _never_worse(
-    data: Observations,
-    selection: Selection,
-    names: Names,
-    nested: list[tuple[Term, ...]],
-    errors: Sequence[float | None],
+    names: Names, labels: Sequence[str], errors: Sequence[float | None]
 ) -> tuple[int, Names, dict[str, str]]:
     """Longest nested model whose held-out error is at most `WORSE` that of the base model.
 
     Returns its number, the names that are left, and the reasons of the others.
     """
-    last = len(nested) - 1
+    last = len(labels)
     base = errors[0]
     if base is None:
         return last, names, {}
@@ -230,7 +233,7 @@ def _never_worse(
         error = errors[count]
         if error is not None and error <= WORSE * base:
             break
-    cut = {describe(term) for term in selection.model} - {describe(term) for term in nested[count]}
+    cut = set(labels) - set(labels[:count])
     after = errors[last]
     assert after is not None
     reasons = dict.fromkeys(
@@ -268,16 +271,12 @@ def _figures(
     checking: Observations | None,
     selection: Selection,
     nested: list[tuple[Term, ...]],
-    terms: Sequence[Term],
-    max_effects: int,
+    fold: _Fold,
 ) -> tuple[list[ErrorFigures], str]:
     """Error figures of the base model, each step and the final model."""
-    values = dict(zip((t.label for t in selection.model), selection.fit.state.values, strict=True))
-    fits = []
-    for model in nested:
-        begun = selection.base.state
-        state = replace(begun, values=tuple(values[t.label] for t in model))
-        fits.append(refit(data, model, state))
+    fits = [refit(data, model, state) for model, state in _starts(selection, nested, fold)]
+    if fold.averaged is not None:
+        nested, fits = [*nested[:-1], fold.averaged.model], [*fits[:-1], fold.averaged.fit]
     if checking is not None:
         lefts = [[leave(checking, bounded(data, m, f), f.state)] for m, f in zip(nested, fits, strict=True)]
         design = f"{len(checking)} check dwells"
@@ -290,12 +289,12 @@ def _figures(
         for model, fitted in zip(nested[:-1] if len(nested) > 1 else nested, fits, strict=False):
             lefts.append(list(cross_validate(data, designs, _keeping(model, fitted.state)).values()))
         if len(nested) > 1:
-            active = _active_terms(selection, terms)
-            again = lambda rows: _selected(rows, active, max_effects)  # noqa: E731
-            lefts.append(list(cross_validate(data, designs, again).values()))
-            kept = cross_validate(data, designs, _keeping(nested[-1], fits[-1].state)).values()
-            error = rms(np.concatenate([part.residual_mg for part in kept]), data.planar)
-            design += f"; effects chosen anew in each fold, {error:.3g} mg with those found kept"
+            lefts.append(list(cross_validate(data, designs, fold.chosen_anew).values()))
+            design += "; effects chosen anew in each fold"
+            if fold.averaged is None:
+                kept = cross_validate(data, designs, _keeping(nested[-1], fits[-1].state)).values()
+                error = rms(np.concatenate([part.residual_mg for part in kept]), data.planar)
+                design += f", {error:.3g} mg with those found kept"
     figures = []
     for fitted, left in zip(fits, lefts, strict=True):
         residual = [part.residual_mg for part in left]
@@ -341,6 +340,7 @@ def _guarding(
     selection: Selection,
     nested: list[tuple[Term, ...]],
     figures: Sequence[ErrorFigures],
+    fold: _Fold,
 ) -> list[float | None]:
     """Held-out errors of the nested models by which the final one is chosen.
 
@@ -350,13 +350,26 @@ def _guarding(
         return [figure.heldout_rms_mg for figure in figures]
     if len(data) < LEAST_DWELLS or len(nested) == 1:
         return [None for _ in nested]
-    values = dict(zip((t.label for t in selection.model), selection.fit.state.values, strict=True))
     out: list[float | None] = []
-    for model in nested:
-        state = replace(selection.base.state, values=tuple(values[t.label] for t in model))
-        left = cross_validate(data, folds(data), _keeping(model, state)).values()
-        out.append(rms(np.concatenate([part.residual_mg for part in left]), data.planar))
+    for k, (model, state) in enumerate(_starts(selection, nested, fold)):
+        # A form that was found on all dwells knows those that are left out; an average more so.
+        anew = fold.averaged is not None and k == len(nested) - 1
+        left = cross_validate(data, folds(data), fold.chosen_anew if anew else _keeping(model, state))
+        out.append(rms(np.concatenate([part.residual_mg for part in left.values()]), data.planar))
     return out
+
+
+def _starts(
+    selection: Selection, nested: list[tuple[Term, ...]], fold: _Fold
+) -> list[tuple[tuple[Term, ...], State]]:
+    """Nested models with the state from which each is refitted; the averaged one without its average."""
+    values = dict(zip((t.label for t in selection.model), selection.fit.state.values, strict=True))
+    starts = []
+    for model in nested:
+        known = tuple(term for term in model if term.label in values)
+        state = replace(selection.base.state, values=tuple(values[t.label] for t in known))
+        starts.append((known, state))
+    return starts
 
 
 def _rms_deg(turned: list[Floats]) -> float | None:
@@ -379,9 +392,31 @@ def _active_terms(selection: Selection, terms: Sequence[Term]) -> list[Term]:
     return [term for term in terms if term.label in active]
 
 
-def _selected(rows: Observations, terms: Sequence[Term], max_effects: int) -> tuple[Sequence[Term], Refit]:
-    chosen = select(rows, terms, max_effects, beam=6, rounds=2)
-    return chosen.model, chosen.fit
+@dataclass(frozen=True)
+class _Fold:
+    """What is done anew where dwells are left out.
+
+    Attributes
+    ----------
+    terms : sequence of Term
+        Candidates inside a fold.
+    averaged : Averaged or None
+        The average on all dwells.
+    max_effects : int
+    """
+
+    terms: Sequence[Term]
+    averaged: Averaged | None
+    max_effects: int
+
+    def chosen_anew(self, rows: Observations) -> tuple[Sequence[Term], Refit]:
+        """Model and refit of the dwells that are kept."""
+        chosen = select(rows, self.terms, self.max_effects, beam=6, rounds=2)
+        if self.averaged is not None:
+            again = average(rows, chosen, self.averaged.candidates)
+            if again is not None:
+                return again.model, again.fit
+        return chosen.model, chosen.fit
 
 
 def _finding(selection: Selection, name: str) -> Finding:
@@ -439,7 +474,7 @@ def _explains(selection: Selection, gain: float) -> float:
     return float(np.clip(gain / max(excess, 1e-12), 0.0, 1.0))
 
 
-def _unnamed(data: Observations, selection: Selection) -> Unnamed | None:
+def _unnamed(data: Observations, selection: Selection, averaged: Averaged | None) -> Unnamed | None:
     """Nameless terms of the model; else what the residual of an inadequate model depends on."""
     from scipy import stats
 
@@ -457,6 +492,15 @@ def _unnamed(data: Observations, selection: Selection) -> Unnamed | None:
             probability=min(verdict.covariates.get(term.covariates, 0.0) for term in terms),
             p_value=min(1.0, float(stats.chi2.sf(gain / selection.inflation, width)) * len(problem.terms)),
         )
+    if averaged is not None:
+        smooth = averaged.smooth
+        return Unnamed(
+            covariates=smooth.covariates,
+            form=smooth.form,
+            explains=_explains(selection, selection.fit.chi2 - averaged.fit.chi2),
+            probability=averaged.weight,
+            p_value=min(1.0, 1 - averaged.weight),
+        )
     if selection.adequate or not data.known:
         return None
     return dependence(data, selection)
@@ -466,12 +510,6 @@ def _rivals(selection: Selection) -> tuple[Rival, ...]:
     ranked = sorted(selection.verdict.weights.items(), key=lambda item: -item[1])[:8]
     terms = selection.problem.terms
     return tuple(Rival(tuple(terms[k].label for k in model), weight) for model, weight in ranked)
-
-
-def _other_models(selection: Selection) -> list[tuple[int, ...]]:
-    weights = selection.verdict.weights
-    best = selection.verdict.best
-    return [m for m in sorted(weights, key=lambda m: -weights[m]) if m != best and m]
 
 
 def _base(data: Observations, fit: Refit, inflation: float) -> dict[str, Value]:

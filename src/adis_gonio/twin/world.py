@@ -99,12 +99,15 @@ class TermEffect(Effect):
         Measured history of the temperature, which the term sees instead of the world's.
     offset_s : float
         Time of the world at which the session begins.
+    variance_mg2 : (d, axes) float or None
+        Measured variance of each dwell, which the term sees instead of the world's.
     """
 
     term: Term = field(kw_only=True)
     columns: int = field(kw_only=True)
     history: tuple[Floats, Floats] | None = field(kw_only=True)
     offset_s: float = field(kw_only=True)
+    variance_mg2: Floats | None = field(kw_only=True, default=None)
 
     name = "traced"
     cause = "a term that a trace found"
@@ -138,11 +141,15 @@ class TermEffect(Effect):
         return added
 
     def _seen(self, conditions: Conditions) -> Conditions:
+        variance = None
+        if self.variance_mg2 is not None and conditions.order is not None:
+            row = np.minimum(conditions.order.astype(np.intp), len(self.variance_mg2) - 1)
+            variance = self.variance_mg2[row]
         return replace(
             conditions,
             time_s=conditions.time_s - self.offset_s,
             temperature_history=self.history,
-            variance_mg2=None,
+            variance_mg2=variance,
         )
 
 
@@ -189,7 +196,14 @@ class LikeWorld(World):
         effects = []
         for term, values in zip(model, state.values, strict=True):
             kind = AngleTerm if term.enters_angle else TermEffect
-            effects.append((kind(term=term, columns=data.axes, history=history, offset_s=offset_s), values))
+            made = kind(
+                term=term,
+                columns=data.axes,
+                history=history,
+                offset_s=offset_s,
+                variance_mg2=data.conditions.variance_mg2,
+            )
+            effects.append((made, values))
         part = sensor if sensor in VARIANTS else "adis16354"
         super().__init__(_settings(data, state), part=part, seed=seed, effects=effects)
         white = np.full(3, float(noise.white_mg.mean()))

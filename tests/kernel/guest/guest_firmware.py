@@ -23,7 +23,7 @@ def test_the_driver_streams_at_the_full_rate_through_the_firmwares_binary() -> N
         assert sensor.quantity("SUPPLY_OUT").value == pytest.approx(5.0, abs=0.1)
         sensor.write("ALM_MAG1", 0x1234)
         assert sensor.read("ALM_MAG1") == 0x1234
-        sensor.configure(sample_rate_hz=819.2, data_ready=True)
+        sensor.configure(sample_rate_hz=819.2)
         names = ["XGYRO_OUT", "YGYRO_OUT", "ZGYRO_OUT", "XACCL_OUT", "YACCL_OUT", "ZACCL_OUT", "XTEMP_OUT"]
         scans = lost = 0
         with sensor.stream(names, block_scans=100) as stream:
@@ -33,3 +33,4 @@ def test_the_driver_streams_at_the_full_rate_through_the_firmwares_binary() -> N
                 scans += len(block)
                 lost += block.lost
         assert lost == 0
+        assert sensor.configuration().data_ready is False, "the stream had enabled it for its time"

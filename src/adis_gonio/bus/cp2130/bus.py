@@ -201,6 +201,9 @@ class Cp2130Bus(SpiBus):
         except BusError as error:
             self._fail(error)
             raise
+        except BaseException:  # the operator's Ctrl-C: a reply may still come
+            self._unsure = self._must_reset = True
+            raise
         return replies
 
     def _close(self) -> None:

@@ -31,8 +31,9 @@ from adis_gonio.bus.host import (
     readable_and_writable,
     several,
 )
-from adis_gonio.bus.mcp2210.bus import TIMEOUT_S, HidDevice, Mcp2210Bus
+from adis_gonio.bus.mcp2210.bus import TIMEOUT_S, Mcp2210Bus
 from adis_gonio.bus.mcp2210.reports import PRODUCT_ID, VENDOR_ID
+from adis_gonio.bus.mcp2210.writes import HidDevice, TimedWrites
 from adis_gonio.bus.opening import BusUrl, Device
 from adis_gonio.errors import NotInstalledError
 
@@ -48,7 +49,7 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp22
     Parameters
     ----------
     hid : module
-        In place of hidapi's.
+        In place of hidapi's; its writes must not block.
     clock : Clock
         The bus's clock.
 
@@ -67,6 +68,7 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp22
     reset_gpio = options.number_or_none("reset_gpio", 0, 8)
     event_counter = options.switch("event_counter")
     timeout_ms = options.number("timeout_ms", round(TIMEOUT_S * 1000), 10, 10_000)
+    blocks = hid is None
     hid = hid or _load(backend)
     boards = _boards(hid)
     wanted = options.text("path")
@@ -80,7 +82,10 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp22
     if len(fits) > 1:
         raise several(url.text, _devices(fits))
     with contextlib.ExitStack() as stack:
-        device = _open(hid, url.text, fits[0], stack)
+        device: HidDevice = _open(hid, url.text, fits[0], stack)
+        if blocks:
+            device = TimedWrites(device)
+        stack.callback(device.close)
         kept = contextlib.ExitStack()
         bus = Mcp2210Bus(
             device,
@@ -130,7 +135,6 @@ def _open(hid: Any, url: str, board: dict[str, Any], stack: contextlib.ExitStack
         if not any(_path(other) == path for other in _boards(hid)):
             raise missing(url, "MCP2210 any more") from None
         raise busy(url, node) from None
-    stack.callback(device.close)
     opened: HidDevice = device
     return opened
 

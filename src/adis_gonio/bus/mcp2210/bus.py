@@ -11,7 +11,8 @@ Errors
     and answers are thrown away up to that to a mark with a number of its own, so that a late one, be it
     of an earlier cancel, is never taken for another's.
     A transfer that was refused (busy, stuck engine) has clocked nothing and is tried once more; one that
-    was accepted is never repeated.
+    was accepted is never repeated. Where the device does not even take a report, nothing more is sent to it
+    until the bus is used again.
 Not protected
     The data of an answer carry no checksum of their own. On the cable USB's CRC guards them.
 """
@@ -20,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -51,6 +51,7 @@ from adis_gonio.bus.mcp2210.reports import (
     status_words,
     transfer,
 )
+from adis_gonio.bus.mcp2210.writes import WRITE_S, HidDevice
 from adis_gonio.errors import BusError, BusTimeoutError, ProtocolError, UsageError
 
 TIMEOUT_S = 0.25
@@ -58,22 +59,6 @@ TIMEOUT_S = 0.25
 _TRIES = 2
 _MOST_LATE = 64
 """Answers of others that are thrown away before the device is called confused."""
-
-
-class HidDevice(Protocol):
-    """What of an open device of package hidapi is used."""
-
-    def write(self, data: bytes, /) -> int:
-        """Send a report with a leading report id; a negative number is a failure."""
-
-    def read(self, size: int, timeout_ms: int = 0, /) -> list[int]:
-        """A report, or nothing in time; `OSError` once the device is gone."""
-
-    def set_nonblocking(self, on: int, /) -> int:
-        """Let reads without a time-out return at once."""
-
-    def close(self) -> None:
-        """Give the device back."""
 
 
 class Mcp2210Bus(SpiBus):
@@ -128,6 +113,7 @@ class Mcp2210Bus(SpiBus):
         self._release = release or device.close
         self._pace = Pace(clock)
         self._unsure = True
+        self._takes_reports = True
         self._marked = 0
         duties = [cs, *([reset_gpio] if reset_gpio is not None else []), *([EVENT_PIN] * event_counter)]
         if len(set(duties)) != len(duties):
@@ -157,7 +143,7 @@ class Mcp2210Bus(SpiBus):
 
     def _configure(self, timing: SpiTiming) -> SpiTiming:
         if timing.clock_hz < SLOWEST_HZ:
-            raise UsageError(f"{self.url}: the clock is {SLOWEST_HZ} Hz at least, not {timing.clock_hz:g}")
+            raise UsageError(f"{self.url}: the slowest clock is {SLOWEST_HZ} Hz, not {timing.clock_hz:g}")
         self._settle()
         wanted = SpiSettings.for_frames(timing.clock_hz, self._cs)
         self._ask_done(Command.SET_SPI, wanted.request())
@@ -175,9 +161,10 @@ class Mcp2210Bus(SpiBus):
         try:
             for k, frame in enumerate(frames.tolist()):
                 replies[k] = self._frame(frame)
-        except BusError:
+        except BaseException as error:  # an interruption by the operator leaves an answer behind as well
             self._unsure = True
-            self._settle_quietly()
+            if isinstance(error, BusError) and self._takes_reports:
+                self._settle_quietly()
             raise
         return replies
 
@@ -272,7 +259,7 @@ class Mcp2210Bus(SpiBus):
         """Send a report and return its own answer."""
         try:
             return self._converse(command, report if report is not None else request(command))
-        except BusError:
+        except BaseException:
             self._unsure = True
             raise
 
@@ -299,6 +286,10 @@ class Mcp2210Bus(SpiBus):
     def _write(self, report: bytes) -> None:
         try:
             sent = self._device.write(b"\0" + report)
+            self._takes_reports = True
+        except TimeoutError as error:
+            self._takes_reports = False
+            raise BusTimeoutError(f"{self.url}: the device takes no report within {WRITE_S:g} s") from error
         except (OSError, ValueError) as error:
             raise gone(self.url) from error
         if sent < 0:

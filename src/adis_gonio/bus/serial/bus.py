@@ -85,6 +85,7 @@ class SerialBus(SpiBus):
         self.url = url
         self._clock = clock
         self._trigger = trigger
+        self.edge_rises = trigger is wire.Trigger.RISING
         self._byte_s = 10 / baud
         self._link = link or Link(port, url=url, clock=clock)
         self._release = release or port.close
@@ -181,14 +182,14 @@ class SerialBus(SpiBus):
             if block_scans < 1:
                 raise UsageError(f"a block of {block_scans} scans is not possible; give at least 1")
             self._link.scans.clear()
-            request = wire.StreamRequest(
-                self._trigger, min(fit, block_scans), 1, 0, np.array(frames, np.uint16)
-            )
+            packet_scans = min(fit, block_scans)
+            request = wire.StreamRequest(self._trigger, packet_scans, 1, 0, np.array(frames, np.uint16))
             reply = self._ask(request, wire.StreamReply)
             self._stream = SerialStream(
                 self,
                 stream_id=self._link.last_id,
                 width=width,
+                packet_scans=packet_scans,
                 block_scans=block_scans,
                 clock=ClockMap(reply.now_us, self.now_s()),
                 byte_s=self._byte_s,
@@ -277,7 +278,7 @@ class SerialBus(SpiBus):
 
     def _renew(self) -> None:
         """Open a new session and set the timing in force, which a hello sets back."""
-        self.firmware = self._link.hello(AGAIN_S, self.firmware)
+        self.firmware = self._link.hello(AGAIN_S)
         timing = self.timing
         request = wire.ConfigureRequest(
             int(timing.clock_hz), math.ceil(timing.stall_us), math.ceil(timing.period_us)

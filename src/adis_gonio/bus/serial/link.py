@@ -2,19 +2,14 @@
 
 A request is repeated with its own id until it is answered or its tries are used up; the firmware executes
 an id once, so that repeating is safe for writes too. What arrives with another id is late and thrown away.
-
-A CRC of 16 bits passes one in 65536 of the packets that noise has turned into another. So where the line
-has shown any trouble, an answer only counts when two copies of it came in alike: the request is repeated,
-and the firmware sends its stored reply again. If noise made the firmware take another request for this one,
-it refuses the repetition (`id_reused`). A line without trouble pays nothing for it.
 """
 
 from __future__ import annotations
 
 import random
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from adis_gonio.bus.host import Clock
@@ -26,12 +21,6 @@ RETRY_S = wire.RETRY_MS / 1000
 TRIES = 5
 """Times that a request is sent before the firmware is called silent."""
 HELLO_EVERY_S = 0.3
-DOUBT = 200
-"""Requests without any trouble after which a line is trusted again."""
-_ENOUGH = 2
-"""Copies that agree."""
-_MOST = 6
-"""Copies of a request in all, by the number of tries."""
 
 B = TypeVar("B", bound=Body)
 
@@ -77,23 +66,14 @@ class LinkCounts:
     requests: int = 0
     retries: int = 0
     late: int = 0
-    confirmed: int = 0
 
 
 @dataclass(frozen=True)
 class _Answer(Generic[B]):
-    """A reply or a refusal, with the packet that it came in and how often the request was sent by then."""
+    """A reply or a refusal, with how often the request was sent by then."""
 
     body: B | wire.Error
-    packet: Packet
     sent: int
-
-
-def _same(known: wire.HelloReply, body: Body) -> bool:
-    """True where a hello's reply says what is known but for time and nonce."""
-    return isinstance(body, wire.HelloReply) and (
-        replace(body, now_us=known.now_us, nonce=known.nonce) == known
-    )
 
 
 class Link:
@@ -138,17 +118,11 @@ class Link:
         # Ids never start anew on this port, so that a straggler of an old session is behind in any new.
         self._id = self._dice.randrange(1 << 16)
         self._replies: deque[Packet] = deque()
-        self._doubt = 0
 
     # -- requests ---------------------------------------------------------------------------------------
 
-    def hello(self, wait_s: float, known: wire.HelloReply | None = None) -> wire.HelloReply:
+    def hello(self, wait_s: float) -> wire.HelloReply:
         """Open a session; repeats for so long, since a board may still boot.
-
-        Parameters
-        ----------
-        known : HelloReply
-            Of an earlier session: a reply that says the same needs no second copy.
 
         Raises
         ------
@@ -167,7 +141,6 @@ class Link:
             HELLO_EVERY_S,
             lambda _: self._clock.now_s() < end_s,
             nonce=nonce,
-            known=known,
         )
         if answer is not None:
             if isinstance(answer.body, wire.HelloReply):
@@ -204,7 +177,7 @@ class Link:
             packet,
             reply,
             RETRY_S + 1.1 * runs_s,
-            lambda silent: silent < self._tries,
+            lambda sent: sent < self._tries,
         )
         if answer is not None:
             if isinstance(answer.body, wire.Error):
@@ -246,56 +219,27 @@ class Link:
         again: Callable[[int], bool],
         *,
         nonce: int | None = None,
-        known: wire.HelloReply | None = None,
     ) -> _Answer[B] | None:
-        """Send a request until its answer is there, twice alike where the line is in doubt.
-
-        `again` says by the copies in a row that stayed without an answer whether one more may go.
-        """
-        copies: Counter[tuple[int, bytes]] = Counter()
-        first: dict[tuple[int, bytes], _Answer[B]] = {}
-        trouble = self._trouble()
-        sent = silent = 0
-        while again(silent) and sent < _MOST * self._tries:
+        """Send a request until it is answered; `again` says by the copies sent whether one more may go."""
+        sent = 0
+        while again(sent):
             self.port.send(packet)
             sent += 1
-            found = self._await(reply, wait_s, nonce)
-            if found is None:
-                silent += 1
-                self.counts.retries += 1
-                self._doubt = DOUBT
-                continue
-            if self._trouble() != trouble:
-                self._doubt = DOUBT
-            silent = 0
-            received, body = found
-            key = (received.type, received.body)
-            copies[key] += 1
-            first.setdefault(key, _Answer(body, received, sent))
-            if not self._doubt or (known is not None and _same(known, body)):
-                return first[key]
-            if copies[key] == _ENOUGH:
-                self.counts.confirmed += 1
-                if self._trouble() == trouble and sent == _ENOUGH:
-                    self._doubt -= 1
-                return first[key]
+            body = self._await(reply, wait_s, nonce)
+            if body is not None:
+                return _Answer(body, sent)
+            self.counts.retries += 1
         return None
 
-    def _trouble(self) -> int:
-        return self.receiver.counts.bad + self.counts.late
-
-    def _await(
-        self, reply: type[B], wait_s: float, nonce: int | None
-    ) -> tuple[Packet, B | wire.Error] | None:
+    def _await(self, reply: type[B], wait_s: float, nonce: int | None) -> B | wire.Error | None:
         end_s = self._clock.now_s() + wait_s
         while True:
             while self._replies:
-                packet = self._replies.popleft()
-                answer = self._judge(packet, reply)
+                answer = self._judge(self._replies.popleft(), reply)
                 if isinstance(answer, wire.HelloReply) and answer.nonce != nonce:
                     answer = None
                 if answer is not None:
-                    return packet, answer
+                    return answer
                 self.counts.late += 1
             left = end_s - self._clock.now_s()
             if left <= 0:

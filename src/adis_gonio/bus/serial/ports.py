@@ -73,7 +73,7 @@ class SerialPort:
             raise gone(self._url) from error
 
     def close(self) -> None:
-        """Give the port back."""
+        """Give the port back. Linux waits up to 30 s where a board that hangs has not taken all bytes."""
         with contextlib.suppress(OSError):
             self._port.close()
 

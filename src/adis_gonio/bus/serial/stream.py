@@ -16,6 +16,8 @@ from adis_gonio.errors import BusTimeoutError, ProtocolError
 SILENCE_S = 3.0
 """Without an edge for so long the chip is not sampling: its slowest rate has one every 2.42 s."""
 _POLL_S = 0.5
+_PACKETS_MISSED = 4
+"""Packets that the edges counted should have filled; where none of so many arrives the line is no good."""
 _AROUND = wire.HEADER_SIZE + wire.CRC_SIZE + 2
 """Bytes on the line beside a packet's body: header, CRC, COBS, delimiter."""
 
@@ -46,6 +48,8 @@ class SerialStream(FrameStream):
         Id of the request that started it; packets of other streams are thrown away.
     width : int
         Frames in the list.
+    packet_scans : int
+        Scans in a full packet.
     block_scans : int
         Scans that a block has at least, unless the stream is slow.
     clock : ClockMap
@@ -62,6 +66,7 @@ class SerialStream(FrameStream):
         *,
         stream_id: int,
         width: int,
+        packet_scans: int,
         block_scans: int,
         clock: ClockMap,
         byte_s: float,
@@ -70,6 +75,7 @@ class SerialStream(FrameStream):
         self._owner = owner
         self._id = stream_id
         self._width = width
+        self._packet_scans = packet_scans
         self._block = block_scans
         self._clock = clock
         self._byte_s = byte_s
@@ -84,7 +90,7 @@ class SerialStream(FrameStream):
         Raises
         ------
         BusTimeoutError
-            No data-ready edges, or the firmware is silent.
+            No data-ready edges, the firmware is silent, or no packet comes through whole.
         CannotOpenError
             The board was unplugged.
         """
@@ -123,11 +129,11 @@ class SerialStream(FrameStream):
         count, rest = divmod(len(scans.words), self._width)
         if not count or rest:
             return None
-        missed = (scans.sequence - self._next_sequence) & 0xFFFF
-        if missed > 0x8000:
+        missed = (scans.sequence - self._next_sequence) & 0xFFFF_FFFF
+        if missed > 0x8000_0000:
             return None  # a packet from before: a repetition on the line
         lost = missed + ((scans.lost - self._lost) & 0xFFFF)
-        self._next_sequence = (scans.sequence + count) & 0xFFFF
+        self._next_sequence = (scans.sequence + count) & 0xFFFF_FFFF
         self._lost = scans.lost
         left_s = arrival_s - (len(packet.body) + _AROUND) * self._byte_s
         times = self._clock.times(scans.first_us, scans.span_us, count, left_s)
@@ -136,13 +142,21 @@ class SerialStream(FrameStream):
     def _packet(self) -> tuple[Packet, float]:
         """Next packet of scans; asks the firmware for its edges while none comes."""
         owner = self._owner
+        first: int | None = None
         edges: int | None = None
-        since_s = owner.now_s()
+        begin_s = since_s = owner.now_s()
         while True:
             found = owner.next_scans(_POLL_S)
             if found is not None:
                 return found
             now_edges = owner.count_edges()
+            first = now_edges if first is None else first
+            unheard = (now_edges - first) & 0xFFFF_FFFF
+            if unheard > _PACKETS_MISSED * self._packet_scans and owner.now_s() - begin_s > SILENCE_S:
+                raise BusTimeoutError(
+                    f"{owner.url}: {unheard} data-ready edges, but no packet of scans came through whole in"
+                    f" {owner.now_s() - begin_s:.1f} s: check the cable and the baud rate"
+                )
             if now_edges != edges:
                 edges, since_s = now_edges, owner.now_s()
             elif owner.now_s() - since_s > SILENCE_S:

@@ -1,4 +1,4 @@
-"""Packets: header, body and CRC-16 in COBS, and a receiver that never fails on rubbish.
+"""Packets: header, body and CRC-32 in COBS, and a receiver that never fails on rubbish.
 
 No input or output here: bytes in, packets out (firmware_proto/PROTOCOL.md).
 """
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from adis_gonio.bus.wire import cobs
 from adis_gonio.bus.wire.body import Body
-from adis_gonio.bus.wire.protocol import CRC_INITIAL, CRC_SIZE, HEADER_SIZE, MAX_RAW, PacketType
+from adis_gonio.bus.wire.protocol import CRC_SIZE, HEADER_SIZE, MAX_RAW, PacketType
 
 _DELIMITER = b"\0"
 _LONGEST = MAX_RAW + 1
@@ -47,9 +47,9 @@ class ReceiverCounts:
         return self.crc_errors + self.cobs_errors + self.length_errors + self.unknown
 
 
-def crc16(data: bytes) -> int:
-    """CRC-16/IBM-3740: polynomial 0x1021, initial value 0xFFFF, not reflected."""
-    return binascii.crc_hqx(data, CRC_INITIAL)
+def crc32(data: bytes) -> int:
+    """CRC-32/ISO-HDLC, that of Ethernet and zlib."""
+    return binascii.crc32(data)
 
 
 def encode(packet: Packet) -> bytes:
@@ -67,7 +67,7 @@ def encode(packet: Packet) -> bytes:
     raw = bytes((packet.type,)) + packet.id.to_bytes(2, "little") + packet.body
     if len(raw) + CRC_SIZE > MAX_RAW:
         raise ValueError(f"a packet of {len(raw) + CRC_SIZE} bytes: at most {MAX_RAW}")
-    raw += crc16(raw).to_bytes(2, "little")
+    raw += crc32(raw).to_bytes(CRC_SIZE, "little")
     return _DELIMITER + cobs.encode(raw) + _DELIMITER
 
 
@@ -110,7 +110,7 @@ class Receiver:
             counts.cobs_errors += 1
         elif len(raw) < HEADER_SIZE + CRC_SIZE:
             counts.length_errors += 1
-        elif crc16(raw[:-CRC_SIZE]) != int.from_bytes(raw[-CRC_SIZE:], "little"):
+        elif crc32(raw[:-CRC_SIZE]) != int.from_bytes(raw[-CRC_SIZE:], "little"):
             counts.crc_errors += 1
         elif raw[0] not in _KINDS:
             counts.unknown += 1

@@ -18,10 +18,9 @@ BAUD = 500_000
 BAUD_FAST = 1_000_000
 
 HEADER_SIZE = 3
-CRC_SIZE = 2
+CRC_SIZE = 4
 MAX_RAW = 252
-CRC_INITIAL = 0xFFFF
-CRC_CHECK = 0x29B1
+CRC_CHECK = 0xCBF43926
 REPLY_BIT = 0x80
 
 CLOCKS = 6
@@ -361,7 +360,7 @@ class Scans(Body):
     """Scans of consecutive triggers of the stream whose request had this id."""
 
     TYPE: ClassVar[PacketType] = PacketType.SCANS
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<HHII")
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IHII")
     COUNTS: ClassVar[tuple[int, ...]] = (1, 1, 1, 1)
     TAIL: ClassVar[str] = "words"
 

@@ -1,0 +1,258 @@
+"""What stands for a cause without a name: formulas and smooth functions, averaged by their evidence.
+
+Which formula is the right one is seldom certain, and where none is, a smooth function is nearer. All
+models that have the same named effects as the chosen one, and Gaussian processes in its nameless terms'
+place, are fitted; the mean of what they add, weighted by their evidence, is what the corrected model adds
+(Hoeting, Madigan, Raftery and Volinsky, Bayesian model averaging, Statistical Science 14, 1999). What is
+*reported* is the formula of the best one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adis_gonio.model.effects import Conditions
+from adis_gonio.model.records import Floats
+from adis_gonio.tracing.design import span
+from adis_gonio.tracing.gates import linear
+from adis_gonio.tracing.observations import Observations
+from adis_gonio.tracing.selection import Selection
+from adis_gonio.tracing.smooth import Process, evidence, processes
+from adis_gonio.tracing.state import Refit, as_reading, refit
+from adis_gonio.tracing.terms import Driver, NamelessTerm, Term
+
+WINDOW = 6.0
+"""Formulas are averaged down to exp(−6) of the best."""
+LEAST_WEIGHT = 0.01
+PROMISING = 40
+"""Processes that are tried again inside a fold."""
+
+Member = tuple[float, NamelessTerm, Floats]
+
+
+@dataclass(frozen=True)
+class AveragedTerm(NamelessTerm):
+    """Mean of fitted nameless terms: a fixed function, without a parameter of its own.
+
+    Attributes
+    ----------
+    members : tuple of (weight, term, values)
+        All of them enter the angle, or none does.
+    """
+
+    members: tuple[Member, ...] = ()
+
+    @property
+    def form(self) -> str:
+        """Form of the member with the largest weight."""
+        return max(self.members, key=lambda member: member[0])[1].form
+
+    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """Weighted mean of what the members add."""
+        parts = [weight * term.added(own, ideal_mg, conditions) for weight, term, own in self.members]
+        total: Floats = np.sum(parts, axis=0)
+        return total
+
+    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """No columns."""
+        n, axes = ideal_mg.shape
+        return np.zeros((n, 0) if self.enters_angle else (n, axes, 0))
+
+
+@dataclass(frozen=True)
+class Averaged:
+    """A model whose nameless part is an average.
+
+    Attributes
+    ----------
+    model : tuple of Term
+        Named terms, then at most one averaged term at the angle and one at the readings.
+    fit : Refit
+        Refit of base and named terms beside it; the covariance is that within and between the members.
+    smooth : NamelessTerm
+        Most probable process.
+    weight : float
+        Probability of all processes together.
+    candidates : tuple of Process
+        Most promising processes.
+    """
+
+    model: tuple[Term, ...]
+    fit: Refit
+    smooth: NamelessTerm
+    weight: float
+    candidates: tuple[Process, ...]
+
+    @property
+    def named(self) -> tuple[Term, ...]:
+        """Terms that have a name."""
+        return tuple(term for term in self.model if term.name is not None)
+
+
+def average(
+    data: Observations, selection: Selection, candidates: Sequence[Process] | None = None
+) -> Averaged | None:
+    """Average over what may stand beside the named effects; None where nothing nameless is called for.
+
+    Parameters
+    ----------
+    candidates : sequence of Process, optional
+        Processes to try; by default all.
+    """
+    terms, best = selection.problem.terms, selection.verdict.best
+    named = tuple(k for k in best if terms[k].name is not None)
+    nameless = len(named) < len(best)
+    if not nameless and (selection.adequate or not data.known):
+        return None
+    base, _, target = linear(data, selection.model, selection.fit)
+    fixed = np.concatenate([base, *_named_columns(data, selection)], axis=1)
+    beside = _orthonormal(fixed)
+    left = target - beside @ (beside.T @ target)
+    candidates = processes(data) if candidates is None else candidates
+    smooth = evidence(data, selection.fit.prediction, beside, left, candidates, selection.inflation)
+    promising = tuple(candidates[k] for k in np.argsort(-smooth)[:PROMISING])
+    pool: list[tuple[float, tuple[NamelessTerm, ...]]] = [
+        (float(smooth[k]), (candidates[k].term,)) for k in np.argsort(-smooth)[:PROMISING]
+    ]
+    if nameless:
+        pool += _formulas(selection, named)
+    else:
+        pool.append((0.0, ()))
+    weights = np.exp(np.array([score for score, _ in pool]) - max(score for score, _ in pool))
+    weights = np.where(weights >= LEAST_WEIGHT * weights.sum(), weights, 0.0)
+    weights /= weights.sum()
+    if weights[-1] > 0.5 and not pool[-1][1]:
+        return None
+    members, covariance, used = _fitted(data, selection, fixed, target, pool, weights)
+    averaged = _terms(members)
+    own = [
+        (term, values)
+        for term, values in zip(selection.model, selection.fit.state.values, strict=True)
+        if term.name is not None
+    ]
+    model = (*(term for term, _ in own), *averaged)
+    values = (*(v for _, v in own), *(np.zeros(0) for _ in averaged))
+    fit = refit(data, model, replace(selection.fit.state, values=values))
+    # A fixed function has no freedom of its own: what its members used is spent all the same.
+    fit = replace(fit, covariance=covariance, dof=len(target) - used)
+    weight = float(weights[: len(promising)].sum())
+    return Averaged(model, fit, promising[0].term, weight, promising)
+
+
+def _named_columns(data: Observations, selection: Selection) -> list[Floats]:
+    """Whitened columns of all parameters of the named terms."""
+    at = selection.fit.prediction
+    return [
+        at.white(as_reading(term, term.derivative(values, at.ideal_mg, data.conditions), at))
+        for term, values in zip(selection.model, selection.fit.state.values, strict=True)
+        if term.name is not None
+    ]
+
+
+def _orthonormal(columns: Floats) -> Floats:
+    size = np.linalg.norm(columns, axis=0)
+    u, s, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
+    return u[:, s > 1e-8 * s[0]]
+
+
+def _formulas(selection: Selection, named: tuple[int, ...]) -> list[tuple[float, tuple[NamelessTerm, ...]]]:
+    """Nameless parts of the models with these named terms, with their evidence against the named alone."""
+    problem, found = selection.problem, selection.found
+
+    def score(model: tuple[int, ...]) -> float:
+        left = float((span(problem, model)[1] ** 2).sum())
+        explained = 0.5 * (problem.chi2 - left) / selection.inflation
+        return explained - float(sum(found.prices[k] for k in model))
+
+    near = {m for m in found.near(WINDOW) if tuple(k for k in m if k in named) == named}
+    alone = score(named)
+    pool = []
+    for model in sorted({*near, tuple(selection.verdict.best)}):
+        rest = tuple(problem.terms[k] for k in model if k not in named)
+        if rest and all(isinstance(term, NamelessTerm) for term in rest):
+            pool.append((score(model) - alone, tuple(t for t in rest if isinstance(t, NamelessTerm))))
+    return pool
+
+
+def _fitted(
+    data: Observations,
+    selection: Selection,
+    fixed: Floats,
+    target: Floats,
+    pool: Sequence[tuple[float, tuple[NamelessTerm, ...]]],
+    weights: Floats,
+) -> tuple[list[Member], Floats, float]:
+    """Members with their values; of the fixed parameters the covariance (k, k) within and between members.
+
+    The last is the number of degrees of freedom that the members use, weighted.
+    """
+    members: list[Member] = []
+    means, within, used = [], np.zeros((fixed.shape[1], fixed.shape[1])), 0.0
+    for weight, (_, terms) in zip(weights, pool, strict=True):
+        if weight == 0:
+            continue
+        solved, covariance, freedom = _ridge(data, selection, fixed, target, terms)
+        used += float(weight) * freedom
+        means.append((weight, solved[: fixed.shape[1]]))
+        within += weight * covariance[: fixed.shape[1], : fixed.shape[1]]
+        cut = fixed.shape[1]
+        for term in terms:
+            width = _width(data, selection, term)
+            members.append((float(weight), term, solved[cut : cut + width]))
+            cut += width
+    mean = np.sum([w * m for w, m in means], axis=0)
+    between = np.sum([w * np.outer(m - mean, m - mean) for w, m in means], axis=0)
+    return members, within + between / selection.inflation, used
+
+
+def _width(data: Observations, selection: Selection, term: NamelessTerm) -> int:
+    return int(term.columns(selection.fit.prediction.ideal_mg, data.conditions).shape[-1])
+
+
+def _ridge(
+    data: Observations, selection: Selection, fixed: Floats, target: Floats, terms: Sequence[NamelessTerm]
+) -> tuple[Floats, Floats, float]:
+    """Values of all parameters, their covariance in units of the noise, and degrees of freedom used."""
+    at = selection.fit.prediction
+    blocks = [at.white(as_reading(t, t.columns(at.ideal_mg, data.conditions), at)) for t in terms]
+    columns = np.concatenate([fixed, *blocks], axis=1)
+    priors = [np.zeros(fixed.shape[1])]
+    for term, block in zip(terms, blocks, strict=True):
+        held = 0.0 if term.shrinkage is None else np.sqrt(selection.inflation) / term.shrinkage
+        priors.append(np.full(block.shape[1], held))
+    precision = np.concatenate(priors)
+    stacked = np.concatenate([columns, np.diag(precision)[precision > 0]])
+    size = np.linalg.norm(stacked, axis=0)
+    size[size == 0] = 1.0
+    u, s, vt = np.linalg.svd(stacked / size, full_matrices=False)
+    keep = s > 1e-9 * s[0]
+    half = (vt[keep].T / s[keep]) / size[:, None]
+    solved = half @ (u[: len(target), keep].T @ target)
+    return solved, half @ half.T, float(((columns @ half) ** 2).sum())
+
+
+def _terms(members: Sequence[Member]) -> list[AveragedTerm]:
+    """One term for the members at the readings, one for those at the angle."""
+    made = []
+    for angle in (False, True):
+        mine = tuple(member for member in members if member[1].enters_angle == angle)
+        if not mine:
+            continue
+        first = max(mine, key=lambda member: member[0])[1]
+        covariates = tuple(dict.fromkeys(c for c in first.covariates))
+        axes = tuple(sorted({axis for _, term, _ in mine for axis in term.axes}))
+        made.append(
+            AveragedTerm(
+                label="average at the angle" if angle else "average at the readings",
+                covariates=covariates,
+                cost=0.0,
+                where="angle" if angle else "bias",
+                axes=axes,
+                driver=Driver(first.driver.form, covariates),
+                members=mine,
+            )
+        )
+    return made

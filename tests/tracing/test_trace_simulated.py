@@ -1,0 +1,59 @@
+"""Sessions of the simulated sensor, 1/f noise included, through the archive file and the command line."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from adis_gonio.cli import main
+
+TUMBLE = ("--plan", "tumble", "--dwell", "3")
+
+
+def traced(folder: Path, capsys: pytest.CaptureFixture[str], seed: int, *options: str) -> dict:
+    """What `trace --json` says of what `simulate` wrote."""
+    path = folder / "blind.session"
+    assert main(["simulate", "-o", str(path), "--seed", str(seed), *options]) == 0
+    capsys.readouterr()
+    assert main(["trace", str(path), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def found(result: dict) -> set[str]:
+    return {entry["effect"] for entry in result["found"]}
+
+
+@pytest.mark.parametrize("seed", [1003, 1025, 1036])
+def test_slow_noise_is_no_effect(tmp_path, capsys, seed: int) -> None:
+    # With the 1/f noise of each dwell taken as its own these gave a knee in time, a hysteresis and a drift.
+    result = traced(tmp_path, capsys, seed, *TUMBLE)
+    assert found(result) == {"bias"}
+    assert result["unnamed"] is None
+    assert result["adequate"]
+
+
+def test_a_drift_beside_slow_noise_is_found(tmp_path, capsys) -> None:
+    result = traced(tmp_path, capsys, 2004, *TUMBLE, "--effect", "bias_drift:drift_y=1.5")
+    assert found(result) == {"bias", "bias_drift"}
+    assert result["unnamed"] is None
+    drift = next(e for e in result["found"] if e["effect"] == "bias_drift")["parameters"]["drift_y"]
+    assert abs(drift["value"] - 1.5) < 4 * drift["u"]
+    # With slow noise of 0.1 mg a smaller uncertainty could only be that of white noise.
+    assert 0.05 < drift["u"] < 0.3
+
+
+def test_two_effects_are_found_by_name(tmp_path, capsys) -> None:
+    effects = ("--effect", "quadratic:k2_x=3", "--effect", "backlash:backlash=0.15")
+    result = traced(tmp_path, capsys, 2002, *TUMBLE, *effects)
+    assert found(result) == {"bias", "quadratic", "backlash"}
+    assert result["unnamed"] is None
+    values = {name: entry for e in result["found"] for name, entry in e["parameters"].items()}
+    assert abs(values["k2_x"]["value"] - 3) < 4 * values["k2_x"]["u"]
+    assert abs(values["backlash"]["value"] - 0.15) < 4 * values["backlash"]["u"]
+
+
+def test_a_constant_temperature_does_not_become_an_impossible_coefficient(tmp_path, capsys) -> None:
+    # The sensor reads 25.05 °C throughout: a bias of 5.6 mg would be 116 mg/°C, five times the bound.
+    result = traced(tmp_path, capsys, 1002, "--plan", "tumble")
+    assert found(result) == {"bias"}
+    assert result["adequate"]

@@ -1,0 +1,255 @@
+"""The second pass on samples whose truth is known: false alarms, detection, intervals, many seeds each."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from adis_gonio.tracing.within import Samples, WithinFinding, search_within
+from tracing.dwell_samples import bartlett, draw
+
+SEEDS = 20
+
+
+def kinds(samples: Samples) -> list[str]:
+    return [finding.kind for finding in search_within(samples)]
+
+
+def only(samples: Samples, kind: str) -> WithinFinding | None:
+    return next((finding for finding in search_within(samples) if finding.kind == kind), None)
+
+
+def covered(finding: WithinFinding, name: str, truth: float) -> bool:
+    value = finding.parameters[name]
+    assert value.u is not None
+    return abs(value.value - truth) <= 1.96 * value.u
+
+
+QUIET = {
+    "the chip's usual filter": {},
+    "no filter": {"filter_m": 0},
+    "the longest filter, noise below a step": {"filter_m": 6, "n": 800},
+    "1/f noise": {"flicker_mg2": 0.05},
+    "mostly 1/f noise": {"flicker_mg2": 1.0, "filter_m": 0, "noise_mg": 1.0},
+    "dwells of ten samples": {"n": 10, "filter_m": 0},
+    "dwells shorter than the filter": {"n": 40, "filter_m": 6},
+    "four long dwells": {"dwells": 4, "n": 2500},
+    "two dwells": {"dwells": 2, "n": 1500},
+    "dwells of different lengths": {"n": [60 + 37 * (7 * k % 24) for k in range(24)]},
+    "noise far below a step": {"noise_mg": 0.15, "filter_m": 0},
+    "noise of half a step": {"noise_mg": 0.3, "filter_m": 0},
+    "numbers with many digits": {"lsb_mg": 0.0},
+    "three axes": {"axes": 3},
+    "uneven times": {"jitter": 0.5},
+}
+
+
+def test_a_session_without_anything_shows_nothing():
+    """Family-wise 1 %: of 150 sessions of every sort at most 5 (binomial, 99.6 %) show a finding."""
+    shown = []
+    for seed in range(10):
+        for k, (name, case) in enumerate(QUIET.items()):
+            found = kinds(draw(np.random.default_rng([seed, k]), **case))
+            if found:
+                shown.append((name, seed, found))
+    assert len(shown) <= 5, shown
+
+
+def test_tone_is_found_with_frequency_and_amplitude():
+    """1 mg on x, 0.5 mg on y at 11.3 Hz: found in all, intervals hold."""
+    truth = {"tone_x": 1.0, "tone_y": 0.5, "frequency": 11.3}
+    held = dict.fromkeys(truth, 0)
+    for seed in range(SEEDS):
+
+        def line(k, time, rng):
+            wave = np.sin(2 * np.pi * 11.3 * time + 0.3)
+            return np.column_stack([wave, 0.5 * wave])
+
+        found = [
+            f for f in search_within(draw(np.random.default_rng(seed), added=line)) if f.kind == "tone"
+        ]
+        assert len(found) == 1
+        assert found[0].axes == ("x", "y")
+        assert len(found[0].positions) == 24
+        for name, value in truth.items():
+            held[name] += covered(found[0], name, value)
+    # Binomial, 20 at 95 %: fewer than 16 has a chance of 0.3 %.
+    assert min(held.values()) >= 16, held
+
+
+def test_tone_at_uneven_times_and_in_some_dwells():
+    def line(k, time, rng):
+        wave = np.sin(2 * np.pi * 7.7 * time) * (k in (3, 4, 9))
+        return np.column_stack([2.5 * wave, 0 * wave])
+
+    finding = only(draw(np.random.default_rng(5), added=line, jitter=0.3), "tone")
+    assert finding is not None
+    assert finding.positions == (3, 4, 9)
+    assert finding.parameters["frequency"].value == pytest.approx(7.7, abs=0.06)
+
+
+@pytest.mark.parametrize("flicker_mg2", [0.0, 0.05])
+def test_settling_is_found_with_amplitude_and_time_constant(flicker_mg2):
+    held = {"settling_x": 0, "tau": 0}
+    for seed in range(SEEDS):
+
+        def course(k, time, rng):
+            fall = np.exp(-(time - time[0]) / 0.6)
+            return np.column_stack([3.0 * fall, 0 * fall])
+
+        samples = draw(np.random.default_rng(seed), added=course, flicker_mg2=flicker_mg2)
+        found = search_within(samples)
+        assert [f.kind for f in found] == ["settling"]
+        assert found[0].axes == ("x",)
+        assert found[0].effect == "settling"
+        assert "wait" in found[0].advice
+        held["settling_x"] += covered(found[0], "settling_x", 3.0)
+        held["tau"] += covered(found[0], "tau", 0.6)
+    assert min(held.values()) >= 16, held
+
+
+def test_settling_in_proportion_to_the_move_is_told_from_a_common_one():
+    rng = np.random.default_rng(8)
+    samples = draw(rng)
+    change = np.diff(samples.reading, axis=0, prepend=samples.reading[:1]) / 1000.0
+    rows = [
+        own + np.exp(-(time - time[0]) / 0.5)[:, None] * (4.0 * change[k] * [1.0, 0.0])
+        for k, (own, time) in enumerate(zip(samples.values, samples.time_s, strict=True))
+    ]
+    finding = only(samples.with_values(rows), "settling")
+    assert finding is not None
+    assert finding.effect is None
+    assert covered(finding, "settling_per_g_x", 4.0)
+
+
+def test_common_drift_is_a_slope_and_not_settling():
+    held = 0
+    for seed in range(SEEDS):
+
+        def slope(k, time, rng):
+            return np.column_stack([0.2 * time, 0 * time])
+
+        found = search_within(draw(np.random.default_rng(seed), added=slope))
+        assert [f.kind for f in found] == ["drift"]
+        assert found[0].effect is None
+        held += covered(found[0], "drift_x", 0.2)
+    assert held >= 16
+
+
+def test_step_in_one_dwell_is_found_where_and_when_it_was():
+    held = near = 0
+    for seed in range(SEEDS):
+
+        def jump(k, time, rng):
+            return np.column_stack([0 * time, (k == 7) * 4.0 * (time >= time[0] + 3.0)])
+
+        samples = draw(np.random.default_rng(seed), added=jump)
+        found = search_within(samples)
+        assert [f.kind for f in found] == ["step"]
+        (place,) = found[0].places
+        assert (place.position, place.axis) == (7, "y")
+        near += abs(place.time_s - samples.time_s[7][0] - 3.0) < 0.1
+        held += covered(found[0], "height_y", 4.0)
+        assert place.shift_mg == pytest.approx(4.0 * 0.4, abs=0.8)
+        assert "repeat position 7" in found[0].advice
+    assert near >= 18
+    assert held >= 16
+
+
+def test_noise_that_joins_is_found_with_its_size_and_moment():
+    held = {"extra_x": 0, "start": 0}
+    gain = float(np.sqrt((bartlett(2) ** 2).sum()))
+    for seed in range(SEEDS):
+        start = 60.0 + 3.7 * seed
+
+        def joining(k, time, rng, start=start):
+            white = rng.normal(0, 4.0, (len(time) + 6, 1))
+            own = np.convolve(white[:, 0], bartlett(2), "valid") * (time >= start)
+            return np.column_stack([own, 0 * own])
+
+        found = list(search_within(draw(np.random.default_rng(seed), added=joining)))
+        assert [f.kind for f in found] == ["noise_change"]
+        assert found[0].effect == "noise_change"
+        assert found[0].axes == ("x",)
+        held["extra_x"] += covered(found[0], "extra_x", 4.0 * gain)
+        held["start"] += covered(found[0], "start", start)
+    assert min(held.values()) >= 16, held
+
+
+def test_scatter_that_varies_from_dwell_to_dwell_names_no_moment():
+    levels = np.random.default_rng(3).uniform(0, 6, 24)
+
+    def shaking(k, time, rng):
+        return levels[k] * rng.normal(size=(len(time), 2))
+
+    finding = only(draw(np.random.default_rng(4), added=shaking, filter_m=0), "noise_change")
+    assert finding is not None
+    assert finding.effect is None
+    assert "vibration_rectification" in finding.sentence
+    assert finding.parameters["largest_x"].value > 1.3 * finding.parameters["least_x"].value
+
+
+def test_spikes_are_counted_and_taken_out():
+    def knocks(k, time, rng):
+        rows = np.zeros((len(time), 2))
+        rows[100, 0] = 30.0 * (k == 2)
+        rows[333, 1] = -25.0 * (k == 17)
+        return rows
+
+    found = search_within(draw(np.random.default_rng(1), added=knocks, filter_m=0))
+    assert [f.kind for f in found] == ["spikes"]
+    assert [(p.position, p.axis) for p in found[0].places] == [(2, "x"), (17, "y")]
+    assert found[0].parameters["largest"].value == pytest.approx(30.0, abs=15.0)
+    assert found[0].places[0].shift_mg == pytest.approx(30.0 / 500, rel=0.6)
+
+
+def test_values_that_stand_still_are_found():
+    samples = draw(np.random.default_rng(2))
+    rows = [own.copy() for own in samples.values]
+    rows[5][200:260, 0] = rows[5][200, 0]
+    finding = only(samples.with_values(rows), "stuck")
+    assert finding is not None
+    assert [(p.position, p.axis) for p in finding.places] == [(5, "x")]
+    assert finding.parameters["longest"].value == pytest.approx(60, abs=2)
+    assert finding.places[0].time_s == pytest.approx(samples.time_s[5][200], abs=0.02)
+
+
+def test_several_things_at_once_are_all_found():
+    def everything(k, time, rng):
+        elapsed = time - time[0]
+        x = 1.5 * np.sin(2 * np.pi * 17.0 * time) + 3.0 * np.exp(-elapsed / 0.5)
+        x = x + (k == 11) * 5.0 * (elapsed > 2.0)
+        rows = np.column_stack([x, 0 * x])
+        rows[50, 1] = 40.0 * (k == 20)
+        return rows
+
+    found = kinds(draw(np.random.default_rng(6), added=everything))
+    assert sorted(found) == ["settling", "spikes", "step", "tone"]
+
+
+def test_findings_are_documents():
+    def line(k, time, rng):
+        return np.column_stack([np.sin(2 * np.pi * 11.3 * time), 0 * time])
+
+    finding = only(draw(np.random.default_rng(0), added=line), "tone")
+    assert finding is not None
+    text = json.loads(json.dumps(finding.as_dict()))
+    assert set(text) == {
+        "kind",
+        "effect",
+        "axes",
+        "positions",
+        "parameters",
+        "p_value",
+        "sentence",
+        "places",
+        "advice",
+    }
+    assert text["parameters"]["frequency"]["unit"] == "Hz"
+
+
+@pytest.mark.parametrize("n", [2, 3, 6, 16, 33])
+def test_short_dwells_are_looked_at_as_far_as_they_go(n):
+    assert kinds(draw(np.random.default_rng(n), dwells=8, n=n)) == []
