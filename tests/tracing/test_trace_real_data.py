@@ -50,6 +50,8 @@ def test_four_positions_show_a_bias_and_the_angle_before_and_after(capsys):
     )
     assert any("measure at" in line for line in document["next"])
     assert document["detectable"]["cubic"]["amplitude"] is None
+    assert document["detectable"]["stage_ellipticity"]["amplitude"] is None
+    assert document["detectable"]["quadratic"]["amplitude"] > 5
 
 
 def test_fourteen_poses_cannot_decide_between_drift_and_curvature(capsys):
@@ -57,17 +59,12 @@ def test_fourteen_poses_cannot_decide_between_drift_and_curvature(capsys):
     assert names(document) == {"bias"}
     assert not document["adequate"]
     assert any({"quadratic", "bias_drift"} <= set(group) for group in document["confounded"])
-    # The next positions are said, and that none of them decides alone.
-    (line,) = [line for line in document["next"] if "an attitude that reads" in line]
-    assert "quadratic" in line
-    assert "bias_drift" in line
-    assert document["measurements"]
-    after = document["error"]["after"]
-    assert after["residual_rms_mg"] == pytest.approx(2.1, abs=0.5)
-    # Without bias 45 mg; with the model kept 7.0 in the data's own README.
-    assert after["heldout_rms_mg"] < 8
-    kept = float(document["heldout_design"].split("fold, ")[1].split(" mg")[0])
-    assert kept < 8
+    assert any("quadratic" in line and "point each axis 45°" in line for line in document["next"])
+    assert any("bias_drift" in line and "repeat some positions" in line for line in document["next"])
+    before, after = document["error"]["before"], document["error"]["after"]
+    assert after["residual_rms_mg"] == pytest.approx(2.3, abs=0.3)
+    # As good as the published 7.0, which keeps the model; here effects are chosen anew in each fold.
+    assert after["heldout_rms_mg"] <= 7.0 < 0.1 * before["heldout_rms_mg"]
 
 
 @pytest.mark.parametrize("name", ["xsens_mti_recording", *(f"mpu9150_{k}_recording" for k in range(5))])
@@ -78,7 +75,8 @@ def test_nothing_beyond_bias_scale_and_skew_is_claimed(capsys, name):
     assert document["adequate"]
     before, after = document["error"]["before"], document["error"]["after"]
     assert after["heldout_rms_mg"] < 0.1 * before["heldout_rms_mg"]
-    assert "body axes" in document["heldout_design"]
+    if name.startswith("mpu9150"):  # the poses of the other are too close to the faces
+        assert "body axes" in document["heldout_design"]
 
 
 def test_thermal_cycle_is_a_polynomial_and_its_lag(capsys):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from adis_gonio.model.effects import AXES
@@ -45,6 +45,12 @@ _REMEDIES = {
     "misalignment": "repeat the session in another plane",
 }
 """What to do by hand where no position of the session decides."""
+_OBLIQUE = (
+    "point each axis 45° and 60° off the vertical, up and down (readings of ±0.7 and ±0.5 g), and repeat a "
+    "few of the first poses last"
+)
+_REMEDIES_IN_SPACE = dict.fromkeys(("quadratic", "cross_quadratic", "asymmetry", "cubic"), _OBLIQUE)
+"""The same where attitudes are free: gravity is in no plane that it could leave."""
 
 
 def advise(
@@ -71,10 +77,10 @@ def advise(
     lines = list(sentences(measurements))
     strong = [m for m in measurements if m.purpose == "decide" and m.separation >= LEAST_SEPARATION]
     decided = {name for m in strong for name in (*m.one, *m.other)}
-    if not training.planar:
-        decided |= {name for name, remedy in _REMEDIES.items() if remedy == _OUT_OF_PLANE}
     inside = {term.name for term in selection.model}
-    lines += _by_hand([c for c in confounded if c[0] in inside or not selection.adequate], decided)
+    remedies = _REMEDIES if training.planar else {**_REMEDIES, **_REMEDIES_IN_SPACE}
+    groups = [c for c in confounded if c[0] in inside or not selection.adequate]
+    lines += _by_hand(groups, decided, remedies)
     lines += _not_recorded(training)
     if not selection.adequate and not lines:
         lines.append(
@@ -170,18 +176,20 @@ def _joined(words: Sequence[str], comma: str) -> str:
     return f"{comma.join(words[:-1])} and {words[-1]}"
 
 
-def _by_hand(confounded: Sequence[Sequence[str]], decided: set[str]) -> list[str]:
+def _by_hand(
+    confounded: Sequence[Sequence[str]], decided: set[str], remedies: Mapping[str, str]
+) -> list[str]:
     """What would part groups that no measurement parts, one line for each thing to do."""
     to_do: dict[str, list[str]] = {}
     for names in confounded:
         # The first is what the model has; alone, it stands against nothing that has a name.
         for name in names[1:] or names:
             if (
-                name in _REMEDIES
+                name in remedies
                 and name not in decided
-                and name not in to_do.setdefault(_REMEDIES[name], [])
+                and name not in to_do.setdefault(remedies[name], [])
             ):
-                to_do[_REMEDIES[name]].append(name)
+                to_do[remedies[name]].append(name)
     return [
         f"to confirm or rule out {_joined(names, ', ')}: {remedy}"
         for remedy, names in to_do.items()

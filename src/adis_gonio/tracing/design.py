@@ -26,6 +26,8 @@ _INDEPENDENT = 1e-4
 """Least squared length of an orthonormal column beside a model, for it to be counted as another column."""
 PRIOR_SNR = 4.0
 """Prior standard deviation of an effect in a reading, in standard uncertainties of a reading."""
+_ROUNDING = 1e-9
+"""Least length of a column in units of the longest of its term."""
 _RANK = 1e-7
 """Least squared length of a column beside the others of its own term."""
 
@@ -145,13 +147,16 @@ def linearise(data: Observations, model: Sequence[Term], state: State, terms: Se
     widths = np.array([block.shape[2] for block in raw], dtype=np.intp)
     together = at.white(np.concatenate(raw, axis=2))
     before = np.linalg.norm(together, axis=0)
-    together = together / np.where(before > 0, before, 1.0)
+    # The sixth harmonic's sine on a grid of 30° is rounding, not a direction.
+    starts = np.concatenate([[0], np.cumsum(widths)[:-1]]).astype(np.intp)
+    longest = np.repeat(np.maximum.reduceat(before, starts), widths) if len(before) else before
+    before = np.where(before > _ROUNDING * longest, before, 0.0)
+    together = together * np.where(before > 0, 1 / np.where(before > 0, before, 1.0), 0.0)
     together = together - base @ (base.T @ together)
     after = np.linalg.norm(together, axis=0)
     seen_at_all = after > _OBSERVABLE
     together = together * np.where(seen_at_all, 1 / np.where(seen_at_all, after, 1.0), 0.0)
     before = np.where(seen_at_all, before * after, 1.0)
-    starts = np.concatenate([[0], np.cumsum(widths)[:-1]])
 
     blocks: dict[int, list[tuple[int, Floats, Floats]]] = {}
     hidden = []

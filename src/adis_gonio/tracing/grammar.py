@@ -40,6 +40,9 @@ SMOOTH_WEIGHT = 0.25
 EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "lean", "angle")
 
 
+LEAST_RANGE = {"temperature": 0.5, "supply": 0.01}
+"""Least range (°C, V) in which a covariate is a factor of a product: below it is a constant with noise, and
+the product is the other factor."""
 LEAST_DWELLS = 1.9
 """Dwells (participation ratio) that a bump has to touch."""
 
@@ -546,7 +549,7 @@ def _products(data: Observations) -> Iterator[_Made]:
     scalars: dict[str, tuple[str, Callable[[Conditions], Floats], float]] = {}
 
     def add(name: str, letter: str, get: Callable[[Conditions], Floats], zero: float) -> None:
-        if np.ptp(get(conditions)) > 0:
+        if np.ptp(get(conditions)) > LEAST_RANGE.get(name, 0.0):
             scalars[name] = (letter, get, zero)
 
     add("time", "t", lambda c: c.time_s, 0.0)

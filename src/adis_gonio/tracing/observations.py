@@ -85,14 +85,6 @@ class Observations:
         return self.axes == 2
 
     @property
-    def own_covariance(self) -> Floats:
-        """Covariance of the means (n, axes, axes) in mg² without what dwells share."""
-        if self.slow_mg is None:
-            return self.covariance
-        shared: Floats = (self.slow_mg**2).sum(axis=2)[:, :, None] * np.eye(self.axes)
-        return self.covariance - shared
-
-    @property
     def base_seen(self) -> NDArray[np.bool_]:
         """Base parameters that the poses show (4,) or (6,); the others stay at their nominal values.
 
@@ -113,6 +105,14 @@ class Observations:
             if seen[place]:
                 beside = np.column_stack([beside, skew])
         return seen
+
+    @property
+    def own_covariance(self) -> Floats:
+        """Covariance of the means (n, axes, axes) in mg² without what dwells share."""
+        if self.slow_mg is None:
+            return self.covariance
+        shared: Floats = (self.slow_mg**2).sum(axis=2)[:, :, None] * np.eye(self.axes)
+        return self.covariance - shared
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Observations:
         """Some of the dwells."""

@@ -112,8 +112,9 @@ def search(
         Opened besides (those of an earlier round).
     spare : int
         Degrees of freedom that a model has to leave; by default half of those beside the base model,
-        since a model with more columns than checks could not fail. One effect of the catalogue alone may
-        use them all: six faces of a cube show a bias (or what imitates it) and no more.
+        since a model with more columns than checks could not fail. One effect of the catalogue alone, of
+        no more columns than a bias, may use them all: six faces of a cube show a bias (or what imitates it)
+        and no more.
     """
     if spare is None:
         spare = max(problem.dof // 2, 1)
@@ -193,7 +194,10 @@ def _open(
     here = 0.5 * (problem.chi2 - chi2) / found.inflation - sum(float(found.prices[k]) for k in model)
     room = problem.dof - basis.shape[1] - used.width >= spare
     if not model:
-        room |= np.array([t.name is not None for t in used.terms]) & (used.width <= problem.dof)
+        bias = max(
+            (int(w) for w, t in zip(used.width, used.terms, strict=True) if t.name == "bias"), default=0
+        )
+        room |= np.array([t.name is not None for t in used.terms]) & (used.width <= min(bias, problem.dof))
     gained = np.where(room & (gains > 1e-9), gained, -np.inf)
     number = np.arange(len(gained)) if active is None else active
     if model:

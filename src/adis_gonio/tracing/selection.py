@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,9 @@ MOSTLY = 0.97
 """Share of the excess from which constants count as a bias of their own, not as part of another function:
 the constant is then more than five times what varies."""
 
-LARGEST = 0.5
+APART = 3.0
+"""Middle of what a term with a constant adds, in units of half its range, from which it holds a bias."""
+LARGEST = 0.1
 """Most that a nameless term may add, in g or rad. Larger ones come from what the readings do not determine:
 a function and the base model that nearly cancel."""
 
@@ -107,13 +109,17 @@ def select(
             found, inflation = _inflated(data, problem, found, max_terms, beam, assumed)
             verdict = weigh(found)
             impossible = _impossible(data, problem, verdict.best)
-            if impossible is None:
+            if impossible is not None:
+                dropped = {impossible}
+            elif _constant_apart(data, problem, verdict.best):
+                dropped = {t.label for t in terms if isinstance(t, NamelessTerm) and t.with_constant}
+            else:
                 break
-            terms = [term for term in terms if term.label != impossible]
+            terms = [term for term in terms if term.label not in dropped]
             problem = problem.only(
-                np.array([k for k, t in enumerate(problem.terms) if t.label != impossible], np.intp)
+                np.array([k for k, t in enumerate(problem.terms) if t.label not in dropped], np.intp)
             )
-        fit = fit_model(data, problem, verdict.best, state)
+        verdict, fit = _fitted(data, problem, verdict, state, base.chi2)
         model = tuple(problem.terms[k] for k in verdict.best)
         labels = tuple(sorted(term.label for term in model))
         linear = problem.chi2 - 2 * inflation * found.explained(verdict.best)
@@ -128,6 +134,22 @@ def select(
     if p < ADEQUATE:
         inflation = max(inflation, fit.chi2 / fit.dof)  # uncertainties by what the final model leaves
     return Selection(problem, found, verdict, model, base, fit, inflation, p >= ADEQUATE)
+
+
+def _fitted(
+    data: Observations, problem: Problem, verdict: Verdict, state: State, most: float
+) -> tuple[Verdict, Refit]:
+    """Full refit of the best model, or of the next one if it ends above the χ² of the base model.
+
+    A model that holds the base model cannot be worse, so that such a refit has run away from amplitudes
+    that only the linear problem allows.
+    """
+    ranked = sorted(verdict.weights, key=lambda m: -verdict.weights[m])
+    for chosen in dict.fromkeys([verdict.best, *ranked[:4]]):
+        fit = fit_model(data, problem, chosen, state)
+        if fit.chi2 <= most * (1 + 1e-6):
+            return replace(verdict, best=chosen), fit
+    return verdict, fit_model(data, problem, verdict.best, state)
 
 
 def _impossible(data: Observations, problem: Problem, chosen: Sequence[int]) -> str | None:
@@ -150,6 +172,19 @@ def _impossible(data: Observations, problem: Problem, chosen: Sequence[int]) -> 
         if beyond:
             out.append(term)
     return max(out, key=lambda term: term.cost).label if out else None
+
+
+def _constant_apart(data: Observations, problem: Problem, chosen: Sequence[int]) -> bool:
+    """True where a term's constant is far larger than what varies with it: it is then a bias beside it."""
+    for k, own in zip(chosen, amplitudes(problem, chosen), strict=True):
+        term = problem.terms[k]
+        if not isinstance(term, NamelessTerm) or not term.with_constant:
+            continue
+        added = term.added(term.start(own), data.mean_mg, data.conditions)[:, list(term.axes)]
+        middle = (added.max(axis=0) + added.min(axis=0)) / 2
+        if (np.abs(middle) > APART * np.ptp(added, axis=0) / 2).any():
+            return True
+    return False
 
 
 def _inflated(

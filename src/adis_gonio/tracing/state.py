@@ -27,9 +27,15 @@ from adis_gonio.tracing.terms import Term
 
 _SPACE = np.array([[0, 0], [1, 0], [1, 1], [2, 0], [2, 1], [2, 2]])
 """Entries of M in the order of the base parameters in space."""
+_BASE_BOUNDS = (
+    np.where(_SPACE[:, 0] == _SPACE[:, 1], 0.5, -0.2),
+    np.where(_SPACE[:, 0] == _SPACE[:, 1], 2.0, 0.2),
+)
+"""Gains and skews (in radians) that a part can have: where few poses show them, a base model without a bias
+would pay for it with axes that nearly coincide."""
 
 GAIN_SPREAD = 0.2
-"""Prior standard deviation of gains and skews in space."""
+"""Prior standard deviation of gains, skews and misalignment (rad)."""
 
 
 @dataclass(frozen=True)
@@ -307,13 +313,17 @@ class _Prior:
 
 
 def _prior(data: Observations, model: Sequence[Term], state: State) -> _Prior:
-    """Priors of terms that have one, and in space of the base.
+    """Priors of the base, but for the start angle, and of the terms that have one.
 
-    Few poses with free attitudes leave directions of the base undetermined, in which a fit would run to
-    gains of twenty. In the plane the declared angles hold the base.
+    Few positions leave directions of the base undetermined, beside functions of the angle above all, in
+    which a fit would run to gains of twenty.
     """
-    base = np.zeros(len(state.base)) if data.planar else begin(data).base
-    parts = [np.full(len(base), 0.0 if data.planar else 1 / GAIN_SPREAD)]
+    base = begin(data).base
+    if data.planar and not data.zero_unknown:
+        base = np.array([0.0, 1.0, 1.0, 0.0])
+    parts = [np.full(len(base), 1 / GAIN_SPREAD)]
+    if data.planar:
+        parts[0][0] = 0.0
     for term, values in zip(model, state.values, strict=True):
         parts.append(np.full(len(values), 0.0 if term.prior_sd is None else 1.0 / term.prior_sd))
     precision = np.concatenate(parts)
@@ -358,7 +368,10 @@ def _stepped(model: Sequence[Term], state: State, step: Floats) -> State:
                 new[index] = np.clip(new[index], 0.5 * old[index], 2 * old[index])
             new = np.clip(new, low, high)
         values.append(new)
-    return replace(state, base=state.base + step[: len(state.base)], values=tuple(values))
+    base = state.base + step[: len(state.base)]
+    if len(base) == len(_SPACE):
+        base = np.clip(base, *_BASE_BOUNDS)
+    return replace(state, base=base, values=tuple(values))
 
 
 def settle(data: Observations, model: Sequence[Term], state: State, passes: int = 2) -> State:
