@@ -152,7 +152,7 @@ def _drivers(data: Observations) -> Iterator[tuple[Driver, tuple[Where, ...]]]:
         form = "a smooth function of the reading"
         yield Driver(form, ("reading",), by_axis=_of_reading(length)), ("bias",)
     for (one, f), (two, g) in itertools.combinations(scalars.items(), 2):
-        for length in LENGTHS[1:]:
+        for length in LENGTHS[2::2]:
             both = _product(_line(f, f(c), length), _line(g, g(c), length))
             yield (
                 Driver(f"a smooth function of {one} and {two}", (one, two), both),
