@@ -294,7 +294,9 @@ def refit(
     half = (vt[keep].T / s[keep]) / size[:, None]
     covariance = half @ half.T
     # What a prior holds back is no degree of freedom of the fit.
-    used = float(((jacobian @ half) ** 2).sum()) if prior.precision.any() else float(keep.sum())
+    used = float(((jacobian @ half) ** 2).sum())
+    if all(term.prior_sd is None for term in model):
+        used = float(round(used))  # the base's prior is wide: a parameter is either seen or not
     chi2 = float((at.residual**2).sum())
     return Refit(state, covariance, chi2, at.residual.size - used, at)
 
