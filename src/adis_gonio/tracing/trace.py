@@ -38,6 +38,8 @@ BASE_SPACE = (
 )
 WORSE = 1.05
 """Largest held-out error of the final model in units of the base model's."""
+LEAST_CHECKS = 2
+"""Least degrees of freedom that a model has to leave for its names to stand."""
 LEAST_DWELLS = 5
 """Least dwells of which some are left out of the selection as well."""
 
@@ -77,7 +79,7 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
     named, missing = named_terms(training)
     terms: list[Term] = [*named, *nameless_terms(training)]
     selection = select(training, terms, max_effects)
-    names = judge(selection)
+    names = _checked(judge(selection), selection)
     selection, names, dropped = _surviving(training, selection, names)
 
     if not selection.adequate:
@@ -141,6 +143,19 @@ def _enough(data: Observations) -> None:
             f"{len(data)} positions give {rows} equations for {base} base parameters; measure at least "
             f"{-(-base // max(rows // len(data), 1))} positions"
         )
+
+
+def _checked(names: Names, selection: Selection) -> Names:
+    """Names less those of a model that leaves fewer than `LEAST_CHECKS`: it would fit whatever was there.
+
+    A bias stands: every sensor has one, and nothing need prove it against none at all.
+    """
+    dof = selection.fit.dof
+    if dof >= LEAST_CHECKS:
+        return names
+    open_ = [name for name in names.stand if name != "bias"]
+    reasons = dict.fromkeys(open_, f"the model leaves {dof} readings to check it by: too few")
+    return _without(replace(names, open={**names.open, **reasons}), reasons)
 
 
 def _surviving(
