@@ -38,6 +38,8 @@ MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
 
 OFF_UNIT = 2.0
 """Factor from 1 g beyond which still readings are in another unit: no sensor's gain is so far off."""
+UNEQUAL = 0.5
+"""Relative distance of a reading's length from the median of all, that no bias explains."""
 
 
 @dataclass(frozen=True)
@@ -105,8 +107,16 @@ def refuse_other_units(session: Session, readings: Readings) -> None:
     """
     if readings.unit != "mg":
         return
-    length = float(np.median(np.linalg.norm(readings.mean, axis=1))) / session.gravity_mg
+    lengths = np.linalg.norm(readings.mean, axis=1) / session.gravity_mg
+    length = float(np.median(lengths))
     if 1 / OFF_UNIT < length < OFF_UNIT:
+        odd = readings.position[np.abs(lengths / length - 1) > UNEQUAL].tolist()
+        if odd and session.accel_unit != "counts":
+            which = f"position{'s' if len(odd) > 1 else ''} {', '.join(map(str, odd[:8]))}"
+            raise DataError(
+                f"{session.source or 'session'}: readings of {which} are not 1 g long as the others: an "
+                "axis is dead or saturated, or the part was not at rest; leave such dwells out"
+            )
         return
     also = "; a plane that is turned has to be vertical" if session.plane == "xy" and length < 1 else ""
     raise DataError(

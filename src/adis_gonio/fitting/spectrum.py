@@ -426,7 +426,11 @@ def _flicker(
         expected = np.diagonal(density[group.dwell], axis1=1, axis2=2)[:, None, :] * shape[None, :, None]
         auto = np.diagonal(group.cross[:, lowest], axis1=2, axis2=3)
         w = group.weight[lowest]
-        excess += np.einsum("k,dka->a", w, auto / np.maximum(expected, 1e-300) - 1)
+        # A dwell without any noise beside noisy ones says nothing; its rounding must not be a ratio.
+        least = np.maximum(1e-9 * expected.max(axis=(0, 1)), 1e-300)
+        excess += np.einsum(
+            "k,dka->a", w, np.where(expected > least, auto / np.maximum(expected, least), 1) - 1
+        )
         weight += len(group.dwell) * float(w @ (1 / k))
         ordinates += len(group.dwell) * float(w.sum())
     relative = excess / weight

@@ -169,6 +169,11 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
         count = _COUNTS[len(names)] if len(names) < len(_COUNTS) else str(len(names))
         word = "effect brings" if len(names) == 1 else "effects bring"
         return f"{count} {word} the residual down to the measured noise: {listed(names)}."
+    if exact(result):
+        return (
+            f"{what} The model has as many parameters as there are readings: nothing is left to test it by. "
+            "Measure more positions."
+        )
     if result.adequate or not tested:
         ending = "Whether anything is left cannot be tested: the noise of a reading is not known by itself."
         return f"{what or 'Nothing was found beyond the base model.'} {ending}"
@@ -181,9 +186,16 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
     return f"{what or 'Nothing was found for certain.'} {ending}"
 
 
+def exact(result: TraceResult) -> bool:
+    """True where an effect leaves nothing at all, as a model does that passes through every reading."""
+    return bool(result.steps) and result.after.residual_rms_mg < 1e-9 * result.before.residual_rms_mg
+
+
 def gains(result: TraceResult) -> str:
     """Error before and after in a sentence."""
     before, after = result.before, result.after
+    if exact(result):
+        return f"The base model leaves {number(before.residual_rms_mg)} mg."
     parts = [
         f"The residual goes from {number(before.residual_rms_mg)} to {number(after.residual_rms_mg)} mg"
         f"{times(before.residual_rms_mg, after.residual_rms_mg)}"

@@ -219,9 +219,9 @@ def _rivals(training: Observations, selection: Selection) -> list[Hypothesis]:
         if together > COVERED * total:
             break
         together += weight[names]
-        model = tuple(problem.terms[k] for k in best[names])
-        fit = selection.fit
+        model, fit = selection.model, selection.fit
         if names != ours:
+            model = tuple(problem.terms[k] for k in best[names])
             fit = fit_model(training, problem, best[names], selection.fit.state)
         out.append(_hypothesis(training, model, fit, weight[names], selection.inflation)[0])
     return _normalised(out)
@@ -471,7 +471,7 @@ def _information(weights: Floats, given: _Predicted, options: _Predicted | None)
         d = (difference * solved).sum(axis=1) / 8 + 0.5 * (np.linalg.slogdet(middle)[1] - half[i] - half[j])
         distance[i, j] = distance[j, i] = np.maximum(d, 0.0)
     mixed = np.einsum("j,ijn->in", weights, np.exp(-distance))
-    return np.asarray(-(weights[:, None] * np.log(mixed)).sum(axis=0))
+    return np.asarray(-(weights[:, None] * np.log(np.maximum(mixed, 1e-300))).sum(axis=0))
 
 
 def _apart(dwells: _Predicted) -> Floats:

@@ -38,6 +38,8 @@ BASE_SPACE = (
 )
 WORSE = 1.05
 """Largest held-out error of the final model in units of the base model's."""
+LEAST_CHECKS = 2
+"""Least degrees of freedom that a model has to leave for its names to stand."""
 LEAST_DWELLS = 5
 """Least dwells of which some are left out of the selection as well."""
 
@@ -77,7 +79,7 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
     named, missing = named_terms(training)
     terms: list[Term] = [*named, *nameless_terms(training)]
     selection = select(training, terms, max_effects)
-    names = judge(selection)
+    names = _checked(judge(selection), selection)
     selection, names, dropped = _surviving(training, selection, names)
 
     if not selection.adequate:
@@ -141,6 +143,19 @@ def _enough(data: Observations) -> None:
             f"{len(data)} positions give {rows} equations for {base} base parameters; measure at least "
             f"{-(-base // max(rows // len(data), 1))} positions"
         )
+
+
+def _checked(names: Names, selection: Selection) -> Names:
+    """Names less those of a model that leaves fewer than `LEAST_CHECKS`: it would fit whatever was there.
+
+    A bias stands: every sensor has one, and nothing need prove it against none at all.
+    """
+    dof = selection.fit.dof
+    if dof >= LEAST_CHECKS:
+        return names
+    open_ = [name for name in names.stand if name != "bias"]
+    reasons = dict.fromkeys(open_, f"the model leaves {dof} readings to check it by: too few")
+    return _without(replace(names, open={**names.open, **reasons}), reasons)
 
 
 def _surviving(
@@ -280,7 +295,7 @@ def _figures(
     if checking is not None:
         lefts = [[leave(checking, bounded(data, m, f), f.state)] for m, f in zip(nested, fits, strict=True)]
         design = f"{len(checking)} check dwells"
-    elif len(data) < LEAST_DWELLS:
+    elif _few(data, fits[-1].state):
         lefts, design = _figures_of_few(data, nested, fits)
     else:
         designs = folds(data)
@@ -310,6 +325,16 @@ def _figures(
     return figures, design
 
 
+def _parameters(data: Observations, state: State) -> int:
+    return int(data.base_seen.sum()) + sum(len(values) for values in state.values)
+
+
+def _few(data: Observations, state: State) -> bool:
+    """True where no dwell can be left out of the selection: few, or the others do not fix the model."""
+    rows = (len(data) - 1) * (1 if np.isinf(data.fixture_rad) else 2)
+    return len(data) < LEAST_DWELLS or rows < _parameters(data, state)
+
+
 def _figures_of_few(
     data: Observations, nested: list[tuple[Term, ...]], fits: Sequence[Refit]
 ) -> tuple[list[list[Left]], str]:
@@ -319,7 +344,7 @@ def _figures_of_few(
     """
     singles = [np.arange(len(data)) == k for k in range(len(data))]
     model, state = nested[-1], fits[-1].state
-    columns = len(state.base) + sum(len(values) for values in state.values)
+    columns = _parameters(data, state)
     rest = [_keeping(model, state)(data.rows(~mask))[1] for mask in singles]
     if any(fit.prediction.residual.size - fit.dof < columns for fit in rest):
         return [[] for _ in nested], (
@@ -348,7 +373,7 @@ def _guarding(
     """
     if checking is None:
         return [figure.heldout_rms_mg for figure in figures]
-    if len(data) < LEAST_DWELLS or len(nested) == 1:
+    if _few(data, selection.fit.state) or len(nested) == 1:
         return [None for _ in nested]
     out: list[float | None] = []
     for k, (model, state) in enumerate(_starts(selection, nested, fold)):

@@ -1,0 +1,145 @@
+"""Sessions that nobody planned: few poses, odd columns. All end in a result or in an error of our own."""
+
+import json
+
+import numpy as np
+import pytest
+
+from adis_gonio import trace
+from adis_gonio.errors import AdisGonioError
+from adis_gonio.model.records import Dwell, Session
+
+FACES = np.vstack([np.eye(3), -np.eye(3)])
+
+
+def session(directions, bias=(5.0, -3.0, 8.0), u=0.1, seed=0, **keys) -> Session:
+    """Dwells of 20 samples in the directions (n, 3), `u` mg a reading."""
+    rng = np.random.default_rng(seed)
+    dwells = []
+    for k, unit in enumerate(directions):
+        accel = 1000 * np.asarray(unit) + bias + u * np.sqrt(20) * rng.standard_normal((20, 3))
+        dwells.append(Dwell(k, 10.0 * k + 0.1 * np.arange(20), accel))
+    keys = {"accel_unit": "mg", "plane": "none", "sensor": "generic", **keys}
+    return Session(tuple(dwells), **keys)
+
+
+def tilted(faces, degrees, seed):
+    rng = np.random.default_rng(seed)
+    out = faces + np.radians(degrees) * rng.standard_normal(faces.shape)
+    return out / np.linalg.norm(out, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("turns", [1, 2])
+def test_six_faces_show_a_bias_and_what_they_cannot_tell_it_from(degrees, turns):
+    result = trace(session(tilted(np.tile(FACES, (turns, 1)), degrees, 3)))
+    assert [finding.effect for finding in result.found] == ["bias"]
+    values = result.found[0].parameters
+    for axis, truth in zip("xyz", (5, -3, 8), strict=True):
+        assert abs(values[f"bias_{axis}"].value - truth) < 5 * 0.1
+    if turns == 1:
+        assert {"quadratic", "asymmetry"} <= {name for group in result.confounded for name in group}
+    # Skews that the faces do not show are said to be so, not given as numbers.
+    assert result.base["skew_xy"].u is None
+
+
+def test_a_name_does_not_stand_on_a_model_that_leaves_nothing_to_check_it_by():
+    wrong = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        unit = rng.standard_normal((8, 3))
+        result = trace(session(unit / np.linalg.norm(unit, axis=1, keepdims=True), seed=seed))
+        wrong += bool({finding.effect for finding in result.found} - {"bias"})
+    assert wrong == 0
+
+
+def test_free_attitudes_in_a_plane_keep_the_start_angle_where_it_is():
+    rng = np.random.default_rng(1)
+    dwells = []
+    for k, angle in enumerate(np.arange(0, 360, 20.0)):
+        psi = np.radians(12 - angle)
+        accel = 1000 * np.array([np.cos(psi), np.sin(psi)]) + [5, -3] + 0.3 * rng.standard_normal((10, 2))
+        dwells.append(Dwell(k, 10.0 * k + 0.1 * np.arange(10), accel, angle_deg=angle))
+    made = Session(tuple(dwells), accel_unit="mg", sensor="generic", fixture_sigma_deg=np.inf)
+    result = trace(made)
+    assert [finding.effect for finding in result.found] == ["bias"]
+    assert abs(result.base["alpha"].value - 12) < 1
+    assert result.base["alpha"].u is None
+    assert result.after.heldout_rms_mg < 0.1 * result.before.heldout_rms_mg
+
+
+@pytest.mark.parametrize(
+    ("scale", "unit", "words"),
+    [(1e-3, "mg", "accel_unit mg cannot be right"), (9.81e-3, "g", "accel_unit g cannot be right")],
+)
+def test_another_unit_is_one_line(scale, unit, words):
+    made = session(FACES, u=0.05)
+    dwells = tuple(Dwell(d.position, d.time_s, scale * d.accel) for d in made.dwells)
+    with pytest.raises(AdisGonioError, match=words):
+        trace(Session(dwells, accel_unit=unit, plane="none", sensor="generic"))
+
+
+def test_a_dead_axis_and_a_dwell_that_is_none_are_named():
+    poses = tilted(np.tile(FACES, (2, 1)), 5.0, 0)
+    with pytest.raises(AdisGonioError, match=r"readings of positions .*an axis is dead"):
+        trace(session(poses * [1, 1, 0]))
+    with pytest.raises(AdisGonioError, match="readings of position 12 are not 1 g long"):
+        trace(session(np.vstack([poses, [[0, 0, 3.0]]])))
+
+
+def test_a_session_that_is_all_for_checking_is_one_line():
+    made = session(FACES)
+    dwells = tuple(Dwell(d.position, d.time_s, d.accel, use="check") for d in made.dwells)
+    with pytest.raises(AdisGonioError, match="for checking"):
+        trace(Session(dwells, accel_unit="mg", plane="none", sensor="generic"))
+
+
+def odd_session(seed: int) -> Session:
+    """A random small session: one to nine dwells, any columns, any order."""
+    rng = np.random.default_rng((seed, 77))
+    n, m = int(rng.integers(1, 10)), int(rng.choice([1, 2, 7, 60]))
+    planar = bool(rng.random() < 0.5)
+    angles = rng.choice([0.0, 45.0, 90.0, 180.0, 270.0, 33.0], n)
+    has_angle, has_temperature, has_supply = rng.random(3) < [0.8, 0.5, 0.3]
+    dwells = []
+    for k in range(n):
+        psi = np.radians(10 - angles[k])
+        unit = np.array([np.cos(psi), np.sin(psi), 0.0])
+        if not planar:
+            unit = rng.standard_normal(3)
+            unit /= np.linalg.norm(unit)
+        noise = rng.choice([0.0, 0.3, 5.0]) * rng.standard_normal((m, 3))
+        accel = 1000 * unit + rng.choice([0.0, 20.0]) + noise
+        time = 10.0 * k + 0.1 * np.arange(m)
+        dwells.append(
+            Dwell(
+                k,
+                time,
+                accel[:, : 2 if planar and rng.random() < 0.5 else 3],
+                angle_deg=float(angles[k]) if planar and has_angle else None,
+                temperature_c=25 + rng.choice([0.0, 1.0]) * time / 10 if has_temperature else None,
+                supply_v=np.full(m, 5.0) if has_supply else None,
+                use="check" if rng.random() < 0.15 else "fit",
+            )
+        )
+    if planar:
+        width = min(d.accel.shape[1] for d in dwells)
+        dwells = [Dwell(**{**d.__dict__, "accel": d.accel[:, :width]}) for d in dwells]
+    return Session(
+        tuple(dwells),
+        accel_unit=str(rng.choice(["mg", "counts"])),
+        plane="xy" if planar else "none",
+        sensor="generic",
+        fixture_sigma_deg=[0.01, 0.0, None, np.inf][int(rng.integers(4))],
+        reading_u_mg=0.3 if rng.random() < 0.5 else None,
+    )
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_any_small_session_ends_in_a_result_or_an_error_of_our_own(seed):
+    said = ""
+    try:
+        json.dumps(trace(odd_session(seed)).as_dict(), allow_nan=False)
+    except AdisGonioError as error:
+        said = str(error)
+    assert "\n" not in said
