@@ -81,6 +81,7 @@ def advise(
     remedies = _REMEDIES if training.planar else {**_REMEDIES, **_REMEDIES_IN_SPACE}
     groups = [c for c in confounded if c[0] in inside or not selection.adequate]
     lines += _by_hand(groups, decided, remedies)
+    lines += _of_unnamed(selection.model)
     lines += _not_recorded(training)
     if not selection.adequate and not lines:
         lines.append(
@@ -195,6 +196,28 @@ def _by_hand(
         for remedy, names in to_do.items()
         if names
     ]
+
+
+_FORM_SHOWS = {
+    "angle": "measure at angles between those of this session",
+    "reading": "measure at angles between those of this session",
+    "time": "repeat one position many times over a session of this length",
+    "order": "repeat one position many times over a session of this length",
+    "temperature": "repeat one position while the temperature goes slowly up and down",
+    "temperature_rate": "repeat one position while the temperature changes at different speeds",
+    "supply": "repeat one position at a dozen supply voltages",
+    "approach": "approach one position from both sides several times",
+    "previous_angle": "approach one position from many others",
+    "variance": "repeat one position with a source of vibration of different strengths",
+}
+"""What shows the form of a cause without a name, by what drives it."""
+
+
+def _of_unnamed(model: Sequence[Term]) -> list[str]:
+    """What would show the form of what has no name, one line for each thing to do."""
+    drivers = dict.fromkeys(c for term in model if term.name is None for c in term.covariates)
+    to_do = dict.fromkeys(_FORM_SHOWS[driver] for driver in drivers if driver in _FORM_SHOWS)
+    return [f"to see the form of what has no name: {what}" for what in to_do]
 
 
 def _not_recorded(data: Observations) -> list[str]:
