@@ -171,8 +171,8 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
         return f"{count} {word} the residual down to the measured noise: {listed(names)}."
     if exact(result):
         return (
-            f"{what} The model has as many parameters as there are readings: nothing is left to test it by. "
-            "Measure more positions."
+            f"{what} The model has as many parameters as there are readings: nothing is left to test it "
+            "by. Measure more positions."
         )
     if result.adequate or not tested:
         ending = "Whether anything is left cannot be tested: the noise of a reading is not known by itself."
