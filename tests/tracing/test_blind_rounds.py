@@ -11,6 +11,8 @@ import pytest
 from tracing.blind import KINDS
 from tracing.named_truth import NAMES
 from tracing.rounds import crew, rounds
+from tracing.space import BEYOND_TERMS, FOREIGN_TERMS, SPACE
+from tracing.space import NAMES as SPACE_NAMES
 from tracing.undeclared import BEYOND, GRAMMAR
 from tracing.verdict import Verdict
 
@@ -53,3 +55,30 @@ def test_trace_names_what_is_there_and_nothing_else(kind: str) -> None:
     # (scripts/trace_statistics.py) the median is about 1.1 there too, in a round of eight it scatters.
     assert np.median(ratios) <= (1.3 if kind == "beyond" else 1.10)
     assert max(v.worse for v in verdicts) <= 1.05
+
+
+IN_SPACE = {
+    "none": 12,
+    "one": len(SPACE_NAMES),
+    "two": 12,
+    "uncatalogued": len(FOREIGN_TERMS),
+    "beyond": len(BEYOND_TERMS),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_trace_in_space_names_what_the_norm_shows(kind: str) -> None:
+    """Bounds against regressions: one equation a pose tells less than two, see docs/trace.md."""
+    with crew(1) as pools:
+        verdicts = rounds(SPACE + kind, range(IN_SPACE[kind]), SEED, pools)
+    assert not any(v.failure for v in verdicts), next(v.failure for v in verdicts if v.failure)
+    assert at_least(0.95, (not v.wrong for v in verdicts)), told(verdicts)
+    if kind == "none":
+        assert at_least(0.99, (not v.claimed and not v.unnamed for v in verdicts)), told(verdicts)
+    elif kind == "one":
+        assert at_least(0.90, (v.exact for v in verdicts)), told(verdicts)
+    elif kind == "two":
+        assert at_least(0.60, (v.exact for v in verdicts)), told(verdicts)
+    else:
+        share = 0.90 if kind == "uncatalogued" else 0.60
+        assert at_least(share, (v.covariate for v in verdicts)), told(verdicts)
