@@ -155,7 +155,9 @@ def propose(
         rivals = _rivals(training, selection)
     else:
         inflation, rivals = _explanations(training, selection, terms)
-    chosen, decided = _greedy(data, inflation, rivals, most, "decide", [])
+    # An adequate model is not heated to be tested: that brings in what the session was free of.
+    heating = not selection.adequate
+    chosen, decided = _greedy(data, inflation, rivals, most, "decide", [], heating=heating)
     if not decided and not selection.adequate:
         # Where the noise is what no model explains, little parts much; what parts most is still to be said.
         chosen, decided = _greedy(data, inflation, rivals, most, "decide", [], FAINT_SEPARATION)
@@ -384,6 +386,7 @@ def _greedy(
     purpose: Purpose,
     before: list[Place],
     least: float = LEAST_SEPARATION,
+    heating: bool = True,
 ) -> tuple[list[Place], list[Measurement]]:
     """Dwells one by one, each the most informative for its effort given those before it."""
     places = list(before)
@@ -401,7 +404,11 @@ def _greedy(
         predicted = _predict(data, inflation, hypotheses, options, places)
         gain = _information(weights, set_of, predicted) - known
         effort = np.array([place.effort for place in options])
-        for k in np.argsort(-gain / effort)[:20].tolist():
+        # Another temperature or supply brings its own effects in: only where no position decides.
+        conditions = np.array([place.conditions for place in options])
+        ranked = np.argsort(-gain / effort)
+        places_first = ranked[~conditions[ranked]][:20].tolist()
+        for k in (*places_first, *(ranked[conditions[ranked]][:20].tolist() if heating else ())):
             # The order of the grid would decide between equals; so does what was rounded.
             if gain[k] < LEAST_INFORMATION[purpose] * min(least / LEAST_SEPARATION, 1.0) ** 2:
                 continue
