@@ -130,6 +130,8 @@ def figures(kind: str, verdicts: Sequence[Verdict]) -> list[Figure]:
     lines.append(
         rate(kind, "held-out error > 5 % worse than before", (v.worse > 1.05 for v in verdicts), most=0)
     )
+    oracle = (v.oracle_worse > 1.05 for v in verdicts if not np.isnan(v.oracle_worse))
+    lines.append(rate(kind, "the oracle's > 5 % worse than before", oracle))
     lines.append(rate(kind, "trace raised", (bool(v.failure) for v in verdicts), most=0))
     spent = [v.seconds for v in verdicts]
     value = f"{np.median(spent):7.2f}  (max {max(spent):.2f})"

@@ -7,7 +7,7 @@ import pytest
 
 from adis_gonio import trace
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.tracing.gates import HeldOutGain, _fold, held_out_gains
+from adis_gonio.tracing.gates import HeldOutGain, _fold, contradicting, held_out_gains
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.heldout import bounded, folds, leave
 from adis_gonio.tracing.named import named_terms
@@ -120,6 +120,13 @@ def test_an_effect_that_the_other_dwells_deny_is_contradicted() -> None:
 )
 def test_only_a_significant_loss_counts(gain: float, spread: float, against: bool) -> None:
     assert HeldOutGain(gain, spread).contradicted is against
+
+
+def test_a_loss_is_measured_by_what_the_other_designs_gain() -> None:
+    noise = HeldOutGain(-4.1, 2.5)
+    assert set(contradicting({"whole dwells": HeldOutGain(94.8, 47.9), "body axes": noise})) == set()
+    assert set(contradicting({"whole dwells": HeldOutGain(20.0, 8.0), "body axes": noise})) == {"body axes"}
+    assert set(contradicting({"body axes": noise})) == {"body axes"}
 
 
 def test_no_term_adds_much_more_to_other_dwells_than_to_those_of_its_fit() -> None:

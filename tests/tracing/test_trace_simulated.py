@@ -52,6 +52,30 @@ def test_two_effects_are_found_by_name(tmp_path, capsys) -> None:
     assert abs(values["backlash"]["value"] - 0.15) < 4 * values["backlash"]["u"]
 
 
+@pytest.mark.parametrize(
+    ("seed", "dwell", "effects"),
+    [
+        (7, "10", {"quadratic": "k2_x=6", "bias_drift": "drift_x=1.5"}),
+        (9001, "3", {"cross_axis": "kip_xy=3", "bias_drift": "drift_y=1.5"}),
+        (9013, "3", {"cubic": "k3_y=5", "asymmetry": "asymmetry_y=3"}),
+        (9017, "3", {"hysteresis": "hysteresis_x=1.5", "asymmetry": "asymmetry_y=3"}),
+    ],
+)
+def test_no_nameless_surface_takes_the_place_of_three_names(
+    tmp_path, capsys, seed: int, dwell: str, effects: dict[str, str]
+) -> None:
+    # Beside a bias of tens of mg one function of time and angle explains more than any two of three names.
+    options = [word for name, value in effects.items() for word in ("--effect", f"{name}:{value}")]
+    result = traced(tmp_path, capsys, seed, "--plan", "tumble", "--dwell", dwell, *options)
+    assert result["unnamed"] is None
+    assert "bias" in found(result)
+    rest = set(effects) - found(result)
+    named = {name for group in result["confounded"] for name in group}
+    assert rest <= named
+    instead = {name for group in result["confounded"] if group and set(group) & rest for name in group}
+    assert found(result) <= {"bias", *effects, *instead}
+
+
 def test_a_constant_temperature_does_not_become_an_impossible_coefficient(tmp_path, capsys) -> None:
     # The sensor reads 25.05 °C throughout: a bias of 5.6 mg would be 116 mg/°C, five times the bound.
     result = traced(tmp_path, capsys, 1002, "--plan", "tumble")

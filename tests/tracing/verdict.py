@@ -68,8 +68,8 @@ class Verdict:
         Something unnamed reported; with the right covariate; by its form.
     heldout_ratio : float
         Held-out error after, over the oracle's on the same dwells; NaN without check dwells.
-    worse : float
-        Held-out error after over before.
+    worse, oracle_worse : float
+        Held-out error after over before, and the oracle's over before.
     covered : tuple of (str, bool, float)
         For an effect found by its own name: parameter, whether the truth lies within its 95 % interval, and
         the error in standard uncertainties.
@@ -92,6 +92,7 @@ class Verdict:
     heldout_ratio: float
     fold_ratio: float
     worse: float
+    oracle_worse: float
     covered: tuple[tuple[str, bool, float], ...]
     axes_right: bool | None
     confounded: bool
@@ -117,6 +118,7 @@ def failed(blind: Blind, failure: str, seconds: float) -> Verdict:
         heldout_ratio=np.nan,
         fold_ratio=np.nan,
         worse=np.inf,
+        oracle_worse=np.nan,
         covered=(),
         axes_right=None,
         confounded=False,
@@ -166,6 +168,7 @@ def judge(blind: Blind, result: Mapping[str, Any], seconds: float = 0.0) -> Verd
         heldout_ratio=np.nan if by_folds else ratio,
         fold_ratio=ratio if by_folds else np.nan,
         worse=after / before if before and after is not None else 1.0,
+        oracle_worse=oracle / before if before else np.nan,
         covered=_coverage(named[0], result) if alone else (),
         axes_right=_axes_right(named[0], result) if alone else None,
         confounded=any(blind.names & set(group) for group in groups),

@@ -10,7 +10,7 @@ that no single row decides.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +31,8 @@ CONFIRMED = 1.5
 """Spreads above zero from which the folds confirm an effect."""
 LEAST_LOSS = 4.0
 """Least pooled loss that counts against an effect."""
+SMALL_LOSS = 0.05
+"""Loss under one design that is nothing against the gain under another, in units of that gain."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,20 @@ class HeldOutGain:
     def confirmed(self) -> bool:
         """True where the folds together speak for the effect."""
         return self.gain > CONFIRMED * self.spread
+
+
+def contradicting(gains: Mapping[str, HeldOutGain]) -> dict[str, HeldOutGain]:
+    """Designs that contradict an effect.
+
+    A design that leaves out what alone shows the effect has next to nothing to say, and its few χ² of
+    noise do not count against the hundred that another design gains.
+    """
+    most = max((held_out.gain for held_out in gains.values()), default=0.0)
+    return {
+        design: held_out
+        for design, held_out in gains.items()
+        if held_out.contradicted and -held_out.gain > SMALL_LOSS * most
+    }
 
 
 def held_out_gains(

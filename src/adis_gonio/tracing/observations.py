@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -113,6 +114,18 @@ class Observations:
             return self.covariance
         shared: Floats = (self.slow_mg**2).sum(axis=2)[:, :, None] * np.eye(self.axes)
         return self.covariance - shared
+
+    @cached_property
+    def root(self) -> Floats:
+        """Inverse Cholesky factor (n, axes, axes) of `covariance`, in 1/mg."""
+        root: Floats = np.linalg.inv(np.linalg.cholesky(self.covariance))
+        return root
+
+    @cached_property
+    def own_root(self) -> Floats:
+        """Inverse Cholesky factor (n, axes, axes) of `own_covariance`, in 1/mg."""
+        root: Floats = np.linalg.inv(np.linalg.cholesky(self.own_covariance))
+        return root
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Observations:
         """Some of the dwells."""

@@ -30,6 +30,9 @@ ANOTHER = 0.0
 
 FULL = 6
 """Models of each size that are extended by every term."""
+NAMED_SHARE = 3
+"""One model in so many of the beam has names only: a nameless function of many columns imitates any two of
+several causes better than any two of their names do."""
 ACTIVE = 250
 """Nameless terms by which the other models of the beam are extended."""
 
@@ -66,7 +69,7 @@ class Search:
     @property
     def best(self) -> Model:
         """Model of the highest score."""
-        return max(self.scores, key=lambda m: self.scores[m])
+        return max(self.scores, key=self.scores.__getitem__)
 
     def near(self, within: float) -> dict[Model, float]:
         """Scores of all models within so many nats of the best."""
@@ -139,6 +142,9 @@ def search(
         top = max(found.scores.values())
         level = [m for m in wide if fresh[m] + found.hope(m) > top - 2.0]
         if size > 2 and max(fresh.values()) < top - 2.0:
+            # One nameless surface may be ahead of two names that want a third beside them.
+            level = [m for m in level if _all_named(problem, m)]
+        if not level:
             break
     for model in start:
         if len(model) < max_terms:
@@ -158,6 +164,8 @@ def _widest(problem: Problem, fresh: dict[Model, float], count: int) -> list[Mod
     """Best models, and the best of each name on each choice of axes, in order of score."""
     ranked = sorted(fresh, key=lambda m: -fresh[m])
     kept = ranked[:count]
+    named = [m for m in ranked[count:] if _all_named(problem, m)]
+    kept += named[: max(count // NAMED_SHARE - len([m for m in kept if _all_named(problem, m)]), 0)]
     if ranked and len(ranked[0]) == 1:
         seen = {_face(problem.terms[m[0]]) for m in kept}
         for model in ranked[count:]:
@@ -166,6 +174,10 @@ def _widest(problem: Problem, fresh: dict[Model, float], count: int) -> list[Mod
                 seen.add(face)
                 kept.append(model)
     return kept
+
+
+def _all_named(problem: Problem, model: Model) -> bool:
+    return all(problem.terms[k].name is not None for k in model)
 
 
 def _face(term: Term) -> tuple[str, tuple[str, ...]] | None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adis_gonio.model.effects import effect
 from adis_gonio.tracing.design import Problem, amplitudes, linearise, span
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.search import Search, search
@@ -26,6 +27,10 @@ APART = 3.0
 LARGEST = 0.1
 """Most that a nameless term may add, in g or rad. Larger ones come from what the readings do not determine:
 a function and the base model that nearly cancel."""
+
+STEEPEST = {"temperature": ("temperature_c", "bias_temperature"), "supply": ("supply_v", "supply_bias")}
+"""Covariates whose influence has a bound: rows of the conditions, and the effect whose first coefficient is
+bounded. A temperature that is constant but for its noise stands out in one dwell by chance."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +160,8 @@ def _fitted(
 def _impossible(data: Observations, problem: Problem, chosen: Sequence[int]) -> str | None:
     """Label of the least common term of a model among those beyond their physical bounds, or None.
 
-    A nameless term has no bounds of its own, but no cause adds more than `LARGEST` of gravity. Where a
+    A nameless term has no bounds of its own, but no cause adds more than `LARGEST` of gravity, and none
+    follows the temperature or the supply more steeply than the catalogue's coefficients may. Where a
     covariate hardly moves (a temperature that is constant but for its noise) a column is a constant with a
     little noise on it, which can fit better than the constant with an amplitude that no part has. The
     amplitude of what it stands beside is then out of bounds as well, through no fault of that term.
@@ -167,11 +173,25 @@ def _impossible(data: Observations, problem: Problem, chosen: Sequence[int]) -> 
             values, (low, high) = term.start(own), term.bounds().T
             beyond = bool(((values < low) | (values > high)).any())
         else:
-            added = np.abs(term.added(term.start(own), data.mean_mg, data.conditions)).max()
-            beyond = bool(added > (LARGEST if term.enters_angle else LARGEST * data.gravity_mg))
+            added = term.added(term.start(own), data.mean_mg, data.conditions)
+            added = added * data.gravity_mg if term.enters_angle else added
+            most = _steepest_mg(data, term)
+            beyond = bool(np.abs(added).max() > LARGEST * data.gravity_mg or np.ptp(added, axis=0).max() > most)
         if beyond:
             out.append(term)
     return max(out, key=lambda term: term.cost).label if out else None
+
+
+def _steepest_mg(data: Observations, term: Term) -> float:
+    """Most that a term of temperature and supply alone may vary in this session; no limit for others."""
+    total = 0.0
+    for covariate in term.covariates:
+        if covariate not in STEEPEST:
+            return np.inf
+        rows, name = STEEPEST[covariate]
+        bound = effect(name).parameters[0].high
+        total += bound * float(np.ptp(data.conditions.covariate(rows)))
+    return total if term.covariates else np.inf
 
 
 def _constant_apart(data: Observations, problem: Problem, chosen: Sequence[int]) -> bool:

@@ -200,7 +200,7 @@ def _across(unit: Floats) -> Floats:
 
 
 def _whitening(data: Observations, tangent: Floats) -> Floats:
-    root = np.linalg.inv(np.linalg.cholesky(data.own_covariance))
+    root = data.own_root
     along = root @ tangent
     if not data.planar:
         # One direction is left: across both whitened tangents.
@@ -380,7 +380,7 @@ def settle(data: Observations, model: Sequence[Term], state: State, passes: int 
     """State whose nuisance attitudes fit its other parameters best."""
     if data.planar and data.fixture_rad == 0:
         return state
-    root = np.linalg.inv(np.linalg.cholesky(data.covariance))
+    root = data.root
     for _ in range(passes):
         at = predict(data, model, state)
         along = root @ at.tangent

@@ -152,6 +152,14 @@ class Driver:
     covariates: tuple[str, ...]
     common: Callable[[Conditions], Floats] | None = None
     by_axis: Callable[[Floats, int], Floats] | None = None
+    _last: list[tuple[Conditions, Floats]] = field(default_factory=list, repr=False, compare=False)
+
+    def over(self, conditions: Conditions) -> Floats:
+        """`common` at the conditions (n, q); kept for the next term, since many share a driver."""
+        assert self.common is not None
+        if not self._last or self._last[0][0] is not conditions:
+            self._last[:] = [(conditions, self.common(conditions))]
+        return self._last[0][1]
 
 
 @dataclass(frozen=True)
@@ -207,7 +215,7 @@ class NamelessTerm(Term):
         """The driver's functions; amplitudes in mg, at 1 g for a gain or lean, in mrad for the angle."""
         n, k = ideal_mg.shape
         if self.driver.common is not None:
-            common = self.driver.common(conditions)
+            common = self.driver.over(conditions)
             if self.where == "angle":
                 return self.tangent_rad * common
             by_axis = [common] * len(self.axes)

@@ -12,7 +12,7 @@ from adis_gonio.model.records import Floats, Session
 from adis_gonio.tracing.advice import advise
 from adis_gonio.tracing.averaging import Averaged, average
 from adis_gonio.tracing.detect import detectable
-from adis_gonio.tracing.gates import held_out_gains
+from adis_gonio.tracing.gates import contradicting, held_out_gains
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.heldout import Left, bounded, cross_validate, folds, leave, rms
 from adis_gonio.tracing.named import named_terms
@@ -173,8 +173,8 @@ def _surviving(
         for name in dict.fromkeys(describe(term) for term in selection.model):
             members = [k for k, term in enumerate(selection.model) if describe(term) == name]
             gains = held_out_gains(data, selection.model, selection.fit, members, selection.inflation)
-            for design, held_out in gains.items():
-                if held_out.contradicted and (worst is None or held_out.gain < worst[0]):
+            for design, held_out in contradicting(gains).items():
+                if worst is None or held_out.gain < worst[0]:
                     worst = (held_out.gain, name, design)
         if worst is None:
             break
