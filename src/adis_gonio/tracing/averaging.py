@@ -22,11 +22,14 @@ from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.smooth import Process, evidence, processes
 from adis_gonio.tracing.state import Refit, as_reading, refit
-from adis_gonio.tracing.terms import Driver, NamelessTerm, Term
+from adis_gonio.tracing.terms import Driver, NamelessTerm, Term, Where
 
 WINDOW = 6.0
 """Formulas are averaged down to exp(−6) of the best."""
 LEAST_WEIGHT = 0.01
+VISIBLE = 0.05
+"""Least share of what a formula adds that the base model and the names could not have added as well: less
+comes from a polynomial and a gain of hundreds of mg that nearly cancel, and do not on other dwells."""
 PROMISING = 40
 """Processes that are tried again inside a fold."""
 
@@ -118,7 +121,7 @@ def average(
         (float(smooth[k]), (candidates[k].term,)) for k in np.argsort(-smooth)[:PROMISING]
     ]
     if nameless:
-        pool += _formulas(selection, named)
+        pool += _formulas(selection, named, candidates)
     else:
         pool.append((0.0, ()))
     weights = np.exp(np.array([score for score, _ in pool]) - max(score for score, _ in pool))
@@ -158,7 +161,17 @@ def _orthonormal(columns: Floats) -> Floats:
     return u[:, s > 1e-8 * s[0]]
 
 
-def _formulas(selection: Selection, named: tuple[int, ...]) -> list[tuple[float, tuple[NamelessTerm, ...]]]:
+def _by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
+    """True for a polynomial that only approximates, where processes of the same place and covariates are.
+
+    Both bend as the readings ask, but beyond them a polynomial runs off.
+    """
+    return term.driver.approximates and (term.where, term.covariates) in covered
+
+
+def _formulas(
+    selection: Selection, named: tuple[int, ...], candidates: Sequence[Process]
+) -> list[tuple[float, tuple[NamelessTerm, ...]]]:
     """Nameless parts of the models with these named terms, with their evidence against the named alone."""
     problem, found = selection.problem, selection.found
 
@@ -167,12 +180,13 @@ def _formulas(selection: Selection, named: tuple[int, ...]) -> list[tuple[float,
         explained = 0.5 * (problem.chi2 - left) / selection.inflation
         return explained - float(sum(found.prices[k] for k in model))
 
+    covered = {(process.term.where, process.term.covariates) for process in candidates}
     near = {m for m in found.near(WINDOW) if tuple(k for k in m if k in named) == named}
     alone = score(named)
     pool = []
     for model in sorted({*near, tuple(selection.verdict.best)}):
         rest = tuple(problem.terms[k] for k in model if k not in named)
-        if rest and all(isinstance(term, NamelessTerm) for term in rest):
+        if rest and all(isinstance(t, NamelessTerm) and not _by_process(t, covered) for t in rest):
             pool.append((score(model) - alone, tuple(t for t in rest if isinstance(t, NamelessTerm))))
     return pool
 
@@ -191,10 +205,15 @@ def _fitted(
     """
     members: list[Member] = []
     means, within, used = [], np.zeros((fixed.shape[1], fixed.shape[1])), 0.0
-    for weight, (_, terms) in zip(weights, pool, strict=True):
-        if weight == 0:
-            continue
-        solved, covariance, freedom = _ridge(data, selection, fixed, target, terms)
+    likely = np.flatnonzero(weights).tolist()
+    solutions = {k: _ridge(data, selection, fixed, target, pool[k][1]) for k in likely}
+    seen = {k: solution[3] >= VISIBLE for k, solution in solutions.items()}
+    if any(seen.values()):
+        weights = np.array([weight * seen.get(k, 0) for k, weight in enumerate(weights)])
+        weights /= weights.sum()
+    for k in np.flatnonzero(weights).tolist():
+        weight, terms = float(weights[k]), pool[k][1]
+        solved, covariance, freedom, _ = solutions[k]
         used += float(weight) * freedom
         means.append((weight, solved[: fixed.shape[1]]))
         within += weight * covariance[: fixed.shape[1], : fixed.shape[1]]
@@ -214,8 +233,12 @@ def _width(data: Observations, selection: Selection, term: NamelessTerm) -> int:
 
 def _ridge(
     data: Observations, selection: Selection, fixed: Floats, target: Floats, terms: Sequence[NamelessTerm]
-) -> tuple[Floats, Floats, float]:
-    """Values of all parameters, their covariance in units of the noise, and degrees of freedom used."""
+) -> tuple[Floats, Floats, float, float]:
+    """Values of all parameters, their covariance in units of the noise, degrees of freedom, visible part.
+
+    The last is the share of what the terms add that the fixed columns could not have added: 1 without terms
+    and for processes, whose priors keep them small.
+    """
     at = selection.fit.prediction
     blocks = [at.white(as_reading(t, t.columns(at.ideal_mg, data.conditions), at)) for t in terms]
     columns = np.concatenate([fixed, *blocks], axis=1)
@@ -231,7 +254,13 @@ def _ridge(
     keep = s > 1e-9 * s[0]
     half = (vt[keep].T / s[keep]) / size[:, None]
     solved = half @ (u[: len(target), keep].T @ target)
-    return solved, half @ half.T, float(((columns @ half) ** 2).sum())
+    added = columns[:, fixed.shape[1] :] @ solved[fixed.shape[1] :]
+    visible = 1.0
+    if not precision.any() and added.any():
+        beside = _orthonormal(fixed)
+        left = added - beside @ (beside.T @ added)
+        visible = float(np.linalg.norm(left) / np.linalg.norm(added))
+    return solved, half @ half.T, float(((columns @ half) ** 2).sum()), visible
 
 
 def _terms(members: Sequence[Member]) -> list[AveragedTerm]:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from adis_gonio.model.effects.lag import lagged
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing import shapes
 from adis_gonio.tracing.observations import Observations
-from adis_gonio.tracing.terms import Driver, NamelessTerm, Where
+from adis_gonio.tracing.terms import Driver, NamelessTerm, Term, Where
 
 NAMELESS_SHARE = 0.3
 """Share of the prior that all nameless terms together have."""
@@ -80,22 +80,28 @@ def nameless_terms(data: Observations) -> list[NamelessTerm]:
     terms = []
     for (family, smooth), members in placed.items():
         both = (family, not smooth) in placed
+        marked = {id(m): replace(m.driver, approximates=smooth) for m, _, _ in members}
         part = (SMOOTH_WEIGHT if smooth else 1 - SMOOTH_WEIGHT) if both else 1.0
         share = NAMELESS_SHARE * weight[family] / total * part / len(members)
         for m, where, subset in members:
             axes = "".join("xyz"[k] for k in subset)
             label = f"{where}[{axes}]~{m.driver.form}" if axes else f"{where}~{m.driver.form}"
             terms.append(
-                NamelessTerm(label, m.driver.covariates, -math.log(share), where, subset, m.driver)
+                NamelessTerm(label, m.driver.covariates, -math.log(share), where, subset, marked[id(m)])
             )
     return terms
+
+
+def of_one_dwell(term: Term, conditions: Conditions) -> bool:
+    """True for a bump or a step that touches but one of these dwells."""
+    return isinstance(term, NamelessTerm) and _one_dwell(term.driver, conditions)
 
 
 def _one_dwell(driver: Driver, conditions: Conditions) -> bool:
     """True for a bump or a step that touches one dwell only: an outlier or a slip, which have names."""
     if driver.common is None or not driver.form.startswith(("a bump", "a step")):
         return False
-    rows = driver.common(conditions)[:, -1]
+    rows = driver.over(conditions)[:, -1]
     if driver.form.startswith("a step"):
         rows = np.minimum(rows.sum(), (1 - rows).sum()) * np.ones(1)
         return bool(rows[0] < 2)

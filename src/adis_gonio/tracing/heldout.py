@@ -7,7 +7,7 @@ repeat: another dwell of the same pose stands in for the one that was left out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,17 @@ from numpy.typing import NDArray
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.observations import Observations
-from adis_gonio.tracing.state import Refit, State, angles, base_columns, begin, predict, refit, settle
+from adis_gonio.tracing.state import (
+    Refit,
+    State,
+    angles,
+    as_reading,
+    base_columns,
+    begin,
+    predict,
+    refit,
+    settle,
+)
 from adis_gonio.tracing.terms import Term
 
 FOLDS = 5
@@ -28,6 +38,7 @@ SHORT = 16
 PREDICTED = 4.0
 """Largest variance of a held-out prediction, in units of its noise, that still counts as a prediction."""
 BY_AXIS = "body axes"
+BLOCKS_OF_TIME = "blocks of time"
 REPEATED = np.deg2rad(2.0)
 """Dwells nearer to one another than this are in one position."""
 
@@ -153,7 +164,7 @@ def folds(data: Observations) -> dict[str, list[NDArray[np.bool_]]]:
     designs = {"whole dwells": [shuffled % count == k for k in range(count)]}
     blocks = [order * BLOCKS // n == k for k in range(BLOCKS)]
     if n >= 2 * BLOCKS and _poses_repeat(data, blocks):
-        designs["blocks of time"] = blocks
+        designs[BLOCKS_OF_TIME] = blocks
     by_axis = _about_axes(data)
     if by_axis and 3 * int(determined(data, by_axis).sum()) >= n:
         designs[BY_AXIS] = by_axis
@@ -180,25 +191,56 @@ def _about_axes(data: Observations) -> list[NDArray[np.bool_]]:
     return [groups == group for group in np.unique(groups)]
 
 
-def determined(data: Observations, masks: Sequence[NDArray[np.bool_]]) -> NDArray[np.bool_]:
+def counting(
+    data: Observations, designs: Mapping[str, list[NDArray[np.bool_]]], model: Sequence[Term]
+) -> dict[str, NDArray[np.bool_]]:
+    """Dwells (n,) that count as predicted under each design, with a model of all dwells.
+
+    Under the designs that leave out whole ranges of angle or time these are the dwells that the others
+    predict by the base model and, where the model has functions without a name, by these: a quarter of a
+    turn that was left out says nothing of a function that has harmonics there, nor does the first dwell of
+    a jump that only it has seen.
+    """
+    nameless = [term for term in model if term.name is None]
+    every = np.ones(len(data), dtype=bool)
+    counts = {}
+    for name, masks in designs.items():
+        counts[name] = every
+        if name == BY_AXIS or (nameless and name == BLOCKS_OF_TIME):
+            counts[name] = determined(data, masks, nameless)
+            if 3 * int(counts[name].sum()) < len(data):
+                del counts[name]
+    return counts
+
+
+def determined(
+    data: Observations, masks: Sequence[NDArray[np.bool_]], beside: Sequence[Term] = ()
+) -> NDArray[np.bool_]:
     """Dwells (n,) that the dwells outside their fold predict by the base model with a bias on each axis.
 
     With X the whitened columns, the prediction of held-out rows has covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in
     units of the noise. A dwell counts up to a variance of `PREDICTED`; beyond, its error is that of a fit
     that has never seen the axis, not of the model.
+
+    Parameters
+    ----------
+    beside : sequence of Term
+        Terms whose columns are determined as well.
     """
     at = predict(data, (), begin(data))
     zero = np.tile(data.gravity_mg * np.eye(data.axes), (len(data), 1, 1))
-    columns = at.whiten @ np.concatenate([base_columns(data, begin(data), at), zero], axis=2)
+    more = [as_reading(term, term.columns(at.ideal_mg, data.conditions), at) for term in beside]
+    columns = at.whiten @ np.concatenate([base_columns(data, begin(data), at), zero, *more], axis=2)
     out = np.zeros(len(data), dtype=bool)
     for mask in masks:
         rest = columns[~mask].reshape(-1, columns.shape[2])
         size = np.maximum(np.linalg.norm(rest, axis=0), 1e-300)
         _, s, vt = np.linalg.svd(rest / size, full_matrices=False)
-        if len(s) < columns.shape[2] or s[-1] < 1e-8 * s[0]:
-            continue
-        carried = (columns[mask] / size) @ (vt.T / s)
-        out[mask] = (1 + (carried**2).sum(axis=2)).max(axis=1) <= PREDICTED
+        seen = s > 1e-8 * s[0]
+        scaled = columns[mask] / size
+        carried = scaled @ (vt[seen].T / s[seen])
+        missing = np.abs(scaled - scaled @ vt[seen].T @ vt[seen]).max(axis=2) > 1e-6
+        out[mask] = ((1 + (carried**2).sum(axis=2) <= PREDICTED) & ~missing).all(axis=1)
     return out
 
 
@@ -224,12 +266,18 @@ def cross_validate(
     data: Observations,
     designs: dict[str, list[NDArray[np.bool_]]],
     fit: Callable[[Observations], tuple[Sequence[Term], Refit]],
+    counts: Mapping[str, NDArray[np.bool_]] | None = None,
 ) -> dict[str, Left]:
-    """Left-out residuals of every dwell under each design; `fit` selects and fits on the other dwells.
+    """Left-out residuals under each design; `fit` selects and fits on the other dwells.
 
-    Under the design by axes, of those that the others determine.
+    Parameters
+    ----------
+    counts : mapping of str to (n,) bool, optional
+        Designs that apply, and the dwells that count in them (`counting`); by default all of all.
     """
     out = {}
+    if counts is not None:
+        designs = {name: masks for name, masks in designs.items() if name in counts}
     for name, masks in designs.items():
         residual = np.full(data.mean_mg.shape, np.nan)
         turned = np.full(len(data), np.nan)
@@ -240,9 +288,9 @@ def cross_validate(
             residual[mask], whitened[mask] = left.residual_mg, left.whitened2
             if left.angle_rad is not None:
                 turned[mask] = left.angle_rad
-        if name == BY_AXIS:
-            counts = determined(data, masks)
-            residual, turned, whitened = residual[counts], turned[counts], whitened[counts]
+        if counts is not None:
+            own = counts[name]
+            residual, turned, whitened = residual[own], turned[own], whitened[own]
         out[name] = Left(residual, None if np.isnan(turned).any() else turned, whitened)
     return out
 

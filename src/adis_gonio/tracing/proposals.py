@@ -305,13 +305,14 @@ def _hypothesis(
     # In units of the prior's standard deviations, so that the matrix is well scaled.
     unit = 1 / np.sqrt(precision)
     scaled = flat * unit
-    information = scaled.T @ scaled + np.eye(len(unit))
-    triangle = np.linalg.cholesky(information)
+    # The information is RᵀR; formed as XᵀX + 1 it may have lost the 1 to rounding.
+    q, triangle = np.linalg.qr(np.concatenate([scaled, np.eye(len(unit))]))
     pull = scaled.T @ left + away / unit
-    step = np.linalg.solve(information, pull)
+    inverse = np.linalg.inv(triangle)
+    step = inverse @ (q.T @ np.concatenate([left, away / unit]))
     chi2 = float(left @ left) + float(((away / unit) ** 2).sum()) - float(pull @ step)
-    evidence = -0.5 * chi2 - float(np.log(np.diagonal(triangle)).sum())
-    root = unit[:, None] * np.linalg.inv(triangle).T
+    evidence = -0.5 * chi2 - float(np.log(np.abs(np.diagonal(triangle))).sum())
+    root = unit[:, None] * inverse
     hypothesis = Hypothesis(_labels(model), weight, tuple(model), fit.state, unit * step, root, chi2)
     return hypothesis, evidence
 

@@ -175,8 +175,8 @@ def _impossible(data: Observations, problem: Problem, chosen: Sequence[int]) -> 
         else:
             added = term.added(term.start(own), data.mean_mg, data.conditions)
             added = added * data.gravity_mg if term.enters_angle else added
-            most = _steepest_mg(data, term)
-            beyond = bool(np.abs(added).max() > LARGEST * data.gravity_mg or np.ptp(added, axis=0).max() > most)
+            beyond = bool(np.abs(added).max() > LARGEST * data.gravity_mg)
+            beyond |= bool(np.ptp(added, axis=0).max() > _steepest_mg(data, term))
         if beyond:
             out.append(term)
     return max(out, key=lambda term: term.cost).label if out else None

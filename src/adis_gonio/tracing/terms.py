@@ -146,12 +146,15 @@ class Driver:
         Conditions → (n, q): the same on every axis.
     by_axis : callable or None
         (ideal in g (n, axes), axis) → (n, q): functions of the readings.
+    approximates : bool
+        True for polynomials and harmonics that stand for a function without a formula.
     """
 
     form: str
     covariates: tuple[str, ...]
     common: Callable[[Conditions], Floats] | None = None
     by_axis: Callable[[Floats, int], Floats] | None = None
+    approximates: bool = False
     _last: list[tuple[Conditions, Floats]] = field(default_factory=list, repr=False, compare=False)
 
     def over(self, conditions: Conditions) -> Floats:

@@ -13,8 +13,8 @@ from adis_gonio.tracing.advice import advise
 from adis_gonio.tracing.averaging import Averaged, average
 from adis_gonio.tracing.detect import detectable
 from adis_gonio.tracing.gates import contradicting, held_out_gains
-from adis_gonio.tracing.grammar import nameless_terms
-from adis_gonio.tracing.heldout import Left, bounded, cross_validate, folds, leave, rms
+from adis_gonio.tracing.grammar import nameless_terms, of_one_dwell
+from adis_gonio.tracing.heldout import Left, bounded, counting, cross_validate, folds, leave, rms
 from adis_gonio.tracing.named import named_terms
 from adis_gonio.tracing.naming import Names, describe, judge
 from adis_gonio.tracing.observations import Observations, observe
@@ -299,16 +299,20 @@ def _figures(
         lefts, design = _figures_of_few(data, nested, fits)
     else:
         designs = folds(data)
+        counts = counting(data, designs, selection.model)
+        designs = {name: designs[name] for name in counts}
         design = "; ".join(f"{name} ({len(masks)} folds)" for name, masks in designs.items())
         lefts = []
         for model, fitted in zip(nested[:-1] if len(nested) > 1 else nested, fits, strict=False):
-            lefts.append(list(cross_validate(data, designs, _keeping(model, fitted.state)).values()))
+            kept = cross_validate(data, designs, _keeping(model, fitted.state), counts)
+            lefts.append(list(kept.values()))
         if len(nested) > 1:
-            lefts.append(list(cross_validate(data, designs, fold.chosen_anew).values()))
+            lefts.append(list(cross_validate(data, designs, fold.chosen_anew, counts).values()))
             design += "; effects chosen anew in each fold"
             if fold.averaged is None:
-                kept = cross_validate(data, designs, _keeping(nested[-1], fits[-1].state)).values()
-                error = rms(np.concatenate([part.residual_mg for part in kept]), data.planar)
+                keeping = _keeping(nested[-1], fits[-1].state)
+                kept = cross_validate(data, designs, keeping, counts)
+                error = rms(np.concatenate([part.residual_mg for part in kept.values()]), data.planar)
                 design += f", {error:.3g} mg with those found kept"
     figures = []
     for fitted, left in zip(fits, lefts, strict=True):
@@ -376,10 +380,13 @@ def _guarding(
     if _few(data, selection.fit.state) or len(nested) == 1:
         return [None for _ in nested]
     out: list[float | None] = []
+    designs = folds(data)
+    counts = counting(data, designs, selection.model)
     for k, (model, state) in enumerate(_starts(selection, nested, fold)):
         # A form that was found on all dwells knows those that are left out; an average more so.
         anew = fold.averaged is not None and k == len(nested) - 1
-        left = cross_validate(data, folds(data), fold.chosen_anew if anew else _keeping(model, state))
+        fit = fold.chosen_anew if anew else _keeping(model, state)
+        left = cross_validate(data, designs, fit, counts)
         out.append(rms(np.concatenate([part.residual_mg for part in left.values()]), data.planar))
     return out
 
@@ -436,7 +443,8 @@ class _Fold:
 
     def chosen_anew(self, rows: Observations) -> tuple[Sequence[Term], Refit]:
         """Model and refit of the dwells that are kept."""
-        chosen = select(rows, self.terms, self.max_effects, beam=6, rounds=2)
+        terms = [term for term in self.terms if not of_one_dwell(term, rows.conditions)]
+        chosen = select(rows, terms, self.max_effects, beam=6, rounds=2)
         if self.averaged is not None:
             again = average(rows, chosen, self.averaged.candidates)
             if again is not None:
