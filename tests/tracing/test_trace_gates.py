@@ -7,14 +7,16 @@ import pytest
 
 from adis_gonio import trace
 from adis_gonio.model.records import Dwell, Session
+from adis_gonio.tracing.design import amplitudes
 from adis_gonio.tracing.gates import HeldOutGain, _fold, contradicting, held_out_gains
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.heldout import bounded, folds, leave
 from adis_gonio.tracing.named import named_terms
 from adis_gonio.tracing.naming import Names
 from adis_gonio.tracing.observations import Observations, observe
+from adis_gonio.tracing.selection import select
 from adis_gonio.tracing.state import State, begin, refit
-from adis_gonio.tracing.trace import _never_worse
+from adis_gonio.tracing.trace import _never_worse, between_models
 
 
 def forth_and_back(bias=(8.0, -5.0), k2_x=0.0, slip_mg=0.0, seed=3) -> Session:
@@ -214,3 +216,25 @@ def test_model_and_state_of_the_result_belong_together_and_stay_out_of_the_json(
     assert result.state.values[curved][0] == pytest.approx(stated)
     assert not {"model", "state"} & set(result.as_dict())
     assert replace(result, model=(), state=None) == result
+
+
+def test_the_uncertainty_of_an_effect_holds_what_other_probable_models_say() -> None:
+    data = observe(forth_and_back(k2_x=3.0))
+    selection = select(data, named_terms(data)[0], 3)
+    terms = selection.problem.terms
+    number = {term.label: k for k, term in enumerate(terms)}
+    bias = number["bias[xy]"]
+    both = tuple(sorted((bias, number["quadratic[xy]"])))
+    one = tuple(sorted((bias, number["quadratic[x]"])))
+    weights = {both: 0.6, one: 0.4}
+    alone = replace(selection, verdict=replace(selection.verdict, best=both, weights={both: 1.0}))
+    open_ = replace(selection, verdict=replace(selection.verdict, best=both, weights=weights))
+    values = dict(zip(both, amplitudes(selection.problem, both), strict=True))
+    k2_x, k2_y = values[number["quadratic[xy]"]]
+    assert between_models(alone, "quadratic") == {"k2_x": 0.0, "k2_y": 0.0}
+    between = between_models(open_, "quadratic")
+    assert between["k2_y"] == pytest.approx(0.4 * k2_y**2)  # the other model says that there is none
+    (other,) = (
+        a for k, a in zip(one, amplitudes(selection.problem, one), strict=True) if terms[k].name != "bias"
+    )
+    assert between["k2_x"] == pytest.approx(0.4 * (k2_x - other[0]) ** 2)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.state import State, as_reading, base_columns, predict
-from adis_gonio.tracing.terms import Term
+from adis_gonio.tracing.terms import ROUNDING, Term
 
 _OBSERVABLE = 0.02
 """Least length of a column beside the base model against its whole length, for it to be seen at all: what
@@ -26,8 +26,6 @@ _INDEPENDENT = 1e-4
 """Least squared length of an orthonormal column beside a model, for it to be counted as another column."""
 PRIOR_SNR = 4.0
 """Prior standard deviation of an effect in a reading, in standard uncertainties of a reading."""
-_ROUNDING = 1e-9
-"""Least length of a column in units of the longest of its term."""
 _RANK = 1e-7
 """Least squared length of a column beside the others of its own term."""
 
@@ -145,7 +143,7 @@ def linearise(data: Observations, model: Sequence[Term], state: State, terms: Se
     # The sixth harmonic's sine on a grid of 30° is rounding, not a direction.
     starts = np.concatenate([[0], np.cumsum(widths)[:-1]]).astype(np.intp)
     longest = np.repeat(np.maximum.reduceat(before, starts), widths) if len(before) else before
-    before = np.where(before > _ROUNDING * longest, before, 0.0)
+    before = np.where(before > ROUNDING * longest, before, 0.0)
     together = together * np.where(before > 0, 1 / np.where(before > 0, before, 1.0), 0.0)
     together = together - base @ (base.T @ together)
     after = np.linalg.norm(together, axis=0)

@@ -133,6 +133,10 @@ class NamedTerm(Term):
         return np.array([[p.low, p.high] for p in self.effect.parameters])
 
 
+ROUNDING = 1e-9
+"""Least size of a function in units of the largest of its driver."""
+
+
 @dataclass(frozen=True)
 class Driver:
     """What drives a nameless term: functions of the conditions, or of the readings axis by axis.
@@ -158,10 +162,18 @@ class Driver:
     _last: list[tuple[Conditions, Floats]] = field(default_factory=list, repr=False, compare=False)
 
     def over(self, conditions: Conditions) -> Floats:
-        """`common` at the conditions (n, q); kept for the next term, since many share a driver."""
+        """`common` at the conditions (n, q); kept for the next term, since many share a driver.
+
+        The fifth harmonic's sine on a grid of 36° is rounding and stands for nothing there: it is zero,
+        lest a fit find an amplitude of 10¹⁴ for it that other angles then show.
+        """
         assert self.common is not None
         if not self._last or self._last[0][0] is not conditions:
-            self._last[:] = [(conditions, self.common(conditions))]
+            rows = self.common(conditions)
+            if rows.shape[1] > 1:
+                size = np.abs(rows).max(axis=0)
+                rows = np.where(size > ROUNDING * size.max(), rows, 0.0)
+            self._last[:] = [(conditions, rows)]
         return self._last[0][1]
 
 

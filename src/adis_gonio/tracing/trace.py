@@ -11,6 +11,7 @@ from adis_gonio.errors import FitError
 from adis_gonio.model.records import Floats, Session
 from adis_gonio.tracing.advice import advise
 from adis_gonio.tracing.averaging import Averaged, average
+from adis_gonio.tracing.design import Problem, amplitudes, span
 from adis_gonio.tracing.detect import detectable
 from adis_gonio.tracing.gates import contradicting, held_out_gains
 from adis_gonio.tracing.grammar import nameless_terms, of_one_dwell
@@ -38,6 +39,8 @@ BASE_SPACE = (
 )
 WORSE = 1.05
 """Largest held-out error of the final model in units of the base model's."""
+LEAST_WEIGHT = 0.01
+"""Least posterior of a model that counts in the uncertainty of an effect."""
 LEAST_CHECKS = 2
 """Least degrees of freedom that a model has to leave for its names to stand."""
 LEAST_DWELLS = 5
@@ -270,8 +273,6 @@ def _in_order(data: Observations, selection: Selection) -> list[tuple[Term, ...]
     left = list(selection.verdict.best)
     model: list[int] = []
     nested: list[tuple[Term, ...]] = [()]
-    from adis_gonio.tracing.design import span
-
     while left:
         chi2 = {k: float((span(selection.problem, [*model, k])[1] ** 2).sum()) for k in left}
         best = min(chi2, key=lambda k: chi2[k])
@@ -462,13 +463,14 @@ def _finding(selection: Selection, name: str) -> Finding:
     axes: list[str] = []
     cause = ""
     at = len(selection.fit.state.base)
-    scale = np.sqrt(selection.inflation)
+    between = between_models(selection, name)
     for term, values in zip(selection.model, selection.fit.state.values, strict=True):
         if isinstance(term, NamedTerm) and term.name == name:
             cause = term.effect.cause
             axes += [axis for axis in term.effect.axes if axis not in axes]
             for k, parameter in enumerate(term.effect.parameters):
-                u = float(np.sqrt(selection.fit.covariance[at + k, at + k]) * scale)
+                within = selection.fit.covariance[at + k, at + k] * selection.inflation
+                u = float(np.sqrt(within + between.get(parameter.name, 0.0)))
                 parameters[parameter.name] = Value(float(values[k]), u, parameter.unit)
             for choice in term.effect.choices():
                 parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
@@ -491,10 +493,52 @@ def _finding(selection: Selection, name: str) -> Finding:
     )
 
 
+def between_models(selection: Selection, name: str) -> dict[str, float]:
+    """Variance of an effect's amplitudes between the probable models that hold it, by parameter.
+
+    The covariance of one model takes for granted that it is the right one. In another that is as probable
+    the effect may act on one axis only (the amplitude of the other is then zero) or stand beside something
+    that shares its direction. Models whose shapes or dwells are others are left out: shapes are fitted, and
+    their spread is in the covariance.
+    """
+    problem, verdict = selection.problem, selection.verdict
+    kind = _kind(problem.terms, verdict.best, name)
+    own = _amplitudes_of(problem, verdict.best, name)
+    spread = dict.fromkeys(own, 0.0)
+    total = 0.0
+    for model, weight in verdict.weights.items():
+        if weight < LEAST_WEIGHT or _kind(problem.terms, model, name) != kind:
+            continue
+        values = _amplitudes_of(problem, model, name)
+        total += weight
+        for parameter in own:
+            spread[parameter] += weight * (values.get(parameter, 0.0) - own[parameter]) ** 2
+    return {parameter: value / total for parameter, value in spread.items()} if total else {}
+
+
+def _kind(terms: Sequence[Term], model: Sequence[int], name: str) -> tuple[object, ...]:
+    """Shapes and choices of an effect in a model; the empty tuple where it is not in it."""
+    mine = [terms[k] for k in model if terms[k].name == name]
+    return tuple(
+        (term.shapes, tuple(getattr(term.effect, choice) for choice in term.effect.choices()))
+        for term in mine
+        if isinstance(term, NamedTerm)
+    )
+
+
+def _amplitudes_of(problem: Problem, model: Sequence[int], name: str) -> dict[str, float]:
+    """Amplitudes of an effect in a model of the linear problem, by parameter."""
+    out: dict[str, float] = {}
+    for k, own in zip(model, amplitudes(problem, model), strict=True):
+        term = problem.terms[k]
+        if isinstance(term, NamedTerm) and term.name == name:
+            for index, value in zip(term.amplitude_index, own, strict=True):
+                out[term.effect.parameters[index].name] = float(value)
+    return out
+
+
 def _gain(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
     """χ² that some terms take beside the others of the model, and their columns."""
-    from adis_gonio.tracing.design import span
-
     best = selection.verdict.best
     with_all = float((span(selection.problem, best)[1] ** 2).sum())
     others = [k for k in best if k not in members]
