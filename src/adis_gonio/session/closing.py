@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 MOST_EXTRA = 24
 """Positions that are asked for beyond the plan, by default."""
+FEW = 24
+"""Dwells from which a model that is not adequate asks only for positions that would decide."""
 AT_ONCE = 4
 """Most positions of one round: what they show decides which come next."""
 
@@ -101,11 +103,13 @@ class TraceAdvisor:
             return Advice((), ended=f"the session cannot be traced: {error}")
         self.result, self.dwells = result, len(session.dwells)
         summary = where_it_stands(result, len(session.dwells))
-        wanted = [
-            m
-            for m in result.measurements
-            if (m.purpose == "decide" and m.separation >= LEAST_SEPARATION) or not tested(result)
-        ]
+        decide = [m for m in result.measurements if m.purpose == "decide"]
+        wanted = [m for m in decide if m.separation >= LEAST_SEPARATION]
+        if not tested(result):
+            wanted = list(result.measurements)
+        elif not wanted and not result.adequate and len(session.dwells) < FEW:
+            # Few readings hide what explains the rest behind models that they cannot check.
+            wanted = decide
         within = [m for m in wanted if reachable(_position(m))]
         left = self.most - visited
         if within and left > 0:

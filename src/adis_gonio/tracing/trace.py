@@ -44,7 +44,10 @@ LEAST_WEIGHT = 0.01
 LEAST_CHECKS = 2
 """Least degrees of freedom that a model has to leave for its names to stand."""
 LEAST_DWELLS = 5
-"""Least dwells of which some are left out of the selection as well."""
+"""Least dwells of which some are left out to judge effects one by one."""
+LEAST_CHOICE = 9
+"""Least dwells of which some are left out of the selection as well: of seven or eight the others often
+choose another name, which says nothing of the one that all of them show."""
 
 
 def trace(session: Session, max_effects: int = 6) -> TraceResult:
@@ -337,7 +340,7 @@ def _parameters(data: Observations, state: State) -> int:
 def _few(data: Observations, state: State) -> bool:
     """True where no dwell can be left out of the selection: few, or the others do not fix the model."""
     rows = (len(data) - 1) * (1 if np.isinf(data.fixture_rad) else 2)
-    return len(data) < LEAST_DWELLS or rows < _parameters(data, state)
+    return len(data) < LEAST_CHOICE or rows < _parameters(data, state)
 
 
 def _figures_of_few(
