@@ -15,8 +15,8 @@ Equation 5 is exact for alpha = 0 or delta_phi = 0 only: `paper` runs with delta
 30°, away from its pole at 45°, and the line `paper (own limit)` with a random delta_phi is held to the
 value that its equations give without noise, not to the truth.
 
-With --flicker the sensor also has 1/f noise of the ADIS16354's (estimated) 0.1 mg; no bound is known then,
-since neighbouring dwells share it, and nothing is required: the figures are only reported.
+With --flicker the sensor also has 1/f noise of the ADIS16354's (estimated) 0.1 mg, which neighbouring dwells
+share; its bound is not that of the column, so that only bias and coverage have a target then.
 
     python scripts/fit_statistics.py                      # 4000 sessions, 20000 for ml and two-position
     python scripts/fit_statistics.py --sessions 500 --method mmpm
@@ -258,9 +258,9 @@ def judge(setup: Setup, rows: Floats, *, slack: float = 0.0) -> list[Line]:
             missed.append("bias")
         if abs(coverage - 0.95) > 0.01 + slack * math.sqrt(0.0475 / n):
             missed.append("coverage")
-        if setup.efficient and abs(variance - 1) > 0.03 + slack * math.sqrt(2 / n):
+        if setup.efficient and not setup.flicker_mg and abs(variance - 1) > 0.03 + slack * math.sqrt(2 / n):
             missed.append("variance")
-        lines.append(Line(name, bias, coverage, variance, () if setup.flicker_mg else tuple(missed)))
+        lines.append(Line(name, bias, coverage, variance, tuple(missed)))
     return lines
 
 
@@ -277,7 +277,7 @@ def main() -> int:
     parser.add_argument("--method", choices=sorted({*SETUPS}), action="append", help="line; default all")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--flicker", action="store_true", help="1/f noise too; reports only")
+    parser.add_argument("--flicker", action="store_true", help="1/f noise too")
     options = parser.parse_args()
     missed = False
     print(f"{'line':<18} {'parameter':<10} {'sessions':>8} {'bias/u':>8} {'covered':>8} {'var/CRB':>8}")

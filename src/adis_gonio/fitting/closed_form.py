@@ -262,7 +262,11 @@ def _covariance(chosen: Readings, linear: _Linear, noise: Noise) -> Floats:
     natural = PlanarFamily(chosen).natural_covariance
     wide, sigma = noise.for_intervals(natural, chosen)
     each = _total_covariance(chosen, linear.beta, wide, sigma)
-    return np.asarray(np.einsum("pna,nab,qnb->pq", linear.derivative, each, linear.derivative))
+    total = np.einsum("pna,nab,qnb->pq", linear.derivative, each, linear.derivative)
+    shared = PlanarFamily(chosen).natural_shared()
+    if shared is not None:
+        total = total + np.einsum("pna,nma,qma->pq", linear.derivative, shared, linear.derivative)
+    return np.asarray(total)
 
 
 def _blind_to_bias(chosen: Readings, linear: _Linear) -> list[str]:

@@ -57,6 +57,13 @@ class Units:
             readings.covariance / (self.per_g[:, None] * self.per_g[None, :]),
         )
 
+    def shared(self, readings: Readings) -> Floats | None:
+        """What 1/f noise adds to the covariance between readings (n, n, axes), in local gravity squared."""
+        if readings.shared is None:
+            return None
+        flicker = readings.flicker[: len(self.per_g)] / self.per_g**2
+        return np.asarray(readings.shared[:, :, None] * flicker)
+
 
 def _units(readings: Readings, zero: Floats, per_g: Floats) -> Units:
     return Units(zero, per_g, readings.gravity_mg * STANDARD_GRAVITY_MPS2 / 1000, readings.unit)
@@ -90,6 +97,10 @@ class PlanarFamily:
         """Problem under a covariance of the readings (natural units) and a fixture uncertainty."""
         return PlanarProblem(self.natural, covariance, self.readings.angle_rad, sigma_rad)
 
+    def natural_shared(self) -> Floats | None:
+        """See `Units.shared`."""
+        return self.units.shared(self.readings)
+
     def rows(self) -> int:
         """Rows that carry information."""
         return self._rows
@@ -116,6 +127,10 @@ class SpatialFamily:
     def problem(self, covariance: Floats, sigma_rad: float) -> SpatialProblem:
         """Problem under a covariance of the readings; attitudes are free whatever σ_f is."""
         return SpatialProblem(self.natural, covariance)
+
+    def natural_shared(self) -> Floats | None:
+        """See `Units.shared`."""
+        return self.units.shared(self.readings)
 
     def rows(self) -> int:
         """Rows that carry information."""

@@ -135,8 +135,16 @@ def _uncertainties(
         return tuple(Estimate(o.name, o.value, None, o.unit) for o in reported), None
     solution = determination.solution
     wide, sigma = noise.for_intervals(family.natural_covariance, family.readings)
-    fisher = family.problem(wide, sigma).evaluate(solution.beta).fisher
+    problem = family.problem(wide, sigma)
+    fisher = problem.evaluate(solution.beta).fisher
     natural = covariance(fisher, solution.free, determination.null)
+    shared = family.natural_shared()
+    if shared is not None:
+        # Neighbours share 1/f noise. The fit takes it for noise of each reading's own and so weighs nearly
+        # as it should; what its result scatters by is another matter.
+        carried = natural @ np.moveaxis(problem.influence(solution.beta), 2, 0).reshape(len(natural), -1)
+        carried = carried.reshape(len(natural), *family.natural.shape)
+        natural = natural + np.einsum("pna,nma,qma->pq", carried, shared, carried)
     gradients = np.stack([o.gradient for o in reported])
     matrix = gradients @ natural @ gradients.T
     return (

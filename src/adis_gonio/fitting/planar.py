@@ -133,6 +133,19 @@ class PlanarProblem:
         """χ² and its derivatives with δ projected out (see `least_squares.Problem`)."""
         if self._parts:
             return sum_of([part.evaluate(beta) for part in self._parts])
+        rows, right = self._rows(beta)
+        flat, residuals = rows.reshape(-1, 6), right.reshape(-1)
+        return Reduced(float(residuals @ residuals), flat.T @ residuals, flat.T @ flat)
+
+    def influence(self, beta: Floats) -> Floats:
+        """Derivative (n, 2, 6) of the gradient by each reading."""
+        if self._parts:
+            return np.concatenate([part.influence(beta) for part in self._parts])
+        rows, _ = self._rows(beta)
+        return np.asarray(self.whitener.transpose(0, 2, 1) @ rows[:, :2])
+
+    def _rows(self, beta: Floats) -> tuple[Floats, Floats]:
+        """Rows (n, 3, 6) of each dwell without the nuisance direction, and the residuals (n, 3)."""
         delta = self.best_delta(beta)
         psi = beta[ALPHA] - self.angle + delta
         tangent, residual = self._whitened(beta, psi)
@@ -154,8 +167,7 @@ class PlanarProblem:
         nuisance /= np.linalg.norm(nuisance, axis=1, keepdims=True)
         rows -= nuisance[:, :, None] * np.einsum("nk,nkp->np", nuisance, rows)[:, None, :]
         # The residual is orthogonal to the nuisance already, up to what the inner steps left.
-        flat, residuals = rows.reshape(-1, 6), right.reshape(-1)
-        return Reduced(float(residuals @ residuals), flat.T @ residuals, flat.T @ flat)
+        return rows, right
 
 
 def start_of(readings: Floats, angle_rad: Floats, sigma_rad: float) -> Floats:

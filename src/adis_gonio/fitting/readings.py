@@ -21,21 +21,25 @@ Without that it is unknown (`Readings.known`), and a fit estimates it from its r
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.errors import DataError, FitError
-from adis_gonio.fitting.flicker import scatter_of_means
+from adis_gonio.fitting.flicker import covariance_of_means, scatter_of_means
 from adis_gonio.fitting.screening import refuse_dead_data
 from adis_gonio.fitting.spectrum import MeanNoise, noise_of_means
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats, Session
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Floats, Session
 from adis_gonio.sensor.variants import VARIANTS
 
 MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
 
 
+MOST_SHARED = 2000
+"""Dwells up to which 1/f noise that they share counts between them: beyond, its covariance is too large to
+keep, and of so many readings little is left of it."""
 OFF_UNIT = 2.0
 """Factor from 1 g beyond which still readings are in another unit: no sensor's gain is so far off."""
 UNEQUAL = 0.5
@@ -73,6 +77,9 @@ class Readings:
     flicker : (axes,) float
         Allan variance of the 1/f noise that is in `covariance`, in the unit squared. There it is noise of
         each reading's own; in truth neighbours share most of it (`adis_gonio.fitting.flicker`).
+    shared : (n, n) float or None
+        What is to be added to the covariance of an axis' readings, times its `flicker`, so that it is true
+        between them as well; None without 1/f noise, or beyond `MOST_SHARED` dwells.
     """
 
     mean: Floats
@@ -87,6 +94,7 @@ class Readings:
     fixture_sigma_rad: float | None
     notes: tuple[str, ...] = ()
     flicker: Floats = field(default_factory=lambda: np.zeros(3))
+    shared: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.mean)
@@ -94,7 +102,8 @@ class Readings:
     def select(self, rows: NDArray[np.intp]) -> Readings:
         """Readings of some rows (m,)."""
         names = ("mean", "covariance", "dof", "angle_rad", "position", "samples", "known")
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+        shared = None if self.shared is None else self.shared[np.ix_(rows, rows)]
+        return replace(self, shared=shared, **{name: getattr(self, name)[rows] for name in names})
 
 
 def refuse_other_units(session: Session, readings: Readings) -> None:
@@ -198,7 +207,31 @@ def reduce_session(session: Session) -> Readings:
         fixture_sigma_rad=None if sigma is None else math.radians(sigma),
         notes=tuple(notes),
         flicker=flicker,
+        shared=shared_by(dwells) if flicker.any() else None,
     )
+
+
+def shared_by(dwells: Sequence[Dwell]) -> Floats | None:
+    """Covariance (n, n) of means for an Allan variance of 1, less that of dwells with a noise of their own.
+
+    Zero for dwells of one sample, which somebody averaged; None for more than `MOST_SHARED`.
+
+    `covariance_of_means` is about the mean of the session. Of 1/f noise that mean has no variance to be
+    given; here it has that by which it differs from the mean of a session twice as long, half the Allan
+    variance, so that a bias is stated as well as it would be found again.
+    """
+    many = np.array([len(dwell) > 1 for dwell in dwells])
+    count = int(many.sum())
+    if count < 2 or count > MOST_SHARED:
+        return None
+    several = [dwell for dwell in dwells if len(dwell) > 1]
+    begin = np.array([float(d.time_s[0]) for d in several])
+    period = np.array([float(np.ptp(d.time_s)) / (len(d) - 1) for d in several])
+    end = np.array([float(d.time_s[-1]) for d in several]) + period
+    out = np.zeros((len(dwells), len(dwells)))
+    own = scatter_of_means(count) * np.eye(count)
+    out[np.ix_(many, many)] = covariance_of_means(begin, end) + 0.5 - own
+    return out
 
 
 def _mg_per_unit(session: Session) -> float:

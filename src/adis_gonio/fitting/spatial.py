@@ -93,6 +93,19 @@ class SpatialProblem:
         """χ² and its derivatives with the attitudes projected out (`least_squares.Problem`)."""
         if self._parts:
             return sum_of([part.evaluate(beta) for part in self._parts])
+        residual, normal, _, jacobian = self._rows(beta)
+        along = (normal * residual).sum(axis=1)
+        return Reduced(float((residual**2).sum()), jacobian.T @ along, jacobian.T @ jacobian)
+
+    def influence(self, beta: Floats) -> Floats:
+        """Derivative (n, 3, 9) of the gradient by each reading."""
+        if self._parts:
+            return np.concatenate([part.influence(beta) for part in self._parts])
+        _, _, row, jacobian = self._rows(beta)
+        return np.asarray(row[:, :, None] * jacobian[:, None, :])
+
+    def _rows(self, beta: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Whitened residual (n, 3), its free direction, the row of readings along it, slopes (n, 9)."""
         u = self.attitudes(beta)
         axes = axes_matrix(beta[SKEW])
         mixing = beta[SCALE, None] * axes
@@ -110,8 +123,7 @@ class SpatialProblem:
         jacobian[:, SCALE] = row * (u @ axes.T)
         for k, change in enumerate(axes_matrix_derivatives(beta[SKEW])):
             jacobian[:, 6 + k] = (row * (u @ (beta[SCALE, None] * change).T)).sum(axis=1)
-        along = (normal * residual).sum(axis=1)
-        return Reduced(float((residual**2).sum()), jacobian.T @ along, jacobian.T @ jacobian)
+        return residual, normal, row, jacobian
 
 
 def _mixing(beta: Floats) -> Floats:
