@@ -10,7 +10,8 @@ from adis_gonio.model.effects import catalogue, effect
 from adis_gonio.model.effects.base import Parameter
 from adis_gonio.model.records import Session
 from adis_gonio.report.numbers import listed, number, p_text, percent, times, uncertain, with_unit
-from adis_gonio.tracing.result import Detectable, ErrorFigures, Finding, TraceResult, Value
+from adis_gonio.tracing.result import ErrorFigures, Finding, TraceResult
+from adis_gonio.tracing.values import Detectable, Value
 
 _IN_SAMPLES = "looked for within the dwells"
 _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")
@@ -320,7 +321,7 @@ def advice(result: TraceResult) -> Sequence[str]:
 
 def _reason(reason: str) -> str:
     if reason == _IN_SAMPLES:
-        return "they change the samples, not the mean of a dwell, and are looked for within the dwells"
+        return "they change the samples of a dwell, which this session does not hold"
     words = {
         "temperature_c, temperature_history": "temperature",
         "temperature_c": "temperature",

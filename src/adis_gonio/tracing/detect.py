@@ -6,9 +6,9 @@ import numpy as np
 
 from adis_gonio.model.effects import catalogue
 from adis_gonio.tracing.design import Problem, span
-from adis_gonio.tracing.result import Detectable
 from adis_gonio.tracing.search import Model, Search
 from adis_gonio.tracing.terms import NamedTerm
+from adis_gonio.tracing.values import Detectable
 
 _POWER_90 = 1.2815515655446004
 """Quantile of the normal distribution at 90 %."""

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from adis_gonio.tracing.state import State
 from adis_gonio.tracing.terms import Term
-from adis_gonio.tracing.values import Value, finite_or_none
+from adis_gonio.tracing.values import Detectable, Value, finite_or_none
 from adis_gonio.tracing.within.finding import WithinFinding
 
 
@@ -136,25 +136,6 @@ class Step:
     def as_dict(self) -> dict[str, Any]:
         """One entry of `steps`."""
         return {"effect": self.effect, **self.error.as_dict()}
-
-
-@dataclass(frozen=True)
-class Detectable:
-    """Smallest amplitude that the session would have shown; None where it can show none."""
-
-    amplitude: float | None
-    unit: str
-    parameter: str
-    reason: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """One value of `detectable`."""
-        return {
-            "amplitude": finite_or_none(self.amplitude),
-            "unit": self.unit,
-            "parameter": self.parameter,
-            "reason": self.reason,
-        }
 
 
 Purpose = Literal["decide", "cover"]

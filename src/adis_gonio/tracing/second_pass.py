@@ -23,7 +23,7 @@ from adis_gonio.model.records import Session
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.result import Finding, TraceResult
 from adis_gonio.tracing.state import predict
-from adis_gonio.tracing.within import LEVEL, WithinFinding, samples_of, search_within
+from adis_gonio.tracing.within import LEVEL, WithinFinding, look_within, samples_of
 from adis_gonio.tracing.within.finding import positions_text
 
 BEYOND_DOUBT = 1e-6
@@ -45,7 +45,7 @@ def with_second_pass(session: Session, data: Observations, result: TraceResult) 
         Of these observations.
     """
     samples = samples_of(session, data)
-    within = () if samples is None else search_within(samples)
+    within, shown = ((), {}) if samples is None else look_within(samples)
     claimed = {finding.effect for finding in result.found}
     more = tuple(
         _claim(finding)
@@ -58,6 +58,7 @@ def with_second_pass(session: Session, data: Observations, result: TraceResult) 
         result,
         found=(*result.found, *more),
         within=within,
+        detectable={**result.detectable, **shown},
         advice=tuple(dict.fromkeys((*advice, *result.advice))),
         notes=(*result.notes, *notes),
     )

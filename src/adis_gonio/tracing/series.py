@@ -29,7 +29,8 @@ from adis_gonio.errors import FitError
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Floats, Session
 from adis_gonio.sensor.variants import VARIANTS
-from adis_gonio.tracing.result import Detectable, ErrorFigures, Finding, Step, TraceResult, Value
+from adis_gonio.tracing.result import ErrorFigures, Finding, Step, TraceResult
+from adis_gonio.tracing.values import Detectable, Value
 
 BLOCKS = 10
 LEAST_ROWS = 200

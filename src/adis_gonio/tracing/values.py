@@ -23,3 +23,22 @@ class Value:
 def finite_or_none(value: float | None) -> float | None:
     """JSON has no infinities and no NaN."""
     return None if value is None or not math.isfinite(value) else float(value)
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """Smallest amplitude that the session would have shown; None where it can show none."""
+
+    amplitude: float | None
+    unit: str
+    parameter: str
+    reason: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """One value of `detectable`."""
+        return {
+            "amplitude": finite_or_none(self.amplitude),
+            "unit": self.unit,
+            "parameter": self.parameter,
+            "reason": self.reason,
+        }

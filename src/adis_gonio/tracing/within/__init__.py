@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from adis_gonio.tracing.values import Detectable
 from adis_gonio.tracing.within.courses import courses
 from adis_gonio.tracing.within.density import density_of
 from adis_gonio.tracing.within.events import events
 from adis_gonio.tracing.within.faults import spikes, stuck
 from adis_gonio.tracing.within.finding import LEVEL, Kind, Place, View, WithinFinding
 from adis_gonio.tracing.within.samples import Samples, samples_of, scatter
+from adis_gonio.tracing.within.sensitivity import sensitivity
 from adis_gonio.tracing.within.tones import tones
 from adis_gonio.tracing.within.variances import heterogeneous, noise_change
 
@@ -26,6 +28,11 @@ _FARTHEST = 64
 
 def search_within(samples: Samples) -> tuple[WithinFinding, ...]:
     """Findings inside the dwells, as `TraceResult.within` lists them."""
+    return look_within(samples)[0]
+
+
+def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, Detectable]]:
+    """Findings inside the dwells, and the smallest amplitudes that they would have shown."""
     spread = scatter(samples)
     reach = correlation_reach(samples)
     frozen = stuck(samples, spread, reach)
@@ -35,7 +42,7 @@ def search_within(samples: Samples) -> tuple[WithinFinding, ...]:
     shared, samples = courses(samples)
     single = events(samples, heterogeneous(change, samples), reach)
     every = [frozen, wild, *lines, change, *shared, *single]
-    return tuple(finding for finding in every if finding is not None)
+    return tuple(finding for finding in every if finding is not None), sensitivity(samples, density)
 
 
 def correlation_reach(samples: Samples) -> int:
@@ -66,6 +73,7 @@ __all__ = [
     "View",
     "WithinFinding",
     "density_of",
+    "look_within",
     "samples_of",
     "search_within",
 ]

@@ -34,7 +34,7 @@ from adis_gonio.tracing.within.samples import Samples
 Usable = NDArray[np.bool_]
 
 LEAST_DWELLS = 4
-_LEAST_SAMPLES = 6
+LEAST_SAMPLES = 6
 _TAUS = 12
 _LONGEST = 0.5
 """Longest time constant in lengths of a dwell: slower ones are a line."""
@@ -62,7 +62,7 @@ def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Sampl
     """Courses that the dwells share, and the samples without them."""
     found: list[WithinFinding] = []
     while len(found) < most:
-        usable = samples.counts >= _LEAST_SAMPLES
+        usable = samples.counts >= LEAST_SAMPLES
         if usable.sum() < LEAST_DWELLS:
             break
         best = _best(samples, usable)
@@ -79,7 +79,8 @@ def _regressors(samples: Samples) -> Floats:
     return np.stack([np.ones_like(change), change])
 
 
-def _grid(samples: Samples, usable: Usable) -> list[float | None]:
+def grid(samples: Samples, usable: Usable) -> list[float | None]:
+    """Time constants in s that are tried; None is a line."""
     lengths = [float(samples.elapsed_s(k)[-1]) for k in np.flatnonzero(usable).tolist()]
     longest = float(np.median(lengths))
     shortest = 3 * samples.period_s
@@ -93,7 +94,7 @@ def _course(elapsed_s: Floats, tau: float | None) -> Floats:
     return elapsed_s if tau is None else np.exp(-elapsed_s / tau)
 
 
-def _projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Floats, Floats]:
+def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Floats, Floats]:
     """Amplitudes of each dwell times the norm of the course (d, axes), and that norm (d,)."""
     z, norm = np.zeros((len(samples), samples.axes)), np.zeros(len(samples))
     for k in np.flatnonzero(usable).tolist():
@@ -107,13 +108,13 @@ def _projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[F
 
 def _best(samples: Samples, usable: Usable) -> _Candidate | None:
     """The course that explains most of those that are significant."""
-    grid = _grid(samples, usable)
+    taus = grid(samples, usable)
     kinds = _regressors(samples)
-    tests = len(grid) * 2 * samples.axes
+    tests = len(taus) * 2 * samples.axes
     best: _Candidate | None = None
     line: _Candidate | None = None
-    for tau in grid:
-        z, norm = _projections(samples, usable, tau)
+    for tau in taus:
+        z, norm = projections(samples, usable, tau)
         for by_move in (False, True):
             g = norm[:, None] * kinds[int(by_move)]
             energy = (g**2).sum(axis=0)
@@ -149,7 +150,7 @@ def _fitted(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinF
     axes = _axes_with(samples, usable, best)
 
     def amplitudes(tau: float | None) -> tuple[Floats, float]:
-        z, norm = _projections(samples, usable, tau)
+        z, norm = projections(samples, usable, tau)
         g = norm[:, None] * weight
         energy = np.maximum((g**2).sum(axis=0), 1e-300)
         slope = (g * z).sum(axis=0) / energy
@@ -198,7 +199,7 @@ def _fitted(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinF
 
 def _axes_with(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
     """Axes that share the course: the first one, and those on which it is significant by itself."""
-    z, norm = _projections(samples, usable, best.tau)
+    z, norm = projections(samples, usable, best.tau)
     g = norm[:, None] * _regressors(samples)[int(best.by_move)]
     energy = np.maximum((g**2).sum(axis=0), 1e-300)
     slope = (g * z).sum(axis=0) / energy

@@ -76,7 +76,7 @@ def _highest(density: Density) -> _Peak | None:
     width = density.width[searched]
     best: _Peak | None = None
     for axis in range(axes):
-        effective = _effective(pooled[:, axis], d)
+        effective = effective_dwells(pooled[:, axis], d)
         freedom = 2 * effective * width / TAPER_LOSS
         at = int(np.argmax(pooled[:, axis]))
         p = corrected(float(stats.f.sf(pooled[at, axis], 2 * effective, freedom[at])), tests)
@@ -95,7 +95,7 @@ def _highest(density: Density) -> _Peak | None:
     return best if best is not None and best.p_value < LEVEL else None
 
 
-def _effective(pooled: Floats, dwells: int) -> float:
+def effective_dwells(pooled: Floats, dwells: int) -> float:
     """Dwells whose independent ordinates would scatter as the pooled ones do; at most all of them."""
     low, high = np.quantile(np.log(np.maximum(pooled, 1e-300)), [0.25, 0.75])
     spread = float(high - low)

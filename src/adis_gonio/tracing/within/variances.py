@@ -32,7 +32,7 @@ from adis_gonio.tracing.within.finding import (
 )
 from adis_gonio.tracing.within.samples import Samples
 
-_LEAST_DWELLS = 3
+LEAST_DWELLS = 3
 _LIVELY = 0.6
 """Noise in steps of the converter below which the variance says where the mean lies and no more."""
 _ADEQUATE = 0.01
@@ -40,17 +40,19 @@ _LEAST_LOW = 1e-3
 
 
 @dataclass(frozen=True)
-class _Levels:
+class Levels:
     """Variances of d dwells on one axis with their degrees of freedom."""
 
     variance: Floats
     dof: Floats
 
-    def rows(self, chosen: NDArray[np.bool_]) -> _Levels:
-        return _Levels(self.variance[chosen], self.dof[chosen])
+    def rows(self, chosen: NDArray[np.bool_]) -> Levels:
+        """Those of some dwells."""
+        return Levels(self.variance[chosen], self.dof[chosen])
 
     @property
     def common(self) -> float:
+        """Variance of all together."""
         return float(self.dof @ self.variance / self.dof.sum())
 
     def alike(self) -> float:
@@ -66,10 +68,10 @@ class _Levels:
 
 def noise_change(samples: Samples, density: Density | None) -> WithinFinding | None:
     """Change of the scatter between dwells; None where there is none, or fewer than three dwells."""
-    if density is None or len(density.dwells) < _LEAST_DWELLS:
+    if density is None or len(density.dwells) < LEAST_DWELLS:
         return None
     dwells = density.dwells
-    levels = [_levels(samples, density, axis) for axis in range(samples.axes)]
+    levels = [levels_of(samples, density, axis) for axis in range(samples.axes)]
     usable = [
         axis
         for axis, own in enumerate(levels)
@@ -91,7 +93,8 @@ def heterogeneous(finding: WithinFinding | None, samples: Samples) -> list[int]:
     return [] if finding is None else [samples.letters.index(axis) for axis in finding.axes]
 
 
-def _levels(samples: Samples, density: Density, axis: int) -> _Levels:
+def levels_of(samples: Samples, density: Density, axis: int) -> Levels:
+    """Variances of the dwells above the lowest frequencies."""
     searched = density.searched
     band = density.power[:, searched, axis]
     base = density.base[searched, axis]
@@ -112,10 +115,10 @@ def _levels(samples: Samples, density: Density, axis: int) -> _Levels:
         sigma2 = max(float(np.median(variance)) / step**2 - 1 / 12, 0.02)
         ripple = (4 * sigma2 + 1 / np.pi**2) * np.exp(-2 * np.pi**2 * sigma2) / (sigma2 + 1 / 12)
         relative = relative + ripple**2 / 2
-    return _Levels(variance, 2 / relative)
+    return Levels(variance, 2 / relative)
 
 
-def _p_value(own: _Levels, axes: int) -> float:
+def _p_value(own: Levels, axes: int) -> float:
     d = len(own.variance)
     # Three tests, one of them at d − 1 places, one at d: each pays for all.
     candidates = [own.alike() * 3 * axes]
@@ -128,13 +131,13 @@ def _p_value(own: _Levels, axes: int) -> float:
     return corrected(min(candidates), 1)
 
 
-def _ratio_p(one: _Levels, other: _Levels) -> float:
+def _ratio_p(one: Levels, other: Levels) -> float:
     ratio = other.common / one.common
     a, b = float(other.dof.sum()), float(one.dof.sum())
     return min(1.0, 2 * min(float(stats.f.sf(ratio, a, b)), float(stats.f.cdf(ratio, a, b))))
 
 
-def _best_cut(levels: list[_Levels]) -> int | None:
+def _best_cut(levels: list[Levels]) -> int | None:
     """First dwell of the louder part, by likelihood over all axes; None if the later part is not louder."""
     d = len(levels[0].variance)
     best: tuple[float, int] | None = None
@@ -150,7 +153,7 @@ def _best_cut(levels: list[_Levels]) -> int | None:
     return best[1] if best is not None and best[1] else None
 
 
-def _explained(own: _Levels, cut: int) -> bool:
+def _explained(own: Levels, cut: int) -> bool:
     """True where one change at `cut` (within a dwell beside it, or between) leaves dwells alike."""
     at = np.arange(len(own.variance))
     parts = [own.rows(at < cut - 1), own.rows(at > cut)]
@@ -161,7 +164,7 @@ def _explained(own: _Levels, cut: int) -> bool:
 def _joining(
     samples: Samples,
     dwells: NDArray[np.intp],
-    levels: list[_Levels],
+    levels: list[Levels],
     axes: list[int],
     cut: int,
     p_value: float,
@@ -206,7 +209,7 @@ def _joining(
 
 
 def _varying(
-    samples: Samples, dwells: NDArray[np.intp], levels: list[_Levels], axes: list[int], p_value: float
+    samples: Samples, dwells: NDArray[np.intp], levels: list[Levels], axes: list[int], p_value: float
 ) -> WithinFinding:
     """Variances that differ without the form of one change."""
     d = len(dwells)
@@ -263,7 +266,7 @@ def _varying(
     )
 
 
-def _rectification(levels: list[_Levels]) -> str:
+def _rectification(levels: list[Levels]) -> str:
     """What variances that differ are good for: the mean may follow them."""
     spread = max(float(np.ptp(own.variance)) for own in levels)
     return (
@@ -275,7 +278,7 @@ def _rectification(levels: list[_Levels]) -> str:
 def _start(
     samples: Samples,
     dwells: NDArray[np.intp],
-    levels: list[_Levels],
+    levels: list[Levels],
     axes: list[int],
     cut: int,
     quiet: NDArray[np.bool_],
@@ -308,7 +311,7 @@ def _start(
     return mean, float(np.sqrt(variance))
 
 
-def _view(samples: Samples, dwells: NDArray[np.intp], levels: list[_Levels], axes: list[int]) -> View:
+def _view(samples: Samples, dwells: NDArray[np.intp], levels: list[Levels], axes: list[int]) -> View:
     axis = axes[0]
     own = levels[0]
     letter = samples.letters[axis]
