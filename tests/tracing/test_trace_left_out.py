@@ -15,7 +15,7 @@ from adis_gonio.tracing.heldout import counting, determined, folds
 from adis_gonio.tracing.named import named_terms
 from adis_gonio.tracing.observations import observe
 from adis_gonio.tracing.selection import select
-from adis_gonio.tracing.terms import NamelessTerm
+from adis_gonio.tracing.terms import Driver, NamelessTerm
 from tracing.blind import draw, write
 from tracing.test_trace_gates import forth_and_back
 
@@ -98,3 +98,16 @@ def test_advice_survives_a_model_of_thirteen_columns(tmp_path: Path) -> None:
     path = tmp_path / "blind.csv"
     write(path, *draw("beyond", 302, 16))
     assert trace(load_session(path)).advice
+
+
+def test_a_harmonic_that_is_rounding_on_the_grid_of_a_session_is_no_candidate() -> None:
+    # On a grid of 36° a fit gave sin 5θ an amplitude of 10¹⁴, which the angles of check dwells then showed.
+    data = observe(forth_and_back())
+    wave = Driver("sin 5θ", ("angle",), lambda c: np.sin(5 * c.covariate("angle_rad"))[:, None])
+    term = NamelessTerm("bias[x]~sin 5θ", ("angle",), 1.0, "bias", (0,), wave)
+    grid = data.conditions.rows(np.isclose(np.rad2deg(data.conditions.angle_rad) % 36, 0))
+    other = replace(grid, angle_rad=grid.angle_rad + 0.1)
+    ideal = np.full((len(grid), 2), 500.0)
+    assert len(grid) > 1
+    assert not term.columns(ideal, grid).any()
+    assert np.abs(term.columns(ideal, other)).max() > 0.4

@@ -134,7 +134,7 @@ class NamedTerm(Term):
 
 
 ROUNDING = 1e-9
-"""Least size of a function in units of the largest of its driver."""
+"""Least size of a function, which reaches to about 1."""
 
 
 @dataclass(frozen=True)
@@ -170,9 +170,7 @@ class Driver:
         assert self.common is not None
         if not self._last or self._last[0][0] is not conditions:
             rows = self.common(conditions)
-            if rows.shape[1] > 1:
-                size = np.abs(rows).max(axis=0)
-                rows = np.where(size > ROUNDING * size.max(), rows, 0.0)
+            rows = np.where(np.abs(rows).max(axis=0) > ROUNDING, rows, 0.0)
             self._last[:] = [(conditions, rows)]
         return self._last[0][1]
 
