@@ -110,6 +110,32 @@ def test_vibration_raises_the_scatter_and_moves_the_mean(tmp_path):
     assert 1e6 * slope == pytest.approx(4000, rel=0.3)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_mean_that_follows_the_vibration_is_named(tmp_path, seed: int) -> None:
+    """A machine that runs at four strengths: K2 of X turns its variance into a shift, Y has none."""
+    rng = np.random.default_rng([seed, 77])
+    rows, time = [], 0.0
+    for k, angle in enumerate(np.arange(24) * 15.0):
+        psi, sd = 0.05 - np.deg2rad(angle), float(rng.choice([3.0, 10.0, 25.0, 50.0]))
+        mean = np.array([1005 * np.cos(psi), 998 * np.sin(psi + 0.004)])
+        mean = mean + np.array([2000 * (sd / 1000) ** 2, 0.0])
+        for x, y in mean + rng.normal(0, sd, (1000, 2)):
+            rows.append(f"{time:.5f},{k},{angle},{x:.3f},{y:.3f}")
+            time += 0.00122
+        time += 3.0
+    head = ["# sensor: generic", "# fixture_sigma_deg: 0.005", "# accel_unit: mg"]
+    head.append("time_s,position,angle_deg,ax,ay")
+    path = tmp_path / "machine.csv"
+    path.write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
+    result = trace(load_session(path)).as_dict()
+    assert [entry["effect"] for entry in result["found"]] == ["vibration_rectification"]
+    (entry,) = result["found"]
+    assert entry["axes"] == ["x"]
+    value = entry["parameters"]["vre_x"]
+    assert abs(value["value"] - 2000) < 3.5 * value["u"]
+    assert result["error"]["after"]["heldout_rms_mg"] < result["error"]["before"]["heldout_rms_mg"]
+
+
 def test_trace_counts_what_is_beyond_doubt_and_only_remarks_the_rest(tmp_path, capsys):
     path = simulated(tmp_path / "t.csv", "tone:tone_x=2,tone_y=1,frequency=50")
     capsys.readouterr()
