@@ -15,7 +15,7 @@ Equation 5 is exact for alpha = 0 or delta_phi = 0 only: `paper` runs with delta
 30°, away from its pole at 45°, and the line `paper (own limit)` with a random delta_phi is held to the
 value that its equations give without noise, not to the truth.
 
-With --flicker the sensor also has 1/f noise of the ADIS16354's (estimated) 0.1 mg, which neighbouring dwells
+With --flicker the sensor also has 1/f noise of the ADIS16354's (estimated) 0.1 mg, which neighbours
 share; its bound is not that of the column, so that only bias and coverage have a target then.
 
     python scripts/fit_statistics.py                      # 4000 sessions, 20000 for ml and two-position
