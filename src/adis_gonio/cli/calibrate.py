@@ -113,7 +113,7 @@ def command(
     session = load_session(output)
     truth = session.facts.get("truth")
     traced = _traced(session, advisor) if advisor is not None else None
-    from adis_gonio.fitting import applicable_methods, fit
+    from adis_gonio.fitting import fit, fit_every
 
     if as_json:
         document = fit(session).as_dict()
@@ -124,7 +124,8 @@ def command(
         return 0 if complete else 1
     from adis_gonio.cli.fit import print_results
 
-    print_results([fit(session, method=name).as_dict() for name in applicable_methods(session)], truth)
+    results, failures = fit_every(session)
+    print_results([result.as_dict() for result in results], truth, failures=failures)
     if traced is not None:
         from adis_gonio.cli.closing import print_loop
         from adis_gonio.cli.trace import print_trace

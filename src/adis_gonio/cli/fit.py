@@ -23,7 +23,7 @@ def command(*, session: Path, method: str | None, as_json: bool) -> None:
 
     Without --method the screen compares every method that the session supports; --json gives the best one.
     """
-    from adis_gonio.fitting import applicable_methods, fit
+    from adis_gonio.fitting import fit, fit_every
     from adis_gonio.session import load_session
 
     loaded = load_session(session)
@@ -35,19 +35,20 @@ def command(*, session: Path, method: str | None, as_json: bool) -> None:
     screen.print(f"{title}{len(loaded.dwells)} dwells, {loaded.sensor}", style="bold", markup=False)
     for note in loaded.notes:
         screen.print(f"  {note}", markup=False)
-    methods = [method] if method else applicable_methods(loaded)
-    results = [fit(loaded, method=name) for name in methods] if methods else [fit(loaded)]
-    print_results([result.as_dict() for result in results], shown=loaded.notes)
+    results, failures = ([fit(loaded, method=method)], {}) if method else fit_every(loaded)
+    print_results([result.as_dict() for result in results], shown=loaded.notes, failures=failures)
 
 
 def print_results(
     documents: list[dict[str, Any]],
     truth: Mapping[str, float] | None = None,
     shown: Collection[str] = (),
+    failures: Mapping[str, str] | None = None,
 ) -> None:
     """Show fits side by side, a column a method, with the truth of a simulation where there is one.
 
-    `shown` are lines that were printed already and need not come again as warnings.
+    `shown` are lines that were printed already and need not come again as warnings; `failures` says why
+    other methods give nothing.
     """
     from rich.table import Table
 
@@ -81,6 +82,8 @@ def print_results(
                 said.setdefault(warning, []).append(document["method"])
     for warning, methods in said.items():
         screen.print(f"{', '.join(methods)}: {warning}", markup=False)
+    for method, reason in (failures or {}).items():
+        screen.print(f"no result by {method}: {reason}", markup=False)
 
 
 def _number(value: float | None, spec: str) -> str:

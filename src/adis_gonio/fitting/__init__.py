@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from adis_gonio.fitting.methods import METHODS, applicable_methods, fit, fit_readings
+from adis_gonio.fitting.methods import METHODS, applicable_methods, fit, fit_every, fit_readings
 from adis_gonio.fitting.readings import Readings, reduce_session
 from adis_gonio.fitting.result import Estimate, FitResult
 
@@ -13,6 +13,7 @@ __all__ = [
     "Readings",
     "applicable_methods",
     "fit",
+    "fit_every",
     "fit_readings",
     "reduce_session",
 ]

@@ -36,6 +36,8 @@ TOLERANCE_DEG = 0.5
 LEAST_MMPM = 9
 """Positions that `mmpm` asks for: its definition."""
 
+_FAR_FROM_POLE = 0.5
+"""cos(2 alpha + delta_phi) from which it is not the pole at 45° that spoils equation 12."""
 _NEAR_POLE = 0.2
 
 
@@ -121,6 +123,11 @@ def fit_paper(readings: Readings) -> FitResult:
     first, second = weights @ natural
     distance = abs(math.cos(at))
     if math.hypot(phi, u_at) > _NEAR_POLE * distance or min(abs(first[0]), abs(second[1])) < 1e-6:
+        if distance > _FAR_FROM_POLE:
+            raise SingularError(
+                f"method paper does not hold here: delta_phi would be {math.degrees(phi):.1f} ± "
+                f"{math.degrees(u_at):.1g}°, and its equations are for small angles; use two-position"
+            )
         times = f"{1 / distance:.0f} times" if distance > 1e-6 else "more than a million times"
         raise SingularError(
             f"method paper is singular here: alpha = {math.degrees(alpha):.2f}° brings a + b of equation "

@@ -9,7 +9,12 @@ import numpy as np
 from adis_gonio.errors import FitError, SingularError, UsageError
 from adis_gonio.fitting.closed_form import LEAST_MMPM, fit_mmpm, fit_paper, fit_positions, rows_at
 from adis_gonio.fitting.likelihood import fit_planar, fit_spatial
-from adis_gonio.fitting.readings import Readings, reduce_session, refuse_other_units
+from adis_gonio.fitting.readings import (
+    Readings,
+    reduce_session,
+    refuse_other_units,
+    refuse_reversed,
+)
 from adis_gonio.fitting.result import FitResult
 from adis_gonio.model.records import Session
 
@@ -46,6 +51,7 @@ def fit(session: Session, method: str | None = None) -> FitResult:
         raise UsageError(f"no method is called '{method}'; known: {', '.join(METHODS)}")
     readings = reduce_session(session)
     refuse_other_units(session, readings)
+    refuse_reversed(session, readings)
     try:
         result = fit_readings(readings, method)
     except FitError as error:
@@ -113,6 +119,29 @@ def applicable_methods(session: Session) -> tuple[str, ...]:
     if len(angles) >= (2 if np.isfinite(angles).all() and not session.free_attitudes else 3):
         methods.append("ml")
     return tuple(methods)
+
+
+def fit_every(session: Session) -> tuple[list[FitResult], dict[str, str]]:
+    """Results of all methods that the session supports, and why others give none.
+
+    Raises
+    ------
+    FitError
+        If none of them gives a result.
+    """
+    methods = applicable_methods(session)
+    if not methods:
+        return [fit(session)], {}
+    results: list[FitResult] = []
+    failures: dict[str, str] = {}
+    for method in methods:
+        try:
+            results.append(fit(session, method=method))
+        except FitError as error:
+            failures[method] = str(error)
+    if not results:
+        return [fit(session)], failures
+    return results, failures
 
 
 def _only_two(readings: Readings) -> bool:

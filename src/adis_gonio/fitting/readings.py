@@ -40,6 +40,9 @@ MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
 MOST_SHARED = 2000
 """Dwells up to which 1/f noise that they share counts between them: beyond, its covariance is too large to
 keep, and of so many readings little is left of it."""
+LEAST_TURNING, LEAST_TURN, LEAST_AREA = 4, 0.3, 0.5
+"""Positions, least singular value of their cosines, sines and ones, and area (1 of a good sensor) from
+which the sense of rotation is beyond doubt."""
 OFF_UNIT = 2.0
 """Factor from 1 g beyond which still readings are in another unit: no sensor's gain is so far off."""
 UNEQUAL = 0.5
@@ -132,6 +135,30 @@ def refuse_other_units(session: Session, readings: Readings) -> None:
         f"{session.source or 'session'}: readings are {length:.3g} g long where 1 g acts: accel_unit "
         f"{session.accel_unit} cannot be right (lsb goes by the sensor, {session.sensor}); state the unit "
         f"of the file, or counts where it is not known{also}"
+    )
+
+
+def refuse_reversed(session: Session, readings: Readings) -> None:
+    """Raise `DataError` where the readings turn the other way than the declared angles.
+
+    X follows cos(α − θ) and Y sin(α − θ): with x_c, x_s, y_c, y_s their first harmonics, the sense of
+    rotation is the sign of x_s y_c − x_c y_s, which neither gains nor a misalignment below 90° change.
+    """
+    rows = np.isfinite(readings.angle_rad)
+    free = readings.fixture_sigma_rad is not None and math.isinf(readings.fixture_sigma_rad)
+    if session.plane != "xy" or free or readings.unit != "mg" or readings.mean.shape[1] != 2:
+        return
+    theta = readings.angle_rad[rows]
+    design = np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))])
+    if len(theta) < LEAST_TURNING or np.linalg.svd(design, compute_uv=False)[-1] < LEAST_TURN:
+        return
+    (x_c, x_s, _), (y_c, y_s, _) = np.linalg.lstsq(design, readings.mean[rows], rcond=None)[0].T
+    area = (x_s * y_c - x_c * y_s) / session.gravity_mg**2
+    if area > -LEAST_AREA:
+        return
+    raise DataError(
+        f"{session.source or 'session'}: the readings turn the other way than the declared angles: change "
+        "the sign of angle_deg, or of an axis, so that Y reads at 90° minus what X reads at 0°"
     )
 
 

@@ -27,9 +27,11 @@ def uncertain(value: float, u: float | None) -> str:
         return number(value, 4)
     exponent = math.floor(math.log10(u))
     if exponent < -5:
-        scale = 10.0 ** -math.floor(math.log10(max(abs(value), u)))
-        power = str(-round(math.log10(scale))).translate(_RAISED)
-        return f"({uncertain(value * scale, u * scale)})·10{power}"
+        power = math.floor(math.log10(max(abs(value), u)))
+        scaled, spread = value / 10.0**power, u / 10.0**power
+        digits = max(0, 1 - math.floor(math.log10(spread)))
+        text = f"{scaled:.{digits}f}{SPACE}±{SPACE}{spread:.{digits}f}".replace("-", "−")
+        return f"({text})·10{str(power).translate(_RAISED)}"
     digits = max(0, 1 - exponent)
     return f"{value:.{digits}f}{SPACE}±{SPACE}{u:.{digits}f}".replace("-", "−")
 

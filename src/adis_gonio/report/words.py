@@ -176,7 +176,11 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
             "by. Measure more positions."
         )
     if result.adequate or not tested:
-        ending = "Whether anything is left cannot be tested: the noise of a reading is not known by itself."
+        ending = "Whether anything is left cannot be tested: " + (
+            "the noise of a reading is not known by itself."
+            if result.adequate
+            else "the model has as many parameters as there are readings. Measure more positions."
+        )
         return f"{what or 'Nothing was found beyond the base model.'} {ending}"
     if result.confounded or result.reasons:
         ending = (
@@ -235,8 +239,8 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
         told = named[:most] + nameless[:1]
         if told:
             more = len(named[most:]) + len(nameless[1:])
-            kind = "forms without a name" if not named[most:] else "more"
-            text = f"{first} — or {', or '.join(told)}" + (f" (or {more} other {kind})" if more else "")
+            kind = "more" if named[most:] else f"other form{'s' * (more > 1)} without a name"
+            text = f"{first} — or {', or '.join(told)}" + (f" (or {more} {kind})" if more else "")
         reason = result.reasons.get(first)
         lines.append(f"{text}: {reason}" if reason else text)
     return lines

@@ -592,4 +592,8 @@ def _products(data: Observations) -> Iterator[_Made]:
         yield _Made("products", True, Driver(form, names, surface))
         yield _Made("products", True, Driver(form + " + const", names, _with_constant(surface)), ("bias",))
         if "approach" not in names:
-            yield _Made("products", True, Driver("curved " + form, names, _with_constant(curved)))
+            yield _Made(
+                "products",
+                True,
+                Driver("a curved " + form.removeprefix("a "), names, _with_constant(curved)),
+            )

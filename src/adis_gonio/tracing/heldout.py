@@ -234,6 +234,8 @@ def determined(
     out = np.zeros(len(data), dtype=bool)
     for mask in masks:
         rest = columns[~mask].reshape(-1, columns.shape[2])
+        if not len(rest):
+            continue
         size = np.maximum(np.linalg.norm(rest, axis=0), 1e-300)
         _, s, vt = np.linalg.svd(rest / size, full_matrices=False)
         seen = s > 1e-8 * s[0]

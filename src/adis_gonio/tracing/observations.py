@@ -148,12 +148,13 @@ def observe(session: Session) -> Observations:
     DataError
         As `adis_gonio.fitting.reduce_session`.
     """
-    from adis_gonio.fitting.readings import reduce_session, refuse_other_units
+    from adis_gonio.fitting.readings import reduce_session, refuse_other_units, refuse_reversed
 
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     everything = replace(session, dwells=tuple(replace(dwell, use="fit") for dwell in dwells))
     readings = reduce_session(everything)
     refuse_other_units(session, readings)
+    refuse_reversed(everything, readings)
     to_mg = _counts_to_mg(readings)
     mean = readings.mean
     covariance = readings.covariance

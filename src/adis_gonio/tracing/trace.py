@@ -39,8 +39,10 @@ BASE_SPACE = (
 )
 WORSE = 1.05
 """Largest held-out error of the final model in units of the base model's."""
-LEAST_WEIGHT = 0.01
-"""Least posterior of a model that counts in the uncertainty of an effect."""
+LEAST_WEIGHT = 0.05
+"""Least posterior of a model that counts in the uncertainty of an effect: rarer ones lie beyond 95 %."""
+SIGNIFICANT = 0.01
+"""Largest p-value, multiplied by the candidates, of an effect that is called found."""
 LEAST_CHECKS = 2
 """Least degrees of freedom that a model has to leave for its names to stand."""
 LEAST_DWELLS = 5
@@ -111,13 +113,26 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
         dropped, averaged = {**dropped, **cut}, None
     unnamed = _unnamed(training, selection, averaged)
     final = selection if averaged is None else _with_average(training, selection, averaged)
-    found = tuple(_finding(final, name) for name in names.stand)
+    findings = [_finding(final, name) for name in names.stand]
+    weak = {
+        finding.effect: f"its own test beside the others is p = {finding.p_value:.2g}"
+        for finding in findings
+        if finding.p_value > SIGNIFICANT
+    }
+    if figures[-1].heldout_rms_mg is None:
+        weak |= {
+            finding.effect: "no dwell could be left out to check it by"
+            for finding in findings
+            if finding.effect != "bias"
+        }
+    found = tuple(finding for finding in findings if finding.effect not in weak)
+    names = _without(replace(names, open={**names.open, **weak}), weak)
     seen = detectable(selection.found, selection.verdict.best, missing)
     rivals = _rivals(selection)
     open_still = replace(selection, adequate=final.adequate)
     advice, measurements = advise(data, training, open_still, terms, names.confounded)
     return TraceResult(
-        adequate=final.adequate,
+        adequate=final.adequate and (final.fit.dof > 0 or not training.known),
         found=found,
         steps=tuple(
             Step(label, error) for label, error in zip(labels[: len(nested) - 1], figures[1:], strict=True)

@@ -81,7 +81,14 @@ def weigh(found: Search) -> Verdict:
         skeletons[skeleton(found, model)] += weight
     likely = max(skeletons, key=lambda s: skeletons[s])
     best = max((m for m in weights if skeleton(found, m) == likely), key=lambda m: weights[m])
-    return Verdict(best, weights, same, dict(names), dict(covariates))
+    # A sum of weights may end above 1 by rounding.
+    return Verdict(
+        best,
+        weights,
+        same,
+        {name: min(weight, 1.0) for name, weight in names.items()},
+        {which: min(weight, 1.0) for which, weight in covariates.items()},
+    )
 
 
 def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:

@@ -101,7 +101,7 @@ class PositionSlip(StageEffect):
         "the modulus changes: repeat the position."
     )
     needs = ("order",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("slip", "degree", -180.0, 180.0, 0.1),)
+    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("slip", "degree", -190.0, 190.0, 0.1),)
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
         """One in the dwell, zero elsewhere."""
