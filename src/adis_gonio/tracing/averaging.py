@@ -19,9 +19,9 @@ from adis_gonio.model.records import Floats
 from adis_gonio.tracing.design import span
 from adis_gonio.tracing.gates import linear
 from adis_gonio.tracing.observations import Observations
-from adis_gonio.tracing.selection import Selection
+from adis_gonio.tracing.selection import LARGEST, Selection
 from adis_gonio.tracing.smooth import Process, evidence, processes
-from adis_gonio.tracing.state import Refit, as_reading, refit
+from adis_gonio.tracing.state import NAMELESS_SPREAD, Refit, as_reading, refit
 from adis_gonio.tracing.terms import Driver, NamelessTerm, Term, Where
 
 WINDOW = 6.0
@@ -207,7 +207,10 @@ def _fitted(
     means, within, used = [], np.zeros((fixed.shape[1], fixed.shape[1])), 0.0
     likely = np.flatnonzero(weights).tolist()
     solutions = {k: _ridge(data, selection, fixed, target, pool[k][1]) for k in likely}
-    seen = {k: solution[3] >= VISIBLE for k, solution in solutions.items()}
+    seen = {
+        k: solution[3] >= VISIBLE and _possible(data, selection, pool[k][1], solution[0][fixed.shape[1] :])
+        for k, solution in solutions.items()
+    }
     if any(seen.values()):
         weights = np.array([weight * seen.get(k, 0) for k, weight in enumerate(weights)])
         weights /= weights.sum()
@@ -227,6 +230,21 @@ def _fitted(
     return members, within + between / selection.inflation, used
 
 
+def _possible(
+    data: Observations, selection: Selection, terms: Sequence[NamelessTerm], values: Floats
+) -> bool:
+    """False where a term adds more than `LARGEST`: two of them, or one and the base, that nearly cancel."""
+    at = 0
+    for term in terms:
+        width = _width(data, selection, term)
+        ideal = selection.fit.prediction.ideal_mg
+        added = term.added(values[at : at + width], ideal, data.conditions)
+        if np.abs(added).max() > LARGEST * (1.0 if term.enters_angle else data.gravity_mg):
+            return False
+        at += width
+    return True
+
+
 def _width(data: Observations, selection: Selection, term: NamelessTerm) -> int:
     return int(term.columns(selection.fit.prediction.ideal_mg, data.conditions).shape[-1])
 
@@ -244,7 +262,7 @@ def _ridge(
     columns = np.concatenate([fixed, *blocks], axis=1)
     priors = [np.zeros(fixed.shape[1])]
     for term, block in zip(terms, blocks, strict=True):
-        held = 0.0 if term.shrinkage is None else np.sqrt(selection.inflation) / term.shrinkage
+        held = np.sqrt(selection.inflation) / (term.shrinkage or NAMELESS_SPREAD)
         priors.append(np.full(block.shape[1], held))
     precision = np.concatenate(priors)
     stacked = np.concatenate([columns, np.diag(precision)[precision > 0]])
@@ -256,7 +274,7 @@ def _ridge(
     solved = half @ (u[: len(target), keep].T @ target)
     added = columns[:, fixed.shape[1] :] @ solved[fixed.shape[1] :]
     visible = 1.0
-    if not precision.any() and added.any():
+    if all(term.shrinkage is None for term in terms) and added.any():
         beside = _orthonormal(fixed)
         left = added - beside @ (beside.T @ added)
         visible = float(np.linalg.norm(left) / np.linalg.norm(added))

@@ -17,6 +17,7 @@ from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.state import (
+    Prediction,
     Refit,
     State,
     angles,
@@ -55,11 +56,25 @@ class Left:
         Angle by the calibrated goniometer minus declared angle.
     whitened2 : (n,) float
         Squared whitened residual of each dwell.
+    predicted : (n,) bool
+        Dwells of which the model that was chosen without them knows where they lie.
     """
 
     residual_mg: Floats
     angle_rad: Floats | None
     whitened2: Floats
+    predicted: NDArray[np.bool_]
+
+    def rows(self, index: NDArray[np.bool_]) -> Left:
+        """Some of the dwells."""
+        turned = None if self.angle_rad is None else self.angle_rad[index]
+        if turned is not None and np.isnan(turned).any():
+            turned = None
+        return Left(self.residual_mg[index], turned, self.whitened2[index], self.predicted[index])
+
+
+Fitted = tuple[Sequence[Term], Refit] | tuple[Sequence[Term], Refit, Sequence[Term], Refit]
+"""A model with its refit; after an average also the model, with its own refit, that it began from."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +143,28 @@ def bounded(data: Observations, model: Sequence[Term], fitted: Refit) -> tuple[T
 
 def leave(data: Observations, model: Sequence[Term], fitted: State) -> Left:
     """Residuals of a fitted model on other dwells; see `bounded` for its terms."""
+    at, _, start = _placed(data, model, fitted)
+    turned = None
+    if data.planar and data.conditions.angle_rad is not None:
+        free = replace(data, fixture_rad=float("inf"))
+        turned = settle(free, model, start, passes=4).delta_rad
+    squares = (at.residual**2).sum(axis=1)
+    return Left(data.mean_mg - at.predicted_mg, turned, squares, np.ones(len(data), dtype=bool))
+
+
+def known(data: Observations, model: Sequence[Term], fitted: Refit) -> NDArray[np.bool_]:
+    """Dwells (n,) that a model fitted to others predicts to within `PREDICTED`, by its own covariance."""
+    at, state, _ = _placed(data, model, fitted.state)
+    columns = [base_columns(data, state, at)]
+    for term, values in zip(model, fitted.state.values, strict=True):
+        columns.append(as_reading(term, term.derivative(values, at.ideal_mg, data.conditions), at))
+    rows = at.whiten @ np.concatenate(columns, axis=2)
+    variance = 1 + np.einsum("nrp,pq,nrq->nr", rows, fitted.covariance, rows)
+    return np.asarray((variance <= PREDICTED).all(axis=1))
+
+
+def _placed(data: Observations, model: Sequence[Term], fitted: State) -> tuple[Prediction, State, State]:
+    """Prediction at the attitudes that suit other dwells best, its state, and that of declared angles."""
     n = len(data)
     start = State(
         fitted.base,
@@ -140,12 +177,7 @@ def leave(data: Observations, model: Sequence[Term], fitted: State) -> Left:
     if data.planar and data.conditions.angle_rad is None:
         start = replace(start, delta_rad=np.arctan2(data.mean_mg[:, 1], data.mean_mg[:, 0]))
     state = settle(data, model, start, passes=4)
-    at = predict(data, model, state)
-    turned = None
-    if data.planar and data.conditions.angle_rad is not None:
-        free = replace(data, fixture_rad=float("inf"))
-        turned = settle(free, model, start, passes=4).delta_rad
-    return Left(data.mean_mg - at.predicted_mg, turned, (at.residual**2).sum(axis=1))
+    return predict(data, model, state), state, start
 
 
 def rms(residual_mg: Floats, planar: bool) -> float:
@@ -267,33 +299,47 @@ def _poses_repeat(data: Observations, blocks: list[NDArray[np.bool_]]) -> bool:
 def cross_validate(
     data: Observations,
     designs: dict[str, list[NDArray[np.bool_]]],
-    fit: Callable[[Observations], tuple[Sequence[Term], Refit]],
-    counts: Mapping[str, NDArray[np.bool_]] | None = None,
+    fit: Callable[[Observations], Fitted],
 ) -> dict[str, Left]:
-    """Left-out residuals under each design; `fit` selects and fits on the other dwells.
-
-    Parameters
-    ----------
-    counts : mapping of str to (n,) bool, optional
-        Designs that apply, and the dwells that count in them (`counting`); by default all of all.
-    """
+    """Left-out residuals of all dwells under each design; `fit` selects and fits on the other dwells."""
     out = {}
-    if counts is not None:
-        designs = {name: masks for name, masks in designs.items() if name in counts}
     for name, masks in designs.items():
         residual = np.full(data.mean_mg.shape, np.nan)
         turned = np.full(len(data), np.nan)
         whitened = np.full(len(data), np.nan)
+        predicted = np.ones(len(data), dtype=bool)
         for mask in masks:
-            model, fitted = fit(data.rows(~mask))
+            answer = fit(data.rows(~mask))
+            model, fitted = answer[0], answer[1]
+            chosen, own = (answer[2], answer[3]) if len(answer) == 4 else (model, fitted)
+            predicted[mask] = known(data.rows(mask), chosen, own)
             left = leave(data.rows(mask), bounded(data.rows(~mask), model, fitted), fitted.state)
             residual[mask], whitened[mask] = left.residual_mg, left.whitened2
             if left.angle_rad is not None:
                 turned[mask] = left.angle_rad
-        if counts is not None:
-            own = counts[name]
-            residual, turned, whitened = residual[own], turned[own], whitened[own]
-        out[name] = Left(residual, None if np.isnan(turned).any() else turned, whitened)
+        out[name] = Left(residual, turned, whitened, predicted)
+    return out
+
+
+def counted(left: Mapping[str, Left], counts: Mapping[str, NDArray[np.bool_]]) -> list[Left]:
+    """Left-out residuals of the dwells that count, design by design."""
+    return [left[name].rows(own) for name, own in counts.items()]
+
+
+def less_unknown(
+    counts: Mapping[str, NDArray[np.bool_]], anew: Mapping[str, Left]
+) -> dict[str, NDArray[np.bool_]]:
+    """Dwells that count, less those that a model chosen without a whole range does not pretend to know.
+
+    Without the quarter of a turn that shows it, another effect is chosen that fits the rest as well, and
+    whose parameters leave that quarter open by many mg: its covariance says so. Designs that have less than
+    a third of the dwells left do not apply.
+    """
+    out = {}
+    for name, own in counts.items():
+        rest = own & anew[name].predicted if name in (BY_AXIS, BLOCKS_OF_TIME) else own
+        if 3 * int(rest.sum()) >= len(rest):
+            out[name] = rest
     return out
 
 

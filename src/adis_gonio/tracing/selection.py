@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adis_gonio.model.effects import effect
+from adis_gonio.model.records import Floats
 from adis_gonio.tracing.design import Problem, amplitudes, linearise, span
 from adis_gonio.tracing.observations import Observations
 from adis_gonio.tracing.search import Search, search
@@ -95,26 +96,25 @@ def select(
     base = refit(data, (), begin(data))
     fit, state = base, base.state
     slipped = _gross_slips(data, terms) if max_terms else {}
-    model: tuple[Term, ...] = tuple(slipped)
+    model: tuple[Term, ...] = ()
     if slipped:
-        state = _with_slips(data, slipped)
+        model, state = _with_slips(data, terms, slipped)
     inflation = 1.0 if data.known else max(base.chi2 / max(base.dof, 1), 1e-12)
     before: tuple[str, ...] | None = None
     for _ in range(rounds):
         problem = linearise(data, model, state, terms)
         constants = _mostly_bias(problem)
         first = None
-        if constants is None and len(model) == len(slipped) and not slipped:
+        if constants is None and not model:
             constants, first = _mostly_bias_refitted(data, problem, base)
         if constants is not None:
             # A constant that is far larger than what is left beside it is no part of a function's form.
             terms = [term for term in terms if not (isinstance(term, NamelessTerm) and term.with_constant)]
-            if len(model) == len(slipped) and set(model) == set(slipped) and max_terms:
+            if not model and max_terms:
                 # Its square, b²/2G, may be many times the noise: candidates are judged about the state
                 # that has it, or they would be chosen for what the linear problem leaves of it.
-                chosen = [k for k, term in enumerate(problem.terms) if term in slipped] + [constants]
-                state = (first or fit_model(data, problem, chosen, state)).state
-                model = tuple(problem.terms[k] for k in chosen)
+                state = (first or fit_model(data, problem, [constants], state)).state
+                model = (problem.terms[constants],)
             problem = linearise(data, model, state, terms)
         assumed = inflation
         while True:
@@ -159,12 +159,13 @@ def _gross_slips(data: Observations, terms: Sequence[Term]) -> dict[Term, float]
     theta = data.conditions.angle_rad
     if not data.planar or theta is None or not np.isfinite(data.fixture_rad) or len(data) < LEAST_GROSS:
         return {}
-    shown = np.arctan2(data.mean_mg[:, 1], data.mean_mg[:, 0]) + theta
+    reading = data.mean_mg - _robust_bias(data, theta)
+    shown = np.arctan2(reading[:, 1], reading[:, 0]) + theta
     middle = np.angle(np.exp(1j * shown).sum())
     off = np.angle(np.exp(1j * (shown - middle)))
     off = np.angle(np.exp(1j * (off - np.median(off))))
     typical = 1.4826 * float(np.median(np.abs(off)))
-    length = np.linalg.norm(data.mean_mg, axis=1) / data.gravity_mg
+    length = np.linalg.norm(reading, axis=1) / data.gravity_mg
     far = np.abs(off) > max(GROSS, 6 * typical)
     if (
         not far.any()
@@ -187,16 +188,41 @@ def _gross_slips(data: Observations, terms: Sequence[Term]) -> dict[Term, float]
     return out
 
 
-def _with_slips(data: Observations, slipped: dict[Term, float]) -> State:
-    """State of the base model beside slips that are known roughly."""
-    order = data.conditions.order
+def _robust_bias(data: Observations, theta: Floats) -> Floats:
+    """Rough biases (2,) in mg by least squares on the first harmonic, without dwells that are far off."""
+    design = np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))])
+    kept = np.ones(len(theta), dtype=bool)
+    bias = np.zeros(2)
+    for _ in range(4):
+        if np.linalg.svd(design[kept], compute_uv=False)[-1] < 0.3:
+            return np.zeros(2)
+        solved = np.linalg.lstsq(design[kept], data.mean_mg[kept], rcond=None)[0]
+        left = np.linalg.norm(data.mean_mg - design @ solved, axis=1)
+        kept = left <= 4 * np.median(left)
+        bias = solved[2]
+    return np.asarray(bias)
+
+
+def _with_slips(
+    data: Observations, terms: Sequence[Term], slipped: dict[Term, float]
+) -> tuple[tuple[Term, ...], State]:
+    """Slips that are known roughly and a bias, which the linear problem needs as well, refitted."""
+    order, theta = data.conditions.order, data.conditions.angle_rad
     assert order is not None
+    assert theta is not None
     dwells = [getattr(getattr(term, "effect", None), "dwell", -1) for term in slipped]
     kept = data.rows(~np.isin(np.round(order), dwells))
     firm = refit(kept, (), begin(kept)).state
+    values = [np.array([value]) for value in slipped.values()]
+    model: list[Term] = list(slipped)
+    biases = [term for term in terms if term.name == "bias" and isinstance(term, NamedTerm)]
+    if biases:
+        widest = max(biases, key=lambda term: len(term.effect.axes))
+        model.append(widest)
+        values.append(widest.start(_robust_bias(data, theta)[: len(widest.effect.axes)]))
     begun = begin(data)
-    values = tuple(np.array([value]) for value in slipped.values())
-    return refit(data, tuple(slipped), State(firm.base, np.zeros(len(data)), begun.unit, values)).state
+    start = State(firm.base, np.zeros(len(data)), begun.unit, tuple(values))
+    return tuple(model), refit(data, model, start).state
 
 
 def _fitted(

@@ -38,6 +38,11 @@ GAIN_SPREAD = 0.2
 """Prior standard deviation of gains, skews and misalignment (rad)."""
 
 
+NAMELESS_SPREAD = 100.0
+"""Prior standard deviation of an amplitude without a name (mg, mrad): where time and the position before
+run together, their difference and a gain of twenty would cancel."""
+
+
 @dataclass(frozen=True)
 class State:
     """Base parameters, nuisance attitudes and values of the terms.
@@ -327,7 +332,8 @@ def _prior(data: Observations, model: Sequence[Term], state: State) -> _Prior:
     if data.planar:
         parts[0][0] = 0.0
     for term, values in zip(model, state.values, strict=True):
-        parts.append(np.full(len(values), 0.0 if term.prior_sd is None else 1.0 / term.prior_sd))
+        loose = NAMELESS_SPREAD if term.name is None else np.inf
+        parts.append(np.full(len(values), 1.0 / (loose if term.prior_sd is None else term.prior_sd)))
     precision = np.concatenate(parts)
     centre = np.zeros(len(precision))
     centre[: len(base)] = base

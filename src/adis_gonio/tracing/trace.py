@@ -15,7 +15,18 @@ from adis_gonio.tracing.design import Problem, amplitudes, span
 from adis_gonio.tracing.detect import detectable
 from adis_gonio.tracing.gates import contradicting, held_out_gains
 from adis_gonio.tracing.grammar import nameless_terms, of_one_dwell
-from adis_gonio.tracing.heldout import Left, bounded, counting, cross_validate, folds, leave, rms
+from adis_gonio.tracing.heldout import (
+    Fitted,
+    Left,
+    bounded,
+    counted,
+    counting,
+    cross_validate,
+    folds,
+    leave,
+    less_unknown,
+    rms,
+)
 from adis_gonio.tracing.named import named_terms
 from adis_gonio.tracing.naming import Names, describe, judge
 from adis_gonio.tracing.observations import Observations, observe
@@ -75,7 +86,11 @@ def trace(session: Session, max_effects: int = 6) -> TraceResult:
 
         return trace_series(session, max_effects)
     data = observe(session)
-    return with_second_pass(session, data, trace_observations(data, max_effects))
+    try:
+        result = trace_observations(data, max_effects)
+    except FitError as error:
+        raise FitError(f"{session.source}: {error}" if session.source else str(error)) from error
+    return with_second_pass(session, data, result)
 
 
 def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
@@ -319,19 +334,21 @@ def _figures(
     else:
         designs = folds(data)
         counts = counting(data, designs, selection.model)
+        anew = cross_validate(data, designs, fold.chosen_anew) if len(nested) > 1 else {}
+        counts = less_unknown(counts, anew) if anew else counts
         designs = {name: designs[name] for name in counts}
         design = "; ".join(f"{name} ({len(masks)} folds)" for name, masks in designs.items())
         lefts = []
         for model, fitted in zip(nested[:-1] if len(nested) > 1 else nested, fits, strict=False):
-            kept = cross_validate(data, designs, _keeping(model, fitted.state), counts)
-            lefts.append(list(kept.values()))
+            kept = cross_validate(data, designs, _keeping(model, fitted.state))
+            lefts.append(counted(kept, counts))
         if len(nested) > 1:
-            lefts.append(list(cross_validate(data, designs, fold.chosen_anew, counts).values()))
+            lefts.append(counted(anew, counts))
             design += "; effects chosen anew in each fold"
             if fold.averaged is None:
                 keeping = _keeping(nested[-1], fits[-1].state)
-                kept = cross_validate(data, designs, keeping, counts)
-                error = rms(np.concatenate([part.residual_mg for part in kept.values()]), data.planar)
+                parts = counted(cross_validate(data, designs, keeping), counts)
+                error = rms(np.concatenate([part.residual_mg for part in parts]), data.planar)
                 design += f", {error:.3g} mg with those found kept"
     figures = []
     for fitted, left in zip(fits, lefts, strict=True):
@@ -376,8 +393,9 @@ def _figures_of_few(
         )
     design = f"each of {len(data)} dwells in turn, effects kept: the others are too few to choose any from"
     designs = {design: singles}
+    every = {design: np.ones(len(data), dtype=bool)}
     return [
-        list(cross_validate(data, designs, _keeping(model, fitted.state)).values())
+        counted(cross_validate(data, designs, _keeping(model, fitted.state)), every)
         for model, fitted in zip(nested, fits, strict=True)
     ], design
 
@@ -401,12 +419,14 @@ def _guarding(
     out: list[float | None] = []
     designs = folds(data)
     counts = counting(data, designs, selection.model)
+    # A form that was found on all dwells knows those that are left out; an average more so.
+    anew = cross_validate(data, designs, fold.chosen_anew) if fold.averaged is not None else {}
+    counts = less_unknown(counts, anew) if anew else counts
     for k, (model, state) in enumerate(_starts(selection, nested, fold)):
-        # A form that was found on all dwells knows those that are left out; an average more so.
-        anew = fold.averaged is not None and k == len(nested) - 1
-        fit = fold.chosen_anew if anew else _keeping(model, state)
-        left = cross_validate(data, designs, fit, counts)
-        out.append(rms(np.concatenate([part.residual_mg for part in left.values()]), data.planar))
+        last = bool(anew) and k == len(nested) - 1
+        left = anew if last else cross_validate(data, designs, _keeping(model, state))
+        parts = counted(left, counts)
+        out.append(rms(np.concatenate([part.residual_mg for part in parts]), data.planar))
     return out
 
 
@@ -460,14 +480,14 @@ class _Fold:
     averaged: Averaged | None
     max_effects: int
 
-    def chosen_anew(self, rows: Observations) -> tuple[Sequence[Term], Refit]:
+    def chosen_anew(self, rows: Observations) -> Fitted:
         """Model and refit of the dwells that are kept."""
         terms = [term for term in self.terms if not of_one_dwell(term, rows.conditions)]
         chosen = select(rows, terms, self.max_effects, beam=6, rounds=2)
         if self.averaged is not None:
             again = average(rows, chosen, self.averaged.candidates)
             if again is not None:
-                return again.model, again.fit
+                return again.model, again.fit, chosen.model, chosen.fit
         return chosen.model, chosen.fit
 
 
