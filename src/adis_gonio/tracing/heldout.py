@@ -152,15 +152,36 @@ def leave(data: Observations, model: Sequence[Term], fitted: State) -> Left:
     return Left(data.mean_mg - at.predicted_mg, turned, squares, np.ones(len(data), dtype=bool))
 
 
-def known(data: Observations, model: Sequence[Term], fitted: Refit) -> NDArray[np.bool_]:
-    """Dwells (n,) that a model fitted to others predicts to within `PREDICTED`, by its own covariance."""
-    at, state, _ = _placed(data, model, fitted.state)
+def known(
+    kept: Observations, left: Observations, model: Sequence[Term], fitted: Refit
+) -> NDArray[np.bool_]:
+    """Dwells of `left` (n,) that a model fitted to the dwells `kept` predicts: see `determined`."""
+    at, state, _ = _placed(left, model, fitted.state)
+    rest = _columns(kept, model, fitted.state, fitted.prediction)
+    return _predicted(rest.reshape(-1, rest.shape[2]), _columns(left, model, state, at))
+
+
+def _columns(data: Observations, model: Sequence[Term], state: State, at: Prediction) -> Floats:
+    """Columns (n, rows, p) of all parameters of a model, whitened dwell by dwell."""
     columns = [base_columns(data, state, at)]
-    for term, values in zip(model, fitted.state.values, strict=True):
+    for term, values in zip(model, state.values, strict=True):
         columns.append(as_reading(term, term.derivative(values, at.ideal_mg, data.conditions), at))
-    rows = at.whiten @ np.concatenate(columns, axis=2)
-    variance = 1 + np.einsum("nrp,pq,nrq->nr", rows, fitted.covariance, rows)
-    return np.asarray((variance <= PREDICTED).all(axis=1))
+    whitened: Floats = at.whiten @ np.concatenate(columns, axis=2)
+    return whitened
+
+
+def _predicted(rest: Floats, left: Floats) -> NDArray[np.bool_]:
+    """Dwells (n,) whose rows (n, r, p) the rows (m, p) of others predict to a variance of `PREDICTED`."""
+    if not len(rest):
+        return np.zeros(len(left), dtype=bool)
+    size = np.linalg.norm(rest, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    _, s, vt = np.linalg.svd(rest / size, full_matrices=False)
+    seen = s > 1e-8 * s[0]
+    scaled = left / size
+    carried = scaled @ (vt[seen].T / s[seen])
+    missing = np.abs(scaled - scaled @ vt[seen].T @ vt[seen]).max(axis=2) > 1e-6
+    return np.asarray(((1 + (carried**2).sum(axis=2) <= PREDICTED) & ~missing).all(axis=1))
 
 
 def _placed(data: Observations, model: Sequence[Term], fitted: State) -> tuple[Prediction, State, State]:
@@ -265,16 +286,7 @@ def determined(
     columns = at.whiten @ np.concatenate([base_columns(data, begin(data), at), zero, *more], axis=2)
     out = np.zeros(len(data), dtype=bool)
     for mask in masks:
-        rest = columns[~mask].reshape(-1, columns.shape[2])
-        if not len(rest):
-            continue
-        size = np.maximum(np.linalg.norm(rest, axis=0), 1e-300)
-        _, s, vt = np.linalg.svd(rest / size, full_matrices=False)
-        seen = s > 1e-8 * s[0]
-        scaled = columns[mask] / size
-        carried = scaled @ (vt[seen].T / s[seen])
-        missing = np.abs(scaled - scaled @ vt[seen].T @ vt[seen]).max(axis=2) > 1e-6
-        out[mask] = ((1 + (carried**2).sum(axis=2) <= PREDICTED) & ~missing).all(axis=1)
+        out[mask] = _predicted(columns[~mask].reshape(-1, columns.shape[2]), columns[mask])
     return out
 
 
@@ -312,7 +324,7 @@ def cross_validate(
             answer = fit(data.rows(~mask))
             model, fitted = answer[0], answer[1]
             chosen, own = (answer[2], answer[3]) if len(answer) == 4 else (model, fitted)
-            predicted[mask] = known(data.rows(mask), chosen, own)
+            predicted[mask] = known(data.rows(~mask), data.rows(mask), chosen, own)
             left = leave(data.rows(mask), bounded(data.rows(~mask), model, fitted), fitted.state)
             residual[mask], whitened[mask] = left.residual_mg, left.whitened2
             if left.angle_rad is not None:
