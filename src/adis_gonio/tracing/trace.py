@@ -128,7 +128,7 @@ def trace_observations(data: Observations, max_effects: int = 6) -> TraceResult:
         dropped, averaged = {**dropped, **cut}, None
     unnamed = _unnamed(training, selection, averaged)
     final = selection if averaged is None else _with_average(training, selection, averaged)
-    findings = [_finding(final, name) for name in names.stand]
+    findings = [_finding(final, name, _student(training, final)) for name in names.stand]
     weak = {
         finding.effect: f"its own test beside the others is p = {finding.p_value:.2g}"
         for finding in findings
@@ -491,7 +491,17 @@ class _Fold:
         return chosen.model, chosen.fit
 
 
-def _finding(selection: Selection, name: str) -> Finding:
+def _student(data: Observations, selection: Selection) -> float:
+    """Factor by which value ± 1.96 u covers 95 % although few degrees of freedom show the noise."""
+    from scipy import stats
+
+    dof = data.noise_dof if data.known else np.inf
+    if not data.known or selection.inflation > 1:
+        dof = min(dof, max(selection.fit.dof, 1.0))
+    return 1.0 if np.isinf(dof) else float(stats.t.ppf(0.975, max(dof, 1.0)) / stats.norm.ppf(0.975))
+
+
+def _finding(selection: Selection, name: str, student: float = 1.0) -> Finding:
     from scipy import stats
 
     problem = selection.problem
@@ -508,7 +518,7 @@ def _finding(selection: Selection, name: str) -> Finding:
             axes += [axis for axis in term.effect.axes if axis not in axes]
             for k, parameter in enumerate(term.effect.parameters):
                 within = selection.fit.covariance[at + k, at + k] * selection.inflation
-                u = float(np.sqrt(within + between.get(parameter.name, 0.0)))
+                u = student * float(np.sqrt(within + between.get(parameter.name, 0.0)))
                 parameters[parameter.name] = Value(float(values[k]), u, parameter.unit)
             for choice in term.effect.choices():
                 parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
