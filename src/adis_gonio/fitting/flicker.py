@@ -12,6 +12,7 @@ Allan variance (Barnes 1969).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -53,6 +54,13 @@ def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
     about = np.eye(n) - 1 / n
     covariance: Floats = -about @ mean_log @ about / (2 * math.log(2))
     return (covariance + covariance.T) / 2
+
+
+def spans(times_s: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """When dwells of two samples or more began and ended (n,), the last sample's own time included."""
+    begin = np.array([float(time[0]) for time in times_s])
+    period = np.array([float(np.ptp(time)) / (len(time) - 1) for time in times_s])
+    return begin, np.array([float(time[-1]) for time in times_s]) + period
 
 
 def scatter_of_means(dwells: int) -> float:

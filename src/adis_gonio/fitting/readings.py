@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.errors import DataError, FitError
-from adis_gonio.fitting.flicker import covariance_of_means, scatter_of_means
+from adis_gonio.fitting.flicker import covariance_of_means, scatter_of_means, spans
 from adis_gonio.fitting.screening import refuse_dead_data
 from adis_gonio.fitting.spectrum import MeanNoise, noise_of_means
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Floats, Session
@@ -251,10 +251,7 @@ def shared_by(dwells: Sequence[Dwell]) -> Floats | None:
     count = int(many.sum())
     if count < 2 or count > MOST_SHARED:
         return None
-    several = [dwell for dwell in dwells if len(dwell) > 1]
-    begin = np.array([float(d.time_s[0]) for d in several])
-    period = np.array([float(np.ptp(d.time_s)) / (len(d) - 1) for d in several])
-    end = np.array([float(d.time_s[-1]) for d in several]) + period
+    begin, end = spans([dwell.time_s for dwell in dwells if len(dwell) > 1])
     out = np.zeros((len(dwells), len(dwells)))
     own = scatter_of_means(count) * np.eye(count)
     out[np.ix_(many, many)] = covariance_of_means(begin, end) + 0.5 - own

@@ -40,6 +40,8 @@ PREDICTED = 4.0
 """Largest variance of a held-out prediction, in units of its noise, that still counts as a prediction."""
 BY_AXIS = "body axes"
 BLOCKS_OF_TIME = "blocks of time"
+RANGES = (BY_AXIS, BLOCKS_OF_TIME)
+"""Designs that leave out whole ranges of angle or time."""
 REPEATED = np.deg2rad(2.0)
 """Dwells nearer to one another than this are in one position."""
 
@@ -57,7 +59,8 @@ class Left:
     whitened2 : (n,) float
         Squared whitened residual of each dwell.
     predicted : (n,) bool
-        Dwells of which the model that was chosen without them knows where they lie.
+        Dwells of which the model that was chosen without them knows where they lie; all where that is not
+        asked.
     """
 
     residual_mg: Floats
@@ -74,7 +77,8 @@ class Left:
 
 
 Fitted = tuple[Sequence[Term], Refit] | tuple[Sequence[Term], Refit, Sequence[Term], Refit]
-"""A model with its refit; after an average also the model, with its own refit, that it began from."""
+"""A model with its refit; where it was chosen anew also the choice, with its own refit, by which is judged
+what it knows: an average has no columns of its own."""
 
 
 @dataclass(frozen=True)
@@ -323,8 +327,8 @@ def cross_validate(
         for mask in masks:
             answer = fit(data.rows(~mask))
             model, fitted = answer[0], answer[1]
-            chosen, own = (answer[2], answer[3]) if len(answer) == 4 else (model, fitted)
-            predicted[mask] = known(data.rows(~mask), data.rows(mask), chosen, own)
+            if len(answer) == 4 and name in RANGES:
+                predicted[mask] = known(data.rows(~mask), data.rows(mask), answer[2], answer[3])
             left = leave(data.rows(mask), bounded(data.rows(~mask), model, fitted), fitted.state)
             residual[mask], whitened[mask] = left.residual_mg, left.whitened2
             if left.angle_rad is not None:
@@ -349,7 +353,7 @@ def less_unknown(
     """
     out = {}
     for name, own in counts.items():
-        rest = own & anew[name].predicted if name in (BY_AXIS, BLOCKS_OF_TIME) else own
+        rest = own & anew[name].predicted
         if 3 * int(rest.sum()) >= len(rest):
             out[name] = rest
     return out

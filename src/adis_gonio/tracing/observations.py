@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.fitting.flicker import covariance_of_means, modes, scatter_of_means
+from adis_gonio.fitting.flicker import covariance_of_means, modes, scatter_of_means, spans
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Dwell, Floats, Session
 
@@ -193,9 +193,7 @@ def _shared(dwells: list[Dwell], covariance: Floats, flicker: Floats) -> tuple[F
     many = np.array([len(dwell) > 1 for dwell in dwells])
     if not flicker.any() or many.sum() < 2:
         return covariance, None
-    period = [float(np.ptp(d.time_s)) / (len(d) - 1) for d in dwells if len(d) > 1]
-    begin = np.array([float(d.time_s[0]) for d in dwells if len(d) > 1])
-    end = np.array([float(d.time_s[-1]) for d in dwells if len(d) > 1]) + period
+    begin, end = spans([dwell.time_s for dwell in dwells if len(dwell) > 1])
     between = covariance_of_means(begin, end)
     change = np.diagonal(between) - scatter_of_means(int(many.sum()))
     covariance = covariance.copy()

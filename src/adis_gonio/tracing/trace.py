@@ -488,7 +488,7 @@ class _Fold:
             again = average(rows, chosen, self.averaged.candidates)
             if again is not None:
                 return again.model, again.fit, chosen.model, chosen.fit
-        return chosen.model, chosen.fit
+        return chosen.model, chosen.fit, chosen.model, chosen.fit
 
 
 def _student(data: Observations, selection: Selection) -> float:
