@@ -23,13 +23,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio.model.records import Floats
-from adis_gonio.tracing.design import Problem, linearise
-from adis_gonio.tracing.grammar import nameless_terms
-from adis_gonio.tracing.named import named_terms
+from adis_gonio.tracing.selection.design import Problem, linearise
+from adis_gonio.tracing.candidates.grammar import nameless_terms
+from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.observations import Observations
-from adis_gonio.tracing.search import price, search
+from adis_gonio.tracing.selection.search import price, search
 from adis_gonio.tracing.state import begin, predict, refit
-from adis_gonio.tracing.terms import Term
+from adis_gonio.estimation.terms import Term
 from tracing.test_trace_engine import QUADRATIC, observations
 
 

@@ -27,10 +27,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio import load_session, trace
-from adis_gonio.tracing.gates import linear
-from adis_gonio.tracing.heldout import leave, rms
+from adis_gonio.tracing.validation.gains import linear
+from adis_gonio.tracing.validation.leaving_out import leave, rms
 from adis_gonio.tracing.observations import Observations, observe
-from adis_gonio.tracing.smooth import Process, evidence, processes
+from adis_gonio.tracing.candidates.processes import Process, evidence, processes
 from adis_gonio.tracing.state import begin, refit
 from tracing.blind import Blind, draw, write
 from tracing.lens import Lens

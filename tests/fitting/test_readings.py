@@ -5,8 +5,8 @@ import pytest
 
 from adis_gonio.errors import DataError
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.readings import reduce_session
-from adis_gonio.fitting.spectrum import noise_of_means
+from adis_gonio.estimation.readings import reduce_session
+from adis_gonio.estimation.spectrum import noise_of_means
 from adis_gonio.model.records import Dwell, Session
 
 LSB = 0.4672

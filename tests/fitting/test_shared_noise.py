@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from adis_gonio.fitting import readings as module
-from adis_gonio.fitting.flicker import covariance_of_means, scatter_of_means
+from adis_gonio.estimation.flicker import covariance_of_means, scatter_of_means
 from adis_gonio.fitting.methods import fit_readings
-from adis_gonio.fitting.readings import Readings, shared_by
+from adis_gonio.estimation.readings import Readings, shared_by
 from adis_gonio.model.geometry import planar_ideal
 from adis_gonio.model.records import Dwell
 

@@ -14,7 +14,7 @@ from adis_gonio.report import Figure, Section, Series, Table, plot
 from adis_gonio.report.numbers import p_text, percent, uncertain, with_unit
 from adis_gonio.report.page import build_page
 from adis_gonio.report.words import confounded, headline, how_sure, sight
-from adis_gonio.tracing.figures import views
+from adis_gonio.tracing.outcome.figures import views
 
 
 def planar(k2_x=0.0, bias=(8.0, -5.0), eccentric=0.0, seed=1, check=False, title=""):

@@ -30,7 +30,7 @@ from adis_gonio.session.events import (
 from adis_gonio.session.plans import Plan, Position, plan
 from adis_gonio.session.runner import SessionRunner
 from adis_gonio.session.settings import Settings
-from adis_gonio.tracing.result import Measurement
+from adis_gonio.tracing.outcome.result import Measurement
 
 SHORT = Settings(dwell_s=1.0, settle_s=0.1)
 LONGER = Settings(dwell_s=2.0)

@@ -10,12 +10,12 @@ import pytest
 from adis_gonio.errors import FitError
 from adis_gonio.model.effects import Conditions, Enters, effect
 from adis_gonio.tracing import trace_observations
-from adis_gonio.tracing.design import amplitudes, linearise, span
-from adis_gonio.tracing.grammar import nameless_terms
-from adis_gonio.tracing.named import named_terms
+from adis_gonio.tracing.selection.design import amplitudes, linearise, span
+from adis_gonio.tracing.candidates.grammar import nameless_terms
+from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.observations import Observations
-from adis_gonio.tracing.search import price, search
-from adis_gonio.tracing.selection import adequacy, select
+from adis_gonio.tracing.selection.search import price, search
+from adis_gonio.tracing.selection.select import adequacy, select
 from adis_gonio.tracing.state import begin, predict, refit
 
 G = 1000.0

@@ -7,14 +7,14 @@ import pytest
 
 from adis_gonio import trace
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.tracing.design import amplitudes
-from adis_gonio.tracing.gates import HeldOutGain, _fold, contradicting, held_out_gains
-from adis_gonio.tracing.grammar import nameless_terms
-from adis_gonio.tracing.heldout import bounded, folds, leave
-from adis_gonio.tracing.named import named_terms
-from adis_gonio.tracing.naming import Names
+from adis_gonio.tracing.selection.design import amplitudes
+from adis_gonio.tracing.validation.gains import HeldOutGain, _fold, contradicting, held_out_gains
+from adis_gonio.tracing.candidates.grammar import nameless_terms
+from adis_gonio.tracing.validation.leaving_out import bounded, folds, leave
+from adis_gonio.tracing.candidates.named import named_terms
+from adis_gonio.tracing.outcome.naming import Names
 from adis_gonio.tracing.observations import Observations, observe
-from adis_gonio.tracing.selection import select
+from adis_gonio.tracing.selection.select import select
 from adis_gonio.tracing.state import State, begin, refit
 from adis_gonio.tracing.trace import _never_worse, between_models
 

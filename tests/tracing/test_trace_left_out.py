@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from adis_gonio import load_session, trace
-from adis_gonio.tracing.averaging import AveragedTerm, average
-from adis_gonio.tracing.grammar import nameless_terms, of_one_dwell
-from adis_gonio.tracing.heldout import counting, determined, folds
-from adis_gonio.tracing.named import named_terms
+from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
+from adis_gonio.tracing.candidates.grammar import nameless_terms, of_one_dwell
+from adis_gonio.tracing.validation.leaving_out import counting, determined, folds
+from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.observations import observe
-from adis_gonio.tracing.selection import select
-from adis_gonio.tracing.terms import Driver, NamelessTerm
+from adis_gonio.tracing.selection.select import select
+from adis_gonio.estimation.terms import Driver, NamelessTerm
 from tracing.blind import draw, write
 from tracing.test_trace_gates import forth_and_back
 

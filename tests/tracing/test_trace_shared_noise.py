@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.fitting.flicker import covariance_of_means, modes
-from adis_gonio.tracing.design import linearise, span
-from adis_gonio.tracing.gates import linear
-from adis_gonio.tracing.named import named_terms
+from adis_gonio.estimation.flicker import covariance_of_means, modes
+from adis_gonio.tracing.selection.design import linearise, span
+from adis_gonio.tracing.validation.gains import linear
+from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.observations import Observations
-from adis_gonio.tracing.search import search
+from adis_gonio.tracing.selection.search import search
 from adis_gonio.tracing.state import begin, predict, refit
 from tracing.test_trace_engine import observations
 

@@ -7,14 +7,14 @@ import pytest
 from scipy import stats
 
 from adis_gonio.tracing import trace_observations
-from adis_gonio.tracing.averaging import AveragedTerm, average
-from adis_gonio.tracing.gates import linear
-from adis_gonio.tracing.grammar import nameless_terms
-from adis_gonio.tracing.named import named_terms
-from adis_gonio.tracing.selection import select
-from adis_gonio.tracing.smooth import AMPLITUDES, evidence, processes
+from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
+from adis_gonio.tracing.validation.gains import linear
+from adis_gonio.tracing.candidates.grammar import nameless_terms
+from adis_gonio.tracing.candidates.named import named_terms
+from adis_gonio.tracing.selection.select import select
+from adis_gonio.tracing.candidates.processes import AMPLITUDES, evidence, processes
 from adis_gonio.tracing.state import State, as_reading, begin, refit
-from adis_gonio.tracing.terms import NamelessTerm
+from adis_gonio.estimation.terms import NamelessTerm
 from tracing.test_trace_engine import observations
 
 

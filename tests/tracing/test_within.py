@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from adis_gonio.tracing.within import Samples, WithinFinding, search_within
+from adis_gonio.dwells import Samples, WithinFinding, search_within
 from tracing.dwell_samples import bartlett, draw
 
 SEEDS = 20

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adis_gonio.tracing.within import density_of, look_within
-from adis_gonio.tracing.within.courses import grid
+from adis_gonio.dwells import density_of, look_within
+from adis_gonio.dwells.courses import grid
 from tracing.dwell_samples import draw
 
 SEEDS = 30

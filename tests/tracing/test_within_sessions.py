@@ -16,7 +16,7 @@ import pytest
 from adis_gonio import load_session, trace
 from adis_gonio.cli import main
 from adis_gonio.tracing.observations import observe
-from adis_gonio.tracing.within import WithinFinding, samples_of, search_within
+from adis_gonio.dwells import WithinFinding, samples_of, search_within
 from tracing.dwell_samples import bartlett
 
 DATA = Path(os.environ.get("ADIS_GONIO_DATA", Path(__file__).parents[3] / "shared" / "data"))

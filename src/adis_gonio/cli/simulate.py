@@ -119,9 +119,9 @@ def _twin(path: Path, output: Path, seed: int) -> int:
         raise UsageError(f"{output}: --like writes a samples CSV; name it .csv or .csv.gz")
     session = load_session(path)
     traced = trace(session)
-    if traced.state is None:
+    if not traced.fits:
         raise DataError(f"{path}: one pose has no model of positions to simulate")
-    export_csv(simulate_like(session, traced.model, traced.state, seed=seed), output)
+    export_csv(simulate_like(session, traced.fits[-1], seed=seed), output)
     click.echo(f"{output}: {len(session.dwells)} dwells like those of {path}", err=True)
     return 0
 

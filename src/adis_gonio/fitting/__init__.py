@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from adis_gonio.estimation.readings import Readings
 from adis_gonio.fitting.methods import METHODS, applicable_methods, fit, fit_every, fit_readings
-from adis_gonio.fitting.readings import Readings, reduce_session
 from adis_gonio.fitting.result import Estimate, FitResult
 
 __all__ = [
@@ -15,5 +15,4 @@ __all__ = [
     "fit",
     "fit_every",
     "fit_readings",
-    "reduce_session",
 ]

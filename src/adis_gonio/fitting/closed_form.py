@@ -12,23 +12,24 @@ readings and the fixture's uncertainty alike, although the fit itself gives no w
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.errors import FitError, SingularError
-from adis_gonio.fitting import planar
-from adis_gonio.fitting.families import PlanarFamily
-from adis_gonio.fitting.least_squares import solve
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.readings import Readings
+from adis_gonio.estimation.terms import NamedTerm
 from adis_gonio.fitting.likelihood import angle_errors
-from adis_gonio.fitting.outputs import Output, planar_outputs
-from adis_gonio.fitting.planar import PlanarProblem
-from adis_gonio.fitting.readings import Readings
+from adis_gonio.fitting.noise import Noise, settle
+from adis_gonio.fitting.outputs import outputs_of, standard_uncertainty, variances
 from adis_gonio.fitting.result import Estimate, FitResult
-from adis_gonio.fitting.stochastic import Noise, problem_of, settle
-from adis_gonio.model.geometry import planar_tangent
+from adis_gonio.model.effects import effect
 from adis_gonio.model.records import Floats
+
+ALPHA, SCALE_X, SCALE_Y, DELTA_PHI, BIAS_X, BIAS_Y = range(6)
+"""Parameters in the order of `determination.names_of`, in natural units: a bias in local gravity."""
 
 TOLERANCE_DEG = 0.5
 """Declared angles this near to 0, 90, 180 or 270° (modulo 360°) count as that position."""
@@ -91,7 +92,7 @@ def fit_mmpm(readings: Readings) -> FitResult:
             f"method mmpm needs nine or more positions with a declared angle, there are {len(rows)}; "
             "use method ml, four-position or two-position"
         )
-    chosen = readings.select(rows)
+    chosen = readings.rows(rows)
     linear = _linear(chosen, np.eye(len(rows)), bias=True)
     return _finish(chosen, "mmpm", linear, _noise(readings, chosen), [])
 
@@ -112,13 +113,13 @@ def fit_paper(readings: Readings) -> FitResult:
     """
     chosen, weights = _grouped(readings, "paper", (0, 90))
     exact = _linear(chosen, weights, bias=False)
-    natural = PlanarFamily(chosen).natural
+    natural = chosen.mean_mg / chosen.gravity_mg
     noise = _noise(readings, chosen)
     spread = _covariance(chosen, exact, noise)
-    alpha, phi = float(exact.beta[planar.ALPHA]), float(exact.beta[planar.DELTA_PHI])
+    alpha, phi = float(exact.beta[ALPHA]), float(exact.beta[DELTA_PHI])
     at = 2 * alpha + phi
     gradient = np.zeros(6)
-    gradient[planar.ALPHA], gradient[planar.DELTA_PHI] = 2.0, 1.0
+    gradient[ALPHA], gradient[DELTA_PHI] = 2.0, 1.0
     u_at = math.sqrt(max(float(gradient @ spread @ gradient), 0.0))
     first, second = weights @ natural
     distance = abs(math.cos(at))
@@ -136,17 +137,16 @@ def fit_paper(readings: Readings) -> FitResult:
         )
     values, derivative = _paper(first, second, weights)
     beta = exact.beta.copy()
-    beta[planar.DELTA_PHI] = values[1]
-    beta[planar.SCALE_Y] = beta[planar.SCALE_X] / (1 + values[0])
+    beta[DELTA_PHI] = values[1]
+    beta[SCALE_Y] = beta[SCALE_X] / (1 + values[0])
     derivatives = exact.derivative.copy()
-    derivatives[planar.DELTA_PHI] = derivative[1]
-    derivatives[planar.SCALE_Y] = (
-        exact.derivative[planar.SCALE_X] / (1 + values[0])
-        - beta[planar.SCALE_X] * derivative[0] / (1 + values[0]) ** 2
+    derivatives[DELTA_PHI] = derivative[1]
+    derivatives[SCALE_Y] = (
+        exact.derivative[SCALE_X] / (1 + values[0]) - beta[SCALE_X] * derivative[0] / (1 + values[0]) ** 2
     )
     linear = _Linear(beta, derivatives, has_bias=False)
     warnings = _blind_to_bias(chosen, linear)
-    exact_k = float(exact.beta[planar.SCALE_X] / exact.beta[planar.SCALE_Y]) - 1
+    exact_k = float(exact.beta[SCALE_X] / exact.beta[SCALE_Y]) - 1
     off_k, off_phi = values[0] - exact_k, math.degrees(values[1] - phi)
     warnings.append(
         f"equation 5 is exact at alpha = 0° only: at {math.degrees(alpha):.2f}° this result is off by "
@@ -190,7 +190,7 @@ def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tu
             f"method {method} needs dwells declared at {', '.join(map(str, angles_deg))} degrees; "
             f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
         )
-    if readings.unit == "counts" and len(angles_deg) == 2:
+    if not readings.unit.known and len(angles_deg) == 2:
         raise FitError(f"method {method} needs readings with a known zero; counts have none: use method ml")
     rows = np.concatenate(groups)
     weights = np.zeros((len(groups), len(rows)))
@@ -198,12 +198,12 @@ def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tu
     for k, group in enumerate(groups):
         weights[k, at : at + len(group)] = 1 / len(group)
         at += len(group)
-    return readings.select(rows), weights
+    return readings.rows(rows), weights
 
 
 def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
     """Fit of cosine, sine and (with `bias`) a constant to each axis of the averaged readings."""
-    natural = PlanarFamily(chosen).natural
+    natural = chosen.mean_mg / chosen.gravity_mg
     turn = weights @ np.exp(1j * chosen.angle_rad)
     theta = np.angle(turn)
     columns = [np.cos(theta), np.sin(theta)] + ([np.ones_like(theta)] if bias else [])
@@ -223,65 +223,63 @@ def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
     if min(k_x, k_y) < 1e-3:
         raise SingularError("an axis does not follow the rotation; check the declared angles and the plane")
     alpha, alpha_y = math.atan2(b_x, a_x), math.atan2(a_y, -b_y)
-    beta[planar.ALPHA] = alpha
-    beta[planar.DELTA_PHI] = (alpha_y - alpha + math.pi) % (2 * math.pi) - math.pi
-    beta[planar.SCALE_X], beta[planar.SCALE_Y] = k_x, k_y
-    derivative[planar.ALPHA, :, 0] = (a_x * inverse[1] - b_x * inverse[0]) / k_x**2
-    derivative[planar.DELTA_PHI, :, 0] = -derivative[planar.ALPHA, :, 0]
-    derivative[planar.DELTA_PHI, :, 1] = (a_y * inverse[1] - b_y * inverse[0]) / k_y**2
-    derivative[planar.SCALE_X, :, 0] = (a_x * inverse[0] + b_x * inverse[1]) / k_x
-    derivative[planar.SCALE_Y, :, 1] = (a_y * inverse[0] + b_y * inverse[1]) / k_y
+    beta[ALPHA] = alpha
+    beta[DELTA_PHI] = (alpha_y - alpha + math.pi) % (2 * math.pi) - math.pi
+    beta[SCALE_X], beta[SCALE_Y] = k_x, k_y
+    derivative[ALPHA, :, 0] = (a_x * inverse[1] - b_x * inverse[0]) / k_x**2
+    derivative[DELTA_PHI, :, 0] = -derivative[ALPHA, :, 0]
+    derivative[DELTA_PHI, :, 1] = (a_y * inverse[1] - b_y * inverse[0]) / k_y**2
+    derivative[SCALE_X, :, 0] = (a_x * inverse[0] + b_x * inverse[1]) / k_x
+    derivative[SCALE_Y, :, 1] = (a_y * inverse[0] + b_y * inverse[1]) / k_y
     if bias:
-        beta[planar.BIAS_X], beta[planar.BIAS_Y] = inverse[2] @ natural
-        derivative[planar.BIAS_X, :, 0] = derivative[planar.BIAS_Y, :, 1] = inverse[2]
+        beta[BIAS_X], beta[BIAS_Y] = inverse[2] @ natural
+        derivative[BIAS_X, :, 0] = derivative[BIAS_Y, :, 1] = inverse[2]
     return _Linear(beta, derivative, bias)
 
 
 def _noise(readings: Readings, chosen: Readings) -> Noise:
     """Noise as the whole session settles it, where it has positions to spare."""
-    family = PlanarFamily(readings)
     try:
-        return settle(family).noise
+        return settle(readings).noise
     except FitError:
-        if not chosen.known.all():
+        if not chosen.noise_known:
             return Noise(
-                sigma_rad=readings.fixture_sigma_rad or 0.0,
+                sigma_rad=readings.fixture_rad,
                 known=False,
                 notes=("nothing states the noise of a reading: no uncertainty can be given",),
             )
-        return Noise(
-            sigma_rad=readings.fixture_sigma_rad or 0.0,
-            notes=("fixture_sigma_deg is not stated: declared angles were taken as exact",)
-            if readings.fixture_sigma_rad is None
-            else (),
-        )
+        stated = ("fixture_sigma_deg is not stated: declared angles were taken as exact",)
+        return Noise(sigma_rad=readings.fixture_rad, notes=() if readings.fixture_stated else stated)
 
 
-def _total_covariance(chosen: Readings, beta: Floats, covariance: Floats, sigma_rad: float) -> Floats:
-    """Covariance (n, 2, 2) of readings at declared angles: noise, and the fixture along the tangent."""
-    psi = beta[planar.ALPHA] - chosen.angle_rad
-    tangent = planar_tangent(psi, float(beta[planar.DELTA_PHI])) * beta[[planar.SCALE_X, planar.SCALE_Y]]
-    return np.asarray(covariance + sigma_rad**2 * tangent[:, :, None] * tangent[:, None, :])
+def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
+    """The base model, with a bias or without, at these parameters and declared angles."""
+    term = NamedTerm("bias", (), 0.0, effect("bias", ("x", "y")))
+    fit = Fit.begin(data, with_prior=False)
+    values = replace(fit.values, base=beta[:BIAS_X].copy())
+    terms, own = ((term,), (beta[BIAS_X:] * data.gravity_mg,)) if bias else ((), ())
+    return replace(fit, values=values).having(terms, own)
 
 
 def _covariance(chosen: Readings, linear: _Linear, noise: Noise) -> Floats:
-    """Covariance (6, 6) of the natural parameters."""
-    natural = PlanarFamily(chosen).natural_covariance
-    wide, sigma = noise.for_intervals(natural, chosen)
-    each = _total_covariance(chosen, linear.beta, wide, sigma)
-    total = np.einsum("pna,nab,qnb->pq", linear.derivative, each, linear.derivative)
-    shared = PlanarFamily(chosen).natural_shared()
-    if shared is not None:
-        total = total + np.einsum("pna,nma,qma->pq", linear.derivative, shared, linear.derivative)
+    """Covariance (6, 6) of the natural parameters: noise, own and shared, and the fixture's tangent."""
+    wide = noise.for_intervals(chosen)
+    derivative = linear.derivative / chosen.gravity_mg
+    tangent = _fit(wide, linear.beta, bias=linear.has_bias).tangent_mg[:, :, 0]
+    each = wide.own_covariance + wide.fixture_rad**2 * tangent[:, :, None] * tangent[:, None, :]
+    total = np.einsum("pna,nab,qnb->pq", derivative, each, derivative)
+    if wide.slow_mg is not None:
+        carried = np.einsum("pna,nak->pk", derivative, wide.slow_mg)
+        total = total + carried @ carried.T
     return np.asarray(total)
 
 
 def _blind_to_bias(chosen: Readings, linear: _Linear) -> list[str]:
     moved = linear.derivative.sum(axis=1) / chosen.gravity_mg
-    phi = np.degrees(moved[planar.DELTA_PHI])
+    phi = np.degrees(moved[DELTA_PHI])
     k = (
-        moved[planar.SCALE_X] / linear.beta[planar.SCALE_Y]
-        - moved[planar.SCALE_Y] * linear.beta[planar.SCALE_X] / linear.beta[planar.SCALE_Y] ** 2
+        moved[SCALE_X] / linear.beta[SCALE_Y]
+        - moved[SCALE_Y] * linear.beta[SCALE_X] / linear.beta[SCALE_Y] ** 2
     )
     return [
         "a bias cannot be seen in two positions: 1 mg of it on X moves delta_phi by "
@@ -298,46 +296,31 @@ def _finish(
     warnings: list[str],
     only: tuple[str, ...] | None = None,
 ) -> FitResult:
-    family = PlanarFamily(chosen)
-    outputs: list[Output] = [
+    outputs = [
         output
-        for output in planar_outputs(linear.beta, family.units)
+        for output in outputs_of(chosen, linear.beta * np.array([1, 1, 1, 1, *[chosen.gravity_mg] * 2]))
         if (linear.has_bias or not output.name.startswith("bias")) and (only is None or output.name in only)
     ]
-    matrix: Floats | None = None
-    if noise.known:
-        natural = _covariance(chosen, linear, noise)
-        gradients = np.stack([output.gradient for output in outputs])
-        matrix = gradients @ natural @ gradients.T
-    psi = linear.beta[planar.ALPHA] - chosen.angle_rad
-    problem = problem_of(family, Noise(scale=noise.scale, sigma_rad=noise.sigma_rad))
-    assert isinstance(problem, PlanarProblem)
-    residual = family.natural - problem.model(linear.beta, psi)
+    matrix = variances(outputs, _covariance(chosen, linear, noise)) if noise.known else None
+    assumed = Noise(scale=noise.scale, sigma_rad=noise.sigma_rad).applied(chosen)
+    fit = _fit(assumed, linear.beta, bias=linear.has_bias)
     dof = 2 * len(chosen) - (6 if linear.has_bias else 4)
-    # An unweighted fit leaves residuals that are not χ² distributed; the least χ² of the same model is.
-    free = np.ones(6, dtype=np.bool_)
-    free[[planar.BIAS_X, planar.BIAS_Y]] = linear.has_bias
-    chi2 = solve(problem, linear.beta, free).cost if dof else 0.0
     lost = () if linear.has_bias else ("bias_x", "bias_y")
     return FitResult(
         method=method,
         parameters=tuple(
-            Estimate(
-                output.name,
-                output.value,
-                None if matrix is None else math.sqrt(max(float(matrix[k, k]), 0.0)),
-                output.unit,
-            )
+            Estimate(output.name, output.value, standard_uncertainty(matrix, k), output.unit)
             for k, output in enumerate(outputs)
         ),
         covariance=matrix,
-        chi2=chi2,
+        # An unweighted fit leaves residuals that are not χ² distributed; the least χ² of the same model is.
+        chi2=fit.refit(200, 1e-12).chi2 if dof else 0.0,
         dof=dof,
-        residual_mg=residual * chosen.gravity_mg,
+        residual_mg=fit.residual_mg,
         positions=tuple(chosen.position.tolist()),
-        angle_error_rad=angle_errors(problem, linear.beta, chosen),
+        angle_error_rad=angle_errors(fit),
         warnings=(*warnings, *chosen.notes, *noise.notes),
         undetermined=lost,
-        extra_mg=noise.extra * chosen.gravity_mg,
+        extra_mg=noise.extra_mg,
         fixture_sigma_deg=math.degrees(noise.sigma_rad),
     )

@@ -1,175 +1,113 @@
-"""Method `ml`: maximum likelihood in the plane and in space, made into a result."""
+"""Method `ml`: the base model with a bias, by maximum likelihood, in the plane and in space."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
 from adis_gonio.errors import SingularError
-from adis_gonio.fitting import planar
-from adis_gonio.fitting.families import PlanarFamily, SpatialFamily
-from adis_gonio.fitting.least_squares import (
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.readings import Readings
+from adis_gonio.fitting.determination import (
     Determination,
     covariance,
     in_words,
     is_determined,
     shift_by_held,
 )
-from adis_gonio.fitting.outputs import Output, planar_outputs, spatial_outputs
-from adis_gonio.fitting.planar import PlanarProblem
-from adis_gonio.fitting.readings import Readings
+from adis_gonio.fitting.noise import Settled, settle
+from adis_gonio.fitting.outputs import Output, outputs_of, standard_uncertainty, variances
 from adis_gonio.fitting.result import Estimate, FitResult
-from adis_gonio.fitting.spatial import SpatialProblem
-from adis_gonio.fitting.stochastic import Noise, Settled, problem_of, settle
-from adis_gonio.model.geometry import wrap_rad
+from adis_gonio.model.measurement import PlanarTurn, wrap_rad
 from adis_gonio.model.records import Floats
 
 
-def fit_planar(readings: Readings) -> FitResult:
-    """Maximum likelihood in the plane.
+def fit_ml(readings: Readings) -> FitResult:
+    """Maximum likelihood of the base model and a bias.
 
     Raises
     ------
     SingularError
-        If the session determines neither delta_k nor delta_phi.
-    FitError
-        If the fit does not converge or counts lie on no ellipse.
+        If the session determines neither delta_k nor delta_phi, in space none of the parameters.
     """
-    family = PlanarFamily(readings)
-    settled = settle(family)
-    beta = settled.determination.solution.beta
-    problem = problem_of(family, settled.noise)
-    assert isinstance(problem, PlanarProblem)
-    outputs = planar_outputs(beta, family.units)
-    if not family.free[planar.ALPHA]:
-        outputs = tuple(o for o in outputs if o.name != "alpha")
-    result = _result(family, settled, outputs, ("delta_k", "delta_phi"))
-    psi = beta[planar.ALPHA] - problem.angle + problem.best_delta(beta)
-    residual = (problem.readings - problem.model(beta, psi)) * readings.gravity_mg
-    extra = () if family.free[planar.ALPHA] else ("alpha",)
-    return replace(
-        result,
-        residual_mg=residual,
-        angle_error_rad=angle_errors(problem, beta, readings),
-        undetermined=extra + result.undetermined,
-        fixture_sigma_deg=math.degrees(settled.noise.sigma_rad),
+    settled = settle(readings)
+    determination, noise = settled.determination, settled.noise
+    fit = determination.fit
+    names, null = determination.names, determination.null
+    held = [names[k] for k in determination.held]
+    unseen = ["alpha"] if readings.planar and not fit.data.visible[0] else []
+    outputs = [o for o in outputs_of(fit.data, fit.values.parameters) if o.name not in (*held, *unseen)]
+    reported = [o for o in outputs if is_determined(o.gradient, null)]
+    lost = [o.name for o in outputs if not is_determined(o.gradient, null)]
+    wanted = ("delta_k", "delta_phi") if readings.planar else names
+    if not any(o.name in wanted for o in reported):
+        directions = "; ".join(in_words(null, names))
+        raise SingularError(
+            f"{len(readings)} positions do not determine {' or '.join(wanted[:2])}: without "
+            f"information is {directions}; {_advice(lost)}"
+        )
+    warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]
+    matrix = _covariance(readings, settled, reported)
+    norm = np.linalg.norm(_calibrated(fit), axis=1)[:, None] - 1
+    return FitResult(
+        method="ml",
+        parameters=tuple(
+            Estimate(o.name, o.value, standard_uncertainty(matrix, k), o.unit)
+            for k, o in enumerate(reported)
+        ),
+        covariance=matrix,
+        chi2=settled.chi2,
+        dof=settled.dof,
+        residual_mg=fit.residual_mg if readings.planar else norm * readings.gravity_mg,
+        positions=tuple(readings.position.tolist()),
+        angle_error_rad=angle_errors(fit),
+        warnings=tuple(warnings),
+        undetermined=(*unseen, *held, *lost),
+        extra_mg=noise.extra_mg,
+        fixture_sigma_deg=math.degrees(noise.sigma_rad) if readings.planar else None,
     )
 
 
-def fit_spatial(readings: Readings) -> FitResult:
-    """Maximum likelihood in space with free attitudes.
-
-    Raises
-    ------
-    SingularError
-        If the session determines none of the parameters.
-    FitError
-        If the fit does not converge or counts lie on no ellipsoid.
-    """
-    family = SpatialFamily(readings)
-    settled = settle(family)
-    beta = settled.determination.solution.beta
-    problem = problem_of(family, settled.noise)
-    assert isinstance(problem, SpatialProblem)
-    outputs = spatial_outputs(beta, family.units)
-    result = _result(family, settled, outputs, tuple(o.name for o in outputs))
-    norm = np.linalg.norm(problem.calibrated(beta), axis=1) - 1
-    return replace(result, residual_mg=norm[:, None] * readings.gravity_mg)
+def _calibrated(fit: Fit) -> Floats:
+    """Gravity (n, axes) that the calibrated sensor computes from each reading alone."""
+    beside = sum((fit.added_mg(k) for k in range(len(fit.terms))), np.zeros(fit.data.mean_mg.shape))
+    return fit.data.model.calibrated(fit.values.base, fit.data.mean_mg - beside)
 
 
-def angle_errors(problem: PlanarProblem, beta: Floats, readings: Readings) -> Floats | None:
+def angle_errors(fit: Fit) -> Floats | None:
     """Angle of the calibrated goniometer minus the declared angle (m,) in rad; None without any.
 
     Where attitudes are free, α is not known and the mean difference stands in for it.
     """
-    declared = np.isfinite(readings.angle_rad)
-    if not declared.any():
+    data = fit.data
+    declared = np.isfinite(data.angle_rad)
+    if not isinstance(data.model, PlanarTurn) or not declared.any():
         return None
-    shown = problem.angle_shown(beta)[declared] + readings.angle_rad[declared]
-    zero = beta[planar.ALPHA] if problem.determines_alpha else np.angle(np.exp(1j * shown).sum())
+    gravity = _calibrated(fit)[declared]
+    shown = np.arctan2(gravity[:, 1], gravity[:, 0]) + data.angle_rad[declared]
+    zero = np.angle(np.exp(1j * shown).sum()) if data.free else fit.values.base[0]
     # Positive for a stage that stands further on than declared: ψ = α − θ.
     return -wrap_rad(shown - zero)
 
 
-def _result(
-    family: PlanarFamily | SpatialFamily,
-    settled: Settled,
-    outputs: tuple[Output, ...],
-    wanted: tuple[str, ...],
-) -> FitResult:
-    determination, noise = settled.determination, settled.noise
-    problem = problem_of(family, noise)
-    null = determination.null
-    held = [problem.names[k] for k in determination.held]
-    reported = [o for o in outputs if o.name not in held and is_determined(o.gradient, null)]
-    lost = [o.name for o in outputs if o.name not in held and not is_determined(o.gradient, null)]
-    if not any(o.name in wanted for o in reported):
-        directions = "; ".join(in_words(null, problem.names))
-        raise SingularError(
-            f"{len(family.readings)} positions do not determine {' or '.join(wanted[:2])}: without "
-            f"information is {directions}; {_advice(lost)}"
-        )
-    warnings = [*family.readings.notes, *noise.notes]
-    warnings += _warnings(determination, held, lost, reported, problem.names, family)
-    estimates, matrix = _uncertainties(family, noise, determination, reported)
-    return FitResult(
-        method="ml",
-        parameters=estimates,
-        covariance=matrix,
-        chi2=settled.chi2,
-        dof=settled.dof,
-        residual_mg=np.zeros((0, 1)),
-        positions=tuple(family.readings.position.tolist()),
-        warnings=tuple(warnings),
-        undetermined=tuple(held + lost),
-        extra_mg=noise.extra * family.gravity_mg,
-    )
-
-
-def _uncertainties(
-    family: PlanarFamily | SpatialFamily, noise: Noise, determination: Determination, reported: list[Output]
-) -> tuple[tuple[Estimate, ...], Floats | None]:
-    if not noise.known:
-        return tuple(Estimate(o.name, o.value, None, o.unit) for o in reported), None
-    solution = determination.solution
-    wide, sigma = noise.for_intervals(family.natural_covariance, family.readings)
-    problem = family.problem(wide, sigma)
-    fisher = problem.evaluate(solution.beta).fisher
-    natural = covariance(fisher, solution.free, determination.null)
-    shared = family.natural_shared()
-    if shared is not None:
-        # Neighbours share 1/f noise. The fit takes it for noise of each reading's own and so weighs nearly
-        # as it should; what its result scatters by is another matter.
-        carried = natural @ np.moveaxis(problem.influence(solution.beta), 2, 0).reshape(len(natural), -1)
-        carried = carried.reshape(len(natural), *family.natural.shape)
-        natural = natural + np.einsum("pna,nma,qma->pq", carried, shared, carried)
-    gradients = np.stack([o.gradient for o in reported])
-    matrix = gradients @ natural @ gradients.T
-    return (
-        tuple(
-            Estimate(o.name, o.value, math.sqrt(max(float(matrix[k, k]), 0.0)), o.unit)
-            for k, o in enumerate(reported)
-        ),
-        matrix,
-    )
+def _covariance(readings: Readings, settled: Settled, reported: list[Output]) -> Floats | None:
+    if not settled.noise.known:
+        return None
+    wide = settled.determination.on(settled.noise.for_intervals(readings))
+    natural = covariance(wide.fisher, wide.free, wide.null)
+    return variances(reported, natural)
 
 
 def _warnings(
-    determination: Determination,
-    held: list[str],
-    lost: list[str],
-    reported: list[Output],
-    names: tuple[str, ...],
-    family: PlanarFamily | SpatialFamily,
+    determination: Determination, held: list[str], lost: list[str], reported: list[Output]
 ) -> list[str]:
     warnings = []
-    solution = determination.solution
+    names = determination.names
     for name, k in zip(held, determination.held, strict=True):
-        shift = shift_by_held(solution.fisher, solution.free, determination.null, k)
+        shift = shift_by_held(determination, k)
         # One mg of bias, or a tenth of a degree of skew.
-        one = 1 / family.gravity_mg if name.startswith("bias") else math.radians(0.1)
+        one = 1 / determination.fit.data.gravity_mg if name.startswith("bias") else math.radians(0.1)
         moves = [
             f"{o.name} by {float(o.gradient @ shift) * one:+.2g}{_unit(o.unit)}"
             for o in reported

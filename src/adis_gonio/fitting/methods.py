@@ -7,14 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from adis_gonio.errors import FitError, SingularError, UsageError
+from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.closed_form import LEAST_MMPM, fit_mmpm, fit_paper, fit_positions, rows_at
-from adis_gonio.fitting.likelihood import fit_planar, fit_spatial
-from adis_gonio.fitting.readings import (
-    Readings,
-    reduce_session,
-    refuse_other_units,
-    refuse_reversed,
-)
+from adis_gonio.fitting.likelihood import fit_ml
 from adis_gonio.fitting.result import FitResult
 from adis_gonio.model.records import Session
 
@@ -49,11 +44,9 @@ def fit(session: Session, method: str | None = None) -> FitResult:
     """
     if method is not None and method not in METHODS:
         raise UsageError(f"no method is called '{method}'; known: {', '.join(METHODS)}")
-    readings = reduce_session(session)
-    refuse_other_units(session, readings)
-    refuse_reversed(session, readings)
+    readings = readings_of(session)
     try:
-        result = fit_readings(readings, method)
+        result = fit_readings(readings.training, method)
     except FitError as error:
         if not session.source:
             raise
@@ -63,15 +56,15 @@ def fit(session: Session, method: str | None = None) -> FitResult:
 
 def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
     """Same as `fit`, of readings: three axes are fitted in space, two in the plane."""
-    spatial = readings.mean.shape[1] == 3
+    spatial = not readings.planar
     _refuse_one_position(readings, spatial=spatial)
     if spatial:
         if method not in (None, "ml"):
             raise FitError(
                 f"method {method} needs a plane of rotation; this session has none: use method ml"
             )
-        return fit_spatial(readings)
-    if method not in (None, "ml") and _attitudes_are_free(readings):
+        return fit_ml(readings)
+    if method not in (None, "ml") and readings.free:
         raise FitError(
             f"method {method} needs declared angles and fixture_sigma_deg is free here: use method ml"
         )
@@ -86,13 +79,9 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
     if method is None and _only_two(readings):
         return fit_positions(readings, "two-position", _TWO)
     try:
-        return fit_planar(readings)
+        return fit_ml(readings)
     except SingularError:
-        if (
-            method is None
-            and not _attitudes_are_free(readings)
-            and all(len(rows) for rows in rows_at(readings, _TWO))
-        ):
+        if method is None and not readings.free and all(len(rows) for rows in rows_at(readings, _TWO)):
             return fit_positions(readings, "two-position", _TWO)
         raise
 
@@ -147,15 +136,11 @@ def fit_every(session: Session) -> tuple[list[FitResult], dict[str, str]]:
 def _only_two(readings: Readings) -> bool:
     rows = rows_at(readings, _TWO)
     return (
-        not _attitudes_are_free(readings)
-        and readings.unit == "mg"
+        not readings.free
+        and readings.unit.known
         and all(len(r) for r in rows)
         and sum(map(len, rows)) == len(readings)
     )
-
-
-def _attitudes_are_free(readings: Readings) -> bool:
-    return readings.fixture_sigma_rad is not None and bool(np.isinf(readings.fixture_sigma_rad))
 
 
 def _refuse_one_position(readings: Readings, *, spatial: bool) -> None:

@@ -1,20 +1,22 @@
-"""From natural parameters to what is reported: names, units, gradients."""
+"""From fitted parameters to what is reported: names, units, gradients."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.fitting import planar, spatial
-from adis_gonio.fitting.families import Units
+from adis_gonio.estimation.readings import MG_PER_MPS2, Readings
+from adis_gonio.fitting.determination import names_of
+from adis_gonio.model.effects import AXES
 from adis_gonio.model.records import Floats
 
 
 @dataclass(frozen=True)
 class Output:
-    """A reported quantity at the solution: value and gradient (p,) by the natural parameters."""
+    """A reported quantity: value and gradient (p,) by the parameters in natural units."""
 
     name: str
     value: float
@@ -22,58 +24,48 @@ class Output:
     gradient: Floats
 
 
-def planar_outputs(beta: Floats, units: Units) -> tuple[Output, ...]:
-    """delta_k, delta_phi, alpha, scale_x, scale_y, bias_x, bias_y of natural parameters (6,)."""
-    eye = np.eye(6)
-    to_deg = 180 / math.pi
-    ratio = float(units.per_g[0] / units.per_g[1])
-    x, y = float(beta[planar.SCALE_X]), float(beta[planar.SCALE_Y])
-    bias_unit = "mg" if units.unit == "mg" else "counts"
-    outputs = [
-        Output(
-            "delta_k",
-            ratio * x / y - 1,
-            "1",
-            ratio * (eye[planar.SCALE_X] / y - eye[planar.SCALE_Y] * x / y**2),
-        ),
-        Output("delta_phi", float(beta[planar.DELTA_PHI]) * to_deg, "deg", eye[planar.DELTA_PHI] * to_deg),
-        Output(
-            "alpha",
-            (float(beta[planar.ALPHA]) * to_deg + 180) % 360 - 180,
-            "deg",
-            eye[planar.ALPHA] * to_deg,
-        ),
-    ]
-    gain = units.scale_per_natural
-    for k, axis in enumerate("xy"):
-        index = planar.SCALE_X + k
-        outputs.append(
-            Output(f"scale_{axis}", float(beta[index] * gain[k]), units.scale_unit, eye[index] * gain[k])
-        )
-    for k, axis in enumerate("xy"):
-        index = planar.BIAS_X + k
-        value = float(units.zero[k] + beta[index] * units.per_g[k])
-        outputs.append(Output(f"bias_{axis}", value, bias_unit, eye[index] * units.per_g[k]))
-    return tuple(outputs)
+def outputs_of(data: Readings, parameters: Floats) -> tuple[Output, ...]:
+    """All reported quantities of base parameters and biases (p,), these in mg.
 
-
-def spatial_outputs(beta: Floats, units: Units) -> tuple[Output, ...]:
-    """Biases, scales and skews of natural parameters (9,)."""
-    eye = np.eye(9)
-    gain = units.scale_per_natural
-    bias_unit = "mg" if units.unit == "mg" else "counts"
+    In the plane delta_k and delta_phi come first; gains and biases of readings in counts are in counts.
+    """
+    names = names_of(data)
+    eye = np.eye(len(names))
+    at = {name: k for k, name in enumerate(names)}
+    axes = AXES[: data.axes]
     outputs = []
-    for k in range(3):
-        value = float(units.zero[k] + beta[k] * units.per_g[k])
-        outputs.append(Output(spatial.NAMES[k], value, bias_unit, eye[k] * units.per_g[k]))
-    for k in range(3):
+    for base in data.model.parameters:
+        k = at[base.name]
+        factor, unit = base.per_natural, base.unit
+        if base.name.startswith("scale") and not data.unit.known:
+            factor, unit = float(data.unit.per_mg[AXES.index(base.name[-1])]) * MG_PER_MPS2, "counts/(m/s²)"
+        value = float(parameters[k]) * factor if unit != "deg" else base.stated(float(parameters[k]))
+        outputs.append(Output(base.name, value, unit, eye[k] * factor))
+    for axis, letter in enumerate(axes):
+        k = at[f"bias_{letter}"]
+        factor = float(data.unit.per_mg[axis])
+        value = float(data.unit.zero[axis]) + float(parameters[k]) * factor
+        outputs.append(Output(names[k], value, data.unit.name, eye[k] * factor * data.gravity_mg))
+    if data.planar:
+        x, y = at["scale_x"], at["scale_y"]
+        ratio = float(data.unit.per_mg[0] / data.unit.per_mg[1])
+        k_x, k_y = float(parameters[x]), float(parameters[y])
         outputs.append(
-            Output(
-                spatial.NAMES[3 + k], float(beta[3 + k] * gain[k]), units.scale_unit, eye[3 + k] * gain[k]
-            )
+            Output("delta_k", ratio * k_x / k_y - 1, "1", ratio * (eye[x] / k_y - eye[y] * k_x / k_y**2))
         )
-    for k in range(6, 9):
-        outputs.append(
-            Output(spatial.NAMES[k], math.degrees(float(beta[k])), "deg", eye[k] * 180 / math.pi)
-        )
-    return tuple(outputs)
+    return tuple(sorted(outputs, key=lambda output: _RANK.get(output.name, len(_RANK))))
+
+
+_FIRST: Sequence[str] = ("delta_k", "delta_phi", "alpha", "scale_x", "scale_y", "scale_z")
+_RANK = {name: rank for rank, name in enumerate(_FIRST)}
+
+
+def variances(outputs: Sequence[Output], natural: Floats) -> Floats:
+    """Covariance (m, m) of outputs by that of the parameters (p, p) in natural units."""
+    gradients = np.stack([output.gradient for output in outputs])
+    return np.asarray(gradients @ natural @ gradients.T)
+
+
+def standard_uncertainty(matrix: Floats | None, k: int) -> float | None:
+    """Root of a diagonal entry; None where there is no covariance."""
+    return None if matrix is None else math.sqrt(max(float(matrix[k, k]), 0.0))

@@ -40,7 +40,7 @@ def with_unit(text: str, unit: str) -> str:
     """Text with its unit; `1` is none, degrees are a sign."""
     if unit in ("", "1"):
         return text
-    if unit in ("degree", "deg", "°"):
+    if unit in ("deg", "°"):
         return f"({text})°" if "±" in text else f"{text}°"
     return f"{text}{SPACE}{unit}"
 

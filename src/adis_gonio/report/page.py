@@ -13,8 +13,8 @@ from adis_gonio.model.records import Session
 from adis_gonio.report import sections as make
 from adis_gonio.report import words
 from adis_gonio.report.parts import Section
-from adis_gonio.tracing.figures import Views
-from adis_gonio.tracing.result import TraceResult
+from adis_gonio.tracing.outcome.figures import Views
+from adis_gonio.tracing.outcome.result import TraceResult
 
 
 def build_page(
@@ -35,7 +35,7 @@ def build_page(
     traced : TraceResult or str
         The trace, or why there is none.
     views : Views, optional
-        What the figures show (`adis_gonio.tracing.figures.views`).
+        What the figures show (`adis_gonio.report.views.views`).
     sections : sequence of Section
         Further sections, put before data and configuration.
     failures : mapping of str to str, optional

@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.dwells import Place
 from adis_gonio.errors import AdisGonioError
+from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.fitting import FitResult
 from adis_gonio.model.records import Session
 from adis_gonio.report import words
 from adis_gonio.report.numbers import number, p_text, percent, uncertain, with_unit
 from adis_gonio.report.parts import Figure, Section, Table
 from adis_gonio.report.svg import Role, Series, Style, plot
-from adis_gonio.tracing.figures import Panel, Views
-from adis_gonio.tracing.observations import Observations, observe
-from adis_gonio.tracing.result import TraceResult, Value, WithinFinding
-from adis_gonio.tracing.within import Place
+from adis_gonio.tracing.outcome.figures import Panel, Views
+from adis_gonio.tracing.outcome.result import TraceResult, Value, WithinFinding
 
 _COVARIATES = {
     "angle": "declared angle / °",
@@ -61,8 +61,6 @@ def summary(traced: TraceResult | str, fits: Sequence[FitResult], views: Views |
         return Section("Summary", words=[*lines, f"The session could not be traced: {traced}"])
     lines = [words.headline(traced), words.gains(traced)]
     final = {name: value for name, value in traced.base.items() if name in _ORDER}
-    if views is not None and views.delta_k is not None:
-        final["delta_k"] = views.delta_k
     if final:
         beside = f" (method {best.method}, before the trace: {by_method})" if best and by_method else ""
         names = "with the effects found" if traced.steps else "by the base model"
@@ -91,7 +89,7 @@ def fitted(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Section:
         entries = [next((e for e in fit.parameters if e.name == name), None) for fit in fits]
         unit = next(e.unit for e in entries if e is not None)
         cells = ["" if e is None else uncertain(e.value, e.u) for e in entries]
-        rows.append([_NAMES.get(name, name), {"degree": "°", "deg": "°"}.get(unit, unit), *cells])
+        rows.append([_NAMES.get(name, name), {"deg": "°"}.get(unit, unit), *cells])
     rows.append(["residual, rms", "mg", *(number(fit.residual_rms_mg) for fit in fits)])
     rows.append(
         ["χ² / degrees of freedom", "", *(f"{number(f.chi2)} / {f.dof}" if f.dof else "–" for f in fits)]
@@ -168,7 +166,7 @@ def within(traced: TraceResult) -> Section:
         nothing = (
             "Spikes, stuck values, spectral lines, changes of the noise, drift, settling, steps: none."
         )
-        return Section("Inside the dwells", words=[nothing] if traced.state is not None else [])
+        return Section("Inside the dwells", words=[nothing] if traced.fits else [])
     figures, rows = [], []
     for finding in traced.within:
         view = finding.view
@@ -327,14 +325,14 @@ def data(session: Session, traced: TraceResult | None, software: str) -> Section
     )
 
 
-def _observed(session: Session) -> Observations | None:
+def _observed(session: Session) -> Readings | None:
     try:
-        return observe(session)
+        return readings_of(session)
     except AdisGonioError:
         return None
 
 
-def _facts(session: Session, observed: Observations | None, software: str) -> list[tuple[str, str]]:
+def _facts(session: Session, observed: Readings | None, software: str) -> list[tuple[str, str]]:
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     samples = [len(dwell) for dwell in dwells]
     facts: dict[str, Any] = session.facts
@@ -373,10 +371,10 @@ def _fixture(sigma: float | None) -> str:
     return "free: declared angles are not used" if math.isinf(sigma) else f"{sigma:g}°"
 
 
-def _noise(observed: Observations | None) -> str:
+def _noise(observed: Readings | None) -> str:
     if observed is None:
         return ""
-    if not observed.known:
+    if not observed.noise_known:
         return "not known: estimated from the residual"
     sigma = np.sqrt(np.median(np.diagonal(observed.covariance, axis1=1, axis2=2), axis=0))
     return ", ".join(f"{axis} {number(float(s), 2)} mg" for axis, s in zip("xyz", sigma, strict=False))
@@ -403,12 +401,12 @@ def _span(series: Sequence[Any], unit: str) -> str:
     return f"{low:.2f} to {high:.2f} {unit}".replace("-", "−")
 
 
-def _readings(session: Session, observed: Observations) -> Table:
+def _readings(session: Session, observed: Readings) -> Table:
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     letters = "xyz"[: observed.axes]
     rows = []
     for dwell, mean, covariance in zip(dwells, observed.mean_mg, observed.covariance, strict=True):
-        u = np.sqrt(np.diagonal(covariance)) if observed.known else np.full(observed.axes, np.nan)
+        u = np.sqrt(np.diagonal(covariance)) if observed.noise_known else np.full(observed.axes, np.nan)
         rows.append(
             [
                 str(dwell.position),

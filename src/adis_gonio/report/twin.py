@@ -21,10 +21,10 @@ def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Sec
     DataError
         As `simulate_like`: dwells of a single averaged sample have no noise to copy.
     """
-    if traced.state is None:
+    if not traced.fits:
         return None
-    twin = simulate_like(session, traced.model, traced.state, seed=seed)
-    found = compare(session, twin, traced.model, traced.state)
+    twin = simulate_like(session, traced.fits[-1], seed=seed)
+    found = compare(session, twin, traced.fits[-1])
     verdict = (
         "They agree: the model and the noise account for what was measured."
         if found.agrees

@@ -10,8 +10,8 @@ from adis_gonio.model.effects import catalogue, effect
 from adis_gonio.model.effects.base import Parameter
 from adis_gonio.model.records import Session
 from adis_gonio.report.numbers import listed, number, p_text, percent, times, uncertain, with_unit
-from adis_gonio.tracing.result import ErrorFigures, Finding, TraceResult
-from adis_gonio.tracing.values import Detectable, Value
+from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, TraceResult
+from adis_gonio.tracing.outcome.values import Detectable, Value
 
 _IN_SAMPLES = "looked for within the dwells"
 _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")

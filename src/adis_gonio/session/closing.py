@@ -18,7 +18,7 @@ from adis_gonio.session.plans import Position
 
 if TYPE_CHECKING:
     from adis_gonio.tracing import TraceResult
-    from adis_gonio.tracing.result import Measurement
+    from adis_gonio.tracing.outcome.result import Measurement
 
 MOST_EXTRA = 24
 """Positions that are asked for beyond the plan, by default."""
@@ -93,9 +93,9 @@ class TraceAdvisor:
 
     def advise(self, session: Session, visited: int, reachable: Callable[[Position], bool]) -> Advice:
         """Trace the session, and ask for the measurements that it proposes."""
+        from adis_gonio.advice.proposals import LEAST_SEPARATION
+        from adis_gonio.advice.words import sentences
         from adis_gonio.tracing import trace
-        from adis_gonio.tracing.advice import sentences
-        from adis_gonio.tracing.proposals import LEAST_SEPARATION
 
         try:
             result = trace(session, self.max_effects)
@@ -153,7 +153,7 @@ def _position(measurement: Measurement) -> Position:
 
 def _ended(result: TraceResult, wanted: list[Measurement], within: list[Measurement], visited: int) -> str:
     """Why nothing more is asked for."""
-    from adis_gonio.tracing.advice import sentences
+    from adis_gonio.advice.words import sentences
 
     if within:
         return f"the limit of further positions is reached ({visited} were added); not all is decided"

@@ -19,13 +19,12 @@ What is not simulated
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from adis_gonio.errors import UsageError
 from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters
+from adis_gonio.model.measurement import FreeAttitude, sensitivity
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.sensor.variants import Variant, variant
 from adis_gonio.sim.inputs import Floats, Inputs
@@ -134,7 +133,12 @@ class World:
             "skew_xz": _or(given.skew_xz_deg, float(skew[1])),
             "skew_yz": _or(given.skew_yz_deg, float(skew[2])),
         }
-        self._sensitivity = _sensitivity(self._hidden)
+        self._sensitivity = sensitivity(self._base())
+
+    def _base(self) -> Floats:
+        """Gains and skews (6,) as `model.measurement` has them."""
+        in_space = FreeAttitude(self.gravity_mg)
+        return np.array([self._hidden[p.name] / p.per_natural for p in in_space.parameters])
 
     def _by_axis(self, name: str, drawn: Floats) -> Floats:
         """Values (3,) of a setting that each axis has, where not given those drawn."""
@@ -329,19 +333,3 @@ def _values(effect: Effect, given: Values) -> Floats:
     if isinstance(given, Mapping):
         return effect.defaults(given)
     return np.asarray(given, np.float64)
-
-
-def _sensitivity(hidden: Mapping[str, float]) -> Floats:
-    """Gains times the directions (3, 3) that the axes feel: X the reference, Y off it in the plane.
-
-    Sines of the skews are the cosines of the angles between the axes.
-    """
-    xy, xz, yz = (math.sin(math.radians(hidden[f"skew_{pair}"])) for pair in ("xy", "xz", "yz"))
-    y_of_y = math.sqrt(1 - xy * xy)
-    y_of_z = (yz - xz * xy) / y_of_y if y_of_y > 0 else math.inf
-    square = 1 - xz * xz - y_of_z * y_of_z
-    if square <= 0:
-        raise UsageError("no three axes have skews of this size; give skews of a few degrees")
-    directions = np.array([[1.0, 0.0, 0.0], [xy, y_of_y, 0.0], [xz, y_of_z, math.sqrt(square)]])
-    gains = np.array([hidden[f"scale_{axis}"] for axis in AXES])
-    return np.asarray(gains[:, None] * directions, np.float64)

@@ -6,7 +6,7 @@
 ['bias']
 """
 
-from adis_gonio.tracing.result import (
+from adis_gonio.tracing.outcome.result import (
     Detectable,
     ErrorFigures,
     Finding,
@@ -16,7 +16,7 @@ from adis_gonio.tracing.result import (
     Unnamed,
     Value,
 )
-from adis_gonio.tracing.trace import trace, trace_observations
+from adis_gonio.tracing.trace import trace, trace_readings
 
 __all__ = [
     "Detectable",
@@ -28,5 +28,5 @@ __all__ = [
     "Unnamed",
     "Value",
     "trace",
-    "trace_observations",
+    "trace_readings",
 ]

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from adis_gonio.errors import DataError
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.model.records import Floats, Session
-from adis_gonio.tracing.observations import Observations, observe
-from adis_gonio.tracing.state import Refit, State, begin, refit
-from adis_gonio.tracing.terms import Term
 
 _LEAST_DIFFERENCES = 8
 """Differences that an Allan deviation needs to be worth a point."""
@@ -79,12 +78,12 @@ class TwinComparison:
         }
 
 
-def compare(measured: Session, twin: Session, model: Sequence[Term], state: State) -> TwinComparison:
-    """Compare a session with its twin under the same model, refitted to each from the trace's state."""
+def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
+    """Compare a session with its twin under the same model, refitted to each from the trace's values."""
     from scipy import stats
 
-    ours, theirs = observe(measured), observe(twin)
-    fits = [refit(data, tuple(model), replace(begin(data), values=state.values)) for data in (ours, theirs)]
+    ours, theirs = readings_of(measured), readings_of(twin)
+    fits = [Fit.begin(data).having(traced.terms, traced.values.terms).refit() for data in (ours, theirs)]
     residual = [_residual(fitted) for fitted in fits]
     if not all(part.size for part in residual):
         raise DataError("there are no more readings than parameters: nothing is left to compare")
@@ -109,13 +108,13 @@ def compare(measured: Session, twin: Session, model: Sequence[Term], state: Stat
     )
 
 
-def _residual(fitted: Refit) -> Floats:
-    rows = fitted.prediction.residual.ravel()
+def _residual(fitted: Fit) -> Floats:
+    rows = fitted.residual.ravel()
     # Directions that a free attitude takes up have no residual.
     return np.asarray(rows[np.abs(rows) > 1e-9], np.float64)
 
 
-def _p_variance(ours: Refit, theirs: Refit) -> float:
+def _p_variance(ours: Fit, theirs: Fit) -> float:
     from scipy import stats
 
     if ours.dof <= 0 or theirs.dof <= 0:
@@ -125,12 +124,9 @@ def _p_variance(ours: Refit, theirs: Refit) -> float:
     return 2 * min(below, 1 - below)
 
 
-def _samples(session: Session, data: Observations) -> list[Floats]:
+def _samples(session: Session, data: Readings) -> list[Floats]:
     """Samples of every dwell about its mean, in mg."""
-    spread = np.array([dwell.accel[:, : data.axes].mean(axis=0) for dwell in session.dwells if len(dwell)])
-    centred, reading = spread - spread.mean(axis=0), data.mean_mg - data.mean_mg.mean(axis=0)
-    scale = float((centred * reading).sum() / (centred**2).sum())
-    parts = [scale * dwell.accel[:, : data.axes] for dwell in session.dwells if len(dwell)]
+    parts = [data.unit.mg(dwell.accel) for dwell in session.dwells if len(dwell)]
     return [part - part.mean(axis=0) for part in parts]
 
 

@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from adis_gonio.errors import DataError
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.readings import readings_of
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.sensor.registers import ACCEL_OUT
 from adis_gonio.sensor.settings import sample_period_s
 from adis_gonio.sim.bus import SimBus
-from adis_gonio.tracing.observations import Observations, observe
-from adis_gonio.tracing.state import State
-from adis_gonio.tracing.terms import Term
 from adis_gonio.twin.world import LikeWorld, noise_of
 
 _OPENING_S = 5.0
@@ -22,7 +21,7 @@ _OPENING_S = 5.0
 _REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 
 
-def simulate_like(session: Session, model: tuple[Term, ...], state: State, *, seed: int = 0) -> Session:
+def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
     """Session from the simulator whose world is a traced model.
 
     The sensor is read through the driver, frame by frame. Where the session gives no time for a move, the
@@ -32,8 +31,8 @@ def simulate_like(session: Session, model: tuple[Term, ...], state: State, *, se
     ----------
     session : Session
         The measured one.
-    model, state
-        Terms and values of its trace, over all its dwells in order.
+    traced : Fit
+        Final model of its trace; dwells for checking stand where they fit it best.
     seed : int
         Of noise and fixture errors.
 
@@ -44,10 +43,10 @@ def simulate_like(session: Session, model: tuple[Term, ...], state: State, *, se
     """
     if len(session.dwells) < 2:
         raise DataError("a twin needs a session of several positions")
-    data = observe(session)
-    scale = _scale_mg(session, data)
-    noise = noise_of(session, scale, data.axes)
-    world = LikeWorld(data, model, state, noise, sensor=session.sensor, seed=seed, offset_s=_OPENING_S)
+    data = readings_of(session)
+    fit = traced.on(data)
+    noise = noise_of(session, data.unit)
+    world = LikeWorld(fit, noise, sensor=session.sensor, seed=seed, offset_s=_OPENING_S)
     bus = SimBus(world=world, stream=True)
     begin_s = float(session.dwells[0].time_s[0])
     period_s = sample_period_s(noise.smpl_prd)
@@ -58,7 +57,7 @@ def simulate_like(session: Session, model: tuple[Term, ...], state: State, *, se
             if dwell.angle_deg is not None and data.planar:
                 bus.stage.move_to(dwell.angle_deg, dwell.approach)
             else:
-                bus.stage.orient(_attitude(data, state, k))
+                bus.stage.orient(_attitude(fit, k))
             start_s = float(dwell.time_s[0]) - begin_s + _OPENING_S
             settle_s = sensor.configuration().settling_s
             bus.sleep_s(max(start_s - bus.now_s(), settle_s, 0.5))
@@ -88,17 +87,9 @@ def simulate_like(session: Session, model: tuple[Term, ...], state: State, *, se
     )
 
 
-def _attitude(data: Observations, state: State, k: int) -> list[float]:
+def _attitude(fit: Fit, k: int) -> list[float]:
     """What an ideal sensor reads in dwell k, as a direction."""
-    if data.planar:
-        psi = float(state.base[0] + state.delta_rad[k])
+    if fit.data.planar:
+        psi = float(fit.values.base[0] + fit.values.attitude[k])
         return [float(np.cos(psi)), float(np.sin(psi)), 0.0]
-    return [float(value) for value in state.unit[k]]
-
-
-def _scale_mg(session: Session, data: Observations) -> float:
-    """How many mg a unit of the samples is, from the readings that both are made of."""
-    spread = np.array([dwell.accel[:, : data.axes].mean(axis=0) for dwell in session.dwells if len(dwell)])
-    centred = spread - spread.mean(axis=0)
-    reading = data.mean_mg - data.mean_mg.mean(axis=0)
-    return float((centred * reading).sum() / (centred**2).sum())
+    return [float(value) for value in fit.values.attitude[k]]

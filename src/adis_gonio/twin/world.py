@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from adis_gonio.errors import DataError
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.readings import Unit
+from adis_gonio.estimation.spectrum import noise_of_means
+from adis_gonio.estimation.terms import Term
 from adis_gonio.model.effects import Conditions, Effect, Enters, Parameter
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats, Session
 from adis_gonio.sensor.settings import sample_period_s, smpl_prd_for
@@ -16,9 +19,6 @@ from adis_gonio.sensor.variants import VARIANTS
 from adis_gonio.sim.noise import Flicker, White
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.world import World
-from adis_gonio.tracing.observations import Observations
-from adis_gonio.tracing.state import State
-from adis_gonio.tracing.terms import Term
 
 
 @dataclass(frozen=True)
@@ -47,22 +47,20 @@ def bartlett(filter_m: int) -> Floats:
     return np.convolve(np.full(taps, 1 / taps), np.full(taps, 1 / taps))
 
 
-def noise_of(session: Session, scale_mg: float, axes: int) -> SamplesNoise:
-    """Noise of a session's samples on its first axes; `scale_mg` brings its unit to mg.
+def noise_of(session: Session, unit: Unit) -> SamplesNoise:
+    """Noise of a session's samples on the axes of its readings, whose unit it has.
 
     The white noise before the filter has the spectral density that the samples have at zero, which is what
     readings are made of (the filter passes it on unchanged). An archive says how the chip was set. A CSV
     does not: the rate is then the nearest that the chip has, and the filter the one that leaves the samples
     nearest to their variance.
     """
-    from adis_gonio.fitting.spectrum import noise_of_means
-
     dwells = [dwell for dwell in session.dwells if len(dwell) > 8]
     if not dwells:
         raise DataError(
             "a twin needs dwells of more than eight samples: averaged readings have no noise to copy"
         )
-    samples = [scale_mg * dwell.accel[:, :axes] for dwell in dwells]
+    samples = [unit.mg(dwell.accel) for dwell in dwells]
     means = noise_of_means(samples)
     # Of coarse times, many differences are zero; a dwell's length still tells.
     period_s = float(np.median([np.ptp(dwell.time_s) / (len(dwell) - 1) for dwell in dwells]))
@@ -125,8 +123,12 @@ class TermEffect(Effect):
         """Values of the term, without units: they are what the trace fitted."""
         return tuple(
             Parameter(f"value_{k}", "", float(low), float(high), 0.0)
-            for k, (low, high) in enumerate(self.term.bounds())
+            for k, (low, high) in enumerate(self._bounds())
         )
+
+    def _bounds(self) -> Floats:
+        bounds = self.term.bounds()
+        return np.zeros((0, 2)) if bounds is None else bounds
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
         """What the term adds to the angle, (n,) in rad."""
@@ -165,12 +167,8 @@ class LikeWorld(World):
 
     Parameters
     ----------
-    data : Observations
-        Of the session.
-    model : sequence of Term
-        Terms of the traced model.
-    state : State
-        Its values.
+    fit : Fit
+        The traced model on the readings of the session.
     noise : SamplesNoise
     sensor : str
         Variant to simulate; another sensor is simulated as an ADIS16354.
@@ -181,20 +179,18 @@ class LikeWorld(World):
 
     def __init__(
         self,
-        data: Observations,
-        model: Sequence[Term],
-        state: State,
+        fit: Fit,
         noise: SamplesNoise,
         *,
         sensor: str,
         seed: int,
         offset_s: float,
     ) -> None:
-        self._data = data
+        data = self._data = fit.data
         self._offset_s = offset_s
         history = data.conditions.temperature_history
         effects = []
-        for term, values in zip(model, state.values, strict=True):
+        for term, values in zip(fit.terms, fit.values.terms, strict=True):
             kind = AngleTerm if term.enters_angle else TermEffect
             made = kind(
                 term=term,
@@ -205,7 +201,7 @@ class LikeWorld(World):
             )
             effects.append((made, values))
         part = sensor if sensor in VARIANTS else "adis16354"
-        super().__init__(_settings(data, state), part=part, seed=seed, effects=effects)
+        super().__init__(_settings(fit), part=part, seed=seed, effects=effects)
         white = np.full(3, float(noise.white_mg.mean()))
         white[: data.axes] = noise.white_mg
         floor = np.zeros(3)
@@ -236,13 +232,18 @@ class LikeWorld(World):
         return np.interp(time_s - self._offset_s, conditions.time_s, conditions.supply_v)
 
 
-def _settings(data: Observations, state: State) -> WorldSettings:
+def _settings(fit: Fit) -> WorldSettings:
+    data = fit.data
     common = {
         "gravity_mps2": data.gravity_mg * STANDARD_GRAVITY_MPS2 / 1000,
         "fixture_sigma_deg": math.degrees(data.fixture_rad) if math.isfinite(data.fixture_rad) else 0.0,
         "vibration_mg": 0.0,
         "axis_tilt_deg": 0.0,
         "backlash_deg": 0.0,
+        "alpha_deg": 0.0,
+        "skew_xz_deg": 0.0,
+        "skew_yz_deg": 0.0,
+        "scale_z": 1.0,
     }
     for axis in "xyz":
         common |= {
@@ -250,33 +251,11 @@ def _settings(data: Observations, state: State) -> WorldSettings:
             f"bias_tempco_{axis}_mg_per_c": 0.0,
             f"scale_tempco_{axis}_ppm_per_c": 0.0,
         }
-    if data.planar:
-        alpha, scale_x, scale_y, delta_phi = (float(value) for value in state.base)
-        return WorldSettings(
-            **common,
-            alpha_deg=math.degrees(alpha),
-            delta_k=scale_x / scale_y - 1,
-            scale_y=scale_y,
-            delta_phi_deg=math.degrees(delta_phi),
-            skew_xz_deg=0.0,
-            skew_yz_deg=0.0,
-            scale_z=1.0,
-        )
-    lower = np.zeros((3, 3))
-    lower[np.tril_indices(3)] = state.base
-    gains = np.linalg.norm(lower, axis=1)
-    unit = lower / gains[:, None]
-    skews = {
-        name: math.degrees(math.asin(float(unit[i] @ unit[j])))
-        for name, i, j in (("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
+    own = {
+        (f"{p.name}_deg" if p.unit == "deg" else p.name): p.stated(float(value))
+        for p, value in zip(data.model.parameters, fit.values.base, strict=True)
     }
-    return WorldSettings(
-        **common,
-        alpha_deg=0.0,
-        delta_k=float(gains[0] / gains[1] - 1),
-        scale_y=float(gains[1]),
-        scale_z=float(gains[2]),
-        delta_phi_deg=skews["xy"],
-        skew_xz_deg=skews["xz"],
-        skew_yz_deg=skews["yz"],
-    )
+    own["delta_k"] = own.pop("scale_x") / own["scale_y"] - 1
+    if "skew_xy_deg" in own:
+        own["delta_phi_deg"] = own.pop("skew_xy_deg")
+    return WorldSettings(**{**common, **own})

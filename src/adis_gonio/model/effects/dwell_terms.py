@@ -100,7 +100,7 @@ class Tone(SampleEffect):
         return (
             *by_letters((Parameter("tone", "mg", -2000.0, 2000.0, 5.0),), self.axes),
             Parameter("frequency", "Hz", 1e-3, 2000.0, 50.0, shape=True),
-            Parameter("phase", "degree", -360.0, 360.0, 0.0, shape=True),
+            Parameter("phase", "deg", -360.0, 360.0, 0.0, shape=True),
         )
 
     def change(

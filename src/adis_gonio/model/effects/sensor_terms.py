@@ -65,7 +65,7 @@ class Misalignment(CrossEffect):
         "In the plane it is the base model's α and Δφ, in space its skews and an unseen rotation; only the "
         "lean towards z of a part turned in the xy plane is left, and a turn in another plane shows it."
     )
-    coefficient: ClassVar[Parameter] = Parameter("misalignment", "degree", -5.0, 5.0, 0.25)
+    coefficient: ClassVar[Parameter] = Parameter("misalignment", "deg", -5.0, 5.0, 0.25)
 
     def basis(self, own_mg: Floats, across_mg: Floats) -> Floats:
         """Reading across, per degree."""

@@ -31,8 +31,8 @@ class StageEccentricity(StageEffect):
     )
     needs = ("angle_rad",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("ecc_sin", "degree", -2.0, 2.0, 0.01),
-        Parameter("ecc_cos", "degree", -2.0, 2.0, 0.01),
+        Parameter("ecc_sin", "deg", -2.0, 2.0, 0.01),
+        Parameter("ecc_cos", "deg", -2.0, 2.0, 0.01),
     )
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
@@ -53,8 +53,8 @@ class StageEllipticity(StageEffect):
     )
     needs = ("angle_rad",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("ell_sin", "degree", -2.0, 2.0, 0.01),
-        Parameter("ell_cos", "degree", -2.0, 2.0, 0.01),
+        Parameter("ell_sin", "deg", -2.0, 2.0, 0.01),
+        Parameter("ell_cos", "deg", -2.0, 2.0, 0.01),
     )
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
@@ -74,7 +74,7 @@ class Backlash(StageEffect):
         "the angle: approach several positions from both sides."
     )
     needs = ("approach",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("backlash", "degree", -5.0, 5.0, 0.02),)
+    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("backlash", "deg", -5.0, 5.0, 0.02),)
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
         """Half of the direction of approach."""
@@ -101,7 +101,7 @@ class PositionSlip(StageEffect):
         "the modulus changes: repeat the position."
     )
     needs = ("order",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("slip", "degree", -190.0, 190.0, 0.1),)
+    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("slip", "deg", -190.0, 190.0, 0.1),)
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
         """One in the dwell, zero elsewhere."""
@@ -152,7 +152,7 @@ class AxisTilt(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Angle ε above the horizontal, towards positive readings of z."""
-        return (Parameter("tilt", "degree", -45.0, 45.0, 0.5),)
+        return (Parameter("tilt", "deg", -45.0, 45.0, 0.5),)
 
     @staticmethod
     def _parts(ideal_mg: Floats) -> tuple[Floats, Floats, Floats]:

@@ -1,0 +1,1 @@
+"""What to measure next: measurements by expected information, and words for them."""

@@ -1,0 +1,245 @@
+"""Spectral density of the noise inside the dwells, pooled over them, against which tones are judged.
+
+Every dwell's periodogram (least-squares line taken off, Hann's taper, zero-padded to twice its length) is
+divided by the dwell's own level, so that a loud dwell does not count for more. Their mean over dwells is
+divided by the shape that the chip's Bartlett filter gives to white noise, with a floor (the converter) and
+1/f noise; which of the filter's lengths, and how much of both, is chosen by the Whittle likelihood. Other
+sensors take the flat one. What is left varies slowly with frequency (other filters) and is followed by a
+running median, which a line does not move.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, ndimage, optimize, signal
+
+from adis_gonio.dwells.samples import Samples
+from adis_gonio.model.records import Floats
+
+PADDING = 2
+"""Points of the grid an independent ordinate."""
+LOWEST = 6
+"""Cycles a dwell below which a line cannot be told from slow noise or drift."""
+LEAST_SAMPLES = 32
+_FILTERS = range(7)
+_FLOORS = (0.0, *np.geomspace(1e-5, 0.3, 8).tolist())
+"""Floors of the filtered density, in units of its value at zero."""
+_FLICKERS = (0.0, *np.geomspace(0.01, 300.0, 10).tolist())
+"""1/f noise at the lowest frequency searched, in units of the white noise."""
+_POWERS = (1, 2)
+"""Of 1/f; a slow signal on a coarse converter jumps, which falls off with the square."""
+_CELLS = 120
+_LENGTHS = 5
+_LINE = 2.0
+"""Ordinates to each side that a line reaches under Hann's taper."""
+_STEEP = 1.5
+"""Ordinates to each side over which the density's shape counts as one."""
+TAPER_LOSS = 1.944
+"""n Σw⁴ / (Σw²)² of Hann's taper: degrees of freedom that it costs."""
+_WIDTHS = (6, 16, 40)
+"""Half widths of the running median in independent ordinates; the largest one that is at most a third of
+the ordinate's number."""
+
+
+@dataclass(frozen=True)
+class Density:
+    """Periodograms of dwells of one sampling rate.
+
+    Attributes
+    ----------
+    dwells : (d,) int
+        Which dwells of the samples: those that are long enough.
+    frequency : (k,) float
+        Cycles a sample.
+    searched : slice
+        Part of the grid in which lines are looked for.
+    power : (d, k, axes) float
+        Periodograms, mg² (two-sided density a sample).
+    level : (d, axes) float
+        Level of each dwell, at least the middle one of all: its density is about `level · base`.
+    base : (k, axes) float
+        Pooled density, of a level of 1 on average.
+    bound : (k, axes) float
+        What a line has to stand above: `base`, or what lies beside it where that is more.
+    width : (k,) float
+        Independent ordinates in the running median.
+    """
+
+    dwells: NDArray[np.intp]
+    frequency: Floats
+    searched: slice
+    power: Floats
+    level: Floats
+    base: Floats
+    bound: Floats
+    width: Floats
+
+
+def density_of(samples: Samples) -> Density | None:
+    """Density of the dwells that have `LEAST_SAMPLES`; None where there are none."""
+    counts = samples.counts
+    dwells = np.flatnonzero(counts >= LEAST_SAMPLES)
+    if not dwells.size:
+        return None
+    longest, middle = int(counts[dwells].max()), float(np.median(counts[dwells]))
+    size = int(fft.next_fast_len(PADDING * longest, real=True))
+    frequency = np.arange(size // 2 + 1) / size
+    power = np.empty((len(dwells), len(frequency), samples.axes))
+    for row, k in enumerate(dwells.tolist()):
+        rows = without_line(samples.values[k])
+        lines = fft.rfft((rows * _taper(len(rows))[:, None]).T, size)
+        power[row] = (lines.real**2 + lines.imag**2).T
+    each = size / middle
+    first = max(1, round(LOWEST * each))
+    searched = slice(first, len(frequency) - max(1, round(each / 2)))
+    band = power[:, searched]
+    level = np.maximum(np.median(band, axis=1), 1e-300)
+    width = _widths(len(frequency), each)
+    pooled = (power / level[:, None, :]).mean(axis=0)
+    shape = np.ones((len(frequency), samples.axes))
+    for axis in range(samples.axes):
+        shape[searched, axis] = _shape(pooled[searched, axis], frequency[searched], counts[dwells], size)
+    # Below and above what is searched the density counts as level.
+    shape[: searched.start], shape[searched.stop :] = shape[searched.start], shape[searched.stop - 1]
+    # The median of an exponential distribution is ln 2 of its mean.
+    level = np.maximum(np.median(band / shape[None, searched], axis=1) / np.log(2), 1e-300)
+    # The converter's floor does not fall with a quiet dwell, which would rule the notches of the filter.
+    level = np.maximum(level, np.median(level, axis=0))
+    pooled = (power / level[:, None, :]).mean(axis=0) / shape
+    base = np.stack(
+        [_smooth(pooled[:, axis], searched, width, each) for axis in range(samples.axes)], axis=1
+    )
+    # Where the density is steep (edges and notches of a filter) a small error of its shape is a large one
+    # of the density: there its largest value nearby counts.
+    base = base * ndimage.maximum_filter1d(shape, 2 * round(_STEEP * each) + 1, axis=0)
+    # On a slope of the density one side is as high as a line would be: a line stands above both.
+    bound = np.maximum(base, _flanks((power / level[:, None, :]).mean(axis=0), each))
+    return Density(dwells.astype(np.intp), frequency, searched, power, level, base, bound, 2 * width + 1)
+
+
+def _flanks(pooled: Floats, each: float) -> Floats:
+    """Larger one of the means (k, axes) over the ordinates on both sides that a line does not reach."""
+    near, far = round(_LINE * each), round(2 * _LINE * each)
+    sums = np.concatenate([np.zeros((1, pooled.shape[1])), np.cumsum(pooled, axis=0)])
+    at = np.arange(len(pooled))
+
+    def mean(first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
+        first, last = np.clip(first, 0, len(pooled)), np.clip(last, 0, len(pooled))
+        count = np.maximum(last - first, 1)[:, None]
+        return np.asarray((sums[last] - sums[first]) / count, dtype=np.float64)
+
+    return np.maximum(mean(at - far, at - near + 1), mean(at + near, at + far + 1))
+
+
+def without_line(rows: Floats) -> Floats:
+    """Samples (n, axes) without their mean and slope."""
+    place = np.arange(len(rows)) - (len(rows) - 1) / 2
+    centred = rows - rows.mean(axis=0)
+    slope = place @ centred / max(float(place @ place), 1e-300)
+    result: Floats = centred - place[:, None] * slope
+    return result
+
+
+def _widths(points: int, each: float) -> Floats:
+    """Half width (k,) of the running median at each point of the grid, in independent ordinates."""
+    ordinate = np.arange(points) / each
+    width = np.full(points, float(_WIDTHS[0]))
+    for half in _WIDTHS[1:]:
+        width[ordinate >= 3 * half] = half
+    return width
+
+
+def _smooth(flat: Floats, searched: slice, width: Floats, each: float) -> Floats:
+    """Running median of a density over the part that is searched, continued beyond it."""
+    smooth = np.empty_like(flat)
+    # Beyond the part that is searched lie drift and the last ordinate: they must not pull on the rest.
+    inside = flat[searched]
+    for half in np.unique(width):
+        points = min(2 * int(half * each) + 1, 2 * (len(inside) // 2) - 1)
+        level = ndimage.median_filter(inside, size=max(points, 1), mode="reflect")
+        padded = np.concatenate(
+            [
+                np.full(searched.start, level[0]),
+                level,
+                np.full(len(flat) - searched.start - len(level), level[-1]),
+            ]
+        )
+        at = width == half
+        smooth[at] = padded[at]
+    return np.maximum(smooth, 1e-300)
+
+
+def _shape(pooled: Floats, frequency: Floats, counts: NDArray[np.intp], size: int) -> Floats:
+    """Shape (k,) of filtered white noise with a floor and 1/f noise that fits best.
+
+    Whittle likelihood with the scale fitted, over cells of neighbours; the model is averaged over the same
+    cells, so that a cell may be wider than a notch of the filter.
+    """
+    # Cells grow with frequency: the foot of a long filter has few ordinates.
+    edges = np.unique((len(frequency) * np.linspace(0, 1, _CELLS, endpoint=False) ** 2).astype(np.intp))
+    weight = np.diff(np.append(edges, len(frequency))).astype(float)
+    seen = np.add.reduceat(pooled, edges) / weight
+    slow = {power: (frequency[0] / frequency) ** power for power in _POWERS}
+    first = round(float(frequency[0]) * size)
+
+    def deviance(own: Floats) -> Floats:
+        """−2 log likelihood less a constant, of models (…, cells) with their scale fitted."""
+        return np.asarray(np.log(own) @ weight + weight.sum() * np.log((seen / own) @ weight))
+
+    best, chosen, start, power = np.inf, np.ones_like(pooled), (0.0, 0.0), _POWERS[0]
+    for filter_m in _FILTERS:
+        if 2 ** (filter_m + 1) > counts.max():
+            break
+        response = _expected(filter_m, counts, size)[first : first + len(frequency)]
+        white = np.add.reduceat(response, edges) / weight
+        for own_power, rising in slow.items():
+            low = np.array(_FLICKERS)[:, None] * (np.add.reduceat(rising, edges) / weight)
+            for floor in _FLOORS if filter_m else (0.0,):
+                losses = deviance(white + floor + low)
+                k = int(losses.argmin())
+                if losses[k] < best:
+                    best, chosen, power = float(losses[k]), response, own_power
+                    start = (floor, _FLICKERS[k])
+    white = np.add.reduceat(chosen, edges) / weight
+    low = np.add.reduceat(slow[power], edges) / weight
+
+    def loss(logs: Floats) -> float:
+        return float(deviance(white + np.exp(logs[0]) + np.exp(logs[1]) * low))
+
+    finer = optimize.minimize(
+        loss,
+        np.log(np.maximum(np.array(start), 1e-7)),
+        method="Nelder-Mead",
+        options={"maxiter": 80, "xatol": 0.02, "fatol": 0.02},
+    )
+    floor, amount = np.exp(finer.x)
+    return np.asarray(chosen + floor + amount * slow[power], dtype=np.float64)
+
+
+def _expected(filter_m: int, counts: NDArray[np.intp], size: int) -> Floats:
+    """Expected periodogram of filtered white noise under the taper: its own leakage and resolution."""
+    taps = 2**filter_m
+    window = np.convolve(np.ones(taps), np.ones(taps)) / taps**2
+    covariance = np.correlate(window, window, "full")[len(window) - 1 :]
+    total = np.zeros(size // 2 + 1)
+    chosen = np.unique(np.quantile(counts, np.linspace(0, 1, _LENGTHS), method="nearest"))
+    for n in chosen.tolist():
+        taper = _taper(int(n))
+        lags = min(len(covariance), int(n))
+        spectrum = np.abs(fft.rfft(taper, fft.next_fast_len(2 * int(n), real=True))) ** 2
+        overlap = fft.irfft(spectrum, fft.next_fast_len(2 * int(n), real=True))[:lags]
+        series = np.zeros(size)
+        series[:lags] = covariance[:lags] * overlap
+        series[-lags + 1 or size :] += series[1:lags][::-1]
+        total += fft.rfft(series).real
+    return np.maximum(total / len(chosen), 1e-12)
+
+
+def _taper(n: int) -> Floats:
+    """Hann taper (n,) of mean square 1/n, so that white noise keeps its density."""
+    taper = signal.windows.hann(n + 2)[1:-1]
+    result: Floats = taper / np.sqrt(taper @ taper)
+    return result

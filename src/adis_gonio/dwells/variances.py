@@ -1,0 +1,328 @@
+"""Whether the samples scatter alike in all dwells: `noise_change`.
+
+Compared is the variance of a dwell above `LOWEST` cycles a dwell, where neither drift nor slow noise
+reaches. Its degrees of freedom follow from the density (neighbours that are correlated count less), from
+the excess of the samples' fourth moment over a normal distribution's, and from the converter: at noise near
+its step the variance depends on where between two codes the mean lies.
+
+Three tests an axis: all dwells alike (Bartlett), one change between two dwells (F, all places), one dwell
+against the others (F).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from adis_gonio.dwells.density import TAPER_LOSS, Density, without_line
+from adis_gonio.dwells.finding import (
+    LEVEL,
+    Place,
+    View,
+    WithinFinding,
+    corrected,
+    number,
+    positions_text,
+    with_u,
+)
+from adis_gonio.dwells.samples import Samples
+from adis_gonio.model.records import Floats
+from adis_gonio.tracing.outcome.values import Value
+
+LEAST_DWELLS = 3
+_LIVELY = 0.6
+"""Noise in steps of the converter below which the variance says where the mean lies and no more."""
+_ADEQUATE = 0.01
+_LEAST_LOW = 1e-3
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Variances of d dwells on one axis with their degrees of freedom."""
+
+    variance: Floats
+    dof: Floats
+
+    def rows(self, chosen: NDArray[np.bool_]) -> Levels:
+        """Those of some dwells."""
+        return Levels(self.variance[chosen], self.dof[chosen])
+
+    @property
+    def common(self) -> float:
+        """Variance of all together."""
+        return float(self.dof @ self.variance / self.dof.sum())
+
+    def alike(self) -> float:
+        """p-value of Bartlett's test that all variances are alike."""
+        d = len(self.variance)
+        if d < 2:
+            return 1.0
+        half = self.dof / 2
+        correction = 1 + (np.sum(1 / self.dof) - 1 / self.dof.sum()) / (3 * (d - 1))
+        statistic = 2 * (half.sum() * np.log(self.common) - half @ np.log(self.variance)) / correction
+        return float(stats.chi2.sf(max(statistic, 0.0), d - 1))
+
+
+def noise_change(samples: Samples, density: Density | None) -> WithinFinding | None:
+    """Change of the scatter between dwells; None where there is none, or fewer than three dwells."""
+    if density is None or len(density.dwells) < LEAST_DWELLS:
+        return None
+    dwells = density.dwells
+    levels = [levels_of(samples, density, axis) for axis in range(samples.axes)]
+    usable = [
+        axis
+        for axis, own in enumerate(levels)
+        if np.sqrt(np.median(own.variance)) >= _LIVELY * samples.quantum[axis]
+    ]
+    p = {axis: _p_value(levels[axis], samples.axes) for axis in usable}
+    shown = [axis for axis in usable if p[axis] < LEVEL]
+    if not shown:
+        return None
+    cut = _best_cut([levels[axis] for axis in shown])
+    one_change = cut is not None and all(_explained(levels[axis], cut) for axis in shown)
+    if one_change and cut is not None:
+        return _joining(samples, dwells, [levels[axis] for axis in shown], shown, cut, min(p.values()))
+    return _varying(samples, dwells, [levels[axis] for axis in shown], shown, min(p.values()))
+
+
+def heterogeneous(finding: WithinFinding | None, samples: Samples) -> list[int]:
+    """Axes whose scatter differs between dwells."""
+    return [] if finding is None else [samples.letters.index(axis) for axis in finding.axes]
+
+
+def levels_of(samples: Samples, density: Density, axis: int) -> Levels:
+    """Variances of the dwells above the lowest frequencies."""
+    searched = density.searched
+    band = density.power[:, searched, axis]
+    base = density.base[searched, axis]
+    # What lies below the band belongs to the variance as well: its share by the density.
+    whole = float(density.base[:, axis].sum() / base.sum())
+    variance = np.maximum(whole * band.sum(axis=1) / (len(density.frequency) - 1), 1e-300)
+    counts = samples.counts[density.dwells].astype(float)
+    # Two degrees an independent ordinate, weighted by the density.
+    share = len(base) / len(density.frequency)
+    dof = counts * share * base.mean() ** 2 / np.mean(base**2) / TAPER_LOSS
+    relative = 2 / dof
+    rows = [without_line(samples.values[int(k)])[:, axis] for k in density.dwells]
+    squares = [own * own for own in rows]
+    fourth = float(np.mean([np.mean(own**2) / max(float(np.mean(own)) ** 2, 1e-300) for own in squares]))
+    relative = relative + max(fourth - 3, 0.0) / (dof / 2)
+    step = samples.quantum[axis]
+    if step > 0:
+        sigma2 = max(float(np.median(variance)) / step**2 - 1 / 12, 0.02)
+        ripple = (4 * sigma2 + 1 / np.pi**2) * np.exp(-2 * np.pi**2 * sigma2) / (sigma2 + 1 / 12)
+        relative = relative + ripple**2 / 2
+    return Levels(variance, 2 / relative)
+
+
+def _p_value(own: Levels, axes: int) -> float:
+    d = len(own.variance)
+    # Three tests, one of them at d − 1 places, one at d: each pays for all.
+    candidates = [own.alike() * 3 * axes]
+    for cut in range(1, d):
+        after = np.arange(d) >= cut
+        candidates.append(_ratio_p(own.rows(~after), own.rows(after)) * (d - 1) * 3 * axes)
+    for k in range(d):
+        alone = np.arange(d) == k
+        candidates.append(_ratio_p(own.rows(~alone), own.rows(alone)) * d * 3 * axes)
+    return corrected(min(candidates), 1)
+
+
+def _ratio_p(one: Levels, other: Levels) -> float:
+    ratio = other.common / one.common
+    a, b = float(other.dof.sum()), float(one.dof.sum())
+    return min(1.0, 2 * min(float(stats.f.sf(ratio, a, b)), float(stats.f.cdf(ratio, a, b))))
+
+
+def _best_cut(levels: list[Levels]) -> int | None:
+    """First dwell of the louder part, by likelihood over all axes; None if the later part is not louder."""
+    d = len(levels[0].variance)
+    best: tuple[float, int] | None = None
+    for cut in range(1, d):
+        after = np.arange(d) >= cut
+        loss, louder = 0.0, True
+        for own in levels:
+            for part in (own.rows(~after), own.rows(after)):
+                loss += float(part.dof.sum()) * np.log(part.common)
+            louder &= own.rows(after).common > own.rows(~after).common
+        if best is None or loss < best[0]:
+            best = (loss, cut if louder else 0)
+    return best[1] if best is not None and best[1] else None
+
+
+def _explained(own: Levels, cut: int) -> bool:
+    """True where one change at `cut` (within a dwell beside it, or between) leaves dwells alike."""
+    at = np.arange(len(own.variance))
+    parts = [own.rows(at < cut - 1), own.rows(at > cut)]
+    p = [part.alike() for part in parts if len(part.variance) > 1]
+    return all(value > _ADEQUATE / max(len(p), 1) for value in p)
+
+
+def _joining(
+    samples: Samples,
+    dwells: NDArray[np.intp],
+    levels: list[Levels],
+    axes: list[int],
+    cut: int,
+    p_value: float,
+) -> WithinFinding:
+    at = np.arange(len(dwells))
+    quiet, loud = at < cut - 1, at > cut
+    if not quiet.any():
+        quiet = at < cut
+    if not loud.any():
+        loud = at >= cut
+    parameters: dict[str, Value] = {}
+    for axis, own in zip(axes, levels, strict=True):
+        before, after = own.rows(quiet), own.rows(loud)
+        extra = float(np.sqrt(max(after.common - before.common, 0.0)))
+        u2 = 2 * (before.common**2 / before.dof.sum() + after.common**2 / after.dof.sum())
+        parameters[f"extra_{samples.letters[axis]}"] = Value(
+            extra, float(np.sqrt(u2) / (2 * max(extra, 1e-12))), "mg"
+        )
+    start, u_start = _start(samples, dwells, levels, axes, cut, quiet, loud)
+    parameters["start"] = Value(start, u_start, "s")
+    positions = tuple(int(p) for p in samples.position[dwells[cut:]])
+    sizes = ", ".join(
+        f"{samples.letters[axis]} {with_u(parameters[f'extra_{samples.letters[axis]}'])}" for axis in axes
+    )
+    return WithinFinding(
+        kind="noise_change",
+        effect="noise_change",
+        axes=tuple(samples.letters[axis] for axis in axes),
+        positions=positions,
+        parameters=parameters,
+        p_value=p_value,
+        sentence=(
+            f"from {with_u(parameters['start'])} on (position {positions[0]}) the samples scatter more: "
+            f"noise of {sizes} has joined" + _rectification(levels)
+        ),
+        advice=(
+            "look for what joined (a machine, a loose contact, the supply); readings before and after it "
+            "differ in their uncertainty"
+        ),
+        view=_view(samples, dwells, levels, axes),
+    )
+
+
+def _varying(
+    samples: Samples, dwells: NDArray[np.intp], levels: list[Levels], axes: list[int], p_value: float
+) -> WithinFinding:
+    """Variances that differ without the form of one change."""
+    d = len(dwells)
+    unusual = np.zeros(d, dtype=bool)
+    places: list[Place] = []
+    for axis, own in zip(axes, levels, strict=True):
+        typical = float(np.median(own.variance))
+        ratio = own.variance / typical
+        spread = np.sqrt(2 / own.dof)
+        far = np.abs(np.log(ratio)) > stats.norm.isf(LEVEL / (2 * d)) * spread
+        unusual |= far
+        places += [
+            Place(
+                int(samples.position[dwells[k]]),
+                samples.letters[axis],
+                None,
+                Value(
+                    float(np.sqrt(own.variance[k])),
+                    float(np.sqrt(own.variance[k] / (2 * own.dof[k]))),
+                    "mg",
+                ),
+            )
+            for k in np.flatnonzero(far).tolist()
+        ]
+    if not unusual.any():
+        unusual[:] = True
+    positions = tuple(int(p) for p in samples.position[dwells[unusual]])
+    parameters: dict[str, Value] = {}
+    for axis, own in zip(axes, levels, strict=True):
+        letter = samples.letters[axis]
+        low, high = int(own.variance.argmin()), int(own.variance.argmax())
+        for word, k in (("least", low), ("largest", high)):
+            sd = float(np.sqrt(own.variance[k]))
+            parameters[f"{word}_{letter}"] = Value(sd, float(sd / np.sqrt(2 * own.dof[k])), "mg")
+    ranges = ", ".join(
+        f"{samples.letters[axis]} {number(float(np.sqrt(own.variance.min())))} to "
+        f"{number(float(np.sqrt(own.variance.max())))} mg"
+        for axis, own in zip(axes, levels, strict=True)
+    )
+    return WithinFinding(
+        kind="noise_change",
+        effect=None,
+        axes=tuple(samples.letters[axis] for axis in axes),
+        positions=positions,
+        parameters=parameters,
+        p_value=p_value,
+        sentence=(
+            f"the samples do not scatter alike in all dwells (standard deviation {ranges}); unusual: "
+            f"{positions_text(positions, len(samples))}" + _rectification(levels)
+        ),
+        places=tuple(places),
+        advice="",
+        view=_view(samples, dwells, levels, axes),
+    )
+
+
+def _rectification(levels: list[Levels]) -> str:
+    """What variances that differ are good for: the mean may follow them."""
+    spread = max(float(np.ptp(own.variance)) for own in levels)
+    return (
+        f"; variances differ by up to {number(spread)} mg², in which a vibration_rectification could show "
+        "between the dwells"
+    )
+
+
+def _start(
+    samples: Samples,
+    dwells: NDArray[np.intp],
+    levels: list[Levels],
+    axes: list[int],
+    cut: int,
+    quiet: NDArray[np.bool_],
+    loud: NDArray[np.bool_],
+) -> tuple[float, float]:
+    """Moment of the change with its standard uncertainty: its posterior over samples and the gap.
+
+    Squares of neighbours are correlated: the likelihood counts for the degrees of freedom only.
+    """
+    before, after = int(dwells[cut - 1]), int(dwells[cut])
+    time = np.concatenate([samples.time_s[before], samples.time_s[after]])
+    loss = np.zeros(len(time) + 1)
+    for axis, own in zip(axes, levels, strict=True):
+        low, high = own.rows(quiet).common, own.rows(loud).common
+        rows = np.concatenate([without_line(samples.values[k])[:, axis] for k in (before, after)])
+        worth = float(np.median(own.dof / samples.counts[dwells]))
+        one = 0.5 * worth * (rows**2 / low + np.log(low))
+        two = 0.5 * worth * (rows**2 / high + np.log(high))
+        loss += np.concatenate([[0.0], np.cumsum(one)]) + np.concatenate(
+            [np.cumsum(two[::-1])[::-1], [0.0]]
+        )
+    # The change lies before sample k: within a period, or anywhere in the pause between the dwells.
+    edges = np.concatenate([[time[0] - samples.period_s], time, [time[-1] + samples.period_s]])
+    low_edge, high_edge = edges[:-1], edges[1:]
+    weight = np.exp(-(loss - loss.min())) * np.maximum(high_edge - low_edge, 1e-12)
+    weight /= weight.sum()
+    middle, width = (low_edge + high_edge) / 2, high_edge - low_edge
+    mean = float(weight @ middle)
+    variance = float(weight @ ((middle - mean) ** 2 + width**2 / 12))
+    return mean, float(np.sqrt(variance))
+
+
+def _view(samples: Samples, dwells: NDArray[np.intp], levels: list[Levels], axes: list[int]) -> View:
+    axis = axes[0]
+    own = levels[0]
+    letter = samples.letters[axis]
+    time = np.array([float(np.mean(samples.time_s[int(k)])) for k in dwells])
+    return View(
+        time / 60,
+        np.sqrt(own.variance),
+        np.zeros(0),
+        np.zeros(0),
+        "time / min",
+        f"scatter of {letter} / mg",
+        f"Standard deviation of the samples of {letter} in each dwell.",
+        points=True,
+    )

@@ -1,0 +1,459 @@
+"""`Fit`: a model at some values on some readings, with all that follows from it.
+
+Base parameters and terms are fitted together; attitudes (the deviation δ ~ N(0, σ_f²) of a declared angle
+in the plane, any unit vector in space) are nuisance parameters, eliminated dwell by dwell: with C = L Lᵀ
+the covariance of a reading and t its tangent, rows are whitened by (I − β û ûᵀ) L⁻¹, û ∥ L⁻¹ t,
+β = 1 − (1 + σ_f² |L⁻¹ t|²)^(−1/2), which is the inverse root of C + σ_f² t tᵀ and, for σ_f → ∞, the
+projection that leaves nothing along t. σ_f = 0 is least squares with declared angles, σ_f = ∞ the fit of an
+ellipse: limits without a case of their own.
+
+Noise that dwells share (1/f noise, F = Φ Φᵀ over all readings) leaves the rows so whitened with the
+covariance 1 + A Aᵀ, A = W Φ. Its symmetric inverse root 1 − A g(Aᵀ A) Aᵀ, g(λ) = 1/(r (r + 1)) with
+r = √(1 + λ), is applied to them, which of all roots changes rows least: a row still belongs to its dwell.
+
+Cost is linear in the number of dwells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.estimation.readings import Readings
+from adis_gonio.estimation.terms import Term
+from adis_gonio.model.measurement import PlanarTurn
+from adis_gonio.model.records import Floats
+
+NAMELESS_SPREAD = 100.0
+"""Prior standard deviation of an amplitude without a name (mg, mrad): where time and the position before
+run together, their difference and a gain of twenty would cancel."""
+_DAMPING = (1.0, 0.5, 0.2, 0.05, 0.01)
+_LEAST_GAIN = 1e-6
+"""Fall of χ² at which a refit has converged."""
+
+
+@dataclass(frozen=True)
+class Values:
+    """Values of a model.
+
+    Attributes
+    ----------
+    base : (p,) float
+        Base parameters in the order of `Measurement.parameters`, natural units.
+    attitude : (n, …) float
+        Of each dwell, as the measurement has it.
+    terms : tuple of (q,) float
+        Values of each term.
+    """
+
+    base: Floats
+    attitude: Floats
+    terms: tuple[Floats, ...] = ()
+
+    @property
+    def parameters(self) -> Floats:
+        """Base parameters, then the values of all terms."""
+        return np.concatenate([self.base, *self.terms])
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model at some values on some readings.
+
+    Attributes
+    ----------
+    data : Readings
+    terms : tuple of Term
+        What stands beside the base model.
+    values : Values
+    with_prior : bool
+        True where base parameters and nameless amplitudes are held near what parts can have: few positions
+        leave directions undetermined in which a fit would run to gains of twenty.
+    """
+
+    data: Readings
+    terms: tuple[Term, ...]
+    values: Values
+    with_prior: bool = True
+
+    # -- making ------------------------------------------------------------------------------------
+
+    @classmethod
+    def begin(cls, data: Readings, *, with_prior: bool = True) -> Fit:
+        """The base model at rough values, not yet refitted."""
+        base, attitude = data.model.begin(data.mean_mg, data.turn_rad, np.isfinite(data.fixture))
+        return cls(data, (), Values(base, attitude), with_prior)
+
+    def having(self, terms: Sequence[Term], values: Sequence[Floats]) -> Fit:
+        """The same with other terms at the values (q,) of each."""
+        return replace(self, terms=tuple(terms), values=replace(self.values, terms=tuple(values)))
+
+    def value_of(self, term: Term) -> Floats:
+        """Values (q,) of one of the terms."""
+        return self.values.terms[self.terms.index(term)]
+
+    def slice_of(self, index: int) -> slice:
+        """Where the values of a term stand among the parameters."""
+        start = len(self.values.base) + sum(len(own) for own in self.values.terms[:index])
+        return slice(start, start + len(self.values.terms[index]))
+
+    # -- prediction --------------------------------------------------------------------------------
+
+    @cached_property
+    def turn_rad(self) -> Floats:
+        """Angle (n,) by which the stage has turned the part, effects of the stage among it."""
+        turn = self.data.turn_rad
+        for term, own in zip(self.terms, self.values.terms, strict=True):
+            if term.enters_angle:
+                turn = turn + term.added(own, self.data.mean_mg, self.data.conditions)
+        return turn
+
+    @cached_property
+    def ideal_mg(self) -> Floats:
+        """What the axes should read (n, axes), gain and misalignment in it."""
+        return self.data.model.ideal_mg(self.values.base, self.values.attitude, self.turn_rad)
+
+    @cached_property
+    def tangent_mg(self) -> Floats:
+        """∂ideal/∂attitude (n, axes, freedom) in mg per rad."""
+        return self.data.model.tangent_mg(self.values.base, self.values.attitude, self.turn_rad)
+
+    @cached_property
+    def predicted_mg(self) -> Floats:
+        """Prediction (n, axes) at the attitudes."""
+        predicted = self.ideal_mg
+        for term, own in zip(self.terms, self.values.terms, strict=True):
+            if not term.enters_angle:
+                predicted = predicted + term.added(own, self.ideal_mg, self.data.conditions)
+        return predicted
+
+    @property
+    def residual_mg(self) -> Floats:
+        """Reading minus prediction (n, axes)."""
+        return self.data.mean_mg - self.predicted_mg
+
+    @cached_property
+    def left_mg(self) -> Floats:
+        """The same with the attitudes' own part added back, so that it belongs to declared angles."""
+        deviation = self.data.model.deviation_rad(self.values.attitude)
+        return self.residual_mg + (self.tangent_mg @ deviation[:, :, None])[:, :, 0]
+
+    def added_mg(self, index: int) -> Floats:
+        """What a term adds to the readings (n, axes), to first order where it turns the part."""
+        term, own = self.terms[index], self.values.terms[index]
+        added = term.added(own, self.ideal_mg, self.data.conditions)
+        return self.as_readings(term, added[..., None])[:, :, 0]
+
+    # -- whitening ---------------------------------------------------------------------------------
+
+    @cached_property
+    def whitener(self) -> Floats:
+        """What whitens a reading dwell by dwell, (n, rows, axes) in 1/mg."""
+        root = self.data.own_root
+        along = root @ self.tangent_mg
+        if along.shape[2] == 0:
+            return root
+        if along.shape[2] == 2:
+            # One direction is left: across both whitened tangents.
+            normal = np.cross(along[:, :, 0], along[:, :, 1])
+            normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+            return normal[:, None, :] @ root
+        along = along[:, :, 0]
+        size = np.linalg.norm(along, axis=1, keepdims=True)
+        unit = along / np.maximum(size, 1e-300)
+        if self.data.free:
+            across = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
+            return across[:, None, :] @ root
+        with np.errstate(divide="ignore"):
+            beta = 1 - 1 / np.sqrt(1 + (self.data.fixture[:, None] * size) ** 2)
+        whitening: Floats = root - (beta * unit)[:, :, None] * (unit[:, None, :] @ root)
+        return whitening
+
+    @cached_property
+    def _shared(self) -> tuple[Floats, Floats] | None:
+        """A (n·rows, k) and the middle V g(λ) Vᵀ (k, k), with Aᵀ A = V λ Vᵀ."""
+        slow = self.data.slow_mg
+        if slow is None or not slow.shape[2]:
+            return None
+        rows = (self.whitener @ slow).reshape(-1, slow.shape[2])
+        values, vectors = np.linalg.eigh(rows.T @ rows)
+        root = np.sqrt(1 + np.maximum(values, 0.0))
+        return rows, (vectors / (root * (root + 1))) @ vectors.T
+
+    def white(self, columns_mg: Floats) -> Floats:
+        """Columns (n·rows, d), whitened, of what stands in readings (n, axes, d) in mg."""
+        flat: Floats = self.white_by_dwell(columns_mg).reshape(-1, columns_mg.shape[2])
+        if self._shared is None:
+            return flat
+        rows, middle = self._shared
+        return flat - rows @ (middle @ (rows.T @ flat))
+
+    def white_by_dwell(self, columns_mg: Floats) -> Floats:
+        """The same (n, rows, d) without what dwells share."""
+        whitened: Floats = self.whitener @ columns_mg
+        return whitened
+
+    @cached_property
+    def residual(self) -> Floats:
+        """Whitened residual (n, rows)."""
+        return self.white(self.left_mg[:, :, None]).reshape(len(self.data), -1)
+
+    # -- columns -----------------------------------------------------------------------------------
+
+    def as_readings(self, term: Term, columns: Floats) -> Floats:
+        """Columns of a term in readings (n, axes, d) in mg, whatever it enters by."""
+        if not term.enters_angle:
+            return columns
+        if not isinstance(self.data.model, PlanarTurn):
+            return np.zeros((*self.ideal_mg.shape, columns.shape[1]))
+        return self.tangent_mg * columns[:, None, :]
+
+    def candidate(self, term: Term) -> Floats:
+        """Columns (n, axes, d) in mg of a term by its amplitudes, at amplitude zero."""
+        return self.as_readings(term, term.columns(self.ideal_mg, self.data.conditions))
+
+    @cached_property
+    def base_columns(self) -> Floats:
+        """∂reading/∂base (n, axes, p) in mg; zero for parameters that the dwells do not show."""
+        columns = self.data.model.columns_mg(self.values.base, self.values.attitude, self.turn_rad)
+        columns[:, :, ~self.data.visible] = 0.0
+        return columns
+
+    @cached_property
+    def columns(self) -> Floats:
+        """∂reading/∂parameter (n, axes, p + q) in mg."""
+        blocks = [self.base_columns]
+        for term, own in zip(self.terms, self.values.terms, strict=True):
+            blocks.append(self.as_readings(term, term.derivative(own, self.ideal_mg, self.data.conditions)))
+        return np.concatenate(blocks, axis=2)
+
+    @cached_property
+    def jacobian(self) -> Floats:
+        """The same whitened, (n·rows, p + q)."""
+        return self.white(self.columns)
+
+    def linear(self) -> tuple[Floats, list[Floats], Floats]:
+        """Whitened base columns (rows, p), those of each term's amplitudes, readings less the base."""
+        target = self.residual.ravel()
+        blocks = []
+        for index, (term, own) in enumerate(zip(self.terms, self.values.terms, strict=True)):
+            derivative = term.derivative(own, self.ideal_mg, self.data.conditions)
+            blocks.append(self.white(self.as_readings(term, derivative[..., term.amplitude_index(own)])))
+            target = target + self.white(self.added_mg(index)[:, :, None])[:, 0]
+        return self.white(self.base_columns), blocks, target
+
+    # -- how well ----------------------------------------------------------------------------------
+
+    @property
+    def chi2(self) -> float:
+        """χ² of the readings."""
+        return float((self.residual**2).sum())
+
+    @cached_property
+    def equations(self) -> int:
+        """Whitened rows that carry information: an angle without a prior takes one."""
+        spare = (
+            0 if self.data.free else int(np.isinf(self.data.fixture).sum()) * (self.data.model.freedom == 1)
+        )
+        return self.residual.size - spare
+
+    @cached_property
+    def _half(self) -> Floats:
+        """Root (p + q, k) of the covariance."""
+        scaled = self._with_prior(self.jacobian)
+        size = np.linalg.norm(scaled, axis=0)
+        size[size == 0] = 1.0
+        _, s, vt = np.linalg.svd(scaled / size, full_matrices=False)
+        keep = s > 1e-9 * (s[0] if s.size else 1.0)
+        half: Floats = (vt[keep].T / s[keep]) / size[:, None]
+        return half
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance (p + q, p + q) of base parameters and values of the terms."""
+        covariance: Floats = self._half @ self._half.T
+        return covariance
+
+    @cached_property
+    def used(self) -> float:
+        """Degrees of freedom that the parameters use: what a prior holds back is none."""
+        used = float(((self.jacobian @ self._half) ** 2).sum())
+        if all(term.prior_sd is None for term in self.terms):
+            used = float(round(used))  # the base's prior is wide: a parameter is either seen or not
+        return used
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of χ²."""
+        return self.equations - self.used
+
+    # -- priors ------------------------------------------------------------------------------------
+
+    @cached_property
+    def _prior(self) -> tuple[Floats, Floats]:
+        """Precision 1/σ (p + q,), zero where there is no prior, and centre."""
+        model = self.data.model
+        spreads = [np.array([parameter.spread for parameter in model.parameters])]
+        for term, own in zip(self.terms, self.values.terms, strict=True):
+            loose = NAMELESS_SPREAD if term.name is None else np.inf
+            spreads.append(np.full(len(own), loose if term.prior_sd is None else term.prior_sd))
+        precision = 1 / np.concatenate(spreads) if self.with_prior else np.zeros(sum(map(len, spreads)))
+        centre = np.zeros(len(precision))
+        centre[: len(model.parameters)] = model.nominal
+        return precision, centre
+
+    @cached_property
+    def _away(self) -> Floats:
+        """Parameters' distance (p + q,) from the prior's centre in its σ."""
+        precision, centre = self._prior
+        away: Floats = precision * (self.values.parameters - centre)
+        return away
+
+    @cached_property
+    def loss(self) -> float:
+        """χ² of the readings and of the priors."""
+        return self.chi2 + float((self._away**2).sum())
+
+    def _with_prior(self, rows: Floats) -> Floats:
+        """Rows with one more for each prior."""
+        precision, _ = self._prior
+        return np.concatenate([rows, np.diag(precision)[precision > 0]])
+
+    # -- refitting ---------------------------------------------------------------------------------
+
+    def settled(self, passes: int = 2) -> Fit:
+        """The same with the attitudes that fit its other values best."""
+        fit, data = self, self.data
+        freedom = data.model.freedom
+        fixed = data.fixture == 0
+        if not freedom or (freedom == 1 and fixed.all()):
+            return self
+        with np.errstate(divide="ignore"):
+            precision = np.where(fixed, 0.0, 1 / data.fixture**2)
+        for _ in range(passes):
+            along = data.root @ fit.tangent_mg
+            pull = data.model.deviation_rad(fit.values.attitude)
+            right = (along.transpose(0, 2, 1) @ (data.root @ fit.residual_mg[:, :, None]))[:, :, 0]
+            right = right - precision[:, None] * pull
+            gram = along.transpose(0, 2, 1) @ along + precision[:, None, None] * np.eye(freedom)
+            if freedom == 1:
+                step = right / np.maximum(gram[:, :, 0], 1e-300)
+                step[fixed] = 0.0
+            else:
+                # Where an axis has lost its gain a pose may have but one tangent.
+                trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
+                gram = gram + (1e-12 * trace + 1e-300) * np.eye(freedom)
+                step = np.linalg.solve(gram, right[:, :, None])[:, :, 0]
+            attitude = data.model.moved(fit.values.attitude, step)
+            fit = replace(fit, values=replace(fit.values, attitude=attitude))
+        return fit
+
+    def refit(
+        self, iterations: int = 15, tolerance: float = _LEAST_GAIN, within: Floats | None = None
+    ) -> Fit:
+        """Full nonlinear least squares of base parameters and terms, by Gauss–Newton.
+
+        The dependence of an effect on the ideal reading is left out of the slope, not out of the model, so
+        that steps converge linearly with a factor as small as the effect is against 1 g.
+
+        Parameters
+        ----------
+        tolerance : float
+            Fall of χ² (of a thousandth of χ² where that is more) at which it ends.
+        within : (p + q, k) float, optional
+            Orthonormal directions in which parameters may move; by default all.
+        """
+        fit = self.settled()
+        for _ in range(iterations):
+            rows = fit._with_prior(fit.jacobian)
+            held = fit._prior[0] > 0
+            left = np.concatenate([fit.residual.ravel(), -fit._away[held]])
+            if within is not None:
+                rows = rows @ within
+            size = np.linalg.norm(rows, axis=0)
+            size[size == 0] = 1.0
+            step = np.linalg.lstsq(rows / size, left, rcond=1e-9)[0] / size
+            if within is not None:
+                step = within @ step
+            trial = fit
+            for damping in _DAMPING:
+                trial = fit._stepped(damping * step).settled()
+                if trial.loss <= fit.loss * (1 + 1e-12):
+                    break
+            else:
+                break
+            gain, fit = fit.loss - trial.loss, trial
+            if gain < tolerance * max(1.0, 1e-3 * fit.loss):
+                break
+        return fit
+
+    def _stepped(self, step: Floats) -> Fit:
+        old = self.values
+        model = self.data.model
+        terms = []
+        for index, (term, own) in enumerate(zip(self.terms, old.terms, strict=True)):
+            terms.append(term.limited(own, own + step[self.slice_of(index)]))
+        base = old.base + step[: len(old.base)]
+        if self.with_prior:
+            base = np.clip(base, [p.low for p in model.parameters], [p.high for p in model.parameters])
+        return replace(self, values=Values(base, old.attitude, tuple(terms)))
+
+    def again(self, data: Readings) -> Fit:
+        """The same terms fitted anew to other readings."""
+        return Fit.begin(data, with_prior=self.with_prior).having(self.terms, self.values.terms).refit(8)
+
+    # -- dwells that took no part ------------------------------------------------------------------
+
+    def on(self, data: Readings, terms: Sequence[Term] | None = None) -> Fit:
+        """The same values on other dwells, at the attitudes that suit these best.
+
+        Parameters
+        ----------
+        terms : sequence of Term, optional
+            In the place of the terms, with the same values.
+        """
+        started = self._placed_on(data, terms)
+        return started.settled(4)
+
+    def _placed_on(self, data: Readings, terms: Sequence[Term] | None) -> Fit:
+        model = data.model
+        _, attitude = model.begin(data.mean_mg, data.turn_rad, np.isfinite(data.fixture))
+        if isinstance(model, PlanarTurn):
+            shown = np.arctan2(data.mean_mg[:, 1], data.mean_mg[:, 0]) - self.values.base[0]
+            attitude = np.where(np.isfinite(data.angle_rad), 0.0, shown)
+        values = replace(self.values, attitude=attitude)
+        return Fit(data, self.terms if terms is None else tuple(terms), values, self.with_prior)
+
+    def angle_error_rad(self, data: Readings, terms: Sequence[Term] | None = None) -> Floats | None:
+        """Angle by the calibrated goniometer minus declared angle (n,); None without declared angles."""
+        if not isinstance(data.model, PlanarTurn) or data.conditions.angle_rad is None:
+            return None
+        return self._placed_on(replace(data, fixture_rad=np.inf), terms).settled(4).values.attitude
+
+    def foresees(self, data: Readings, most: float) -> NDArray[np.bool_]:
+        """Dwells (n,) of others that it predicts to a variance of `most` in units of their noise."""
+        there = self.on(data)
+        rest = self.white_by_dwell(self.columns)
+        return foreseen(rest.reshape(-1, rest.shape[2]), there.white_by_dwell(there.columns), most)
+
+
+def foreseen(rest: Floats, left: Floats, most: float) -> NDArray[np.bool_]:
+    """Dwells (n,) whose rows (n, r, p) the rows (m, p) of others predict to a variance of `most`.
+
+    With X the whitened columns, the prediction of held-out rows has covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in
+    units of the noise (Cook and Weisberg, Residuals and Influence in Regression, 1982).
+    """
+    if not len(rest):
+        return np.zeros(len(left), dtype=bool)
+    size = np.linalg.norm(rest, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    _, s, vt = np.linalg.svd(rest / size, full_matrices=False)
+    seen = s > 1e-8 * s[0]
+    scaled = left / size
+    carried = scaled @ (vt[seen].T / s[seen])
+    missing = np.abs(scaled - scaled @ vt[seen].T @ vt[seen]).max(axis=2) > 1e-6
+    return np.asarray(((1 + (carried**2).sum(axis=2) <= most) & ~missing).all(axis=1))

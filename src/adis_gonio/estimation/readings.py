@@ -1,0 +1,560 @@
+"""Readings: a dwell's mean with its covariance, degrees of freedom and conditions, in mg.
+
+The covariance of a reading has three parts.
+
+* *Noise that averaging lowers*: spectral density at zero of the dwell's own samples, divided by their
+  number (`estimation.spectrum`). Dwells whose densities are consistent share one (Bartlett's test at
+  0.1 %), which gives short dwells the degrees of freedom of all; where they are not, each keeps its own.
+* *Quantization*: with noise of σ before a converter of step q the mean is off by up to
+  (q/π)·exp(−2π²σ²/q²); its variance over all places between two codes is
+  q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², which is q²/12 without noise and nothing at σ > q/2, where the noise
+  dithers and quantization has become part of it.
+* *Bias instability* (1/f noise), which averaging does not lower: from the dwells' lowest frequencies where
+  they show it; else the variant's figure (an estimate: confidence D), but no more than the dwells allow;
+  zero for a sensor without a figure. An Allan deviation s makes the means of N dwells scatter with
+  s²·N ln N / (2 (N − 1) ln 2) (Barnes 1969).
+
+Neighbouring dwells share 1/f noise; what they share is kept as modes (`Readings.slow_mg`), one of them the
+constant by which a session differs from one that is measured another day.
+
+A dwell of one sample is a reading that somebody averaged: `Session.reading_u_mg` is its whole uncertainty.
+Without that it is unknown (`Readings.known`), and a fit estimates it from its residual.
+
+Readings in `counts` have neither a known zero nor a known gain: an ellipse or ellipsoid through them gives
+both roughly (`Unit`), so that everything after runs on readings that are nearly in mg.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.errors import DataError, FitError
+from adis_gonio.estimation.conic import conic_through
+from adis_gonio.estimation.flicker import covariance_of_means, modes, scatter_of_means, spans
+from adis_gonio.estimation.screening import refuse_dead_data
+from adis_gonio.estimation.spectrum import MeanNoise, noise_of_means
+from adis_gonio.model.effects import Conditions
+from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, gains_and_skews
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Floats, Session
+from adis_gonio.sensor.variants import VARIANTS
+
+MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
+
+
+MOST_SHARED = 2000
+"""Dwells up to which 1/f noise that they share counts between them: beyond, its covariance is too large to
+keep, and of so many readings little is left of it."""
+HISTORY_POINTS = 2000
+LEAST_TURNING, LEAST_TURN, LEAST_AREA = 4, 0.3, 0.5
+"""Positions, least singular value of their cosines, sines and ones, and area (1 of a good sensor) from
+which the sense of rotation is beyond doubt."""
+OFF_UNIT = 2.0
+"""Factor from 1 g beyond which still readings are in another unit: no sensor's gain is so far off."""
+UNEQUAL = 0.5
+"""Relative distance of a reading's length from the median of all, that no bias explains."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Where mg lie in the unit of the file's axes.
+
+    Attributes
+    ----------
+    name : str
+        `mg` (any unit of known size), or `counts`.
+    zero, per_mg : (axes,) float
+        File's value at zero, and counts per mg; both rough for counts, 0 and 1 for mg.
+    scale : float
+        By which the file's values are multiplied first: mg per unit where that is known, else 1.
+    """
+
+    name: str
+    zero: Floats
+    per_mg: Floats
+    scale: float = 1.0
+
+    def mg(self, values: Floats) -> Floats:
+        """Values (n, axes or more) of the file in mg, (n, axes)."""
+        return np.asarray((values[:, : len(self.zero)] * self.scale - self.zero) / self.per_mg)
+
+    @property
+    def known(self) -> bool:
+        """False for counts, where the zero of an axis is part of the unit."""
+        return self.name == "mg"
+
+
+def in_mg(axes: int, scale: float = 1.0) -> Unit:
+    """Unit of readings whose scale and zero are known."""
+    return Unit("mg", np.zeros(axes), np.ones(axes), scale)
+
+
+@dataclass(frozen=True)
+class Readings:
+    """One row a dwell.
+
+    Attributes
+    ----------
+    mean_mg : (n, axes) float
+        Mean of each dwell; two columns in a planar session, three in space.
+    own_covariance : (n, axes, axes) float
+        Covariance of the means in mg² without what dwells share; where `known` is False a placeholder of
+        1 mg on each axis.
+    dof : (n,) float
+        Degrees of freedom of that covariance; inf where it was stated.
+    known : (n,) bool
+        False where nothing states the uncertainty.
+    angle_rad : (n,) float
+        Declared angle θ; NaN where unknown.
+    conditions : Conditions
+        What surrounded each reading.
+    gravity_mg : float
+        Local gravity.
+    fixture_rad : float
+        Standard uncertainty of a declared angle; inf where attitudes are free, 0 where it is not stated.
+    fixture_stated : bool
+    check : (n,) bool
+        Dwells that take no part in choosing or fitting.
+    position, samples : (n,) int
+        Numbers of the dwells in the file, and samples of each.
+    unit : Unit
+        Of the file.
+    slow_mg : (n, axes, k) float or None
+        What each of k independent modes of unit variance adds to the readings: the noise that dwells share
+        (1/f noise). Modes of different axes are independent. None where there is none.
+    notes : tuple of str
+        What has to be said about the noise.
+    fitted : (p,) bool or None
+        Base parameters that are fitted; None: those that these dwells show. Folds have the session's.
+    measurement : Measurement or None
+        What the readings are of; None: a turn in the plane, or poses in space, by their axes.
+    """
+
+    mean_mg: Floats
+    own_covariance: Floats
+    dof: Floats
+    known: NDArray[np.bool_]
+    angle_rad: Floats
+    conditions: Conditions
+    gravity_mg: float
+    fixture_rad: float
+    fixture_stated: bool
+    check: NDArray[np.bool_]
+    position: NDArray[np.intp]
+    samples: NDArray[np.intp]
+    unit: Unit
+    slow_mg: Floats | None = None
+    notes: tuple[str, ...] = ()
+    fitted: NDArray[np.bool_] | None = None
+    measurement: Measurement | None = None
+
+    def __len__(self) -> int:
+        return len(self.mean_mg)
+
+    @property
+    def axes(self) -> int:
+        """Axes of a reading: 2 in the plane, 3 in space."""
+        return int(self.mean_mg.shape[1])
+
+    @property
+    def planar(self) -> bool:
+        """True where the plane of rotation is known."""
+        return isinstance(self.model, PlanarTurn)
+
+    @cached_property
+    def model(self) -> Measurement:
+        """What the readings are of."""
+        if self.measurement is not None:
+            return self.measurement
+        return PlanarTurn(self.gravity_mg) if self.axes == 2 else FreeAttitude(self.gravity_mg)
+
+    @property
+    def noise_known(self) -> bool:
+        """True where every reading has an uncertainty."""
+        return bool(self.known.all())
+
+    @property
+    def noise_dof(self) -> float:
+        """Degrees of freedom of the noise of all readings together.
+
+        Dwells that share one noise have its degrees of freedom each, more than there are dwells; those that
+        have noise of their own have few each, which add up.
+        """
+        finite = self.dof[np.isfinite(self.dof)]
+        if not finite.size:
+            return math.inf
+        return float(finite.max()) if finite.max() > len(finite) else float(finite.sum())
+
+    @cached_property
+    def fixture(self) -> Floats:
+        """Standard uncertainty (n,) of each declared angle in rad; inf where none is declared."""
+        declared = np.isfinite(self.angle_rad) if self.planar else np.zeros(len(self), dtype=bool)
+        return np.where(declared, self.fixture_rad, np.inf)
+
+    @cached_property
+    def turn_rad(self) -> Floats:
+        """−θ (n,); 0 where no angle is declared."""
+        return np.where(np.isfinite(self.angle_rad), -self.angle_rad, 0.0)
+
+    @property
+    def free(self) -> bool:
+        """True where no declared angle carries information."""
+        return bool(np.isinf(self.fixture).all())
+
+    @cached_property
+    def visible(self) -> NDArray[np.bool_]:
+        """Base parameters (p,) that are fitted; the others stay at their nominal values."""
+        if self.fitted is not None:
+            return self.fitted
+        return self.model.visible(self.mean_mg, np.isfinite(self.fixture))
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance of the means (n, axes, axes) in mg², what dwells share among it."""
+        if self.slow_mg is None:
+            return self.own_covariance
+        shared: Floats = (self.slow_mg**2).sum(axis=2)[:, :, None] * np.eye(self.axes)
+        return self.own_covariance + shared
+
+    @cached_property
+    def root(self) -> Floats:
+        """Inverse Cholesky factor (n, axes, axes) of `covariance`, in 1/mg."""
+        return _inverse_root(self.covariance)
+
+    @cached_property
+    def own_root(self) -> Floats:
+        """Inverse Cholesky factor (n, axes, axes) of `own_covariance`, in 1/mg."""
+        return _inverse_root(self.own_covariance)
+
+    def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Readings:
+        """Some of the dwells."""
+        by_dwell = (
+            "mean_mg", "own_covariance", "dof", "known", "angle_rad", "check", "position", "samples",
+        )  # fmt: skip
+        return replace(
+            self,
+            conditions=self.conditions.rows(index),
+            slow_mg=None if self.slow_mg is None else self.slow_mg[index],
+            **{name: getattr(self, name)[index] for name in by_dwell},
+        )
+
+    @property
+    def training(self) -> Readings:
+        """Dwells that may be fitted, with the base parameters that they show settled for all folds.
+
+        Raises
+        ------
+        FitError
+            Every dwell is for checking.
+        """
+        if self.check.all():
+            raise FitError("every dwell is for checking: there is none to fit")
+        rows = self.rows(~self.check)
+        return replace(rows, fitted=rows.visible)
+
+    @property
+    def checking(self) -> Readings | None:
+        """Dwells that take no part; None without any."""
+        return self.rows(self.check) if self.check.any() else None
+
+
+def _inverse_root(covariance: Floats) -> Floats:
+    root: Floats = np.linalg.inv(np.linalg.cholesky(covariance))
+    return root
+
+
+def from_means(
+    mean_mg: Floats,
+    covariance: Floats,
+    conditions: Conditions,
+    *,
+    gravity_mg: float = 1000.0,
+    fixture_rad: float = 0.0,
+    **others: object,
+) -> Readings:
+    """Readings that somebody else reduced: means (n, axes) in mg with their covariance in mg²."""
+    n, axes = mean_mg.shape
+    angle = conditions.angle_rad
+    made = Readings(
+        mean_mg=mean_mg,
+        own_covariance=covariance,
+        dof=np.full(n, np.inf),
+        known=np.ones(n, dtype=bool),
+        angle_rad=np.full(n, np.nan) if angle is None else angle,
+        conditions=conditions,
+        gravity_mg=gravity_mg,
+        fixture_rad=fixture_rad,
+        fixture_stated=True,
+        check=np.zeros(n, dtype=bool),
+        position=np.arange(n, dtype=np.intp),
+        samples=np.ones(n, dtype=np.intp),
+        unit=in_mg(axes),
+    )
+    unknown = set(others) - {field.name for field in fields(Readings)}
+    if unknown:
+        raise TypeError(f"readings have no {', '.join(sorted(unknown))}")
+    return replace(made, **others)  # type: ignore[arg-type]
+
+
+def _refuse_other_units(session: Session, readings: Readings) -> None:
+    """Raise `DataError` where readings of still poses are nowhere near 1 g: another unit, or no gravity.
+
+    Parameters
+    ----------
+    readings : Readings
+        Of this session.
+    """
+    if not readings.unit.known:
+        return
+    lengths = np.linalg.norm(readings.mean_mg, axis=1) / session.gravity_mg
+    length = float(np.median(lengths))
+    if 1 / OFF_UNIT < length < OFF_UNIT:
+        odd = readings.position[np.abs(lengths / length - 1) > UNEQUAL].tolist()
+        if odd and session.accel_unit != "counts":
+            which = f"position{'s' if len(odd) > 1 else ''} {', '.join(map(str, odd[:8]))}"
+            raise DataError(
+                f"{session.source or 'session'}: readings of {which} are not 1 g long as the others: an "
+                "axis is dead or saturated, or the part was not at rest; leave such dwells out"
+            )
+        return
+    also = "; a plane that is turned has to be vertical" if session.plane == "xy" and length < 1 else ""
+    raise DataError(
+        f"{session.source or 'session'}: readings are {length:.3g} g long where 1 g acts: accel_unit "
+        f"{session.accel_unit} cannot be right (lsb goes by the sensor, {session.sensor}); state the unit "
+        f"of the file, or counts where it is not known{also}"
+    )
+
+
+def _refuse_reversed(session: Session, readings: Readings) -> None:
+    """Raise `DataError` where the readings turn the other way than the declared angles.
+
+    X follows cos(α − θ) and Y sin(α − θ): with x_c, x_s, y_c, y_s their first harmonics, the sense of
+    rotation is the sign of x_s y_c − x_c y_s, which neither gains nor a misalignment below 90° change.
+    """
+    rows = np.isfinite(readings.angle_rad)
+    if session.plane != "xy" or readings.free or not readings.unit.known or readings.axes != 2:
+        return
+    theta = readings.angle_rad[rows]
+    design = np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))])
+    if len(theta) < LEAST_TURNING or np.linalg.svd(design, compute_uv=False)[-1] < LEAST_TURN:
+        return
+    (x_c, x_s, _), (y_c, y_s, _) = np.linalg.lstsq(design, readings.mean_mg[rows], rcond=None)[0].T
+    area = (x_s * y_c - x_c * y_s) / session.gravity_mg**2
+    if area > -LEAST_AREA:
+        return
+    raise DataError(
+        f"{session.source or 'session'}: the readings turn the other way than the declared angles: change "
+        "the sign of angle_deg, or of an axis, so that Y reads at 90° minus what X reads at 0°"
+    )
+
+
+def readings_of(session: Session) -> Readings:
+    """Readings of all dwells, `check` dwells among them; reduced once a session and kept with it.
+
+    Raises
+    ------
+    DataError
+        All-zero or stuck data, no usable dwell, readings that are not finite or nowhere near 1 g, angles
+        that turn the other way.
+    """
+    kept: Readings | None = vars(session).get("_readings")  # the session is frozen: it cannot go stale
+    if kept is None:
+        kept = _reduced(session)
+        _refuse_other_units(session, kept)
+        _refuse_reversed(session, kept)
+        vars(session)["_readings"] = kept
+    return kept
+
+
+def _reduced(session: Session) -> Readings:
+    source = session.source or "session"
+    dwells = [dwell for dwell in session.dwells if len(dwell)]
+    if not dwells:
+        raise DataError(f"{source}: no dwell to fit; every dwell is empty or for checking")
+    axes = 2 if session.plane == "xy" else 3
+    if dwells[0].accel.shape[1] < axes:
+        raise DataError(f"{source}: plane none needs three axes, there are two")
+    refuse_dead_data(session)
+    scale = _mg_per_unit(session)
+    n = len(dwells)
+    mean = np.array([d.accel[0, :axes] if len(d) == 1 else d.accel[:, :axes].mean(axis=0) for d in dwells])
+    mean = mean * scale
+    if not np.isfinite(mean).all():
+        bad = int(np.flatnonzero(~np.isfinite(mean).all(axis=1))[0])
+        raise DataError(f"{source}: position {dwells[bad].position} holds NaN or infinity")
+    samples = np.array([len(d) for d in dwells], dtype=np.intp)
+    unit = (
+        in_mg(axes, scale) if session.accel_unit != "counts" else _unit_of_counts(mean, session.gravity_mg)
+    )
+    mean = (mean - unit.zero) / unit.per_mg
+
+    covariance = np.broadcast_to(np.eye(axes), (n, axes, axes)).copy()
+    dof = np.full(n, np.inf)
+    known = np.zeros(n, dtype=np.bool_)
+    slow: Floats | None = None
+    notes: list[str] = []
+    single = np.flatnonzero(samples == 1)
+    if single.size:
+        covariance[single] *= (1.0 if session.reading_u_mg is None else session.reading_u_mg) ** 2
+        known[single] = session.reading_u_mg is not None
+    many = np.flatnonzero(samples > 1)
+    if many.size:
+        rows = [dwells[k].accel[:, :axes] * scale / unit.per_mg for k in many.tolist()]
+        noise = noise_of_means(rows)
+        quantum = _quantum(session, rows, scale)
+        flicker = _flicker(session, noise)
+        covariance[many] = noise.covariance + _quantization(rows, quantum)[:, :, None] * np.eye(axes)
+        own, slow = _of_flicker([dwells[k] for k in many.tolist()], flicker, many, n)
+        covariance[many] += own[:, :, None] * np.eye(axes)
+        dof[many] = noise.dof
+        known[many] = True
+        if noise.too_short:
+            notes.append(
+                "within the dwells the noise still rises towards the lowest frequencies (a long filter, "
+                "drift or 1/f noise): the uncertainty of a reading is itself uncertain, dwell longer"
+            )
+    sigma = session.fixture_sigma_deg
+    angle = np.radians([np.nan if d.angle_deg is None else d.angle_deg for d in dwells])
+    return Readings(
+        mean_mg=mean,
+        own_covariance=covariance,
+        dof=dof,
+        known=known,
+        angle_rad=angle,
+        conditions=_conditions(dwells, angle, unit, scale, axes),
+        gravity_mg=session.gravity_mg,
+        fixture_rad=0.0 if sigma is None else math.radians(sigma),
+        fixture_stated=sigma is not None,
+        check=np.array([dwell.use == "check" for dwell in dwells]),
+        position=np.array([d.position for d in dwells], dtype=np.intp),
+        samples=samples,
+        unit=unit,
+        slow_mg=slow,
+        notes=tuple(notes),
+    )
+
+
+def _of_flicker(
+    dwells: Sequence[Dwell], flicker: Floats, many: NDArray[np.intp], n: int
+) -> tuple[Floats, Floats | None]:
+    """1/f noise of dwells: variances of each dwell's own (m, axes), and modes (n, axes, k) that they share.
+
+    `covariance_of_means` is about the mean of the session. Of 1/f noise that mean has no variance to be
+    given; here it has that by which it differs from the mean of a session twice as long, half the Allan
+    variance, so that a bias is stated as well as it would be found again.
+    """
+    m, axes = len(dwells), len(flicker)
+    if m < 2 or m > MOST_SHARED or not flicker.any():
+        return np.tile(flicker * scatter_of_means(m), (m, 1)), None
+    factor, left = modes(covariance_of_means(*spans([dwell.time_s for dwell in dwells])) + 0.5)
+    k = factor.shape[1]
+    slow = np.zeros((n, axes, axes * k))
+    for axis in range(axes):
+        slow[many, axis, axis * k : (axis + 1) * k] = np.sqrt(flicker[axis]) * factor
+    return left[:, None] * flicker, slow[:, :, (slow != 0).any(axis=(0, 1))]
+
+
+def _unit_of_counts(mean: Floats, gravity_mg: float) -> Unit:
+    """Zero and counts per mg of each axis by the ellipse or ellipsoid through the readings."""
+    if float(np.ptp(mean, axis=0).max()) <= 0:
+        raise FitError(
+            "readings in counts are all alike; their scale cannot be found: measure more positions"
+        )
+    centre, matrix = conic_through(mean)
+    gains, _ = gains_and_skews(np.asarray(np.linalg.inv(matrix), dtype=np.float64))
+    return Unit("counts", centre, gains / gravity_mg)
+
+
+def _conditions(dwells: list[Dwell], angle: Floats, unit: Unit, scale: float, axes: int) -> Conditions:
+    start = float(dwells[0].time_s[0])
+    declared = angle if np.isfinite(angle).all() else None
+    approach = np.array([float(dwell.approach) for dwell in dwells])
+    temperature = _means([dwell.temperature_c for dwell in dwells])
+    many = all(len(dwell) > 1 for dwell in dwells)
+    variance = None
+    if many and unit.known:
+        variance = np.array([dwell.accel[:, :axes].var(axis=0) for dwell in dwells]) * scale**2
+    return Conditions(
+        time_s=np.array([float(dwell.time_s.mean()) for dwell in dwells]) - start,
+        angle_rad=declared,
+        order=np.arange(len(dwells), dtype=float),
+        approach=approach if approach.any() else None,
+        previous_angle_rad=None if declared is None else np.concatenate([declared[:1], declared[:-1]]),
+        temperature_c=temperature,
+        supply_v=_means([dwell.supply_v for dwell in dwells]),
+        temperature_history=None if temperature is None else _history(dwells, start),
+        variance_mg2=variance,
+    )
+
+
+def _means(series: list[Floats | None]) -> Floats | None:
+    means = [float(np.mean(s)) for s in series if s is not None]
+    if len(means) != len(series) or not np.isfinite(means).all():
+        return None
+    return np.array(means)
+
+
+def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
+    """Temperature of the whole session in at most `HISTORY_POINTS` means of neighbours."""
+    time = np.concatenate([dwell.time_s for dwell in dwells]) - start
+    temperature = np.concatenate([d.temperature_c for d in dwells if d.temperature_c is not None])
+    if (np.diff(time) <= 0).any():
+        return None
+    if len(time) > HISTORY_POINTS:
+        cuts = np.linspace(0, len(time), HISTORY_POINTS, endpoint=False).astype(np.intp)
+        counts = np.diff(np.append(cuts, len(time)))
+        time = np.add.reduceat(time, cuts) / counts
+        temperature = np.add.reduceat(temperature, cuts) / counts
+    return time, temperature
+
+
+def _mg_per_unit(session: Session) -> float:
+    if session.accel_unit == "lsb":
+        if session.sensor not in VARIANTS:
+            raise DataError(
+                f"{session.source or 'session'}: the LSB of sensor '{session.sensor}' is not known"
+            )
+        return VARIANTS[session.sensor].accel_mg_per_lsb
+    return {"mg": 1.0, "g": 1000.0, "mps2": MG_PER_MPS2, "counts": 1.0}[session.accel_unit]
+
+
+def _quantum(session: Session, rows: list[Floats], scale: float) -> Floats:
+    """Step of the converter on each axis (axes,): the LSB, else the smallest step between values seen."""
+    axes = rows[0].shape[1]
+    if session.accel_unit == "lsb":
+        return np.full(axes, scale)
+    steps = np.zeros(axes)
+    sample = np.concatenate([r[:2000] for r in rows[:20]])
+    for axis in range(axes):
+        values = np.unique(sample[:, axis])
+        gaps = np.diff(values)
+        gaps = gaps[gaps > 1e-9 * max(1.0, float(np.abs(values).max()))]
+        steps[axis] = gaps.min() if gaps.size else 0.0
+    return steps
+
+
+def _quantization(rows: list[Floats], quantum: Floats) -> Floats:
+    """Variance (dwells, axes) that quantization leaves on a mean."""
+    variance = np.array([r.var(axis=0) for r in rows])
+    step = np.where(quantum > 0, quantum, 1.0)
+    sigma2 = np.maximum(variance - quantum**2 / 12, 0.0) / step**2
+    if float(sigma2.min(initial=np.inf)) > 1.0:
+        return np.zeros_like(variance)
+    k = np.arange(1, 200)
+    series = np.exp(-4 * math.pi**2 * k**2 * np.minimum(sigma2, 1.0)[..., None]) / k**2
+    return np.asarray(quantum**2 / (2 * math.pi**2) * series.sum(axis=-1))
+
+
+def _flicker(session: Session, noise: MeanNoise) -> Floats:
+    """Allan variance (axes,) of the 1/f noise in mg²."""
+    variant = VARIANTS.get(session.sensor)
+    stated = 0.0 if variant is None else variant.performance.bias_instability_mg**2
+    if session.accel_unit == "counts":
+        stated = 0.0
+    shown = noise.flicker > 0
+    return np.where(shown, noise.flicker, np.minimum(stated, noise.flicker_limit))

@@ -1,0 +1,211 @@
+"""How sure readings and declared angles are, where the session itself has to say.
+
+* A reading without a stated uncertainty: one common standard deviation, such that χ² equals its degrees of
+  freedom.
+* A fixture without a stated uncertainty: the σ_f of greatest restricted likelihood, if there is redundancy.
+* A residual beyond what the noise within the dwells explains (χ² above its 99.9 % quantile): the model
+  lacks something. An extra standard deviation on every reading, again such that χ² equals its degrees of
+  freedom (Mandel and Paule 1970), keeps the intervals honest and the weights from trusting the quietest
+  dwell; the reported χ² stays that of the measured noise, so that the misfit shows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.readings import Readings
+from adis_gonio.fitting.determination import Determination, determine, information
+from adis_gonio.model.records import Floats
+
+_NORMAL_95 = 1.959963984540054
+_EXCESS = 1e-3
+_LARGEST_SIGMA_RAD = 0.2
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What is assumed about readings and angles.
+
+    Attributes
+    ----------
+    scale : float
+        Factor on the placeholder (1 mg) of readings whose uncertainty nothing states.
+    extra_mg : float
+        Standard deviation added to every reading.
+    sigma_rad : float
+        Standard uncertainty of a declared angle; inf free.
+    dof : float
+        Degrees of freedom of `scale` or `extra_mg`, inf where neither was estimated.
+    sigma_dof : float
+        The same of `sigma_rad`.
+    known : bool
+        False where the noise of a reading is neither stated nor estimable.
+    notes : tuple of str
+        What the result has to say.
+    """
+
+    scale: float = 1.0
+    extra_mg: float = 0.0
+    sigma_rad: float = math.inf
+    dof: float = math.inf
+    sigma_dof: float = math.inf
+    known: bool = True
+    notes: tuple[str, ...] = ()
+
+    def applied(self, readings: Readings) -> Readings:
+        """The readings with the noise that is assumed."""
+        factor = np.where(readings.known, 1.0, self.scale**2)[:, None, None]
+        covariance = readings.own_covariance * factor + self.extra_mg**2 * np.eye(readings.axes)
+        return replace(readings, own_covariance=covariance, fixture_rad=self.sigma_rad)
+
+    def for_intervals(self, readings: Readings) -> Readings:
+        """The same, wider, so that ± 1.96 u covers 95 % in spite of few degrees of freedom."""
+        applied = self.applied(readings)
+        factor = _student(np.minimum(readings.dof, self.dof)) ** 2
+        sigma = self.sigma_rad * float(_student(np.array([self.sigma_dof]))[0])
+        return replace(
+            applied, own_covariance=applied.own_covariance * factor[:, None, None], fixture_rad=sigma
+        )
+
+
+def _student(dof: Floats) -> Floats:
+    from scipy.special import stdtrit
+
+    # Below one degree of freedom no interval exists; one is the worst that is stated.
+    factor = stdtrit(np.clip(dof, 1.0, 1e9), 0.975) / _NORMAL_95
+    return np.where(np.isinf(dof), 1.0, factor)
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A fit with its noise settled; `chi2` is that of the measured noise."""
+
+    determination: Determination
+    noise: Noise
+    chi2: float
+    dof: int
+
+
+def settle(readings: Readings) -> Settled:
+    """Fit base model and bias, and settle what the session leaves open about its noise."""
+    open_sigma = not readings.fixture_stated and readings.planar and not readings.free
+    noise = Noise(sigma_rad=readings.fixture_rad)
+    determination = determine(readings)
+    dof = determination.fit.equations - int(determination.free.sum()) + determination.null.shape[1]
+    follow = _Follow(readings, determination)
+
+    if not readings.noise_known:
+        noise = _unknown_readings(follow, noise, dof, open_sigma)
+        determination = follow.determination(noise)
+        return Settled(determination, noise, determination.fit.chi2, dof)
+    if open_sigma:
+        noise = _unknown_fixture(follow, noise, dof)
+        determination = follow.determination(noise)
+    chi2 = determination.fit.chi2
+    if dof > 0 and chi2 > _chi2_quantile(dof):
+        low, high = 1e-7 * readings.gravity_mg, readings.gravity_mg
+        extra = _equal_to_dof(lambda s: follow(replace(noise, extra_mg=s)).chi2, dof, low, high)
+        ratio = math.sqrt(chi2 / dof)
+        note = (
+            f"the residual is {ratio:.3g} times what the noise within the dwells explains (chi2 "
+            f"{chi2:.4g}, dof {dof}): the model lacks something; {extra:.3g} mg were "
+            "added to every reading so that the uncertainties hold"
+        )
+        noise = replace(noise, extra_mg=extra, dof=float(dof), notes=(*noise.notes, note))
+        determination = follow.determination(noise)
+    return Settled(determination, noise, chi2, dof)
+
+
+class _Follow:
+    """Refits from the last values, with the same parameters held."""
+
+    def __init__(self, readings: Readings, first: Determination) -> None:
+        self.readings = readings
+        self.first = first
+        self.last = first
+
+    def __call__(self, noise: Noise) -> Fit:
+        fit = self.last.refitted(noise.applied(self.readings))
+        self.last = replace(self.last, fit=fit)
+        return fit
+
+    def determination(self, noise: Noise) -> Determination:
+        """Fit under `noise` with what is determined looked at again."""
+        return determine(noise.applied(self.readings), self.first.held)
+
+
+def _unknown_readings(follow: _Follow, noise: Noise, dof: int, open_sigma: bool) -> Noise:
+    notes = ["fixture_sigma_deg is not stated: declared angles were taken as exact"] if open_sigma else []
+    if dof <= 0:
+        notes.append(
+            "nothing states the noise of a reading and no position is left over to show it: no uncertainty "
+            "can be given; state reading_u_mg, keep the samples of each dwell, or measure more positions"
+        )
+        return replace(noise, known=False, notes=tuple(notes))
+    scale = _equal_to_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, 1e-5, 1e4)
+    known = "all readings" if not follow.readings.known.any() else "the readings without one"
+    notes.append(
+        f"reading_u_mg is not stated: {known} were given {scale:.3g} mg, estimated from the residual "
+        f"({dof} degrees of freedom); chi2 says nothing about the model then"
+    )
+    return replace(noise, scale=scale, dof=float(dof), notes=tuple(notes))
+
+
+def _unknown_fixture(follow: _Follow, noise: Noise, dof: int) -> Noise:
+    """Restricted maximum likelihood for σ_f."""
+    if dof < 2:
+        note = (
+            "fixture_sigma_deg is not stated and too few positions show it: declared angles were taken as "
+            "exact, uncertainties leave the fixture out"
+        )
+        return replace(noise, notes=(note,))
+    from scipy.optimize import minimize_scalar
+
+    def deviance(log_sigma: float) -> float:
+        sigma = math.exp(log_sigma)
+        fit = follow(replace(noise, sigma_rad=sigma))
+        free = follow.first.free
+        along = fit.data.root @ fit.tangent_mg
+        carried = np.where(np.isfinite(fit.data.fixture), (along**2).sum(axis=(1, 2)), 0.0)
+        spread = np.log1p(sigma**2 * carried).sum()
+        return fit.chi2 + float(spread + np.linalg.slogdet(information(fit)[np.ix_(free, free)])[1])
+
+    low, high = math.log(1e-6), math.log(_LARGEST_SIGMA_RAD)
+    found = minimize_scalar(deviance, bounds=(low, high), method="bounded", options={"xatol": 0.02})
+    if float(found.fun) > deviance(low) - 0.1:
+        return replace(
+            noise,
+            notes=(
+                "fixture_sigma_deg is not stated; the residual shows none, declared angles count as exact",
+            ),
+        )
+    sigma = math.exp(float(found.x))
+    note = f"fixture_sigma_deg is not stated: {math.degrees(sigma):.3g}° was estimated from the residual"
+    declared = int(np.isfinite(follow.readings.angle_rad).sum())
+    return replace(noise, sigma_rad=sigma, sigma_dof=float(max(declared - 3, 1)), notes=(note,))
+
+
+def _chi2_quantile(dof: int) -> float:
+    from scipy.special import chdtri
+
+    return float(chdtri(dof, _EXCESS))
+
+
+def _equal_to_dof(cost: Callable[[float], float], dof: int, low: float, high: float) -> float:
+    """Standard deviation at which a falling χ² equals its degrees of freedom; else an end of the range."""
+    from scipy.optimize import brentq
+
+    def gap(log_s: float) -> float:
+        return math.log(max(cost(math.exp(log_s)), 1e-300) / dof)
+
+    a, b = math.log(low), math.log(high)
+    if gap(a) <= 0:
+        return low
+    if gap(b) >= 0:
+        return high
+    return math.exp(float(brentq(gap, a, b, xtol=1e-4, rtol=1e-8)))

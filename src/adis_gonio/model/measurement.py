@@ -1,0 +1,380 @@
+"""The measurement: what ideal axes see of gravity. One convention for everything in this package.
+
+The axes of the sensor are three unit vectors, the rows of D. X is the reference, Y lies in the plane of x
+and y, and a *skew* is 90° minus the angle between two axes, so that its sine is the cosine of that angle::
+
+        y ▲   Y          D = ⎡ 1         0        0 ⎤      X · Y = sin(skew_xy)
+          │  ╱               ⎢ sin s_xy  cos s_xy 0 ⎥      X · Z = sin(skew_xz)
+          │ ╱ skew_xy        ⎣ sin s_xz  …        … ⎦      Y · Z = sin(skew_yz)
+          │╱
+          └──────▶ X       U = diag(K) D g + b
+
+K_i is the sensitivity along the axis' own direction. In the plane, gravity stands at ψ = α − θ + δ from X
+(α start angle, θ declared angle, δ the fixture's error), so that U_x = K_x G cos ψ + b_x and
+U_y = K_y G sin(ψ + Δφ) + b_y: Δφ *is* skew_xy, and K_x = K_y (1 + ΔK). A rotation of the whole cannot be
+seen by gravity alone, which is why D has three angles and not six.
+
+A `Measurement` is this with what is unknown of each dwell (its *attitude*), as an object: `PlanarTurn` and
+`FreeAttitude` here, and whatever else gives readings (a gyro's zero rate) as another subclass. Angles are
+radians inside; `BaseParameter.unit` is what a result is stated in (degrees).
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.errors import UsageError
+from adis_gonio.model.records import Floats
+
+SKEW_AXES: tuple[tuple[int, int], ...] = ((0, 1), (0, 2), (1, 2))
+"""Axes that skew_xy, skew_xz and skew_yz lie between."""
+
+SENSOR_SPREAD = 0.2
+"""Prior standard deviation of gains, skews and misalignment (rad) of any part that is sold as a sensor."""
+SEEN = 0.02
+"""Least root mean square over the poses of what a gain or a skew of 1 adds to the norm beside the other
+base parameters and a bias, for it to be fitted: six faces of a cube set down a degree off show less of a
+skew and would pay for a bias of milli-g with a skew of degrees."""
+
+
+@dataclass(frozen=True)
+class BaseParameter:
+    """A parameter of the base model.
+
+    Attributes
+    ----------
+    unit : str
+        Unit in results: `deg` (radians inside) or `1`.
+    nominal : float
+        Of a perfect part, in natural units (rad, 1).
+    spread : float
+        Prior standard deviation about the nominal value; inf where nothing is known (the start angle).
+    low, high : float
+        What a part can have at most.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    spread: float = SENSOR_SPREAD
+    low: float = -math.inf
+    high: float = math.inf
+
+    @property
+    def per_natural(self) -> float:
+        """Result per natural unit: 180/π for degrees."""
+        return 180 / math.pi if self.unit == "deg" else 1.0
+
+    def stated(self, value: float) -> float:
+        """Value in `unit`; the start angle within ±180°."""
+        out = value * self.per_natural
+        return (out + 180) % 360 - 180 if math.isinf(self.spread) else out
+
+
+class Measurement(ABC):
+    """What n dwells read, from base parameters (p,) and attitudes.
+
+    Attributes
+    ----------
+    parameters : tuple of BaseParameter
+    axes : int
+        Columns of a reading.
+    freedom : int
+        Unknown directions in which the attitude of a dwell may move: columns of `tangent_mg`.
+    """
+
+    parameters: ClassVar[tuple[BaseParameter, ...]]
+    axes: ClassVar[int]
+    freedom: ClassVar[int]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the base parameters."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    def index(self, name: str) -> int:
+        """Place of a base parameter."""
+        return self.names.index(name)
+
+    @property
+    def nominal(self) -> Floats:
+        """Base parameters (p,) of a perfect part."""
+        return np.array([parameter.nominal for parameter in self.parameters])
+
+    @abstractmethod
+    def begin(
+        self, reading_mg: Floats, turn_rad: Floats, declared: NDArray[np.bool_]
+    ) -> tuple[Floats, Floats]:
+        """Rough base parameters (p,) and attitudes of readings (n, axes).
+
+        Parameters
+        ----------
+        turn_rad : (n,) float
+            −θ where `declared`, else 0.
+        declared : (n,) bool
+            Dwells whose angle is declared.
+        """
+
+    @abstractmethod
+    def ideal_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """Readings (n, axes) in mg at attitudes, the part turned by (n,) rad beyond them."""
+
+    @abstractmethod
+    def tangent_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """∂ideal/∂attitude, (n, axes, freedom) in mg per rad."""
+
+    @abstractmethod
+    def columns_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """∂ideal/∂base, (n, axes, p) in mg per natural unit."""
+
+    @abstractmethod
+    def moved(self, attitude: Floats, step: Floats) -> Floats:
+        """Attitudes after a step (n, freedom) in rad."""
+
+    def deviation_rad(self, attitude: Floats) -> Floats:
+        """Distance (n, freedom) of the attitudes from the declared ones, to which the fixture pulls."""
+        return np.zeros((len(attitude), self.freedom))
+
+    @abstractmethod
+    def calibrated(self, base: Floats, reading_mg: Floats) -> Floats:
+        """Gravity that a calibrated sensor computes from readings (n, axes), in units of local gravity."""
+
+    def visible(self, reading_mg: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Base parameters (p,) that these dwells can show at all."""
+        return np.ones(len(self.parameters), dtype=bool)
+
+
+@dataclass(frozen=True)
+class PlanarTurn(Measurement):
+    """A turn in one vertical plane; the attitude of a dwell is δ, its deviation from the declared angle.
+
+    Attributes
+    ----------
+    gravity_mg : float
+        Local gravity.
+    """
+
+    gravity_mg: float
+
+    parameters = (
+        BaseParameter("alpha", "deg", 0.0, spread=math.inf),
+        BaseParameter("scale_x", "1", 1.0),
+        BaseParameter("scale_y", "1", 1.0),
+        BaseParameter("delta_phi", "deg", 0.0),
+    )
+    axes = 2
+    freedom = 1
+
+    def begin(
+        self, reading_mg: Floats, turn_rad: Floats, declared: NDArray[np.bool_]
+    ) -> tuple[Floats, Floats]:
+        """By linear least squares on cosine and sine; nominal where fewer than two angles are declared."""
+        reading = reading_mg / self.gravity_mg
+        shown = np.arctan2(reading[:, 1], reading[:, 0])
+        theta = -turn_rad[declared]
+        design = np.column_stack([np.cos(theta), np.sin(theta)])
+        base = self.nominal
+        if len(theta) > 1 and np.linalg.svd(design, compute_uv=False)[-1] > 1e-3:
+            (xc, yc), (xs, ys) = np.linalg.lstsq(design, reading[declared], rcond=None)[0]
+            alpha = math.atan2(xs, xc)
+            base = np.array(
+                [alpha, math.hypot(xc, xs), math.hypot(yc, ys), _wrapped(math.atan2(yc, -ys) - alpha)]
+            )
+        elif len(theta):
+            base[0] = float(np.angle(np.exp(1j * (shown[declared] + theta)).sum()))
+        attitude = np.where(declared, 0.0, wrap_rad(shown - base[0] - turn_rad))
+        return base, attitude
+
+    def ideal_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """K_x G cos ψ and K_y G sin(ψ + Δφ)."""
+        alpha, k_x, k_y, skew = base
+        psi = alpha + turn_rad + attitude
+        ideal: Floats = self.gravity_mg * np.stack([k_x * np.cos(psi), k_y * np.sin(psi + skew)], axis=1)
+        return ideal
+
+    def tangent_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """−K_x G sin ψ and K_y G cos(ψ + Δφ)."""
+        alpha, k_x, k_y, skew = base
+        psi = alpha + turn_rad + attitude
+        slope = self.gravity_mg * np.stack([-k_x * np.sin(psi), k_y * np.cos(psi + skew)], axis=1)
+        return np.asarray(slope[:, :, None])
+
+    def columns_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """By α, K_x, K_y, Δφ."""
+        alpha, _, k_y, skew = base
+        psi = alpha + turn_rad + attitude
+        columns = np.zeros((len(psi), 2, 4))
+        columns[:, :, 0] = self.tangent_mg(base, attitude, turn_rad)[:, :, 0]
+        columns[:, 0, 1] = self.gravity_mg * np.cos(psi)
+        columns[:, 1, 2] = self.gravity_mg * np.sin(psi + skew)
+        columns[:, 1, 3] = self.gravity_mg * k_y * np.cos(psi + skew)
+        return columns
+
+    def moved(self, attitude: Floats, step: Floats) -> Floats:
+        """δ after a step."""
+        return np.asarray(attitude + step[:, 0])
+
+    def deviation_rad(self, attitude: Floats) -> Floats:
+        """δ itself."""
+        return np.asarray(attitude[:, None])
+
+    def calibrated(self, base: Floats, reading_mg: Floats) -> Floats:
+        """Gravity (n, 2), the y axis squared up."""
+        _, k_x, k_y, skew = base
+        x, y = reading_mg[..., 0] / (self.gravity_mg * k_x), reading_mg[..., 1] / (self.gravity_mg * k_y)
+        return np.stack([x, (y - x * math.sin(skew)) / math.cos(skew)], axis=-1)
+
+    def angle_rad(self, base: Floats, reading_mg: Floats) -> Floats:
+        """Angle ψ (n,) in rad that the calibrated goniometer shows for readings free of their effects."""
+        gravity = self.calibrated(base, reading_mg)
+        return np.asarray(np.arctan2(gravity[..., 1], gravity[..., 0]))
+
+    def visible(self, reading_mg: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """All, but for the start angle where no angle is declared: it is then part of the attitudes."""
+        return np.array([bool(declared.any()), True, True, True])
+
+
+@dataclass(frozen=True)
+class FreeAttitude(Measurement):
+    """Poses in space; the attitude of a dwell is the unit vector (n, 3) of gravity in the frame of D.
+
+    Only the length of a calibrated reading carries information.
+
+    Attributes
+    ----------
+    gravity_mg : float
+        Local gravity.
+    """
+
+    gravity_mg: float
+
+    parameters = (
+        BaseParameter("scale_x", "1", 1.0, low=0.5, high=2.0),
+        BaseParameter("scale_y", "1", 1.0, low=0.5, high=2.0),
+        BaseParameter("scale_z", "1", 1.0, low=0.5, high=2.0),
+        BaseParameter("skew_xy", "deg", 0.0, low=-0.2, high=0.2),
+        BaseParameter("skew_xz", "deg", 0.0, low=-0.2, high=0.2),
+        BaseParameter("skew_yz", "deg", 0.0, low=-0.2, high=0.2),
+    )
+    axes = 3
+    freedom = 2
+
+    def begin(
+        self, reading_mg: Floats, turn_rad: Floats, declared: NDArray[np.bool_]
+    ) -> tuple[Floats, Floats]:
+        """One gain for all axes, and the directions of the readings."""
+        length = np.linalg.norm(reading_mg, axis=1, keepdims=True)
+        gain = float(length.mean()) / self.gravity_mg
+        return np.array([gain, gain, gain, 0.0, 0.0, 0.0]), reading_mg / length
+
+    def ideal_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """G diag(K) D u."""
+        return np.asarray(self.gravity_mg * attitude @ sensitivity(base).T)
+
+    def tangent_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """Along two directions across u."""
+        return np.asarray(self.gravity_mg * np.einsum("jk,nkm->njm", sensitivity(base), across(attitude)))
+
+    def columns_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """By three gains and three skews."""
+        columns = np.zeros((len(attitude), 3, 6))
+        ideal = self.gravity_mg * attitude @ axes_matrix(base[3:]).T
+        for axis in range(3):
+            columns[:, axis, axis] = ideal[:, axis]
+        for k, change in enumerate(axes_matrix_derivatives(base[3:])):
+            columns[:, :, 3 + k] = self.gravity_mg * base[:3] * (attitude @ change.T)
+        return columns
+
+    def moved(self, attitude: Floats, step: Floats) -> Floats:
+        """Unit vectors after a step across them."""
+        turned = attitude + (across(attitude) @ step[:, :, None])[:, :, 0]
+        return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
+
+    def calibrated(self, base: Floats, reading_mg: Floats) -> Floats:
+        """Gravity (n, 3)."""
+        return np.asarray(reading_mg / self.gravity_mg @ np.linalg.inv(sensitivity(base)).T)
+
+    def visible(self, reading_mg: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Gains that a pose shows, and skews that are no sum of gains and biases: see `SEEN`.
+
+        The norm of a reading changes by u_i² with a gain, u_i u_j with a skew and u_i with a bias.
+        """
+        unit = reading_mg / np.maximum(np.linalg.norm(reading_mg, axis=1, keepdims=True), 1e-300)
+        seen = np.zeros(6, dtype=bool)
+        seen[:3] = np.sqrt((unit**4).mean(axis=0)) >= SEEN
+        beside = np.column_stack([unit**2, unit])
+        for k, (i, j) in enumerate(SKEW_AXES):
+            skew = unit[:, i] * unit[:, j]
+            left = skew - beside @ np.linalg.lstsq(beside, skew, rcond=1e-9)[0]
+            seen[3 + k] = np.sqrt((left**2).mean()) >= SEEN
+            if seen[3 + k]:
+                beside = np.column_stack([beside, skew])
+        return seen
+
+
+def _wrapped(angle: float) -> float:
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+def wrap_rad(angle: Floats) -> Floats:
+    """Angle (any shape) in rad brought into [−π, π)."""
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+def sensitivity(base: Floats) -> Floats:
+    """Matrix diag(K) D (3, 3) of three gains and three skews (6,) in rad."""
+    return np.asarray(base[:3, None] * axes_matrix(base[3:]))
+
+
+def axes_matrix(skews_rad: Floats) -> Floats:
+    """Directions D (3, 3) of the axes of (skew_xy, skew_xz, skew_yz) in rad; see the module.
+
+    Raises
+    ------
+    UsageError
+        No three axes have such skews.
+    """
+    xy, xz, yz = (math.sin(skew) for skew in skews_rad)
+    y_of_y = math.cos(float(skews_rad[0]))
+    y_of_z = (yz - xz * xy) / y_of_y if y_of_y > 0 else math.inf
+    square = 1 - xz * xz - y_of_z * y_of_z
+    if square <= 0:
+        raise UsageError("no three axes have skews of this size; give skews of a few degrees")
+    return np.array([[1.0, 0.0, 0.0], [xy, y_of_y, 0.0], [xz, y_of_z, math.sqrt(square)]])
+
+
+def axes_matrix_derivatives(skews_rad: Floats) -> Floats:
+    """∂D/∂skew, (3, 3, 3) with the skew first."""
+    axes = axes_matrix(skews_rad)
+    (s_xy, s_xz, _), (c_xy, c_xz, c_yz) = np.sin(skews_rad), np.cos(skews_rad)
+    y, z = axes[2, 1], axes[2, 2]
+    derivative = np.zeros((3, 3, 3))
+    derivative[0, 1, :2] = c_xy, -s_xy
+    derivative[1, 2, 0] = c_xz
+    slope = (-s_xz + y * s_xy / c_xy, -c_xz * s_xy / c_xy, c_yz / c_xy)
+    for k in range(3):
+        derivative[k, 2, 1] = slope[k]
+        derivative[k, 2, 2] = -(y * slope[k] + (s_xz * c_xz if k == 1 else 0.0)) / z
+    return derivative
+
+
+def gains_and_skews(gram: Floats) -> tuple[Floats, Floats]:
+    """Gains (d,) and skews (pairs,) in rad of a matrix diag(K) D Dᵀ diag(K) (d, d), d 2 or 3."""
+    gains = np.sqrt(np.diag(gram))
+    cosines = gram / np.outer(gains, gains)
+    pairs = [(i, j) for i in range(len(gram)) for j in range(i + 1, len(gram))]
+    return gains, np.array([math.asin(float(np.clip(cosines[i, j], -1, 1))) for i, j in pairs])
+
+
+def across(unit: Floats) -> Floats:
+    """Two directions across each unit vector, (n, 3, 2)."""
+    axis = np.eye(3)[np.abs(unit).argmin(axis=1)]
+    first = np.cross(unit, axis)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(unit, first)], axis=2)

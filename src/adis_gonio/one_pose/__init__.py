@@ -1,0 +1,1 @@
+"""One pose as a time series."""

@@ -1,0 +1,1 @@
+"""What may be added to the base model: effects of the catalogue, and functions without a name."""

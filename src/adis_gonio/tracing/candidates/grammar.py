@@ -1,0 +1,631 @@
+"""The grammar of nameless terms: where a cause enters × what it depends on.
+
+Where: a bias of an axis, a gain of an axis, its misalignment against the others, the true angle. What: a
+power, modulus or sign of the reading; a harmonic of the stage; temperature, time, supply, approach, the
+previous position, the temperature's rate, products of two; by a line, a power, a step, a knee, an exponential, a
+lag, an oscillation, a bump; and smooth functions (polynomials of growing degree), which stand for
+everything that no formula names.
+
+Covariates are used in normal form: centred on the middle of what the session saw and scaled to ±1, except
+where a zero means something (25 °C, 5 V, the session's start). A function whose zero means nothing also
+stands with a constant beside it, so that its constant is not taken for a bias.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adis_gonio.estimation.readings import Readings
+from adis_gonio.estimation.terms import Basis, Local, NamelessTerm, Term, Where
+from adis_gonio.model.effects import Conditions
+from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
+from adis_gonio.model.effects.lag import lagged
+from adis_gonio.model.records import Floats
+from adis_gonio.tracing.candidates import shapes
+
+NAMELESS_SHARE = 0.3
+"""Share of the prior that all nameless terms together have."""
+
+FAMILY_WEIGHT = {"reading": 1.0, "angle": 1.0, "time": 1.0, "temperature": 1.0, "supply": 0.7}
+"""Weight of the terms of one covariate against others (0.7); approach, memory and products among these."""
+SMOOTH_WEIGHT = 0.25
+"""Part of a covariate's weight that its smooth functions have; its formulas have the rest."""
+
+
+EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "misalignment", "angle")
+
+
+LEAST_RANGE = {"temperature": 0.5, "supply": 0.01}
+"""Least range (°C, V) in which a covariate is a factor of a product: below it is a constant with noise, and
+the product is the other factor."""
+LEAST_DWELLS = 1.9
+"""Dwells (participation ratio) that a bump has to touch."""
+
+
+@dataclass(frozen=True)
+class _Made:
+    """Basis functions with their place in the prior."""
+
+    family: str
+    smooth: bool
+    basis: Basis
+    places: tuple[Where, ...] = ("bias", "gain", "angle")
+
+
+def nameless_terms(data: Readings) -> list[NamelessTerm]:
+    """All nameless candidates of a session with their price."""
+    made = [m for m in _bases(data) if not _one_dwell(m.basis, data.conditions)]
+    families = sorted({m.family for m in made})
+    weight = {family: FAMILY_WEIGHT.get(family, 0.7) for family in families}
+    total = sum(weight.values())
+    placed: dict[tuple[str, bool], list[tuple[_Made, Where, tuple[int, ...]]]] = {}
+    subsets = [
+        subset
+        for size in range(1, data.axes + 1)
+        for subset in itertools.combinations(range(data.axes), size)
+    ]
+    for m in made:
+        for where in m.places:
+            if where == "angle":
+                if data.planar and m.basis.common is not None:
+                    placed.setdefault((m.family, m.smooth), []).append((m, where, ()))
+                continue
+            for subset in subsets:
+                placed.setdefault((m.family, m.smooth), []).append((m, where, subset))
+    terms = []
+    for (family, smooth), members in placed.items():
+        both = (family, not smooth) in placed
+        marked = {id(m): replace(m.basis, approximates=smooth) for m, _, _ in members}
+        part = (SMOOTH_WEIGHT if smooth else 1 - SMOOTH_WEIGHT) if both else 1.0
+        share = NAMELESS_SHARE * weight[family] / total * part / len(members)
+        for m, where, subset in members:
+            axes = "".join("xyz"[k] for k in subset)
+            label = f"{where}[{axes}]~{m.basis.form}" if axes else f"{where}~{m.basis.form}"
+            terms.append(
+                NamelessTerm(label, m.basis.covariates, -math.log(share), where, subset, marked[id(m)])
+            )
+    return terms
+
+
+def of_one_dwell(term: Term, conditions: Conditions) -> bool:
+    """True for a bump or a step that touches but one of these dwells."""
+    return isinstance(term, NamelessTerm) and _one_dwell(term.basis, conditions)
+
+
+def _one_dwell(basis: Basis, conditions: Conditions) -> bool:
+    """True for a bump or a step that touches one dwell only: an outlier or a slip, which have names."""
+    if basis.common is None or not basis.local:
+        return False
+    rows = basis.over(conditions)[:, -1]
+    if basis.local == "step":
+        return bool(min(rows.sum(), (1 - rows).sum()) < 2)
+    return bool((rows**2).sum() ** 2 < LEAST_DWELLS * (rows**4).sum())
+
+
+def _bases(data: Readings) -> Iterator[_Made]:
+    conditions = data.conditions
+    yield from _of_reading(data)
+    if conditions.angle_rad is not None:
+        yield from _of_angle(data)
+    yield from _of_time(data)
+    if conditions.temperature_c is not None and np.ptp(conditions.temperature_c) > 0:
+        yield from _of_scalar(
+            "temperature", "T", "25 °C", lambda c: c.covariate("temperature_c"), REFERENCE_C, data
+        )
+        yield from _of_rate(data)
+    if conditions.supply_v is not None and np.ptp(conditions.supply_v) > 0:
+        yield from _of_scalar("supply", "V", "5 V", lambda c: c.covariate("supply_v"), REFERENCE_V, data)
+    if conditions.approach is not None:
+        yield from _of_approach()
+    if conditions.previous_angle_rad is not None:
+        yield from _of_memory(data)
+    yield from _products(data)
+
+
+def _column(function: Callable[[Conditions], Floats]) -> Callable[[Conditions], Floats]:
+    return lambda conditions: function(conditions)[:, None]
+
+
+def _of_rows(
+    function: shapes.Shape, get: Callable[[Conditions], Floats], scale: float
+) -> Callable[[Conditions], Floats]:
+    return lambda conditions: function(get(conditions) / scale)
+
+
+def _with_constant(function: Callable[[Conditions], Floats]) -> Callable[[Conditions], Floats]:
+    def columns(conditions: Conditions) -> Floats:
+        rows = function(conditions)
+        rows = rows[:, None] if rows.ndim == 1 else rows
+        return np.hstack([np.ones((len(rows), 1)), rows])
+
+    return columns
+
+
+def _beside_constant(basis: Basis, common: Callable[[Conditions], Floats]) -> Basis:
+    """The same functions with a constant among them."""
+    return replace(basis, form=basis.form + " + const", common=common, with_constant=True)
+
+
+def _both(
+    family: str,
+    covariates: tuple[str, ...],
+    form: str,
+    function: Callable[[Conditions], Floats],
+    named: tuple[Where, ...] = (),
+    local: Local = "",
+) -> Iterator[_Made]:
+    """A formula as it stands, and with a constant beside it where a constant is not in the base model.
+
+    `named` are the places where the catalogue has this formula already.
+    """
+    basis = Basis(form, covariates, _column(function), local=local)
+    if named:
+        places: tuple[Where, ...] = tuple(place for place in EVERYWHERE if place not in named)
+        yield _Made(family, False, basis, places)
+        return
+    yield _Made(family, False, basis, EVERYWHERE)
+    yield _Made(
+        family,
+        False,
+        replace(basis, form=form + " + const", common=_with_constant(function), with_constant=True),
+        ("bias",),
+    )
+
+
+def _of_reading(data: Readings) -> Iterator[_Made]:
+    def own(function: Callable[[Floats], Floats]) -> Callable[[Floats, int], Floats]:
+        return lambda ideal, axis: function(ideal[:, axis])[:, None]
+
+    def across(function: Callable[[Floats, Floats], Floats]) -> Callable[[Floats, int], Floats]:
+        def columns(ideal: Floats, axis: int) -> Floats:
+            others = [k for k in range(ideal.shape[1]) if k != axis]
+            return np.stack([function(ideal[:, axis], ideal[:, k]) for k in others], axis=1)
+
+        return columns
+
+    single: dict[str, Callable[[Floats], Floats]] = {
+        "a⁴": lambda a: a**4,
+        "a⁵": lambda a: a**5,
+        "a⁶": lambda a: a**6,
+        "a⁷": lambda a: a**7,
+        "a|a|": lambda a: a * np.abs(a),
+        "|a|³": lambda a: np.abs(a) ** 3,
+        "sign a": np.sign,
+        "√|a|": lambda a: np.sqrt(np.abs(a)),
+        "sign a √|a|": lambda a: np.sign(a) * np.sqrt(np.abs(a)),
+        "max(a, 0)²": lambda a: np.maximum(a, 0) ** 2,
+        "min(a, 0)²": lambda a: np.minimum(a, 0) ** 2,
+        "max(a, 0)³": lambda a: np.maximum(a, 0) ** 3,
+        "min(a, 0)³": lambda a: np.minimum(a, 0) ** 3,
+    }
+    for form, function in single.items():
+        yield _Made("reading", False, Basis(form, ("reading",), by_axis=own(function)), ("bias",))
+    for knee in (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75):
+        yield _Made(
+            "reading",
+            False,
+            Basis(
+                f"max(a − {knee:g} g, 0)",
+                ("reading",),
+                by_axis=own(shapes.knee(knee, 1.0)),
+            ),
+            ("bias",),
+        )
+    cross: dict[str, Callable[[Floats, Floats], Floats]] = {
+        "|a_p|": lambda a, p: np.abs(p),
+        "a_p³": lambda a, p: p**3,
+        "a a_p²": lambda a, p: a * p**2,
+        "a² a_p": lambda a, p: a**2 * p,
+        "a |a_p|": lambda a, p: a * np.abs(p),
+        "a_p |a|": lambda a, p: np.abs(a) * p,
+        "sign a_p": lambda a, p: np.sign(p),
+        "a_p⁴": lambda a, p: p**4,
+        "a_p⁵": lambda a, p: p**5,
+        "a² a_p²": lambda a, p: (a * p) ** 2,
+        "a³ a_p": lambda a, p: a**3 * p,
+        "a a_p³": lambda a, p: a * p**3,
+    }
+    for form, pair in cross.items():
+        yield _Made("reading", False, Basis(form, ("reading",), by_axis=across(pair)), ("bias",))
+    # Up to the third degree every power has a name.
+    for degree in (4, 5, 6):
+
+        def powers(ideal: Floats, axis: int, degree: int = degree) -> Floats:
+            a = ideal[:, axis]
+            return np.stack([shapes.legendre(k)(a) for k in range(2, degree + 1)], axis=1)
+
+        def powers_and_constant(ideal: Floats, axis: int, degree: int = degree) -> Floats:
+            a = ideal[:, axis]
+            return np.stack([shapes.legendre(k)(a) for k in [0, *range(2, degree + 1)]], axis=1)
+
+        form = f"a smooth function of the reading (degree {degree})"
+        basis = Basis(form, ("reading",), by_axis=powers)
+        yield _Made("reading", True, basis, ("bias",))
+        yield _Made(
+            "reading",
+            True,
+            Basis(form + " + const", ("reading",), by_axis=powers_and_constant, with_constant=True),
+            ("bias",),
+        )
+
+
+def _of_angle(data: Readings) -> Iterator[_Made]:
+    def harmonic(orders: tuple[int, ...]) -> Callable[[Conditions], Floats]:
+        def columns(conditions: Conditions) -> Floats:
+            theta = conditions.covariate("angle_rad")
+            return np.stack([f(k * theta) for k in orders for f in (np.sin, np.cos)], axis=1)
+
+        return columns
+
+    def of_angle(function: Callable[[Floats], Floats]) -> Callable[[Conditions], Floats]:
+        return lambda c: function(c.covariate("angle_rad"))[:, None]
+
+    # One cycle of an axis is gain and misalignment; one and two of the angle have names.
+    for k in range(2, 7):
+        places: tuple[Where, ...] = ("bias", "angle") if k > 2 else ("bias",)
+        yield _Made("angle", False, Basis(f"sin {k}θ, cos {k}θ", ("angle",), harmonic((k,))), places)
+        for word, f in (("sin", np.sin), ("cos", np.cos)):
+            yield _Made(
+                "angle",
+                False,
+                Basis(f"{word} {k}θ", ("angle",), of_angle(shapes.multiple(f, k))),
+                ("bias", "angle"),
+            )
+    turn = 2 * np.pi
+    more: dict[str, Callable[[Floats], Floats]] = {
+        "θ (along all turns)": lambda t: t / turn,
+        "θ within a turn (saw-tooth)": lambda t: np.mod(t, turn) / np.pi - 1,
+        "number of the turn": lambda t: np.floor(t / turn + 1e-9),
+        "sign sin θ": lambda t: np.sign(np.round(np.sin(t), 9)),
+        "sign cos θ": lambda t: np.sign(np.round(np.cos(t), 9)),
+        "|sin θ|": lambda t: np.abs(np.sin(t)),
+        "|cos θ|": lambda t: np.abs(np.cos(t)),
+    }
+    for form, function in more.items():
+        yield _Made("angle", False, Basis(form, ("angle",), of_angle(function)))
+    for centre in range(0, 360, 15):
+        for width in (8.0, 25.0):
+            form = f"a bump at θ = {centre}° of width {width:g}°"
+            yield _Made(
+                "angle",
+                False,
+                Basis(
+                    form,
+                    ("angle",),
+                    of_angle(shapes.ring_bump(float(np.deg2rad(centre)), float(np.deg2rad(width)))),
+                    local="bump",
+                ),
+                ("bias", "angle"),
+            )
+    # Two harmonics have names: of the stage, and as products of readings on an axis.
+    for top in (3, 4, 5, 6):
+        form = f"a smooth function of the angle (harmonics to {top})"
+        yield _Made("angle", True, Basis(form, ("angle",), harmonic(tuple(range(2, top + 1)))), ("bias",))
+        yield _Made("angle", True, Basis(form, ("angle",), harmonic(tuple(range(1, top + 1)))), ("angle",))
+
+
+def _scaled(values: Floats) -> tuple[float, float]:
+    middle, half = (values.max() + values.min()) / 2, max((values.max() - values.min()) / 2, 1e-12)
+    return float(middle), float(half)
+
+
+def _knots(values: Floats, count: int) -> list[float]:
+    """Places between the values seen, at even quantiles; at most one between two neighbours."""
+    seen = np.unique(values)
+    between = (seen[1:] + seen[:-1]) / 2
+    if len(between) <= count:
+        return [float(b) for b in between]
+    pick = np.unique(np.linspace(0, len(between) - 1, count).round().astype(int))
+    return [float(between[k]) for k in pick]
+
+
+def _of_scalar(
+    family: str,
+    letter: str,
+    zero: str,
+    get: Callable[[Conditions], Floats],
+    reference: float,
+    data: Readings,
+) -> Iterator[_Made]:
+    """Lines, powers, steps, knees, exponentials, bumps and smooth functions of one covariate."""
+    values = get(data.conditions)
+    middle, half = _scaled(values)
+    d = f"({letter} − {zero})"
+
+    def about(function: Callable[[Floats], Floats]) -> Callable[[Conditions], Floats]:
+        return lambda c: function((get(c) - reference) / half)
+
+    def inside(function: Callable[[Floats], Floats]) -> Callable[[Conditions], Floats]:
+        return lambda c: function((get(c) - middle) / half)
+
+    covariates = (family,)
+    named: tuple[Where, ...] = ("bias", "gain") if family == "temperature" else ("bias",)
+    yield from _both(family, covariates, f"{d}", about(shapes.line), named)
+    curves: dict[str, shapes.Shape] = {
+        f"{d}²": shapes.power(2),
+        f"{d}³": shapes.power(3),
+        f"|{letter} − {zero}|": np.abs,
+    }
+    for form, function in curves.items():
+        yield from _both(family, covariates, form, about(function))
+    for knot in _knots(values, 12):
+        place = (knot - middle) / half
+        yield from _both(
+            family, covariates, f"a step at {letter} = {knot:.4g}", inside(shapes.step(place)), local="step"
+        )
+    for knot in np.linspace(middle - 0.8 * half, middle + 0.8 * half, 9):
+        place = (knot - middle) / half
+        for side, sign in (("above", 1.0), ("below", -1.0)):
+            yield from _both(
+                family,
+                covariates,
+                f"a knee at {letter} = {knot:.4g} ({side})",
+                inside(shapes.knee(place, sign)),
+            )
+    for rate in (-3.0, -1.5, 1.5, 3.0):
+        yield from _both(
+            family,
+            covariates,
+            f"exp({rate / half:+.3g} {letter})",
+            inside(shapes.growth(rate)),
+        )
+    for knot in np.linspace(middle - 0.75 * half, middle + 0.75 * half, 7):
+        for width in (0.2, 0.45):
+            place = (knot - middle) / half
+            yield from _both(
+                family,
+                covariates,
+                f"a bump at {letter} = {knot:.4g} of width {width * half:.2g}",
+                inside(shapes.bump(place, width)),
+                local="bump",
+            )
+    yield from _waves(family, letter, get, middle, half, 5)
+    yield from _smooth(family, get, middle, half, len(np.unique(values)))
+
+
+def _waves(
+    family: str, letter: str, get: Callable[[Conditions], Floats], middle: float, half: float, count: int
+) -> Iterator[_Made]:
+    for cycles in np.geomspace(0.5, 0.5 * 2 ** ((count - 1) / 1.5), count):
+
+        def columns(c: Conditions, cycles: float = float(cycles)) -> Floats:
+            turn = np.pi * cycles * (get(c) - middle) / half
+            return np.stack([np.sin(turn), np.cos(turn)], axis=1)
+
+        form = f"an oscillation of period {2 * half / cycles:.3g} in {letter}"
+        yield _Made(family, False, Basis(form, (family,), columns))
+
+
+def _smooth(
+    family: str, get: Callable[[Conditions], Floats], middle: float, half: float, levels: int
+) -> Iterator[_Made]:
+    for degree in (2, 3, 4, 5, 6, 8):
+        if degree >= levels:
+            continue
+
+        def columns(c: Conditions, degree: int = degree) -> Floats:
+            u = (get(c) - middle) / half
+            return np.stack([shapes.legendre(k)(u) for k in range(1, degree + 1)], axis=1)
+
+        form = f"a smooth function of {family} (degree {degree})"
+        if family == "temperature" and degree <= 3:
+            # On a bias the powers up to the third have a name.
+            yield _Made(family, True, Basis(form, (family,), columns), ("gain", "misalignment", "angle"))
+            continue
+        yield _Made(family, True, Basis(form, (family,), columns), EVERYWHERE)
+        yield _Made(
+            family,
+            True,
+            Basis(form + " + const", (family,), _with_constant(columns), with_constant=True),
+            ("bias",),
+        )
+
+
+def _of_time(data: Readings) -> Iterator[_Made]:
+    time = data.conditions.time_s
+    middle, half = _scaled(time)
+
+    def get(c: Conditions) -> Floats:
+        return c.time_s
+
+    def inside(function: Callable[[Floats], Floats]) -> Callable[[Conditions], Floats]:
+        return lambda c: function((c.time_s - middle) / half)
+
+    covariates = ("time",)
+    yield from _both("time", covariates, "t", lambda c: c.time_s / (2 * half), ("bias",))
+    yield from _both("time", covariates, "t²", lambda c: (c.time_s / (2 * half)) ** 2)
+    yield from _both("time", covariates, "t³", lambda c: (c.time_s / (2 * half)) ** 3)
+    yield from _both("time", covariates, "√t", lambda c: np.sqrt(np.maximum(c.time_s, 0) / (2 * half)))
+    for knot in _knots(time, 60):
+        place = (knot - middle) / half
+        yield from _both(
+            "time", covariates, f"a step at t = {knot:.4g} s", inside(shapes.step(place)), local="step"
+        )
+    for knot in np.linspace(middle - 0.8 * half, middle + 0.8 * half, 9):
+        place = (knot - middle) / half
+        for side, sign in (("after", 1.0), ("before", -1.0)):
+            yield from _both(
+                "time",
+                covariates,
+                f"a knee at t = {knot:.4g} s ({side})",
+                inside(shapes.knee(place, sign)),
+            )
+    for tau in np.geomspace(0.1, 2.0, 6):
+        for word, sign in (("−", -1.0), ("+", 1.0)):
+            yield from _both(
+                "time",
+                covariates,
+                f"exp({word}t/{2 * half * tau:.3g} s)",
+                inside(shapes.approach(float(tau), sign)),
+                ("bias",) if sign < 0 else (),
+            )
+    for knot in np.linspace(middle - 0.75 * half, middle + 0.75 * half, 7):
+        for width in (0.15, 0.35):
+            place = (knot - middle) / half
+            yield from _both(
+                "time",
+                covariates,
+                f"a bump at t = {knot:.4g} s of width {width * half:.3g} s",
+                inside(shapes.bump(place, width)),
+                local="bump",
+            )
+    yield from _waves("time", "t", get, middle, half, 7)
+    yield from _smooth("time", get, middle, half, len(time))
+
+
+def _of_rate(data: Readings) -> Iterator[_Made]:
+    """Rate of the temperature, and temperatures that lag, at the gains and the angle as well."""
+    history = data.conditions.temperature_history
+    if history is None or len(history[0]) < 2:
+        return
+    length = float(np.ptp(data.conditions.time_s))
+    step = length / max(len(data) - 1, 1)
+    for tau in np.geomspace(0.5 * step, max(1.5 * length, step), 7):
+
+        def late(c: Conditions, tau: float = float(tau)) -> Floats:
+            assert c.temperature_history is not None
+            return lagged(*c.temperature_history, c.time_s, tau)[0] - c.covariate("temperature_c")
+
+        yield from _both(
+            "temperature_rate", ("temperature_rate",), f"T_lag − T with τ = {tau:.3g} s", late, ("bias",)
+        )
+
+    def rate(c: Conditions) -> Floats:
+        assert c.temperature_history is not None
+        times, temperatures = c.temperature_history
+        reach = max(step, 1e-9)
+        ahead = np.interp(c.time_s + reach / 2, times, temperatures)
+        return (ahead - np.interp(c.time_s - reach / 2, times, temperatures)) / reach
+
+    middle, half = _scaled(rate(data.conditions))
+    if half > 1e-9:
+        curves: dict[str, shapes.Shape] = {
+            "dT/dt": shapes.line,
+            "|dT/dt|": np.abs,
+            "sign dT/dt": np.sign,
+            "(dT/dt)²": shapes.power(2),
+        }
+        for form, function in curves.items():
+            scale = max(abs(middle) + half, 1e-12)
+            yield from _both(
+                "temperature_rate",
+                ("temperature_rate",),
+                form,
+                _of_rows(function, rate, scale),
+            )
+
+
+def _of_approach() -> Iterator[_Made]:
+    def side(c: Conditions) -> Floats:
+        return c.covariate("approach")
+
+    yield _Made("approach", False, Basis("approach", ("approach",), _column(side)), ("gain",))
+
+
+def _of_memory(data: Readings) -> Iterator[_Made]:
+    family, covariates = "previous_angle", ("previous_angle",)
+
+    def previous(c: Conditions) -> Floats:
+        return c.covariate("previous_angle_rad")
+
+    def move(c: Conditions) -> Floats:
+        return c.covariate("angle_rad") - previous(c)
+
+    for k in (1, 2, 3):
+
+        def pair(c: Conditions, k: int = k) -> Floats:
+            return np.stack([np.sin(k * previous(c)), np.cos(k * previous(c))], axis=1)
+
+        yield _Made(
+            family, False, Basis(f"sin {k}θ′, cos {k}θ′ of the previous position", covariates, pair)
+        )
+        for word, f in (("sin", np.sin), ("cos", np.cos)):
+            yield _Made(
+                family,
+                False,
+                Basis(
+                    f"{word} {k}θ′ of the previous position",
+                    covariates,
+                    _column(_of_rows(shapes.multiple(f, k), previous, 1.0)),
+                ),
+            )
+    largest = max(float(np.abs(move(data.conditions)).max()), 1e-9)
+    moves: dict[str, shapes.Shape] = {
+        "the move θ − θ′": shapes.line,
+        "|θ − θ′|": np.abs,
+        "sign(θ − θ′)": lambda u: np.sign(np.round(u, 9)),
+    }
+    for form, function in moves.items():
+        yield _Made(
+            family,
+            False,
+            Basis(form, covariates, _column(_of_rows(function, move, largest))),
+        )
+    for top in (2, 3, 4):
+
+        def columns(c: Conditions, top: int = top) -> Floats:
+            return np.stack(
+                [f(k * previous(c)) for k in range(1, top + 1) for f in (np.sin, np.cos)], axis=1
+            )
+
+        form = f"a smooth function of the previous position (harmonics to {top})"
+        yield _Made(family, True, Basis(form, covariates, columns))
+
+
+def _products(data: Readings) -> Iterator[_Made]:
+    conditions = data.conditions
+    scalars: dict[str, tuple[str, Callable[[Conditions], Floats], float]] = {}
+
+    def add(name: str, letter: str, get: Callable[[Conditions], Floats], zero: float) -> None:
+        if np.ptp(get(conditions)) > LEAST_RANGE.get(name, 0.0):
+            scalars[name] = (letter, get, zero)
+
+    add("time", "t", lambda c: c.time_s, 0.0)
+    if conditions.temperature_c is not None:
+        add("temperature", "(T − 25 °C)", lambda c: c.covariate("temperature_c"), REFERENCE_C)
+    if conditions.supply_v is not None:
+        add("supply", "(V − 5 V)", lambda c: c.covariate("supply_v"), REFERENCE_V)
+    if conditions.approach is not None:
+        add("approach", "approach", lambda c: c.covariate("approach"), 0.0)
+    if conditions.angle_rad is not None and conditions.previous_angle_rad is not None:
+        add("previous_angle", "sin θ′", lambda c: np.sin(c.covariate("previous_angle_rad")), 0.0)
+    for (one, (p, f, a)), (two, (q, g, b)) in itertools.combinations(scalars.items(), 2):
+        fm, fh = _scaled(f(conditions))
+        gm, gh = _scaled(g(conditions))
+        names = (one, two)
+
+        def about(c: Conditions, f=f, g=g, a=a, b=b, fh=fh, gh=gh) -> Floats:  # type: ignore[no-untyped-def]
+            return np.asarray((f(c) - a) / fh * (g(c) - b) / gh)
+
+        def centred(c: Conditions, f=f, g=g, fm=fm, gm=gm, fh=fh, gh=gh) -> Floats:  # type: ignore[no-untyped-def]
+            return np.asarray((f(c) - fm) / fh * (g(c) - gm) / gh)
+
+        def surface(c: Conditions, f=f, g=g, fm=fm, gm=gm, fh=fh, gh=gh) -> Floats:  # type: ignore[no-untyped-def]
+            u, v = (f(c) - fm) / fh, (g(c) - gm) / gh
+            return np.stack([u, v, u * v], axis=1)
+
+        def curved(c: Conditions, f=f, g=g, fm=fm, gm=gm, fh=fh, gh=gh) -> Floats:  # type: ignore[no-untyped-def]
+            u, v = (f(c) - fm) / fh, (g(c) - gm) / gh
+            return np.stack([u, v, u * v, u * u, v * v], axis=1)
+
+        yield from _both("products", names, f"{p} × {q}", about)
+        yield from _both("products", names, f"{p} × {q}, centred", centred)
+        form = f"a surface over {one} and {two}"
+        yield _Made("products", True, Basis(form, names, surface))
+        yield _Made(
+            "products",
+            True,
+            Basis(form + " + const", names, _with_constant(surface), with_constant=True),
+            ("bias",),
+        )
+        if "approach" not in names:
+            yield _Made(
+                "products",
+                True,
+                Basis("a curved " + form.removeprefix("a "), names, _with_constant(curved)),
+            )

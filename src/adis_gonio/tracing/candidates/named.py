@@ -1,0 +1,130 @@
+"""Candidates of the catalogue: every effect on every choice of axes, with its shapes on a grid."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from adis_gonio.estimation.readings import Readings
+from adis_gonio.estimation.terms import NamedTerm
+from adis_gonio.model.effects import AXES, Effect, Enters, catalogue
+from adis_gonio.model.effects.base import Parameter
+
+NAMED_SHARE = 0.7
+"""Share of the prior that the catalogue has; the grammar of nameless terms has the rest."""
+COMMON = {"bias": 6.0, "quadratic": 1.5}
+"""Weight of an effect against the others (1): every sensor has a bias, and of two names that a session
+cannot tell apart the more common stands."""
+GRID = 9
+
+
+def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
+    """Candidates, and the reason for every effect that cannot be one.
+
+    Each effect has a share of the prior; its variants (axes, dwell, degree, shape) divide it.
+    """
+    terms: list[NamedTerm] = []
+    missing: dict[str, str] = {}
+    kinds = catalogue()
+    weights = {name: COMMON.get(name, 1.0) for name in kinds}
+    total = sum(weights.values())
+    for name, kind in kinds.items():
+        if kind.enters is Enters.SAMPLES or kind.within_dwell:
+            missing[name] = "looked for within the dwells"
+            continue
+        lacking = data.conditions.lacks(kind.needs)
+        if lacking:
+            missing[name] = f"{', '.join(lacking)} not recorded"
+            continue
+        if kind.enters is Enters.ATTITUDE and not data.planar:
+            missing[name] = "attitudes are free"
+            continue
+        variants = list(_variants(kind, data))
+        share = NAMED_SHARE * weights[name] / total / len(variants)
+        for effect, shapes in variants:
+            label = effect.name
+            if effect.axes:
+                label += "[" + "".join(effect.axes) + "]"
+            label += "".join(f"({c}={getattr(effect, c)})" for c in effect.choices())
+            label += "".join(f"<{value:.4g}>" for _, value in shapes)
+            terms.append(NamedTerm(label, covariates_of(kind), -math.log(share), effect, shapes))
+    return terms, missing
+
+
+def covariates_of(kind: type[Effect]) -> tuple[str, ...]:
+    """Covariates in the words of a report."""
+    words = {
+        "angle_rad": "angle",
+        "approach": "approach",
+        "previous_angle_rad": "previous_angle",
+        "temperature_c": "temperature",
+        "supply_v": "supply",
+        "variance_mg2": "variance",
+        "order": "order",
+    }
+    known = {
+        "bias_drift": ("time",),
+        "warm_up": ("time",),
+        "bias": (),
+        "thermal_lag": ("temperature",),
+        "position_slip": ("order",),
+        "outlier_dwell": ("order",),
+    }
+    if kind.name in known:
+        return known[kind.name]
+    found = tuple(words[need] for need in kind.needs if need in words)
+    return found or ("reading",)
+
+
+def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tuple[tuple[int, float], ...]]]:
+    letters = AXES[: data.axes]
+    subsets: list[tuple[str, ...]] = [()]
+    if kind.by_axis:
+        subsets = [
+            subset
+            for size in range(1, len(letters) + 1)
+            for subset in itertools.combinations(letters, size)
+        ]
+    choices = kind.choices()
+    if (
+        "dwell" in choices
+        and kind.by_axis
+        and data.model.freedom == 2
+        and data.conditions.order is not None
+    ):
+        # Of one reading with a free attitude only the norm is seen: one number, which the axis nearest to
+        # gravity gets.
+        nearest = np.abs(data.mean_mg).argmax(axis=1)
+        for k in np.flatnonzero(~data.check):
+            choice = {"dwell": int(data.conditions.order[k])}
+            yield kind((letters[nearest[k]],), **choice), ()
+        return
+    options: list[dict[str, int]] = [{}]
+    if "dwell" in choices and data.conditions.order is not None:
+        # Never a dwell for checking: its column would be empty.
+        options = [{"dwell": int(k)} for k in data.conditions.order[~data.check]]
+    elif "degree" in choices:
+        levels = len(np.unique(np.round(data.conditions.covariate("temperature_c"), 1)))
+        options = [{"degree": k} for k in (1, 2, 3) if k < max(2, levels)]
+    for axes in subsets:
+        for option in options:
+            effect = kind(axes, **option)
+            shaped = [(k, p) for k, p in enumerate(effect.parameters) if p.shape]
+            grids = [[(k, value) for value in _grid(p, data)] for k, p in shaped]
+            for shapes in itertools.product(*grids):
+                yield effect, shapes
+
+
+def _grid(parameter: Parameter, data: Readings) -> list[float]:
+    """Values of a shape: time constants from the distance of two dwells to the session's length."""
+    if parameter.unit != "s":
+        return [parameter.typical]
+    time = data.conditions.time_s
+    length = max(float(np.ptp(time)), 1.0)
+    step = max(length / max(len(time) - 1, 1), 1e-3)
+    low = max(parameter.low, step)
+    high = min(parameter.high, max(1.5 * length, 2 * low))
+    return [float(value) for value in np.geomspace(low, high, GRID)]

@@ -1,0 +1,216 @@
+"""Smooth remainders: Gaussian processes in a covariate, where no formula of the grammar need be right.
+
+A Gaussian process of kernel k is a linear term with as many columns as its kernel has features,
+φ(u)·φ(u′) = k(u, u′), and a normal prior on their amplitudes (Rasmussen and Williams, Gaussian Processes
+for Machine Learning, 2006, sections 2.1 and 5.4). Its length and its amplitude are chosen by the evidence,
+so that it bends no more than the readings ask for, and away from them it returns to the line of the others
+instead of running off as a polynomial does.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.readings import Readings
+from adis_gonio.estimation.terms import Basis, NamelessTerm, Where
+from adis_gonio.model.effects import Conditions
+from adis_gonio.model.records import Floats
+from adis_gonio.tracing.candidates.grammar import NAMELESS_SHARE
+
+LENGTHS = (0.1, 0.18, 0.32, 0.56, 1.0)
+"""Lengths of a kernel in units of the covariate's range."""
+RING = (0.25, 0.4, 0.65, 1.0)
+"""Widths w of the periodic kernel exp(−2 sin²(Δ/2)/w²)."""
+AMPLITUDES = (2.0, 4.0, 8.0, 16.0)
+"""Prior standard deviations of a process, in standard uncertainties of a reading."""
+SELDOM = 0.3
+"""Weight of two covariates together, and of the previous position, against one covariate."""
+
+_HARMONICS = 16
+_BEYOND = 0.1
+"""Part of its range by which a covariate may go beyond what was fitted."""
+
+Get = Callable[[Conditions], Floats]
+
+
+@dataclass(frozen=True)
+class Process:
+    """A Gaussian process that a session may hold.
+
+    Attributes
+    ----------
+    term : NamelessTerm
+        Features of the kernel; its shrinkage is the process's amplitude.
+    price : float
+        −ln of its share of the prior.
+    """
+
+    term: NamelessTerm
+    price: float
+
+
+def processes(data: Readings) -> list[Process]:
+    """All processes of a session: where they enter × covariate × length × amplitude."""
+    u_mg = _reading_u_mg(data)
+    subsets = [
+        s for size in range(1, data.axes + 1) for s in itertools.combinations(range(data.axes), size)
+    ]
+    made: list[NamelessTerm] = []
+    for basis, placed in _bases(data):
+        for where in placed:
+            if where == "angle" and not data.planar:
+                continue
+            for axes in [()] if where == "angle" else subsets:
+                made.append(NamelessTerm("", basis.covariates, 0.0, where, axes, basis))
+    members = Counter(term.covariates for term in made)
+    weight = {c: SELDOM if len(c) > 1 or c == ("previous_angle",) else 1.0 for c in members}
+    total = sum(weight.values())
+    out = []
+    for term, amplitude in itertools.product(made, AMPLITUDES):
+        share = (
+            NAMELESS_SHARE * weight[term.covariates] / total / members[term.covariates] / len(AMPLITUDES)
+        )
+        sized = replace(term, shrinkage=amplitude * u_mg, cost=-math.log(share))
+        label = f"{term.where}[{''.join('xyz'[k] for k in term.axes)}]~{term.basis.form} ({amplitude:g} u)"
+        out.append(Process(replace(sized, label=label), sized.cost))
+    return out
+
+
+def evidence(
+    fit: Fit,
+    beside: Floats,
+    target: Floats,
+    candidates: Sequence[Process],
+    inflation: float = 1.0,
+) -> Floats:
+    """Log evidence of each process against none, less its price, (len(candidates),) in nats.
+
+    Parameters
+    ----------
+    fit : Fit
+        About which processes are linear.
+    beside : (rows, k) float
+        Orthonormal whitened columns of what stands beside it, whose amplitudes have flat priors.
+    target : (rows,) float
+        Whitened readings less the part of `beside`.
+    inflation : float
+        Factor on the noise variance.
+    """
+    scores = np.zeros(len(candidates))
+    spectra: dict[tuple[int, Where, tuple[int, ...]], tuple[Floats, Floats]] = {}
+    for k, process in enumerate(candidates):
+        term = process.term
+        key = (id(term.basis), term.where, term.axes)
+        if key not in spectra:
+            white = fit.white(fit.candidate(term))
+            white = white - beside @ (beside.T @ white)
+            values, vectors = np.linalg.eigh(white.T @ white)
+            spectra[key] = np.maximum(values, 0.0), (vectors.T @ (white.T @ target)) ** 2
+        values, scores2 = spectra[key]
+        assert term.shrinkage is not None
+        prior = term.shrinkage**2 / inflation
+        grown = 1 + prior * values
+        scores[k] = 0.5 * float((prior * scores2 / inflation / grown - np.log(grown)).sum()) - process.price
+    return scores
+
+
+def _reading_u_mg(data: Readings) -> float:
+    return float(np.sqrt(np.trace(data.covariance, axis1=1, axis2=2).mean() / data.axes))
+
+
+def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:
+    """Features of every kernel, with the places where it may enter."""
+    c = data.conditions
+    scalars: dict[str, Get] = {"time": lambda k: k.time_s}
+    if c.temperature_c is not None:
+        scalars["temperature"] = lambda k: k.covariate("temperature_c")
+    if c.supply_v is not None:
+        scalars["supply"] = lambda k: k.covariate("supply_v")
+    scalars = {name: get for name, get in scalars.items() if np.ptp(get(c)) > 0}
+    rings: dict[str, Get] = {}
+    if c.angle_rad is not None:
+        rings["angle"] = lambda k: k.covariate("angle_rad")
+    if c.previous_angle_rad is not None:
+        rings["previous_angle"] = lambda k: k.covariate("previous_angle_rad")
+    for name, get in scalars.items():
+        for length in LENGTHS:
+            basis = Basis(f"a smooth function of {name}", (name,), _line(get, get(c), length))
+            yield basis, ("bias", "gain", "misalignment", "angle")
+    for name, get in rings.items():
+        for width in RING:
+            basis = Basis(f"a smooth function of {name.replace('_', ' ')}", (name,), _ring(get, width))
+            yield basis, ("bias", "angle")
+    for length in LENGTHS[1:]:
+        form = "a smooth function of the reading"
+        yield Basis(form, ("reading",), by_axis=_of_reading(length)), ("bias",)
+    for (one, f), (two, g) in itertools.combinations(scalars.items(), 2):
+        for length in LENGTHS[2::2]:
+            both = _product(_line(f, f(c), length), _line(g, g(c), length))
+            yield (
+                Basis(f"a smooth function of {one} and {two}", (one, two), both),
+                ("bias", "gain", "angle"),
+            )
+
+
+def _inducing(low: float, high: float, length: float) -> Callable[[Floats], Floats]:
+    """Features of exp(−½ Δ²/ℓ²) between two places, from points 0.6 ℓ apart (Nyström's method)."""
+    points = np.linspace(low, high, max(int(np.ceil((high - low) / (0.6 * length))) + 1, 4))
+
+    def kernel(u: Floats) -> Floats:
+        return np.asarray(np.exp(-0.5 * ((u[:, None] - points) / length) ** 2))
+
+    root = np.linalg.cholesky(kernel(points) + 1e-6 * np.eye(len(points)))
+    return lambda u: np.asarray(np.linalg.solve(root, kernel(u).T).T)
+
+
+def _line(get: Get, seen: Floats, length: float) -> Get:
+    """Features of 1 + u² + exp(−½ Δ²/ℓ²), u the covariate over its range; held fast beyond the range."""
+    low, size = float(seen.min()), float(np.ptp(seen))
+    curve = _inducing(-_BEYOND, 1 + _BEYOND, length)
+
+    def features(conditions: Conditions) -> Floats:
+        u = np.clip((get(conditions) - low) / size, -_BEYOND, 1 + _BEYOND)
+        return np.column_stack([np.ones(len(u)), 2 * u - 1, curve(u)])
+
+    return features
+
+
+def _product(one: Get, two: Get) -> Get:
+    """Features of the product of two kernels."""
+
+    def features(conditions: Conditions) -> Floats:
+        left, right = one(conditions), two(conditions)
+        return (left[:, :, None] * right[:, None, :]).reshape(len(left), -1)
+
+    return features
+
+
+def _ring(get: Get, width: float) -> Get:
+    """Features of exp(−2 sin²(Δ/2)/w²), whose Fourier coefficients are Bessel functions I_k(1/w²)."""
+    order = np.arange(_HARMONICS + 1)
+    weight = special.ive(order, 1 / width**2) * np.where(order == 0, 1.0, 2.0)
+    order, root = order[weight > 1e-4], np.sqrt(weight[weight > 1e-4])
+
+    def features(conditions: Conditions) -> Floats:
+        turned = get(conditions)[:, None] * order
+        return np.concatenate([root * np.cos(turned), root[1:] * np.sin(turned[:, 1:])], axis=1)
+
+    return features
+
+
+def _of_reading(length: float) -> Callable[[Floats, int], Floats]:
+    """Features of 1 + exp(−½ Δ²/ℓ²) of an axis's own reading in g, the range being 2 g."""
+    curve = _inducing(-1.1, 1.1, 2 * length)
+
+    def features(ideal: Floats, axis: int) -> Floats:
+        return np.column_stack([np.ones(len(ideal)), curve(np.clip(ideal[:, axis], -1.1, 1.1))])
+
+    return features

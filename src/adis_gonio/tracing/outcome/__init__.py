@@ -1,0 +1,1 @@
+"""What is said: names that stand, findings, errors, figures."""

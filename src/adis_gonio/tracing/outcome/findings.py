@@ -1,0 +1,203 @@
+"""What is said of a selection: findings with their uncertainty, the rest without a name, rivals, notes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
+from adis_gonio.tracing.outcome.result import Finding, Rival, Unnamed
+from adis_gonio.tracing.outcome.values import Value
+from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, span
+from adis_gonio.tracing.selection.select import Selection
+from adis_gonio.tracing.unnamed.averaging import Averaged
+from adis_gonio.tracing.unnamed.dependence import dependence
+
+LEAST_WEIGHT = 0.05
+"""Least posterior of a model that counts in the uncertainty of an effect: rarer ones lie beyond 95 %."""
+
+
+def students_factor(selection: Selection) -> float:
+    """Factor by which value ± 1.96 u covers 95 % although few degrees of freedom show the noise."""
+    from scipy import stats
+
+    data = selection.data
+    dof = data.noise_dof if data.noise_known else np.inf
+    if not data.noise_known or selection.inflation > 1:
+        dof = min(dof, max(selection.fit.dof, 1.0))
+    return 1.0 if np.isinf(dof) else float(stats.t.ppf(0.975, max(dof, 1.0)) / stats.norm.ppf(0.975))
+
+
+def finding_of(selection: Selection, name: str) -> Finding:
+    """One name of the chosen model with its parameters and its test."""
+    from scipy import stats
+
+    problem = selection.problem
+    members = [k for k in selection.verdict.best if problem.terms[k].name == name]
+    gain, width = _gain(selection, members)
+    parameters: dict[str, Value] = {}
+    axes: list[str] = []
+    cause = ""
+    between = between_models(selection, name)
+    student = students_factor(selection)
+    fit = selection.fit
+    for index, (term, values) in enumerate(zip(fit.terms, fit.values.terms, strict=True)):
+        at = fit.slice_of(index).start
+        if isinstance(term, NamedTerm) and term.name == name:
+            cause = term.effect.cause
+            axes += [axis for axis in term.effect.axes if axis not in axes]
+            for k, parameter in enumerate(term.effect.parameters):
+                within = fit.covariance[at + k, at + k] * selection.inflation
+                u = student * float(np.sqrt(within + between.get(parameter.name, 0.0)))
+                parameters[parameter.name] = Value(float(values[k]), u, parameter.unit)
+            for choice in term.effect.choices():
+                parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
+    p = float(stats.chi2.sf(gain / selection.inflation, width)) * len(problem.terms)
+    same = [
+        " + ".join(sorted({problem.terms[k].shown_as for k in m}))
+        for m in selection.verdict.same.get(selection.verdict.best, [])
+        if name not in {problem.terms[k].name for k in m}
+    ]
+    return Finding(
+        effect=name,
+        axes=tuple(axes),
+        parameters=parameters,
+        p_value=min(p, 1.0),
+        explains=_explains(selection, gain),
+        probability=selection.verdict.names.get(name, 1.0),
+        equivalents=tuple(dict.fromkeys(same))[:5],
+        cause=cause,
+    )
+
+
+def between_models(selection: Selection, name: str) -> dict[str, float]:
+    """Variance of an effect's amplitudes between the probable models that hold it, by parameter.
+
+    The covariance of one model takes for granted that it is the right one. In another that is as probable
+    the effect may act on one axis only (the amplitude of the other is then zero) or stand beside something
+    that shares its direction. Models whose shapes or dwells are others are left out: shapes are fitted, and
+    their spread is in the covariance.
+    """
+    problem, verdict = selection.problem, selection.verdict
+    kind = _kind(problem.terms, verdict.best, name)
+    own = _amplitudes_of(problem, verdict.best, name)
+    spread = dict.fromkeys(own, 0.0)
+    total = 0.0
+    for model, weight in verdict.weights.items():
+        if weight < LEAST_WEIGHT or _kind(problem.terms, model, name) != kind:
+            continue
+        values = _amplitudes_of(problem, model, name)
+        total += weight
+        for parameter in own:
+            spread[parameter] += weight * (values.get(parameter, 0.0) - own[parameter]) ** 2
+    return {parameter: value / total for parameter, value in spread.items()} if total else {}
+
+
+def _kind(terms: Sequence[Term], model: Sequence[int], name: str) -> tuple[object, ...]:
+    """Shapes and choices of an effect in a model; the empty tuple where it is not in it."""
+    mine = [terms[k] for k in model if terms[k].name == name]
+    return tuple(
+        (term.shapes, tuple(getattr(term.effect, choice) for choice in term.effect.choices()))
+        for term in mine
+        if isinstance(term, NamedTerm)
+    )
+
+
+def _amplitudes_of(problem: LinearProblem, model: Sequence[int], name: str) -> dict[str, float]:
+    """Amplitudes of an effect in a model of the linear problem, by parameter."""
+    out: dict[str, float] = {}
+    for k, own in zip(model, amplitudes(problem, model), strict=True):
+        term = problem.terms[k]
+        if isinstance(term, NamedTerm) and term.name == name:
+            for index, value in zip(term.amplitudes, own, strict=True):
+                out[term.effect.parameters[index].name] = float(value)
+    return out
+
+
+def _gain(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
+    """χ² that some terms take beside the others of the model, and their columns."""
+    best = selection.verdict.best
+    with_all = float((span(selection.problem, best)[1] ** 2).sum())
+    others = [k for k in best if k not in members]
+    without = float((span(selection.problem, others)[1] ** 2).sum())
+    return without - with_all, int(sum(selection.problem.width[k] for k in members))
+
+
+def _explains(selection: Selection, gain: float) -> float:
+    excess = selection.problem.chi2 - selection.problem.dof * min(selection.inflation, 1.0)
+    return float(np.clip(gain / max(excess, 1e-12), 0.0, 1.0))
+
+
+def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | None:
+    """Nameless terms of the model; else what the residual of an inadequate model depends on."""
+    from scipy import stats
+
+    problem, verdict = selection.problem, selection.verdict
+    members = [k for k in verdict.best if isinstance(problem.terms[k], NamelessTerm)]
+    if members:
+        terms = [problem.terms[k] for k in members]
+        gain, width = _gain(selection, members)
+        covariates = tuple(dict.fromkeys(c for term in terms for c in term.covariates))
+        forms = [term.form for term in terms if isinstance(term, NamelessTerm)]
+        return Unnamed(
+            covariates=covariates,
+            form="; ".join(forms),
+            explains=_explains(selection, gain),
+            probability=min(verdict.covariates.get(term.covariates, 0.0) for term in terms),
+            p_value=min(1.0, float(stats.chi2.sf(gain / selection.inflation, width)) * len(problem.terms)),
+        )
+    if averaged is not None:
+        smooth = averaged.smooth
+        return Unnamed(
+            covariates=smooth.covariates,
+            form=smooth.form,
+            explains=_explains(selection, selection.fit.chi2 - averaged.fit.chi2),
+            probability=averaged.weight,
+            p_value=min(1.0, 1 - averaged.weight),
+        )
+    if selection.adequate or not selection.data.noise_known:
+        return None
+    return dependence(selection)
+
+
+def rivals_of(selection: Selection) -> tuple[Rival, ...]:
+    """Models near the best, the best first."""
+    ranked = sorted(selection.verdict.weights.items(), key=lambda item: -item[1])[:8]
+    terms = selection.problem.terms
+    return tuple(Rival(tuple(terms[k].label for k in model), weight) for model, weight in ranked)
+
+
+def base_of(fit: Fit, inflation: float) -> dict[str, Value]:
+    """Base parameters as `fit` states them; in the plane with ΔK."""
+    data, base = fit.data, fit.values.base
+    out = {}
+    for k, parameter in enumerate(data.model.parameters):
+        u = float(np.sqrt(fit.covariance[k, k] * inflation)) * parameter.per_natural
+        value = parameter.stated(float(base[k]))
+        out[parameter.name] = Value(value, u if data.visible[k] else None, parameter.unit)
+    if data.planar:
+        x, y = data.model.index("scale_x"), data.model.index("scale_y")
+        slope = np.zeros(len(fit.covariance))
+        slope[x], slope[y] = 1 / base[y], -base[x] / base[y] ** 2
+        u = float(np.sqrt(slope @ fit.covariance @ slope * inflation))
+        out["delta_k"] = Value(float(base[x] / base[y] - 1), u, "1")
+    return out
+
+
+def notes_of(selection: Selection) -> tuple[str, ...]:
+    """What has to be said about the noise."""
+    data = selection.data
+    notes = list(data.notes)
+    if not data.noise_known:
+        notes.append(
+            "the noise of a reading is not known; it was estimated from the residual, so that adequacy "
+            "cannot be tested"
+        )
+    elif selection.inflation > 1 and not selection.adequate:
+        notes.append(
+            f"no model explains the residual down to the measured noise; effects were judged against "
+            f"{np.sqrt(selection.inflation):.2g} times that noise"
+        )
+    return tuple(notes)

@@ -1,0 +1,306 @@
+"""What a trace says: findings, steps, rivals, the unnamed rest, errors before and after, advice."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from adis_gonio.dwells.finding import WithinFinding
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.tracing.outcome.values import Detectable, Value, finite_or_none
+
+
+@dataclass(frozen=True)
+class ErrorFigures:
+    """How well a model does.
+
+    Attributes
+    ----------
+    residual_rms_mg : float
+        Residual of the dwells that were fitted.
+    heldout_rms_mg : float or None
+        Reading minus model at the attitude that fits the dwell best, over dwells that took no part.
+    angle_rms_deg : float or None
+        Angle from the reading by the calibrated goniometer minus declared angle, over these dwells.
+    chi2_per_dof : float or None
+        None where the noise of a reading is not known or no degree of freedom is left.
+    heldout_by_axis_mg : mapping of str to float or None
+        The held-out error axis by axis, where one pose is traced sample by sample.
+    """
+
+    residual_rms_mg: float
+    heldout_rms_mg: float | None
+    angle_rms_deg: float | None
+    chi2_per_dof: float | None
+    heldout_by_axis_mg: dict[str, float] | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The keys of `error.before`; errors by axis where there are any."""
+        by_axis = self.heldout_by_axis_mg
+        return {
+            "residual_rms_mg": finite_or_none(self.residual_rms_mg),
+            "heldout_rms_mg": finite_or_none(self.heldout_rms_mg),
+            "angle_rms_deg": finite_or_none(self.angle_rms_deg),
+            "chi2_per_dof": finite_or_none(self.chi2_per_dof),
+            **({} if by_axis is None else {"heldout_by_axis_mg": dict(by_axis)}),
+        }
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One named effect that the trace added.
+
+    Attributes
+    ----------
+    effect : str
+    axes : tuple of str
+    parameters : mapping of str to Value
+    p_value : float
+        Of the effect in the final model (group score test), times the number of candidates, at most 1.
+    explains : float
+        Fraction of the base model's excess residual; 0 for an effect that stands inside the dwells only.
+    probability : float
+        Posterior that the effect is present; of one inside the dwells 1 less its p-value.
+    equivalents : tuple of str
+        Models that predict the same in this session.
+    cause : str
+        In one sentence.
+    """
+
+    effect: str
+    axes: tuple[str, ...]
+    parameters: dict[str, Value]
+    p_value: float
+    explains: float
+    probability: float
+    equivalents: tuple[str, ...] = ()
+    cause: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of `found`."""
+        return {
+            "effect": self.effect,
+            "axes": list(self.axes),
+            "parameters": {name: value.as_dict() for name, value in self.parameters.items()},
+            "p_value": self.p_value,
+            "explains": self.explains,
+            "probability": self.probability,
+            "equivalents": list(self.equivalents),
+            "cause": self.cause,
+        }
+
+
+@dataclass(frozen=True)
+class Unnamed:
+    """Structure that has no name.
+
+    Attributes
+    ----------
+    covariates : tuple of str
+        What it depends on: angle, time, order, temperature, temperature_rate, supply, approach,
+        previous_angle, reading, variance.
+    form : str
+        Formula in words.
+    explains : float
+        Fraction of the base model's excess residual.
+    probability : float or None
+        Posterior of these covariates; None for a dependence test.
+    p_value : float
+    """
+
+    covariates: tuple[str, ...]
+    form: str
+    explains: float
+    probability: float | None
+    p_value: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """The value of `unnamed`."""
+        return {
+            "covariates": list(self.covariates),
+            "form": self.form,
+            "explains": self.explains,
+            "probability": self.probability,
+            "p_value": self.p_value,
+        }
+
+
+@dataclass(frozen=True)
+class Step:
+    """One term as it came in."""
+
+    effect: str
+    error: ErrorFigures
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of `steps`."""
+        return {"effect": self.effect, **self.error.as_dict()}
+
+
+Purpose = Literal["decide", "cover"]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One more dwell that is worth while.
+
+    Attributes
+    ----------
+    angle_deg : float or None
+        Angle to declare; None in space.
+    direction : tuple of 3 float or None
+        In space: what an ideal sensor would read there, in units of G.
+    approach : {1, -1, 0}
+        Direction of travel in which the angle is reached; 0 does not matter.
+    wait_s : float
+        How long to wait before it, beside the usual time between two dwells.
+    temperature_c, supply_v : float or None
+        Temperature and supply that are wanted; None as they are.
+    separation : float
+        Expected difference of the two in standard uncertainties of what is measured, beyond what the
+        measurements before it part already.
+    information : float
+        Expected information about what is true, in nats, given the measurements before it.
+    purpose : {"decide", "cover"}
+        Which of the models near the best is true, or whether something is there that the session could
+        not have shown.
+    one, other : tuple of str
+        What is told apart: effects that only one of the two models has. One of them may be empty.
+    sentence : str
+    """
+
+    angle_deg: float | None
+    direction: tuple[float, float, float] | None
+    approach: int
+    wait_s: float
+    temperature_c: float | None
+    supply_v: float | None
+    separation: float
+    information: float
+    purpose: Purpose
+    one: tuple[str, ...]
+    other: tuple[str, ...]
+    sentence: str = ""
+
+    @property
+    def by_position(self) -> bool:
+        """True where nothing but a position (and patience) is wanted."""
+        return self.temperature_c is None and self.supply_v is None
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of `measurements`."""
+        return {
+            "angle_deg": self.angle_deg,
+            "direction": None if self.direction is None else list(self.direction),
+            "approach": self.approach,
+            "wait_s": self.wait_s,
+            "temperature_c": self.temperature_c,
+            "supply_v": self.supply_v,
+            "separation": finite_or_none(self.separation),
+            "information": finite_or_none(self.information),
+            "purpose": self.purpose,
+            "separates": [list(self.one), list(self.other)],
+            "sentence": self.sentence,
+        }
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A model near the best: its terms, and its posterior."""
+
+    terms: tuple[str, ...]
+    probability: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of `rivals`."""
+        return {"terms": list(self.terms), "probability": self.probability}
+
+
+@dataclass(frozen=True)
+class TraceResult:
+    """The trace of a session.
+
+    Attributes
+    ----------
+    adequate : bool
+        The final model leaves no more than the noise that was measured within the dwells.
+    found : tuple of Finding
+    steps : tuple of Step
+    confounded : tuple of tuple of str
+        Effects, or an effect and nameless forms, that this session cannot tell apart.
+    unnamed : Unnamed or None
+    before, after : ErrorFigures
+    detectable : mapping of str to Detectable
+    advice : tuple of str
+    rivals : tuple of Rival
+        Models near the best, the best first.
+    base : mapping of str to Value
+        Base parameters of the final model.
+    reasons : mapping of str to str
+        Why an effect is confounded or not called found.
+    notes : tuple of str
+    within : tuple of WithinFinding
+        What the samples inside the dwells show.
+    heldout_design : str
+        How dwells were left out.
+    measurements : tuple of Measurement
+        Advice in figures, for a program or a running session: further dwells, in the order in which they
+        are worth while.
+    fits : tuple of Fit
+        The base model, then the model after each step, fitted; no part of the JSON, nor of a comparison.
+        Empty where one pose is traced sample by sample.
+    inflation : float
+        Factor on the noise variance at which uncertainties are stated.
+    """
+
+    adequate: bool
+    found: tuple[Finding, ...]
+    steps: tuple[Step, ...]
+    confounded: tuple[tuple[str, ...], ...]
+    unnamed: Unnamed | None
+    before: ErrorFigures
+    after: ErrorFigures
+    detectable: dict[str, Detectable]
+    advice: tuple[str, ...]
+    rivals: tuple[Rival, ...] = ()
+    base: dict[str, Value] = field(default_factory=dict)
+    reasons: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    within: tuple[WithinFinding, ...] = ()
+    heldout_design: str = ""
+    measurements: tuple[Measurement, ...] = ()
+    fits: tuple[Fit, ...] = field(default=(), repr=False, compare=False)
+    inflation: float = 1.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """The JSON document of `trace`."""
+        return {
+            "adequate": self.adequate,
+            "found": [finding.as_dict() for finding in self.found],
+            "steps": [step.as_dict() for step in self.steps],
+            "confounded": [list(names) for names in self.confounded],
+            "unnamed": None if self.unnamed is None else self.unnamed.as_dict(),
+            "error": {"before": self.before.as_dict(), "after": self.after.as_dict()},
+            "detectable": {name: value.as_dict() for name, value in self.detectable.items()},
+            "next": list(self.advice),
+            "measurements": [measurement.as_dict() for measurement in self.measurements],
+            "rivals": [rival.as_dict() for rival in self.rivals],
+            "base": {name: value.as_dict() for name, value in self.base.items()},
+            "reasons": dict(self.reasons),
+            "notes": list(self.notes),
+            "within": [finding.as_dict() for finding in self.within],
+            "heldout_design": self.heldout_design,
+        }
+
+
+__all__ = [
+    "Detectable",
+    "ErrorFigures",
+    "Finding",
+    "Rival",
+    "Step",
+    "TraceResult",
+    "Unnamed",
+    "Value",
+    "WithinFinding",
+]

@@ -1,0 +1,223 @@
+"""The whitened linear problem in which effects are chosen: one block of orthonormal columns a term.
+
+About a state of the model, readings minus prediction and the columns of every term are whitened and
+projected off the base model. Each term's block is then made orthonormal, so that its score statistic is the
+sum of squares of its scores and a search needs nothing but dot products of columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.terms import ROUNDING, Term
+from adis_gonio.model.records import Floats
+
+_OBSERVABLE = 0.02
+"""Least length of a column beside the base model against its whole length, for it to be seen at all: what
+is shorter would need an amplitude fifty times what it leaves, and differs from the base model by
+second-order terms only."""
+_INDEPENDENT = 1e-4
+"""Least squared length of an orthonormal column beside a model, for it to be counted as another column."""
+PRIOR_SNR = 4.0
+"""Prior standard deviation of an effect in a reading, in standard uncertainties of a reading."""
+_RANK = 1e-7
+"""Least squared length of a column beside the others of its own term."""
+
+
+@dataclass(frozen=True)
+class LinearProblem:
+    """The linear problem.
+
+    Attributes
+    ----------
+    terms : tuple of Term
+        Candidates that this session can see at all.
+    columns : (rows, P) float
+        Orthonormal blocks, term after term.
+    first, width : (M,) int
+        Where the block of each term begins, and its columns.
+    target : (rows,) float
+        Whitened readings, off the base model.
+    dof : int
+        Rows minus the rank of the base model.
+    back : tuple of (d, width) float
+        Amplitudes of a term from coefficients of its block.
+    cost, column_price : (M,) float
+        −ln of each term's share of the prior, and the price of its columns.
+    hidden : tuple of Term
+        Candidates that the session cannot see: their columns lie in the base model.
+    """
+
+    terms: tuple[Term, ...]
+    columns: Floats
+    first: NDArray[np.intp]
+    width: NDArray[np.intp]
+    target: Floats
+    dof: int
+    back: tuple[Floats, ...]
+    hidden: tuple[Term, ...]
+    cost: Floats
+    column_price: Floats
+
+    @property
+    def chi2(self) -> float:
+        """χ² of the base model."""
+        return float(self.target @ self.target)
+
+    def block(self, term: int) -> Floats:
+        """Columns (rows, width) of a term."""
+        return self.columns[:, self.first[term] : self.first[term] + self.width[term]]
+
+    def gains(self, basis: Floats, residual: Floats) -> Floats:
+        """χ² that each term (M,) takes from a residual (rows,), beside an orthonormal model (rows, k)."""
+        first, k = self.first, basis.shape[1]
+        if not len(first):
+            return np.zeros(0)
+        z = residual @ self.columns
+        square: Floats = np.add.reduceat(z**2, first)
+        if not k:
+            return square
+        inside = basis.T @ self.columns
+        # A ridge takes the place of a rank decision: along a direction inside the model z is zero too. It
+        # costs 1e-4 of the gain, more than any price where a bias of hundreds of uncertainties is gained; a
+        # step of refinement, zᵀ(H + εH²)z, leaves 1e-8 of it. H = ((1 + ε) 1 − AᵀA)⁻¹ is of the size of the
+        # block; by Woodbury's identity it takes no more than (1 + ε) 1 − AAᵀ, of the size of the model.
+        along = np.add.reduceat(inside * z, first, axis=1).T
+        gram = np.add.reduceat((inside[:, None] * inside).reshape(k * k, -1), first, axis=1)
+        least = 1 + _INDEPENDENT
+        small = least * np.eye(k) - gram.T.reshape(-1, k, k)
+        solved = along / small[:, :, 0] if k == 1 else np.linalg.solve(small, along[:, :, None])[:, :, 0]
+        both = square + (along * solved).sum(axis=1)
+        twice = (both + least * (solved**2).sum(axis=1)) / least**2
+        gain: Floats = both / least + _INDEPENDENT * twice
+        return gain
+
+    def only(self, chosen: NDArray[np.intp]) -> LinearProblem:
+        """The same problem with some of the terms (increasing numbers)."""
+        index = np.concatenate(
+            [np.arange(self.first[k], self.first[k] + self.width[k]) for k in chosen]
+        ).astype(np.intp)
+        width = self.width[chosen]
+        return replace(
+            self,
+            terms=tuple(self.terms[k] for k in chosen),
+            columns=np.ascontiguousarray(self.columns[:, index]),
+            first=np.concatenate([[0], np.cumsum(width)[:-1]]).astype(np.intp),
+            width=width,
+            back=tuple(self.back[k] for k in chosen),
+            cost=self.cost[chosen],
+            column_price=self.column_price[chosen],
+        )
+
+
+def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
+    """Linear problem about a fit whose model may hold some of the terms."""
+    left = fit.left_mg
+    for index in range(len(fit.terms)):
+        left = left + fit.added_mg(index)
+    y = fit.white(left[:, :, None])[:, 0]
+
+    base = fit.white(fit.base_columns)
+    base = base / np.maximum(np.linalg.norm(base, axis=0), 1e-300)
+    u, s, _ = np.linalg.svd(base, full_matrices=False)
+    base = u[:, s > 1e-8 * s[0]]
+    y = y - base @ (base.T @ y)
+
+    raw = [fit.candidate(term) for term in terms]
+    widths = np.array([block.shape[2] for block in raw], dtype=np.intp)
+    together = fit.white(np.concatenate(raw, axis=2))
+    before = np.linalg.norm(together, axis=0)
+    # The sixth harmonic's sine on a grid of 30° is rounding, not a direction.
+    starts = np.concatenate([[0], np.cumsum(widths)[:-1]]).astype(np.intp)
+    longest = np.repeat(np.maximum.reduceat(before, starts), widths) if len(before) else before
+    before = np.where(before > ROUNDING * longest, before, 0.0)
+    together = together * np.where(before > 0, 1 / np.where(before > 0, before, 1.0), 0.0)
+    together = together - base @ (base.T @ together)
+    after = np.linalg.norm(together, axis=0)
+    seen_at_all = after > _OBSERVABLE
+    together = together * np.where(seen_at_all, 1 / np.where(seen_at_all, after, 1.0), 0.0)
+    before = np.where(seen_at_all, before * after, 1.0)
+
+    blocks: dict[int, list[tuple[int, Floats, Floats]]] = {}
+    hidden = []
+    for size in np.unique(widths).tolist():
+        members = np.flatnonzero(widths == size)
+        index = starts[members, None] + np.arange(size)
+        stack = together[:, index].transpose(1, 0, 2)  # (members, rows, width)
+        gram = stack.transpose(0, 2, 1) @ stack
+        root = np.linalg.cholesky(gram + 1e-10 * np.eye(size))
+        whole = [bool((np.diagonal(one) ** 2 > _RANK).all()) for one in root]
+        halves = np.linalg.inv(root).transpose(0, 2, 1)
+        turned = stack @ halves
+        for k, member in enumerate(members.tolist()):
+            half, columns = halves[k], turned[k]
+            if not whole[k]:
+                values, vectors = np.linalg.eigh(gram[k])
+                seen = np.asarray(values > _RANK)
+                if not seen.any():
+                    hidden.append(terms[member])
+                    continue
+                half = vectors[:, seen] / np.sqrt(values[seen])
+                columns = stack[k] @ half
+            raw_half = half / before[index[k]][:, None]
+            blocks.setdefault(columns.shape[1], []).append((member, columns, raw_half))
+
+    chosen: list[int] = []
+    pieces, back, first, width_of = [np.zeros((len(y), 0))], [], [], []
+    at_column = 0
+    for width in sorted(blocks):
+        for member, columns, raw_half in blocks[width]:
+            chosen.append(member)
+            pieces.append(columns)
+            back.append(raw_half)
+            first.append(at_column)
+            width_of.append(width)
+            at_column += width
+    picked = tuple(terms[k] for k in chosen)
+    together = np.ascontiguousarray(np.concatenate(pieces, axis=1))
+    begins = np.array(first, dtype=np.intp)
+    return LinearProblem(
+        terms=picked,
+        columns=together,
+        first=begins,
+        width=np.array(width_of, dtype=np.intp),
+        target=y,
+        dof=len(y) - base.shape[1],
+        back=tuple(back),
+        hidden=tuple(hidden),
+        cost=np.array([term.cost for term in picked]),
+        column_price=_column_prices(together, begins),
+    )
+
+
+def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
+    """½ Σ ln(1 + s² n) over the columns of each block, a column being spread over n = 1/Σ u⁴ rows."""
+    if not len(first):
+        return np.zeros(0)
+    price = 0.5 * np.log1p(PRIOR_SNR**2 / np.maximum(((columns**2) ** 2).sum(axis=0), 1e-300))
+    blocks: Floats = np.add.reduceat(price, first)
+    return blocks
+
+
+def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
+    """Orthonormal basis (rows, k) of a model's columns, and what is left of the target beside it."""
+    if not len(model):
+        return np.zeros((len(problem.target), 0)), problem.target
+    u, s, _ = np.linalg.svd(np.concatenate([problem.block(k) for k in model], axis=1), full_matrices=False)
+    basis = u[:, s > np.sqrt(_INDEPENDENT)]
+    return basis, problem.target - basis @ (basis.T @ problem.target)
+
+
+def amplitudes(problem: LinearProblem, model: Sequence[int]) -> list[Floats]:
+    """Amplitudes of each term of a model by linear least squares."""
+    if not len(model):
+        return []
+    columns = np.concatenate([problem.block(k) for k in model], axis=1)
+    solved = np.linalg.lstsq(columns, problem.target, rcond=1e-8)[0]
+    cuts = np.cumsum([0] + [int(problem.width[k]) for k in model])
+    return [problem.back[k] @ solved[cuts[i] : cuts[i + 1]] for i, k in enumerate(model)]

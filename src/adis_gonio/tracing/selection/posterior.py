@@ -1,0 +1,122 @@
+"""From scored models to names: what stands, what cannot be told apart, what has no name.
+
+Scores are log evidences, so that models near the best have posterior odds. Models that predict the same in
+*this* session are one model: the representative is the simplest (fewest nameless terms, fewest columns,
+then the more common cause), the others are its equivalents and are reported beside it. A name stands
+where the models that hold it have `CERTAIN` of the posterior; else it is confounded with whatever takes
+its place.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from dataclasses import dataclass
+
+import numpy as np
+
+from adis_gonio.tracing.selection.design import span
+from adis_gonio.tracing.selection.search import Model, Search
+
+CERTAIN = 0.55
+"""Posterior probability from which a name is called found."""
+WINDOW = 7.0
+"""Models are weighed down to exp(−7), a thousandth, of the best."""
+
+
+COMPARED = 100
+"""Models near the best that are compared with one another."""
+ALIKE = 0.3
+"""Models whose fitted predictions differ by less than this in χ² (half a standard uncertainty altogether)
+are indistinguishable in the session."""
+
+Skeleton = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the scored models say.
+
+    Attributes
+    ----------
+    best : tuple of int
+        The model to go on with: the most probable one.
+    weights : dict of model to float
+        Posterior of each class of models that span the same space, by its representative; sums to 1.
+    same : dict of model to list of models
+        Other models of each class.
+    names : dict of str to float
+        Posterior that an effect is present.
+    covariates : dict of tuple of str to float
+        Posterior that a nameless term of these covariates is present.
+    """
+
+    best: Model
+    weights: dict[Model, float]
+    same: dict[Model, list[Model]]
+    names: dict[str, float]
+    covariates: dict[tuple[str, ...], float]
+
+
+def weigh(found: Search) -> Verdict:
+    """Posterior of models, names and covariates."""
+    terms = found.problem.terms
+    near = found.near(WINDOW)
+    same = _classes(found, sorted(near, key=lambda m: -near[m])[:COMPARED])
+    top = max(near.values())
+    raw = {m: sum(math.exp(near[k] - top) for k in (m, *others)) for m, others in same.items()}
+    total = sum(raw.values())
+    weights = {m: w / total for m, w in raw.items()}
+    names: dict[str, float] = defaultdict(float)
+    covariates: dict[tuple[str, ...], float] = defaultdict(float)
+    for model, weight in weights.items():
+        for name in {terms[k].name for k in model}:
+            if name is not None:
+                names[name] += weight
+        for which in {terms[k].covariates for k in model if terms[k].name is None}:
+            covariates[which] += weight
+    # What is reported is names and covariates: the best of these first, then the best model that has them.
+    skeletons: dict[Skeleton, float] = defaultdict(float)
+    for model, weight in weights.items():
+        skeletons[skeleton(found, model)] += weight
+    likely = max(skeletons, key=lambda s: skeletons[s])
+    best = max((m for m in weights if skeleton(found, m) == likely), key=lambda m: weights[m])
+    # A sum of weights may end above 1 by rounding.
+    return Verdict(
+        best,
+        weights,
+        same,
+        {name: min(weight, 1.0) for name, weight in names.items()},
+        {which: min(weight, 1.0) for which, weight in covariates.items()},
+    )
+
+
+def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:
+    """Models by what they predict: those whose predictions differ by less than `ALIKE` in χ² are one."""
+    problem, terms = found.problem, found.problem.terms
+    left = np.array([span(problem, m)[1] for m in models])
+    norm = (left**2).sum(axis=1)
+    distance = norm[:, None] + norm[None, :] - 2 * left @ left.T
+    taken = np.zeros(len(models), dtype=bool)
+    classes: dict[Model, list[Model]] = {}
+    width = [int(sum(problem.width[k] for k in m)) for m in models]
+    # The simplest first: least nameless, least columns, then the most probable.
+    order = sorted(
+        range(len(models)),
+        key=lambda i: (sum(terms[k].name is None for k in models[i]), width[i], -found.scores[models[i]]),
+    )
+    for i in order:
+        if not taken[i]:
+            members = np.flatnonzero((distance[i] < ALIKE * found.inflation) & ~taken)
+            taken[members] = True
+            classes[models[i]] = [models[k] for k in members if k != i]
+    return classes
+
+
+def skeleton(found: Search, model: Model) -> Skeleton:
+    """Names and covariates of a model, without axes, shapes and forms."""
+    terms = [found.problem.terms[k] for k in model]
+    return (
+        tuple(sorted({term.name for term in terms if term.name is not None})),
+        tuple(sorted({term.covariates for term in terms if term.name is None})),
+    )

@@ -1,0 +1,259 @@
+"""Search over models: all terms, then pairs, then wider, by a beam with exchange moves.
+
+A model's score is ½ (χ² that it explains) − price of its columns − price of its terms. With the price of a
+column ½ ln(1 + s² n), n the rows over which it is spread, and that of a term −ln of its share of the prior,
+exp(score) is the Bayes factor of the model against the base model under a Gaussian prior of s standard
+uncertainties on each amplitude, times its prior. A sum of such factors over all candidates has
+expectation 1 where there is no effect, so that it exceeds 100 in at most 1 % of sessions whatever the
+candidates are (Markov). That bound is far from sharp, since candidates are many and alike: over sessions
+of 12 to 48 readings the best score of pure noise is above 0 in 0.45 %, and its 99 % quantile is −0.7 (−1.4
+to −0.2 a session; scripts/trace_level.py), so that `ANOTHER` = 0 holds the family-wise error rate at 1 %.
+
+Models are sets and every set is scored once, so that the search cannot go round in circles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.estimation.terms import NamedTerm, Term
+from adis_gonio.model.records import Floats
+from adis_gonio.tracing.selection.design import LinearProblem, span
+
+ANOTHER = 0.0
+"""Price of one more cause, in nats: family-wise error rate of 1 % (see above)."""
+
+FULL = 6
+"""Models of each size that are extended by every term."""
+NAMED_SHARE = 3
+"""One model in so many of the beam has names only: a nameless function of many columns imitates any two of
+several causes better than any two of their names do."""
+ACTIVE = 250
+"""Nameless terms by which the other models of the beam are extended."""
+
+Model = tuple[int, ...]
+
+
+@dataclass
+class Search:
+    """Scored models of a problem.
+
+    Attributes
+    ----------
+    problem : LinearProblem
+    prices : (M,) float
+        Price of each term.
+    inflation : float
+        Factor on the noise variance (greater than 1 where no model is adequate).
+    scores : dict of model to float
+        Scores against the base model, which has 0; models are sorted tuples of term numbers.
+    opened : dict of model to float
+        χ² of models whose extensions by one term have been scored.
+    promise : (M,) float
+        Best score that each term added to any model that was opened with all terms.
+    """
+
+    problem: LinearProblem
+    prices: Floats
+    inflation: float = 1.0
+    window: float = 9.0
+    scores: dict[Model, float] = field(default_factory=dict)
+    opened: dict[Model, float] = field(default_factory=dict)
+    promise: Floats = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def best(self) -> Model:
+        """Model of the highest score."""
+        return max(self.scores, key=self.scores.__getitem__)
+
+    def near(self, within: float) -> dict[Model, float]:
+        """Scores of all models within so many nats of the best."""
+        top = max(self.scores.values())
+        return {m: s for m, s in self.scores.items() if s >= top - within}
+
+    def explained(self, model: Model) -> float:
+        """χ² over 2 that a scored model explains."""
+        return self.scores[model] + float(sum(self.prices[k] for k in model))
+
+    def hope(self, model: Model) -> float:
+        """The most that further terms could add: half of χ² beyond its degrees of freedom."""
+        left = self.problem.chi2 / self.inflation - 2 * self.explained(model)
+        return 0.5 * max(left - self.problem.dof, 0.0)
+
+
+def price(problem: LinearProblem) -> Floats:
+    """Price of each term (M,) in nats: its columns, its share of the prior, one more cause."""
+    priced: Floats = problem.column_price + problem.cost + ANOTHER
+    return priced
+
+
+def search(
+    problem: LinearProblem,
+    max_terms: int,
+    inflation: float = 1.0,
+    beam: int = 30,
+    start: Iterable[Model] = (),
+    spare: int | None = None,
+) -> Search:
+    """Models of up to `max_terms` terms that explain the target.
+
+    The best models of each size are extended by every term, the others of the beam by the terms that showed
+    promise there and by all names.
+
+    Parameters
+    ----------
+    inflation : float
+        Factor on the noise variance (greater than 1 where no model is adequate).
+    beam : int
+        Models that are opened at each size; pairs are opened from twice as many terms.
+    start : iterable of models
+        Opened besides (those of an earlier round).
+    spare : int
+        Degrees of freedom that a model has to leave; by default half of those beside the base model,
+        since a model with more columns than checks could not fail. One effect of the catalogue alone, of
+        no more columns than a bias, may use them all: six faces of a cube show a bias (or what imitates it)
+        and no more.
+    """
+    if spare is None:
+        spare = max(problem.dof // 2, 1)
+    prices = price(problem)
+    found = Search(problem, prices, inflation)
+    found.scores[()] = 0.0
+    found.promise = np.full(len(problem.terms), -np.inf)
+    if not problem.terms:
+        return found
+    level: list[Model] = [()]
+    for size in range(1, max_terms + 1):
+        fresh: dict[Model, float] = {}
+        for model in level[:FULL]:
+            fresh.update(_open(found, model, spare))
+        active = _active(found)
+        smaller = problem.only(active)
+        for model in level[FULL:]:
+            fresh.update(_open(found, model, spare, smaller, active))
+        if not fresh:
+            break
+        wide = _widest(problem, fresh, 2 * beam if size == 1 else beam)
+        top = max(found.scores.values())
+        level = [m for m in wide if fresh[m] + found.hope(m) > top - 2.0]
+        if size > 2 and max(fresh.values()) < top - 2.0:
+            # One nameless surface may be ahead of two names that want a third beside them.
+            level = [m for m in level if _all_named(problem, m)]
+        if not level:
+            break
+    for model in start:
+        if len(model) < max_terms:
+            _open(found, model, spare)
+    _exchange(found, spare, max_terms)
+    return found
+
+
+def _active(found: Search) -> NDArray[np.intp]:
+    """Terms (increasing numbers) that all models of the beam are extended by."""
+    named = np.array([term.name is not None for term in found.problem.terms])
+    promising = np.argsort(-found.promise)[:ACTIVE]
+    return np.union1d(np.flatnonzero(named), promising)
+
+
+def _widest(problem: LinearProblem, fresh: dict[Model, float], count: int) -> list[Model]:
+    """Best models, and the best of each name on each choice of axes, in order of score."""
+    ranked = sorted(fresh, key=lambda m: -fresh[m])
+    kept = ranked[:count]
+    named = [m for m in ranked[count:] if _all_named(problem, m)]
+    kept += named[: max(count // NAMED_SHARE - len([m for m in kept if _all_named(problem, m)]), 0)]
+    if ranked and len(ranked[0]) == 1:
+        seen = {_face(problem.terms[m[0]]) for m in kept}
+        for model in ranked[count:]:
+            face = _face(problem.terms[model[0]])
+            if face is not None and face not in seen:
+                seen.add(face)
+                kept.append(model)
+    return kept
+
+
+def _all_named(problem: LinearProblem, model: Model) -> bool:
+    return all(problem.terms[k].name is not None for k in model)
+
+
+def _face(term: Term) -> tuple[str, tuple[str, ...]] | None:
+    """Name and axes; None for a nameless term."""
+    return (term.effect.name, term.effect.axes) if isinstance(term, NamedTerm) else None
+
+
+def _open(
+    found: Search,
+    model: Model,
+    spare: int,
+    smaller: LinearProblem | None = None,
+    active: NDArray[np.intp] | None = None,
+) -> dict[Model, float]:
+    """Score every model that has one term more; of the active ones, where these are given."""
+    if model in found.opened:
+        return {}
+    problem = found.problem
+    basis, residual = span(problem, model)
+    chi2 = float(residual @ residual)
+    found.opened[model] = chi2
+    used = smaller or problem
+    prices = found.prices if active is None else found.prices[active]
+    gains = used.gains(basis, residual)
+    gained = 0.5 * gains / found.inflation - prices
+    here = 0.5 * (problem.chi2 - chi2) / found.inflation - sum(float(found.prices[k]) for k in model)
+    room = problem.dof - basis.shape[1] - used.width >= spare
+    if not model:
+        bias = max(
+            (int(w) for w, t in zip(used.width, used.terms, strict=True) if t.name == "bias"), default=0
+        )
+        room |= np.array([t.name is not None for t in used.terms]) & (used.width <= min(bias, problem.dof))
+    gained = np.where(room & (gains > 1e-9), gained, -np.inf)
+    number = np.arange(len(gained)) if active is None else active
+    if model:
+        gained[np.isin(number, model)] = -np.inf
+    if active is None:
+        found.promise = np.maximum(found.promise, gained)
+    top = max(found.scores.values())
+    few = min(60, len(gained))
+    floor = min(
+        max(top - here, float(gained.max())) - found.window, float(np.partition(gained, -few)[-few])
+    )
+    wanted = gained >= floor
+    if not model:
+        # Alone a named term may be far behind sixty nameless ones that do the work of two named ones.
+        wanted |= np.array([term.name is not None for term in problem.terms])
+    fresh: dict[Model, float] = {}
+    for k in np.flatnonzero(wanted & np.isfinite(gained)):
+        fresh[tuple(sorted((*model, int(number[k]))))] = here + float(gained[k])
+    found.scores.update(fresh)
+    return fresh
+
+
+def _exchange(found: Search, spare: int, max_terms: int) -> None:
+    """Open the neighbours of the best models (one term less) until none is better."""
+    for _ in range(6):
+        best = found.best
+        for model in _different(found, 6):
+            for k in range(len(model)):
+                _open(found, (*model[:k], *model[k + 1 :]), spare)
+            if len(model) < max_terms:
+                _open(found, model, spare)
+        if found.best == best:
+            return
+
+
+def _different(found: Search, count: int) -> list[Model]:
+    """Best models near the best, no two of the same names and covariates."""
+    seen = set()
+    kept: list[Model] = []
+    for model in sorted(found.near(12.0), key=lambda m: -found.scores[m]):
+        terms = [found.problem.terms[k] for k in model]
+        face = frozenset((term.name, term.covariates) for term in terms)
+        if face not in seen:
+            seen.add(face)
+            kept.append(model)
+        if len(kept) == count:
+            break
+    return kept

@@ -1,0 +1,359 @@
+"""The loop: choose effects in the linear problem, refit in full, choose again about the new state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.readings import Readings
+from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
+from adis_gonio.model.effects import effect
+from adis_gonio.model.records import Floats
+from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, linearise, span
+from adis_gonio.tracing.selection.posterior import Verdict, weigh
+from adis_gonio.tracing.selection.search import Search, search
+
+ADEQUATE = 0.01
+"""Level of the test of adequacy."""
+ROUNDS = 4
+MOSTLY = 0.97
+"""Share of the excess from which constants count as a bias of their own, not as part of another function:
+the constant is then more than five times what varies."""
+
+APART = 3.0
+"""Middle of what a term with a constant adds, in units of half its range, from which it holds a bias."""
+LARGEST = 0.1
+"""Most that a nameless term may add, in g or rad. Larger ones come from what the readings do not determine:
+a function and the base model that nearly cancel."""
+
+GROSS = np.deg2rad(7.0)
+LEAST_GROSS, MOST_GROSS = 6, 0.2
+"""Angle by which a dwell stands elsewhere beyond doubt; least dwells, and the largest share of them, of
+which that is said."""
+STEEPEST = {"temperature": ("temperature_c", "bias_temperature"), "supply": ("supply_v", "supply_bias")}
+"""Covariates whose influence has a bound: rows of the conditions, and the effect whose first coefficient is
+bounded. A temperature that is constant but for its noise stands out in one dwell by chance."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What was chosen and how well it does.
+
+    Attributes
+    ----------
+    problem : LinearProblem
+        About the final state.
+    found : Search
+    verdict : Verdict
+    base, fit : Fit
+        Base model and chosen model, refitted in full.
+    inflation : float
+        Factor on the noise variance under which effects were chosen: 1 where the model is adequate.
+    adequate : bool
+    """
+
+    problem: LinearProblem
+    found: Search
+    verdict: Verdict
+    base: Fit
+    fit: Fit
+    inflation: float
+    adequate: bool
+
+    @property
+    def data(self) -> Readings:
+        """The readings that were fitted."""
+        return self.fit.data
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Terms of the chosen model."""
+        return self.fit.terms
+
+    def with_model(self, chosen: Sequence[int]) -> Selection:
+        """The same with another model of the linear problem, refitted in full."""
+        model = tuple(chosen)
+        return replace(
+            self.with_fit(fit_model(self.problem, model, self.base)),
+            verdict=replace(self.verdict, best=model),
+        )
+
+    def with_fit(self, fit: Fit) -> Selection:
+        """The same with another fit in the place of the chosen one."""
+        known = fit.data.noise_known
+        adequate = adequacy(fit.chi2, fit.dof, fit.data.noise_dof) >= ADEQUATE if known else True
+        return replace(self, fit=fit, adequate=adequate)
+
+
+def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
+    """p-value of a residual against the noise that was measured within the dwells."""
+    from scipy import stats
+
+    if dof <= 0:
+        return 1.0
+    if np.isinf(noise_dof):
+        return float(stats.chi2.sf(chi2, dof))
+    return float(stats.f.sf(chi2 / dof, dof, max(noise_dof, 1.0)))
+
+
+def fit_model(problem: LinearProblem, chosen: Sequence[int], about: Fit) -> Fit:
+    """Full refit of a model of the linear problem, from the amplitudes that it has there."""
+    terms = [problem.terms[k] for k in chosen]
+    values = [term.start(a) for term, a in zip(terms, amplitudes(problem, chosen), strict=True)]
+    return about.having(terms, values).refit()
+
+
+def select(
+    data: Readings,
+    terms: Sequence[Term],
+    max_terms: int,
+    beam: int = 30,
+    rounds: int = ROUNDS,
+) -> Selection:
+    """Choose terms for these readings (all of them: `check` dwells are the caller's business)."""
+    base = Fit.begin(data).refit()
+    about = base
+    slipped = _gross_slips(data, terms) if max_terms else {}
+    if slipped:
+        about = _with_slips(data, terms, slipped)
+    inflation = 1.0 if data.noise_known else max(base.chi2 / max(base.dof, 1), 1e-12)
+    before: tuple[str, ...] | None = None
+    for _ in range(rounds):
+        problem = linearise(about, terms)
+        constants = _mostly_bias(problem)
+        first = None
+        if constants is None and not about.terms:
+            constants, first = _mostly_bias_refitted(problem, base)
+        if constants is not None:
+            # A constant that is far larger than what is left beside it is no part of a function's form.
+            terms = [
+                term for term in terms if not (isinstance(term, NamelessTerm) and term.basis.with_constant)
+            ]
+            if not about.terms and max_terms:
+                # Its square, b²/2G, may be many times the noise: candidates are judged about the fit
+                # that has it, or they would be chosen for what the linear problem leaves of it.
+                about = first or fit_model(problem, [constants], about)
+            problem = linearise(about, terms)
+        assumed = inflation
+        while True:
+            found = search(problem, max_terms, assumed, beam)
+            found, inflation = _inflated(data, problem, found, max_terms, beam, assumed)
+            verdict = weigh(found)
+            impossible = _impossible(data, problem, verdict.best)
+            if impossible is not None:
+                dropped = {impossible}
+            elif _constant_apart(data, problem, verdict.best):
+                dropped = {t.label for t in terms if _with_constant(t)}
+            else:
+                break
+            terms = [term for term in terms if term.label not in dropped]
+            problem = problem.only(
+                np.array([k for k, t in enumerate(problem.terms) if t.label not in dropped], np.intp)
+            )
+        verdict, fit = _fitted(problem, verdict, about, base.chi2)
+        labels = tuple(sorted(term.label for term in fit.terms))
+        linear = problem.chi2 - 2 * inflation * found.explained(verdict.best)
+        settled = abs(linear - fit.chi2) < 1.0 * inflation or labels == before
+        about, before = fit, labels
+        if data.noise_known and inflation > 1 and adequacy(fit.chi2, fit.dof, data.noise_dof) >= ADEQUATE:
+            # What asked for more noise was the linear problem's error, not the model's.
+            inflation, settled = 1.0, False
+        if settled:
+            break
+    p = adequacy(fit.chi2, fit.dof, data.noise_dof) if data.noise_known else 1.0
+    if p < ADEQUATE:
+        inflation = max(inflation, fit.chi2 / fit.dof)  # uncertainties by what the final model leaves
+    return Selection(problem, found, verdict, base, fit, inflation, p >= ADEQUATE)
+
+
+def _with_constant(term: Term) -> bool:
+    return isinstance(term, NamelessTerm) and term.basis.with_constant
+
+
+def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
+    """Dwells that stand elsewhere by more than `GROSS`: their term, and by how much in degrees.
+
+    So far the linear problem does not reach: 15° off, a reading is 34 mg shorter along its old direction
+    than a slip says, and only an outlier of both axes explains it. About a state that has the slip it is
+    exact.
+    """
+    theta = data.conditions.angle_rad
+    if not data.planar or theta is None or data.free or len(data) < LEAST_GROSS:
+        return {}
+    reading = data.mean_mg - _robust_bias(data, theta)
+    shown = np.arctan2(reading[:, 1], reading[:, 0]) + theta
+    middle = np.angle(np.exp(1j * shown).sum())
+    off = np.angle(np.exp(1j * (shown - middle)))
+    off = np.angle(np.exp(1j * (off - np.median(off))))
+    typical = 1.4826 * float(np.median(np.abs(off)))
+    length = np.linalg.norm(reading, axis=1) / data.gravity_mg
+    far = np.abs(off) > max(GROSS, 6 * typical)
+    if (
+        not far.any()
+        or far.mean() > MOST_GROSS
+        or (np.abs(length[far] / np.median(length) - 1) > 0.2).any()
+    ):
+        return {}
+    of_dwell = {term.dwell: term for term in terms if term.name == "position_slip"}
+    order = data.conditions.order
+    out: dict[Term, float] = {}
+    for k in np.flatnonzero(far).tolist():
+        term = None if order is None else of_dwell.get(round(float(order[k])))
+        if term is None:
+            return {}
+        out[term] = float(np.degrees(off[k]))
+    return out
+
+
+def _robust_bias(data: Readings, theta: Floats) -> Floats:
+    """Rough biases (2,) in mg by least squares on the first harmonic, without dwells that are far off."""
+    design = np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))])
+    kept = np.ones(len(theta), dtype=bool)
+    bias = np.zeros(2)
+    for _ in range(4):
+        if np.linalg.svd(design[kept], compute_uv=False)[-1] < 0.3:
+            return np.zeros(2)
+        solved = np.linalg.lstsq(design[kept], data.mean_mg[kept], rcond=None)[0]
+        left = np.linalg.norm(data.mean_mg - design @ solved, axis=1)
+        kept = left <= 4 * np.median(left)
+        bias = solved[2]
+    return np.asarray(bias)
+
+
+def _with_slips(data: Readings, terms: Sequence[Term], slipped: dict[Term, float]) -> Fit:
+    """Slips that are known roughly and a bias, which the linear problem needs as well, refitted."""
+    order, theta = data.conditions.order, data.conditions.angle_rad
+    assert order is not None
+    assert theta is not None
+    kept = data.rows(~np.isin(np.round(order), [term.dwell for term in slipped if term.dwell is not None]))
+    firm = Fit.begin(kept).refit().values.base
+    values = [np.array([value]) for value in slipped.values()]
+    model: list[Term] = list(slipped)
+    biases = [term for term in terms if term.name == "bias" and isinstance(term, NamedTerm)]
+    if biases:
+        widest = max(biases, key=lambda term: len(term.effect.axes))
+        model.append(widest)
+        values.append(widest.start(_robust_bias(data, theta)[: len(widest.effect.axes)]))
+    begun = Fit.begin(data)
+    return replace(begun, values=replace(begun.values, base=firm)).having(model, values).refit()
+
+
+def _fitted(problem: LinearProblem, verdict: Verdict, about: Fit, most: float) -> tuple[Verdict, Fit]:
+    """Full refit of the best model, or of the next one if it ends above the χ² of the base model.
+
+    A model that holds the base model cannot be worse, so that such a refit has run away from amplitudes
+    that only the linear problem allows.
+    """
+    ranked = sorted(verdict.weights, key=lambda m: -verdict.weights[m])
+    for chosen in dict.fromkeys([verdict.best, *ranked[:4]]):
+        fit = fit_model(problem, chosen, about)
+        if fit.chi2 <= most * (1 + 1e-6):
+            return replace(verdict, best=chosen), fit
+    return verdict, fit_model(problem, verdict.best, about)
+
+
+def _impossible(data: Readings, problem: LinearProblem, chosen: Sequence[int]) -> str | None:
+    """Label of the least common term of a model among those beyond their physical bounds, or None.
+
+    A nameless term has no bounds of its own, but no cause adds more than `LARGEST` of gravity, and none
+    follows the temperature or the supply more steeply than the catalogue's coefficients may. Where a
+    covariate hardly moves (a temperature that is constant but for its noise) a column is a constant with a
+    little noise on it, which can fit better than the constant with an amplitude that no part has. The
+    amplitude of what it stands beside is then out of bounds as well, through no fault of that term.
+    """
+    out = []
+    for k, own in zip(chosen, amplitudes(problem, chosen), strict=True):
+        term = problem.terms[k]
+        if isinstance(term, NamedTerm):
+            values, (low, high) = term.start(own), term.bounds().T
+            beyond = bool(((values < low) | (values > high)).any())
+        else:
+            added = term.added(term.start(own), data.mean_mg, data.conditions)
+            added = added * data.gravity_mg if term.enters_angle else added
+            beyond = bool(np.abs(added).max() > LARGEST * data.gravity_mg)
+            beyond |= bool(np.ptp(added, axis=0).max() > _steepest_mg(data, term))
+        if beyond:
+            out.append(term)
+    return max(out, key=lambda term: term.cost).label if out else None
+
+
+def _steepest_mg(data: Readings, term: Term) -> float:
+    """Most that a term of temperature and supply alone may vary in this session; no limit for others."""
+    total = 0.0
+    for covariate in term.covariates:
+        if covariate not in STEEPEST:
+            return np.inf
+        rows, name = STEEPEST[covariate]
+        bound = effect(name).parameters[0].high
+        total += bound * float(np.ptp(data.conditions.covariate(rows)))
+    return total if term.covariates else np.inf
+
+
+def _constant_apart(data: Readings, problem: LinearProblem, chosen: Sequence[int]) -> bool:
+    """True where a term's constant is far larger than what varies with it: it is then a bias beside it."""
+    for k, own in zip(chosen, amplitudes(problem, chosen), strict=True):
+        term = problem.terms[k]
+        if not isinstance(term, NamelessTerm) or not _with_constant(term):
+            continue
+        added = term.added(term.start(own), data.mean_mg, data.conditions)[:, list(term.axes)]
+        middle = (added.max(axis=0) + added.min(axis=0)) / 2
+        if (np.abs(middle) > APART * np.ptp(added, axis=0) / 2).any():
+            return True
+    return False
+
+
+def _inflated(
+    data: Readings, problem: LinearProblem, found: Search, max_terms: int, beam: int, inflation: float
+) -> tuple[Search, float]:
+    """Search again with more noise where not even the best model is adequate.
+
+    What no model explains is then treated as noise of unknown origin (Birge's ratio), so that names have to
+    stand out of it.
+    """
+    for _ in range(4):
+        best = found.best
+        basis, residual = span(problem, best)
+        chi2, dof = float(residual @ residual), problem.dof - basis.shape[1]
+        ratio = chi2 / max(dof, 1)
+        if data.noise_known:
+            if dof <= 0 or adequacy(chi2 / inflation, dof, data.noise_dof) >= ADEQUATE:
+                return found, inflation
+        elif abs(ratio / inflation - 1) < 0.05:
+            return found, inflation
+        inflation = max(ratio, 1.0) if data.noise_known else max(ratio, 1e-12)
+        again = search(problem, max_terms, inflation, beam)
+        if again.best == best:
+            return again, inflation
+        found = again
+    return found, inflation
+
+
+def _mostly_bias(problem: LinearProblem) -> int | None:
+    """Number of the bias on most axes, where it alone explains nearly all of the base model's excess."""
+    widest = _widest_bias(problem)
+    if widest is None:
+        return None
+    left = float((span(problem, [widest])[1] ** 2).sum()) - problem.dof
+    excess = problem.chi2 - problem.dof
+    return widest if excess > 0 and left < (1 - MOSTLY) * excess else None
+
+
+def _mostly_bias_refitted(problem: LinearProblem, base: Fit) -> tuple[int | None, Fit | None]:
+    """The same by a full refit, which a bias may need that is far from what the base model took it for."""
+    widest = _widest_bias(problem)
+    if widest is None or problem.dof <= int(problem.width[widest]):
+        return None, None
+    trial = fit_model(problem, [widest], base)
+    excess = base.chi2 - base.dof
+    if excess <= 0 or trial.chi2 - trial.dof >= (1 - MOSTLY) * excess:
+        return None, None
+    return widest, trial
+
+
+def _widest_bias(problem: LinearProblem) -> int | None:
+    """Number of the bias on most axes."""
+    constants = [k for k, term in enumerate(problem.terms) if term.name == "bias"]
+    return max(constants, key=lambda k: problem.width[k]) if constants else None

@@ -1,0 +1,1 @@
+"""Whether what was chosen holds on dwells that took no part."""

@@ -1,0 +1,212 @@
+"""Errors of nested models, on the dwells that were fitted and on dwells that took no part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.readings import Readings
+from adis_gonio.estimation.terms import NamedTerm, Term
+from adis_gonio.model.records import Floats
+from adis_gonio.tracing.candidates.grammar import of_one_dwell
+from adis_gonio.tracing.outcome.result import ErrorFigures
+from adis_gonio.tracing.selection.design import span
+from adis_gonio.tracing.selection.select import Selection, select
+from adis_gonio.tracing.unnamed.averaging import Averaged, average
+from adis_gonio.tracing.validation.leaving_out import (
+    Chosen,
+    Left,
+    bounded,
+    counted,
+    counting,
+    cross_validate,
+    folds,
+    leave,
+    less_unknown,
+    rms,
+)
+
+LEAST_CHOICE = 9
+"""Least dwells of which some are left out of the selection as well: of seven or eight the others often
+choose another name, which says nothing of the one that all of them show."""
+_ACTIVE = 150
+"""Candidates that are tried again inside a fold."""
+
+
+@dataclass(frozen=True)
+class Fold:
+    """What is done anew where dwells are left out.
+
+    Attributes
+    ----------
+    terms : sequence of Term
+        Candidates inside a fold.
+    averaged : Averaged or None
+        The average on all dwells.
+    max_effects : int
+    """
+
+    terms: Sequence[Term]
+    averaged: Averaged | None
+    max_effects: int
+
+    @classmethod
+    def of(
+        cls, selection: Selection, terms: Sequence[Term], averaged: Averaged | None, max_effects: int
+    ) -> Fold:
+        """Candidates that showed promise anywhere, and the best of each name and axes."""
+        promise, candidates = selection.found.promise, selection.problem.terms
+        ranked = [candidates[k] for k in np.argsort(-promise)]
+        active = {term.label for term in ranked[:_ACTIVE]} | {term.label for term in selection.terms}
+        seen = set()
+        for term in ranked:
+            if isinstance(term, NamedTerm) and (term.effect.name, term.effect.axes) not in seen:
+                seen.add((term.effect.name, term.effect.axes))
+                active.add(term.label)
+        return cls([term for term in terms if term.label in active], averaged, max_effects)
+
+    def chosen_anew(self, rows: Readings) -> Chosen:
+        """Fit of the dwells that are kept, with everything chosen from them alone."""
+        terms = [term for term in self.terms if not of_one_dwell(term, rows.conditions)]
+        chosen = select(rows, terms, self.max_effects, beam=6, rounds=2)
+        if self.averaged is not None:
+            again = average(chosen, self.averaged.candidates)
+            if again is not None:
+                return Chosen(again.fit, by=chosen.fit)
+        return Chosen(chosen.fit, by=chosen.fit)
+
+
+def in_order(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit], list[str]]:
+    """Fits of nested models, the term of the largest gain first, and the words for each step."""
+    left = list(selection.verdict.best)
+    model: list[int] = []
+    values = {t.label: v for t, v in zip(selection.terms, selection.fit.values.terms, strict=True)}
+    fits, steps = [selection.base], []
+    while left:
+        chi2 = {k: float((span(selection.problem, [*model, k])[1] ** 2).sum()) for k in left}
+        best = min(chi2, key=lambda k: chi2[k])
+        model.append(best)
+        left.remove(best)
+        terms = [selection.problem.terms[k] for k in model]
+        steps.append(terms[-1].shown_as)
+        fits.append(selection.base.having(terms, [values[term.label] for term in terms]).refit())
+    if averaged is not None:
+        if len(averaged.named) == len(selection.terms):
+            steps.append(averaged.fit.terms[-1].shown_as)
+            fits.append(averaged.fit)
+        else:
+            fits[-1] = averaged.fit
+    return fits, steps
+
+
+def error_figures(
+    selection: Selection, checking: Readings | None, fits: Sequence[Fit], fold: Fold
+) -> tuple[list[ErrorFigures], str]:
+    """Error figures of nested models, and how dwells were left out."""
+    data = selection.data
+    if checking is not None:
+        lefts = [[leave(fit, checking, bounded(fit))] for fit in fits]
+        design = f"{len(checking)} check dwells"
+    elif _few(fits[-1]):
+        lefts, design = _of_few(fits)
+    else:
+        designs = folds(data)
+        counts = counting(data, designs, selection.terms)
+        anew = cross_validate(data, designs, fold.chosen_anew) if len(fits) > 1 else {}
+        counts = less_unknown(counts, anew) if anew else counts
+        designs = {name: designs[name] for name in counts}
+        design = "; ".join(f"{name} ({len(masks)} folds)" for name, masks in designs.items())
+        kept = fits[:-1] if len(fits) > 1 else fits
+        lefts = [counted(cross_validate(data, designs, _keeping(fit)), counts) for fit in kept]
+        if len(fits) > 1:
+            lefts.append(counted(anew, counts))
+            design += "; effects chosen anew in each fold"
+            if fold.averaged is None:
+                parts = counted(cross_validate(data, designs, _keeping(fits[-1])), counts)
+                error = rms(np.concatenate([part.residual_mg for part in parts]), data.planar)
+                design += f", {error:.3g} mg with those found kept"
+    return [_figures(fit, left) for fit, left in zip(fits, lefts, strict=True)], design
+
+
+def _figures(fit: Fit, left: Sequence[Left]) -> ErrorFigures:
+    residual = [part.residual_mg for part in left]
+    turned = [part.angle_rad for part in left if part.angle_rad is not None]
+    return ErrorFigures(
+        residual_rms_mg=rms(fit.residual_mg, fit.data.planar),
+        heldout_rms_mg=rms(np.concatenate(residual), fit.data.planar) if residual else None,
+        angle_rms_deg=_rms_deg(turned),
+        chi2_per_dof=fit.chi2 / fit.dof if fit.data.noise_known and fit.dof > 0 else None,
+    )
+
+
+def _keeping(fit: Fit) -> Callable[[Readings], Chosen]:
+    return lambda rows: Chosen(fit.again(rows))
+
+
+def _parameters(fit: Fit) -> int:
+    return int(fit.data.visible.sum()) + sum(len(values) for values in fit.values.terms)
+
+
+def _few(fit: Fit) -> bool:
+    """True where no dwell can be left out of the selection: few, or the others do not fix the model."""
+    rows = (len(fit.data) - 1) * (1 if fit.data.free else 2)
+    return len(fit.data) < LEAST_CHOICE or rows < _parameters(fit)
+
+
+def _of_few(fits: Sequence[Fit]) -> tuple[list[list[Left]], str]:
+    """Each dwell left out alone with the effects kept, where the others determine the final model.
+
+    The others are too few to choose effects from: only the values are fitted anew.
+    """
+    data, last = fits[-1].data, fits[-1]
+    singles = [np.arange(len(data)) == k for k in range(len(data))]
+    columns = _parameters(last)
+    if any(last.again(data.rows(~mask)).used < columns for mask in singles):
+        return [[] for _ in fits], (
+            f"the model has {columns} parameters: {len(data) - 1} dwells do not determine it, so that none "
+            "could be left out"
+        )
+    design = f"each of {len(data)} dwells in turn, effects kept: the others are too few to choose any from"
+    designs = {design: singles}
+    every = {design: np.ones(len(data), dtype=bool)}
+    return [counted(cross_validate(data, designs, _keeping(fit)), every) for fit in fits], design
+
+
+def guarding(
+    selection: Selection,
+    checking: Readings | None,
+    fits: Sequence[Fit],
+    figures: Sequence[ErrorFigures],
+    fold: Fold,
+) -> list[float | None]:
+    """Held-out errors of nested models by which the final one is chosen.
+
+    Where there are `check` dwells these must not choose, so that folds of the others do.
+    """
+    if checking is None:
+        return [figure.heldout_rms_mg for figure in figures]
+    if _few(selection.fit) or len(fits) == 1:
+        return [None for _ in fits]
+    data = selection.data
+    out: list[float | None] = []
+    designs = folds(data)
+    counts = counting(data, designs, selection.terms)
+    # A form that was found on all dwells knows those that are left out; an average more so.
+    anew = cross_validate(data, designs, fold.chosen_anew) if fold.averaged is not None else {}
+    counts = less_unknown(counts, anew) if anew else counts
+    for k, fit in enumerate(fits):
+        last = bool(anew) and k == len(fits) - 1
+        left = anew if last else cross_validate(data, designs, _keeping(fit))
+        parts = counted(left, counts)
+        out.append(rms(np.concatenate([part.residual_mg for part in parts]), data.planar))
+    return out
+
+
+def _rms_deg(turned: list[Floats]) -> float | None:
+    if not turned:
+        return None
+    wrapped = np.mod(np.concatenate(turned) + np.pi, 2 * np.pi) - np.pi
+    return float(np.degrees(np.sqrt((wrapped**2).mean())))

@@ -1,0 +1,298 @@
+"""Errors on dwells that took no part: `check` dwells, else folds with the selection inside the fold.
+
+Folds are made of whole dwells: every fifth one; where positions repeat so that no fold leaves a gap of
+angles, blocks of time; and all dwells about one body axis. Plain leave-one-out flatters a model where poses
+repeat: another dwell of the same pose stands in for the one that was left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.estimation.fit import Fit, foreseen
+from adis_gonio.estimation.readings import Readings
+from adis_gonio.estimation.terms import Term
+from adis_gonio.model.effects import Conditions
+from adis_gonio.model.records import Floats
+
+FOLDS = 5
+BLOCKS = 4
+REACH = 0.5
+"""Share of the range of what a term added, by which it may go beyond on other dwells."""
+SHORT = 16
+"""Up to so many dwells each is left out alone: a fifth less of them would be another session."""
+PREDICTED = 4.0
+"""Largest variance of a held-out prediction, in units of its noise, that still counts as a prediction."""
+BY_AXIS = "body axes"
+BLOCKS_OF_TIME = "blocks of time"
+RANGES = (BY_AXIS, BLOCKS_OF_TIME)
+"""Designs that leave out whole ranges of angle or time."""
+REPEATED = np.deg2rad(2.0)
+"""Dwells nearer to one another than this are in one position."""
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a model leaves on dwells that took no part.
+
+    Attributes
+    ----------
+    residual_mg : (n, axes) float
+        Reading minus model at the attitude that fits this dwell best within the fixture's tolerance.
+    angle_rad : (n,) float or None
+        Angle by the calibrated goniometer minus declared angle.
+    predicted : (n,) bool
+        Dwells of which the model that was chosen without them knows where they lie; all where that is not
+        asked.
+    """
+
+    residual_mg: Floats
+    angle_rad: Floats | None
+    predicted: NDArray[np.bool_]
+
+    def rows(self, index: NDArray[np.bool_]) -> Left:
+        """Some of the dwells."""
+        turned = None if self.angle_rad is None else self.angle_rad[index]
+        if turned is not None and np.isnan(turned).any():
+            turned = None
+        return Left(self.residual_mg[index], turned, self.predicted[index])
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A model fitted without the dwells of a fold.
+
+    Attributes
+    ----------
+    fit : Fit
+        What predicts the dwells that are left out.
+    by : Fit or None
+        The choice by which is judged what it knows, where it was chosen anew: an average has no columns of
+        its own.
+    """
+
+    fit: Fit
+    by: Fit | None = None
+
+
+@dataclass(frozen=True)
+class _Bounded(Term):
+    """A fitted term that adds to other dwells little more than to those that it was fitted on.
+
+    Attributes
+    ----------
+    term : Term
+    low, high : (axes,) or () float
+        Bounds of what it adds, in mg or rad.
+    """
+
+    term: Term
+    low: Floats
+    high: Floats
+
+    @property
+    def name(self) -> str | None:
+        """As the term."""
+        return self.term.name
+
+    @property
+    def enters_angle(self) -> bool:
+        """As the term."""
+        return self.term.enters_angle
+
+    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """As the term."""
+        return self.term.columns(ideal_mg, conditions)
+
+    def start(self, amplitudes: Floats) -> Floats:
+        """As the term."""
+        return self.term.start(amplitudes)
+
+    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """What the term adds, within the bounds."""
+        bounded: Floats = np.clip(self.term.added(values, ideal_mg, conditions), self.low, self.high)
+        return bounded
+
+    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """As the term."""
+        return self.term.derivative(values, ideal_mg, conditions)
+
+
+def bounded(fit: Fit) -> tuple[Term, ...]:
+    """Terms for dwells that took no part: what each adds is bounded by what it added to those of the fit.
+
+    The range of the fit is extended by `REACH` of itself at either end: a line reaches over the block of
+    time that was left out, while a polynomial of high degree, or two terms that only together are
+    determined, cannot explode. A term of a dwell that was left out adds nothing.
+    """
+    terms = []
+    for term, values in zip(fit.terms, fit.values.terms, strict=True):
+        ideal = fit.data.mean_mg if term.enters_angle else fit.ideal_mg
+        added = term.added(values, ideal, fit.data.conditions)
+        low, high = added.min(axis=0), added.max(axis=0)
+        more = REACH * (high - low)
+        terms.append(_Bounded(term.label, term.covariates, term.cost, term, low - more, high + more))
+    return tuple(terms)
+
+
+def leave(fit: Fit, data: Readings, terms: Sequence[Term] | None = None) -> Left:
+    """Residuals of a fitted model on other dwells; see `bounded` for its terms."""
+    there = fit.on(data, terms)
+    turned = fit.angle_error_rad(data, terms)
+    return Left(there.residual_mg, turned, np.ones(len(data), dtype=bool))
+
+
+def rms(residual_mg: Floats, planar: bool) -> float:
+    """Root mean square: over readings of both axes in the plane, of the norm's residual in space."""
+    squares = residual_mg**2
+    return float(np.sqrt(squares.mean() if planar else squares.sum(axis=1).mean()))
+
+
+def folds(data: Readings) -> dict[str, list[NDArray[np.bool_]]]:
+    """Fold designs that apply: name → masks (n,) of the dwells that are left out."""
+    n = len(data)
+    count = min(FOLDS, n) if n > SHORT else n
+    order = np.arange(n)
+    # A fixed shuffle, so that no fold holds every fifth angle of a turn only.
+    shuffled = np.random.default_rng(5).permutation(n)
+    designs = {"whole dwells": [shuffled % count == k for k in range(count)]}
+    blocks = [order * BLOCKS // n == k for k in range(BLOCKS)]
+    if n >= 2 * BLOCKS and _poses_repeat(data, blocks):
+        designs[BLOCKS_OF_TIME] = blocks
+    by_axis = _about_axes(data)
+    if by_axis and 3 * int(determined(data, by_axis).sum()) >= n:
+        designs[BY_AXIS] = by_axis
+    return designs
+
+
+def _about_axes(data: Readings) -> list[NDArray[np.bool_]]:
+    """Masks (n,) of the dwells whose gravity lies nearest each end of each body axis.
+
+    In one plane only where positions repeat, since a turn whose positions are all different has no dwell
+    that stands in for another, and a quarter of it that is missing is another session.
+    """
+    if data.planar:
+        theta = data.conditions.angle_rad
+        if theta is None:
+            return []
+        apart = np.abs(np.mod(theta[:, None] - theta[None, :] + np.pi, 2 * np.pi) - np.pi)
+        if 2 * int(((apart < REPEATED).sum(axis=1) > 1).sum()) < len(data):
+            return []
+    size = np.abs(data.mean_mg)
+    nearest = size.argmax(axis=1)
+    up = np.take_along_axis(data.mean_mg, nearest[:, None], axis=1)[:, 0] > 0
+    groups = 2 * nearest + up
+    return [groups == group for group in np.unique(groups)]
+
+
+def counting(
+    data: Readings, designs: Mapping[str, list[NDArray[np.bool_]]], model: Sequence[Term]
+) -> dict[str, NDArray[np.bool_]]:
+    """Dwells (n,) that count as predicted under each design, with a model of all dwells.
+
+    Under the designs that leave out whole ranges of angle or time these are the dwells that the others
+    predict by the base model and, where the model has functions without a name, by these: a quarter of a
+    turn that was left out says nothing of a function that has harmonics there, nor does the first dwell of
+    a jump that only it has seen.
+    """
+    nameless = [term for term in model if term.name is None]
+    every = np.ones(len(data), dtype=bool)
+    counts = {}
+    for name, masks in designs.items():
+        counts[name] = every
+        if name == BY_AXIS or (nameless and name == BLOCKS_OF_TIME):
+            counts[name] = determined(data, masks, nameless)
+            if 3 * int(counts[name].sum()) < len(data):
+                del counts[name]
+    return counts
+
+
+def determined(
+    data: Readings, masks: Sequence[NDArray[np.bool_]], beside: Sequence[Term] = ()
+) -> NDArray[np.bool_]:
+    """Dwells (n,) that the dwells outside their fold predict by the base model with a bias on each axis.
+
+    With X the whitened columns, the prediction of held-out rows has covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in
+    units of the noise. A dwell counts up to a variance of `PREDICTED`; beyond, its error is that of a fit
+    that has never seen the axis, not of the model.
+
+    Parameters
+    ----------
+    beside : sequence of Term
+        Terms whose columns are determined as well.
+    """
+    begun = Fit.begin(data)
+    zero = np.tile(data.gravity_mg * np.eye(data.axes), (len(data), 1, 1))
+    more = [begun.candidate(term) for term in beside]
+    columns = begun.white_by_dwell(np.concatenate([begun.base_columns, zero, *more], axis=2))
+    out = np.zeros(len(data), dtype=bool)
+    for mask in masks:
+        out[mask] = foreseen(columns[~mask].reshape(-1, columns.shape[2]), columns[mask], PREDICTED)
+    return out
+
+
+def _poses_repeat(data: Readings, blocks: list[NDArray[np.bool_]]) -> bool:
+    """True where every dwell left out has a neighbour: 2.5 steps of angle, in space 45° away."""
+    if not data.planar:
+        unit = data.mean_mg / np.linalg.norm(data.mean_mg, axis=1, keepdims=True)
+        near = np.arccos(np.clip(unit @ unit.T, -1, 1)) < np.pi / 4
+        return all(bool(near[np.ix_(b, ~b)].any(axis=1).all()) for b in blocks)
+    theta = data.conditions.angle_rad
+    if theta is None:
+        return False
+    turn = 2 * np.pi
+    step = turn / max(len(np.unique(np.round(np.mod(theta, turn), 3))), 1)
+    for block in blocks:
+        gap = np.mod(theta[block][:, None] - theta[~block][None, :] + np.pi, turn) - np.pi
+        if not (np.abs(gap).min(axis=1) < 2.5 * step).all():
+            return False
+    return True
+
+
+def cross_validate(
+    data: Readings,
+    designs: dict[str, list[NDArray[np.bool_]]],
+    fit: Callable[[Readings], Chosen],
+) -> dict[str, Left]:
+    """Left-out residuals of all dwells under each design; `fit` selects and fits on the other dwells."""
+    out = {}
+    for name, masks in designs.items():
+        residual = np.full(data.mean_mg.shape, np.nan)
+        turned = np.full(len(data), np.nan)
+        predicted = np.ones(len(data), dtype=bool)
+        for mask in masks:
+            answer = fit(data.rows(~mask))
+            if answer.by is not None and name in RANGES:
+                predicted[mask] = answer.by.foresees(data.rows(mask), PREDICTED)
+            left = leave(answer.fit, data.rows(mask), bounded(answer.fit))
+            residual[mask] = left.residual_mg
+            if left.angle_rad is not None:
+                turned[mask] = left.angle_rad
+        out[name] = Left(residual, turned, predicted)
+    return out
+
+
+def counted(left: Mapping[str, Left], counts: Mapping[str, NDArray[np.bool_]]) -> list[Left]:
+    """Left-out residuals of the dwells that count, design by design."""
+    return [left[name].rows(own) for name, own in counts.items()]
+
+
+def less_unknown(
+    counts: Mapping[str, NDArray[np.bool_]], anew: Mapping[str, Left]
+) -> dict[str, NDArray[np.bool_]]:
+    """Dwells that count, less those that a model chosen without a whole range does not pretend to know.
+
+    Without the quarter of a turn that shows it, another effect is chosen that fits the rest as well, and
+    whose parameters leave that quarter open by many mg: its covariance says so. Designs that have less than
+    a third of the dwells left do not apply.
+    """
+    out = {}
+    for name, own in counts.items():
+        rest = own & anew[name].predicted
+        if 3 * int(rest.sum()) >= len(rest):
+            out[name] = rest
+    return out

@@ -1,0 +1,107 @@
+"""Which names of a selection survive the dwells that took no part."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from adis_gonio.tracing.outcome.naming import Names
+from adis_gonio.tracing.selection.posterior import CERTAIN
+from adis_gonio.tracing.selection.select import Selection
+from adis_gonio.tracing.validation.gains import contradicting, held_out_gains
+
+LEAST_CHECKS = 2
+"""Least degrees of freedom that a model has to leave for its names to stand."""
+LEAST_DWELLS = 5
+"""Least dwells of which some are left out to judge effects one by one."""
+WORSE = 1.05
+"""Largest held-out error of the final model in units of the base model's."""
+
+
+def checkable(names: Names, selection: Selection) -> Names:
+    """Names less those of a model that leaves fewer than `LEAST_CHECKS`: it would fit whatever was there.
+
+    A bias stands: every sensor has one, and nothing need prove it against none at all.
+    """
+    dof = selection.fit.dof
+    if dof >= LEAST_CHECKS:
+        return names
+    open_ = [name for name in names.stand if name != "bias"]
+    reasons = dict.fromkeys(open_, f"the model leaves {dof} readings to check it by: too few")
+    return without(replace(names, open={**names.open, **reasons}), reasons)
+
+
+def surviving(selection: Selection, names: Names) -> tuple[Selection, Names, dict[str, str]]:
+    """Take away effects that held-out dwells contradict, the worst first, each judged beside the others.
+
+    Uncertain names go as well where dwells do not confirm them.
+    """
+    reasons: dict[str, str] = {}
+    if len(selection.data) < LEAST_DWELLS:
+        return selection, names, reasons
+    while selection.terms:
+        worst: tuple[float, str, str] | None = None
+        for name in dict.fromkeys(term.shown_as for term in selection.terms):
+            members = [k for k, term in enumerate(selection.terms) if term.shown_as == name]
+            gains = held_out_gains(selection.fit, members, selection.inflation)
+            for design, held_out in contradicting(gains).items():
+                if worst is None or held_out.gain < worst[0]:
+                    worst = (held_out.gain, name, design)
+        if worst is None:
+            break
+        gain, name, design = worst
+        reasons[name] = f"contradicted by dwells that took no part ({design}: χ² rises by {-gain:.1f})"
+        kept = [k for k in selection.verdict.best if selection.problem.terms[k].shown_as != name]
+        selection = selection.with_model(kept)
+    selection, unconfirmed = _confirmed(selection, names)
+    return selection, without(names, reasons), {**reasons, **unconfirmed}
+
+
+def _confirmed(selection: Selection, names: Names) -> tuple[Selection, dict[str, str]]:
+    """Take uncertain effects out of the model where neither the folds nor adequacy ask for them."""
+    reasons: dict[str, str] = {}
+    for name in names.open:
+        if selection.verdict.names.get(name, 0.0) >= CERTAIN or not selection.adequate:
+            continue
+        members = [k for k, term in enumerate(selection.terms) if term.name == name]
+        if not members:
+            continue
+        gains = held_out_gains(selection.fit, members, selection.inflation)
+        weak = [design for design, held_out in gains.items() if not held_out.confirmed]
+        kept = [k for k in selection.verdict.best if selection.problem.terms[k].name != name]
+        trial = selection.with_model(kept) if weak else selection
+        if weak and trial.adequate:
+            selection = trial
+            reasons[name] = f"{names.open[name]}, and dwells that took no part do not confirm it"
+    return selection, reasons
+
+
+def without(names: Names, reasons: dict[str, str]) -> Names:
+    """Names less those that were taken away, which stand under `confounded`."""
+    more = tuple((name,) for name in reasons if name in names.stand)
+    stand = tuple(name for name in names.stand if name not in reasons)
+    return Names(stand, names.open, tuple(dict.fromkeys((*names.confounded, *more))))
+
+
+def never_worse(
+    names: Names, labels: Sequence[str], errors: Sequence[float | None]
+) -> tuple[int, Names, dict[str, str]]:
+    """Longest nested model whose held-out error is at most `WORSE` that of the base model.
+
+    Returns its number, the names that are left, and the reasons of the others.
+    """
+    last = len(labels)
+    base = errors[0]
+    if base is None:
+        return last, names, {}
+    for count in range(last, -1, -1):
+        error = errors[count]
+        if error is not None and error <= WORSE * base:
+            break
+    cut = set(labels) - set(labels[:count])
+    after = errors[last]
+    assert after is not None
+    reasons = dict.fromkeys(
+        sorted(cut), f"the held-out error would go from {base:.3g} to {after:.3g} mg with it"
+    )
+    return count, without(names, reasons), reasons
