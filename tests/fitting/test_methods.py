@@ -9,7 +9,7 @@ import pytest
 
 from adis_gonio.errors import FitError, SingularError, UsageError
 from adis_gonio.fitting import METHODS, applicable_methods, fit
-from adis_gonio.model.geometry import axes_matrix
+from adis_gonio.model.measurement import axes_matrix
 from adis_gonio.model.records import Dwell, Session
 
 G = 1000.0

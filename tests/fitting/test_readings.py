@@ -3,10 +3,10 @@ import math
 import numpy as np
 import pytest
 
-from adis_gonio.errors import DataError
-from adis_gonio.fitting import fit
-from adis_gonio.estimation.readings import reduce_session
+from adis_gonio.errors import DataError, FitError
+from adis_gonio.estimation.readings import reduced
 from adis_gonio.estimation.spectrum import noise_of_means
+from adis_gonio.fitting import fit
 from adis_gonio.model.records import Dwell, Session
 
 LSB = 0.4672
@@ -110,7 +110,7 @@ def test_the_figure_of_the_variant_is_the_floor_unless_the_dwells_exclude_it():
 
     def u(sensor, n):
         dwells = [dwell(rng.normal(0, 4.7, (n, 2)), k) for k in range(2)]
-        return math.sqrt(reduce_session(session(*dwells, sensor=sensor)).covariance[0, 0, 0])
+        return math.sqrt(reduced(session(*dwells, sensor=sensor)).covariance[0, 0, 0])
 
     n = 2000
     white = 4.7 / math.sqrt(n)
@@ -128,8 +128,8 @@ def test_quantization_of_a_quiet_sensor_is_in_the_uncertainty(noise_lsb):
         level = rng.uniform(100, 2000, (2, 2))
         rows = np.round(level[:, None, :] + rng.normal(0, noise_lsb, (2, n, 2)))
         quiet = session(dwell(rows[0], 0), dwell(rows[1], 1), accel_unit="lsb", sensor="adis16354")
-        readings = reduce_session(quiet)
-        squares.append(np.mean((readings.mean / LSB - level) ** 2))
+        readings = reduced(quiet)
+        squares.append(np.mean((readings.mean_mg / LSB - level) ** 2))
         stated.append(readings.covariance[:, 0, 0].mean() / LSB**2)
     floor = np.mean(stated) - np.mean(squares)
     # At 1 LSB the floor of 0.1 mg may come on top; below, nothing else hides the step of the converter.
@@ -138,38 +138,39 @@ def test_quantization_of_a_quiet_sensor_is_in_the_uncertainty(noise_lsb):
 
 def test_units_become_mg():
     rows = np.array([[1.0, 0.0], [1.0, 2.0]])
-    factor = {"mg": 1.0, "g": 1000.0, "mps2": 1000 / 9.80665, "lsb": 0.4672, "counts": 1.0}
+    factor = {"mg": 1.0, "g": 1000.0, "mps2": 1000 / 9.80665, "lsb": 0.4672}
     for unit, value in factor.items():
-        readings = reduce_session(session(dwell(rows), accel_unit=unit, sensor="adis16354"))
-        np.testing.assert_allclose(readings.mean, [[value, value]])
-        assert readings.unit == ("counts" if unit == "counts" else "mg")
-    assert reduce_session(session(dwell(rows), accel_unit="lsb", sensor="adis16350")).mean[
+        readings = reduced(session(dwell(rows), accel_unit=unit, sensor="adis16354"))
+        np.testing.assert_allclose(readings.mean_mg, [[value, value]])
+        assert readings.unit.known
+    assert reduced(session(dwell(rows), accel_unit="lsb", sensor="adis16350")).mean_mg[
         0, 0
     ] == pytest.approx(2.522)
 
 
 def test_readings_of_one_row_have_the_stated_uncertainty_or_none():
-    stated = reduce_session(session(dwell([[1.0, 2.0]]), reading_u_mg=0.3))
+    stated = reduced(session(dwell([[1.0, 2.0]]), reading_u_mg=0.3))
     np.testing.assert_allclose(stated.covariance[0], 0.09 * np.eye(2))
     assert np.isinf(stated.dof[0])
     assert stated.known.all()
-    assert not reduce_session(session(dwell([[1.0, 2.0]]))).known.any()
+    assert not reduced(session(dwell([[1.0, 2.0]]))).known.any()
 
 
 def test_check_dwells_are_left_out():
-    readings = reduce_session(
-        session(dwell([[1.0, 2.0]], 0), dwell([[5.0, 6.0]], 1, use="check"), reading_u_mg=1)
-    )
-    assert readings.position.tolist() == [0]
+    readings = reduced(session(dwell([[1.0, 2.0]], 0), dwell([[5.0, 6.0]], 1, use="check"), reading_u_mg=1))
+    assert readings.training.position.tolist() == [0]
+    assert readings.checking.position.tolist() == [1]
+    with pytest.raises(FitError, match="none to fit"):
+        assert reduced(session(dwell([[5.0, 6.0]], 1, use="check"))).training
     with pytest.raises(DataError, match="no dwell to fit"):
-        reduce_session(session(dwell([[5.0, 6.0]], 1, use="check")))
+        reduced(session())
 
 
 def test_third_axis_is_left_out_in_the_plane_and_needed_in_space():
-    assert reduce_session(session(dwell([[1.0, 2.0, 3.0]]))).mean.shape == (1, 2)
-    assert reduce_session(session(dwell([[1.0, 2.0, 3.0]]), plane="none")).mean.shape == (1, 3)
+    assert reduced(session(dwell([[1.0, 2.0, 3.0]]))).mean_mg.shape == (1, 2)
+    assert reduced(session(dwell([[1.0, 2.0, 3.0]]), plane="none")).mean_mg.shape == (1, 3)
     with pytest.raises(DataError, match="three axes"):
-        reduce_session(session(dwell([[1.0, 2.0]]), plane="none"))
+        reduced(session(dwell([[1.0, 2.0]]), plane="none"))
 
 
 class TestDeadData:
@@ -180,7 +181,7 @@ class TestDeadData:
 
     def refused(self, *dwells, **more):
         with pytest.raises(DataError) as caught:
-            reduce_session(session(*dwells, **{"accel_unit": "lsb", "sensor": "adis16354", **more}))
+            reduced(session(*dwells, **{"accel_unit": "lsb", "sensor": "adis16354", **more}))
         assert "\n" not in str(caught.value)
         return str(caught.value)
 
@@ -213,7 +214,7 @@ class TestDeadData:
 
     def test_a_quiet_converter_of_an_unknown_sensor_may_repeat_its_word(self):
         frozen = [dwell(np.tile([2000.0 - k, 100.0 + 9 * k], (400, 1)), k) for k in range(3)]
-        readings = reduce_session(session(*frozen, accel_unit="mg"))
+        readings = reduced(session(*frozen, accel_unit="mg"))
         assert (np.diagonal(readings.covariance, axis1=1, axis2=2) > 0).all()
 
     def test_the_longest_filter_is_not_taken_for_stuck(self):
@@ -223,7 +224,7 @@ class TestDeadData:
             for k in range(3):
                 rows = np.stack([filtered(rng, 700, 6)[0] for _ in range(2)], axis=1)
                 dwells.append(dwell(np.round((rows + np.array([900, 50 * k])) / LSB), k))
-            reduce_session(session(*dwells, accel_unit="lsb", sensor="adis16354"))
+            reduced(session(*dwells, accel_unit="lsb", sensor="adis16354"))
 
 
 def test_few_degrees_of_freedom_enlarge_the_interval_to_its_coverage():

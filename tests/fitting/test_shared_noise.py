@@ -1,14 +1,17 @@
 """Uncertainties where neighbouring dwells share 1/f noise: against the scatter of many drawn sessions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from adis_gonio.fitting import readings as module
+from adis_gonio.estimation import Readings, from_means
+from adis_gonio.estimation import readings as module
 from adis_gonio.estimation.flicker import covariance_of_means, scatter_of_means
+from adis_gonio.estimation.readings import readings_of
 from adis_gonio.fitting.methods import fit_readings
-from adis_gonio.estimation.readings import Readings, shared_by
-from adis_gonio.model.geometry import planar_ideal
-from adis_gonio.model.records import Dwell
+from adis_gonio.model.effects import Conditions
+from adis_gonio.model.records import Dwell, Session
 
 G = 1000.0
 U_MG, FLICKER_MG, FIXTURE_RAD = 0.03, 0.1, 1e-5
@@ -23,26 +26,29 @@ def dwells(count: int = DWELLS, length_s: float = 3.0, samples: int = 7) -> list
     ]
 
 
-def drawn(rng: np.random.Generator, root: np.ndarray, shared: np.ndarray | None) -> Readings:
+def modes_of(*parts: Dwell) -> Readings:
+    """Readings of dwells under 1/f noise, whatever their samples."""
+    flicker = np.full(2, FLICKER_MG**2)
+    many = np.array([k for k, part in enumerate(parts) if len(part) > 1])
+    own, slow = module._of_flicker([parts[k] for k in many], flicker, many, len(parts))
+    covariance = np.tile(U_MG**2 * np.eye(2), (len(parts), 1, 1))
+    covariance[many] += own[:, :, None] * np.eye(2)
+    mean = np.zeros((len(parts), 2))
+    return from_means(mean, covariance, Conditions(time_s=np.arange(float(len(parts)))), slow_mg=slow)
+
+
+def drawn(rng: np.random.Generator, root: np.ndarray, *, shared: bool = True) -> Readings:
     """Readings of one turn in order, with noise of covariance root rootᵀ on each axis."""
     theta = 2 * np.pi * np.arange(DWELLS) / DWELLS
-    mean = G * planar_ideal(0.2 - theta, 0.005) * [1.01, 1.0] + [8.0, -5.0]
+    psi = 0.2 - theta
+    ideal = np.stack([1.01 * np.cos(psi), np.sin(psi + 0.005)], axis=1)
+    mean = G * ideal + [8.0, -5.0]
     mean = mean + root @ rng.normal(size=(DWELLS, 2)) + U_MG * rng.normal(size=(DWELLS, 2))
+    made = replace(modes_of(*dwells()), mean_mg=mean, angle_rad=theta, fixture_rad=FIXTURE_RAD)
+    if shared:
+        return made
     own = U_MG**2 + FLICKER_MG**2 * scatter_of_means(DWELLS)
-    return Readings(
-        mean=mean,
-        covariance=np.tile(own * np.eye(2), (DWELLS, 1, 1)),
-        dof=np.full(DWELLS, np.inf),
-        angle_rad=theta,
-        position=np.arange(DWELLS),
-        samples=np.full(DWELLS, 7),
-        known=np.ones(DWELLS, dtype=bool),
-        unit="mg",
-        gravity_mg=G,
-        fixture_sigma_rad=FIXTURE_RAD,
-        flicker=np.full(2, FLICKER_MG**2),
-        shared=shared,
-    )
+    return replace(made, own_covariance=np.tile(own * np.eye(2), (DWELLS, 1, 1)), slow_mg=None)
 
 
 @pytest.mark.parametrize("method", ["ml", "mmpm", "four-position"])
@@ -51,9 +57,8 @@ def test_what_results_scatter_by_is_what_they_state(method: str) -> None:
     values, vectors = np.linalg.eigh(covariance_of_means(begin, begin + 3.0) + 0.5)
     root = FLICKER_MG * vectors * np.sqrt(np.maximum(values, 0.0))
     rng = np.random.default_rng(5)
-    shared = shared_by(dwells())
     names = ("delta_k", "delta_phi", "scale_x", "scale_y", "bias_x", "bias_y")
-    results = [fit_readings(drawn(rng, root, shared), method) for _ in range(700)]
+    results = [fit_readings(drawn(rng, root), method) for _ in range(700)]
     found = np.array([[r[name].value for name in names] for r in results])
     stated = np.array([[r[name].u for name in names] for r in results])
     ratio = found.var(axis=0, ddof=1) / (stated**2).mean(axis=0)
@@ -63,31 +68,46 @@ def test_what_results_scatter_by_is_what_they_state(method: str) -> None:
 
 def test_noise_of_each_dwells_own_understates_the_gains() -> None:
     rng = np.random.default_rng(5)
-    theirs = fit_readings(drawn(rng, np.zeros((DWELLS, DWELLS)), None), "mmpm")
-    shared = fit_readings(drawn(rng, np.zeros((DWELLS, DWELLS)), shared_by(dwells())), "mmpm")
+    theirs = fit_readings(drawn(rng, np.zeros((DWELLS, DWELLS)), shared=False), "mmpm")
+    shared = fit_readings(drawn(rng, np.zeros((DWELLS, DWELLS))), "mmpm")
     assert shared["scale_x"].u > 1.08 * theirs["scale_x"].u
 
 
-def test_what_is_shared_has_the_trace_of_the_covariance_and_no_part_in_single_samples() -> None:
-    shared = shared_by(dwells())
-    assert shared is not None
-    assert np.trace(shared) == pytest.approx(0.5 * DWELLS - scatter_of_means(DWELLS))
-    mixed = [*dwells(4), Dwell(position=9, time_s=np.array([90.0]), accel=np.zeros((1, 2)))]
-    out = shared_by(mixed)
-    assert out is not None
-    assert not out[-1].any()
-    assert not out[:, -1].any()
+def test_what_is_shared_is_the_covariance_of_the_means_with_that_of_another_day() -> None:
+    slow = modes_of(*dwells()).slow_mg[:, 0, :DWELLS]
+    begin = 3.0 * np.arange(DWELLS)
+    np.testing.assert_allclose(
+        slow @ slow.T / FLICKER_MG**2, covariance_of_means(begin, begin + 3.0) + 0.5, atol=1e-9
+    )
+
+
+def test_single_samples_have_no_part_in_it() -> None:
+    mixed = modes_of(*dwells(4), Dwell(position=9, time_s=np.array([90.0]), accel=np.zeros((1, 2))))
+    assert not mixed.slow_mg[-1].any()
+    assert mixed.slow_mg[:-1].any()
 
 
 def test_thousands_of_dwells_are_left_to_noise_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MOST_SHARED", 5)
-    assert shared_by(dwells(6)) is None
-    assert shared_by(dwells(5)) is not None
+    alone = modes_of(*dwells(6))
+    assert alone.slow_mg is None
+    own = U_MG**2 + FLICKER_MG**2 * scatter_of_means(6)
+    np.testing.assert_allclose(alone.own_covariance[:, 0, 0], own)
+    assert modes_of(*dwells(5)).slow_mg is not None
 
 
 def test_some_of_the_readings_keep_what_they_share() -> None:
-    readings = drawn(np.random.default_rng(1), np.zeros((DWELLS, DWELLS)), shared_by(dwells()))
+    readings = drawn(np.random.default_rng(1), np.zeros((DWELLS, DWELLS)))
     some = np.array([1, 4, 6])
-    chosen = readings.select(some)
-    assert readings.shared is not None
-    np.testing.assert_array_equal(chosen.shared, readings.shared[np.ix_(some, some)])
+    np.testing.assert_array_equal(readings.rows(some).slow_mg, readings.slow_mg[some])
+
+
+def test_a_session_is_reduced_once_and_its_readings_kept_with_it() -> None:
+    rng = np.random.default_rng(2)
+    made = tuple(
+        Dwell(k, 3.0 * k + 0.1 * np.arange(20), rng.normal([1000.0, 0.0], 1.0, (20, 2))) for k in range(3)
+    )
+    session = Session(made, accel_unit="mg", sensor="generic", fixture_sigma_deg=np.inf)
+    assert readings_of(session) is readings_of(session)
+    again = replace(session, reading_u_mg=1.0)
+    assert readings_of(again) is not readings_of(session)

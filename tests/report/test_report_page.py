@@ -13,8 +13,8 @@ from adis_gonio.model.records import Dwell, Session
 from adis_gonio.report import Figure, Section, Series, Table, plot
 from adis_gonio.report.numbers import p_text, percent, uncertain, with_unit
 from adis_gonio.report.page import build_page
+from adis_gonio.report.views import views
 from adis_gonio.report.words import confounded, headline, how_sure, sight
-from adis_gonio.tracing.outcome.figures import views
 
 
 def planar(k2_x=0.0, bias=(8.0, -5.0), eccentric=0.0, seed=1, check=False, title=""):
@@ -260,7 +260,7 @@ def test_numbers_have_two_digits_of_their_uncertainty(value, u, text):
 
 
 def test_units_and_probabilities_read_well():
-    assert with_unit("3.2 ± 0.1", "degree") == "(3.2 ± 0.1)°"
+    assert with_unit("3.2 ± 0.1", "deg") == "(3.2 ± 0.1)°"
     assert with_unit("3.2", "1") == "3.2"
     assert [percent(f).replace("\u00a0", " ") for f in (1.0, 0.996, 0.54, 0.02, 0.0)] == [
         "> 99.9 %", "99.6 %", "54 %", "2.0 %", "< 0.1 %",

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from adis_gonio.errors import FitError
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.readings import Readings, from_means
 from adis_gonio.model.effects import Conditions, Enters, effect
-from adis_gonio.tracing import trace_observations
-from adis_gonio.tracing.selection.design import amplitudes, linearise, span
+from adis_gonio.tracing import trace_readings
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.observations import Observations
+from adis_gonio.tracing.selection.design import amplitudes, linearise, span
 from adis_gonio.tracing.selection.search import price, search
 from adis_gonio.tracing.selection.select import adequacy, select
-from adis_gonio.tracing.state import begin, predict, refit
 
 G = 1000.0
 
@@ -47,7 +48,7 @@ def conditions(n: int = 24, shuffled: bool = True, seed: int = 3) -> Conditions:
 
 def observations(
     effects=(), added=None, turned=None, n=24, u=0.1, fixture_deg=0.005, seed=0, shuffled=True, check=0
-) -> Observations:
+) -> Readings:
     """Readings (n, 2) of a part with gains 1.01 and 0.99, Δφ 0.3° and effects (effect, values by name)."""
     rng = np.random.default_rng(seed)
     c = conditions(n, shuffled)
@@ -65,16 +66,14 @@ def observations(
     if added is not None:
         mean += added(c, ideal / G)
     mean += rng.normal(0, u, mean.shape)
-    return Observations(
-        mean_mg=mean,
-        covariance=np.tile(u**2 * np.eye(2), (n, 1, 1)),
-        noise_dof=1e4,
-        known=True,
-        conditions=c,
+    return from_means(
+        mean,
+        np.tile(u**2 * np.eye(2), (n, 1, 1)),
+        c,
         gravity_mg=G,
         fixture_rad=float(np.deg2rad(fixture_deg)),
+        dof=np.full(n, 1e4),
         check=np.arange(n) >= n - check,
-        position=np.arange(n),
     )
 
 
@@ -83,34 +82,34 @@ QUADRATIC = (effect("quadratic", ("x",)), {"k2_x": 1.2})
 
 def test_base_fit_recovers_gains_and_misalignment_within_its_covariance() -> None:
     data = observations(seed=5)
-    fit = refit(data, (), begin(data))
-    error = fit.state.base - [0.05, 1.01, 0.99, np.deg2rad(0.3)]
+    fit = Fit.begin(data).refit()
+    error = fit.values.base - [0.05, 1.01, 0.99, np.deg2rad(0.3)]
     assert error @ np.linalg.solve(fit.covariance, error) < 18.5  # 99.9 % of χ² with four degrees
     assert adequacy(fit.chi2, fit.dof, data.noise_dof) > 0.001
 
 
 def test_whitening_is_the_inverse_root_of_reading_and_fixture_covariance() -> None:
     data = observations(fixture_deg=0.02)
-    at = predict(data, (), refit(data, (), begin(data)).state)
-    tangent = at.tangent[:, :, 0]
+    at = Fit.begin(data).refit()
+    tangent = at.tangent_mg[:, :, 0]
     full = data.covariance + data.fixture_rad**2 * tangent[:, :, None] * tangent[:, None, :]
     np.testing.assert_allclose(
-        at.whiten @ full @ at.whiten.transpose(0, 2, 1), np.tile(np.eye(2), (24, 1, 1)), atol=1e-9
+        at.whitener @ full @ at.whitener.transpose(0, 2, 1), np.tile(np.eye(2), (24, 1, 1)), atol=1e-9
     )
 
 
 def test_free_attitudes_leave_nothing_along_the_tangent() -> None:
     data = observations()
-    free = Observations(**{**data.__dict__, "fixture_rad": float("inf")})
-    at = predict(free, (), begin(free))
-    assert np.abs(at.whiten @ at.tangent).max() < 1e-6 * np.abs(at.tangent).max()
+    free = replace(data, fixture_rad=float("inf"))
+    at = Fit.begin(free)
+    assert np.abs(at.whitener @ at.tangent_mg).max() < 1e-6 * np.abs(at.tangent_mg).max()
 
 
 def test_linear_gains_equal_explicit_least_squares() -> None:
     data = observations([QUADRATIC])
     terms = [*named_terms(data)[0], *nameless_terms(data)[::40]]
-    state = refit(data, (), begin(data)).state
-    problem = linearise(data, (), state, terms)
+    state = Fit.begin(data).refit()
+    problem = linearise(state, terms)
     basis, residual = span(problem, [3])
     gains = problem.gains(basis, residual)
     for k in range(0, len(problem.terms), 17):
@@ -124,8 +123,8 @@ def test_linear_gains_equal_explicit_least_squares() -> None:
 def test_search_finds_the_pair_that_exhaustive_enumeration_finds() -> None:
     data = observations([QUADRATIC, (effect("bias", ("y",)), {"bias_y": 0.6})], seed=2)
     terms = named_terms(data)[0]
-    state = refit(data, (), begin(data)).state
-    problem = linearise(data, (), state, terms)
+    state = Fit.begin(data).refit()
+    problem = linearise(state, terms)
     prices = price(problem)
     found = search(problem, 2)
     best = -np.inf
@@ -140,7 +139,7 @@ def test_search_finds_the_pair_that_exhaustive_enumeration_finds() -> None:
 
 def test_amplitudes_of_the_linear_problem_are_those_put_in() -> None:
     data = observations([QUADRATIC])
-    problem = linearise(data, (), refit(data, (), begin(data)).state, named_terms(data)[0])
+    problem = linearise(Fit.begin(data).refit(), named_terms(data)[0])
     k = next(i for i, term in enumerate(problem.terms) if term.label == "quadratic[x]")
     assert amplitudes(problem, [k])[0][0] == pytest.approx(1.2, abs=0.25)
 
@@ -150,7 +149,7 @@ def test_nothing_is_found_in_noise() -> None:
     for seed in range(12):
         data = observations(seed=100 + seed, n=16)
         terms = [*named_terms(data)[0], *nameless_terms(data)]
-        wrong += bool(select(data, terms, 6).model)
+        wrong += bool(select(data, terms, 6).terms)
     assert wrong == 0
 
 
@@ -169,7 +168,7 @@ def test_nothing_is_found_in_noise() -> None:
 def test_one_catalogued_effect_is_found_alone(
     name: str, axes: tuple[str, ...], values: dict[str, float]
 ) -> None:
-    result = trace_observations(observations([(effect(name, axes or ("x", "y")), values)], seed=11))
+    result = trace_readings(observations([(effect(name, axes or ("x", "y")), values)], seed=11))
     assert [finding.effect for finding in result.found] == [name]
     assert result.unnamed is None
     assert result.adequate
@@ -190,7 +189,7 @@ def test_one_catalogued_effect_is_found_alone(
     ],
 )
 def test_a_cause_outside_the_catalogue_is_unnamed_with_its_covariate(covariate, added, turned) -> None:
-    result = trace_observations(observations(added=added, turned=turned, seed=21))
+    result = trace_readings(observations(added=added, turned=turned, seed=21))
     assert result.found == ()
     assert result.unnamed is not None
     assert result.unnamed.covariates == (covariate,)
@@ -208,7 +207,7 @@ def test_temperature_that_only_rises_with_time_is_not_called_found_by_one_name()
         }
     )
     drifting = data.mean_mg + np.outer(c.time_s / 60.0, [0.12, 0.0])
-    result = trace_observations(Observations(**{**data.__dict__, "conditions": c, "mean_mg": drifting}))
+    result = trace_readings(replace(data, conditions=c, mean_mg=drifting))
     told = {name for group in result.confounded for name in group}
     named = {finding.effect for finding in result.found}
     equivalents = {e for finding in result.found for e in finding.equivalents}
@@ -218,10 +217,10 @@ def test_temperature_that_only_rises_with_time_is_not_called_found_by_one_name()
 
 def test_check_dwells_take_no_part() -> None:
     data = observations([QUADRATIC], seed=6, check=5)
-    result = trace_observations(data)
+    result = trace_readings(data)
     broken = data.mean_mg.copy()
     broken[data.check] += 50.0
-    other = trace_observations(Observations(**{**data.__dict__, "mean_mg": broken}))
+    other = trace_readings(replace(data, mean_mg=broken))
     assert [f.as_dict() for f in other.found] == [f.as_dict() for f in result.found]
     assert other.after.heldout_rms_mg > 10 * result.after.heldout_rms_mg
     assert "5 check dwells" in result.heldout_design
@@ -229,7 +228,7 @@ def test_check_dwells_take_no_part() -> None:
 
 def test_a_slipped_dwell_is_reported_and_does_not_spoil_the_rest() -> None:
     slip = (effect("position_slip", dwell=7), {"slip": -0.12})
-    result = trace_observations(observations([QUADRATIC, slip], seed=15))
+    result = trace_readings(observations([QUADRATIC, slip], seed=15))
     found = {finding.effect: finding for finding in result.found}
     assert set(found) == {"position_slip", "quadratic"}
     assert found["position_slip"].parameters["dwell"].value == 7
@@ -238,7 +237,7 @@ def test_a_slipped_dwell_is_reported_and_does_not_spoil_the_rest() -> None:
 
 def test_a_large_bias_does_not_leave_second_order_effects() -> None:
     bias = (effect("bias"), {"bias_x": 60.0, "bias_y": -35.0})
-    result = trace_observations(observations([bias], seed=9))
+    result = trace_readings(observations([bias], seed=9))
     assert [finding.effect for finding in result.found] == ["bias"]
     assert result.found[0].parameters["bias_x"].value == pytest.approx(60.0, abs=0.15)
     assert result.unnamed is None
@@ -247,14 +246,14 @@ def test_a_large_bias_does_not_leave_second_order_effects() -> None:
 def test_a_large_bias_stands_beside_a_nameless_step() -> None:
     bias = (effect("bias"), {"bias_x": 40.0, "bias_y": -35.0})
     data = observations([bias], added=lambda c, a: np.outer(c.order >= 13, [0.9, 0.0]), seed=10)
-    result = trace_observations(data)
+    result = trace_readings(data)
     assert [finding.effect for finding in result.found] == ["bias"]
     assert result.unnamed is not None
     assert result.unnamed.covariates == ("time",)
 
 
 def test_detectable_amplitude_is_found_and_a_third_of_it_is_not() -> None:
-    seen = trace_observations(observations(seed=30)).detectable["quadratic"]
+    seen = trace_readings(observations(seed=30)).detectable["quadratic"]
     assert seen.unit == "mg/g²"
     hits, misses = 0, 0
     for seed in range(6):
@@ -263,7 +262,7 @@ def test_detectable_amplitude_is_found_and_a_third_of_it_is_not() -> None:
                 [(effect("quadratic", ("x",)), {"k2_x": share * seen.amplitude})], seed=40 + seed
             )
             terms = [*named_terms(data)[0], *nameless_terms(data)]
-            names = {term.name for term in select(data, terms, 3).model}
+            names = {term.name for term in select(data, terms, 3).terms}
             hits += count and "quadratic" in names
             misses += (not count) and "quadratic" in names
     assert hits >= 4
@@ -271,7 +270,7 @@ def test_detectable_amplitude_is_found_and_a_third_of_it_is_not() -> None:
 
 
 def test_what_a_session_cannot_show_has_no_amplitude_but_a_reason() -> None:
-    result = trace_observations(observations(seed=31))
+    result = trace_readings(observations(seed=31))
     for name in ("scale", "misalignment", "gravity", "tone", "vibration_rectification"):
         assert result.detectable[name].amplitude is None
         assert result.detectable[name].reason
@@ -281,13 +280,13 @@ def test_noise_that_explains_nothing_is_called_inadequate() -> None:
     rng = np.random.default_rng(1)
     data = observations(seed=12)
     rough = data.mean_mg + rng.normal(0, 0.5, data.mean_mg.shape)
-    result = trace_observations(Observations(**{**data.__dict__, "mean_mg": rough}))
+    result = trace_readings(replace(data, mean_mg=rough))
     assert not result.adequate
     assert result.found == ()
 
 
 def test_as_dict_is_the_document_of_the_formats_and_is_json() -> None:
-    document = trace_observations(observations([QUADRATIC], seed=13)).as_dict()
+    document = trace_readings(observations([QUADRATIC], seed=13)).as_dict()
     keys = {"adequate", "found", "steps", "confounded", "unnamed", "error", "detectable", "next"}
     assert keys <= set(document)
     errors = {"residual_rms_mg", "heldout_rms_mg", "angle_rms_deg", "chi2_per_dof"}
@@ -300,4 +299,4 @@ def test_as_dict_is_the_document_of_the_formats_and_is_json() -> None:
 
 def test_too_few_positions_are_refused_with_what_is_needed() -> None:
     with pytest.raises(FitError, match="measure at least 2 positions"):
-        trace_observations(observations(n=24).rows(np.array([0])))
+        trace_readings(observations(n=24).rows(np.array([0])))

@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 
 from adis_gonio import trace
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.tracing.selection.design import amplitudes
-from adis_gonio.tracing.validation.gains import HeldOutGain, _fold, contradicting, held_out_gains
 from adis_gonio.tracing.candidates.grammar import nameless_terms
-from adis_gonio.tracing.validation.leaving_out import bounded, folds, leave
 from adis_gonio.tracing.candidates.named import named_terms
+from adis_gonio.tracing.outcome.findings import between_models
 from adis_gonio.tracing.outcome.naming import Names
-from adis_gonio.tracing.observations import Observations, observe
+from adis_gonio.tracing.selection.design import amplitudes
 from adis_gonio.tracing.selection.select import select
-from adis_gonio.tracing.state import State, begin, refit
-from adis_gonio.tracing.trace import _never_worse, between_models
+from adis_gonio.tracing.validation.gains import HeldOutGain, _fold, contradicting, held_out_gains
+from adis_gonio.tracing.validation.leaving_out import bounded, folds
+from adis_gonio.tracing.validation.survival import never_worse
 
 
 def forth_and_back(bias=(8.0, -5.0), k2_x=0.0, slip_mg=0.0, seed=3) -> Session:
@@ -40,13 +41,12 @@ def forth_and_back(bias=(8.0, -5.0), k2_x=0.0, slip_mg=0.0, seed=3) -> Session:
     )
 
 
-def fitted(data: Observations, *labels: str):
-    """Terms of these labels, and their refit."""
+def fitted(data: Readings, *labels: str):
+    """Fit of the terms of these labels."""
     at_hand = {term.label: term for term in named_terms(data)[0]}
     model = tuple(at_hand[label] for label in labels)
-    begun = begin(data)
-    values = tuple(term.start(np.zeros(len(term.amplitude_index))) for term in model)
-    return model, refit(data, model, State(begun.base, begun.delta_rad, begun.unit, values))
+    values = tuple(term.start(np.zeros(len(term.amplitudes))) for term in model)
+    return Fit.begin(data).having(model, values).refit()
 
 
 @pytest.mark.parametrize("seed", [2, 3, 5])
@@ -62,56 +62,53 @@ def test_an_uncertain_effect_that_nothing_asks_for_leaves_the_model() -> None:
     # 2), each with half the posterior.
     for seed, name in ((0, "position_slip"), (2, "outlier_dwell")):
         result = trace(forth_and_back(k2_x=3.0, slip_mg=0.4, seed=seed))
-        assert {term.name for term in result.model} == {"bias", "quadratic"}
+        assert {term.name for term in result.fits[-1].terms} == {"bias", "quadratic"}
         assert "do not confirm it" in result.reasons[name]
         assert result.adequate
 
 
 def test_real_effects_gain_under_every_design_and_an_idle_one_is_not_contradicted() -> None:
-    data = observe(forth_and_back(k2_x=3.0))
-    model, fit = fitted(data, "bias[xy]", "quadratic[x]", "cubic[y]")
+    data = readings_of(forth_and_back(k2_x=3.0))
+    fit = fitted(data, "bias[xy]", "quadratic[x]", "cubic[y]")
     for member, least in ((0, 100), (1, 100), (2, -6)):
-        gains = held_out_gains(data, model, fit, [member])
+        gains = held_out_gains(fit, [member])
         assert set(gains) == {"whole dwells", "blocks of time"}
         assert all(gain.gain > least and not gain.contradicted for gain in gains.values())
 
 
 def test_gain_in_single_folds_is_that_of_an_explicit_refit_without_them() -> None:
-    data = observe(forth_and_back(bias=(0.4, 0.0)))
-    model, fit = fitted(data, "bias[xy]")
-    gain = held_out_gains(data, model, fit, [0])["whole dwells"].gain
+    data = readings_of(forth_and_back(bias=(0.4, 0.0)))
+    fit = fitted(data, "bias[xy]")
+    gain = held_out_gains(fit, [0])["whole dwells"].gain
     explicit = 0.0
     for mask in folds(data)["whole dwells"]:
         rest, out = data.rows(~mask), data.rows(mask)
-        base = refit(rest, (), begin(rest))
-        begun = begin(rest)
-        full = refit(rest, model, State(begun.base, begun.delta_rad, begun.unit, (np.zeros(2),)))
-        explicit += (
-            leave(out, (), base.state).whitened2.sum() - leave(out, model, full.state).whitened2.sum()
-        )
+        base = Fit.begin(rest).refit()
+        full = base.having(fit.terms, (np.zeros(2),)).refit()
+        explicit += (base.on(out).residual ** 2).sum() - (full.on(out).residual ** 2).sum()
     assert gain > 50
     # The loss grows slowly: less than the plain squares, of the same size.
     assert 0.3 * explicit < gain < explicit
 
 
 def test_an_effect_of_one_dwell_is_no_evidence_where_that_dwell_is_left_out() -> None:
-    data = observe(forth_and_back(slip_mg=3.0))
-    model, fit = fitted(data, "bias[xy]", "outlier_dwell[x](dwell=7)")
-    for gain in held_out_gains(data, model, fit, [1]).values():
+    data = readings_of(forth_and_back(slip_mg=3.0))
+    fit = fitted(data, "bias[xy]", "outlier_dwell[x](dwell=7)")
+    for gain in held_out_gains(fit, [1]).values():
         assert not gain.contradicted
-    assert all(gain.gain > 100 for gain in held_out_gains(data, model, fit, [0]).values())
+    assert all(gain.gain > 100 for gain in held_out_gains(fit, [0]).values())
 
 
 def test_an_effect_that_the_other_dwells_deny_is_contradicted() -> None:
-    data = observe(forth_and_back())
+    data = readings_of(forth_and_back())
     # A drift that changes its sign from block to block fits nothing that was left out.
     saw = np.where(np.arange(len(data)) * 4 // len(data) % 2 == 0, 1.0, -1.0)
     time = data.conditions.time_s
     mean = data.mean_mg.copy()
     mean[:, 0] += 0.004 * saw * (time - time.mean())
     broken = replace(data, mean_mg=mean)
-    model, fit = fitted(broken, "bias[xy]", "bias_drift[x]")
-    gains = held_out_gains(broken, model, fit, [1])
+    fit = fitted(broken, "bias[xy]", "bias_drift[x]")
+    gains = held_out_gains(fit, [1])
     assert gains["whole dwells"].contradicted
     assert not any(gain.confirmed for gain in gains.values())
 
@@ -132,20 +129,18 @@ def test_a_loss_is_measured_by_what_the_other_designs_gain() -> None:
 
 
 def test_no_term_adds_much_more_to_other_dwells_than_to_those_of_its_fit() -> None:
-    data = observe(forth_and_back())
+    data = readings_of(forth_and_back())
     late = np.arange(len(data)) >= 27
     rest, out = data.rows(~late), data.rows(late)
     label = "bias[x]~a smooth function of time (degree 8)"
     term = next(term for term in nameless_terms(data) if term.label == label)
-    begun = begin(rest)
     # The polynomial that is smallest over the fit is large outside.
     early = term.columns(rest.mean_mg, rest.conditions)[:, 0]
     values = np.linalg.eigh(early.T @ early)[1][:, 0]
-    state = State(begun.base, begun.delta_rad, begun.unit, (values,))
-    fit = refit(rest, [term], state, free=False)
-    inside = term.added(values, fit.prediction.ideal_mg, rest.conditions)[:, 0]
+    fit = Fit.begin(rest).having([term], [values]).settled()
+    inside = term.added(values, fit.ideal_mg, rest.conditions)[:, 0]
     free = term.added(values, out.mean_mg, out.conditions)[:, 0]
-    (held,) = bounded(rest, [term], fit)
+    (held,) = bounded(fit)
     outside = held.added(values, out.mean_mg, out.conditions)[:, 0]
     low, high = inside.min() - 0.5 * np.ptp(inside), inside.max() + 0.5 * np.ptp(inside)
     assert np.abs(free).max() > 10 * np.abs(inside).max()
@@ -162,14 +157,12 @@ def test_a_direction_that_only_the_left_out_row_determines_is_no_evidence() -> N
 
 
 def test_bounds_do_not_hinder_a_line_over_a_block_that_was_left_out() -> None:
-    data = observe(forth_and_back())
+    data = readings_of(forth_and_back())
     late = np.arange(len(data)) >= 27
     rest, out = data.rows(~late), data.rows(late)
-    model, _ = fitted(data, "bias_drift[x]")
-    begun = begin(rest)
+    model = fitted(data, "bias_drift[x]").terms
     values = (np.array([3.0]),)
-    fit = refit(rest, model, State(begun.base, begun.delta_rad, begun.unit, values), free=False)
-    (held,) = bounded(rest, model, fit)
+    (held,) = bounded(Fit.begin(rest).having(model, values).settled())
     np.testing.assert_allclose(
         held.added(values[0], out.mean_mg, out.conditions),
         model[0].added(values[0], out.mean_mg, out.conditions),
@@ -177,16 +170,13 @@ def test_bounds_do_not_hinder_a_line_over_a_block_that_was_left_out() -> None:
 
 
 def test_a_dwell_that_was_left_out_is_not_predicted_by_its_own_slip() -> None:
-    data = observe(forth_and_back(slip_mg=3.0))
+    data = readings_of(forth_and_back(slip_mg=3.0))
     rest = data.rows(np.arange(len(data)) != 7)
-    model, fit = fitted(data, "outlier_dwell[x](dwell=7)")
-    whole = fit.state.values
-    begun = begin(rest)
-    again = refit(rest, model, State(begun.base, begun.delta_rad, begun.unit, whole))
+    fit = fitted(data, "outlier_dwell[x](dwell=7)")
+    again = fit.again(rest)
     out = data.rows(np.arange(len(data)) == 7)
-    assert (
-        bounded(rest, model, again)[0].added(again.state.values[0], out.mean_mg, out.conditions)[0, 0] == 0
-    )
+    (held,) = bounded(again)
+    assert held.added(again.values.terms[0], out.mean_mg, out.conditions)[0, 0] == 0
 
 
 @pytest.mark.parametrize(
@@ -200,26 +190,27 @@ def test_a_dwell_that_was_left_out_is_not_predicted_by_its_own_slip() -> None:
 )
 def test_the_model_is_the_longest_that_is_not_worse_than_nothing(errors, count: int) -> None:
     names = Names(("bias", "quadratic", "cubic"), {}, ())
-    kept, left, reasons = _never_worse(names, names.stand, errors)
+    kept, left, reasons = never_worse(names, names.stand, errors)
     assert kept == count
     assert left.stand == names.stand[:count]
     assert set(reasons) == set(names.stand[count:])
     assert set(left.confounded) == {(name,) for name in names.stand[count:]}
 
 
-def test_model_and_state_of_the_result_belong_together_and_stay_out_of_the_json() -> None:
+def test_fits_of_the_result_belong_to_its_steps_and_stay_out_of_the_json() -> None:
     result = trace(forth_and_back(k2_x=3.0))
-    assert {term.name for term in result.model} == {step.effect for step in result.steps}
-    assert result.state is not None
-    curved = next(k for k, term in enumerate(result.model) if term.name == "quadratic")
+    final = result.fits[-1]
+    assert {term.name for term in final.terms} == {step.effect for step in result.steps}
+    assert len(result.fits) == len(result.steps) + 1
+    curved = next(k for k, term in enumerate(final.terms) if term.name == "quadratic")
     stated = next(f for f in result.found if f.effect == "quadratic").parameters["k2_x"].value
-    assert result.state.values[curved][0] == pytest.approx(stated)
-    assert not {"model", "state"} & set(result.as_dict())
-    assert replace(result, model=(), state=None) == result
+    assert final.values.terms[curved][0] == pytest.approx(stated)
+    assert "fits" not in result.as_dict()
+    assert replace(result, fits=()) == result
 
 
 def test_the_uncertainty_of_an_effect_holds_what_other_probable_models_say() -> None:
-    data = observe(forth_and_back(k2_x=3.0))
+    data = readings_of(forth_and_back(k2_x=3.0))
     selection = select(data, named_terms(data)[0], 3)
     terms = selection.problem.terms
     number = {term.label: k for k, term in enumerate(terms)}

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from adis_gonio import load_session, trace
-from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
+from adis_gonio.estimation.readings import readings_of
+from adis_gonio.estimation.terms import Basis, NamelessTerm
 from adis_gonio.tracing.candidates.grammar import nameless_terms, of_one_dwell
-from adis_gonio.tracing.validation.leaving_out import counting, determined, folds
 from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.observations import observe
 from adis_gonio.tracing.selection.select import select
-from adis_gonio.estimation.terms import Driver, NamelessTerm
+from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
+from adis_gonio.tracing.validation.leaving_out import counting, determined, folds
 from tracing.blind import draw, write
 from tracing.test_trace_gates import forth_and_back
 
@@ -26,7 +26,7 @@ def labelled(data, *labels: str) -> list[NamelessTerm]:
 
 
 def test_a_range_of_angles_that_was_left_out_says_nothing_of_harmonics_there() -> None:
-    data = observe(forth_and_back())
+    data = readings_of(forth_and_back())
     designs = folds(data)
     quarters = [np.abs(data.mean_mg[:, 0]) == np.abs(data.mean_mg).max(axis=1)]
     bend = labelled(data, "bias[x]~a smooth function of the angle (harmonics to 5)")
@@ -39,7 +39,7 @@ def test_a_range_of_angles_that_was_left_out_says_nothing_of_harmonics_there() -
 
 
 def test_names_do_not_choose_the_dwells_by_which_they_are_judged() -> None:
-    data = observe(forth_and_back())
+    data = readings_of(forth_and_back())
     designs = folds(data)
     named = [t for t in named_terms(data)[0] if t.label in {"bias_drift[x]", "stage_ellipticity"}]
     assert len(named) == 2
@@ -48,9 +48,9 @@ def test_names_do_not_choose_the_dwells_by_which_they_are_judged() -> None:
 
 
 def test_a_jump_that_one_dwell_of_a_fold_shows_is_no_candidate_there() -> None:
-    data = observe(forth_and_back())
+    data = readings_of(forth_and_back())
     (jump,) = [t for t in nameless_terms(data) if t.label.startswith("gain[x]~a step at t")][:1]
-    after = jump.driver.over(data.conditions)[:, 0]
+    after = jump.basis.over(data.conditions)[:, 0]
     assert not of_one_dwell(jump, data.conditions)
     least = after if after.sum() < len(after) / 2 else 1 - after
     keep = least == 0
@@ -59,17 +59,18 @@ def test_a_jump_that_one_dwell_of_a_fold_shows_is_no_candidate_there() -> None:
 
 
 def test_the_average_holds_no_polynomial_where_a_process_bends_as_well() -> None:
-    data = observe(forth_and_back())
+    data = readings_of(forth_and_back())
     time = data.conditions.time_s / np.ptp(data.conditions.time_s)
     mean = data.mean_mg.copy()
     mean[:, 0] += 1.5 * np.sin(9 * time**2)
     data = replace(data, mean_mg=mean)
     selection = select(data, [*named_terms(data)[0], *nameless_terms(data)], 3)
-    averaged = average(data, selection)
+    averaged = average(selection)
     assert averaged is not None
-    members = [t for term in averaged.model if isinstance(term, AveragedTerm) for _, t, _ in term.members]
+    mixed = [term for term in averaged.fit.terms if isinstance(term, AveragedTerm)]
+    members = [t for term in mixed for _, t, _ in term.members]
     assert members
-    assert not any(t.driver.approximates and t.covariates == ("time",) for t in members)
+    assert not any(t.basis.approximates and t.covariates == ("time",) for t in members)
     assert any(t.shrinkage is not None for t in members)
 
 
@@ -102,8 +103,8 @@ def test_advice_survives_a_model_of_thirteen_columns(tmp_path: Path) -> None:
 
 def test_a_harmonic_that_is_rounding_on_the_grid_of_a_session_is_no_candidate() -> None:
     # On a grid of 36° a fit gave sin 5θ an amplitude of 10¹⁴, which the angles of check dwells then showed.
-    data = observe(forth_and_back())
-    wave = Driver("sin 5θ", ("angle",), lambda c: np.sin(5 * c.covariate("angle_rad"))[:, None])
+    data = readings_of(forth_and_back())
+    wave = Basis("sin 5θ", ("angle",), lambda c: np.sin(5 * c.covariate("angle_rad"))[:, None])
     term = NamelessTerm("bias[x]~sin 5θ", ("angle",), 1.0, "bias", (0,), wave)
     grid = data.conditions.rows(np.isclose(np.rad2deg(data.conditions.angle_rad) % 36, 0))
     other = replace(grid, angle_rad=grid.angle_rad + 0.1)

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adis_gonio.advice.proposals import _apart, _information, _Predicted
+from adis_gonio.advice.words import duration, place, sentences
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing import trace
-from adis_gonio.advice.words import duration, place, sentences
-from adis_gonio.advice.proposals import _apart, _information, _Predicted
 from adis_gonio.tracing.outcome.result import Measurement
 
 RNG = np.random.default_rng(11)

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adis_gonio.tracing import trace_observations
-from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
-from adis_gonio.tracing.validation.gains import linear
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.terms import NamelessTerm
+from adis_gonio.tracing import trace_readings
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.selection.select import select
 from adis_gonio.tracing.candidates.processes import AMPLITUDES, evidence, processes
-from adis_gonio.tracing.state import State, as_reading, begin, refit
-from adis_gonio.estimation.terms import NamelessTerm
+from adis_gonio.tracing.selection.select import select
+from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
 from tracing.test_trace_engine import observations
 
 
@@ -62,20 +61,18 @@ def test_features_of_an_angle_process_give_the_periodic_kernel() -> None:
 @pytest.mark.parametrize("inflation", [1.0, 2.5])
 def test_evidence_is_the_ratio_of_gaussian_densities(inflation: float) -> None:
     data = observations(added=wavy_zero())
-    base = refit(data, (), begin(data))
-    columns, _, target = linear(data, (), base)
+    base = Fit.begin(data).refit()
+    columns, _, target = base.linear()
     beside = np.linalg.qr(columns)[0]
     left = target - beside @ (beside.T @ target)
     some = processes(data)[::211]
-    scores = evidence(data, base.prediction, beside, left, some, inflation)
+    scores = evidence(base, beside, left, some, inflation)
     free = np.linalg.svd(beside, full_matrices=True)[0][:, beside.shape[1] :]  # past the base model
     noise = inflation * np.eye(free.shape[1])
     nothing = stats.multivariate_normal(cov=noise).logpdf(free.T @ target)
     for candidate, score in zip(some, scores, strict=True):
         term = candidate.term
-        at = base.prediction
-        mg = as_reading(term, term.columns(at.ideal_mg, data.conditions), at)
-        white = free.T @ at.white(mg)
+        white = free.T @ base.white(base.candidate(term))
         cover = noise + term.shrinkage**2 * white @ white.T
         something = stats.multivariate_normal(cov=cover).logpdf(free.T @ target)
         assert score == pytest.approx(something - nothing - candidate.price, abs=1e-6)
@@ -84,16 +81,15 @@ def test_evidence_is_the_ratio_of_gaussian_densities(inflation: float) -> None:
 def test_refit_with_a_prior_is_ridge_regression_and_counts_the_freedom_it_uses() -> None:
     data = observations(added=wavy_zero())
     term = process(data, "bias", (0,), "temperature", 4.0)
-    base = refit(data, (), begin(data))
+    base = Fit.begin(data).refit()
     width = term.columns(data.mean_mg, data.conditions).shape[-1]
-    start = State(base.state.base, base.state.delta_rad, base.state.unit, (np.zeros(width),))
-    fit = refit(data, (term,), start)
-    columns, blocks, target = linear(data, (term,), fit)
+    fit = base.having((term,), (np.zeros(width),)).refit()
+    columns, blocks, target = fit.linear()
     design = np.concatenate([columns, blocks[0]], axis=1)
     precision = np.diag([0.0] * columns.shape[1] + [term.shrinkage**-2] * width)
     normal = design.T @ design + precision
     solved = np.linalg.solve(normal, design.T @ target)
-    np.testing.assert_allclose(fit.state.values[0], solved[columns.shape[1] :], atol=2e-3)
+    np.testing.assert_allclose(fit.values.terms[0], solved[columns.shape[1] :], atol=2e-3)
     used = np.trace(np.linalg.solve(normal, design.T @ design))
     assert target.size - fit.dof == pytest.approx(used, abs=0.01)
     assert used < design.shape[1] - 2
@@ -102,9 +98,9 @@ def test_refit_with_a_prior_is_ridge_regression_and_counts_the_freedom_it_uses()
 def test_the_average_adds_what_its_members_add_weighted() -> None:
     data = observations(added=wavy_zero(), n=36)
     selection = select(data, [*named_terms(data)[0], *nameless_terms(data)], 3)
-    averaged = average(data, selection)
+    averaged = average(selection)
     assert averaged is not None
-    (term,) = [t for t in averaged.model if isinstance(t, AveragedTerm)]
+    (term,) = [t for t in averaged.fit.terms if isinstance(t, AveragedTerm)]
     assert sum(weight for weight, _, _ in term.members) >= 1 - 1e-9  # models of two terms count twice
     total = sum(w * t.added(v, data.mean_mg, data.conditions) for w, t, v in term.members)
     np.testing.assert_allclose(term.added(np.zeros(0), data.mean_mg, data.conditions), total)
@@ -115,23 +111,20 @@ def test_the_averaged_base_is_the_average_of_the_members_bases() -> None:
     """Base parameters are linear in what the nameless part adds, so that one refit beside it serves all."""
     data = observations(added=wavy_zero(), n=36)
     selection = select(data, [*named_terms(data)[0], *nameless_terms(data)], 1)
-    averaged = average(data, selection)
+    averaged = average(selection)
     assert averaged is not None
     if averaged.named:
         pytest.fail("the session holds nothing that has a name")
-    (term,) = averaged.model
+    (term,) = averaged.fit.terms
     bases = []
     for weight, member, values in term.members:
         alone = AveragedTerm(
-            "alone", member.covariates, 0.0, member.where, member.axes, member.driver,
+            "alone", member.covariates, 0.0, member.where, member.axes, member.basis,
             members=((1.0, member, values),),
         )  # fmt: skip
-        start = State(
-            selection.fit.state.base, selection.fit.state.delta_rad, selection.fit.state.unit, ((),)
-        )
-        start = State(start.base, start.delta_rad, start.unit, (np.zeros(0),))
-        bases.append(weight * refit(data, (alone,), start).state.base)
-    np.testing.assert_allclose(averaged.fit.state.base, np.sum(bases, axis=0), atol=2e-6)
+        fit = selection.fit.having((alone,), (np.zeros(0),)).refit()
+        bases.append(weight * fit.values.base)
+    np.testing.assert_allclose(averaged.fit.values.base, np.sum(bases, axis=0), atol=2e-6)
 
 
 def test_a_smooth_function_does_not_run_off_beyond_what_was_measured() -> None:
@@ -140,12 +133,10 @@ def test_a_smooth_function_does_not_run_off_beyond_what_was_measured() -> None:
     inner = data.rows(warm < np.quantile(warm, 0.7))
     for amplitude in AMPLITUDES:
         term = process(inner, "bias", (0,), "temperature", amplitude)
-        begun = begin(inner)
         width = term.columns(inner.mean_mg, inner.conditions).shape[-1]
-        state = State(begun.base, begun.delta_rad, begun.unit, (np.zeros(width),))
-        fit = refit(inner, (term,), state)
+        fit = Fit.begin(inner).having((term,), (np.zeros(width),)).refit()
         inside, beyond = (
-            np.abs(term.added(fit.state.values[0], d.mean_mg, d.conditions)[:, 0]).max()
+            np.abs(term.added(fit.values.terms[0], d.mean_mg, d.conditions)[:, 0]).max()
             for d in (inner, data)
         )
         assert beyond < 2 * inside
@@ -154,7 +145,7 @@ def test_a_smooth_function_does_not_run_off_beyond_what_was_measured() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_a_wavy_zero_is_unnamed_and_its_held_out_error_falls_towards_the_noise(seed: int) -> None:
     data = observations(added=wavy_zero(), n=48, seed=seed)
-    result = trace_observations(data)
+    result = trace_readings(data)
     assert not result.found
     assert result.unnamed is not None
     assert "temperature" in result.unnamed.covariates
@@ -165,7 +156,7 @@ def test_a_lean_that_follows_temperature_is_said_to_be_one() -> None:
     def lean(c, ideal):
         return np.column_stack([np.zeros(len(ideal)), 0.12 * (c.temperature_c - 25) * ideal[:, 0]])
 
-    result = trace_observations(observations(added=lean, n=36))
+    result = trace_readings(observations(added=lean, n=36))
     assert not result.found
     assert result.unnamed is not None
     assert result.unnamed.covariates == ("temperature",)

@@ -15,8 +15,8 @@ import pytest
 
 from adis_gonio import load_session, trace
 from adis_gonio.cli import main
-from adis_gonio.tracing.observations import observe
 from adis_gonio.dwells import WithinFinding, samples_of, search_within
+from adis_gonio.estimation.readings import readings_of
 from tracing.dwell_samples import bartlett
 
 DATA = Path(os.environ.get("ADIS_GONIO_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -35,7 +35,7 @@ def simulated(path: Path, *effects: str, seed: int = 1, options: tuple[str, ...]
 
 def within(path: Path) -> tuple[WithinFinding, ...]:
     session = load_session(path)
-    samples = samples_of(session, observe(session))
+    samples = samples_of(session, readings_of(session))
     assert samples is not None
     return search_within(samples)
 

@@ -27,9 +27,9 @@ def traced(measured):
 
 def test_the_twin_of_a_simulated_session_agrees_with_it_and_has_its_effects(measured, traced):
     session = load_session(measured)
-    twin = simulate_like(session, traced.model, traced.state, seed=1)
+    twin = simulate_like(session, traced.fits[-1], seed=1)
     assert [dwell.angle_deg for dwell in twin.dwells] == [dwell.angle_deg for dwell in session.dwells]
-    found = compare(session, twin, traced.model, traced.state)
+    found = compare(session, twin, traced.fits[-1])
     assert found.agrees, found.as_dict()
     assert found.allan_ratio == pytest.approx(1, abs=0.1)
     again = trace(twin)
@@ -40,29 +40,29 @@ def test_the_twin_of_a_simulated_session_agrees_with_it_and_has_its_effects(meas
 
 def test_a_model_that_lacks_the_effect_makes_a_twin_that_does_not_agree(measured, traced):
     session = load_session(measured)
-    kept = [k for k, term in enumerate(traced.model) if term.name == "bias"]
-    model = tuple(traced.model[k] for k in kept)
-    state = replace(traced.state, values=tuple(traced.state.values[k] for k in kept))
-    twin = simulate_like(session, model, state, seed=1)
-    assert not compare(session, twin, model, state).agrees
+    final = traced.fits[-1]
+    kept = [k for k, term in enumerate(final.terms) if term.name == "bias"]
+    lacking = final.having([final.terms[k] for k in kept], [final.values.terms[k] for k in kept])
+    twin = simulate_like(session, lacking, seed=1)
+    assert not compare(session, twin, lacking).agrees
 
 
 def test_a_session_with_other_noise_does_not_agree(measured, traced):
     session = load_session(measured)
-    twin = simulate_like(session, traced.model, traced.state, seed=1)
+    twin = simulate_like(session, traced.fits[-1], seed=1)
     rng = np.random.default_rng(3)
     louder = tuple(
         replace(dwell, accel=dwell.accel + rng.normal(0, 12, dwell.accel.shape)) for dwell in session.dwells
     )
-    assert not compare(replace(session, dwells=louder), twin, traced.model, traced.state).agrees
+    assert not compare(replace(session, dwells=louder), twin, traced.fits[-1]).agrees
 
 
 def test_the_twin_of_a_real_recording_has_its_noise(data_folder):
     session = load_session(data_folder / "adis16350_xy_turn.csv.gz")
     result = trace(session)
-    twin = simulate_like(session, result.model, result.state, seed=2)
+    twin = simulate_like(session, result.fits[-1], seed=2)
     assert twin.sensor == "adis16350"
-    found = compare(session, twin, result.model, result.state)
+    found = compare(session, twin, result.fits[-1])
     assert found.allan_ratio == pytest.approx(1, abs=0.25)
     assert found.density_ratio == pytest.approx(1, abs=0.25)
 
@@ -89,7 +89,7 @@ def test_readings_that_somebody_averaged_have_no_noise_to_copy(measured, traced)
         for dwell in session.dwells
     )
     with pytest.raises(DataError, match="no noise to copy"):
-        simulate_like(replace(session, dwells=single, reading_u_mg=0.1), traced.model, traced.state)
+        simulate_like(replace(session, dwells=single, reading_u_mg=0.1), traced.fits[-1])
 
 
 def test_the_report_holds_the_comparison(measured, tmp_path):

@@ -364,14 +364,15 @@ def readings_of(session: Session) -> Readings:
     """
     kept: Readings | None = vars(session).get("_readings")  # the session is frozen: it cannot go stale
     if kept is None:
-        kept = _reduced(session)
+        kept = reduced(session)
         _refuse_other_units(session, kept)
         _refuse_reversed(session, kept)
         vars(session)["_readings"] = kept
     return kept
 
 
-def _reduced(session: Session) -> Readings:
+def reduced(session: Session) -> Readings:
+    """Readings of all dwells, whatever length they have; see `readings_of`."""
     source = session.source or "session"
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     if not dwells:

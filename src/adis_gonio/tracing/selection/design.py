@@ -118,8 +118,8 @@ class LinearProblem:
 def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     """Linear problem about a fit whose model may hold some of the terms."""
     left = fit.left_mg
-    for index in range(len(fit.terms)):
-        left = left + fit.added_mg(index)
+    for k in range(len(fit.terms)):
+        left = left + fit.added_mg(k)
     y = fit.white(left[:, :, None])[:, 0]
 
     base = fit.white(fit.base_columns)
@@ -145,7 +145,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
 
     blocks: dict[int, list[tuple[int, Floats, Floats]]] = {}
     hidden = []
-    for size in np.unique(widths).tolist():
+    for size in sorted({int(w) for w in widths}):
         members = np.flatnonzero(widths == size)
         index = starts[members, None] + np.arange(size)
         stack = together[:, index].transpose(1, 0, 2)  # (members, rows, width)
