@@ -18,12 +18,23 @@ from adis_gonio.model.records import Session
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.detect import detectable
-from adis_gonio.tracing.outcome.findings import base_of, finding_of, notes_of, rivals_of, unnamed_of
+from adis_gonio.tracing.outcome.findings import (
+    base_of,
+    finding_of,
+    notes_of,
+    rivals_of,
+    scatter_finding,
+    told_from_zero,
+    unnamed_of,
+)
 from adis_gonio.tracing.outcome.naming import judge
 from adis_gonio.tracing.outcome.openings import undecided
 from adis_gonio.tracing.outcome.result import Step, TraceResult
-from adis_gonio.tracing.selection.select import select
+from adis_gonio.tracing.outcome.sets import credible_sets
+from adis_gonio.tracing.selection.scatter import with_scatter
+from adis_gonio.tracing.selection.select import ADEQUATE, select
 from adis_gonio.tracing.unnamed.averaging import average
+from adis_gonio.tracing.validation.checked import unexpected
 from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order
 from adis_gonio.tracing.validation.survival import checkable, never_worse, surviving, without
 
@@ -69,10 +80,14 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
     _enough(training)
     named, missing = named_terms(training)
     terms: list[Term] = [*named, *nameless_terms(training)]
-    selection = select(training, terms, max_effects)
+    measured = training
+    selection, scatter = with_scatter(select(training, terms, max_effects), terms, max_effects)
+    if scatter is not None:
+        data = scatter.applied(data)
+        checking = data.checking
     names = checkable(judge(selection), selection)
     selection, names, dropped = surviving(selection, names)
-    if not selection.adequate:
+    if scatter is not None or not selection.adequate:
         could = undecided(selection)
         if len(could) > 1:
             names = replace(names, confounded=(*names.confounded, could))
@@ -80,8 +95,9 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
     averaged = average(selection)
     fold = Fold.of(selection, terms, averaged, max_effects)
     fits, steps = in_order(selection, averaged)
-    figures, design = error_figures(selection, checking, fits, fold)
-    count, names, cut = never_worse(names, steps, guarding(selection, checking, fits, figures, fold))
+    figures, design = error_figures(selection, measured, checking, fits, fold)
+    reported = figures[-1].heldout_rms_mg if checking is None else None
+    count, names, cut = never_worse(names, steps, guarding(selection, fits, fold), reported)
     if count < len(steps):
         # Longer models have their figures already; those of the shorter one hold for it as they are.
         fits, steps, figures = fits[: count + 1], steps[:count], figures[: count + 1]
@@ -101,12 +117,30 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
             for finding in findings
             if finding.effect != "bias"
         }
+    weak |= {
+        finding.effect: "its values are no larger than their own uncertainty"
+        for finding in findings
+        if finding.effect not in weak and not told_from_zero(finding)
+    }
     names = without(replace(names, open={**names.open, **weak}), weak)
-    open_still = replace(selection, adequate=final.adequate)
+    notes = list(notes_of(selection, scatter))
+    adequate = final.adequate and scatter is None and (final.fit.dof > 0 or not training.noise_known)
+    if adequate and checking is not None and averaged is None and training.noise_known:
+        p = unexpected(final.fit, checking, final.inflation)
+        if p < ADEQUATE:
+            adequate = False
+            notes.append(
+                f"the {len(checking)} check dwells do not agree with the model that explains the others "
+                f"(p = {p:.2g}): something is in them that the others do not show"
+            )
+    open_still = replace(selection, adequate=adequate)
+    sets = credible_sets(selection)
+    seen = tuple(finding for finding in findings if finding.effect not in weak)
     advice, measurements = advise(data, open_still, terms, names.confounded)
     return TraceResult(
-        adequate=final.adequate and (final.fit.dof > 0 or not training.noise_known),
-        found=tuple(finding for finding in findings if finding.effect not in weak),
+        adequate=adequate,
+        found=(*seen, *(() if scatter is None else (scatter_finding(scatter, final),))),
+        sets=sets,
         steps=tuple(Step(label, error) for label, error in zip(steps, figures[1:], strict=True)),
         confounded=names.confounded,
         unnamed=unnamed_of(selection, averaged),
@@ -116,9 +150,9 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         advice=advice,
         measurements=measurements,
         rivals=rivals_of(selection),
-        base=base_of(final.fit, final.inflation),
+        base=base_of(final),
         reasons={**names.open, **dropped},
-        notes=notes_of(selection),
+        notes=tuple(notes),
         heldout_design=design,
         fits=(*fits[:-1], final.fit),
         inflation=final.inflation,

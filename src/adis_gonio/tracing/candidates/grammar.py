@@ -3,8 +3,8 @@
 Where: a bias of an axis, a gain of an axis, its misalignment against the others, the true angle. What: a
 power, modulus or sign of the reading; a harmonic of the stage; temperature, time, supply, approach, the
 previous position, the temperature's rate, products of two; by a line, a power, a step, a knee, an
-exponential, a lag, an oscillation, a bump; and smooth functions (polynomials of growing degree), which stand
-for everything that no formula names.
+exponential, a lag, an oscillation, a bump; and smooth functions (polynomials of growing degree), which
+stand for everything that no formula names.
 
 Covariates are used in normal form: centred on the middle of what the session saw and scaled to ±1, except
 where a zero means something (25 °C, 5 V, the session's start). A function whose zero means nothing also

@@ -6,15 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
+from adis_gonio.model.records import Floats
 from adis_gonio.tracing.outcome.result import Finding, Rival, Unnamed
 from adis_gonio.tracing.outcome.values import Value
 from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, span
-from adis_gonio.tracing.selection.select import Selection
+from adis_gonio.tracing.selection.scatter import Scatter
+from adis_gonio.tracing.selection.select import Selection, fit_model
 from adis_gonio.tracing.unnamed.averaging import Averaged
 from adis_gonio.tracing.unnamed.dependence import dependence
 
+TOLD = 2.0
+"""Standard uncertainties by which a value has to differ from zero to be told from it."""
 LEAST_WEIGHT = 0.05
 """Least posterior of a model that counts in the uncertainty of an effect: rarer ones lie beyond 95 %."""
 
@@ -54,7 +57,10 @@ def finding_of(selection: Selection, name: str) -> Finding:
                 parameters[parameter.name] = Value(float(values[k]), u, parameter.unit)
             for choice in term.effect.choices():
                 parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
-    p = float(stats.chi2.sf(gain / selection.inflation, width)) * len(problem.terms)
+    # The level is spent by the prior: a name has a far greater share of it than one of thousands of
+    # functions without a name (weighted Bonferroni; Genovese, Roeder and Wasserman, Biometrika 93, 2006).
+    share = float(np.exp(-sum(problem.cost[k] for k in members)))
+    p = float(stats.chi2.sf(gain / selection.inflation, width)) / share
     same = [
         " + ".join(sorted({problem.terms[k].shown_as for k in m}))
         for m in selection.verdict.same.get(selection.verdict.best, [])
@@ -93,6 +99,37 @@ def between_models(selection: Selection, name: str) -> dict[str, float]:
         for parameter in own:
             spread[parameter] += weight * (values.get(parameter, 0.0) - own[parameter]) ** 2
     return {parameter: value / total for parameter, value in spread.items()} if total else {}
+
+
+def _between_bases(selection: Selection) -> Floats:
+    """Covariance (p, p) of the base parameters between the probable models."""
+    own = selection.fit.values.base
+    total = np.zeros((len(own), len(own)))
+    weights = {m: w for m, w in selection.verdict.weights.items() if w >= LEAST_WEIGHT}
+    for model, weight in weights.items():
+        if model != selection.verdict.best:
+            away = fit_model(selection.problem, model, selection.base).values.base - own
+            total += weight * np.outer(away, away)
+    return total / max(sum(weights.values()), 1e-12)
+
+
+def told_from_zero(finding: Finding) -> bool:
+    """True where a value differs from zero by more than its own uncertainty allows."""
+    values = [v for v in finding.parameters.values() if v.u is not None and v.u > 0]
+    return not values or any(abs(v.value) > TOLD * (v.u or 0.0) for v in values)
+
+
+def scatter_finding(scatter: Scatter, selection: Selection) -> Finding:
+    """Scatter from dwell to dwell as an entry of `found`."""
+    return Finding(
+        effect=scatter.kind,
+        axes=(),
+        parameters={"scatter": Value(scatter.value, scatter.u, scatter.unit)},
+        p_value=min(1.0, float(np.exp(-scatter.log_odds))),
+        explains=0.0,
+        probability=float(1 / (1 + np.exp(-scatter.log_odds))),
+        cause="readings scatter from dwell to dwell by more than the samples within them do",
+    )
 
 
 def _kind(terms: Sequence[Term], model: Sequence[int], name: str) -> tuple[object, ...]:
@@ -139,6 +176,7 @@ def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | Non
     if members:
         terms = [problem.terms[k] for k in members]
         gain, width = _gain(selection, members)
+        share = float(np.exp(-sum(problem.cost[k] for k in members)))
         covariates = tuple(dict.fromkeys(c for term in terms for c in term.covariates))
         forms = [term.form for term in terms if isinstance(term, NamelessTerm)]
         return Unnamed(
@@ -146,7 +184,7 @@ def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | Non
             form="; ".join(forms),
             explains=_explains(selection, gain),
             probability=min(verdict.covariates.get(term.covariates, 0.0) for term in terms),
-            p_value=min(1.0, float(stats.chi2.sf(gain / selection.inflation, width)) * len(problem.terms)),
+            p_value=min(1.0, float(stats.chi2.sf(gain / selection.inflation, width)) / share),
         )
     if averaged is not None:
         smooth = averaged.smooth
@@ -169,24 +207,31 @@ def rivals_of(selection: Selection) -> tuple[Rival, ...]:
     return tuple(Rival(tuple(terms[k].label for k in model), weight) for model, weight in ranked)
 
 
-def base_of(fit: Fit, inflation: float) -> dict[str, Value]:
-    """Base parameters as `fit` states them; in the plane with ΔK."""
+def base_of(selection: Selection) -> dict[str, Value]:
+    """Base parameters as `adis_gonio.fit` states them; in the plane with ΔK.
+
+    Their uncertainty holds what other probable models say of them.
+    """
+    fit = selection.fit
     data, base = fit.data, fit.values.base
+    p = len(base)
+    covariance = fit.covariance[:p, :p] * selection.inflation + _between_bases(selection)
+    covariance = covariance * students_factor(selection) ** 2
     out = {}
     for k, parameter in enumerate(data.model.parameters):
-        u = float(np.sqrt(fit.covariance[k, k] * inflation)) * parameter.per_natural
+        u = float(np.sqrt(covariance[k, k])) * parameter.per_natural
         value = parameter.stated(float(base[k]))
         out[parameter.name] = Value(value, u if data.visible[k] else None, parameter.unit)
     if data.planar:
         x, y = data.model.index("scale_x"), data.model.index("scale_y")
-        slope = np.zeros(len(fit.covariance))
+        slope = np.zeros(p)
         slope[x], slope[y] = 1 / base[y], -base[x] / base[y] ** 2
-        u = float(np.sqrt(slope @ fit.covariance @ slope * inflation))
+        u = float(np.sqrt(slope @ covariance @ slope))
         out["delta_k"] = Value(float(base[x] / base[y] - 1), u, "1")
     return out
 
 
-def notes_of(selection: Selection) -> tuple[str, ...]:
+def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
     """What has to be said about the noise."""
     data = selection.data
     notes = list(data.notes)
@@ -195,7 +240,14 @@ def notes_of(selection: Selection) -> tuple[str, ...]:
             "the noise of a reading is not known; it was estimated from the residual, so that adequacy "
             "cannot be tested"
         )
-    elif selection.inflation > 1 and not selection.adequate:
+    if scatter is not None:
+        what = "stated of the fixture" if scatter.kind == "fixture_scatter" else "shown within the dwells"
+        unit = "°" if scatter.unit == "deg" else " mg"
+        notes.append(
+            f"dwells scatter by {scatter.value:.2g}{unit} where {scatter.declared:.2g}{unit} was {what}; "
+            "no covariate explains it"
+        )
+    elif data.noise_known and selection.inflation > 1 and not selection.adequate:
         notes.append(
             f"no model explains the residual down to the measured noise; effects were judged against "
             f"{np.sqrt(selection.inflation):.2g} times that noise"

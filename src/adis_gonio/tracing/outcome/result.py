@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from adis_gonio.dwells.finding import WithinFinding
 from adis_gonio.estimation.fit import Fit
+from adis_gonio.tracing.outcome.sets import CredibleSet
 from adis_gonio.tracing.outcome.values import Detectable, Value, finite_or_none
 
 
@@ -243,6 +244,8 @@ class TraceResult:
         What the samples inside the dwells show.
     heldout_design : str
         How dwells were left out.
+    sets : tuple of CredibleSet
+        For each cause of the model the names that could stand in its place.
     measurements : tuple of Measurement
         Advice in figures, for a program or a running session: further dwells, in the order in which they
         are worth while.
@@ -268,6 +271,7 @@ class TraceResult:
     notes: tuple[str, ...] = ()
     within: tuple[WithinFinding, ...] = ()
     heldout_design: str = ""
+    sets: tuple[CredibleSet, ...] = ()
     measurements: tuple[Measurement, ...] = ()
     fits: tuple[Fit, ...] = field(default=(), repr=False, compare=False)
     inflation: float = 1.0
@@ -278,6 +282,7 @@ class TraceResult:
             "adequate": self.adequate,
             "found": [finding.as_dict() for finding in self.found],
             "steps": [step.as_dict() for step in self.steps],
+            "sets": [one.as_dict() for one in self.sets],
             "confounded": [list(names) for names in self.confounded],
             "unnamed": None if self.unnamed is None else self.unnamed.as_dict(),
             "error": {"before": self.before.as_dict(), "after": self.after.as_dict()},

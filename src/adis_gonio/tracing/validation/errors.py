@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -103,9 +103,19 @@ def in_order(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit]
 
 
 def error_figures(
-    selection: Selection, checking: Readings | None, fits: Sequence[Fit], fold: Fold
+    selection: Selection,
+    measured: Readings,
+    checking: Readings | None,
+    fits: Sequence[Fit],
+    fold: Fold,
 ) -> tuple[list[ErrorFigures], str]:
-    """Error figures of nested models, and how dwells were left out."""
+    """Error figures of nested models, and how dwells were left out.
+
+    Parameters
+    ----------
+    measured : Readings
+        Those that were fitted, with the noise that was measured.
+    """
     data = selection.data
     if checking is not None:
         lefts = [[leave(fit, checking, bounded(fit))] for fit in fits]
@@ -128,17 +138,18 @@ def error_figures(
                 parts = counted(cross_validate(data, designs, _keeping(fits[-1])), counts)
                 error = rms(np.concatenate([part.residual_mg for part in parts]), data.planar)
                 design += f", {error:.3g} mg with those found kept"
-    return [_figures(fit, left) for fit, left in zip(fits, lefts, strict=True)], design
+    return [_figures(fit, measured, left) for fit, left in zip(fits, lefts, strict=True)], design
 
 
-def _figures(fit: Fit, left: Sequence[Left]) -> ErrorFigures:
+def _figures(fit: Fit, measured: Readings, left: Sequence[Left]) -> ErrorFigures:
     residual = [part.residual_mg for part in left]
     turned = [part.angle_rad for part in left if part.angle_rad is not None]
+    chi2 = fit.chi2 if fit.data is measured else chi2_of_measured(fit, measured)
     return ErrorFigures(
         residual_rms_mg=rms(fit.residual_mg, fit.data.planar),
         heldout_rms_mg=rms(np.concatenate(residual), fit.data.planar) if residual else None,
         angle_rms_deg=_rms_deg(turned),
-        chi2_per_dof=fit.chi2 / fit.dof if fit.data.noise_known and fit.dof > 0 else None,
+        chi2_per_dof=chi2 / fit.dof if fit.data.noise_known and fit.dof > 0 else None,
     )
 
 
@@ -175,19 +186,11 @@ def _of_few(fits: Sequence[Fit]) -> tuple[list[list[Left]], str]:
     return [counted(cross_validate(data, designs, _keeping(fit)), every) for fit in fits], design
 
 
-def guarding(
-    selection: Selection,
-    checking: Readings | None,
-    fits: Sequence[Fit],
-    figures: Sequence[ErrorFigures],
-    fold: Fold,
-) -> list[float | None]:
-    """Held-out errors of nested models by which the final one is chosen.
+def guarding(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[float | None]:
+    """Held-out errors of nested models by which the final one is chosen, effects kept in each fold.
 
-    Where there are `check` dwells these must not choose, so that folds of the others do.
+    `check` dwells take no part: they must not choose.
     """
-    if checking is None:
-        return [figure.heldout_rms_mg for figure in figures]
     if _few(selection.fit) or len(fits) == 1:
         return [None for _ in fits]
     data = selection.data
@@ -203,6 +206,11 @@ def guarding(
         parts = counted(left, counts)
         out.append(rms(np.concatenate([part.residual_mg for part in parts]), data.planar))
     return out
+
+
+def chi2_of_measured(fit: Fit, measured: Readings) -> float:
+    """χ² of a fit against the noise that was measured, whatever was assumed in it."""
+    return replace(fit, data=measured).settled().chi2
 
 
 def _rms_deg(turned: list[Floats]) -> float | None:

@@ -84,24 +84,35 @@ def without(names: Names, reasons: dict[str, str]) -> Names:
 
 
 def never_worse(
-    names: Names, labels: Sequence[str], errors: Sequence[float | None]
+    names: Names, steps: Sequence[str], errors: Sequence[float | None], reported: float | None
 ) -> tuple[int, Names, dict[str, str]]:
-    """Longest nested model whose held-out error is at most `WORSE` that of the base model.
+    """Longest nested model whose held-out error is at most `WORSE` that of every shorter one.
 
-    Returns its number, the names that are left, and the reasons of the others.
+    Parameters
+    ----------
+    steps : sequence of str
+        What each model has beyond the one before.
+    errors : sequence of float or None
+        Held-out errors of the nested models, the base model first; effects are kept in the folds.
+    reported : float or None
+        The figure that stands in the result for the longest one.
+
+    Returns
+    -------
+    The number of steps that are kept, the names that are left, and the reasons of the others.
     """
-    last = len(labels)
-    base = errors[0]
-    if base is None:
+    last = len(steps)
+    known = [error for error in errors if error is not None]
+    if len(known) < len(errors):
         return last, names, {}
     for count in range(last, -1, -1):
-        error = errors[count]
-        if error is not None and error <= WORSE * base:
+        figure = known[count] if count < last or reported is None else max(known[count], reported)
+        if figure <= WORSE * known[0] and known[count] <= WORSE * min(known[: count + 1]):
             break
-    cut = set(labels) - set(labels[:count])
-    after = errors[last]
-    assert after is not None
+    cut = set(steps) - set(steps[:count])
+    after = max(known[last], reported or 0.0)
     reasons = dict.fromkeys(
-        sorted(cut), f"the held-out error would go from {base:.3g} to {after:.3g} mg with it"
+        sorted(cut),
+        f"the held-out error would go from {min(known[: count + 1]):.3g} to {after:.3g} mg with it",
     )
     return count, without(names, reasons), reasons

@@ -1,0 +1,192 @@
+"""Scatter from dwell to dwell as a hypothesis: more noise than the samples within the dwells show.
+
+The seat of the part, a fixture whose uncertainty is understated, telegraph or heavy-tailed noise scatter
+readings without following anything. A variance component competes with every function: its size is that of
+greatest restricted likelihood beside the base model and what was chosen, and the whole session is traced
+again under it. Of the two accounts the one of higher log evidence stands:
+
+* functions under the measured noise: L(0) + score of the best model;
+* functions under the noise with the component: L(s) + score of the best model there − price of s,
+
+L the restricted log likelihood of the base model (Harville, J. Am. Stat. Assoc. 72, 1977). Noise that no
+covariate explains costs one parameter; functions that imitate it cost many.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.readings import Readings
+from adis_gonio.estimation.terms import Term
+from adis_gonio.tracing.selection.select import Selection, select
+
+Kind = Literal["reading_scatter", "fixture_scatter"]
+
+PRIOR = 0.05
+"""Prior probability of a variance component."""
+LEAST_RATIO = 0.5
+"""Least size in units of the measured uncertainty: less changes no reading's weight."""
+LEAST_READINGS = 8
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """A variance component.
+
+    Attributes
+    ----------
+    kind : {"reading_scatter", "fixture_scatter"}
+    value, u : float
+        Standard deviation of a reading on each axis in mg, or of an angle in degrees, and its standard
+        uncertainty.
+    declared : float
+        What was measured within the dwells, or stated of the fixture, in the same unit.
+    log_odds : float
+        Log evidence for it against functions under the measured noise.
+    """
+
+    kind: Kind
+    value: float
+    u: float
+    declared: float
+    log_odds: float
+
+    @property
+    def unit(self) -> str:
+        """`mg` or `deg`."""
+        return "mg" if self.kind == "reading_scatter" else "deg"
+
+    def applied(self, data: Readings) -> Readings:
+        """Readings with the component in their noise."""
+        return _with(data, self.kind, self.value if self.unit == "mg" else math.radians(self.value))
+
+
+def with_scatter(
+    selection: Selection, terms: Sequence[Term], max_effects: int
+) -> tuple[Selection, Scatter | None]:
+    """The selection, or one under the noise with a variance component where that is the better account."""
+    data = selection.data
+    plain = {term.name for term in selection.terms} <= {"bias"}
+    if not data.noise_known or len(data) < LEAST_READINGS or (plain and selection.adequate):
+        return selection, None
+    at_most = _restricted(selection.base) + _score(selection)
+    best: tuple[float, Selection, Kind, float] | None = None
+    for kind in _kinds(data):
+        size, again = _settled(data, kind, selection, terms, max_effects)
+        if again is None:
+            continue
+        evidence = _restricted(again.base) + _score(again) - _price(data)
+        if best is None or evidence > best[0]:
+            best = (evidence, again, kind, size)
+    if best is None or best[0] <= at_most:
+        return selection, None
+    evidence, chosen, kind, size = best
+    return chosen, _stated(data, kind, size, chosen, evidence - at_most)
+
+
+def _kinds(data: Readings) -> Iterator[Kind]:
+    yield "reading_scatter"
+    if data.planar and not data.free:
+        yield "fixture_scatter"
+
+
+def _price(data: Readings) -> float:
+    """Of one parameter that is set at its best, and of having thought of it."""
+    return -math.log(PRIOR) + 0.5 * math.log(max(data.mean_mg.size, 2))
+
+
+def _score(selection: Selection) -> float:
+    return selection.found.scores.get(selection.verdict.best, 0.0)
+
+
+def _settled(
+    data: Readings, kind: Kind, selection: Selection, terms: Sequence[Term], max_effects: int
+) -> tuple[float, Selection | None]:
+    """Size of a component and the selection under it, each given the other."""
+    bias = [term for term in selection.terms if term.name == "bias"]
+    kept = selection.fit.having(bias, [selection.fit.value_of(term) for term in bias])
+    size = 0.0
+    again: Selection | None = None
+    for _ in range(2):
+        fresh = _most_likely(kept, data, kind)
+        if fresh <= LEAST_RATIO * _measured(data, kind):
+            return 0.0, None
+        if again is not None and abs(math.log(fresh / size)) < 0.1:
+            break
+        size = fresh
+        again = select(_with(data, kind, size), terms, max_effects, beam=12, rounds=2)
+        kept = again.fit
+    return size, again
+
+
+def _most_likely(fit: Fit, data: Readings, kind: Kind) -> float:
+    """Size of greatest restricted likelihood beside a model, mg or rad; 0 where none is asked for."""
+    from scipy.optimize import minimize_scalar
+
+    scale = _measured(data, kind)
+
+    def loss(log_size: float) -> float:
+        return -_restricted(fit_under(fit, _with(data, kind, scale * math.exp(log_size))))
+
+    found = minimize_scalar(loss, bounds=(-2.0, 7.0), method="bounded", options={"xatol": 0.05})
+    return scale * math.exp(float(found.x)) if float(found.fun) < loss(-6.0) else 0.0
+
+
+def fit_under(fit: Fit, data: Readings) -> Fit:
+    """The same model refitted under other noise."""
+    return replace(fit, data=data).refit(4)
+
+
+def _measured(data: Readings, kind: Kind) -> float:
+    """Uncertainty of a reading (mg), or of what a reading says of its angle with the fixture's (rad)."""
+    variance = np.trace(data.covariance, axis1=1, axis2=2) / data.axes
+    reading = float(np.sqrt(np.median(variance)))
+    if kind == "reading_scatter":
+        return reading
+    return math.hypot(reading / data.gravity_mg, data.fixture_rad)
+
+
+def _with(data: Readings, kind: Kind, size: float) -> Readings:
+    if kind == "reading_scatter":
+        return replace(data, own_covariance=data.own_covariance + size**2 * np.eye(data.axes))
+    return replace(data, fixture_rad=math.hypot(data.fixture_rad, size))
+
+
+def _restricted(fit: Fit) -> float:
+    """Restricted log likelihood of a fit, but for constants."""
+    data = fit.data
+    covariance = data.own_covariance
+    if fit.data.planar and not data.free:
+        tangent = fit.tangent_mg
+        fixture = np.where(np.isfinite(data.fixture), data.fixture, 0.0)
+        covariance = covariance + (fixture**2)[:, None, None] * (tangent @ tangent.transpose(0, 2, 1))
+    if data.free:
+        # One direction is left: the variance of the whitened row in mg².
+        spread = 1 / np.maximum((fit.whitener**2).sum(axis=2), 1e-300)
+        size = float(np.log(spread).sum())
+    else:
+        size = float(np.linalg.slogdet(covariance)[1].sum())
+    rows = fit.jacobian[:, np.abs(fit.jacobian).max(axis=0) > 0]
+    scaled = np.linalg.svd(rows, compute_uv=False)
+    freedom = 2 * float(np.log(np.maximum(scaled, 1e-12)).sum())
+    return -0.5 * (fit.loss + size + freedom)
+
+
+def _stated(data: Readings, kind: Kind, size: float, chosen: Selection, log_odds: float) -> Scatter:
+    """The component with its uncertainty, by the curvature of the restricted likelihood."""
+    step = 0.1
+
+    def height(log_size: float) -> float:
+        return _restricted(fit_under(chosen.fit, _with(data, kind, size * math.exp(log_size))))
+
+    curvature = -(height(step) - 2 * height(0.0) + height(-step)) / step**2
+    relative = 1 / math.sqrt(curvature) if curvature > 0 else 1.0
+    factor: Callable[[float], float] = math.degrees if kind == "fixture_scatter" else float
+    declared = data.fixture_rad if kind == "fixture_scatter" else _measured(data, kind)
+    return Scatter(kind, factor(size), factor(size) * relative, factor(declared), log_odds)
