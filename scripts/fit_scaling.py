@@ -19,8 +19,10 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import least_squares
 
-from adis_gonio.fitting import Readings, fit_readings
-from adis_gonio.model.geometry import axes_matrix
+from adis_gonio.estimation import Readings, from_means
+from adis_gonio.fitting import fit_readings
+from adis_gonio.model.effects import Conditions
+from adis_gonio.model.measurement import axes_matrix
 from adis_gonio.model.records import Floats
 
 G_MG = 1000.0
@@ -31,18 +33,9 @@ LIMIT = 12.0
 
 def _readings(mean: Floats, angle: Floats, sigma: float) -> Readings:
     n, axes = mean.shape
-    return Readings(
-        mean=mean,
-        covariance=np.broadcast_to(NOISE_MG**2 * np.eye(axes), (n, axes, axes)),
-        dof=np.full(n, np.inf),
-        angle_rad=angle,
-        position=np.arange(n),
-        samples=np.full(n, 1000),
-        known=np.ones(n, dtype=np.bool_),
-        unit="mg",
-        gravity_mg=G_MG,
-        fixture_sigma_rad=sigma,
-    )
+    covariance = np.broadcast_to(NOISE_MG**2 * np.eye(axes), (n, axes, axes))
+    conditions = Conditions(time_s=np.arange(float(n)))
+    return from_means(mean, covariance, conditions, gravity_mg=G_MG, fixture_rad=sigma, angle_rad=angle)
 
 
 def planar(rng: np.random.Generator, n: int) -> Readings:
@@ -74,7 +67,7 @@ def best_time(call: Callable[[], object], runs: int) -> float:
 
 def all_angles_planar(readings: Readings) -> None:
     """The planar fit with every δ as a parameter of scipy's least_squares."""
-    z, n = readings.mean / G_MG, len(readings)
+    z, n = readings.mean_mg / G_MG, len(readings)
     u = NOISE_MG / G_MG
 
     def residual(p: Floats) -> Floats:
@@ -89,7 +82,7 @@ def all_angles_planar(readings: Readings) -> None:
 
 def all_angles_spatial(readings: Readings) -> None:
     """The spatial fit with two angles an attitude as parameters of scipy's least_squares."""
-    z, n = readings.mean / G_MG, len(readings)
+    z, n = readings.mean_mg / G_MG, len(readings)
     u = NOISE_MG / G_MG
     base = z / np.linalg.norm(z, axis=1, keepdims=True)
     first = np.cross(base, np.eye(3)[np.abs(base).argmin(axis=1)])

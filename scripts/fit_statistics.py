@@ -36,10 +36,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adis_gonio.estimation import Fit, NamedTerm, Values, from_means
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.planar import PlanarProblem
-from adis_gonio.fitting.spatial import SpatialProblem
-from adis_gonio.model.geometry import axes_matrix
+from adis_gonio.fitting.determination import information
+from adis_gonio.model.effects import AXES, Conditions, effect
+from adis_gonio.model.measurement import axes_matrix
 from adis_gonio.model.records import Dwell, Floats, Session
 
 NOISE_MG = 4.7
@@ -172,18 +173,18 @@ def planar_trial(rng: np.random.Generator, setup: Setup) -> tuple[Session, Float
         setup.samples,
         setup.flicker_mg,
     )
-    beta = np.array([alpha, phi, *gain, *(bias / G_MG)])
-    variance = mean_variance(filter_m, setup.samples) / G_MG**2
-    covariance = np.broadcast_to(variance * np.eye(2), (len(theta), 2, 2))
+    variance = mean_variance(filter_m, setup.samples)
     exact = readings(alpha - theta) / G_MG
-    fisher = PlanarProblem(exact, covariance, theta, sigma).evaluate(beta).fisher
+    attitude = np.zeros(len(theta))
+    base = np.array([alpha, *gain, phi])
+    fisher = fisher_of(exact, variance, base, bias, attitude, theta, sigma)
     free = 6 if setup.bias_mg else 4
     natural = np.linalg.inv(fisher[:free, :free])
     ratio = gain[0] / gain[1]
     gradient = np.zeros((7, 6))
-    gradient[0, 2:4] = 1 / gain[1], -ratio / gain[1]
-    gradient[1, 1] = gradient[2, 0] = 180 / math.pi
-    gradient[3, 2] = gradient[4, 3] = 1
+    gradient[0, 1:3] = 1 / gain[1], -ratio / gain[1]
+    gradient[1, 3] = gradient[2, 0] = 180 / math.pi
+    gradient[3, 1] = gradient[4, 2] = 1
     gradient[5, 4] = gradient[6, 5] = G_MG
     bound = np.sqrt(np.diag(gradient[:, :free] @ natural @ gradient[:, :free].T))
     truth = np.array([ratio - 1, math.degrees(phi), math.degrees(alpha), *gain, *bias])
@@ -193,6 +194,30 @@ def planar_trial(rng: np.random.Generator, setup: Setup) -> tuple[Session, Float
         truth[0] = k - 1
         truth[1] = math.degrees(math.asin((x1 * x2 + k * k * y1 * y2) / (k * (y1 * x2 + y2 * x1))))
     return _session(samples, setup), truth, bound
+
+
+def fisher_of(
+    exact: Floats,
+    variance_mg2: float,
+    base: Floats,
+    bias_mg: Floats,
+    attitude: Floats,
+    theta: Floats | None = None,
+    sigma: float = math.inf,
+) -> Floats:
+    """Information (p, p) of base parameters and biases (in g) at the truth, readings (n, axes) in g."""
+    n, axes = exact.shape
+    data = from_means(
+        G_MG * exact,
+        np.tile(variance_mg2 * np.eye(axes), (n, 1, 1)),
+        Conditions(time_s=np.arange(float(n))),
+        gravity_mg=G_MG,
+        fixture_rad=sigma,
+        angle_rad=np.full(n, np.nan) if theta is None else theta,
+        fitted=np.ones(len(base), dtype=bool),
+    )
+    term = NamedTerm("bias", (), 0.0, effect("bias", AXES[:axes]))
+    return information(Fit(data, (term,), Values(base, attitude, (bias_mg,)), with_prior=False))
 
 
 def spatial_trial(rng: np.random.Generator, setup: Setup) -> tuple[Session, Floats, Floats]:
@@ -205,12 +230,10 @@ def spatial_trial(rng: np.random.Generator, setup: Setup) -> tuple[Session, Floa
     filter_m = int(rng.choice(setup.filters))
     exact = G_MG * u @ (gain[:, None] * axes_matrix(skews)).T + bias
     samples = samples_at(rng, exact, filter_m, setup.samples, setup.flicker_mg)
-    variance = mean_variance(filter_m, setup.samples) / G_MG**2
-    covariance = np.broadcast_to(variance * np.eye(3), (len(u), 3, 3))
-    beta = np.array([*(bias / G_MG), *gain, *skews])
-    fisher = SpatialProblem(exact / G_MG, covariance).evaluate(beta).fisher
-    scale = np.array([G_MG] * 3 + [1.0] * 3 + [180 / math.pi] * 3)
-    bound = np.sqrt(np.diag(np.linalg.inv(fisher))) * scale
+    variance = mean_variance(filter_m, setup.samples)
+    fisher = fisher_of(exact / G_MG, variance, np.array([*gain, *skews]), bias, u)
+    scale = np.array([1.0] * 3 + [180 / math.pi] * 3 + [G_MG] * 3)
+    bound = np.roll(np.sqrt(np.diag(np.linalg.inv(fisher))) * scale, 3)
     return _session(samples, setup), np.array([*bias, *gain, *np.degrees(skews)]), bound
 
 

@@ -22,24 +22,23 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
+from adis_gonio.estimation import Fit, Readings
+from adis_gonio.estimation.terms import Term
 from adis_gonio.model.records import Floats
-from adis_gonio.tracing.selection.design import Problem, linearise
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.observations import Observations
+from adis_gonio.tracing.selection.design import LinearProblem, linearise
 from adis_gonio.tracing.selection.search import price, search
-from adis_gonio.tracing.state import begin, predict, refit
-from adis_gonio.estimation.terms import Term
 from tracing.test_trace_engine import QUADRATIC, observations
 
 
-def problem_of(data: Observations) -> tuple[Problem, list[Term]]:
+def problem_of(data: Readings) -> tuple[LinearProblem, list[Term]]:
     """Linear problem of a session about its base fit, with all candidates."""
     terms: list[Term] = [*named_terms(data)[0], *nameless_terms(data)]
-    return linearise(data, (), refit(data, (), begin(data)).state, terms), terms
+    return linearise(Fit.begin(data).refit(), terms), terms
 
 
-def best_scores(problem: Problem, draws: int, rng: np.random.Generator) -> Floats:
+def best_scores(problem: LinearProblem, draws: int, rng: np.random.Generator) -> Floats:
     """Best score of any single candidate in each of `draws` residuals of pure noise."""
     noise = rng.standard_normal((len(problem.target), draws))
     prices, best = price(problem), np.full(draws, -np.inf)
@@ -50,21 +49,21 @@ def best_scores(problem: Problem, draws: int, rng: np.random.Generator) -> Float
     return best
 
 
-def refit_by_scipy(data: Observations, term: Term) -> float:
+def refit_by_scipy(data: Readings, term: Term) -> float:
     """Seconds of one fit of base parameters and one candidate by scipy, angles given."""
     from dataclasses import replace
 
     from scipy.optimize import least_squares
 
-    start = refit(data, (), begin(data)).state
-    columns = term.columns(predict(data, (), start).ideal_mg, data.conditions).shape[-1]
+    start = Fit.begin(data).refit()
+    columns = term.columns(start.ideal_mg, data.conditions).shape[-1]
 
     def residual(x: Floats) -> Floats:
-        state = replace(start, base=x[:4], values=(term.start(x[4:]),))
-        return predict(data, (term,), state).residual.ravel()
+        at = replace(start, values=replace(start.values, base=x[:4]))
+        return at.having((term,), (term.start(x[4:]),)).residual.ravel()
 
     begun = time.perf_counter()
-    least_squares(residual, np.concatenate([start.base, np.zeros(columns)]), x_scale="jac")
+    least_squares(residual, np.concatenate([start.values.base, np.zeros(columns)]), x_scale="jac")
     return time.perf_counter() - begun
 
 

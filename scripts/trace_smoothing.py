@@ -16,7 +16,6 @@ import os
 import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -27,26 +26,25 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio import load_session, trace
-from adis_gonio.tracing.validation.gains import linear
-from adis_gonio.tracing.validation.leaving_out import leave, rms
-from adis_gonio.tracing.observations import Observations, observe
+from adis_gonio.estimation import Fit, Readings, readings_of
 from adis_gonio.tracing.candidates.processes import Process, evidence, processes
-from adis_gonio.tracing.state import begin, refit
+from adis_gonio.tracing.validation.leaving_out import leave, rms
 from tracing.blind import Blind, draw, write
 from tracing.lens import Lens
 from tracing.verdict import oracle_rms
 
 
-def told(blind: Blind, data: Observations) -> list[Process]:
+def told(blind: Blind, data: Readings) -> list[Process]:
     """Processes of the covariate and the place that the cause has."""
     term = blind.terms[0]
     contribution = Lens(blind.bench).plain(term)
     axes = tuple(j for j in range(2) if np.abs(contribution[:, :, j]).max() > 0)
-    place = next((p for p in ("gain", "lean") if p in term.name), "bias")
+    places = {"gain": "gain", "lean": "misalignment"}
+    place = next((places[p] for p in places if p in term.name), "bias")
     if term.attitude:
         place, axes = "angle", ()
-    drivers = term.covariates[0].split("|") if len(term.covariates) == 1 else list(term.covariates)
-    names = {"previous_angle" if name == "previous" else name for name in drivers}
+    told_of = term.covariates[0].split("|") if len(term.covariates) == 1 else list(term.covariates)
+    names = {"previous_angle" if name == "previous" else name for name in told_of}
     return [
         p
         for p in processes(data)
@@ -54,22 +52,21 @@ def told(blind: Blind, data: Observations) -> list[Process]:
     ]
 
 
-def told_error(blind: Blind, fitted: Observations, checked: Observations) -> float:
+def told_error(blind: Blind, fitted: Readings, checked: Readings) -> float:
     """Held-out rms in mg of the process that is told; NaN where no process expresses the cause."""
     candidates = told(blind, fitted)
     if not candidates:
         return float("nan")
-    fit, model = refit(fitted, (), begin(fitted)), ()
+    fit = Fit.begin(fitted).refit()
     for _ in range(2):  # the second time about the first one's state
-        base, _, target = linear(fitted, model, fit)
+        base, _, target = fit.linear()
         beside = np.linalg.qr(base / np.linalg.norm(base, axis=0))[0]
         left = target - beside @ (beside.T @ target)
-        scores = evidence(fitted, fit.prediction, beside, left, candidates)
+        scores = evidence(fit, beside, left, candidates)
         term = candidates[int(np.argmax(scores))].term
         width = term.columns(fitted.mean_mg, fitted.conditions).shape[-1]
-        start = replace(fit.state, values=(np.zeros(width),))
-        fit, model = refit(fitted, (term,), start), (term,)
-    return rms(leave(checked, model, fit.state).residual_mg, True)
+        fit = fit.having((term,), (np.zeros(width),)).refit()
+    return rms(leave(fit, checked).residual_mg, True)
 
 
 def one(seed: int, index: int) -> tuple[str, float, float, float] | None:
@@ -81,7 +78,7 @@ def one(seed: int, index: int) -> tuple[str, float, float, float] | None:
         path = Path(folder) / "session.csv"
         write(path, blind, samples)
         session = load_session(path)
-    data = observe(session)
+    data = readings_of(session)
     error = trace(session).as_dict()["error"]
     oracle, _ = oracle_rms(blind)
     limit = told_error(blind, data.rows(~data.check), data.rows(data.check))

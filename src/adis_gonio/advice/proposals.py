@@ -145,8 +145,8 @@ def propose(
     most : int
         Most measurements for each of the two questions.
     """
-    if data.planar and data.conditions.angle_rad is None:
-        return ()
+    if not data.model.freedom or (data.planar and data.conditions.angle_rad is None):
+        return ()  # nothing to turn, or nobody knows how far
     inflation = selection.inflation
     if selection.adequate:
         rivals = _rivals(selection)
