@@ -15,7 +15,16 @@ from contract.bus_contract import BusContract, Rig, WatchedChip
 from fakes.clock import VirtualClock
 from fakes.faults import Faults
 from fakes.pins import ChipPins
-from fakes.spidev_kernel import FakeSpidevKernel
+from fakes.spidev_kernel import (
+    CPHA,
+    CS_HIGH,
+    KNOWN_FLAGS,
+    LOOP,
+    LSB_FIRST,
+    THREE_WIRE,
+    CsFlag,
+    FakeSpidevKernel,
+)
 
 SEED = 7
 PATH = "/dev/spidev0.0"
@@ -91,6 +100,47 @@ def test_structures_are_as_large_as_the_kernels():
     assert ctypes.sizeof(k.LineRequest) == 592
     assert ctypes.sizeof(k.LineValues) == 16
     assert (k.message(1), k.WR_MODE32, k.GET_LINE) == (0x40206B00, 0x40046B05, 0xC250B407)
+
+
+# -- the mode and its flags -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("flag", CsFlag)
+def test_a_chip_select_of_any_kind_of_any_kernel_reaches_the_chip(flag):
+    bench = Bench(cs_flag=flag)
+    with bench.open() as bus:
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+    assert bench.kernel.modes[PATH] == 3 | (0 if flag is CsFlag.NATIVE else CS_HIGH)
+
+
+def test_flags_of_the_device_tree_stay_and_those_that_change_the_bits_of_a_frame_go():
+    no_cs, ready = 0x40, 0x80
+    bench = Bench(mode=no_cs | ready | LSB_FIRST | THREE_WIRE | LOOP | CPHA)
+    with bench.open() as bus:
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+    assert bench.kernel.modes[PATH] == no_cs | ready | CS_HIGH | 3
+
+
+@pytest.mark.parametrize("wrong", [0, 1, 2, 3 | LSB_FIRST, 3 | THREE_WIRE, 3 | LOOP])
+def test_a_mode_that_reads_back_otherwise_is_refused(wrong):
+    bench = Bench()
+    bench.kernel._set_mode = lambda path, mode: bench.kernel.modes.update({path: wrong | CS_HIGH})
+    with pytest.raises(ProtocolError, match=f"mode {wrong:#x}, not 3"):
+        bench.open()
+    assert not bench.kernel.files
+
+
+def test_a_controller_without_cpha_1_is_said_with_what_to_use_instead():
+    """As spi-bcm2835aux: the auxiliary SPI of a Raspberry Pi."""
+    bench = Bench(supports=KNOWN_FLAGS & ~CPHA)
+    with pytest.raises(CannotOpenError, match=r"cannot do SPI mode 3 .*spidev1\.x.*spidev0\.x") as caught:
+        bench.open()
+    assert "Invalid argument" not in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not bench.kernel.files
+
+
+# -- batches ----------------------------------------------------------------------------------------------
 
 
 def test_a_batch_in_fast_mode_is_one_ioctl():
