@@ -281,6 +281,48 @@ def test_an_accepted_frame_is_never_sent_again():
     bench.device.slow_polls = 0
 
 
+@pytest.mark.parametrize("polls", [1, 2, 7])
+def test_a_poll_that_is_answered_by_transfer_in_progress_is_repeated_and_the_frame_is_not(polls):
+    bench = Bench()
+    with bench.open() as bus:
+        for word in (0x3800, 0x3600):
+            bench.device.busy_polls = polls
+            cancels, sent = bench.device.cancels, len(bench.chip.seen)
+            assert bus.exchange([word, 0])[1] == {0x3800: 0x0402, 0x3600: 0x0001}[word]
+            assert bench.device.busy_polls == 0
+            assert bench.device.cancels == cancels
+            assert [frame.word for frame in bench.chip.seen[sent:]] == [word, 0]
+
+
+def test_a_transfer_in_progress_without_end_is_a_time_out_and_a_cancel_frees_the_bus():
+    bench = Bench()
+    with bench.open("mcp2210:?timeout_ms=100") as bus:
+        bench.device.busy_polls = 10**6
+        before, cancels = bench.clock.now_s(), bench.device.cancels
+        with pytest.raises(BusTimeoutError, match=r"does not finish a frame within 0\.1 s"):
+            bus.exchange([0xA012, 0])
+        assert 0.1 <= bench.clock.now_s() - before < 0.12
+        assert bench.device.cancels == cancels + 1
+        bench.device.busy_polls = 0
+        assert [frame.word for frame in bench.chip.seen] == [0xA012]
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+def test_a_poll_that_is_refused_for_another_master_is_no_transfer_in_progress():
+    bench = Bench()
+    with bench.open() as bus:
+        report = bench.device.report
+
+        def lose_the_bus(request):
+            answer = report(request)
+            bench.device.external_owner = request[0] == 0x42
+            return answer
+
+        bench.device.report = lose_the_bus
+        with pytest.raises(ProtocolError, match="another master"):
+            bus.exchange([0])
+
+
 def test_a_late_answer_is_not_taken_for_the_next_one():
     bench = Bench()
     bus = bench.open()
@@ -350,7 +392,7 @@ def test_capabilities_are_those_that_were_wired():
 @pytest.mark.parametrize("seed", range(3))
 def test_under_faults_no_wrong_word_is_accepted(seed):
     rates = dict.fromkeys(("drop", "duplicate", "flip", "delay", "busy", "stuck", "short"), 0.01)
-    bench = Bench(faults=Faults(seed=seed, hang=0.001, **rates))
+    bench = Bench(faults=Faults(seed=seed, hang=0.001, progress=0.05, **rates))
     bus = None
     while bus is None:
         with _anything():
@@ -366,6 +408,7 @@ def test_under_faults_no_wrong_word_is_accepted(seed):
         assert replies[1:] == [0x0402, 0x0001, 0x0000]
     assert good > 200
     assert bad > 5
+    assert bench.board.faults.seen["progress"] > 100
     bench.board.faults = Faults()
     bench.clock.sleep_s(2.0)
     assert bus.exchange([0x3800, 0])[1] == 0x0402
@@ -381,6 +424,7 @@ def test_parsers_take_any_bytes(data):
         r.ChipSettings.parse,
         r.SpiSettings.parse,
         r.Progress.parse,
+        r.Progress.of_poll,
         r.parse_events,
         lambda answer: r.parse_pins(answer, r.Command.GET_GPIO_VALUES),
     ):

@@ -286,6 +286,7 @@ PARSERS: dict[str, Callable[[bytes], object]] = {
     "MCP2210 chip settings": mcp2210_reports.ChipSettings.parse,
     "MCP2210 SPI settings": mcp2210_reports.SpiSettings.parse,
     "MCP2210 transfer": mcp2210_reports.Progress.parse,
+    "MCP2210 poll": mcp2210_reports.Progress.of_poll,
     "MCP2210 events": mcp2210_reports.parse_events,
     "MCP2210 pins": lambda data: mcp2210_reports.parse_pins(data, mcp2210_reports.Command.GET_GPIO_VALUES),
     "MCP2210 mark": lambda data: mcp2210_reports.is_mark(data, 7),

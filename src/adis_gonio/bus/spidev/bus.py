@@ -188,8 +188,8 @@ class SpidevBus(SpiBus):
         except OSError as error:
             if error.errno == errno.EINVAL:
                 raise CannotOpenError(
-                    f"{self.url}: this SPI controller cannot do SPI mode 3 (CPHA = 1), as the auxiliary SPI of a"
-                    " Raspberry Pi (spidev1.x): wire the sensor to the main one (spidev0.x)"
+                    f"{self.url}: this controller cannot do SPI mode 3 (CPHA = 1), as the auxiliary SPI of"
+                    " a Raspberry Pi (spidev1.x): wire the sensor to the main one (spidev0.x)"
                 ) from error
             raise self._typed(error) from error
         self._call(self._fd, k.WR_BITS, ctypes.c_uint8(8))
