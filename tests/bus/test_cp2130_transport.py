@@ -1,6 +1,8 @@
 """The CP2130 transport over the real pyusb on a fake backend, down to transfers."""
 
 import contextlib
+from types import SimpleNamespace
+from typing import ClassVar
 
 import pytest
 from hypothesis import given, settings
@@ -20,7 +22,7 @@ from adis_gonio.errors import (
 from adis_gonio.sim import SimulatedChip, World
 from contract.bus_contract import BusContract, Rig, WatchedChip
 from fakes.clock import VirtualClock
-from fakes.cp2130_device import Cp2130Device
+from fakes.cp2130_device import OPEN_DRAIN, PUSH_PULL, READ_FIRST, Cp2130Device
 from fakes.faults import Faults
 from fakes.pins import ChipPins
 
@@ -33,12 +35,12 @@ SEED = 6
 class Bench:
     """Boards at ports, and the URL that opens the first."""
 
-    def __init__(self, serials=("A1",), *, faults=None, latency_s=0.1e-3):
+    def __init__(self, serials=("A1",), *, faults=None, latency_s=0.1e-3, **otp):
         self.clock = VirtualClock()
         self.boards = []
         for k, serial in enumerate(serials):
             chip = WatchedChip(World(seed=SEED), start_s=-0.5)
-            device = Cp2130Device(ChipPins(chip, self.clock), serial)
+            device = Cp2130Device(ChipPins(chip, self.clock), serial, **otp)
             self.boards.append(UsbBoard(device, address=5 + k, faults=faults, latency_s=latency_s))
         self.backend = FakeUsbBackend(*self.boards)
         self.board = self.boards[0] if self.boards else None
@@ -58,9 +60,10 @@ class Bench:
 class TestCp2130(BusContract):
     latency_s = 0.1e-3
     url = "cp2130:?reset_gpio=5&event_counter=1"
+    otp: ClassVar[dict] = {}
 
     def make(self) -> Rig:
-        bench = Bench(latency_s=self.latency_s)
+        bench = Bench(latency_s=self.latency_s, **self.otp)
         bus = bench.open(self.url)
 
         def silence():
@@ -82,6 +85,12 @@ class TestCp2130OnAnImpossiblyFastCable(TestCp2130):
 
     latency_s = 1e-7
     url = "cp2130:A1"
+
+
+class TestCp2130WithHighPriorityRead(TestCp2130):
+    """Its OTP swaps the endpoints."""
+
+    otp: ClassVar[dict] = {"endpoints": READ_FIRST, "tells_all": True}
 
 
 def test_a_frame_is_one_write_read_of_two_bytes_on_the_channel_that_was_named():
@@ -197,6 +206,80 @@ def test_without_libusb_the_extra_is_named(monkeypatch):
         find_devices()
 
 
+def test_a_board_without_a_pair_of_bulk_endpoints_is_said_and_given_back():
+    bench = Bench()
+    describe = bench.backend.get_endpoint_descriptor
+
+    def interrupt(*where):
+        return SimpleNamespace(**vars(describe(*where)) | {"bmAttributes": 3})
+
+    bench.backend.get_endpoint_descriptor = interrupt
+    with pytest.raises(ProtocolError, match="no pair of bulk endpoints"):
+        bench.open()
+    assert not bench.board.claimed
+
+
+# -- pins ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tells_all", [False, True])
+@pytest.mark.parametrize("function", [OPEN_DRAIN, PUSH_PULL, 4])
+@pytest.mark.parametrize("cs", [0, 3, 10])
+def test_a_pin_that_is_no_chip_select_is_refused_by_name(cs, function, tells_all):
+    bench = Bench(tells_all=tells_all)
+    bench.device.cs_pin = cs
+    bench.open(f"cp2130:?cs={cs}").close()
+    bench.device.functions[cs] = function
+    with pytest.raises(CannotOpenError, match=rf"GPIO\.{cs} .*no chip select.*\?cs=") as caught:
+        bench.open(f"cp2130:?cs={cs}")
+    assert "\n" not in str(caught.value)
+    assert not bench.board.claimed
+    bench.device.cs_pin = 1
+    with bench.open("cp2130:?cs=1") as bus:
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+@pytest.mark.parametrize("channels", [[], [1], [0, 1]])
+def test_chip_selects_that_read_back_otherwise_are_refused(channels):
+    bench = Bench()
+    control_out = bench.device.control_out
+
+    def ignore(request, value, index, data):
+        control_out(request, value, index, data)
+        if request == 0x25:
+            bench.device.selected = [int(k in channels) for k in range(11)]
+
+    bench.device.control_out = ignore
+    with pytest.raises(ProtocolError, match="did not take its chip select"):
+        bench.open()
+    assert not bench.chip.seen
+
+
+def test_the_event_counter_is_gpio_4_which_can_have_no_other_duty():
+    for url in ("cp2130:?cs=4&event_counter=1", "cp2130:?reset_gpio=4&event_counter=1"):
+        with pytest.raises(UsageError, match=r"GPIO\.4"):
+            Bench().open(url)
+    Bench().open("cp2130:?reset_gpio=4").close()
+    bench = Bench(counter_mode=0)
+    bench.device.cs_pin = 4
+    with bench.open("cp2130:?cs=4") as bus:
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+    with pytest.raises(UsageError, match=r"GPIO\.4 of this board is no event counter"):
+        bench.open("cp2130:?event_counter=1")
+
+
+def test_the_event_counter_goes_on_behind_its_overflow():
+    bench = Bench()
+    with bench.open("cp2130:?event_counter=1") as bus:
+        bus.exchange([0xB404])
+        seen = 0
+        for _ in range(4):
+            bus.sleep_s(30.0)
+            seen += bus.read_event_counter()
+        assert bench.device.control_in(0x44, 0, 0, 3)[0] & 0x80
+        assert seen == pytest.approx(120 * 819.2, rel=0.05)
+
+
 @pytest.mark.parametrize(
     "url", ["cp2130:?cs=11", "cp2130:?speed=1", "cp2130:?cs=2&reset_gpio=2", "cp2130:?timeout_ms=x"]
 )
@@ -298,6 +381,6 @@ def test_under_faults_no_wrong_word_is_accepted(seed):
 @settings(deadline=None)
 @given(st.binary(max_size=70))
 def test_parsers_take_any_bytes(data):
-    for parse in (r.parse_frame, r.parse_counter, r.parse_spi_words):
+    for parse in (r.parse_frame, r.parse_counter, r.parse_selects, r.parse_spi_words):
         with contextlib.suppress(ProtocolError):
             parse(data)

@@ -12,8 +12,6 @@ import usb.backend
 import usb.core
 
 from fakes.cp2130_device import (
-    IN_ENDPOINT,
-    OUT_ENDPOINT,
     PACKET,
     PRODUCT_ID,
     VENDOR_ID,
@@ -211,7 +209,7 @@ class FakeUsbBackend(usb.backend.IBackend):
         return SimpleNamespace(
             bLength=7,
             bDescriptorType=5,
-            bEndpointAddress=(OUT_ENDPOINT, IN_ENDPOINT)[ep],
+            bEndpointAddress=dev.device.endpoints[ep],
             bmAttributes=2,
             wMaxPacketSize=PACKET,
             bInterval=0,
@@ -250,13 +248,13 @@ class FakeUsbBackend(usb.backend.IBackend):
 
     def bulk_write(self, dev_handle, ep, intf, data, timeout):
         assert dev_handle.claimed
-        assert ep == OUT_ENDPOINT
+        assert ep == dev_handle.board.device.endpoints[0]
         assert timeout, "a transfer that may block for ever"
         return dev_handle.board.bulk_out(bytes(data), timeout)
 
     def bulk_read(self, dev_handle, ep, intf, buff, timeout):
         assert dev_handle.claimed
-        assert ep == IN_ENDPOINT
+        assert ep == dev_handle.board.device.endpoints[1]
         assert timeout, "a transfer that may block for ever"
         packet = dev_handle.board.bulk_in(len(buff), timeout)
         buff[: len(packet)] = array.array("B", packet)
@@ -283,6 +281,7 @@ class FakeUsbBackend(usb.backend.IBackend):
         return struct.pack("BB", len(body) + 2, 3) + body
 
     def clear_halt(self, dev_handle, ep):
+        assert ep in dev_handle.board.device.endpoints
         dev_handle.board.check()
         dev_handle.board.device.clear_halt(ep)
 
