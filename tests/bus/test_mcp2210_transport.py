@@ -102,6 +102,17 @@ def test_the_clock_is_the_fastest_divider_that_is_not_above_what_was_asked(asked
         assert bus.configure(SpiTiming(asked, 9, 40)).clock_hz == kept
 
 
+@pytest.mark.parametrize(("report_s", "scans_per_s"), [(1e-3, 62), (1.5e-3, 42)])
+def test_scans_of_four_registers_come_at_the_rates_that_the_documentation_has(report_s, scans_per_s):
+    """500 and 333 commands a second."""
+    bench = Bench(latency_s=report_s)
+    with bench.open() as bus:
+        bus.configure(SpiTiming(1e6, 9, 40))
+        before = bench.clock.now_s()
+        bus.exchange([0x0A00, 0x0C00, 0x0E00, 0x0400] * 50)
+        assert 50 / (bench.clock.now_s() - before) == pytest.approx(scans_per_s, abs=1)
+
+
 def test_other_pins_and_settings_stay_as_the_board_had_them():
     bench = Bench()
     bench.device.designations[7] = 2

@@ -4,9 +4,10 @@ Timing
     The chip makes CS around every transaction; its own delays come in steps of 100 µs and lie within the
     CS-low time, so they are zero. Stall and period are kept by the host: a transfer is only sent when
     both have passed since the answer that reported the last frame's end, which is later than its rise of
-    CS. A frame takes two commands, start and fetch, and a third where the first fetch is answered "not
-    yet" (engine started, or status 0xF8). A command is a report each way, 1 to 2 ms on the maker's sibling
-    MCP2221: at most 250 frames a second at 2 ms a command, 167 with the third, whatever the clock.
+    CS. A frame takes two commands, start and fetch. A command is a report each way, which the maker's
+    sibling MCP2221 does 500 times a second at xHCI controllers and 333 times at EHCI (EasyMCP2221, "USB
+    speed limits"): at most 167 to 250 frames a second, whatever the clock. A fetch that is answered "not
+    yet" (engine started, or status 0xF8) costs a command more.
 Errors
     HID answers come in order and carry the command's code. After any failure the transfer is cancelled,
     and answers are thrown away up to that to a mark with a number of its own, so that a late one, be it

@@ -235,7 +235,7 @@ class Progress:
     def of_poll(cls, answer: bytes) -> Progress:
         """Read the answer to a transfer without data.
 
-        The engine refuses those too while it clocks (0xF8, "transfer in progress"): not yet.
+        The engine refuses those too while it clocks (0xF8, data sheet DS22288A, figure 3-23): not yet.
         """
         if status_of(answer, Command.TRANSFER) == Status.BUSY:
             return cls(Engine.STARTED, b"")
