@@ -106,15 +106,15 @@ def test_a_frame_is_one_write_read_of_two_bytes_on_the_channel_that_was_named():
     assert bench.device.delays[3] == bytes(7)
 
 
-@pytest.mark.parametrize(("transfer_s", "scans_per_s"), [(1e-3, 125), (0.125e-3, 890)])
-def test_scans_of_four_registers_come_at_the_rates_that_the_documentation_has(transfer_s, scans_per_s):
+@pytest.mark.parametrize(("transfer_s", "least", "most"), [(1e-3, 120, 125), (0.125e-3, 819.2, 1000)])
+def test_scans_of_four_registers_come_at_the_rates_that_the_documentation_has(transfer_s, least, most):
     """A frame's two transfers in 2 ms; in 0.25 ms, which is faster than the chip samples."""
     bench = Bench(latency_s=transfer_s)
     with bench.open() as bus:
         bus.configure(SpiTiming(1e6, 9, 40))
         before = bench.clock.now_s()
         bus.exchange([0x0A00, 0x0C00, 0x0E00, 0x0400] * 50)
-        assert 50 / (bench.clock.now_s() - before) == pytest.approx(scans_per_s, rel=0.03)
+        assert least < 50 / (bench.clock.now_s() - before) < most
 
 
 @pytest.mark.parametrize(
