@@ -1,6 +1,7 @@
 """The CP2130 transport over the real pyusb on a fake backend, down to transfers."""
 
 import contextlib
+import errno
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -28,6 +29,7 @@ from fakes.pins import ChipPins
 
 FakeUsbBackend = pytest.importorskip("fakes.cp2130_usb", reason="pyusb is not installed").FakeUsbBackend
 UsbBoard = pytest.importorskip("fakes.cp2130_usb").UsbBoard
+usb_error = pytest.importorskip("fakes.cp2130_usb").usb_error
 
 SEED = 6
 
@@ -326,6 +328,96 @@ def test_a_late_reply_is_not_taken_for_the_next_one():
             assert bus.exchange([0x3800, 0x3600, 0])[1:] == [0x0402, 0x0001]
     bench.board.faults = Faults()
     assert bus.exchange([0x3800, 0x3600, 0])[1:] == [0x0402, 0x0001]
+
+
+@pytest.mark.parametrize("count", [1, 5, 30])
+def test_replies_that_another_program_left_in_the_pipe_are_thrown_away_on_opening(count):
+    bench = Bench()
+    bench.board._waiting.extend([(0.0, b"\x12\x34")] * count)
+    with bench.open() as bus:
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+def test_replies_without_end_are_said():
+    bench = Bench()
+    bench.board.bulk_in = lambda size, timeout_ms: b"\x12\x34"
+    with pytest.raises(ProtocolError, match="nobody asked for"):
+        bench.open()
+    assert not bench.board.claimed
+
+
+@pytest.mark.parametrize(
+    ("code", "error", "says"),
+    [
+        (errno.ENODEV, CannotOpenError, "gone"),
+        (errno.ENOENT, CannotOpenError, "gone"),
+        (errno.ESHUTDOWN, CannotOpenError, "gone"),
+        (errno.EACCES, CannotOpenError, "permission"),
+        (errno.ETIMEDOUT, BusTimeoutError, "no answer to a reply within"),
+        (10060, BusTimeoutError, "no answer to a reply within"),  # as libusb0 says it on Windows
+        (errno.EIO, ProtocolError, "a reply failed"),
+    ],
+)
+def test_what_libusb_says_becomes_a_typed_error(code, error, says):
+    bench = Bench()
+    bus = bench.open()
+    bulk_in = bench.board.bulk_in
+
+    def fail(size, timeout_ms):
+        bench.board.bulk_in = bulk_in
+        raise usb_error(code, "x")
+
+    bench.board.bulk_in = fail
+    with pytest.raises(error, match=says):
+        bus.exchange([0])
+    assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+def test_a_command_that_left_in_part_is_an_error():
+    bench = Bench()
+    bus = bench.open()
+    bulk_out = bench.board.bulk_out
+    bench.board.bulk_out = lambda data, timeout_ms: bulk_out(data, timeout_ms) - 1
+    with pytest.raises(ProtocolError, match="9 of 10 bytes"):
+        bus.exchange([0])
+    bench.board.bulk_out = bulk_out
+    assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+@pytest.mark.parametrize("after", range(1, 5))
+def test_an_interruption_by_the_operator_leaves_no_reply_to_the_next_frame(after):
+    bench = Bench()
+    with bench.open() as bus:
+        bulk_in, calls = bench.board.bulk_in, []
+
+        def interrupted(size, timeout_ms):
+            calls.append(size)
+            if len(calls) == after:
+                raise KeyboardInterrupt
+            return bulk_in(size, timeout_ms)
+
+        bench.board.bulk_in = interrupted
+        with contextlib.suppress(KeyboardInterrupt):
+            bus.exchange([0x3800, 0x3600, 0])
+        bench.board.bulk_in = bulk_in
+        assert bus.exchange([0x3600, 0x3800, 0])[1:] == [0x0001, 0x0402]
+
+
+def test_after_a_port_reset_pins_counter_and_pace_are_as_they_were():
+    bench = Bench()
+    bus = bench.open("cp2130:?reset_gpio=5&event_counter=1")
+    bus.configure(SpiTiming(1e6, 50_000.0, 50_000.0))
+    bus.exchange([0xB404])
+    bus.sleep_s(0.5)
+    bench.device.functions[5], bench.device.stuck = 0, True
+    with pytest.raises(BusTimeoutError):
+        bus.exchange([0])
+    at = bench.clock.now_s()
+    assert bench.device.functions[5] == OPEN_DRAIN
+    assert bus.exchange([0x3800, 0])[1] == 0x0402
+    assert bench.chip.seen[-2].start_s - at >= 40e-3
+    assert bus.read_event_counter() < 100, "edges from before the reset are not counted twice"
+    assert bench.board.resets == 1
 
 
 def test_a_frame_is_never_sent_again():

@@ -11,7 +11,7 @@ from adis_gonio.bus.spidev import find_devices, open_from_url
 from adis_gonio.bus.spidev import kernel as k
 from adis_gonio.errors import BusError, BusTimeoutError, CannotOpenError, ProtocolError, UsageError
 from adis_gonio.sim import SimulatedChip, World
-from contract.bus_contract import BusContract, Rig, WatchedChip
+from contract.bus_contract import BusContract, Rig, WatchedChip, assert_timing
 from fakes.clock import VirtualClock
 from fakes.faults import Faults
 from fakes.pins import ChipPins
@@ -170,6 +170,33 @@ def test_in_normal_mode_each_frame_is_a_message_because_the_kernel_cannot_keep_t
     assert bench.kernel.messages == [1] * 5
 
 
+@pytest.mark.parametrize(
+    ("timing", "clock_hz", "messages"),
+    [
+        (SpiTiming(1e6, 10.0, 40.0), 16 / 30e-6, [3]),  # the kernel's own time is just enough
+        (SpiTiming(1e6, 10.5, 40.0), 1e6, [1, 1, 1]),
+        (SpiTiming(1e6, 9.0, 1000.0), 16 / 990e-6, [3]),
+        (SpiTiming(1e6, 9.0, 2000.0), 1e6, [1, 1, 1]),  # that would be 8 kHz, below the chip's 10 kHz
+        (SpiTiming(100e3, 9.0, 40.0), 100e3, [3]),
+    ],
+)
+def test_the_clock_fills_a_period_only_where_the_kernel_keeps_the_stall_and_the_chip_the_clock(
+    timing, clock_hz, messages
+):
+    bench = Bench()
+    with bench.open() as bus:
+        assert bus.configure(timing).clock_hz == pytest.approx(clock_hz, rel=1e-3)
+        bench.kernel.messages.clear()
+        bus.exchange([0] * 3)
+    assert bench.kernel.messages == messages
+    assert_timing(bench.chip.seen[-3:], timing)
+
+
+def test_a_clock_below_1_hz_is_refused_for_the_kernel_would_take_0_for_its_own():
+    with Bench().open() as bus, pytest.raises(UsageError, match=r"0\.5 Hz"):
+        bus.configure(SpiTiming(0.5, 9.0, 40.0))
+
+
 def test_long_batches_are_split_at_511_and_keep_the_stall():
     bench = Bench(bufsiz=65536)
     with bench.open() as bus:
@@ -188,6 +215,13 @@ def test_a_short_buffer_is_found_once_and_remembered():
             assert bus.exchange([0x3800] * 300)[1:] == [0x0402] * 299
             assert max(bench.kernel.messages) <= 32
             assert sum(bench.kernel.messages) == 300
+            assert len(bench.kernel.messages) == 17, "after 300, 150, 75 and 37 the 18 that fit"
+
+
+def test_a_buffer_that_takes_not_even_one_frame_is_an_error():
+    bench = Bench(bufsiz=4)
+    with bench.open() as bus, pytest.raises(ProtocolError, match="Message too long"):
+        bus.exchange([0])
 
 
 def test_a_file_that_another_has_is_busy_and_free_after_closing():
@@ -207,6 +241,8 @@ def test_a_failed_opening_gives_everything_back():
         bench.open("?reset_gpio=17")
     with pytest.raises(UsageError, match="no line 99"):
         bench.open("?reset_gpio=gpiochip0:99")
+    with pytest.raises(CannotOpenError, match="no /dev/gpiochip4 "):
+        bench.open("?reset_gpio=gpiochip4:3")
     assert not bench.kernel.files
 
 
@@ -252,12 +288,17 @@ def test_a_file_that_is_no_spidev_is_said_by_the_real_kernel():
         open_from_url(BusUrl.parse("spidev:/dev/null"))
 
 
-def test_the_controller_going_away_is_a_clear_error():
+@pytest.mark.parametrize("code", [errno.ENODEV, errno.ESHUTDOWN, errno.ENXIO])
+def test_the_controller_going_away_is_a_clear_error(code):
     bench = Bench()
-    bus = bench.open()
-    bench.kernel.unplugged = True
-    with pytest.raises(CannotOpenError, match="gone"):
-        bus.exchange([0])
+    with bench.open() as bus:
+
+        def unbound(*call):
+            raise OSError(code, "")
+
+        bench.kernel.ioctl = unbound
+        with pytest.raises(CannotOpenError, match="gone"):
+            bus.exchange([0])
 
 
 def test_only_a_wired_reset_is_a_capability():

@@ -174,12 +174,14 @@ class FakeSpidevKernel:
         self.messages.append(len(transfers))
         total = 0
         now = clock.now_s()
-        for k, (tx, rx, length, speed, delay, _bits, change, *_rest) in enumerate(transfers):
+        for k, (tx, rx, length, speed, delay, bits, change, *_rest) in enumerate(transfers):
             last = k == len(transfers) - 1
             if last and change:
                 raise AssertionError("cs_change on the last transfer keeps CS low")
             if not last and not change:
                 raise AssertionError("two frames in one chip-select period")
+            assert bits == 8, "words of another size are in the host's byte order"
+            assert speed, "0 is the file's own clock, not a slow one"
             if faults.happens("hang"):
                 clock.advance_to(now + 1.0)
                 raise os_error(errno.ETIMEDOUT)
@@ -209,12 +211,13 @@ class FakeSpidevKernel:
         data = bytes(argument)
         assert len(data) == 592
         offset, flags = struct.unpack_from("<I", data)[0], struct.unpack_from("<Q", data, 288)[0]
-        attributes, kind, value = (
+        attributes, kind, value, mask = (
             struct.unpack_from("<I", data, 296)[0],
-            *struct.unpack_from("<I4xQ", data, 320),
+            *struct.unpack_from("<I4xQQ", data, 320),
         )
         lines = struct.unpack_from("<I", data, 560)[0]
-        assert (flags, attributes, kind, value, lines) == (1 << 3 | 1 << 6, 1, 2, 1, 1), "open-drain, high"
+        assert (flags, attributes, kind, lines) == (1 << 3 | 1 << 6, 1, 2, 1), "open-drain"
+        assert value & mask == 1, "high"
         if offset > 53:
             raise os_error(errno.EINVAL)
         if offset != self.reset_line:

@@ -192,7 +192,6 @@ class SpidevBus(SpiBus):
                     " a Raspberry Pi (spidev1.x): wire the sensor to the main one (spidev0.x)"
                 ) from error
             raise self._typed(error) from error
-        self._call(self._fd, k.WR_BITS, ctypes.c_uint8(8))
         got = self._mode() & (k.MODE_BITS | k.BENT_FRAMES)
         if got != k.MODE_3:
             raise ProtocolError(f"{self.url}: the SPI controller is in mode {got:#x}, not 3")

@@ -40,8 +40,6 @@ MOST_TRANSFERS = ((1 << _SIZE_BITS) - 1) // TRANSFER_SIZE
 """Transfers that fit the size field of an ioctl number: 511."""
 
 _SPI = ord("k")
-WR_BITS = _ioc(_WRITE, _SPI, 3, 1)
-WR_SPEED = _ioc(_WRITE, _SPI, 4, 4)
 WR_MODE32 = _ioc(_WRITE, _SPI, 5, 4)
 RD_MODE32 = _ioc(_READ, _SPI, 5, 4)
 MODE_3 = MODE_BITS = 0b11
