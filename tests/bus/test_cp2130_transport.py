@@ -373,6 +373,26 @@ def test_what_libusb_says_becomes_a_typed_error(code, error, says):
     assert bus.exchange([0x3800, 0])[1] == 0x0402
 
 
+def test_a_halt_of_the_pipe_out_is_ended_after_the_failure():
+    bench = Bench()
+    bus = bench.open()
+    bench.board.out_is_halted = True
+    with pytest.raises(ProtocolError, match="a frame failed"):
+        bus.exchange([0])
+    assert not bench.chip.seen
+    assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+def test_a_spi_word_that_reads_back_otherwise_is_refused():
+    bench = Bench()
+    control_out = bench.device.control_out
+    bench.device.control_out = lambda request, *rest: (
+        None if request == 0x31 else control_out(request, *rest)
+    )
+    with pytest.raises(ProtocolError, match="did not take its SPI word"):
+        bench.open()
+
+
 def test_a_command_that_left_in_part_is_an_error():
     bench = Bench()
     bus = bench.open()

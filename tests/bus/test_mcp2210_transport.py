@@ -262,6 +262,99 @@ def test_a_refused_transfer_is_cancelled_and_tried_once_more():
     bus.close()
 
 
+def test_opening_frees_an_engine_that_another_program_left_stuck():
+    bench = Bench()
+    bench.device.stuck = True
+    with bench.open() as bus:
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+def test_after_a_cancel_the_stall_counts_from_there_because_it_may_have_raised_cs():
+    bench = Bench()
+    with bench.open() as bus:
+        bus.configure(SpiTiming(1e6, 50_000.0, 50_000.0))
+        bus.exchange([0])
+        bench.clock.sleep_s(1.0)
+        bench.device.stuck = True
+        before = bench.clock.now_s()
+        bus.exchange([0])
+        assert bench.chip.seen[-1].start_s - before >= 50e-3
+
+
+@pytest.mark.parametrize(("count", "error"), [(10, None), (100, ProtocolError)])
+def test_answers_of_others_are_thrown_away_but_not_for_ever(count, error):
+    bench = Bench()
+    with bench.open() as bus:
+        write, foreign = bench.board.write, bytes([0x61]) + bytes(63)
+
+        def crowded(report):
+            bench.board.answers.extend([(bench.clock.now_s() + 1e-6, foreign)] * count)
+            return write(report)
+
+        bench.board.write = crowded
+        if error is None:
+            assert bus.exchange([0x3800, 0])[1] == 0x0402
+        else:
+            with pytest.raises(error, match="only answers to other commands"):
+                bus.exchange([0x3800, 0])
+        bench.board.write = write
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+def spoiled(bench, command, change):
+    """Let every answer to a command pass through `change`."""
+    report = bench.device.report
+    bench.device.report = lambda request: (
+        change(bytearray(report(request))) if request[0] == command else report(request)
+    )
+
+
+@pytest.mark.parametrize(
+    ("at", "value"),
+    [(4, 0x91), (6, 0xFF), (8, 0xFE), (10, 0xFD), (12, 1), (14, 1), (16, 1), (18, 4), (20, 0)],
+)
+def test_settings_that_read_back_otherwise_are_refused(at, value):
+    """Rate, idle and active CS, the three delays, the transaction's length, the mode."""
+    bench = Bench()
+
+    def change(answer):
+        answer[at] = value
+        return bytes(answer)
+
+    spoiled(bench, 0x41, change)
+    with pytest.raises(ProtocolError, match="did not take its settings"):
+        bench.open()
+
+
+def test_a_bit_rate_of_zero_is_refused():
+    bench = Bench()
+    spoiled(bench, 0x41, lambda answer: bytes(answer[:4]) + bytes(4) + bytes(answer[8:]))
+    with pytest.raises(ProtocolError, match="did not take its settings"):
+        bench.open()
+
+
+def test_data_in_the_answer_that_accepts_a_transfer_are_an_error():
+    for engine in (0x10, 0x20, 0x30):
+        bench = Bench()
+        with bench.open() as bus:
+            spoiled(
+                bench, 0x42, lambda answer, engine=engine: bytes([0x42, 0, 2, engine, 0x12, 0x34]).ljust(64)
+            )
+            with pytest.raises(ProtocolError, match="data before the transfer has started"):
+                bus.exchange([0])
+
+
+def test_the_event_counter_counts_rising_edges_from_the_opening_on():
+    bench = Bench()
+    bench.device.flags = 0b11111
+    with bench.open("mcp2210:?event_counter=1") as bus:
+        assert bench.device.flags == 0b10101
+        bus.exchange([0xB404])
+    bench.clock.sleep_s(2.0)
+    with bench.open("mcp2210:?event_counter=1") as bus:
+        assert bus.read_event_counter() < 100
+
+
 def test_another_master_on_the_bus_is_said():
     bench = Bench()
     bus = bench.open()
@@ -448,6 +541,18 @@ def test_parsers_take_any_bytes(data):
 def test_a_progress_never_carries_more_than_a_frame(data):
     with contextlib.suppress(ProtocolError):
         assert len(r.Progress.parse(b"\x42" + data).data) <= 2
+
+
+def test_parsers_refuse_what_is_not_theirs():
+    chip = bytes([0x20, 0, 0, 0]) + bytes([0, 1, 2, 0, 0, 0, 0, 0, 0])
+    assert r.ChipSettings.parse(chip.ljust(64, b"\0")).designations[:3] == (0, 1, 2)
+    with pytest.raises(ProtocolError, match="designation"):
+        r.ChipSettings.parse(chip.replace(b"\x02", b"\x03").ljust(64, b"\0"))
+    with pytest.raises(ProtocolError, match="0x12 where 0x42"):
+        r.Progress.parse(bytes([0x12]).ljust(64, b"\0"))
+    assert r.parse_pins(bytes([0x31, 0, 0, 0, 0xFF, 0xFF]).ljust(64), r.Command.GET_GPIO_VALUES) == 0x1FF
+    assert r.is_mark(bytes([0x50, 0, 7]).ljust(64), 7)
+    assert not r.is_mark(bytes([0x12, 0, 7]).ljust(64), 7)
 
 
 # -- writes that block --------------------------------------------------------------------------------

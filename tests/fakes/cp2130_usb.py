@@ -59,6 +59,7 @@ class UsbBoard:
         self.claimed = False
         self.out_transfers = 0
         self.resets = 0
+        self.out_is_halted = False
         self._waiting: deque[tuple[float, bytes]] = deque()
 
     @property
@@ -94,7 +95,8 @@ class UsbBoard:
         faults = self.faults
         self.check()
         self.out_transfers += 1
-        if faults.happens("busy"):
+        if self.out_is_halted or faults.happens("busy"):
+            self.out_is_halted = True  # until the host ends it (USB 2.0, 8.5.3.4 and 9.4.5)
             raise usb_error(errno.EPIPE, "Pipe error")
         if faults.happens("drop"):
             raise self.time_out(timeout_ms)
@@ -106,6 +108,7 @@ class UsbBoard:
         try:
             self.device.bulk_out(data)
         except StallError:
+            self.out_is_halted = True
             raise usb_error(errno.EPIPE, "Pipe error") from None
         while (packet := self.device.bulk_in()) is not None:
             if faults.happens("drop"):
@@ -128,12 +131,13 @@ class UsbBoard:
     def reset(self) -> None:
         self.check()
         self.resets += 1
+        self.out_is_halted = False
         self._waiting.clear()
         self.device.usb_reset()
 
     def replug(self) -> None:
         """Out and in again; the address is a new one."""
-        self.plugged, self.claimed = True, False
+        self.plugged, self.claimed, self.out_is_halted = True, False, False
         self.address += 1
         self._waiting.clear()
         self.device.usb_reset()
@@ -283,6 +287,8 @@ class FakeUsbBackend(usb.backend.IBackend):
     def clear_halt(self, dev_handle, ep):
         assert ep in dev_handle.board.device.endpoints
         dev_handle.board.check()
+        if ep == dev_handle.board.device.endpoints[0]:
+            dev_handle.board.out_is_halted = False
         dev_handle.board.device.clear_halt(ep)
 
     def reset_device(self, dev_handle):

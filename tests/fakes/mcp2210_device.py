@@ -125,7 +125,8 @@ class Mcp2210Device:
 
     def _cmd_12(self, request: bytes) -> bytes:
         edges = self.pins.data_ready_edges()
-        counting = self.designations[self.event_pin] == DEDICATED and self.flags >> 1 & 7
+        mode = self.flags >> 1 & 7  # 1 falling edges, 2 rising ones, then pulses, which are as many
+        counting = self.designations[self.event_pin] == DEDICATED and 1 <= mode <= 4
         count = min(edges - self._counted, 0xFFFF) if counting else 0
         if request[1] == 0:
             self._counted = edges

@@ -8,8 +8,8 @@ Timing
     (1 ms), 4000 where both together take 0.25 ms. These are bounds; none was measured.
 Errors
     Bulk replies carry no tag, so a late one would look like the next one's. After a time-out the device
-    is therefore reset (USB port reset) and set up anew; after any other failure its pipe is emptied. A
-    frame whose command may have left is never repeated.
+    is therefore reset (USB port reset) and set up anew; after any other failure halts of its pipes are
+    ended and replies thrown away. A frame whose command may have left is never repeated.
 Not protected
     The data carry no checksum of their own. On the cable USB's CRC guards them.
 """
@@ -17,6 +17,7 @@ Not protected
 from __future__ import annotations
 
 import errno
+import functools
 from collections.abc import Callable
 from typing import Protocol
 
@@ -312,6 +313,8 @@ class Cp2130Bus(SpiBus):
             return
         if self._must_reset:
             self._reset()
+        else:
+            self._end_halts()
         self._drain()
         self._unsure = False
 
@@ -328,6 +331,10 @@ class Cp2130Bus(SpiBus):
         self._must_reset = False
         self._pace.done(self._timing)
 
+    def _end_halts(self) -> None:
+        for endpoint in (self._in_endpoint, self._out_endpoint):
+            self._call(functools.partial(self._device.clear_halt, endpoint), "ending a halt")
+
     def _drain(self) -> None:
         """Throw away what waits in the pipe."""
         for _ in range(_MOST_LATE):
@@ -336,8 +343,7 @@ class Cp2130Bus(SpiBus):
             except BusTimeoutError:
                 return
             except ProtocolError:
-                self._call(lambda: self._device.clear_halt(self._in_endpoint), "ending a stall")
-                self._call(lambda: self._device.clear_halt(self._out_endpoint), "ending a stall")
+                self._end_halts()
         raise ProtocolError(f"{self.url}: replies that nobody asked for; does another program use it?")
 
 
