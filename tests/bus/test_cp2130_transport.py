@@ -291,6 +291,18 @@ def test_the_event_counter_goes_on_behind_its_overflow():
             seen += bus.read_event_counter()
         assert bench.device.control_in(0x44, 0, 0, 3)[0] & 0x80
         assert seen == pytest.approx(120 * 819.2, rel=0.05)
+    with bench.open("cp2130:?event_counter=1") as bus:
+        bus.sleep_s(1.0)
+        assert bus.read_event_counter() == pytest.approx(819.2, rel=0.05)
+
+
+@pytest.mark.parametrize("mode", [4, 5, 6, 7])
+def test_the_event_counter_may_count_edges_or_pulses_of_either_kind(mode):
+    bench = Bench(counter_mode=mode)
+    with bench.open("cp2130:?event_counter=1") as bus:
+        bus.exchange([0xB404])
+        bus.sleep_s(1.0)
+        assert bus.read_event_counter() == pytest.approx(819.2, rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -437,7 +449,10 @@ def test_after_a_port_reset_pins_counter_and_pace_are_as_they_were():
     assert bus.exchange([0x3800, 0])[1] == 0x0402
     assert bench.chip.seen[-2].start_s - at >= 40e-3
     assert bus.read_event_counter() < 100, "edges from before the reset are not counted twice"
-    assert bench.board.resets == 1
+    bench.device.short = True
+    with pytest.raises(ProtocolError):
+        bus.exchange([0])
+    assert bench.board.resets == 1, "for the time-out alone"
 
 
 def test_a_frame_is_never_sent_again():
