@@ -516,6 +516,17 @@ def test_under_faults_no_wrong_word_is_accepted(seed):
     assert bus.exchange([0x3800, 0])[1] == 0x0402
 
 
+@pytest.mark.parametrize(
+    ("parse", "size"),
+    [(r.parse_frame, 2), (r.parse_counter, 3), (r.parse_selects, 4), (r.parse_spi_words, 11)],
+)
+def test_parsers_take_their_own_length_alone(parse, size):
+    parse(bytes(size))
+    for wrong in (size - 1, size + 1):
+        with pytest.raises(ProtocolError):
+            parse(bytes(wrong))
+
+
 @settings(deadline=None)
 @given(st.binary(max_size=70))
 def test_parsers_take_any_bytes(data):

@@ -118,10 +118,10 @@ def test_other_pins_and_settings_stay_as_the_board_had_them():
     bench.device.designations[7] = 2
     bench.device.flags = 0b10001
     bench.device.outputs, bench.device.directions = 0x0AA, 0x155
-    bench.open("mcp2210:?cs=1&reset_gpio=2").close()
+    bench.open("mcp2210:?cs=1&reset_gpio=3").close()
     assert bytes(bench.device.designations) == bytes([0, 1, 0, 0, 0, 0, 0, 2, 0])
     assert bench.device.flags == 0b10001
-    assert (bench.device.outputs, bench.device.directions) == (0x0AA, 0x155 | 1 << 2)
+    assert (bench.device.outputs, bench.device.directions) == (0x0AA, 0x155 | 1 << 3)
 
 
 def test_neither_nvram_nor_eeprom_is_ever_written():
