@@ -13,8 +13,8 @@ counted is judged.
 Rates: 1 % of each fault a byte on the serial line (drop, duplicate, flip, delay, chunk) and 0.1 % hangs a
 delivery. On USB the unit is a packet, as the cable's own CRC and sequence bits guard its bytes: 1 % each of
 lost, late, refused, stuck and short ones, of duplicates and of flips in each byte of the four that head
-an MCP2210 report. Bytes of data that a bridge's protocol leaves to USB's CRC are not flipped. Every bus is
-unplugged and reopened now and then.
+an MCP2210 report; behind every tenth report some of its polls are "in progress". Bytes of data that a
+bridge's protocol leaves to USB's CRC are not flipped. Every bus is unplugged and reopened now and then.
 """
 
 from __future__ import annotations
@@ -154,11 +154,12 @@ class SpidevRig(Rig):
 
 BYTES = dict.fromkeys(("drop", "duplicate", "flip", "delay", "chunk"), 0.01) | {"hang": 0.001}
 REPORTS = dict.fromkeys(("drop", "duplicate", "flip", "delay", "busy", "stuck", "short"), 0.01)
+POLLS = {"progress": 0.1}
 TRANSFERS = dict.fromkeys(("drop", "delay", "busy", "stuck", "short"), 0.01)
 CALLS = dict.fromkeys(("drop", "hang", "busy", "short"), 0.01)
 RIGS: dict[str, tuple[Callable[[int], Rig], dict[str, float]]] = {
     "serial": (SerialRig, BYTES),
-    "mcp2210": (Mcp2210Rig, REPORTS | {"hang": 0.001}),
+    "mcp2210": (Mcp2210Rig, REPORTS | POLLS | {"hang": 0.001}),
     "cp2130": (Cp2130Rig, TRANSFERS | {"hang": 0.001}),
     "spidev": (SpidevRig, CALLS),
 }

@@ -102,15 +102,26 @@ def test_the_clock_is_the_fastest_divider_that_is_not_above_what_was_asked(asked
         assert bus.configure(SpiTiming(asked, 9, 40)).clock_hz == kept
 
 
+@pytest.mark.parametrize(("report_s", "scans_per_s"), [(1e-3, 62), (1.5e-3, 42)])
+def test_scans_of_four_registers_come_at_the_rates_that_the_documentation_has(report_s, scans_per_s):
+    """500 and 333 commands a second."""
+    bench = Bench(latency_s=report_s)
+    with bench.open() as bus:
+        bus.configure(SpiTiming(1e6, 9, 40))
+        before = bench.clock.now_s()
+        bus.exchange([0x0A00, 0x0C00, 0x0E00, 0x0400] * 50)
+        assert 50 / (bench.clock.now_s() - before) == pytest.approx(scans_per_s, abs=1)
+
+
 def test_other_pins_and_settings_stay_as_the_board_had_them():
     bench = Bench()
     bench.device.designations[7] = 2
     bench.device.flags = 0b10001
     bench.device.outputs, bench.device.directions = 0x0AA, 0x155
-    bench.open("mcp2210:?cs=1&reset_gpio=2").close()
+    bench.open("mcp2210:?cs=1&reset_gpio=3").close()
     assert bytes(bench.device.designations) == bytes([0, 1, 0, 0, 0, 0, 0, 2, 0])
     assert bench.device.flags == 0b10001
-    assert (bench.device.outputs, bench.device.directions) == (0x0AA, 0x155 | 1 << 2)
+    assert (bench.device.outputs, bench.device.directions) == (0x0AA, 0x155 | 1 << 3)
 
 
 def test_neither_nvram_nor_eeprom_is_ever_written():
@@ -251,6 +262,99 @@ def test_a_refused_transfer_is_cancelled_and_tried_once_more():
     bus.close()
 
 
+def test_opening_frees_an_engine_that_another_program_left_stuck():
+    bench = Bench()
+    bench.device.stuck = True
+    with bench.open() as bus:
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+def test_after_a_cancel_the_stall_counts_from_there_because_it_may_have_raised_cs():
+    bench = Bench()
+    with bench.open() as bus:
+        bus.configure(SpiTiming(1e6, 50_000.0, 50_000.0))
+        bus.exchange([0])
+        bench.clock.sleep_s(1.0)
+        bench.device.stuck = True
+        before = bench.clock.now_s()
+        bus.exchange([0])
+        assert bench.chip.seen[-1].start_s - before >= 50e-3
+
+
+@pytest.mark.parametrize(("count", "error"), [(10, None), (100, ProtocolError)])
+def test_answers_of_others_are_thrown_away_but_not_for_ever(count, error):
+    bench = Bench()
+    with bench.open() as bus:
+        write, foreign = bench.board.write, bytes([0x61]) + bytes(63)
+
+        def crowded(report):
+            bench.board.answers.extend([(bench.clock.now_s() + 1e-6, foreign)] * count)
+            return write(report)
+
+        bench.board.write = crowded
+        if error is None:
+            assert bus.exchange([0x3800, 0])[1] == 0x0402
+        else:
+            with pytest.raises(error, match="only answers to other commands"):
+                bus.exchange([0x3800, 0])
+        bench.board.write = write
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+def spoiled(bench, command, change):
+    """Let every answer to a command pass through `change`."""
+    report = bench.device.report
+    bench.device.report = lambda request: (
+        change(bytearray(report(request))) if request[0] == command else report(request)
+    )
+
+
+@pytest.mark.parametrize(
+    ("at", "value"),
+    [(4, 0x91), (6, 0xFF), (8, 0xFE), (10, 0xFD), (12, 1), (14, 1), (16, 1), (18, 4), (20, 0)],
+)
+def test_settings_that_read_back_otherwise_are_refused(at, value):
+    """Rate, idle and active CS, the three delays, the transaction's length, the mode."""
+    bench = Bench()
+
+    def change(answer):
+        answer[at] = value
+        return bytes(answer)
+
+    spoiled(bench, 0x41, change)
+    with pytest.raises(ProtocolError, match="did not take its settings"):
+        bench.open()
+
+
+def test_a_bit_rate_of_zero_is_refused():
+    bench = Bench()
+    spoiled(bench, 0x41, lambda answer: bytes(answer[:4]) + bytes(4) + bytes(answer[8:]))
+    with pytest.raises(ProtocolError, match="did not take its settings"):
+        bench.open()
+
+
+def test_data_in_the_answer_that_accepts_a_transfer_are_an_error():
+    for engine in (0x10, 0x20, 0x30):
+        bench = Bench()
+        with bench.open() as bus:
+            spoiled(
+                bench, 0x42, lambda answer, engine=engine: bytes([0x42, 0, 2, engine, 0x12, 0x34]).ljust(64)
+            )
+            with pytest.raises(ProtocolError, match="data before the transfer has started"):
+                bus.exchange([0])
+
+
+def test_the_event_counter_counts_rising_edges_from_the_opening_on():
+    bench = Bench()
+    bench.device.flags = 0b11111
+    with bench.open("mcp2210:?event_counter=1") as bus:
+        assert bench.device.flags == 0b10101
+        bus.exchange([0xB404])
+    bench.clock.sleep_s(2.0)
+    with bench.open("mcp2210:?event_counter=1") as bus:
+        assert bus.read_event_counter() < 100
+
+
 def test_another_master_on_the_bus_is_said():
     bench = Bench()
     bus = bench.open()
@@ -274,11 +378,53 @@ def test_every_failure_ends_in_a_cancel():
 def test_an_accepted_frame_is_never_sent_again():
     bench = Bench()
     bus = bench.open()
-    bench.device.slow_polls = 10**6
+    bench.device.slow_polls = 10**4
     with pytest.raises(BusTimeoutError, match="does not finish"):
         bus.exchange([0xA012, 0])
     assert [f.word for f in bench.chip.seen] == [0xA012]
     bench.device.slow_polls = 0
+
+
+@pytest.mark.parametrize("polls", [1, 2, 7])
+def test_a_poll_that_is_answered_by_transfer_in_progress_is_repeated_and_the_frame_is_not(polls):
+    bench = Bench()
+    with bench.open() as bus:
+        for word in (0x3800, 0x3600):
+            bench.device.busy_polls = polls
+            cancels, sent = bench.device.cancels, len(bench.chip.seen)
+            assert bus.exchange([word, 0])[1] == {0x3800: 0x0402, 0x3600: 0x0001}[word]
+            assert bench.device.busy_polls == 0
+            assert bench.device.cancels == cancels
+            assert [frame.word for frame in bench.chip.seen[sent:]] == [word, 0]
+
+
+def test_a_transfer_in_progress_without_end_is_a_time_out_and_a_cancel_frees_the_bus():
+    bench = Bench()
+    with bench.open("mcp2210:?timeout_ms=100") as bus:
+        bench.device.busy_polls = 10**4
+        before, cancels = bench.clock.now_s(), bench.device.cancels
+        with pytest.raises(BusTimeoutError, match=r"does not finish a frame within 0\.1 s"):
+            bus.exchange([0xA012, 0])
+        assert 0.1 <= bench.clock.now_s() - before < 0.12
+        assert bench.device.cancels == cancels + 1
+        bench.device.busy_polls = 0
+        assert [frame.word for frame in bench.chip.seen] == [0xA012]
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+
+
+def test_a_poll_that_is_refused_for_another_master_is_no_transfer_in_progress():
+    bench = Bench()
+    with bench.open() as bus:
+        report = bench.device.report
+
+        def lose_the_bus(request):
+            answer = report(request)
+            bench.device.external_owner = request[0] == 0x42
+            return answer
+
+        bench.device.report = lose_the_bus
+        with pytest.raises(ProtocolError, match="another master"):
+            bus.exchange([0])
 
 
 def test_a_late_answer_is_not_taken_for_the_next_one():
@@ -350,7 +496,7 @@ def test_capabilities_are_those_that_were_wired():
 @pytest.mark.parametrize("seed", range(3))
 def test_under_faults_no_wrong_word_is_accepted(seed):
     rates = dict.fromkeys(("drop", "duplicate", "flip", "delay", "busy", "stuck", "short"), 0.01)
-    bench = Bench(faults=Faults(seed=seed, hang=0.001, **rates))
+    bench = Bench(faults=Faults(seed=seed, hang=0.001, progress=0.05, **rates))
     bus = None
     while bus is None:
         with _anything():
@@ -364,8 +510,9 @@ def test_under_faults_no_wrong_word_is_accepted(seed):
             continue
         good += 1
         assert replies[1:] == [0x0402, 0x0001, 0x0000]
-    assert good > 200
+    assert good > 400 / 3
     assert bad > 5
+    assert bench.board.faults.seen["progress"] > 100
     bench.board.faults = Faults()
     bench.clock.sleep_s(2.0)
     assert bus.exchange([0x3800, 0])[1] == 0x0402
@@ -381,6 +528,7 @@ def test_parsers_take_any_bytes(data):
         r.ChipSettings.parse,
         r.SpiSettings.parse,
         r.Progress.parse,
+        r.Progress.of_poll,
         r.parse_events,
         lambda answer: r.parse_pins(answer, r.Command.GET_GPIO_VALUES),
     ):
@@ -393,6 +541,18 @@ def test_parsers_take_any_bytes(data):
 def test_a_progress_never_carries_more_than_a_frame(data):
     with contextlib.suppress(ProtocolError):
         assert len(r.Progress.parse(b"\x42" + data).data) <= 2
+
+
+def test_parsers_refuse_what_is_not_theirs():
+    chip = bytes([0x20, 0, 0, 0]) + bytes([0, 1, 2, 0, 0, 0, 0, 0, 0])
+    assert r.ChipSettings.parse(chip.ljust(64, b"\0")).designations[:3] == (0, 1, 2)
+    with pytest.raises(ProtocolError, match="designation"):
+        r.ChipSettings.parse(chip.replace(b"\x02", b"\x03").ljust(64, b"\0"))
+    with pytest.raises(ProtocolError, match="0x12 where 0x42"):
+        r.Progress.parse(bytes([0x12]).ljust(64, b"\0"))
+    assert r.parse_pins(bytes([0x31, 0, 0, 0, 0xFF, 0xFF]).ljust(64), r.Command.GET_GPIO_VALUES) == 0x1FF
+    assert r.is_mark(bytes([0x50, 0, 7]).ljust(64), 7)
+    assert not r.is_mark(bytes([0x12, 0, 7]).ljust(64), 7)
 
 
 # -- writes that block --------------------------------------------------------------------------------

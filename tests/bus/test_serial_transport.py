@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from adis_gonio.bus import BusUrl, Capability, SpiTiming, open_bus
 from adis_gonio.bus.serial import find_devices, open_from_url, ports
 from adis_gonio.bus.serial.clocks import ClockMap
-from adis_gonio.bus.wire import Receiver
+from adis_gonio.bus.wire import Receiver, load_cobs
 from adis_gonio.errors import (
     BusError,
     BusTimeoutError,
@@ -575,6 +575,17 @@ def test_without_pyserial_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "serial", None)
     with pytest.raises(NotInstalledError, match=r"adis-gonio\[serial\]"):
         open_bus("serial:/dev/x")
+
+
+def test_without_cobs_the_extra_is_named_and_no_port_is_opened(monkeypatch):
+    serial = pytest.importorskip("serial")
+    opened = []
+    monkeypatch.setattr(serial, "serial_for_url", lambda *args, **options: opened.append(args))
+    monkeypatch.setitem(sys.modules, "cobs", None)
+    load_cobs.cache_clear()
+    with pytest.raises(NotInstalledError, match=r"cobs is not installed.*adis-gonio\[serial\]"):
+        open_bus("serial:/dev/x")
+    assert not opened
 
 
 def test_a_module_serial_of_another_package_is_named(monkeypatch):

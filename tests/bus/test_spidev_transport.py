@@ -11,11 +11,20 @@ from adis_gonio.bus.spidev import find_devices, open_from_url
 from adis_gonio.bus.spidev import kernel as k
 from adis_gonio.errors import BusError, BusTimeoutError, CannotOpenError, ProtocolError, UsageError
 from adis_gonio.sim import SimulatedChip, World
-from contract.bus_contract import BusContract, Rig, WatchedChip
+from contract.bus_contract import BusContract, Rig, WatchedChip, assert_timing
 from fakes.clock import VirtualClock
 from fakes.faults import Faults
 from fakes.pins import ChipPins
-from fakes.spidev_kernel import FakeSpidevKernel
+from fakes.spidev_kernel import (
+    CPHA,
+    CS_HIGH,
+    KNOWN_FLAGS,
+    LOOP,
+    LSB_FIRST,
+    THREE_WIRE,
+    CsFlag,
+    FakeSpidevKernel,
+)
 
 SEED = 7
 PATH = "/dev/spidev0.0"
@@ -93,6 +102,47 @@ def test_structures_are_as_large_as_the_kernels():
     assert (k.message(1), k.WR_MODE32, k.GET_LINE) == (0x40206B00, 0x40046B05, 0xC250B407)
 
 
+# -- the mode and its flags -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("flag", CsFlag)
+def test_a_chip_select_of_any_kind_of_any_kernel_reaches_the_chip(flag):
+    bench = Bench(cs_flag=flag)
+    with bench.open() as bus:
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+    assert bench.kernel.modes[PATH] == 3 | (0 if flag is CsFlag.NATIVE else CS_HIGH)
+
+
+def test_flags_of_the_device_tree_stay_and_those_that_change_the_bits_of_a_frame_go():
+    no_cs, ready = 0x40, 0x80
+    bench = Bench(mode=no_cs | ready | LSB_FIRST | THREE_WIRE | LOOP | CPHA)
+    with bench.open() as bus:
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+    assert bench.kernel.modes[PATH] == no_cs | ready | CS_HIGH | 3
+
+
+@pytest.mark.parametrize("wrong", [0, 1, 2, 3 | LSB_FIRST, 3 | THREE_WIRE, 3 | LOOP])
+def test_a_mode_that_reads_back_otherwise_is_refused(wrong):
+    bench = Bench()
+    bench.kernel._set_mode = lambda path, mode: bench.kernel.modes.update({path: wrong | CS_HIGH})
+    with pytest.raises(ProtocolError, match=f"mode {wrong:#x}, not 3"):
+        bench.open()
+    assert not bench.kernel.files
+
+
+def test_a_controller_without_cpha_1_is_said_with_what_to_use_instead():
+    """As spi-bcm2835aux: the auxiliary SPI of a Raspberry Pi."""
+    bench = Bench(supports=KNOWN_FLAGS & ~CPHA)
+    with pytest.raises(CannotOpenError, match=r"cannot do SPI mode 3 .*spidev1\.x.*spidev0\.x") as caught:
+        bench.open()
+    assert "Invalid argument" not in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not bench.kernel.files
+
+
+# -- batches ----------------------------------------------------------------------------------------------
+
+
 def test_a_batch_in_fast_mode_is_one_ioctl():
     bench = Bench()
     with bench.open() as bus:
@@ -120,6 +170,33 @@ def test_in_normal_mode_each_frame_is_a_message_because_the_kernel_cannot_keep_t
     assert bench.kernel.messages == [1] * 5
 
 
+@pytest.mark.parametrize(
+    ("timing", "clock_hz", "messages"),
+    [
+        (SpiTiming(1e6, 10.0, 40.0), 16 / 30e-6, [3]),  # the kernel's own time is just enough
+        (SpiTiming(1e6, 10.5, 40.0), 1e6, [1, 1, 1]),
+        (SpiTiming(1e6, 9.0, 1000.0), 16 / 990e-6, [3]),
+        (SpiTiming(1e6, 9.0, 2000.0), 1e6, [1, 1, 1]),  # that would be 8 kHz, below the chip's 10 kHz
+        (SpiTiming(100e3, 9.0, 40.0), 100e3, [3]),
+    ],
+)
+def test_the_clock_fills_a_period_only_where_the_kernel_keeps_the_stall_and_the_chip_the_clock(
+    timing, clock_hz, messages
+):
+    bench = Bench()
+    with bench.open() as bus:
+        assert bus.configure(timing).clock_hz == pytest.approx(clock_hz, rel=1e-3)
+        bench.kernel.messages.clear()
+        bus.exchange([0] * 3)
+    assert bench.kernel.messages == messages
+    assert_timing(bench.chip.seen[-3:], timing)
+
+
+def test_a_clock_below_1_hz_is_refused_for_the_kernel_would_take_0_for_its_own():
+    with Bench().open() as bus, pytest.raises(UsageError, match=r"0\.5 Hz"):
+        bus.configure(SpiTiming(0.5, 9.0, 40.0))
+
+
 def test_long_batches_are_split_at_511_and_keep_the_stall():
     bench = Bench(bufsiz=65536)
     with bench.open() as bus:
@@ -138,6 +215,21 @@ def test_a_short_buffer_is_found_once_and_remembered():
             assert bus.exchange([0x3800] * 300)[1:] == [0x0402] * 299
             assert max(bench.kernel.messages) <= 32
             assert sum(bench.kernel.messages) == 300
+            assert len(bench.kernel.messages) == 17, "after 300, 150, 75 and 37 the 18 that fit"
+
+
+def test_a_buffer_that_takes_not_even_one_frame_is_an_error():
+    bench = Bench(bufsiz=4)
+    ioctl, calls = bench.kernel.ioctl, []
+
+    def few(fd, request, argument):
+        calls.append(request)
+        assert len(calls) < 20, "tried for ever"
+        return ioctl(fd, request, argument)
+
+    bench.kernel.ioctl = few
+    with bench.open() as bus, pytest.raises(ProtocolError, match="Message too long"):
+        bus.exchange([0])
 
 
 def test_a_file_that_another_has_is_busy_and_free_after_closing():
@@ -157,6 +249,8 @@ def test_a_failed_opening_gives_everything_back():
         bench.open("?reset_gpio=17")
     with pytest.raises(UsageError, match="no line 99"):
         bench.open("?reset_gpio=gpiochip0:99")
+    with pytest.raises(CannotOpenError, match="no /dev/gpiochip4 "):
+        bench.open("?reset_gpio=gpiochip4:3")
     assert not bench.kernel.files
 
 
@@ -202,12 +296,17 @@ def test_a_file_that_is_no_spidev_is_said_by_the_real_kernel():
         open_from_url(BusUrl.parse("spidev:/dev/null"))
 
 
-def test_the_controller_going_away_is_a_clear_error():
+@pytest.mark.parametrize("code", [errno.ENODEV, errno.ESHUTDOWN, errno.ENXIO])
+def test_the_controller_going_away_is_a_clear_error(code):
     bench = Bench()
-    bus = bench.open()
-    bench.kernel.unplugged = True
-    with pytest.raises(CannotOpenError, match="gone"):
-        bus.exchange([0])
+    with bench.open() as bus:
+
+        def unbound(*call):
+            raise OSError(code, "")
+
+        bench.kernel.ioctl = unbound
+        with pytest.raises(CannotOpenError, match="gone"):
+            bus.exchange([0])
 
 
 def test_only_a_wired_reset_is_a_capability():

@@ -11,13 +11,18 @@ from dataclasses import dataclass, field
 from fakes.pins import ChipPins
 
 VENDOR_ID, PRODUCT_ID = 0x10C4, 0x87A0
-OUT_ENDPOINT, IN_ENDPOINT = 0x01, 0x82
+WRITE_FIRST, READ_FIRST = (0x01, 0x82), (0x02, 0x81)
+"""Endpoints out and in, by the transfer priority in the OTP."""
 PACKET = 64
 CLOCKS_HZ = (12e6, 6e6, 3e6, 1.5e6, 750e3, 375e3, 187.5e3, 93.75e3)
 HEADER = struct.Struct("<HBBI")
 READ, WRITE, WRITE_READ, READ_RTR = 0, 1, 2, 4
 CHANNELS = 11
 FIFO = 256
+INPUT, OPEN_DRAIN, PUSH_PULL, CHIP_SELECT = 0, 1, 2, 3
+PIN_BITS = (3, 4, 5, 6, 7, 8, 10, 11, 12, 13, 14)
+"""Bits of GPIO.0 to GPIO.10 in words of pins; channels count from bit 0."""
+EVENT_PIN = 4
 
 
 class StallError(Exception):
@@ -37,8 +42,15 @@ class Cp2130Device:
         The chip's wires.
     cs_pin, reset_pin : int
         GPIO that the chip's CS and RST hang on.
+    endpoints : tuple of int
+        Bulk endpoints out and in: `WRITE_FIRST` or `READ_FIRST`.
+    functions : list of int
+        What the OTP made of each pin: `CHIP_SELECT`, a GPIO, or 4 and more for the pin's own duty. A GPIO
+        request makes a GPIO of any; nothing makes it a chip select again.
+    tells_all : bool
+        The word of pins in the answer about chip selects holds all that are one, not the selected alone.
     counter_mode : int
-        What the factory made of the event counter's pin; 4 counts rising edges, 0 means no counter.
+        What the OTP made of GPIO.4: 4 counts rising edges, 0 means no counter.
     stuck : bool
         Bulk commands are taken and nothing happens, until a reset.
     short : bool
@@ -49,6 +61,9 @@ class Cp2130Device:
     serial: str = "00A1B2C3"
     cs_pin: int = 0
     reset_pin: int = 5
+    endpoints: tuple[int, int] = WRITE_FIRST
+    functions: list[int] = field(default_factory=lambda: [CHIP_SELECT] * CHANNELS)
+    tells_all: bool = False
     counter_mode: int = 4
     stuck: bool = False
     short: bool = False
@@ -63,7 +78,8 @@ class Cp2130Device:
         self._command = b""
         self._mode = self.counter_mode
         self._counter_zero = 0
-        self._pins = dict.fromkeys(range(CHANNELS), (0, 1))
+        self.functions[EVENT_PIN] = self.counter_mode or self.functions[EVENT_PIN]
+        self._levels = [1] * CHANNELS
 
     def usb_reset(self) -> None:
         """The port was reset or the host set a configuration: RAM settings and pipes are empty."""
@@ -84,15 +100,21 @@ class Cp2130Device:
         """Vendor request to the host, bmRequestType 0xC0."""
         self._check(request, value, index)
         if request == 0x22:
-            modes = sum(1 << k for k, (_, level) in self._pins.items() if level)
-            answer = struct.pack(">HH", modes, modes)
+            levels = sum(1 << bit for bit, level in zip(PIN_BITS, self._levels, strict=True) if level)
+            push_pull = sum(
+                1 << bit for bit, kind in zip(PIN_BITS, self.functions, strict=True) if kind == PUSH_PULL
+            )
+            answer = struct.pack(">HH", levels, push_pull)
         elif request == 0x24:
-            on = sum(1 << k for k, state in enumerate(self.selected) if state)
-            answer = struct.pack(">HH", on, 0x7FF)
+            on = [k for k, state in enumerate(self.selected) if state]
+            pins = [k for k in (range(CHANNELS) if self.tells_all else on) if self._is_select(k)]
+            answer = struct.pack(">HH", sum(1 << k for k in on), sum(1 << PIN_BITS[k] for k in pins))
         elif request == 0x30:
             answer = bytes(self.words)
         elif request == 0x44:
-            answer = struct.pack(">BH", self._mode, self._edges() & 0xFFFF)
+            edges = self._edges()
+            overflow = 0x80 if edges > 0xFFFF else 0
+            answer = struct.pack(">BH", self._mode | overflow, edges & 0xFFFF)
         elif request == 0x46:
             answer = b"\0"
         else:
@@ -102,7 +124,7 @@ class Cp2130Device:
     def control_out(self, request: int, value: int, index: int, data: bytes) -> None:
         """Vendor request to the device, bmRequestType 0x40."""
         self._check(request, value, index)
-        if request == 0x23 and len(data) == 3 and data[0] < CHANNELS:
+        if request == 0x23 and len(data) == 3 and data[0] < CHANNELS and data[1] <= PUSH_PULL:
             self._drive(*data)
         elif request == 0x25 and len(data) == 2 and data[0] < CHANNELS and data[1] <= 2:
             if data[1] == 2:
@@ -126,18 +148,26 @@ class Cp2130Device:
 
     def _edges(self) -> int:
         edges = self.pins.data_ready_edges()
-        return edges - self._counter_zero if self._mode & 7 else 0
+        counts = self.functions[EVENT_PIN] == self._mode and self._mode >= 4
+        return edges - self._counter_zero if counts else 0
+
+    def _is_select(self, pin: int) -> bool:
+        return self.functions[pin] == CHIP_SELECT
+
+    def _reset_is_low(self) -> bool:
+        pin = self.reset_pin
+        return self.functions[pin] in (OPEN_DRAIN, PUSH_PULL) and not self._levels[pin]
 
     def _drive(self, pin: int, mode: int, level: int) -> None:
-        was_low = self._pins[pin] in ((1, 0), (2, 0))
-        self._pins[pin] = (mode, level)
-        if pin == self.reset_pin and was_low and (mode, level) not in ((1, 0), (2, 0)):
+        was_low = self._reset_is_low()
+        self.functions[pin], self._levels[pin] = mode, level
+        if was_low and not self._reset_is_low():
             self.pins.hard_reset()
 
     # -- bulk -----------------------------------------------------------------------------------------
 
     def bulk_out(self, data: bytes) -> None:
-        """Bytes on endpoint 0x01; commands may come in pieces."""
+        """Bytes to the device; commands may come in pieces."""
         if self.stuck:
             return
         self._command += data
@@ -159,7 +189,7 @@ class Cp2130Device:
                 self._replies.extend(reply[k : k + PACKET] for k in range(0, len(reply), PACKET))
 
     def bulk_in(self) -> bytes | None:
-        """Next packet on endpoint 0x82; None where there is none (NAK)."""
+        """Next packet to the host; None where there is none (NAK)."""
         return self._replies.popleft() if self._replies else None
 
     def _transfer(self, data: bytes) -> bytes:
@@ -169,5 +199,5 @@ class Cp2130Device:
             data,
             clock_hz=CLOCKS_HZ[word & 7],
             mode=(word >> 4 & 1) << 1 | word >> 5 & 1,
-            selected=channels == [self.cs_pin],
+            selected=channels == [self.cs_pin] and self._is_select(self.cs_pin),
         )

@@ -12,8 +12,6 @@ import usb.backend
 import usb.core
 
 from fakes.cp2130_device import (
-    IN_ENDPOINT,
-    OUT_ENDPOINT,
     PACKET,
     PRODUCT_ID,
     VENDOR_ID,
@@ -61,6 +59,7 @@ class UsbBoard:
         self.claimed = False
         self.out_transfers = 0
         self.resets = 0
+        self.out_is_halted = False
         self._waiting: deque[tuple[float, bytes]] = deque()
 
     @property
@@ -96,7 +95,8 @@ class UsbBoard:
         faults = self.faults
         self.check()
         self.out_transfers += 1
-        if faults.happens("busy"):
+        if self.out_is_halted or faults.happens("busy"):
+            self.out_is_halted = True  # until the host ends it (USB 2.0, 8.5.3.4 and 9.4.5)
             raise usb_error(errno.EPIPE, "Pipe error")
         if faults.happens("drop"):
             raise self.time_out(timeout_ms)
@@ -108,6 +108,7 @@ class UsbBoard:
         try:
             self.device.bulk_out(data)
         except StallError:
+            self.out_is_halted = True
             raise usb_error(errno.EPIPE, "Pipe error") from None
         while (packet := self.device.bulk_in()) is not None:
             if faults.happens("drop"):
@@ -130,12 +131,13 @@ class UsbBoard:
     def reset(self) -> None:
         self.check()
         self.resets += 1
+        self.out_is_halted = False
         self._waiting.clear()
         self.device.usb_reset()
 
     def replug(self) -> None:
         """Out and in again; the address is a new one."""
-        self.plugged, self.claimed = True, False
+        self.plugged, self.claimed, self.out_is_halted = True, False, False
         self.address += 1
         self._waiting.clear()
         self.device.usb_reset()
@@ -211,7 +213,7 @@ class FakeUsbBackend(usb.backend.IBackend):
         return SimpleNamespace(
             bLength=7,
             bDescriptorType=5,
-            bEndpointAddress=(OUT_ENDPOINT, IN_ENDPOINT)[ep],
+            bEndpointAddress=dev.device.endpoints[ep],
             bmAttributes=2,
             wMaxPacketSize=PACKET,
             bInterval=0,
@@ -250,13 +252,13 @@ class FakeUsbBackend(usb.backend.IBackend):
 
     def bulk_write(self, dev_handle, ep, intf, data, timeout):
         assert dev_handle.claimed
-        assert ep == OUT_ENDPOINT
+        assert ep == dev_handle.board.device.endpoints[0]
         assert timeout, "a transfer that may block for ever"
         return dev_handle.board.bulk_out(bytes(data), timeout)
 
     def bulk_read(self, dev_handle, ep, intf, buff, timeout):
         assert dev_handle.claimed
-        assert ep == IN_ENDPOINT
+        assert ep == dev_handle.board.device.endpoints[1]
         assert timeout, "a transfer that may block for ever"
         packet = dev_handle.board.bulk_in(len(buff), timeout)
         buff[: len(packet)] = array.array("B", packet)
@@ -283,7 +285,10 @@ class FakeUsbBackend(usb.backend.IBackend):
         return struct.pack("BB", len(body) + 2, 3) + body
 
     def clear_halt(self, dev_handle, ep):
+        assert ep in dev_handle.board.device.endpoints
         dev_handle.board.check()
+        if ep == dev_handle.board.device.endpoints[0]:
+            dev_handle.board.out_is_halted = False
         dev_handle.board.device.clear_halt(ep)
 
     def reset_device(self, dev_handle):

@@ -2,7 +2,8 @@
 
 `Faults` decides, `FaultyStream` applies them to bytes (serial), the fakes of USB apply them to packets.
 Rates are probabilities: of `drop`, `duplicate`, `flip`, `delay` and `chunk` a byte of a stream or a packet
-of USB, of `hang`, `busy`, `stuck`, `short` and `unplug` a packet.
+of USB, of `hang`, `busy`, `progress` (the device says that it is at work), `stuck`, `short` and `unplug` a
+packet.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ class Faults:
     hang: float = 0.0
     unplug: float = 0.0
     busy: float = 0.0
+    progress: float = 0.0
     stuck: float = 0.0
     short: float = 0.0
     delay_s: float = 0.05

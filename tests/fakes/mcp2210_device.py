@@ -59,6 +59,8 @@ class Mcp2210Device:
         So many more transfers are refused as busy.
     external_owner : bool
         Another master has the SPI bus.
+    busy_polls : int
+        So many polls of a running transaction are answered 0xF8, "transfer in progress".
     slow_polls : int
         So many polls say "running, nothing yet" before a transaction's data come.
     short : bool
@@ -73,6 +75,7 @@ class Mcp2210Device:
     stuck: bool = False
     busy: int = 0
     external_owner: bool = False
+    busy_polls: int = 0
     slow_polls: int = 0
     short: bool = False
     nvram_writes: int = 0
@@ -122,7 +125,8 @@ class Mcp2210Device:
 
     def _cmd_12(self, request: bytes) -> bytes:
         edges = self.pins.data_ready_edges()
-        counting = self.designations[self.event_pin] == DEDICATED and self.flags >> 1 & 7
+        mode = self.flags >> 1 & 7  # 1 falling edges, 2 rising ones, then pulses, which are as many
+        counting = self.designations[self.event_pin] == DEDICATED and 1 <= mode <= 4
         count = min(edges - self._counted, 0xFFFF) if counting else 0
         if request[1] == 0:
             self._counted = edges
@@ -207,6 +211,9 @@ class Mcp2210Device:
             return self._start(request[4 : 4 + count])
         if not self._running:
             return bytes([DONE, 0, FINISHED])
+        if self.busy_polls:
+            self.busy_polls -= 1
+            return bytes([BUSY])
         if self._polls:
             self._polls -= 1
             return bytes([DONE, 0, STARTED])

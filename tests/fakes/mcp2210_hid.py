@@ -67,6 +67,8 @@ class HidBoard:
             self.device.stuck = True
         if faults.happens("busy"):
             self.device.busy = 1
+        if faults.happens("progress"):
+            self.device.busy_polls = faults.dice.randrange(1, 4)
         if faults.happens("short"):
             self.device.short = True
         hung = faults.hangs(clock.now_s())

@@ -286,11 +286,13 @@ PARSERS: dict[str, Callable[[bytes], object]] = {
     "MCP2210 chip settings": mcp2210_reports.ChipSettings.parse,
     "MCP2210 SPI settings": mcp2210_reports.SpiSettings.parse,
     "MCP2210 transfer": mcp2210_reports.Progress.parse,
+    "MCP2210 poll": mcp2210_reports.Progress.of_poll,
     "MCP2210 events": mcp2210_reports.parse_events,
     "MCP2210 pins": lambda data: mcp2210_reports.parse_pins(data, mcp2210_reports.Command.GET_GPIO_VALUES),
     "MCP2210 mark": lambda data: mcp2210_reports.is_mark(data, 7),
     "CP2130 frame": cp2130_requests.parse_frame,
     "CP2130 SPI words": cp2130_requests.parse_spi_words,
+    "CP2130 chip selects": cp2130_requests.parse_selects,
     "CP2130 counter": cp2130_requests.parse_counter,
     **{f"wire {body.__name__}": body.unpack for body in (*REPLIES, wire.Scans, wire.Error)},
 }
@@ -303,7 +305,7 @@ def fuzz_parser(name: str, count: int, seed: int) -> Counter:
     found: Counter = Counter()
     fed = 0
     while fed < count:
-        data = bytearray(dice.randbytes(dice.choice((64, 64, 64, 11, 3, 2, dice.randrange(LONGEST)))))
+        data = bytearray(dice.randbytes(dice.choice((64, 64, 64, 11, 4, 3, 2, dice.randrange(LONGEST)))))
         if len(data) == 64 and dice.random() < 0.9:
             data[0], data[1] = dice.choice(HEADS), dice.choice((0, 0, 0xF7, 0xF8, data[1]))
             data[2:4] = bytes((dice.randrange(4), dice.choice((0x10, 0x20, 0x30, data[3]))))

@@ -3,6 +3,9 @@
 Memory is read and written at the addresses that the structures name. The order of things is the core's:
 transfer, `delay_usecs`, rise of CS where `cs_change` is set, 10 µs, fall of CS; at the end of a message CS
 rises unless the last transfer asked to keep it.
+
+Where chip select is a GPIO, newer cores set SPI_CS_HIGH although the wire is active low, for the polarity
+is the GPIO descriptor's. Kernels differ in what they make of the flag (`CsFlag`).
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ import ctypes
 import errno
 import os
 import struct
+from enum import Enum
 
 from fakes.faults import Faults
 from fakes.pins import ChipPins
@@ -20,10 +24,27 @@ MESSAGE = 0x40006B00
 WR_BITS, WR_SPEED, WR_MODE32, RD_MODE32 = 0x40016B03, 0x40046B04, 0x40046B05, 0x80046B05
 GET_LINE, SET_VALUES = 0xC250B407, 0xC010B40F
 CS_HIGH_S = 10e-6
+CPHA, CPOL, CS_HIGH, LSB_FIRST, THREE_WIRE, LOOP = 1, 2, 4, 8, 0x10, 0x20
+KNOWN_FLAGS = 0x7FFF
+
+
+class CsFlag(Enum):
+    """What becomes of SPI_CS_HIGH."""
+
+    NATIVE = "the controller drives CS itself: the flag is the caller's"
+    FORCED = "CS is a GPIO: set whatever is written, and read back (from commit 138c9c32f090, 5.6, on)"
+    HIDDEN = "CS is a GPIO: set whatever is written, and not read back (from commit 7dbfa445ff73, 6.2, on)"
+    TRUSTED = (
+        "CS is a GPIO: set at first and read back, and lost where a mode without it is written (before)"
+    )
 
 
 def os_error(code: int) -> OSError:
     return OSError(code, os.strerror(code))
+
+
+def _turned(data: bytes) -> bytes:
+    return bytes(int(f"{byte:08b}"[::-1], 2) for byte in data)
 
 
 class FakeSpidevKernel:
@@ -37,6 +58,12 @@ class FakeSpidevKernel:
         Module parameter of spidev.
     align : int
         What a transfer is rounded up to against `bufsiz` (ARCH_DMA_MINALIGN).
+    cs_flag : CsFlag
+        How this kernel treats SPI_CS_HIGH.
+    supports : int
+        Flags of the mode that the controller can do; others are EINVAL.
+    mode : int
+        What the file was left with by the device tree or another program.
     """
 
     def __init__(
@@ -48,6 +75,9 @@ class FakeSpidevKernel:
         cs_high_s: float = CS_HIGH_S,
         faults: Faults | None = None,
         call_s: float = 5e-6,
+        cs_flag: CsFlag = CsFlag.FORCED,
+        supports: int = KNOWN_FLAGS,
+        mode: int = 0,
     ) -> None:
         self.pins = pins
         self.bufsiz = bufsiz
@@ -55,12 +85,15 @@ class FakeSpidevKernel:
         self.cs_high_s = cs_high_s
         self.faults = faults or Faults()
         self.call_s = call_s
+        self.cs_flag = cs_flag
+        self.supports = supports
         self.refuse_open: int | None = None
         self.unplugged = False
         self.reset_line = 17
         self.locked: set[str] = set()
         self.files: dict[int, str] = {}
-        self.modes: dict[str, int] = {}
+        high = 0 if cs_flag is CsFlag.NATIVE else CS_HIGH
+        self.modes = dict.fromkeys(pins, mode | high)
         self.messages: list[int] = []
         self.line_low = False
         self._next = 100
@@ -98,12 +131,24 @@ class FakeSpidevKernel:
         if request & ~0x3FFF0000 == MESSAGE:
             return self._message(path, bytes(argument), size)
         if request == WR_MODE32:
-            self.modes[path] = struct.unpack("<I", bytes(argument))[0]
+            self._set_mode(path, struct.unpack("<I", bytes(argument))[0])
         elif request == RD_MODE32:
-            ctypes.memmove(ctypes.addressof(argument), struct.pack("<I", self.modes.get(path, 0)), 4)
+            hidden = CS_HIGH if self.cs_flag is CsFlag.HIDDEN else 0
+            ctypes.memmove(ctypes.addressof(argument), struct.pack("<I", self.modes[path] & ~hidden), 4)
         elif request not in (WR_BITS, WR_SPEED):
             raise os_error(errno.ENOTTY)
         return 0
+
+    def _set_mode(self, path: str, mode: int) -> None:
+        if self.cs_flag in (CsFlag.FORCED, CsFlag.HIDDEN):
+            mode |= CS_HIGH
+        if mode & ~self.supports:
+            raise os_error(errno.EINVAL)
+        self.modes[path] = mode
+
+    def _chip_sees_its_select(self, path: str) -> bool:
+        """CS of the chip is active low; on a GPIO the flag says that the descriptor's polarity holds."""
+        return bool(self.modes[path] & CS_HIGH) is (self.cs_flag is not CsFlag.NATIVE)
 
     def _new(self, path: str) -> int:
         self._next += 1
@@ -129,25 +174,31 @@ class FakeSpidevKernel:
         self.messages.append(len(transfers))
         total = 0
         now = clock.now_s()
-        for k, (tx, rx, length, speed, delay, _bits, change, *_rest) in enumerate(transfers):
+        for k, (tx, rx, length, speed, delay, bits, change, *_rest) in enumerate(transfers):
             last = k == len(transfers) - 1
             if last and change:
                 raise AssertionError("cs_change on the last transfer keeps CS low")
             if not last and not change:
                 raise AssertionError("two frames in one chip-select period")
+            assert bits == 8, "words of another size are in the host's byte order"
+            assert speed, "0 is the file's own clock, not a slow one"
             if faults.happens("hang"):
                 clock.advance_to(now + 1.0)
                 raise os_error(errno.ETIMEDOUT)
             if faults.happens("drop"):
                 raise os_error(errno.EIO)
+            mode = self.modes[path]
+            assert not mode & (THREE_WIRE | LOOP), "MISO is not what comes in"
+            sent = ctypes.string_at(tx, length)
             reply = pins.transfer(
-                ctypes.string_at(tx, length),
+                _turned(sent) if mode & LSB_FIRST else sent,
                 clock_hz=speed,
-                mode=self.modes.get(path, 0) & 3,
+                mode=mode & 3,
                 cs_hold_s=delay * 1e-6,
+                selected=self._chip_sees_its_select(path),
                 start_s=now,
             )
-            ctypes.memmove(rx, reply, length)
+            ctypes.memmove(rx, _turned(reply) if mode & LSB_FIRST else reply, length)
             total += length
             now = pins.free_s + self.cs_high_s
         return total - (1 if faults.happens("short") else 0)
@@ -160,12 +211,13 @@ class FakeSpidevKernel:
         data = bytes(argument)
         assert len(data) == 592
         offset, flags = struct.unpack_from("<I", data)[0], struct.unpack_from("<Q", data, 288)[0]
-        attributes, kind, value = (
+        attributes, kind, value, mask = (
             struct.unpack_from("<I", data, 296)[0],
-            *struct.unpack_from("<I4xQ", data, 320),
+            *struct.unpack_from("<I4xQQ", data, 320),
         )
         lines = struct.unpack_from("<I", data, 560)[0]
-        assert (flags, attributes, kind, value, lines) == (1 << 3 | 1 << 6, 1, 2, 1, 1), "open-drain, high"
+        assert (flags, attributes, kind, lines) == (1 << 3 | 1 << 6, 1, 2, 1), "open-drain"
+        assert value & mask == 1, "high"
         if offset > 53:
             raise os_error(errno.EINVAL)
         if offset != self.reset_line:

@@ -1,18 +1,19 @@
 from __future__ import annotations
 
 import random
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cobs import cobs as reference_cobs
 from crccheck.crc import Crc32
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from adis_gonio.bus.wire import Body, Packet, Receiver, cobs, crc32, encode
+from adis_gonio.bus.wire import Body, Packet, Receiver, crc32, encode, load_cobs
 from adis_gonio.bus.wire import protocol as wire
-from adis_gonio.errors import ProtocolError
+from adis_gonio.errors import NotInstalledError, ProtocolError
+from fakes.firmware import stuff, unstuff
 
 VECTORS = Path(__file__).parents[2] / "firmware_proto" / "vectors.txt"
 BYTES = st.binary(max_size=700) | st.lists(st.sampled_from([0, 1, 254, 255]), max_size=700).map(bytes)
@@ -67,28 +68,44 @@ def test_what_vectors_of_bytes_are_counted_as(data, result):
 # -- against other implementations ------------------------------------------------------------
 
 
+def decoded(data: bytes) -> bytes | None:
+    """By the library; None where it refuses."""
+    try:
+        return load_cobs().decode(data)
+    except load_cobs().DecodeError:
+        return None
+
+
 @given(BYTES)
-def test_cobs_is_that_of_an_independent_implementation(data):
-    assert cobs.encode(data) == reference_cobs.encode(data)
-    assert cobs.decode(reference_cobs.encode(data)) == data
+def test_the_librarys_cobs_is_that_of_the_firmwares_model(data):
+    assert load_cobs().encode(data) == stuff(data)
+    assert decoded(stuff(data)) == data
 
 
 @pytest.mark.parametrize("length", [0, 1, 253, 254, 255, 507, 508, 509])
 @pytest.mark.parametrize("end", [b"", b"\0", b"\0\0", b"\x01"])
 def test_cobs_at_the_ends_of_its_runs(length, end):
     data = b"\x07" * length + end
-    assert cobs.encode(data) == reference_cobs.encode(data)
-    assert cobs.decode(cobs.encode(data)) == data
+    assert load_cobs().encode(data) == stuff(data)
+    assert decoded(stuff(data)) == data
 
 
-@given(BYTES)
-@example(b"\x03\x00\x01")
-def test_cobs_refuses_what_an_independent_implementation_refuses(data):
-    try:
-        expected = reference_cobs.decode(data)
-    except reference_cobs.DecodeError:
-        expected = None
-    assert cobs.decode(data) == expected
+@given(BYTES.map(lambda data: data.replace(b"\0", b"\x02")))
+@example(b"\x03\x01")
+def test_the_library_refuses_what_the_firmwares_model_refuses(data):
+    assert decoded(data) == unstuff(data)
+
+
+def test_a_packet_with_a_zero_within_is_refused_by_the_library():
+    assert decoded(b"\x03\x00\x01") is None
+
+
+def test_without_the_library_a_codec_names_the_extra(monkeypatch):
+    load_cobs.cache_clear()
+    monkeypatch.setitem(sys.modules, "cobs", None)
+    for use in (Receiver, lambda: encode(Packet(wire.PacketType.STOP_REPLY, 7))):
+        with pytest.raises(NotInstalledError, match=r"cobs is not installed.*adis-gonio\[serial\]"):
+            use()
 
 
 @given(BYTES)

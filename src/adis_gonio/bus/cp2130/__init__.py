@@ -4,9 +4,9 @@
 
 | option | meaning | default |
 |---|---|---|
-| `cs` | GPIO that is chip select, 0 to 10 | 0 |
+| `cs` | GPIO that is chip select, 0 to 10; the board must have made it one | 0 |
 | `reset_gpio` | GPIO on the chip's RST | none |
-| `event_counter` | 1: data-ready is wired to the board's event counter | 0 |
+| `event_counter` | 1: data-ready is wired to the event counter, GPIO.4 | 0 |
 | `timeout_ms` | time for one transfer | 250 |
 | `bus`, `address` | where it is, if serial numbers do not tell boards apart | |
 """
@@ -82,6 +82,7 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: Clock = WALL) -> C
                 if device.is_kernel_driver_active(_INTERFACE):
                     device.detach_kernel_driver(_INTERFACE)
             claim()
+            endpoints = _endpoints(usb, url.text, device)
         except usb.core.USBError as error:
             raise _cannot_open(url.text, device, error) from error
         kept = contextlib.ExitStack()
@@ -90,6 +91,7 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: Clock = WALL) -> C
             usb.core.USBError,
             claim=claim,
             release=kept.close,
+            endpoints=endpoints,
             url=url.text,
             cs=cs,
             reset_gpio=reset_gpio,
@@ -136,6 +138,26 @@ def _boards(usb: Any, backend: Any) -> list[Any]:
         return sorted(found, key=lambda board: (board.bus or 0, board.address or 0))
     except usb.core.USBError as error:
         raise ProtocolError(f"cp2130: USB devices cannot be listed: {error.strerror or error}") from error
+
+
+def _endpoints(usb: Any, url: str, device: Any) -> tuple[int, int]:
+    """Bulk endpoints out and in by the board's descriptors.
+
+    They are 0x01 and 0x82, or 0x02 and 0x81 where the board's OTP gives reading the higher priority.
+    """
+    interface = usb.util.find_descriptor(
+        device.get_active_configuration(), bInterfaceNumber=_INTERFACE, bAlternateSetting=0
+    )
+    bulk = [
+        endpoint.bEndpointAddress
+        for endpoint in interface or ()
+        if usb.util.endpoint_type(endpoint.bmAttributes) == usb.util.ENDPOINT_TYPE_BULK
+    ]
+    out = [address for address in bulk if address < usb.util.ENDPOINT_IN]
+    back = [address for address in bulk if address >= usb.util.ENDPOINT_IN]
+    if len(out) != 1 or len(back) != 1:
+        raise ProtocolError(f"{url}: this board has no pair of bulk endpoints: is it a CP2130?")
+    return out[0], back[0]
 
 
 def _serial(usb: Any, board: Any) -> str | None:

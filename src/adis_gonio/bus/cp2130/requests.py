@@ -11,7 +11,6 @@ from enum import IntEnum
 from adis_gonio.errors import ProtocolError
 
 VENDOR_ID, PRODUCT_ID = 0x10C4, 0x87A0
-OUT_ENDPOINT, IN_ENDPOINT = 0x01, 0x82
 TYPE_OUT, TYPE_IN = 0x40, 0xC0
 PACKET = 64
 CHANNELS = 11
@@ -28,15 +27,22 @@ bytes, the delay mask in `delay_request` is the place to mend."""
 CPHA_BIT, CPOL_BIT, PUSH_PULL_BIT = 5, 4, 3
 """[M] Bits of the SPI word beside the clock code in bits 2:0."""
 
+EVENT_PIN = 4
+"""GPIO.4, the only pin that can count."""
 COUNTER_MODES = (4, 5, 6, 7)
 """[M] Modes of the event counter that count: edges rising and falling, pulses negative and positive.
 The pin's duty is programmed at the factory or once by its owner (OTP), never by this package."""
+
+PIN_BITS = (3, 4, 5, 6, 7, 8, 10, 11, 12, 13, 14)
+"""[M] Bits of GPIO.0 to GPIO.10 in a word of pins. The answer about chip selects has a word of channels,
+which count from bit 0, and a word of pins: those whose function is a chip select and which are on."""
 
 
 class Request(IntEnum):
     """Control requests that this package sends; those of the OTP memory are not among them."""
 
     SET_GPIO_MODE = 0x23
+    GET_CHIP_SELECT = 0x24
     SET_CHIP_SELECT = 0x25
     GET_SPI_WORD = 0x30
     SET_SPI_WORD = 0x31
@@ -56,6 +62,7 @@ _THIS_ONE_ONLY = 2
 _WRITE_READ = 2
 _HEADER = struct.Struct("<HBBI")
 _COUNTER = struct.Struct(">BH")
+_SELECTS = struct.Struct(">HH")
 
 
 def clock_code(clock_hz: float) -> int | None:
@@ -83,6 +90,17 @@ def parse_spi_words(data: bytes) -> tuple[int, ...]:
 def select_request(channel: int) -> bytes:
     """Data of `SET_CHIP_SELECT`: this channel and no other."""
     return bytes((channel, _THIS_ONE_ONLY))
+
+
+def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
+    """Channels and pins whose chip select is on, the answer to `GET_CHIP_SELECT`."""
+    if len(data) != _SELECTS.size:
+        raise ProtocolError(f"CP2130: chip selects of {len(data)} bytes instead of {_SELECTS.size}")
+    channels, pins = _SELECTS.unpack(data)
+    return (
+        frozenset(channel for channel in range(CHANNELS) if channels >> channel & 1),
+        frozenset(pin for pin, bit in enumerate(PIN_BITS) if pins >> bit & 1),
+    )
 
 
 def delay_request(channel: int) -> bytes:

@@ -4,8 +4,10 @@ Timing
     The chip makes CS around every transaction; its own delays come in steps of 100 µs and lie within the
     CS-low time, so they are zero. Stall and period are kept by the host: a transfer is only sent when
     both have passed since the answer that reported the last frame's end, which is later than its rise of
-    CS. A frame takes two reports each way, one USB frame (1 ms) each at best: some 250 to 500 frames a
-    second, whatever the clock.
+    CS. A frame takes two commands, start and fetch. A command is a report each way, which the maker's
+    sibling MCP2221 does 500 times a second at xHCI controllers and 333 times at EHCI (EasyMCP2221, "USB
+    speed limits"): at most 167 to 250 frames a second, whatever the clock. A fetch that is answered "not
+    yet" (engine started, or status 0xF8) costs a command more.
 Errors
     HID answers come in order and carry the command's code. After any failure the transfer is cancelled,
     and answers are thrown away up to that to a mark with a number of its own, so that a late one, be it
@@ -174,12 +176,14 @@ class Mcp2210Bus(SpiBus):
         data = b""
         deadline = self._clock.now_s() + self._timeout_s
         while True:
-            progress = Progress.parse(self._ask(Command.TRANSFER, transfer()))
+            progress = Progress.of_poll(self._ask(Command.TRANSFER, transfer()))
             data += progress.data
             if progress.engine is Engine.FINISHED:
                 break
             if self._clock.now_s() > deadline:
-                raise BusTimeoutError(f"{self.url}: the SPI engine does not finish a frame")
+                raise BusTimeoutError(
+                    f"{self.url}: the SPI engine does not finish a frame within {self._timeout_s:g} s"
+                )
         self._pace.done(self._timing)
         if len(data) != FRAME_BYTES:
             raise ProtocolError(f"{self.url}: a frame ended with {len(data)} of {FRAME_BYTES} bytes")

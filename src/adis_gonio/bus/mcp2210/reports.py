@@ -231,6 +231,16 @@ class Progress:
             raise ProtocolError("MCP2210: data before the transfer has started")
         return cls(engine, answer[4 : 4 + count])
 
+    @classmethod
+    def of_poll(cls, answer: bytes) -> Progress:
+        """Read the answer to a transfer without data.
+
+        The engine refuses those too while it clocks (0xF8, data sheet DS22288A, figure 3-23): not yet.
+        """
+        if status_of(answer, Command.TRANSFER) == Status.BUSY:
+            return cls(Engine.STARTED, b"")
+        return cls.parse(answer)
+
 
 def parse_events(answer: bytes) -> int:
     """Count of an answer to `EVENTS`."""

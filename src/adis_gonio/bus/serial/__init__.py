@@ -17,6 +17,7 @@ from adis_gonio.bus.opening import BusUrl, Device
 from adis_gonio.bus.serial import ports
 from adis_gonio.bus.serial.bus import BOOT_S, SerialBus
 from adis_gonio.bus.serial.link import Link, Port
+from adis_gonio.bus.wire import load_cobs
 from adis_gonio.bus.wire import protocol as wire
 
 __all__ = ["Link", "Port", "SerialBus", "find_devices", "open_from_url"]
@@ -39,7 +40,7 @@ def open_from_url(url: BusUrl, *, port: Port | None = None, clock: Clock = WALL)
     UsageError
         An unknown option, or several ports fit.
     NotInstalledError
-        pyserial is not installed.
+        pyserial or cobs is not installed.
     CannotOpenError
         No such port, no permission, or another program has it.
     BusTimeoutError
@@ -50,6 +51,7 @@ def open_from_url(url: BusUrl, *, port: Port | None = None, clock: Clock = WALL)
     trigger = wire.Trigger[options.one_of("edge", ("falling", "rising")).upper()]
     boot_ms = options.number("boot_ms", round(BOOT_S * 1000), 100, 60_000)
     number = options.text("serial_number")
+    load_cobs()  # what is missing is said before a port is opened, which resets many boards
     if port is None:
         port = ports.open_port(_place(url, number), baud, url.text)
     try:

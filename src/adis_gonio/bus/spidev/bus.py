@@ -30,7 +30,7 @@ import numpy as np
 from adis_gonio.bus.contract import FRAME_BITS, Capability, SpiBus, SpiTiming, Words
 from adis_gonio.bus.host import RESET_PULSE_S, SAFE_TIMING, WALL, Clock, Pace, gone
 from adis_gonio.bus.spidev import kernel as k
-from adis_gonio.errors import BusError, BusTimeoutError, ProtocolError, UsageError
+from adis_gonio.errors import BusError, BusTimeoutError, CannotOpenError, ProtocolError, UsageError
 
 CS_HIGH_US = 10.0
 """[M] CS-high time between two transfers with cs_change: the default of the kernel's SPI core
@@ -64,8 +64,10 @@ class SpidevBus(SpiBus):
 
     Raises
     ------
+    CannotOpenError
+        The controller cannot do mode 3.
     BusError
-        The file is no spidev, or its controller cannot do mode 3.
+        The file is no spidev, or the mode reads back otherwise.
     """
 
     def __init__(
@@ -180,12 +182,25 @@ class SpidevBus(SpiBus):
     # -- calls ---------------------------------------------------------------------------------------------
 
     def _set_mode(self) -> None:
-        self._call(self._fd, k.WR_MODE32, ctypes.c_uint32(k.MODE_3))
-        self._call(self._fd, k.WR_BITS, ctypes.c_uint8(8))
+        mode = self._mode() & ~(k.MODE_BITS | k.BENT_FRAMES) | k.MODE_3
+        try:
+            self._system.ioctl(self._fd, k.WR_MODE32, ctypes.c_uint32(mode))
+        except OSError as error:
+            if error.errno == errno.EINVAL:
+                raise CannotOpenError(
+                    f"{self.url}: this controller cannot do SPI mode 3 (CPHA = 1), as the auxiliary SPI of"
+                    " a Raspberry Pi (spidev1.x): wire the sensor to the main one (spidev0.x)"
+                ) from error
+            raise self._typed(error) from error
+        got = self._mode() & (k.MODE_BITS | k.BENT_FRAMES)
+        if got != k.MODE_3:
+            raise ProtocolError(f"{self.url}: the SPI controller is in mode {got:#x}, not 3")
+
+    def _mode(self) -> int:
+        """Mode with its flags, as the kernel has it."""
         mode = ctypes.c_uint32()
         self._call(self._fd, k.RD_MODE32, mode)
-        if mode.value & 0xF != k.MODE_3:
-            raise ProtocolError(f"{self.url}: the SPI controller is in mode {mode.value & 0xF:#x}, not 3")
+        return mode.value
 
     def _call(self, fd: int, request: int, argument: Any) -> None:
         try:

@@ -40,11 +40,13 @@ MOST_TRANSFERS = ((1 << _SIZE_BITS) - 1) // TRANSFER_SIZE
 """Transfers that fit the size field of an ioctl number: 511."""
 
 _SPI = ord("k")
-WR_BITS = _ioc(_WRITE, _SPI, 3, 1)
-WR_SPEED = _ioc(_WRITE, _SPI, 4, 4)
 WR_MODE32 = _ioc(_WRITE, _SPI, 5, 4)
 RD_MODE32 = _ioc(_READ, _SPI, 5, 4)
-MODE_3 = 0b11
+MODE_3 = MODE_BITS = 0b11
+LSB_FIRST, THREE_WIRE, LOOP = 0x08, 0x10, 0x20
+BENT_FRAMES = LSB_FIRST | THREE_WIRE | LOOP
+"""Flags of the mode that change the bits of a frame or where they come from. The others say how CS is
+driven and are not ours: kernels since 5.4 set SPI_CS_HIGH where CS is a GPIO, whatever its polarity."""
 
 
 def message(count: int) -> int:

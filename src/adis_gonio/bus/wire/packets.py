@@ -6,11 +6,13 @@ No input or output here: bytes in, packets out (firmware_proto/PROTOCOL.md).
 from __future__ import annotations
 
 import binascii
+import functools
 from dataclasses import dataclass
+from typing import Any
 
-from adis_gonio.bus.wire import cobs
 from adis_gonio.bus.wire.body import Body
 from adis_gonio.bus.wire.protocol import CRC_SIZE, HEADER_SIZE, MAX_RAW, PacketType
+from adis_gonio.errors import NotInstalledError
 
 _DELIMITER = b"\0"
 _LONGEST = MAX_RAW + 1
@@ -47,6 +49,22 @@ class ReceiverCounts:
         return self.crc_errors + self.cobs_errors + self.length_errors + self.unknown
 
 
+@functools.cache
+def load_cobs() -> Any:
+    """Module of package cobs.
+
+    Raises
+    ------
+    NotInstalledError
+        It is missing.
+    """
+    try:
+        from cobs import cobs
+    except ImportError:
+        raise NotInstalledError("serial: cobs is not installed: pip install 'adis-gonio[serial]'") from None
+    return cobs
+
+
 def crc32(data: bytes) -> int:
     """CRC-32/ISO-HDLC, that of Ethernet and zlib."""
     return binascii.crc32(data)
@@ -68,7 +86,8 @@ def encode(packet: Packet) -> bytes:
     if len(raw) + CRC_SIZE > MAX_RAW:
         raise ValueError(f"a packet of {len(raw) + CRC_SIZE} bytes: at most {MAX_RAW}")
     raw += crc32(raw).to_bytes(CRC_SIZE, "little")
-    return _DELIMITER + cobs.encode(raw) + _DELIMITER
+    stuffed: bytes = load_cobs().encode(raw)
+    return _DELIMITER + stuffed + _DELIMITER
 
 
 class Receiver:
@@ -76,6 +95,7 @@ class Receiver:
 
     def __init__(self) -> None:
         self.counts = ReceiverCounts()
+        self._cobs = load_cobs()
         self._rest = b""
         self._too_long = False
 
@@ -105,10 +125,12 @@ class Receiver:
             return None
         if not part:
             return None
-        raw = cobs.decode(part)
-        if raw is None:
+        try:
+            raw: bytes = self._cobs.decode(part)
+        except self._cobs.DecodeError:
             counts.cobs_errors += 1
-        elif len(raw) < HEADER_SIZE + CRC_SIZE:
+            return None
+        if len(raw) < HEADER_SIZE + CRC_SIZE:
             counts.length_errors += 1
         elif crc32(raw[:-CRC_SIZE]) != int.from_bytes(raw[-CRC_SIZE:], "little"):
             counts.crc_errors += 1
