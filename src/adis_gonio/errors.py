@@ -37,12 +37,12 @@ class DataError(AdisGonioError, ValueError):
     """A file's content cannot be used; the message names the file and the row."""
 
 
+class NotInstalledError(AdisGonioError):
+    """A library of an extra is missing; the message names the extra to install."""
+
+
 class BusError(AdisGonioError):
     """Base of what can go wrong between the host and the chip's pins."""
-
-
-class NotInstalledError(BusError):
-    """A bridge's library is missing; the message names the extra to install."""
 
 
 class CannotOpenError(BusError):
