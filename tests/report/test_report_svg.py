@@ -141,6 +141,12 @@ def test_many_points_stay_a_small_drawing():
     assert len(plot([Series(x, np.sin(x))], "x", "y", title="t")) < 60_000
 
 
+def test_dots_are_as_many_as_points_and_the_legend_shows_their_marker():
+    root = drawn(Series(np.arange(500.0), np.arange(500.0), "many"))
+    assert line_of(root, "before").get("d").count("h0") == 500
+    assert len(markers(root)) == 1
+
+
 def test_labels_are_escaped():
     bad = "<script>alert(1)</script> -->"
     text = plot([Series([0], [0], bad)], "<b>", "a & b", title="</title><i>")

@@ -74,6 +74,9 @@ def _attributes(element: ET.Element, colours: Mapping[str, str]) -> None:
         del given["transform"]
     for key in {"d", "x", "y", "transform"} & given.keys():
         given[key] = re.sub(r"-?\d+\.\d+", _short, " ".join(given[key].split()))
+    if "d" in given:
+        letters_alone = re.sub(r" ?([A-Za-z]) ?", r"\1", given["d"])
+        given["d"] = re.sub(r"M([^A-Z]+)L\1(?=M|$)", r"M\1h0", letters_alone)
     if "style" in given:
         rules = dict(rule.strip().split(": ", 1) for rule in given["style"].split(";") if rule.strip())
         if element.tag == "text":  # size and family are the page's

@@ -212,16 +212,18 @@ def _draw(axes: Axes, one: Series, points: Points, role: Role) -> Line2D:
     if one.style != "points":
         stepped = "steps-post" if one.style == "steps" else "default"
         return axes.plot(x, y, label=one.label, drawstyle=stepped, **_LINES[role], **alike)[0]
+    marked: dict[str, Any] = {"label": one.label, "linestyle": "none", **_MARKERS[role], **alike}
     if len(x) > _MOST_MARKERS:
         # Strokes without length in one path: a third of the bytes of as many markers.
         dots: dict[str, Any] = {"alpha": 0.55, "linewidth": 2, "solid_capstyle": "round"}
-        return axes.plot(*_upright(x, y, y), label=one.label, **dots, **alike)[0]
+        axes.plot(*_upright(x, y, y), **dots, **alike)
+        return axes.plot([], [], **marked)[0]
     bars = error > 0
     low, high = (y - error)[bars], (y + error)[bars]
     if axes.get_yscale() == "log":
         low = np.maximum(low, y[bars] / 10)
     axes.plot(*_upright(x[bars], low, high), linewidth=1.2, solid_capstyle="butt", **alike)
-    return axes.plot(x, y, label=one.label, linestyle="none", **_MARKERS[role], **alike)[0]
+    return axes.plot(x, y, **marked)[0]
 
 
 def _upright(
