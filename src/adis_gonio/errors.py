@@ -3,19 +3,21 @@
 Every message is one line: it names the file, row, register, option or port, and says what to do.
 `exit_code` is what the command line returns: 1 where the job failed, 2 where the call was wrong.
 
-| error | who acts |
-|---|---|
-| `UsageError` | the caller: an option, a URL, an argument |
-| `DataError` | whoever made the file |
-| `NotInstalledError` | whoever installed the package: an extra is missing |
-| `CannotOpenError` | whoever set up the machine: permissions, cables, a busy device |
-| `ProtocolError` | the bridge: corrupted or short answers |
-| `BusTimeoutError` | the bridge or the cable: no answer |
-| `BusClosedError` | the caller: use after close |
-| `CapabilityError` | the caller: this bus cannot do that |
-| `ChipError` and below | the sensor, its wiring or its supply |
-| `FitError` and below | the plan of the session: the data do not determine what was asked |
-| `SessionError` | the operator or the archive |
+=====================  =================================================================
+error                  who acts
+=====================  =================================================================
+`UsageError`           the caller: an option, a URL, an argument
+`DataError`            whoever made the file
+`NotInstalledError`    whoever installed the package: an extra is missing
+`CannotOpenError`      whoever set up the machine: permissions, cables, a busy device
+`ProtocolError`        the bridge: corrupted or short answers
+`BusTimeoutError`      the bridge or the cable: no answer
+`BusClosedError`       the caller: use after close
+`CapabilityError`      the caller: this bus cannot do that
+`ChipError` and below  the sensor, its wiring or its supply
+`FitError` and below   the plan of the session: the data do not determine what was asked
+`SessionError`         the operator or the archive
+=====================  =================================================================
 """
 
 from __future__ import annotations
