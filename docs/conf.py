@@ -1,9 +1,9 @@
 """Configuration of the documentation site; `scripts/build_docs.sh` builds it.
 
-Why Sphinx with furo and not mkdocs-material: docstrings are numpy's, and numpydoc reads them as they are; the
-pages are the same Markdown that a repository shows (MyST); nothing, fonts included, is loaded from elsewhere
-when a page is viewed; and mkdocs needs a plug-in for each of these. The source folder is the repository
-itself, so that links between the README, docs/ and firmware_proto/ hold in both places.
+Why Sphinx with furo and not mkdocs-material: docstrings are numpy's, and numpydoc reads them as they are;
+the pages are the same Markdown that a repository shows (MyST); nothing, fonts included, is loaded from
+elsewhere when a page is viewed; and mkdocs needs a plug-in for each of these. The source folder is the
+repository itself, so that links between the README, docs/ and firmware_proto/ hold in both places.
 """
 
 from __future__ import annotations

@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from docutils import nodes
-from docutils.utils.math import latex2mathml
+from docutils.utils.math import MathError, latex2mathml
 from sphinx.application import Sphinx
+from sphinx.util import logging
+
+_LOGGER = logging.getLogger(__name__)
 
 
-def _element(tex: str, block: bool) -> str:
-    tree = latex2mathml.tex2mathml(tex, as_block=block)
-    return tree if isinstance(tree, str) else tree.toxml()
+def _element(node: nodes.math | nodes.math_block, block: bool) -> str:
+    try:
+        element = latex2mathml.tex2mathml(node.astext(), as_block=block)
+    except MathError as error:
+        _LOGGER.warning("equation '%s': %s", node.astext(), error, location=node)
+        return ""
+    # As an identifier the name of a function would stand close to its neighbours.
+    return re.sub(
+        r"<mi>(sin|cos|tan|ln|atan2)</mi>", r'<mo lspace="0.17em" rspace="0.1em">\1</mo>', element
+    )
 
 
 def _inline(translator: Any, node: nodes.math) -> None:
-    translator.body.append(_element(node.astext(), block=False))
+    translator.body.append(_element(node, block=False))
     raise nodes.SkipNode
 
 
 def _block(translator: Any, node: nodes.math_block) -> None:
-    translator.body.append(f'<div class="math">{_element(node.astext(), block=True)}</div>')
+    translator.body.append(f'<div class="math" style="margin: 1em 0">{_element(node, block=True)}</div>')
     raise nodes.SkipNode
 
 
