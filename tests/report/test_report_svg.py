@@ -178,7 +178,9 @@ def test_the_same_data_give_the_same_bytes_whatever_the_user_has_set():
     series = [Series([0, 1, 2], [0, 1, 4], "a", [1, 1, 1]), Series([0, 2], [0, 4], "b", style="line")]
     first = plot(series, "x", "y", title="t", zero=True)
     assert plot(series, "x", "y", title="t", zero=True) == first
-    with mpl.rc_context({"font.size": 30, "svg.fonttype": "path", "axes.facecolor": "red"}):
+    with mpl.rc_context(
+        {"font.size": 30, "svg.fonttype": "path", "axes.labelcolor": "red", "ytick.right": True}
+    ):
         assert plot(series, "x", "y", title="t", zero=True) == first
         assert mpl.rcParams["font.size"] == 30, "the user's settings are put back"
 
