@@ -44,17 +44,18 @@ def command(*, session: Path, output: Path) -> None:
     step, what could not be seen, what to measure next, and the data. It is made from the session's file
     alone, so that an older page of the same name is replaced.
     """
+    from adis_gonio.report.svg import require_matplotlib
+
+    require_matplotlib()
     from adis_gonio.errors import AdisGonioError, UsageError
     from adis_gonio.fitting import applicable_methods, fit
     from adis_gonio.report.page import build_page
-    from adis_gonio.report.svg import require_matplotlib
     from adis_gonio.session import load_session
     from adis_gonio.tracing import trace
     from adis_gonio.tracing.figures import views
 
     if output.exists() and session.exists() and output.samefile(session):
         raise UsageError(f"{output}: is the session itself; name another file for the page")
-    require_matplotlib()
     loaded = load_session(session)
     with working(f"tracing {len(loaded.dwells)} dwells of {session.name}"):
         fits, failures = [], {}

@@ -531,7 +531,7 @@ class SessionRunner:
         for block in self._bench.scans():
             recording.add(block)
             for look in watch.feed(block.accel_mg):
-                disturbed = _note(recording, look)
+                disturbed = _disturbance(recording, look)
                 if disturbed is not None:
                     return disturbed
             if recording.try_begin():
@@ -621,19 +621,6 @@ class _Idle:
         return Watching("idle", _vector(self._kept.mean(axis=0)), _vector(self._kept.std(axis=0, ddof=1)))
 
 
-def _note(recording: Recording, look: Look) -> str | None:
-    """Tell the recording what was seen of the part; what disturbed a dwell that had begun, else None."""
-    if look.state == "stuck":
-        raise SessionError(look.why)
-    if look.state == "still":
-        recording.still(look.end)
-    elif recording.begun:
-        return look.why
-    else:
-        recording.moving(look.why)
-    return None
-
-
 def _problems(place: int, scans: ScanBlock, status: tuple[str, ...]) -> list[Problem]:
     """What the operator should know of a dwell: STATUS, supply, lost scans."""
     problems = [Problem("status", f"STATUS: {message}", place) for message in status]
@@ -661,3 +648,16 @@ def _vector(values: Any) -> Vector:
 
 
 __all__ = ["Answer", "SessionRunner"]
+
+
+def _disturbance(recording: Recording, look: Look) -> str | None:
+    """Tell the recording what was seen of the part; return what disturbed a dwell that had begun."""
+    if look.state == "stuck":
+        raise SessionError(look.why)
+    if look.state == "still":
+        recording.still(look.end)
+    elif recording.begun:
+        return look.why
+    else:
+        recording.moving(look.why)
+    return None

@@ -137,10 +137,10 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     dwells = session.dwells
     if not dwells:
         raise DataError(f"{path.name}: the session has no dwell to write")
-    columns = _columns_of(dwells, path.name)
+    parts = _columns_of(dwells, path.name)
     lines = [f"# {key}: {value}" for key, value in _keys_of(session).items()]
-    lines.append(",".join(columns))
-    texts = [chain.from_iterable(map(column, dwells)) for column in columns.values()]
+    lines.append(",".join(parts))
+    texts = [chain.from_iterable(map(texts_of, dwells)) for texts_of in parts.values()]
     lines.extend(map(",".join, zip(*texts, strict=True)))
     data = ("\n".join(lines) + "\n").encode()
     if path.name.endswith(".gz"):
