@@ -647,9 +647,6 @@ def _vector(values: Any) -> Vector:
     return x, y, z
 
 
-__all__ = ["Answer", "SessionRunner"]
-
-
 def _disturbance(recording: Recording, look: Look) -> str | None:
     """Tell the recording what was seen of the part; return what disturbed a dwell that had begun."""
     if look.state == "stuck":
@@ -661,3 +658,6 @@ def _disturbance(recording: Recording, look: Look) -> str | None:
     else:
         recording.moving(look.why)
     return None
+
+
+__all__ = ["Answer", "SessionRunner"]
