@@ -40,7 +40,7 @@ def bench(tmp_path_factory):
             env={**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT / "tests")])},
             capture_output=True,
             text=True,
-            timeout=300,
+            timeout=1800,
             check=False,
         )
         assert not check or done.returncode == 0, done.stdout + done.stderr
@@ -84,7 +84,7 @@ def test_without_the_package_the_effect_is_unknown_in_one_line(tmp_path):
         [*command, "-o", str(tmp_path / "none.session")],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
         check=False,
     )
     assert done.returncode == 2

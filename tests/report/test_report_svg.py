@@ -198,7 +198,7 @@ def test_figures_are_drawn_without_a_window_system_and_only_when_asked_for():
         "plot([Series([0], [0])], 'x', 'y', title='t')\n"
         "assert 'matplotlib' in sys.modules and 'matplotlib.pyplot' not in sys.modules\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=600)
 
 
 def test_without_matplotlib_one_line_names_the_extra(monkeypatch):

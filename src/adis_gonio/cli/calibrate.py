@@ -267,7 +267,7 @@ class Bench:
     def _say(self, text: str, style: str | None = None) -> None:
         self._screen.print(text, style=style, markup=False)
 
-    def _handle(self, event: Event) -> bool:  # noqa: C901, PLR0912 - one case an event
+    def _handle(self, event: Event) -> bool:
         """Show one event, answer it where it is a question; True where the session is complete."""
         from adis_gonio.session import events
 

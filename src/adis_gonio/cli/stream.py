@@ -33,7 +33,7 @@ from adis_gonio.sensor.registers import registers as rows_of
 @click.option("--json", "as_json", is_flag=True, help="One JSON document with every scan, at the end.")
 @variant_option
 @no_check_option
-def command(  # noqa: C901, PLR0912 - every option of a stream meets here
+def command(
     *,
     url: str,
     names: str | None,
