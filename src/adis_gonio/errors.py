@@ -3,19 +3,21 @@
 Every message is one line: it names the file, row, register, option or port, and says what to do.
 `exit_code` is what the command line returns: 1 where the job failed, 2 where the call was wrong.
 
-| error | who acts |
-|---|---|
-| `UsageError` | the caller: an option, a URL, an argument |
-| `DataError` | whoever made the file |
-| `NotInstalledError` | whoever installed the package: an extra is missing |
-| `CannotOpenError` | whoever set up the machine: permissions, cables, a busy device |
-| `ProtocolError` | the bridge: corrupted or short answers |
-| `BusTimeoutError` | the bridge or the cable: no answer |
-| `BusClosedError` | the caller: use after close |
-| `CapabilityError` | the caller: this bus cannot do that |
-| `ChipError` and below | the sensor, its wiring or its supply |
-| `FitError` and below | the plan of the session: the data do not determine what was asked |
-| `SessionError` | the operator or the archive |
+=====================  =================================================================
+error                  who acts
+=====================  =================================================================
+`UsageError`           the caller: an option, a URL, an argument
+`DataError`            whoever made the file
+`NotInstalledError`    whoever installed the package: an extra is missing
+`CannotOpenError`      whoever set up the machine: permissions, cables, a busy device
+`ProtocolError`        the bridge: corrupted or short answers
+`BusTimeoutError`      the bridge or the cable: no answer
+`BusClosedError`       the caller: use after close
+`CapabilityError`      the caller: this bus cannot do that
+`ChipError` and below  the sensor, its wiring or its supply
+`FitError` and below   the plan of the session: the data do not determine what was asked
+`SessionError`         the operator or the archive
+=====================  =================================================================
 """
 
 from __future__ import annotations
@@ -37,12 +39,12 @@ class DataError(AdisGonioError, ValueError):
     """A file's content cannot be used; the message names the file and the row."""
 
 
+class NotInstalledError(AdisGonioError):
+    """A library of an extra is missing; the message names the extra to install."""
+
+
 class BusError(AdisGonioError):
     """Base of what can go wrong between the host and the chip's pins."""
-
-
-class NotInstalledError(BusError):
-    """A bridge's library is missing; the message names the extra to install."""
 
 
 class CannotOpenError(BusError):

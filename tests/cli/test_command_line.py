@@ -403,3 +403,14 @@ def test_a_file_that_cannot_hold_a_session_names_the_method_that_is_missing(caps
     status, message = failed(capsys, "fit", str(path), "--method", "nine", "--json")
     assert status == 2
     assert "mmpm" in message
+
+
+def test_a_report_without_matplotlib_names_the_extra_before_any_work(
+    capsys, monkeypatch, recorded, tmp_path
+):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    page = tmp_path / "page.html"
+    status, message = failed(capsys, "report", str(recorded), "-o", str(page))
+    assert status == 1
+    assert message.endswith("pip install 'adis-gonio[report]'")
+    assert not page.exists()

@@ -123,8 +123,8 @@ def test_papers_uncertainty_grows_towards_its_pole():
     def u(alpha):
         return fit(planar(TWO, alpha=alpha, phi=0.0, u=0.1), "paper")["delta_phi"].u
 
-    # THEORY: 0.008° at 5°, 0.0165° at 30° and 0.28° at 44° with 1e-4 G; with ΔK by equation 5 its own
-    # noise comes on top, hence more than the pole's 1/cos 2α.
+    # docs/theory.md (two positions): 0.008° at 5°, 0.016° at 30° and 0.27° at 44° with 1e-4 G; with ΔK by
+    # equation 5 its own noise comes on top, hence more than the pole's 1/cos 2α.
     assert u(5) == pytest.approx(0.008, rel=0.3)
     assert u(30) / u(5) > 1.9
     assert u(43) / u(5) > 12

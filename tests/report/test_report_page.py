@@ -59,7 +59,9 @@ class Outline(html.parser.HTMLParser):
         if tag in ("script", "link", "img", "iframe", "object", "embed"):
             self.loads.append(tag)
         self.loads += [
-            f"{k}={v}" for k, v in attrs if k in ("src", "href", "xlink:href", "data") or k[:2] == "on"
+            f"{k}={v}"
+            for k, v in attrs
+            if k[:2] == "on" or (k in ("src", "href", "xlink:href", "data") and v[:1] != "#")
         ]
 
     def handle_endtag(self, tag):

@@ -122,6 +122,6 @@ def find_devices() -> list[Device]:
         except ImportError as error:
             need = f"not usable: {error.name or error} is missing; pip install 'adis-gonio[{point.name}]'"
             devices.append(Device(f"{point.name}:", need))
-        except BusError as error:
+        except (BusError, NotInstalledError) as error:
             devices.append(Device(f"{point.name}:", f"not usable: {error}"))
     return devices

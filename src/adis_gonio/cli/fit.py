@@ -75,15 +75,20 @@ def print_results(
     for label, unit, cell in _SUMMARY:
         table.add_row(label, unit, *empty, *(cell(document) for document in documents))
     screen.print(table)
+    for warning, methods in _warnings(documents).items():
+        if warning not in shown:
+            screen.print(f"{', '.join(methods)}: {warning}", markup=False)
+    for method, reason in (failures or {}).items():
+        screen.print(f"no result by {method}: {reason}", markup=False)
+
+
+def _warnings(documents: list[dict[str, Any]]) -> dict[str, list[str]]:
+    """Each warning with the methods that give it."""
     said: dict[str, list[str]] = {}
     for document in documents:
         for warning in document["warnings"]:
-            if warning not in shown:
-                said.setdefault(warning, []).append(document["method"])
-    for warning, methods in said.items():
-        screen.print(f"{', '.join(methods)}: {warning}", markup=False)
-    for method, reason in (failures or {}).items():
-        screen.print(f"no result by {method}: {reason}", markup=False)
+            said.setdefault(warning, []).append(document["method"])
+    return said
 
 
 def _number(value: float | None, spec: str) -> str:

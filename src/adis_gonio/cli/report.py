@@ -44,6 +44,9 @@ def command(*, session: Path, output: Path) -> None:
     step, what could not be seen, what to measure next, and the data. It is made from the session's file
     alone, so that an older page of the same name is replaced.
     """
+    from adis_gonio.report.svg import require_matplotlib
+
+    require_matplotlib()
     from adis_gonio.errors import AdisGonioError, UsageError
     from adis_gonio.fitting import applicable_methods, fit
     from adis_gonio.report.page import build_page

@@ -524,23 +524,16 @@ class SessionRunner:
 
     def _record(self, recording: Recording) -> Generator[Event, None, str | None]:
         """Wait for stillness, then record; return None when complete, else what interrupted it."""
-        if self._limits is None:
-            raise UsageError("the limits of stillness are not known")
-        watch = StillnessWatch(self._limits, self._noise_mg)
+        watch = self._watch()
         window_s = self._bench.window * self._bench.period_s
         patience_s = self._bench.settings.still_timeout_s + WINDOWS_TO_STILLNESS * window_s
         look: Look | None = None
         for block in self._bench.scans():
             recording.add(block)
             for look in watch.feed(block.accel_mg):
-                if look.state == "stuck":
-                    raise SessionError(look.why)
-                if look.state == "still":
-                    recording.still(look.end)
-                elif recording.begun:
-                    return look.why
-                else:
-                    recording.moving(look.why)
+                disturbed = _disturbance(recording, look)
+                if disturbed is not None:
+                    return disturbed
             if recording.try_begin():
                 watch.anchor(recording.begin)
             if self._stopping.is_set():
@@ -565,6 +558,11 @@ class SessionRunner:
                 recording.timed_out = True
                 return f"not still within {recording.waited_s:.0f} s ({recording.why_moving})"
         return "the stream of scans ended"
+
+    def _watch(self) -> StillnessWatch:
+        if self._limits is None:
+            raise UsageError("the limits of stillness are not known")
+        return StillnessWatch(self._limits, self._noise_mg)
 
     def _interrupted(self, recording: Recording, reason: str) -> DwellInterrupted:
         attempt = recording.attempt("interrupted", self._bench.now_s, reason)
@@ -647,6 +645,19 @@ def _problems(place: int, scans: ScanBlock, status: tuple[str, ...]) -> list[Pro
 def _vector(values: Any) -> Vector:
     x, y, z = (float(value) for value in values)
     return x, y, z
+
+
+def _disturbance(recording: Recording, look: Look) -> str | None:
+    """Tell the recording what was seen of the part; return what disturbed a dwell that had begun."""
+    if look.state == "stuck":
+        raise SessionError(look.why)
+    if look.state == "still":
+        recording.still(look.end)
+    elif recording.begun:
+        return look.why
+    else:
+        recording.moving(look.why)
+    return None
 
 
 __all__ = ["Answer", "SessionRunner"]

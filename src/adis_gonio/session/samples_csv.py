@@ -137,62 +137,57 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     dwells = session.dwells
     if not dwells:
         raise DataError(f"{path.name}: the session has no dwell to write")
-    axes = dwells[0].accel.shape[1]
-    parts: dict[str, list[list[str]]] = {"time_s": [], "position": []}
-    optional: dict[str, Callable[[Dwell], list[str] | None]] = {
-        "angle_deg": lambda d: None if d.angle_deg is None else [_text_of(d.angle_deg)] * len(d),
-        "approach": lambda d: [f"{d.approach:+d}"] * len(d) if d.approach else None,
-    }
-    for name in ("angle_deg", "approach"):
-        if any(optional[name](dwell) is not None for dwell in dwells):
-            parts[name] = []
-    for name in AXES[:axes]:
-        parts[name] = []
-    series: dict[str, Callable[[Dwell], Floats | None]] = {
-        **{name: partial(_gyro_of, axis=k) for k, name in enumerate(GYROS)},
-        "temp_c": lambda d: d.temperature_c,
-        "supply_v": lambda d: d.supply_v,
-    }
-    for name, get in series.items():
-        present = [get(dwell) is not None for dwell in dwells]
-        if any(present) and not all(present):
-            lacking = dwells[present.index(False)].position
-            raise DataError(f"{path.name}: position {lacking} has no '{name}', others have")
-        if all(present):
-            parts[name] = []
-    if any(dwell.use != "fit" for dwell in dwells):
-        parts["use"] = []
-    for dwell in dwells:
-        if dwell.accel.shape[1] != axes:
-            raise DataError(
-                f"{path.name}: position {dwell.position} has another number of axes than others"
-            )
-        for name, rows in parts.items():
-            if name == "time_s":
-                rows.append(_texts_of(dwell.time_s))
-            elif name == "position":
-                rows.append([str(dwell.position)] * len(dwell))
-            elif name == "use":
-                rows.append([dwell.use] * len(dwell))
-            elif name in optional:
-                rows.append(optional[name](dwell) or [""] * len(dwell))
-            elif name in AXES:
-                rows.append(_texts_of(dwell.accel[:, AXES.index(name)]))
-            else:
-                values = series[name](dwell)
-                assert values is not None
-                rows.append(_texts_of(values))
+    parts = _columns_of(dwells, path.name)
     lines = [f"# {key}: {value}" for key, value in _keys_of(session).items()]
     lines.append(",".join(parts))
-    lines.extend(map(",".join, zip(*(chain.from_iterable(rows) for rows in parts.values()), strict=True)))
+    texts = [chain.from_iterable(map(texts_of, dwells)) for texts_of in parts.values()]
+    lines.extend(map(",".join, zip(*texts, strict=True)))
     data = ("\n".join(lines) + "\n").encode()
     if path.name.endswith(".gz"):
         data = gzip.compress(data, compresslevel=6, mtime=0)
     path.write_bytes(data)
 
 
-def _gyro_of(dwell: Dwell, axis: int) -> Floats | None:
-    return None if dwell.gyro is None else dwell.gyro[:, axis]
+_Column = Callable[[Dwell], list[str]]
+"""Texts (n,) that a column of the file holds for a dwell of n samples."""
+
+
+def _columns_of(dwells: Sequence[Dwell], file: str) -> dict[str, _Column]:
+    """Columns in the file's order; those that no dwell has are left out."""
+    columns: dict[str, _Column] = {
+        "time_s": lambda d: _texts_of(d.time_s),
+        "position": lambda d: [str(d.position)] * len(d),
+    }
+    if any(dwell.angle_deg is not None for dwell in dwells):
+        columns["angle_deg"] = lambda d: ["" if d.angle_deg is None else _text_of(d.angle_deg)] * len(d)
+    if any(dwell.approach for dwell in dwells):
+        columns["approach"] = lambda d: [f"{d.approach:+d}" if d.approach else ""] * len(d)
+    series: dict[str, Callable[[Dwell], Floats | None]] = {
+        **{name: partial(_axis_of, name="accel", axis=k) for k, name in enumerate(AXES)},
+        **{name: partial(_axis_of, name="gyro", axis=k) for k, name in enumerate(GYROS)},
+        "temp_c": lambda d: d.temperature_c,
+        "supply_v": lambda d: d.supply_v,
+    }
+    for name, get in series.items():
+        lacking = [dwell.position for dwell in dwells if get(dwell) is None]
+        if not lacking:
+            columns[name] = partial(_texts_by, get)
+        elif len(lacking) < len(dwells):
+            raise DataError(f"{file}: position {lacking[0]} has no '{name}', others have")
+    if any(dwell.use != "fit" for dwell in dwells):
+        columns["use"] = lambda d: [d.use] * len(d)
+    return columns
+
+
+def _axis_of(dwell: Dwell, name: Literal["accel", "gyro"], axis: int) -> Floats | None:
+    """One axis (n,) of a dwell; None where it was not recorded."""
+    values: Floats | None = getattr(dwell, name)
+    return None if values is None or axis >= values.shape[1] else values[:, axis]
+
+
+def _texts_by(get: Callable[[Dwell], Floats | None], dwell: Dwell) -> list[str]:
+    values = get(dwell)
+    return [] if values is None else _texts_of(values)
 
 
 def _keys_of(session: Session) -> dict[str, str]:

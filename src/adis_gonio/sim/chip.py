@@ -385,27 +385,10 @@ class SimulatedChip:
     def _answer(
         self, word: int, bits: int, clock_hz: float, cs_hold_s: float, stall: float, period: float
     ) -> int:
-        if self._state in (State.STARTING, State.RESTORING):
-            self._state, self._until = State.DEAD, math.inf
-        if self._state is State.DEAD:
-            return self.floating_word
-        if self._state is State.ASLEEP:
-            self._state, self._until = State.WAKING, self._last_rise + rules.WAKE_S
-            return self.floating_word
-        if self._state in (State.FLASHING, State.WAKING):
-            return self._reply
         limits = rules.limits(self._memory["SMPL_PRD"])
-        if stall < limits.stall_s - rules.TOLERANCE_S:
-            self._state, self._until = State.DEAD, math.inf
-            return self.floating_word
-        if bits == 0:
-            return self._reply
-        if bits != 16:
-            self._status |= _SPI_FAILED
-            return (self._reply >> (16 - bits) if bits < 16 else self._reply << (bits - 16)) & 0xFFFF
-        if not limits.clock_ok(clock_hz):
-            self._status |= _SPI_FAILED
-            return self._reply ^ 0xA5A5
+        refused = self._refusal(bits, clock_hz, stall, limits)
+        if refused is not None:
+            return refused
         reply = self._reply
         if period < limits.period_s - rules.TOLERANCE_S:
             self._status |= _SPI_FAILED
@@ -420,6 +403,30 @@ class SimulatedChip:
         else:
             self._reply = self._read(word >> 8 & 0x3F)
         return reply
+
+    def _refusal(self, bits: int, clock_hz: float, stall: float, limits: rules.SerialLimits) -> int | None:
+        """What a chip replies that does not take the word: it is not running, or the frame is broken."""
+        if self._state in (State.STARTING, State.RESTORING):
+            self._state, self._until = State.DEAD, math.inf
+        if self._state is State.DEAD:
+            return self.floating_word
+        if self._state is State.ASLEEP:
+            self._state, self._until = State.WAKING, self._last_rise + rules.WAKE_S
+            return self.floating_word
+        if self._state in (State.FLASHING, State.WAKING):
+            return self._reply
+        if stall < limits.stall_s - rules.TOLERANCE_S:
+            self._state, self._until = State.DEAD, math.inf
+            return self.floating_word
+        if bits == 0:
+            return self._reply
+        if bits != 16:
+            self._status |= _SPI_FAILED
+            return (self._reply >> (16 - bits) if bits < 16 else self._reply << (bits - 16)) & 0xFFFF
+        if not limits.clock_ok(clock_hz):
+            self._status |= _SPI_FAILED
+            return self._reply ^ 0xA5A5
+        return None
 
     def _read(self, address: int) -> int:
         column = int(_COLUMN[address >> 1])
