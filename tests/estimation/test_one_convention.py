@@ -1,4 +1,4 @@
-"""One model, one convention: `fit`, `trace`, the simulator's truth and the report say the same of one session."""
+"""One model, one convention: `fit`, `trace` and the simulator's truth say the same of one session."""
 
 from __future__ import annotations
 

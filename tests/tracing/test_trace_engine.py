@@ -276,13 +276,18 @@ def test_what_a_session_cannot_show_has_no_amplitude_but_a_reason() -> None:
         assert result.detectable[name].reason
 
 
-def test_noise_that_explains_nothing_is_called_inadequate() -> None:
+def test_scatter_that_nothing_explains_is_called_that_with_its_size() -> None:
     rng = np.random.default_rng(1)
     data = observations(seed=12)
     rough = data.mean_mg + rng.normal(0, 0.5, data.mean_mg.shape)
     result = trace_readings(replace(data, mean_mg=rough))
     assert not result.adequate
-    assert result.found == ()
+    (finding,) = result.found
+    assert finding.effect == "reading_scatter"
+    value = finding.parameters["scatter"]
+    assert abs(value.value - 0.5) < 4 * value.u
+    assert value.u < 0.15
+    assert any("no covariate explains it" in note for note in result.notes)
 
 
 def test_as_dict_is_the_document_of_the_formats_and_is_json() -> None:

@@ -190,7 +190,7 @@ def test_a_dwell_that_was_left_out_is_not_predicted_by_its_own_slip() -> None:
 )
 def test_the_model_is_the_longest_that_is_not_worse_than_nothing(errors, count: int) -> None:
     names = Names(("bias", "quadratic", "cubic"), {}, ())
-    kept, left, reasons = never_worse(names, names.stand, errors)
+    kept, left, reasons = never_worse(names, names.stand, errors, None)
     assert kept == count
     assert left.stand == names.stand[:count]
     assert set(reasons) == set(names.stand[count:])

@@ -36,7 +36,7 @@ from adis_gonio.tracing.selection.select import ADEQUATE, select
 from adis_gonio.tracing.unnamed.averaging import average
 from adis_gonio.tracing.validation.checked import unexpected
 from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order
-from adis_gonio.tracing.validation.survival import checkable, never_worse, surviving, without
+from adis_gonio.tracing.validation.survival import PRESENT, checkable, never_worse, surviving, without
 
 SIGNIFICANT = 0.01
 """Largest p-value, multiplied by the candidates, of an effect that is called found."""
@@ -134,7 +134,7 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
                 f"(p = {p:.2g}): something is in them that the others do not show"
             )
     open_still = replace(selection, adequate=adequate)
-    sets = credible_sets(selection)
+    sets = tuple(one for one in credible_sets(selection) if one.present >= PRESENT)
     seen = tuple(finding for finding in findings if finding.effect not in weak)
     advice, measurements = advise(data, open_still, terms, names.confounded)
     return TraceResult(

@@ -9,7 +9,6 @@ Carbonetto and Stephens, J. R. Stat. Soc. B 82, 2020); functions without a name 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,29 +33,33 @@ class CredibleSet:
         The most probable first; a function without a name by its covariates.
     probability : tuple of float
         Of each name.
+    present : float
+        Probability that there is any cause at all in this place.
     """
 
     cause: str
     names: tuple[str, ...]
     probability: tuple[float, ...]
+    present: float
 
     def as_dict(self) -> dict[str, Any]:
         """One entry of `sets`."""
-        return {"names": list(self.names), "probability": list(self.probability)}
+        return {
+            "names": list(self.names),
+            "probability": list(self.probability),
+            "present": self.present,
+        }
 
 
 def credible_sets(selection: Selection) -> tuple[CredibleSet, ...]:
     """A set for each cause of the chosen model, in the order of its terms."""
-    best = selection.verdict.best
-    terms = selection.problem.terms
-    causes: dict[str, list[int]] = defaultdict(list)
-    for k in best:
-        causes[terms[k].name or terms[k].shown_as].append(k)
-    return tuple(_set_of(selection, cause, members) for cause, members in causes.items())
+    return tuple(set_of(selection, cause) for cause in dict.fromkeys(t.shown_as for t in selection.terms))
 
 
-def _set_of(selection: Selection, cause: str, members: Sequence[int]) -> CredibleSet:
+def set_of(selection: Selection, cause: str) -> CredibleSet:
+    """The set of one cause of the chosen model, by its name or formula."""
     found, problem = selection.found, selection.problem
+    members = [k for k in selection.verdict.best if problem.terms[k].shown_as == cause]
     rest = [k for k in selection.verdict.best if k not in members]
     basis, residual = span(problem, rest)
     score = 0.5 * problem.gains(basis, residual) / selection.inflation - found.prices
@@ -82,7 +85,9 @@ def _set_of(selection: Selection, cause: str, members: Sequence[int]) -> Credibl
         together += probability[-1]
         if together >= LEVEL:
             break
-    return CredibleSet(cause, tuple(names), tuple(probability))
+    # Against nothing, which has the score 0.
+    odds = total * float(np.exp(min(top, 700.0)))
+    return CredibleSet(cause, tuple(names), tuple(probability), odds / (1 + odds))
 
 
 def _word(term: Term) -> str:

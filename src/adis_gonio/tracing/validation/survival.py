@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from adis_gonio.tracing.outcome.naming import Names
+from adis_gonio.tracing.outcome.sets import set_of
 from adis_gonio.tracing.selection.posterior import CERTAIN
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.validation.gains import contradicting, held_out_gains
@@ -14,6 +15,8 @@ LEAST_CHECKS = 2
 """Least degrees of freedom that a model has to leave for its names to stand."""
 LEAST_DWELLS = 5
 """Least dwells of which some are left out to judge effects one by one."""
+PRESENT = 0.95
+"""Probability of any cause in a place from which it stays in the model, whatever its name."""
 WORSE = 1.05
 """Largest held-out error of the final model in units of the base model's."""
 
@@ -64,8 +67,8 @@ def _confirmed(selection: Selection, names: Names) -> tuple[Selection, dict[str,
         if selection.verdict.names.get(name, 0.0) >= CERTAIN or not selection.adequate:
             continue
         members = [k for k, term in enumerate(selection.terms) if term.name == name]
-        if not members:
-            continue
+        if not members or set_of(selection, name).present >= PRESENT:
+            continue  # which name it has is open, that there is something is not
         gains = held_out_gains(selection.fit, members, selection.inflation)
         weak = [design for design, held_out in gains.items() if not held_out.confirmed]
         kept = [k for k in selection.verdict.best if selection.problem.terms[k].name != name]
