@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from adis_gonio.errors import DataError, FitError
 from adis_gonio.estimation.conic import conic_through
 from adis_gonio.estimation.flicker import covariance_of_means, modes, scatter_of_means, spans
-from adis_gonio.estimation.screening import refuse_dead_data
+from adis_gonio.estimation.screening import clipped, refuse_dead_data
 from adis_gonio.estimation.spectrum import MeanNoise, noise_of_means
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, gains_and_skews
@@ -398,7 +398,7 @@ def reduced(session: Session) -> Readings:
     dof = np.full(n, np.inf)
     known = np.zeros(n, dtype=np.bool_)
     slow: Floats | None = None
-    notes: list[str] = []
+    notes = clipped(dwells)
     single = np.flatnonzero(samples == 1)
     if single.size:
         covariance[single] *= (1.0 if session.reading_u_mg is None else session.reading_u_mg) ** 2

@@ -24,6 +24,9 @@ from adis_gonio.model.records import Dwell, Floats, Session
 _LEAST_RUN = 32
 _CHIP_RUN = 512
 _LIVELY = 0.6
+_LEAST_VALUES = 20
+_PILE, _STEEP = 20, 5
+"""Least samples at an extreme value, and least ratio to the value next to it, that show a limit."""
 
 
 def refuse_dead_data(session: Session) -> None:
@@ -49,6 +52,27 @@ def refuse_dead_data(session: Session) -> None:
             f"{where}stuck data in {_positions(stuck)}: words repeat where a working sensor shows noise "
             "or follows the rotation; check the sensor and record again"
         )
+
+
+def clipped(dwells: Sequence[Dwell]) -> list[str]:
+    """A sentence for each axis whose samples pile up at an extreme value: what clips has no mean.
+
+    Noise has fewer samples at its extreme than one value inside; a limit has many times as many.
+    """
+    lines = []
+    for axis in range(dwells[0].accel.shape[1]):
+        values, counts = np.unique(
+            np.concatenate([dwell.accel[:, axis] for dwell in dwells]), return_counts=True
+        )
+        for place, inside in ((-1, -2), (0, 1)):
+            if len(values) > _LEAST_VALUES and counts[place] >= max(_PILE, _STEEP * counts[inside]):
+                at = [d.position for d in dwells if (d.accel[:, axis] == values[place]).any()]
+                axis_at = f"{'xyz'[axis]} stand at the extreme value {values[place]:g} ({_positions(at)})"
+                lines.append(
+                    f"{counts[place]} samples of {axis_at}: a limit was reached there, and their mean is not "
+                    "the reading"
+                )
+    return lines
 
 
 def longest_runs(accel: Floats) -> Floats:
