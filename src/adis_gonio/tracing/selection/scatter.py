@@ -5,11 +5,11 @@ readings without following anything. A variance component competes with every fu
 greatest restricted likelihood beside the base model and what was chosen, and the whole session is traced
 again under it. Of the two accounts the one of higher log evidence stands:
 
-* functions under the measured noise: L(0) + score of the best model;
-* functions under the noise with the component: L(s) + score of the best model there − price of s,
+* functions under the measured noise: L(0) of the best model less the price of its terms;
+* functions under the noise with the component: the same under s, less the price of s,
 
-L the restricted log likelihood of the base model (Harville, J. Am. Stat. Assoc. 72, 1977). Noise that no
-covariate explains costs one parameter; functions that imitate it cost many.
+L the log likelihood of the refitted model, restricted for its base parameters (Harville, J. Am. Stat. Assoc.
+72, 1977). Noise that no covariate explains costs one parameter; functions that imitate it cost many.
 """
 
 from __future__ import annotations
@@ -75,13 +75,13 @@ def with_scatter(
     plain = {term.name for term in selection.terms} <= {"bias"}
     if not data.noise_known or len(data) < LEAST_READINGS or (plain and selection.adequate):
         return selection, None
-    at_most = _restricted(selection.base) + _score(selection)
+    at_most = _evidence(selection)
     best: tuple[float, Selection, Kind, float] | None = None
     for kind in _kinds(data):
         size, again = _settled(data, kind, selection, terms, max_effects)
         if again is None:
             continue
-        evidence = _restricted(again.base) + _score(again) - _price(data)
+        evidence = _evidence(again) - _price(data)
         if best is None or evidence > best[0]:
             best = (evidence, again, kind, size)
     if best is None or best[0] <= at_most:
@@ -101,8 +101,10 @@ def _price(data: Readings) -> float:
     return -math.log(PRIOR) + 0.5 * math.log(max(data.mean_mg.size, 2))
 
 
-def _score(selection: Selection) -> float:
-    return selection.found.scores.get(selection.verdict.best, 0.0)
+def _evidence(selection: Selection) -> float:
+    """Log evidence of the chosen model, but for constants."""
+    prices = sum(float(selection.found.prices[k]) for k in selection.verdict.best)
+    return _restricted(selection.fit, base_only=True) - prices
 
 
 def _settled(
@@ -158,8 +160,11 @@ def _with(data: Readings, kind: Kind, size: float) -> Readings:
     return replace(data, fixture_rad=math.hypot(data.fixture_rad, size))
 
 
-def _restricted(fit: Fit) -> float:
-    """Restricted log likelihood of a fit, but for constants."""
+def _restricted(fit: Fit, *, base_only: bool = False) -> float:
+    """Restricted log likelihood of a fit, but for constants; restricted for its base alone where asked.
+
+    The price of a term holds what its amplitudes cost.
+    """
     data = fit.data
     covariance = data.own_covariance
     if fit.data.planar and not data.free:
@@ -172,7 +177,8 @@ def _restricted(fit: Fit) -> float:
         size = float(np.log(spread).sum())
     else:
         size = float(np.linalg.slogdet(covariance)[1].sum())
-    rows = fit.jacobian[:, np.abs(fit.jacobian).max(axis=0) > 0]
+    rows = fit.jacobian[:, : len(fit.values.base)] if base_only else fit.jacobian
+    rows = rows[:, np.abs(rows).max(axis=0) > 0]
     scaled = np.linalg.svd(rows, compute_uv=False)
     freedom = 2 * float(np.log(np.maximum(scaled, 1e-12)).sum())
     return -0.5 * (fit.loss + size + freedom)

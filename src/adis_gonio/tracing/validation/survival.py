@@ -15,7 +15,7 @@ LEAST_CHECKS = 2
 """Least degrees of freedom that a model has to leave for its names to stand."""
 LEAST_DWELLS = 5
 """Least dwells of which some are left out to judge effects one by one."""
-PRESENT = 0.95
+PRESENT = 0.9
 """Probability of any cause in a place from which it stays in the model, whatever its name."""
 WORSE = 1.05
 """Largest held-out error of the final model in units of the base model's."""
