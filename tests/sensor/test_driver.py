@@ -1,5 +1,7 @@
 """The driver against the simulated chip, and against buses that misbehave on purpose."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -371,6 +373,39 @@ def test_an_alarm_shows_in_ea_and_status_in_words(sensor):
     sensor.status()
     sensor.bus.sleep_s(0.1)
     assert str(sensor.status()) == "no fault, no alarm"
+
+
+def test_a_rate_alarm_stands_above_its_change_a_sample_however_many_samples_it_looks_at(sensor):
+    lsb = sensor.variant.accel_mg_per_lsb
+    world = sensor.bus.world
+    sample, slope_s = world.sample, 819.2 * 3 * lsb  # three LSB a sample
+
+    def ramp(time_s):
+        inputs = sample(time_s)
+        accel = np.array(inputs.accel_mg)
+        accel[:, 1] = slope_s * (time_s - begin_s) - 600
+        return replace(inputs, accel_mg=accel)
+
+    for threshold_lsb, expected in ((2.0, True), (4.0, False)):
+        sensor.clear_alarm(1)
+        sensor.set_alarm(1, Alarm("YACCL_OUT", threshold_lsb * lsb, rate_samples=50))
+        sensor.configure(sample_rate_hz=819.2)  # empties the taps
+        sensor.bus.sleep_s(0.2)
+        begin_s = sensor.bus.now_s()
+        world.sample = ramp
+        sensor.bus.sleep_s(0.2)
+        sensor.status()  # the jump to the ramp's beginning
+        sensor.bus.sleep_s(0.3)
+        assert sensor.status().flags["alarm1"] is expected
+        world.sample = sample
+
+
+def test_a_rate_alarm_too_slow_for_the_register_is_refused_and_nothing_is_written():
+    sensor, bus = recorded()
+    before = len(bus.writes)
+    with pytest.raises(UsageError, match=r"the least is 0\.4672 mg a sample"):
+        sensor.set_alarm(1, Alarm("YACCL_OUT", 0.2, rate_samples=50))
+    assert len(bus.writes) == before
 
 
 def test_a_sleeping_part_wakes_at_a_pulse_and_works_on(sensor):

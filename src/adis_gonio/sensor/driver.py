@@ -491,7 +491,8 @@ class Adis16354:
         Raises
         ------
         UsageError
-            No such alarm or source, or a threshold outside the source's range.
+            No such alarm or source, or a threshold outside the source's range; or of a change that is less
+            than half an LSB a sample, which the register cannot hold.
         """
         if number not in (1, 2):
             raise UsageError(f"alarm {number} does not exist: 1 or 2")
@@ -507,6 +508,11 @@ class Adis16354:
         if not low <= threshold <= high:
             raise UsageError(
                 f"threshold {alarm.threshold:g} {unit[0]} is outside the range of {source.name}"
+            )
+        if alarm.rate_samples and alarm.threshold and not threshold:
+            raise UsageError(
+                f"threshold {alarm.threshold:g} {unit[0]} a sample is too small for {source.name}:"
+                f" the least is {lsb[0]:.4g} {unit[0]} a sample, whatever rate_samples is"
             )
         self.write(f"ALM_MAG{number}", int(alarm.above) << 15 | threshold & source.data_mask)
         self.write(f"ALM_SMPL{number}", alarm.rate_samples)

@@ -202,11 +202,11 @@ class Alarm:
     source : str
         Register that is watched, such as `XACCL_OUT`.
     threshold : float
-        In mg, °/s, °C or V, or that much per `rate_samples` samples.
+        In mg, °/s, °C or V; with `rate_samples` that much a sample.
     above : bool
         True alarms above the threshold, False below.
     rate_samples : int
-        0 compares the value; 1 to 255 compares its change over so many samples.
+        0 compares the value; 1 to 255 compares its mean change a sample over so many samples (DS p. 20, B).
     filtered : bool
         Compare filtered data; ALM_CTRL[4], shared by both alarms.
     """

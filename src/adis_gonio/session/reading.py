@@ -11,6 +11,7 @@ from adis_gonio.errors import DataError
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sensor.decoding import ScanBlock, join
 from adis_gonio.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
+from adis_gonio.session.faults import Alarms, alarms_of
 from adis_gonio.session.plans import Plan
 from adis_gonio.session.rows import JsonDict, StoredAttempt
 from adis_gonio.session.view import ArchiveView
@@ -21,9 +22,9 @@ def read_session(path: str | Path) -> Session:
 
     A session may be read while another program records it. Samples are in LSB and °/s, times in seconds
     since the session began. `facts` holds `configuration`, `registers` (before, configured, after),
-    `plan`, `settings`, `url`, `note`, `runs`, `dwells` (times, lost scans, STATUS of each), `problems`,
-    `advised` (what an advisor asked for, round by round), `complete`, and for simulated sessions alone
-    `truth`, which no fit may use.
+    `plan`, `settings`, `url`, `note`, `runs`, `dwells` (times, lost scans, STATUS and alarms of each),
+    `problems`, `advised` (what an advisor asked for, round by round), `complete`, and for simulated
+    sessions alone `truth`, which no fit may use.
 
     Raises
     ------
@@ -93,6 +94,7 @@ def _dwell(number: int, attempt: StoredAttempt, scans: ScanBlock) -> Dwell:
 
 
 def _facts_of(attempt: StoredAttempt, scans: ScanBlock) -> JsonDict:
+    alarms = alarms_of(scans)
     return {
         "place": attempt.place,
         "attempt": attempt.number,
@@ -101,6 +103,7 @@ def _facts_of(attempt: StoredAttempt, scans: ScanBlock) -> JsonDict:
         "samples": len(scans),
         "lost": scans.lost,
         "status": attempt.status,
+        "alarms": None if alarms is None else alarms.as_dict(),
     }
 
 
@@ -117,4 +120,8 @@ def _notes(
     lost = sum(dwell["lost"] for dwell in dwells)
     if lost:
         notes.append(f"{lost} scans were lost on the bus within the dwells")
+    for number, dwell in enumerate(dwells):
+        if dwell["alarms"] is not None:
+            where = plan.positions[dwell["place"]]
+            notes.append(f"dwell {number} ({where}): {Alarms(**dwell['alarms'])}")
     return tuple(notes)

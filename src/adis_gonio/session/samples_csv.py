@@ -2,7 +2,8 @@
 
 `read_samples_csv` reads `.csv` and `.csv.gz` (told apart by content, not by name) in bulk; only where the
 bulk conversion fails are the rows walked one by one, so that the message names the first bad one.
-`write_samples_csv` writes the same format; what it writes is read back without a change.
+`write_samples_csv` writes the same format; what it writes is read back without a change. A line
+`# note: text`, of which there may be several, becomes one of `Session.notes`.
 
 A file without the column `position` is one continuous recording: its dwells are found by stillness
 (`adis_gonio.session.stillness`), and `Session.notes` says what was found.
@@ -183,6 +184,7 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
                 assert values is not None
                 rows.append(_texts_of(values))
     lines = [f"# {key}: {value}" for key, value in _keys_of(session).items()]
+    lines += [f"# note: {' '.join(note.split())}" for note in session.notes]
     lines.append(",".join(parts))
     lines.extend(map(",".join, zip(*(chain.from_iterable(rows) for rows in parts.values()), strict=True)))
     data = ("\n".join(lines) + "\n").encode()
@@ -259,6 +261,10 @@ def _split(path: Path, text: str) -> _Table:
         name, colon, value = lines[start].lstrip("#").partition(":")
         if colon:
             name = name.strip().lower()
+            if name == "note":
+                notes.append(value.strip())
+                start += 1
+                continue
             if name in keys:
                 raise DataError(f"{path.name}, row {start + 1}: key '{name}' stands there twice")
             keys[name] = (value.strip(), start + 1)
