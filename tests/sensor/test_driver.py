@@ -237,7 +237,7 @@ def test_polling_and_streaming_find_the_same_scans_untorn_and_none_lost(names, s
             )
     polled, streamed = found["0"].numbers(), found["1"].numbers()
     # Both chips are the same; the two ways only begin at different updates.
-    offsets = [k for k in range(-40, 41) if np.array_equal(polled[50:500], streamed[50 + k : 500 + k])]
+    offsets = [k for k in range(-140, 41) if np.array_equal(polled[150:500], streamed[150 + k : 500 + k])]
     assert len(offsets) == 1
 
 

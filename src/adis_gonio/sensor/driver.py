@@ -28,7 +28,7 @@ from adis_gonio.errors import (
     VariantError,
     VerifyError,
 )
-from adis_gonio.sensor.data_ready import USED_BY, DataReadyLoan
+from adis_gonio.sensor.data_ready import UPDATE_EDGE, USED_BY, DataReadyLoan, UpdateEdge, arrives
 from adis_gonio.sensor.decoding import ScanBlock, join, scales
 from adis_gonio.sensor.frames import IDLE, NORMAL, read_frames, timing_for, write_frames
 from adis_gonio.sensor.registers import (
@@ -130,10 +130,20 @@ class Adis16354:
         Which part of the family.
     check : bool
         See `open_sensor`.
+    update_edge : {"first", "last"}
+        Edge of the data-ready pulse that is taken for the update's (see `data_ready.UPDATE_EDGE`).
     """
 
-    def __init__(self, bus: SpiBus, variant_: str | Variant = "adis16354", *, check: bool = True) -> None:
+    def __init__(
+        self,
+        bus: SpiBus,
+        variant_: str | Variant = "adis16354",
+        *,
+        check: bool = True,
+        update_edge: UpdateEdge = UPDATE_EDGE,
+    ) -> None:
         self.bus = bus
+        self.update_edge: UpdateEdge = update_edge
         self.variant: Variant = variant(variant_)
         self._gyro_range: int | None = None
         bus.sleep_s(START_UP_S)
@@ -293,6 +303,7 @@ class Adis16354:
         *,
         block_scans: int = 256,
         leave_registers: bool = False,
+        data_ready: bool | None = None,
     ) -> ScanStream:
         """Fresh scans, one after another, by the best that the bus can do (see `sensor.scanning`).
 
@@ -306,13 +317,18 @@ class Adis16354:
         ----------
         leave_registers : bool
             Write nothing: data-ready is used only where it is enabled already.
+        data_ready : bool or None
+            True uses data-ready as it is, without a look whether edges arrive (a `DataReadyLoan` has
+            looked); False polls. Neither writes a register.
 
         Raises
         ------
         UsageError
             No output register among the names, or no room for a scan in a block.
         BusError
-            The bus failed. In the stream also where MSC_CTRL enables data-ready and no edge arrives.
+            The bus failed.
+        ChipError
+            Edges arrive on the data-ready line that are not the chip's updates.
         """
         table = registers(names)
         if not any(row.flags for row in table):
@@ -323,16 +339,17 @@ class Adis16354:
             raise UsageError(f"block_scans is {block_scans}: take 1 or more")
         configuration = self.configuration()
         period_s = configuration.sample_period_s
-        ready, at_end = configuration.data_ready, contextlib.ExitStack()
+        usable = bool(USED_BY & self.bus.capabilities)
+        looks = data_ready is None and usable and (configuration.data_ready or not leave_registers)
+        ready, at_end = bool(data_ready), contextlib.ExitStack()
         with contextlib.ExitStack() as failed:
-            if not ready and not leave_registers and USED_BY & self.bus.capabilities:
-                loan = DataReadyLoan(self)
+            if looks and leave_registers:
+                ready = arrives(self.bus, period_s)
+            elif looks:
+                loan = DataReadyLoan(self, table, period_s, self.update_edge)
                 failed.callback(loan.give_back)
-                ready = loan.arrives(period_s)
-                if ready:
-                    at_end.callback(loan.give_back)
-                else:
-                    loan.give_back()
+                at_end.callback(loan.give_back)
+                ready = loan.wired
             layout = ScanLayout(table, self.variant.name, self._gyro_range, period_s, at_end.close)
             if ready and Capability.STREAM in self.bus.capabilities:
                 frames = [int(frame) for frame in read_frames(table)]
@@ -341,16 +358,35 @@ class Adis16354:
             else:
                 counts = ready and Capability.EVENT_COUNTER in self.bus.capabilities
                 stream = PolledScans(self.bus, layout, block_scans, counts_edges=counts)
+                if looks and not ready:
+                    stream.how = f"no data-ready edge arrives: {stream.how}"
             failed.pop_all()
         return stream
 
-    def read_scans(self, count: int, names: Sequence[str | Register] = DEFAULT_SCAN) -> ScanBlock:
-        """`count` fresh scans in one block."""
+    def lend_data_ready(self, names: Sequence[str | Register] = DEFAULT_SCAN) -> DataReadyLoan | None:
+        """Enable data-ready for streams of these registers until the loan is given back.
+
+        None where the bus cannot use it. Errors as `DataReadyLoan`.
+        """
+        if not USED_BY & self.bus.capabilities:
+            return None
+        period_s = self.configuration().sample_period_s
+        return DataReadyLoan(self, registers(names), period_s, self.update_edge)
+
+    def read_scans(
+        self,
+        count: int,
+        names: Sequence[str | Register] = DEFAULT_SCAN,
+        *,
+        data_ready: bool | None = None,
+    ) -> ScanBlock:
+        """`count` fresh scans in one block; writes no register. `data_ready` as in `stream`."""
         if count < 1:
             raise UsageError(f"count is {count}: take 1 or more")
         blocks: list[ScanBlock] = []
         have = 0
-        with self.stream(names, block_scans=min(count, 256), leave_registers=True) as stream:
+        size = min(count, 256)
+        with self.stream(names, block_scans=size, leave_registers=True, data_ready=data_ready) as stream:
             for block in stream:
                 blocks.append(block)
                 have += len(block)
@@ -609,7 +645,8 @@ class Adis16354:
                 )
 
     def _check_variant(self) -> None:
-        block = self.read_scans(CHECK_SCANS, ACCEL_OUT)
+        # Polled: a line that is wrong must not keep the sensor from being opened.
+        block = self.read_scans(CHECK_SCANS, ACCEL_OUT, data_ready=False)
         norm_lsb = float(np.median(np.linalg.norm(block.numbers(), axis=1)))
         if abs(norm_lsb / self.variant.one_g_lsb - 1) <= PLAUSIBLE:
             return

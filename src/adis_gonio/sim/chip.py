@@ -257,6 +257,14 @@ class SimulatedChip:
         at_first = 0.0 if self._update_edge == "first" else -self._pulse_s
         return at_first if begins else at_first + self._pulse_s
 
+    def next_edge_s(self, after_s: float, *, rising: bool) -> float | None:
+        """Time of the data-ready edge of the next update, later than `after_s`; None where none comes."""
+        update_s = self.next_update_s(after_s)
+        if update_s is None:
+            return None
+        edge_s = update_s + self.edge_after_update_s(rising=rising)
+        return edge_s if edge_s > after_s else edge_s + self._period
+
     def dio(self, time_s: float) -> tuple[int | None, int | None]:
         """Levels that the chip drives on DIO1 and DIO2 at a time; None where a line is an input."""
         self.run_to(time_s)
