@@ -294,6 +294,8 @@ class Bench:
                     f"  {rate:.1f} samples/s, filter 2 × {taps} taps"
                     + (f"; changed {changed}" if changed else "")
                 )
+                if event.why_polled:
+                    self._say(f"  scans are polled: {event.why_polled}")
             case events.NoiseMeasured():
                 noise = ", ".join(f"{value:.2f}" for value in event.noise_mg)
                 self._say(f"  noise at rest {noise} mg (x, y, z)")

@@ -235,8 +235,8 @@ class PolledScans(ScanStream):
         if self._pass_s < ALIGNABLE * self._period_s:
             return ""
         return (
-            f"scans were polled, and reading one took {self._pass_s / self._period_s:.2g} sample periods:"
-            " the words of a row may stem from two or more neighbouring updates of the sensor"
+            "scans were polled, too slowly to tell the sensor's updates apart: the words of a row may stem"
+            " from two or more neighbouring updates"
         )
 
     def _heed_counter(self) -> None:

@@ -50,10 +50,13 @@ class Configured(Event):
         JSON form of the sensor's configuration.
     changed : dict of str to (int, int)
         Control registers that this changed: number before and after.
+    why_polled : str
+        Why scans are polled; empty where they start at the data-ready edges.
     """
 
     configuration: dict[str, Any]
     changed: dict[str, tuple[int, int]]
+    why_polled: str
 
 
 @dataclass(frozen=True)
@@ -177,10 +180,10 @@ class Problem(Event):
 
     Attributes
     ----------
-    kind : {"status", "alarm", "supply", "lost", "stillness"}
+    kind : {"status", "alarm", "supply", "lost", "dropped", "stillness"}
     """
 
-    kind: Literal["status", "alarm", "supply", "lost", "stillness"]
+    kind: Literal["status", "alarm", "supply", "lost", "dropped", "stillness"]
     message: str
     place: int
 

@@ -20,6 +20,8 @@ from adis_gonio.session.rows import JsonDict
 SUPPLY_LIMITS_V = (4.75, 5.25)
 """Specified supply (DS, B)."""
 
+WITHOUT_NEWS = "they held no new data (ND), so their data-ready edge was not the sensor's"
+
 
 @dataclass(frozen=True)
 class Alarms:
@@ -97,4 +99,8 @@ def problems(place: int, scans: ScanBlock, status: Status) -> list[Problem]:
     if scans.lost:
         share = 100.0 * scans.lost / (len(scans) + scans.lost)
         found.append(Problem("lost", f"{scans.lost} scans ({share:.2g} %) were lost on the bus", place))
+    if scans.dropped:
+        share = 100.0 * scans.dropped / (len(scans) + scans.dropped)
+        text = f"{scans.dropped} scans ({share:.2g} %) were left out: {WITHOUT_NEWS}"
+        found.append(Problem("dropped", text, place))
     return found

@@ -21,6 +21,7 @@ the same to the last bit.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import queue
 import threading
@@ -123,6 +124,7 @@ class SessionRunner:
         self._allowed: frozenset[Answer] = frozenset()
         self._stopping = threading.Event()
         self._ran = False
+        self._scanning: dict[str, Any] = archive.last("scanning") or {}
 
     @classmethod
     def begin(
@@ -280,8 +282,11 @@ class SessionRunner:
             yield from self._prepare()
             yield from self._visit()
             finished = self._finish()
+        except BaseException:
+            with contextlib.suppress(AdisGonioError):  # the first error counts; the bus may be gone
+                self._bench.close()
+            raise
         finally:
-            self._bench.close_stream()
             self._archive.close()
         yield finished
 
@@ -305,7 +310,7 @@ class SessionRunner:
         self._note("configuration", configuration)
         self._note("registers-configured", after)
         self._note("truth", bench.truth())
-        yield Configured(configuration, bench.changes(before, after))
+        yield Configured(configuration, bench.changes(before, after), bench.why_polled)
         noise = archive.last("noise")
         if noise is None:
             noise = yield from self._measure_noise()
@@ -332,6 +337,7 @@ class SessionRunner:
                     f" its noise should be about {expected:.2g} mg; put it on a quiet support and resume"
                 )
         bench.close_stream()
+        self._tell_scanning()
         if noise is None:
             return None
         measured = [float(value) for value in noise]
@@ -591,6 +597,7 @@ class SessionRunner:
     def _complete(self, recording: Recording) -> Iterator[Event]:
         bench = self._bench
         bench.close_stream()
+        self._tell_scanning()
         status = bench.sensor.status()
         bench.checkpoint()
         attempt = recording.attempt("complete", bench.now_s, status=status.word)
@@ -609,6 +616,13 @@ class SessionRunner:
         for problem in found:
             yield self._problem(problem)
 
+    def _tell_scanning(self) -> None:
+        """Record how scans are got, where that is new."""
+        now = self._bench.scanning
+        if now != self._scanning:
+            self._scanning = now
+            self._note("scanning", now)
+
     def _problem(self, problem: Problem) -> Problem:
         self._note("problem", problem.as_dict())
         return problem
@@ -620,7 +634,7 @@ class SessionRunner:
 
     def _finish(self) -> Finished:
         complete = self._next_place() is None
-        self._bench.close_stream()
+        self._bench.close()  # what was changed for the scans alone is set back first
         self._note("registers-after", self._bench.sensor.read_all())
         self._note("truth", self._bench.truth(self._archive.dwells()))
         self._note("finished", {"complete": complete})

@@ -198,8 +198,8 @@ class SimBus(SpiBus):
 class SimStream(FrameStream):
     """A stream of a simulated bus.
 
-    The list runs from each falling edge on, with one idle frame behind it that fetches the last reply; edges
-    that fall into a run are lost. Time that the caller lets pass between blocks is buffered.
+    The list runs from each falling edge on, with one idle frame behind it that fetches the last reply;
+    edges that fall into a run are lost. Time that the caller lets pass between blocks is buffered.
     """
 
     def __init__(self, bus: SimBus, frames: Words, block_scans: int) -> None:
