@@ -1,8 +1,13 @@
 """The chip's data-ready line: lent to a stream or a session, and checked before it is believed.
 
 An input that nothing drives, or that something else drives, may show edges too. The line is therefore used
-only where the bridge counts about one edge an update, and where scans that start at the edge find new data
-(ND) in every register; where no edge comes at all, as without the wire, scans are polled.
+only where the bridge counts about one edge an update, and where no update falls into the scans that start
+at the edge; where no edge comes at all, as without the wire, scans are polled.
+
+ND of a scan's own words does not show an update that falls into it: every register has one update between
+two reads, wherever in the scan it comes. A trial therefore reads the scan's first register once more at its
+end. At an edge that leads the update the first read finds new data and the last one none; where the update
+comes within the scan it is the other way round.
 """
 
 from __future__ import annotations
@@ -30,7 +35,7 @@ UpdateEdge = Literal["first", "last"]
 UPDATE_EDGE: UpdateEdge = "first"
 """Edge of the pulse that leads the update: from there on the outputs are new. That the pulse tells of new
 data is A (MSC_CTRL[2]); that its beginning does and not its end is inferred, neither sheet nor code says so
-(C). `DataReadyLoan` checks it by ND and takes the other edge where that one proves right."""
+(C). `leads` checks it, and `DataReadyLoan` takes the other edge where the declared one proves wrong."""
 
 _PERIODS = 2.5
 """Updates for which edges are counted at least: two of them fall into it."""
@@ -43,8 +48,10 @@ _EDGES_TOLERANCE = 1.5
 """Edges that may be too many or too few at the two ends of the count."""
 _TRIAL_SCANS = (4, 32)
 """Least and most scans that are tried for ND."""
-FRESH_SHARE = 0.75
-"""Share of scans with ND in every register from which on their edge leads the update."""
+_LEADS_SHARE = 0.9
+"""Share of trial scans without an update in them from which on their edge leads it; true ones have all."""
+_MOST_BEFORE = 30
+"""Registers of a trial before its last; a bridge's list holds 32."""
 
 _ROW = BY_NAME["MSC_CTRL"]
 _POLARITY = _ROW.field("polarity").mask
@@ -75,6 +82,33 @@ def arrives(bus: SpiBus, period_s: float) -> bool:
             " or hold it high where there is no wire (docs/hardware.md)"
         )
     return edges > 0
+
+
+def leads(bus: SpiBus, table: Sequence[Register], period_s: float) -> bool:
+    """Whether no update falls into scans of these registers that start at the data-ready edge.
+
+    Takes 0.1 s or 4 updates, whichever is longer.
+    """
+    least, most = _TRIAL_SCANS
+    scans = min(max(least, math.ceil(_COUNT_S / period_s)), most)
+    first = next(k for k, row in enumerate(table) if row.flags)
+    # A list too long for the bridge is refused here as it would be in the stream.
+    rows = table if len(table) > _MOST_BEFORE + 1 else [*table[first:], table[first]]
+    frames = [int(frame) for frame in read_frames(rows)]
+    with contextlib.closing(bus.stream(frames, block_scans=scans)) as stream:
+        new = (next(stream).words[1:, [0, -1]] & ND).astype(bool)  # before the first scan nobody had read
+    takes_s = len(frames) * bus.timing.frame_s
+    within = new[:, 1] if takes_s < period_s else np.zeros(len(new), bool)
+    return bool((new[:, 0] & ~within).mean() >= _LEADS_SHARE)
+
+
+def refusal(bus: SpiBus) -> ChipError:
+    """Error of edges into whose scans updates fall."""
+    return ChipError(
+        f"{bus.url}: the sensor's updates fall into scans that start at the data-ready edges (bit ND of a"
+        " register read twice): the edges are not the updates', or MSC_CTRL[1] selects the wrong end of the"
+        " pulse; check the line's wire (docs/hardware.md)"
+    )
 
 
 class DataReadyLoan:
@@ -133,29 +167,15 @@ class DataReadyLoan:
         self._ours = self._before
 
     def _find_edge(self, table: Sequence[Register], period_s: float) -> None:
-        """Take the edge at which scans find new data; the declared one first."""
+        """Take the edge that leads the update; the declared one where it does."""
         if Capability.STREAM not in self._sensor.bus.capabilities:
             return  # nothing starts at an edge
         for _ in range(2):
-            if self._leads(table, period_s):
+            if leads(self._sensor.bus, table, period_s):
                 return
             self.edge = "last" if self.edge == "first" else "first"
             self._enable()
-        raise ChipError(
-            f"{self._sensor.bus.url}: scans that start at the data-ready edges find no new data (ND) in"
-            " some registers, at neither edge of the pulse: the line carries something else; check its wire"
-            " (docs/hardware.md)"
-        )
-
-    def _leads(self, table: Sequence[Register], period_s: float) -> bool:
-        least, most = _TRIAL_SCANS
-        scans = min(max(least, math.ceil(_COUNT_S / period_s)), most)
-        frames = [int(frame) for frame in read_frames(table)]
-        with self._sensor.bus.stream(frames, block_scans=scans) as stream:
-            words = next(stream).words[1:]  # what the first scan reads was new long before its edge
-        flags = np.array([row.flags for row in table])
-        fresh = (words[:, flags] & ND).astype(bool).all(axis=1)
-        return bool(fresh.mean() >= FRESH_SHARE)
+        raise refusal(self._sensor.bus)
 
     def _enable(self) -> None:
         ours = _ROW.field("data_ready").mask

@@ -28,7 +28,15 @@ from adis_gonio.errors import (
     VariantError,
     VerifyError,
 )
-from adis_gonio.sensor.data_ready import UPDATE_EDGE, USED_BY, DataReadyLoan, UpdateEdge, arrives
+from adis_gonio.sensor.data_ready import (
+    UPDATE_EDGE,
+    USED_BY,
+    DataReadyLoan,
+    UpdateEdge,
+    arrives,
+    leads,
+    refusal,
+)
 from adis_gonio.sensor.decoding import ScanBlock, join, scales
 from adis_gonio.sensor.frames import IDLE, NORMAL, read_frames, timing_for, write_frames
 from adis_gonio.sensor.registers import (
@@ -345,6 +353,9 @@ class Adis16354:
         with contextlib.ExitStack() as failed:
             if looks and leave_registers:
                 ready = arrives(self.bus, period_s)
+                streams = ready and Capability.STREAM in self.bus.capabilities
+                if streams and not leads(self.bus, table, period_s):
+                    raise refusal(self.bus)
             elif looks:
                 loan = DataReadyLoan(self, table, period_s, self.update_edge)
                 failed.callback(loan.give_back)

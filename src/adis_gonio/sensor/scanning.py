@@ -30,7 +30,6 @@ from numpy.typing import NDArray
 
 from adis_gonio.bus import FrameStream, SpiBus, Words
 from adis_gonio.errors import AdisGonioError, ChipError, SilentChipError
-from adis_gonio.sensor.data_ready import FRESH_SHARE
 from adis_gonio.sensor.decoding import Floats, ScanBlock
 from adis_gonio.sensor.frames import IDLE, read_frames
 from adis_gonio.sensor.registers import ND, Register
@@ -46,7 +45,8 @@ LEAST_PASSES = 4
 
 
 JUDGED_SCANS = 32
-"""Latest scans of a stream at data-ready edges whose share with new data is watched."""
+FRESH_SHARE = 0.75
+"""Latest scans of a stream at data-ready edges, and the share of them that must hold new data."""
 
 COUNTER_SLACK = 2.0
 """Updates by which edges and scans may disagree: some lie between a scan and the counter's reading."""
