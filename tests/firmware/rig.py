@@ -15,6 +15,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yasimavr.lib.core as core
 from yasimavr.device_library import load_device
 
@@ -253,6 +254,25 @@ class Rig:
         self._ready.set_state("L")
         self._own_edge = core.CallableCycleTimer(drive)
         self.cycles.schedule(self._own_edge, cycle)
+
+    @property
+    def ready_wire(self) -> str:
+        """State of the wire at PD2: `High` and `Low` where it is driven, `Pull up`, `Floating`."""
+        return str(self._ready.state())
+
+    def noise_on_ready(self, seed: int, mean_cycles: int) -> None:
+        """Edges of data-ready at random times from now on, whatever the chip does."""
+        rng = np.random.default_rng(seed)
+        high = False
+
+        def drive(when: int) -> int:
+            nonlocal high
+            high = not high
+            self._ready.set_state("H" if high else "L")
+            return when + 1 + int(rng.exponential(mean_cycles / 2))
+
+        self._noise = core.CallableCycleTimer(drive)
+        self.cycles.schedule(self._noise, self._loop.cycle() + 1)
 
     # -- memory -------------------------------------------------------------------------------------------
 
