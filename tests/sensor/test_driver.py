@@ -20,6 +20,9 @@ from adis_gonio.errors import (
 from adis_gonio.sensor import DEFAULT_SCAN, Adis16354, Alarm
 from adis_gonio.sensor.frames import FAST, NORMAL
 from adis_gonio.sensor.registers import BY_NAME, REGISTERS
+from adis_gonio.sim import SimBus, SimulatedChip, World
+from adis_gonio.sim.chip import State
+from adis_gonio.sim.sampling import Sampler
 from fakes.buses import ConstantBus, RecordingBus, ScriptedBus
 
 SIM = "sim:?seed=3"
@@ -351,13 +354,140 @@ def test_the_self_test_passes_on_a_sound_chip(sensor):
     assert test.failures == ()
 
 
-def test_autonull_takes_the_gyros_bias_out_and_ends_in_a_flash_write(sensor):
-    sensor.configure(filter_m=6)
-    before = np.abs(sensor.read_scans(800).gyro_dps.mean(axis=0)).max()
-    written = sensor.read("ENDURANCE")
-    sensor.precision_autonull()
-    assert sensor.read("ENDURANCE") == written + 1
-    assert np.abs(sensor.read_scans(800).gyro_dps.mean(axis=0)).max() < max(0.1, before)
+@pytest.mark.parametrize("filter_m", [0, 2])
+def test_the_manual_self_test_passes_on_a_sound_chip_and_leaves_the_register(sensor, filter_m):
+    sensor.configure(filter_m=filter_m, linear_g=True, origin=True)
+    test = sensor.manual_self_test()
+    assert test.passed, test.failures
+    assert test.accel_positive_mg == pytest.approx((250, 250, 250), abs=10)
+    assert test.accel_negative_mg == pytest.approx((0, 0, 0), abs=10)
+    assert test.gyro_negative_dps == pytest.approx((-50, -50, -50), abs=2)
+    assert sensor.read("MSC_CTRL") == 0xC0
+    assert np.linalg.norm(sensor.read_scans(50).accel_mg.mean(axis=0)) == pytest.approx(1000, abs=60)
+
+
+BROKEN = {  # column (supply, gyros, accelerometers), sign of the stimulus, answer in mg or °/s
+    "accelerometer Y does not answer to the positive stimulus": (4, 1, 0.0),
+    "accelerometer Z moves under the negative stimulus": (5, -1, -250.0),
+    "gyro X does not answer to the negative stimulus": (1, -1, 0.0),
+    "gyro Z moves the same way under both stimuli": (3, -1, 50.0),
+}
+
+
+@pytest.mark.parametrize("said", BROKEN)
+def test_the_manual_self_test_names_the_sensor_that_answers_wrongly(sensor, monkeypatch, said):
+    column, sign, answer = BROKEN[said]
+    scaled = Sampler._scaled
+
+    def wrong(sampler, inputs):
+        new = scaled(sampler, inputs)
+        if sampler._manual_test == sign:
+            test, sampler._manual_test = sampler._manual_test, 0.0
+            rest = scaled(sampler, inputs)
+            sampler._manual_test = test
+            new[:, column] = rest[:, column] + np.int64(answer * sampler._gain[column])
+        return new
+
+    monkeypatch.setattr(Sampler, "_scaled", wrong)
+    assert sensor.manual_self_test().failures == (said,)
+
+
+# -- nulling of the gyros ------------------------------------------------------------------------------
+
+BIASED = "sim:?seed=3&gyro_bias_x_dps=4&gyro_bias_y_dps=-2.5&gyro_bias_z_dps=0.8&gyro_instability_dps=0"
+GYRO_BIAS_DPS = (4.0, -2.5, 0.8)
+NULLING = {  # how long it takes by the bus's clock, and how far the mean may be off afterwards
+    # One filtered output (M = 4 leaves 0.204 of 0.6 °/s rms) and half an LSB of the output and the offset.
+    "autonull": (0.3, 5 * 0.204 * 0.6 + 0.05),
+    # Mean of 30 s: 0.6 / sqrt(24 576) is 0.004 °/s; half an LSB of the offset, and of the check itself.
+    "precision_autonull": (30.0, 0.05),
+}
+
+
+def gyro_means(sensor):
+    return sensor.read_scans(1600).gyro_dps.mean(axis=0)
+
+
+@pytest.mark.parametrize("kind", NULLING)
+def test_a_null_of_the_gyros_takes_their_bias_out_writes_flash_once_and_survives_a_reset(kind):
+    takes_s, off_dps = NULLING[kind]
+    with open_sensor(BIASED) as sensor:
+        sensor.configure(filter_m=4)
+        # The world adds effects of gravity and supply to the bias, so it is measured.
+        before = gyro_means(sensor)
+        assert np.abs(before).max() > 2
+        accel = sensor.read_scans(400).accel_mg.mean(axis=0)
+        written, begin_s = sensor.read("ENDURANCE"), sensor.bus.now_s()
+        offsets = getattr(sensor, kind)()
+        assert sensor.bus.now_s() - begin_s > takes_s
+        assert sensor.read("ENDURANCE") == written + 1
+        assert offsets.gyro_dps == pytest.approx(-before, abs=off_dps)
+        assert offsets.accel_mg == (0, 0, 0), "there is no null of the accelerometers"
+        assert gyro_means(sensor) == pytest.approx(np.zeros(3), abs=off_dps)
+        assert sensor.read_scans(400).accel_mg.mean(axis=0) == pytest.approx(accel, abs=2)
+        assert sensor.status().word == 0
+        sensor.reset()
+        assert sensor.offsets() == offsets
+
+
+@pytest.mark.parametrize("kind", NULLING)
+def test_a_null_replaces_the_offsets_that_stood_and_is_not_added_to_them(kind):
+    with open_sensor(BIASED) as sensor:
+        sensor.configure(filter_m=4)
+        bias = gyro_means(sensor)
+        sensor.write_offsets(gyro_dps=(5.0, 5.0, 5.0))
+        offsets = getattr(sensor, kind)()
+        assert offsets.gyro_dps == pytest.approx(-bias, abs=NULLING[kind][1])
+
+
+def test_the_precision_null_is_the_more_precise_one():
+    spread = {}
+    for kind in NULLING:
+        found = []
+        for seed in range(8):
+            with open_sensor(f"sim:?seed={seed}&gyro_instability_dps=0") as sensor:
+                sensor.configure(filter_m=0)
+                bias = gyro_means(sensor)
+                found.append(np.array(getattr(sensor, kind)().gyro_dps) + bias)
+        spread[kind] = np.std(found)
+    assert spread["precision_autonull"] < 0.03
+    assert 0.3 < spread["autonull"] < 0.9  # one unfiltered output: 0.6 °/s
+
+
+@pytest.mark.parametrize("kind", NULLING)
+def test_nothing_is_sent_while_a_null_runs(kind):
+    sensor, bus = recorded(BIASED)
+    sent = []
+    sleep_s = bus.sleep_s
+    bus.sleep_s = lambda seconds: (sent.append(len(bus.frames)), sleep_s(seconds))[1]
+    bus.batches.clear()
+    getattr(sensor, kind)()
+    (bit,) = [frame & 0xFF for frame in bus.writes]
+    assert bit == {"autonull": 0x01, "precision_autonull": 0x10}[kind]
+    command = next(k for k, frame in enumerate(bus.frames) if frame & 0x8000)
+    assert sent == [command + 1], "one wait, right behind the command"
+    assert bus.inner.chip.state is State.RUNNING
+
+
+@pytest.mark.parametrize("kind", NULLING)
+def test_a_null_at_low_supply_is_found_by_the_counter(kind):
+    with open_sensor("sim:?seed=3&supply_v=4.6") as sensor:
+        with pytest.raises(VerifyError, match="null was not done: ENDURANCE was 0 and is 0"):
+            getattr(sensor, kind)()
+        sensor.reset()
+        assert sensor.offsets().gyro_dps == (0, 0, 0)
+
+
+@pytest.mark.parametrize("kind", NULLING)
+def test_a_worn_flash_is_not_nulled_unless_forced(kind):
+    world = World(seed=3)
+    bus = RecordingBus(SimBus(world=world, chip=SimulatedChip(world, start_s=-0.5, endurance=10_000)))
+    sensor = Adis16354(bus)
+    with pytest.raises(ChipError, match="ENDURANCE is 10000"):
+        getattr(sensor, kind)()
+    assert not bus.writes
+    getattr(sensor, kind)(force=True)
+    assert sensor.read("ENDURANCE") == 10_001
 
 
 def test_an_alarm_shows_in_ea_and_status_in_words(sensor):

@@ -55,6 +55,7 @@ from adis_gonio.sensor.settings import (
     ALARM_SOURCES,
     Alarm,
     Configuration,
+    ManualSelfTest,
     Offsets,
     SelfTest,
     Status,
@@ -84,6 +85,7 @@ PLAUSIBLE = 0.15
 """Relative distance of |a| at rest from 1 g up to which a variant is believed: ±2 % of scale and a bias
 of tens of mg fit in, the next variant is 5.4 times away."""
 CHECK_SCANS = 32
+MANUAL_SCANS = 64
 
 
 @dataclass(frozen=True)
@@ -432,6 +434,34 @@ class Adis16354:
         if self.read(row) & busy:
             raise ChipError("the self-test did not end in 60 ms: reset the part and check its supply")
         return SelfTest(self.status())
+
+    def manual_self_test(self) -> ManualSelfTest:
+        """Apply the self-test's stimulus by hand, of either sign, and measure what it moves.
+
+        The part must be at rest. MSC_CTRL is set back at the end, however it ends.
+
+        Raises
+        ------
+        VerifyError
+            What was read back differs.
+        """
+        means, noise = {}, np.zeros(6)
+        settling_s = self.configuration().settling_s
+        try:
+            for name, positive, negative in (("rest", 0, 0), ("positive", 1, 0), ("negative", 0, 1)):
+                self.write_fields("MSC_CTRL", positive=positive, negative=negative)
+                self.bus.sleep_s(2 * settling_s)
+                values = self.read_scans(MANUAL_SCANS, (*ACCEL_OUT, *GYRO_OUT), data_ready=False).values()
+                means[name] = values.mean(axis=0)
+                if name == "rest":
+                    noise = values.std(axis=0, ddof=1)
+        finally:
+            self.write_fields("MSC_CTRL", positive=0, negative=0)
+            self.bus.sleep_s(2 * settling_s)
+        up, down = means["positive"] - means["rest"], means["negative"] - means["rest"]
+        parts = [values[k : k + 3] for k in (0, 3) for values in (up, down)] + [noise[:3], noise[3:]]
+        x = [(float(part[0]), float(part[1]), float(part[2])) for part in parts]
+        return ManualSelfTest(*x)
 
     # -- offsets and flash --------------------------------------------------------------------------
 
