@@ -126,6 +126,19 @@ def test_a_board_that_boots_after_opening_is_waited_for():
     assert 2.0 < bench.clock.now_s() < 3.0
 
 
+def test_events_are_timed_by_the_firmware_s_own_clock_over_its_wrap():
+    bench = Bench(drift=0.02, start_us=(1 << 32) - 700_000)
+    with bench.open() as bus:
+        bus.exchange([DATA_READY_ON])
+        bus.count_events()
+        _, begin_s = bus.count_events()
+        real_s = bench.clock.now_s()
+        bus.sleep_s(0.5)
+        edges, end_s = bus.count_events()
+        assert end_s - begin_s == pytest.approx(1.02 * (bench.clock.now_s() - real_s), rel=2e-3)
+        assert edges == pytest.approx(819.2 * (bench.clock.now_s() - real_s), abs=2)
+
+
 # A hello of this id and nonce, and a loader that begins to listen so long after the hello's first bit.
 MISREAD = [
     (34307, 2032524895, 161.3e-6),

@@ -367,8 +367,8 @@ def test_the_manual_self_test_passes_on_a_sound_chip_and_leaves_the_register(sen
 
 
 BROKEN = {  # column (supply, gyros, accelerometers), sign of the stimulus, answer in mg or °/s
-    "accelerometer Y does not answer to the positive stimulus": (4, 1, 0.0),
-    "accelerometer Z moves under the negative stimulus": (5, -1, -250.0),
+    "accelerometer Y does not answer to the positive stimulus": (5, 1, 0.0),
+    "accelerometer Z moves under the negative stimulus": (6, -1, -250.0),
     "gyro X does not answer to the negative stimulus": (1, -1, 0.0),
     "gyro Z moves the same way under both stimuli": (3, -1, 50.0),
 }

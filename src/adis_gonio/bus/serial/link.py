@@ -24,8 +24,8 @@ HELLO_EVERY_S = 0.3
 
 # Opening a port resets many boards. Their boot loader then listens at another baud rate (Optiboot: 115 200)
 # and takes what it hears for commands, that to erase a page among them. It leaves at once, though, where
-# the second byte of a command is no blank, and zeros at our rate can never look like the command to erase: that
-# has bits which are set side by side, zeros are high for a stop bit of 2 us in 20.
+# the second byte of a command is no blank, and zeros at our rate can never look like the command to erase:
+# that has bits which are set side by side, zeros are high for a stop bit of 2 us in 20.
 ZEROS = bytes(16)
 """Empty packets for the firmware; at 115 200 baud three bytes or four, of which two make a loader leave."""
 ZEROS_EVERY_S = 0.02
