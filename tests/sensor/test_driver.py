@@ -281,6 +281,16 @@ def test_a_bus_slower_than_the_sensor_delivers_scans_and_counts_what_it_missed()
     assert block.lost > 800
 
 
+def test_rows_that_may_mix_updates_say_so_and_those_that_cannot_do_not():
+    with open_sensor(f"{SIM}&stream=0") as quick, quick.stream(block_scans=20) as stream:
+        next(stream)
+        assert stream.caveat == ""
+    slow = Adis16354(SlowBus(open_bus(f"{SIM}&stream=0")))
+    with slow.stream(block_scans=20) as stream:
+        next(stream)
+        assert "may stem from two or more neighbouring updates" in stream.caveat
+
+
 def test_a_stream_stops_cleanly_and_leaves_the_bus_usable(sensor):
     sensor.configure(data_ready=True)
     with sensor.stream(block_scans=16) as stream:
