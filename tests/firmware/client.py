@@ -20,7 +20,7 @@ Reply = TypeVar("Reply", bound=Body)
 
 TRIES = 40
 """Beside a dense stream the simulated UART loses bytes that a real one would not (see rig.py): on a full
-line up to 25 tries were seen."""
+line most requests."""
 
 
 class RefusedError(Exception):

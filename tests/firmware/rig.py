@@ -332,6 +332,8 @@ class RigPort:
         self._rig = rig
         self._line = HostLine(rig.cycles, device.find_pin("PD0"), F_CPU // baud)
         self._arrived = bytearray()
+        self._phase = np.random.default_rng(0)
+        self._byte_cycles = 10 * F_CPU // baud
         found, answer = device.ctlreq(core.IOCTL_UART("0"), core.CTLREQ_GET_SIGNAL)
         assert found
         self._hook = core.CallableSignalHook(self._on_byte)
@@ -347,7 +349,12 @@ class RigPort:
         return self._rig.now_s()
 
     def send(self, data: bytes) -> None:
-        """Put bytes on the line; they arrive one after the other at the line's pace."""
+        """Put bytes on the line; they arrive one after the other at the line's pace.
+
+        They begin at any phase of the firmware's own bytes, as a host's do: in step with the rig's slices a
+        request whose bytes coincide with those being sent would be lost again with every repetition.
+        """
+        self._rig.run(int(self._phase.integers(self._byte_cycles)))
         for byte in data:
             self._line.push_tx(byte)
         self.sent += len(data)
