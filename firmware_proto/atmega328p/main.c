@@ -4,6 +4,7 @@
  * was made, so whatever interrupts make a frame longer or later, never shorter or earlier.
  */
 #include <avr/eeprom.h>
+#include <avr/cpufunc.h>
 #include <avr/interrupt.h>
 #include <avr/io.h>
 #include <string.h>
@@ -27,8 +28,10 @@
 
 #define TICKS_A_US 2u
 #define OVERFLOW_US 32768ul
-/* Interrupts stay off for so long before the end of a frame: SLP_CNT wants CS high 10 us after the 16th clock. */
-#define QUIET_TICKS 16u
+/* SLP_CNT wants CS high within 10 us after the 16th clock: no interrupt begins in the last 16 us before it, which is
+ * longer than any of them takes. At 500 kHz and above that is the whole last byte. The UART's receiver holds two
+ * bytes, 20 us at 1 Mbaud. */
+#define QUIET_TICKS 32u
 
 #define BOARD "atmega328p"
 #define SERIAL_ADDRESS ((const uint8_t *)0)
@@ -118,11 +121,14 @@ uint16_t board_frame(uint16_t word)
         /* the clock stays high for its half period between the bytes too */
     }
     reply = (uint16_t)((uint16_t)SPDR << 8);
-    SPDR = (uint8_t)word;
-    begun = ticks();
-    while ((uint16_t)(ticks() - begun + QUIET_TICKS) < byte_ticks) {
-    }
     cli();
+    SPDR = (uint8_t)word;
+    begun = TCNT1;
+    while ((uint16_t)(TCNT1 - begun + QUIET_TICKS) < byte_ticks) {
+        sei(); /* one interrupt, no more: the instruction behind its return is cli */
+        _NOP();
+        cli();
+    }
     while ((SPSR & (1u << SPIF)) == 0u) {
     }
     PORTB |= 1u << CS;
@@ -247,7 +253,7 @@ int main(void)
 {
     PORTB = 1u << CS; /* high before it becomes an output */
     DDRB = (1u << CS) | (1u << MOSI) | (1u << SCK);
-    PORTD = 0;
+    PORTD = 1u << DATA_READY; /* pull-up: without its wire the input would take up noise */
     TCCR1A = 0;
     TCCR1B = 1u << CS11; /* 16 MHz / 8 */
     TIMSK1 = 1u << TOIE1;

@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 from adis_gonio.bus import BusUrl, Capability, SpiTiming, open_bus
 from adis_gonio.bus.serial import find_devices, open_from_url, ports
 from adis_gonio.bus.serial.clocks import ClockMap
-from adis_gonio.bus.wire import Receiver, load_cobs
+from adis_gonio.bus.serial.link import Link
+from adis_gonio.bus.wire import Packet, Receiver, encode, load_cobs
+from adis_gonio.bus.wire import protocol as wire
 from adis_gonio.errors import (
     BusError,
     BusTimeoutError,
@@ -25,6 +27,7 @@ from adis_gonio.errors import (
 )
 from adis_gonio.sim import SimulatedChip, World
 from contract.bus_contract import DATA_READY_ON, BusContract, Rig, WatchedChip
+from fakes.boot_loader import BootingBoard, BootLoader
 from fakes.clock import VirtualClock, WorkClock
 from fakes.faults import Faults
 from fakes.firmware import FakeFirmware
@@ -121,6 +124,92 @@ def test_a_board_that_boots_after_opening_is_waited_for():
     with bench.open() as bus:
         assert bus.exchange([0x3800, 0])[1] == 0x0402
     assert 2.0 < bench.clock.now_s() < 3.0
+
+
+def test_events_are_timed_by_the_firmware_s_own_clock_over_its_wrap():
+    bench = Bench(drift=0.02, start_us=(1 << 32) - 700_000)
+    with bench.open() as bus:
+        bus.exchange([DATA_READY_ON])
+        bus.count_events()
+        _, begin_s = bus.count_events()
+        real_s = bench.clock.now_s()
+        bus.sleep_s(0.5)
+        edges, end_s = bus.count_events()
+        assert end_s - begin_s == pytest.approx(1.02 * (bench.clock.now_s() - real_s), rel=2e-3)
+        assert edges == pytest.approx(819.2 * (bench.clock.now_s() - real_s), abs=2)
+
+
+# A hello of this id and nonce, and a loader that begins to listen so long after the hello's first bit.
+MISREAD = [
+    (34307, 2032524895, 161.3e-6),
+    (6091, 3407726845, 102.1e-6),
+    (51195, 4200015072, 101.1e-6),
+    (34846, 2575487805, 200.7e-6),
+]
+
+
+@pytest.mark.parametrize(("request_id", "nonce", "offset_s"), MISREAD)
+def test_a_bare_hello_can_make_a_boot_loader_erase_a_page(request_id, nonce, offset_s):
+    """What the opening has to avoid; the fake shows it, so its silence below means something."""
+    loader = BootLoader(0.0, wire.BAUD, start_s=0.3 + offset_s)
+    hello = encode(Packet.of(wire.HelloRequest(wire.VERSION, nonce), request_id))
+    for k in range(4):
+        for n, byte in enumerate(hello):
+            loader.hear(byte, 0.3 * (k + 1) + (n + 1) * 20e-6)
+    loader.run(2.0)
+    assert loader.erased == 1
+    assert loader.overheard > 0
+
+
+class BootingBench(Bench):
+    """A board that is reset by the opening."""
+
+    def __init__(self, **loader):
+        self.clock = VirtualClock()
+        self.chip = SimulatedChip(World(seed=SEED), start_s=-0.5)
+        self.firmware = BootingBoard(ChipPins(self.chip, self.clock), **loader)
+        self.port = FakePort(self.firmware)
+
+
+@pytest.mark.parametrize("blinks_s", [0.0, 0.375])
+@pytest.mark.parametrize("start_s", [0.002, 0.0651, 0.0697, 0.09])
+def test_opening_makes_a_boot_loader_leave_without_a_byte_that_it_could_obey(start_s, blinks_s):
+    bench = BootingBench(start_s=start_s, blinks_s=blinks_s)
+    with bench.open() as bus:
+        assert bus.exchange([0x3800, 0])[1] == 0x0402
+    loader = bench.firmware.loader
+    assert (loader.erased, loader.overheard) == (0, 0)
+    assert loader.left_s < 0.6, "sooner than its own time, which is a second"
+    assert bench.clock.now_s() < (1.0 if blinks_s else 0.5)
+
+
+def test_boot_loaders_are_never_spoken_to_whenever_they_begin_to_listen():
+    dice = random.Random(11)
+    for _ in range(250):
+        bench = BootingBench(start_s=dice.uniform(0.001, 0.09), blinks_s=dice.choice([0.0, 0.19, 0.375]))
+        link = Link(bench.port, url="serial:fake", clock=bench.clock, dice=dice)
+        link.hello(3.0)
+        loader = bench.firmware.loader
+        assert (loader.erased, loader.overheard) == (0, 0)
+
+
+def test_a_loader_that_does_not_heed_zeros_is_waited_out_in_silence():
+    bench = BootingBench(stubborn=True, start_s=0.07, blinks_s=0.6)
+    with bench.open():
+        pass
+    assert bench.firmware.loader.left_s > 1.6
+    assert bench.clock.now_s() < 3.0
+    # Two hellos went out before, in case there was no loader at all.
+    packets = [data for data in bench.port.sent if any(data)]
+    assert len(packets) == 3 + 2  # the third is answered; configure and statistics follow
+
+
+def test_opening_a_board_that_does_not_reset_costs_less_than_half_a_second():
+    bench = Bench()
+    with bench.open():
+        assert bench.clock.now_s() < 0.45
+    assert bench.firmware.counters["packets"] == 3, "the zeros are no packets"
+    assert not any(bench.firmware.counters[name] for name in ("crc", "cobs", "length"))
 
 
 def test_a_silent_port_says_what_to_look_at():

@@ -1,5 +1,6 @@
 """The command line as a shell user meets it: results, JSON, exit status, one line for each mistake."""
 
+import io
 import json
 import subprocess
 import sys
@@ -84,6 +85,29 @@ def test_calibrate_shows_truth_and_result_side_by_side_and_they_agree(capsys, tm
         truth, value, u = float(cells[2]), float(cells[-3]), float(cells[-1])
         assert abs(value - truth) < 4.5 * u + 1e-12, rows[name]
     assert "bias cannot be seen" in out
+
+
+def test_calibrate_offers_dwells_with_a_fault_for_repetition_at_the_end_and_after_resuming(
+    capsys, tmp_path, monkeypatch
+):
+    path = tmp_path / "s.session"
+    url = "sim:?seed=7&supply_v=4.6"
+    call = ["calibrate", url, "--dwell", "0.5", "-o", str(path)]
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n\nq\n"))  # both positions, then away
+    main(call)
+    told = capsys.readouterr().err
+    assert "with an error or alarm" in told
+    assert "an error or alarm stood at" in told
+    assert "repeat?" in told
+    monkeypatch.setattr("sys.stdin", io.StringIO("\nn\nn\n"))  # repeat both, keep them, no extension
+    assert main([*call, "--resume"]) == 0
+    told = capsys.readouterr().err
+    assert told.count("repeat?") == 2
+    assert told.count("with an error or alarm") == 2
+    assert len([note for note in load_session(path).notes if "error or alarm" in note]) == 2
+    monkeypatch.setattr("sys.stdin", io.StringIO("n\n"))
+    assert main([*call, "--resume"]) == 0
+    assert "repeat?" not in capsys.readouterr().err
 
 
 def test_calibrate_json_is_one_document_with_the_truth(capsys, tmp_path):

@@ -48,6 +48,12 @@ class RecordingBus(SpiBus):
     def hard_reset(self) -> None:
         self.inner.hard_reset()
 
+    def read_event_counter(self) -> int:
+        return self.inner.read_event_counter()
+
+    def count_events(self) -> tuple[int, float]:
+        return self.inner.count_events()
+
     def _exchange(self, frames: Words) -> Words:
         self.batches.append((self.timing, frames.copy()))
         return self.inner.exchange_array(frames)

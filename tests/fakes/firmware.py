@@ -23,7 +23,6 @@ CLOCKS = (2_000_000, 1_000_000, 500_000, 250_000, 125_000, 0)
 MAX_FRAMES, MAX_LIST, MAX_SCAN_BYTES, MAX_WAIT = 100, 32, 230, 65_000
 DEFAULTS = (250_000, 75, 160)
 TRIGGER_S = 4e-6
-PULSE_S = 50e-6
 
 
 def crc(data: bytes) -> int:
@@ -376,7 +375,7 @@ class _Stream:
         self.decimation = decimation
         self.frames = frames
         self.sent = self.lost = 0
-        self._late_s = 0.0 if trigger == FALLING else PULSE_S
+        self._rising = trigger == RISING
         self._period_s = period_us * 1e-6 / (1 + firmware.drift) if trigger == PERIOD else None
         self._after_s = now_s
         self._words: list[int] = []
@@ -391,10 +390,8 @@ class _Stream:
         chip = self.firmware.pins.chip
         if not chip.data_ready_enabled:
             return None
-        first = chip.next_update_s(max(self._after_s - self._late_s, chip.time_s))
-        return (
-            None if first is None else first + (self.decimation - 1) * chip.update_period_s + self._late_s
-        )
+        first = chip.next_edge_s(max(self._after_s, chip.time_s), rising=self._rising)
+        return None if first is None else first + (self.decimation - 1) * chip.update_period_s
 
     def scan(self, trigger_s: float) -> None:
         """Run the list and the idle frame; what was triggered meanwhile is lost."""

@@ -18,8 +18,9 @@ from adis_gonio.bus.wire.protocol import (
 Reply = TypeVar("Reply", bound=Body)
 
 
-TRIES = 8
-"""Beside a dense stream the simulated UART loses bytes that a real one would not (see rig.py)."""
+TRIES = 40
+"""Beside a dense stream the simulated UART loses bytes that a real one would not (see rig.py): on a full
+line most requests."""
 
 
 class RefusedError(Exception):

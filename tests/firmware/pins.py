@@ -19,10 +19,12 @@ class Limits:
     stall: int
     period: int
     clock_period: float
+    trail: int
+    """Chip select is high so soon behind the last clock, or SLP_CNT does not act."""
 
 
-FAST = Limits("fast", 9 * 16, 40 * 16, F_CPU / 2e6)
-NORMAL = Limits("normal", 75 * 16, 160 * 16, F_CPU / 300e3)
+FAST = Limits("fast", 9 * 16, 40 * 16, F_CPU / 2e6, 10 * 16)
+NORMAL = Limits("normal", 75 * 16, 160 * 16, F_CPU / 300e3, 80 * 16)
 
 
 @dataclass
@@ -69,6 +71,7 @@ class PinLog:
     writes: int = 0
     violations: list[str] = field(default_factory=list)
     least: dict[str, float] = field(default_factory=dict)
+    longest_trail: dict[str, int] = field(default_factory=dict)
     words: list[int] = field(default_factory=list)
     keep_words: bool = False
     _last_fall: int | None = None
@@ -97,7 +100,10 @@ class PinLog:
         self._require(not unstable, f"the data change at the sampling edge ({unstable})", frame)
         if in_turn and frame.bits:  # t_CS = 48.8 ns is less than a cycle
             self._at_least("lead", frame.falling[0] - frame.fall, 1, frame)
-            self._at_least("trail", frame.rise - frame.rising[-1], 1, frame)
+            trail = frame.rise - frame.rising[-1]
+            self._at_least("trail", trail, 1, frame)
+            self.longest_trail[limits.name] = max(trail, self.longest_trail.get(limits.name, 0))
+            self._require(trail <= limits.trail, f"trail of {trail / 16} us: too late for a sleep", frame)
         self._at_least("clock", frame.shortest_clock, limits.clock_period, frame)
         if self._last_fall is not None and self._last_rise is not None:
             self._at_least("stall", frame.fall - self._last_rise, limits.stall, frame)
@@ -107,6 +113,7 @@ class PinLog:
     def forget(self) -> None:
         """Start the tightest values anew."""
         self.least.clear()
+        self.longest_trail.clear()
 
     def least_us(self, what: str, mode: str) -> float:
         """Tightest stall, period or clock period seen in a mode, in µs."""

@@ -15,6 +15,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yasimavr.lib.core as core
 from yasimavr.device_library import load_device
 
@@ -254,6 +255,25 @@ class Rig:
         self._own_edge = core.CallableCycleTimer(drive)
         self.cycles.schedule(self._own_edge, cycle)
 
+    @property
+    def ready_wire(self) -> str:
+        """State of the wire at PD2: `High` and `Low` where it is driven, `Pull up`, `Floating`."""
+        return str(self._ready.state())
+
+    def noise_on_ready(self, seed: int, mean_cycles: int) -> None:
+        """Edges of data-ready at random times from now on, whatever the chip does."""
+        rng = np.random.default_rng(seed)
+        high = False
+
+        def drive(when: int) -> int:
+            nonlocal high
+            high = not high
+            self._ready.set_state("H" if high else "L")
+            return when + 1 + int(rng.exponential(mean_cycles / 2))
+
+        self._noise = core.CallableCycleTimer(drive)
+        self.cycles.schedule(self._noise, self._loop.cycle() + 1)
+
     # -- memory -------------------------------------------------------------------------------------------
 
     def paint_stack(self, first_free: int) -> None:
@@ -312,6 +332,8 @@ class RigPort:
         self._rig = rig
         self._line = HostLine(rig.cycles, device.find_pin("PD0"), F_CPU // baud)
         self._arrived = bytearray()
+        self._phase = np.random.default_rng(0)
+        self._byte_cycles = 10 * F_CPU // baud
         found, answer = device.ctlreq(core.IOCTL_UART("0"), core.CTLREQ_GET_SIGNAL)
         assert found
         self._hook = core.CallableSignalHook(self._on_byte)
@@ -327,7 +349,12 @@ class RigPort:
         return self._rig.now_s()
 
     def send(self, data: bytes) -> None:
-        """Put bytes on the line; they arrive one after the other at the line's pace."""
+        """Put bytes on the line; they arrive one after the other at the line's pace.
+
+        They begin at any phase of the firmware's own bytes, as a host's do: in step with the rig's slices a
+        request whose bytes coincide with those being sent would be lost again with every repetition.
+        """
+        self._rig.run(int(self._phase.integers(self._byte_cycles)))
         for byte in data:
             self._line.push_tx(byte)
         self.sent += len(data)

@@ -130,6 +130,32 @@ def test_frames_stay_sound_while_bytes_pour_in_and_edges_interrupt(make_rig):
     assert set(rig.replies[3::4]) == {1}  # SMPL_PRD
 
 
+def test_the_data_ready_input_holds_itself_high_where_no_wire_drives_it(make_rig):
+    rig, client = connect(make_rig)
+    assert rig.ready_wire == "Pull up"
+    exchange(client, DATA_READY_ON)
+    rig.sleep_s(0.1)
+    assert rig.ready_wire in ("High", "Low"), "the chip drives it"
+    edges = client.request(StatisticsRequest(), StatisticsReply).edges
+    assert edges == pytest.approx(82, abs=4)
+
+
+@pytest.mark.parametrize("clock_hz", [1_000_000, 500_000, 250_000, 125_000])
+def test_chip_select_rises_right_behind_the_last_clock_whatever_interrupts(make_rig, clock_hz):
+    rig, client = connect(make_rig)
+    configure(client, clock_hz, 9, 40)
+    rig.log.forget()
+    rig.noise_on_ready(seed=clock_hz, mean_cycles=16 * 90)
+    body = ExchangeRequest(0, words([0x0200] * 32))
+    for k in range(25):
+        client.send(body, 5000 + k)
+        rig.port.send(bytes(64))
+        # Noise may cost the firmware a byte in this rig; then the request is sent once more.
+        client.answer(5000 + k, ExchangeReply)
+    assert rig.log.frames > 500
+    assert rig.log.longest_trail["fast"] / 16 < 1.0
+
+
 def test_the_reset_line_is_low_for_its_time_and_the_chip_restarts(make_rig):
     rig, client = connect(make_rig)
     exchange(client, [0xB605])

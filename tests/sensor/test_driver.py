@@ -1,5 +1,7 @@
 """The driver against the simulated chip, and against buses that misbehave on purpose."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -18,6 +20,9 @@ from adis_gonio.errors import (
 from adis_gonio.sensor import DEFAULT_SCAN, Adis16354, Alarm
 from adis_gonio.sensor.frames import FAST, NORMAL
 from adis_gonio.sensor.registers import BY_NAME, REGISTERS
+from adis_gonio.sim import SimBus, SimulatedChip, World
+from adis_gonio.sim.chip import State
+from adis_gonio.sim.sampling import Sampler
 from fakes.buses import ConstantBus, RecordingBus, ScriptedBus
 
 SIM = "sim:?seed=3"
@@ -235,7 +240,7 @@ def test_polling_and_streaming_find_the_same_scans_untorn_and_none_lost(names, s
             )
     polled, streamed = found["0"].numbers(), found["1"].numbers()
     # Both chips are the same; the two ways only begin at different updates.
-    offsets = [k for k in range(-40, 41) if np.array_equal(polled[50:500], streamed[50 + k : 500 + k])]
+    offsets = [k for k in range(-140, 41) if np.array_equal(polled[150:500], streamed[150 + k : 500 + k])]
     assert len(offsets) == 1
 
 
@@ -274,6 +279,16 @@ def test_a_bus_slower_than_the_sensor_delivers_scans_and_counts_what_it_missed()
     assert len(block) == 200
     assert len(block) + block.lost == pytest.approx(updates, rel=0.03)
     assert block.lost > 800
+
+
+def test_rows_that_may_mix_updates_say_so_and_those_that_cannot_do_not():
+    with open_sensor(f"{SIM}&stream=0") as quick, quick.stream(block_scans=20) as stream:
+        next(stream)
+        assert stream.caveat == ""
+    slow = Adis16354(SlowBus(open_bus(f"{SIM}&stream=0")))
+    with slow.stream(block_scans=20) as stream:
+        next(stream)
+        assert "may stem from two or more neighbouring updates" in stream.caveat
 
 
 def test_a_stream_stops_cleanly_and_leaves_the_bus_usable(sensor):
@@ -349,13 +364,140 @@ def test_the_self_test_passes_on_a_sound_chip(sensor):
     assert test.failures == ()
 
 
-def test_autonull_takes_the_gyros_bias_out_and_ends_in_a_flash_write(sensor):
-    sensor.configure(filter_m=6)
-    before = np.abs(sensor.read_scans(800).gyro_dps.mean(axis=0)).max()
-    written = sensor.read("ENDURANCE")
-    sensor.precision_autonull()
-    assert sensor.read("ENDURANCE") == written + 1
-    assert np.abs(sensor.read_scans(800).gyro_dps.mean(axis=0)).max() < max(0.1, before)
+@pytest.mark.parametrize("filter_m", [0, 2])
+def test_the_manual_self_test_passes_on_a_sound_chip_and_leaves_the_register(sensor, filter_m):
+    sensor.configure(filter_m=filter_m, linear_g=True, origin=True)
+    test = sensor.manual_self_test()
+    assert test.passed, test.failures
+    assert test.accel_positive_mg == pytest.approx((250, 250, 250), abs=10)
+    assert test.accel_negative_mg == pytest.approx((0, 0, 0), abs=10)
+    assert test.gyro_negative_dps == pytest.approx((-50, -50, -50), abs=2)
+    assert sensor.read("MSC_CTRL") == 0xC0
+    assert np.linalg.norm(sensor.read_scans(50).accel_mg.mean(axis=0)) == pytest.approx(1000, abs=60)
+
+
+BROKEN = {  # column (supply, gyros, accelerometers), sign of the stimulus, answer in mg or °/s
+    "accelerometer Y does not answer to the positive stimulus": (5, 1, 0.0),
+    "accelerometer Z moves under the negative stimulus": (6, -1, -250.0),
+    "gyro X does not answer to the negative stimulus": (1, -1, 0.0),
+    "gyro Z moves the same way under both stimuli": (3, -1, 50.0),
+}
+
+
+@pytest.mark.parametrize("said", BROKEN)
+def test_the_manual_self_test_names_the_sensor_that_answers_wrongly(sensor, monkeypatch, said):
+    column, sign, answer = BROKEN[said]
+    scaled = Sampler._scaled
+
+    def wrong(sampler, inputs):
+        new = scaled(sampler, inputs)
+        if sampler._manual_test == sign:
+            test, sampler._manual_test = sampler._manual_test, 0.0
+            rest = scaled(sampler, inputs)
+            sampler._manual_test = test
+            new[:, column] = rest[:, column] + np.int64(answer * sampler._gain[column])
+        return new
+
+    monkeypatch.setattr(Sampler, "_scaled", wrong)
+    assert sensor.manual_self_test().failures == (said,)
+
+
+# -- nulling of the gyros ------------------------------------------------------------------------------
+
+BIASED = "sim:?seed=3&gyro_bias_x_dps=4&gyro_bias_y_dps=-2.5&gyro_bias_z_dps=0.8&gyro_instability_dps=0"
+GYRO_BIAS_DPS = (4.0, -2.5, 0.8)
+NULLING = {  # how long it takes by the bus's clock, and how far the mean may be off afterwards
+    # One filtered output (M = 4 leaves 0.204 of 0.6 °/s rms) and half an LSB of the output and the offset.
+    "autonull": (0.3, 5 * 0.204 * 0.6 + 0.05),
+    # Mean of 30 s: 0.6 / sqrt(24 576) is 0.004 °/s; half an LSB of the offset, and of the check itself.
+    "precision_autonull": (30.0, 0.05),
+}
+
+
+def gyro_means(sensor):
+    return sensor.read_scans(1600).gyro_dps.mean(axis=0)
+
+
+@pytest.mark.parametrize("kind", NULLING)
+def test_a_null_of_the_gyros_takes_their_bias_out_writes_flash_once_and_survives_a_reset(kind):
+    takes_s, off_dps = NULLING[kind]
+    with open_sensor(BIASED) as sensor:
+        sensor.configure(filter_m=4)
+        # The world adds effects of gravity and supply to the bias, so it is measured.
+        before = gyro_means(sensor)
+        assert np.abs(before).max() > 2
+        accel = sensor.read_scans(400).accel_mg.mean(axis=0)
+        written, begin_s = sensor.read("ENDURANCE"), sensor.bus.now_s()
+        offsets = getattr(sensor, kind)()
+        assert sensor.bus.now_s() - begin_s > takes_s
+        assert sensor.read("ENDURANCE") == written + 1
+        assert offsets.gyro_dps == pytest.approx(-before, abs=off_dps)
+        assert offsets.accel_mg == (0, 0, 0), "there is no null of the accelerometers"
+        assert gyro_means(sensor) == pytest.approx(np.zeros(3), abs=off_dps)
+        assert sensor.read_scans(400).accel_mg.mean(axis=0) == pytest.approx(accel, abs=2)
+        assert sensor.status().word == 0
+        sensor.reset()
+        assert sensor.offsets() == offsets
+
+
+@pytest.mark.parametrize("kind", NULLING)
+def test_a_null_replaces_the_offsets_that_stood_and_is_not_added_to_them(kind):
+    with open_sensor(BIASED) as sensor:
+        sensor.configure(filter_m=4)
+        bias = gyro_means(sensor)
+        sensor.write_offsets(gyro_dps=(5.0, 5.0, 5.0))
+        offsets = getattr(sensor, kind)()
+        assert offsets.gyro_dps == pytest.approx(-bias, abs=NULLING[kind][1])
+
+
+def test_the_precision_null_is_the_more_precise_one():
+    spread = {}
+    for kind in NULLING:
+        found = []
+        for seed in range(8):
+            with open_sensor(f"sim:?seed={seed}&gyro_instability_dps=0") as sensor:
+                sensor.configure(filter_m=0)
+                bias = gyro_means(sensor)
+                found.append(np.array(getattr(sensor, kind)().gyro_dps) + bias)
+        spread[kind] = np.std(found)
+    assert spread["precision_autonull"] < 0.03
+    assert 0.3 < spread["autonull"] < 0.9  # one unfiltered output: 0.6 °/s
+
+
+@pytest.mark.parametrize("kind", NULLING)
+def test_nothing_is_sent_while_a_null_runs(kind):
+    sensor, bus = recorded(BIASED)
+    sent = []
+    sleep_s = bus.sleep_s
+    bus.sleep_s = lambda seconds: (sent.append(len(bus.frames)), sleep_s(seconds))[1]
+    bus.batches.clear()
+    getattr(sensor, kind)()
+    (bit,) = [frame & 0xFF for frame in bus.writes]
+    assert bit == {"autonull": 0x01, "precision_autonull": 0x10}[kind]
+    command = next(k for k, frame in enumerate(bus.frames) if frame & 0x8000)
+    assert sent == [command + 1], "one wait, right behind the command"
+    assert bus.inner.chip.state is State.RUNNING
+
+
+@pytest.mark.parametrize("kind", NULLING)
+def test_a_null_at_low_supply_is_found_by_the_counter(kind):
+    with open_sensor("sim:?seed=3&supply_v=4.6") as sensor:
+        with pytest.raises(VerifyError, match="null was not done: ENDURANCE was 0 and is 0"):
+            getattr(sensor, kind)()
+        sensor.reset()
+        assert sensor.offsets().gyro_dps == (0, 0, 0)
+
+
+@pytest.mark.parametrize("kind", NULLING)
+def test_a_worn_flash_is_not_nulled_unless_forced(kind):
+    world = World(seed=3)
+    bus = RecordingBus(SimBus(world=world, chip=SimulatedChip(world, start_s=-0.5, endurance=10_000)))
+    sensor = Adis16354(bus)
+    with pytest.raises(ChipError, match="ENDURANCE is 10000"):
+        getattr(sensor, kind)()
+    assert not bus.writes
+    getattr(sensor, kind)(force=True)
+    assert sensor.read("ENDURANCE") == 10_001
 
 
 def test_an_alarm_shows_in_ea_and_status_in_words(sensor):
@@ -371,6 +513,39 @@ def test_an_alarm_shows_in_ea_and_status_in_words(sensor):
     sensor.status()
     sensor.bus.sleep_s(0.1)
     assert str(sensor.status()) == "no fault, no alarm"
+
+
+def test_a_rate_alarm_stands_above_its_change_a_sample_however_many_samples_it_looks_at(sensor):
+    lsb = sensor.variant.accel_mg_per_lsb
+    world = sensor.bus.world
+    sample, slope_s = world.sample, 819.2 * 3 * lsb  # three LSB a sample
+
+    def ramp(time_s):
+        inputs = sample(time_s)
+        accel = np.array(inputs.accel_mg)
+        accel[:, 1] = slope_s * (time_s - begin_s) - 600
+        return replace(inputs, accel_mg=accel)
+
+    for threshold_lsb, expected in ((2.0, True), (4.0, False)):
+        sensor.clear_alarm(1)
+        sensor.set_alarm(1, Alarm("YACCL_OUT", threshold_lsb * lsb, rate_samples=50))
+        sensor.configure(sample_rate_hz=819.2)  # empties the taps
+        sensor.bus.sleep_s(0.2)
+        begin_s = sensor.bus.now_s()
+        world.sample = ramp
+        sensor.bus.sleep_s(0.2)
+        sensor.status()  # the jump to the ramp's beginning
+        sensor.bus.sleep_s(0.3)
+        assert sensor.status().flags["alarm1"] is expected
+        world.sample = sample
+
+
+def test_a_rate_alarm_too_slow_for_the_register_is_refused_and_nothing_is_written():
+    sensor, bus = recorded()
+    before = len(bus.writes)
+    with pytest.raises(UsageError, match=r"the least is 0\.4672 mg a sample"):
+        sensor.set_alarm(1, Alarm("YACCL_OUT", 0.2, rate_samples=50))
+    assert len(bus.writes) == before
 
 
 def test_a_sleeping_part_wakes_at_a_pulse_and_works_on(sensor):

@@ -106,10 +106,11 @@ def test_a_session_has_what_was_archived(tmp_path):
     assert not session.facts["complete"]
     assert [entry["status"] for entry in session.facts["dwells"]] == [16, 16]
     assert "truth" not in session.facts
-    unfinished, skipped, lost = session.notes
+    unfinished, skipped, lost, *alarms = session.notes
     assert "2 of 4" in unfinished
     assert "90°" in skipped
     assert lost.startswith("4 scans")
+    assert [note.split(":")[0] for note in alarms] == ["dwell 0 (0°)", "dwell 1 (180°)"]  # random words
     words = np.concatenate([block(0).words, block(1, 30).words])
     numbers = (words[:, :3].astype(np.int64) & 0x3FFF) - ((words[:, :3] & 0x2000) != 0) * 0x4000
     assert np.array_equal(session.dwells[0].accel, numbers)

@@ -8,6 +8,7 @@ import pytest
 
 from adis_gonio.errors import SessionError
 from adis_gonio.sensor import open_sensor
+from adis_gonio.sensor.scanning import PolledScans
 from adis_gonio.session import (
     SessionRunner,
     Settings,
@@ -16,6 +17,7 @@ from adis_gonio.session import (
     load_session,
     plan,
 )
+from adis_gonio.session.recorder import SamplesRecorder
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +36,28 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )
         list(runner.run())
     return path
+
+
+def test_notes_of_a_recording_are_in_its_header_and_come_back_as_the_session_s(tmp_path):
+    path = tmp_path / "rest.csv"
+    with open_sensor("sim:?seed=2") as sensor, SamplesRecorder(path, "adis16354") as recorder:
+        recorder.notes = ["rows may mix\ntwo updates: beware", "second"]
+        recorder.add(sensor.read_scans(3000))
+    assert "# note: rows may mix two updates: beware\n# note: second\ntime_s," in path.read_text()
+    assert load_session(path).notes[:2] == ("rows may mix two updates: beware", "second")
+
+
+def test_slow_polling_is_noted_in_a_session(tmp_path, monkeypatch):
+    path, caveat = tmp_path / "a.session", "rows may mix updates"
+    monkeypatch.setattr(PolledScans, "caveat", property(lambda stream: caveat))
+    with open_sensor("sim:?seed=2&stream=0") as sensor:
+        settings = Settings(dwell_s=0.5, settle_s=0.1)
+        list(SessionRunner.begin(sensor, path, plan(), settings, auto=True).run())
+    session = load_session(path)
+    assert session.facts["scanning"]["how"].startswith("this bus cannot use data-ready; polling")
+    assert caveat in session.notes
+    export_csv(session, tmp_path / "a.csv")
+    assert f"# note: {caveat}\n" in (tmp_path / "a.csv").read_text()
 
 
 @pytest.mark.parametrize("name", ["a.csv", "a.csv.gz"])

@@ -348,7 +348,7 @@ def test_lost_scans_are_counted_and_told(sensor, path, monkeypatch):
 def test_a_low_supply_is_told_by_value_and_by_status(path):
     events = auto(path, url="sim:?seed=3&supply_v=4.6")
     problems = of(events, Problem)
-    assert {problem.kind for problem in problems} == {"status", "supply"}
+    assert {problem.kind for problem in problems} == {"status", "alarm", "supply"}
     text = " ".join(problem.message for problem in problems)
     assert "supply below 4.75 V" in text
     assert "between 4.6" in text or "between 4.59" in text
@@ -521,7 +521,7 @@ def test_a_fault_that_had_passed_does_not_come_back_with_resuming(tmp_path):
     whole, parts = tmp_path / "whole.session", tmp_path / "parts.session"
     made = plan("four-position")
     settings = Settings(dwell_s=4.0, settle_s=0.1)
-    assert {p.kind for p in of(auto(whole, made, settings, url=url), Problem)} == {"status", "supply"}
+    assert {p.kind for p in of(auto(whole, made, settings, url=url), Problem)} == {"alarm", "supply"}
     with open_sensor(url) as opened:
         run = SessionRunner.begin(opened, parts, made, settings, auto=True).run()
         next(event for event in run if isinstance(event, DwellDone))

@@ -27,8 +27,29 @@ def test_status_is_cleared_by_a_read_and_a_standing_condition_comes_back_with_th
     assert host.read(0x3C) == 2
 
 
-def test_a_passing_condition_stays_in_status_until_it_is_read():
-    host = Host()
+PASSING = {
+    "supply_v": (4.6, 5.0),
+    "accel_mg": ((0, 1710.0, 0), (0, 0, 0)),
+    "gyro_dps": ((0, 0, 301.0), (0, 0, 0)),
+}
+
+
+@pytest.mark.parametrize("name", PASSING)
+def test_supply_and_over_range_bits_fall_by_themselves_at_the_next_update(name):
+    host = Host(flash={"SMPL_PRD": 0x09})
+    during, after = PASSING[name]
+    setattr(host.world, name, during)
+    host.settle(3)
+    host.chip.run_to(host.now)
+    setattr(host.world, name, after)
+    assert host.read(0x0A) & 0x4000, "no update since: it still stands"
+    host.settle(1.1)
+    assert not host.read(0x0A) & 0x4000
+    assert host.read(0x3C) == 0
+
+
+def test_bits_of_a_part_that_does_not_let_them_fall_stay_until_they_are_read():
+    host = Host(status_falls=False)
     host.world.supply_v = 4.6
     host.settle(3)
     host.send(0)
@@ -36,6 +57,17 @@ def test_a_passing_condition_stays_in_status_until_it_is_read():
     host.settle(50)
     assert host.read(0x3D) == 1
     assert status(host) == 0
+
+
+def test_an_alarm_stays_in_status_after_its_condition():
+    host = Host(Quiet(accel_mg=(800.0, 0, 0)))
+    host.write(0x26, 0x8000 | 100)
+    host.write(0x2E, 0x0510)
+    host.settle(3)
+    host.send(0)
+    host.world.accel_mg = (0.0, 0.0, 0.0)
+    host.settle(50)
+    assert host.read(0x3C) == 0x0100
 
 
 @pytest.mark.parametrize(
@@ -125,19 +157,22 @@ def test_an_alarm_looks_at_filtered_or_unfiltered_data(filtered, expected):
 
 @pytest.mark.parametrize("filtered", [0x00, 0x10])
 @pytest.mark.parametrize(
-    ("rate_mg_per_s", "greater", "threshold", "expected"),
+    ("lsb_a_sample", "greater", "threshold", "expected"),
     [
-        (400.0, 1, 90, True),
-        (400.0, 1, 120, False),
-        (-400.0, 0, -90, True),
-        (-400.0, 0, -120, False),
-        (-400.0, 1, 0, False),
+        (2.1, 1, 2, True),
+        (1.9, 1, 2, False),
+        (-2.1, 0, -2, True),
+        (-1.9, 0, -2, False),
+        (-2.1, 1, 0, False),
     ],
 )
-def test_an_alarm_on_the_rate_of_change(rate_mg_per_s, greater, threshold, expected, filtered):
-    # 100 samples are 0.122 s: 400 mg/s change the word by 104.5 LSB.
-    host = Host(Quiet(accel_mg=lambda t: np.stack([rate_mg_per_s * (t - 1), 0 * t, 0 * t], 1)))
-    host.write(0x2A, 100)
+@pytest.mark.parametrize("samples", [20, 100])
+def test_a_rate_alarm_compares_the_mean_change_a_sample(
+    lsb_a_sample, greater, threshold, expected, filtered, samples
+):
+    slope = lsb_a_sample * 0.4672 / PERIOD
+    host = Host(Quiet(accel_mg=lambda t: np.stack([slope * (t - 0.5), 0 * t, 0 * t], 1)))
+    host.write(0x2A, samples)
     host.write(0x26, greater << 15 | threshold & 0x3FFF)
     host.settle(260)
     host.read(0x3C)
@@ -203,14 +238,29 @@ def test_general_inputs_are_read_from_the_lines():
     assert host.read(0x32) == 0x0201
 
 
+@pytest.mark.parametrize("edge", ["first", "last"])
 @pytest.mark.parametrize("polarity", [0, 1])
 @pytest.mark.parametrize("line", [0, 1])
-def test_data_ready_pulses_on_its_line_with_its_polarity(polarity, line):
-    host = Host()
+def test_data_ready_pulses_on_its_line_with_its_polarity(polarity, line, edge):
+    host = Host(update_edge=edge)
     host.write_low(0x34, 0x04 | polarity << 1 | line)
-    pulse, rest = levels(host, 0.01)[line], levels(host, 0.5)[line]
-    assert (pulse, rest) == (polarity, 1 - polarity)
+    behind, ahead, rest = (levels(host, after)[line] for after in (0.01, 0.99, 0.5))
+    pulse, other = (behind, ahead) if edge == "first" else (ahead, behind)
+    assert (pulse, other, rest) == (polarity, 1 - polarity, 1 - polarity)
     assert levels(host)[1 - line] is None
+
+
+@pytest.mark.parametrize("edge", ["first", "last"])
+@pytest.mark.parametrize("polarity", [0, 1])
+def test_the_time_of_a_data_ready_edge_is_that_at_which_the_line_changes(polarity, edge):
+    host = Host(update_edge=edge, data_ready_pulse_s=30e-6)
+    host.write_low(0x34, 0x04 | polarity << 1)
+    for rising in (False, True):
+        update = host.chip.next_update_s(host.now + PERIOD)
+        at = update + host.chip.edge_after_update_s(rising=rising)
+        before, after = (host.chip.dio(at + dt)[0] for dt in (-1e-6, 1e-6))
+        assert (before, after) == (int(not rising), int(rising))
+        host.now = at + 1e-5
 
 
 def test_data_ready_comes_once_an_update():

@@ -39,7 +39,8 @@ timings = st.one_of(
 )
 gaps = st.sampled_from([0.0, 1e-3, 0.02, 0.12, 0.3])
 sessions = st.lists(st.tuples(batch, timings, gaps), min_size=1, max_size=5)
-supplies = st.sampled_from([5.0, 4.7501, 5.3])
+# At 4.75 and 5.25 V the noise makes a supply bit stand and fall from update to update.
+supplies = st.sampled_from([5.0, 4.7501, 5.3, 4.75, 5.25])
 
 
 def new_chip(seed, supply_v=5.0):

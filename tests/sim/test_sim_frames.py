@@ -97,7 +97,7 @@ def test_nd_comes_once_an_update_in_a_long_poll():
     assert sum(fresh) == pytest.approx(6104 * 200e-6 * 819.2, abs=2)
 
 
-def test_ea_stands_in_every_output_while_status_has_an_error_and_goes_when_it_is_read():
+def test_ea_stands_in_every_output_while_a_supply_fault_lasts_and_falls_with_it():
     host = Host()
     assert not any(host.read(address) & 0x4000 for address in OUTPUTS.values())
     host.world.supply_v = 5.3
@@ -105,8 +105,17 @@ def test_ea_stands_in_every_output_while_status_has_an_error_and_goes_when_it_is
     assert all(host.read(address) & 0x4000 for address in OUTPUTS.values())
     host.world.supply_v = 5.0
     host.settle()
-    assert host.read(0x0A) & 0x4000
-    assert host.read(0x3C) == 0x0002
+    assert not host.read(0x0A) & 0x4000
+    assert host.read(0x3C) == 0
+
+
+def test_ea_of_a_fault_that_stays_goes_only_when_status_is_read():
+    host = Host()
+    host.chip.frame(rd(0x0A), start_s=host.now, clock_hz=250e3, bits=15)
+    host.now += 1e-3
+    host.settle()
+    assert all(host.read(address) & 0x4000 for address in OUTPUTS.values())
+    assert host.read(0x3C) == 0x0008
     assert not host.read(0x0A) & 0x4000
 
 

@@ -210,6 +210,14 @@ class SpiBus(ABC):
         """Data-ready edges since the last call (`Capability.EVENT_COUNTER`)."""
         raise self._lacks(Capability.EVENT_COUNTER)
 
+    def count_events(self) -> tuple[int, float]:
+        """`read_event_counter`, and when that was in s, for a rate.
+
+        The time is on the clock of whoever counts, where the bridge has one, else on the host's, which
+        does not know how long the answer was under way: only differences of it mean something.
+        """
+        return self.read_event_counter(), self.now_s()
+
     # -- what a bridge implements -----------------------------------------------------------------
 
     @abstractmethod

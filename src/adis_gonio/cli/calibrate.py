@@ -19,7 +19,13 @@ if TYPE_CHECKING:
     from adis_gonio.sensor import Adis16354
     from adis_gonio.session import SessionRunner
     from adis_gonio.session.closing import TraceAdvisor
-    from adis_gonio.session.events import Advised, Event, ExtensionOffered, PositionAsked
+    from adis_gonio.session.events import (
+        Advised,
+        Event,
+        ExtensionOffered,
+        PositionAsked,
+        RepetitionOffered,
+    )
     from adis_gonio.session.plans import Position
     from adis_gonio.tracing import TraceResult
 
@@ -164,7 +170,8 @@ def _nothing_left(path: Path) -> bool:
     from adis_gonio.session.plans import extension
 
     with ArchiveView(path) as view:
-        return not view.pending() and extension(view.plan(), len(view.dwells())) is None
+        done = not view.pending() and not view.faulty()
+        return done and extension(view.plan(), len(view.dwells())) is None
 
 
 def _runner(
@@ -287,6 +294,8 @@ class Bench:
                     f"  {rate:.1f} samples/s, filter 2 × {taps} taps"
                     + (f"; changed {changed}" if changed else "")
                 )
+                if event.why_polled:
+                    self._say(f"  scans are polled: {event.why_polled}")
             case events.NoiseMeasured():
                 noise = ", ".join(f"{value:.2f}" for value in event.noise_mg)
                 self._say(f"  noise at rest {noise} mg (x, y, z)")
@@ -301,6 +310,7 @@ class Bench:
             case events.DwellDone():
                 x, y, z = event.accel_mg
                 lost = f", {event.lost} lost" if event.lost else ""
+                lost += f", {event.alarms} with an error or alarm" if event.alarms else ""
                 self._hide()
                 self._say(
                     f"  {event.position!s:>16}   x {x:+9.2f}   y {y:+9.2f}   z {z:+9.2f} mg"
@@ -312,6 +322,8 @@ class Bench:
                 )
             case events.Problem():
                 self._say(f"  {event.message}", "yellow")
+            case events.RepetitionOffered():
+                self._offer_repetition(event)
             case events.ExtensionOffered():
                 self._offer(event)
             case events.Advising():
@@ -364,6 +376,22 @@ class Bench:
                 self._runner.repeat()
             case "r":
                 self._say("  there is no dwell before this one to repeat")
+            case _:
+                self._runner.stop()
+
+    def _offer_repetition(self, event: RepetitionOffered) -> None:
+        where = ", ".join(str(position) for position in event.positions)
+        if self._auto:
+            self._say(f"  kept with an error or alarm in them: {where}", "yellow")
+            return
+        answer = self._question(
+            f"an error or alarm stood at {where}: repeat? (Enter yes, n no: keep as it is, q end)", "nq"
+        )
+        match answer:
+            case "":
+                self._runner.accept()
+            case "n":
+                self._runner.decline()
             case _:
                 self._runner.stop()
 

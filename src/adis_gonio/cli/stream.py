@@ -55,8 +55,8 @@ def command(
     gets every scan; it has no positions, `adis-gonio fit` finds the dwells by stillness.
 
     Where the bridge can use the sensor's data-ready line, it is enabled in MSC_CTRL while the stream runs
-    and set back at its end, Ctrl-C included. The other registers are left as they are unless --rate,
-    --filter or --range is given.
+    and set back at its end, Ctrl-C included; where no edge arrives, scans are polled. The other registers
+    are left as they are unless --rate, --filter or --range is given.
     """
     if seconds is not None and not seconds > 0:
         raise UsageError(f"--seconds is {seconds:g}: take a time above 0")
@@ -83,11 +83,13 @@ def command(
         rate = sensor.configuration().sample_rate_hz
         scans_a_line = max(1, round(every_s * rate))
         waiting: list[ScanBlock] = []
-        scans = lost = 0
+        scans = lost = dropped = alarms = 0
 
         def tell_the_sum() -> None:
             where = f", recorded in {output}" if output is not None else ""
-            click.echo(f"{scans} scans, {lost} lost{where}", err=True)
+            besides = f", {dropped} left out without new data (ND)" if dropped else ""
+            besides += f", {alarms} with an error or alarm in STATUS (EA)" if alarms else ""
+            click.echo(f"{scans} scans, {lost} lost{besides}{where}", err=True)
 
         stack.callback(tell_the_sum)  # after a failure too: what came before it stands
         stream = stack.enter_context(
@@ -102,7 +104,10 @@ def command(
                 if seconds is not None:
                     block, end = _until(block, begin + seconds)
                 scans, lost = scans + len(block), lost + block.lost
+                dropped, alarms = dropped + block.dropped, alarms + int(block.alarm.sum())
                 if recorder is not None:
+                    if stream.caveat and not recorder.rows:
+                        recorder.notes = [stream.caveat]
                     recorder.add(block)
                 waiting.append(block)
                 held = sum(map(len, waiting))
@@ -115,7 +120,7 @@ def command(
         except KeyboardInterrupt:
             click.echo("", err=True)
     if as_json:
-        _document(waiting, lost)
+        _document(waiting, lost, dropped)
 
 
 def _until(block: ScanBlock, end_s: float) -> tuple[ScanBlock, bool]:
@@ -140,12 +145,14 @@ def _line(blocks: list[ScanBlock], *, first: bool, since_s: float) -> None:
     click.echo(f"{time_s:9.2f}" + "".join(f"{cell:>19}" for cell in cells))
 
 
-def _document(blocks: list[ScanBlock], lost: int) -> None:
+def _document(blocks: list[ScanBlock], lost: int, dropped: int) -> None:
     document = {
         "registers": list(blocks[0].registers) if blocks else [],
         "units": list(blocks[0].units) if blocks else [],
         "time_s": [float(t) for block in blocks for t in block.time_s],
         "values": [[float(value) for value in row] for block in blocks for row in block.values()],
+        "alarm": [bool(alarm) for block in blocks for alarm in block.alarm],
         "lost": lost,
+        "dropped": dropped,
     }
     click.echo(json.dumps(document))

@@ -69,8 +69,8 @@ def clipped(dwells: Sequence[Dwell]) -> list[str]:
                 at = [d.position for d in dwells if (d.accel[:, axis] == values[place]).any()]
                 axis_at = f"{'xyz'[axis]} stand at the extreme value {values[place]:g} ({_positions(at)})"
                 lines.append(
-                    f"{counts[place]} samples of {axis_at}: a limit was reached there, and their mean is not "
-                    "the reading"
+                    f"{counts[place]} samples of {axis_at}: a limit was reached there, and their mean is "
+                    "not the reading"
                 )
     return lines
 

@@ -4,7 +4,7 @@ from adis_gonio.sensor.decoding import ScanBlock, decode_numbers
 from adis_gonio.sensor.driver import DEFAULT_SCAN, Adis16354, Quantity, open_sensor
 from adis_gonio.sensor.registers import REGISTERS, Register
 from adis_gonio.sensor.scanning import ScanStream
-from adis_gonio.sensor.settings import Alarm, Configuration, Offsets, SelfTest, Status
+from adis_gonio.sensor.settings import Alarm, Configuration, ManualSelfTest, Offsets, SelfTest, Status
 from adis_gonio.sensor.variants import VARIANTS, Variant
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "Adis16354",
     "Alarm",
     "Configuration",
+    "ManualSelfTest",
     "Offsets",
     "Quantity",
     "Register",

@@ -114,6 +114,9 @@ class ScanBlock:
         What the words have to be read with.
     missed : (n,) int or None
         Where `lost` happened: updates missed just before each scan, where that is known.
+    dropped : int
+        Scans that were made besides and left out: a word lacked ND, so that the edge which started the scan
+        was no update's.
     """
 
     registers: tuple[str, ...]
@@ -123,6 +126,7 @@ class ScanBlock:
     variant: str = "adis16354"
     gyro_range_dps: int | None = 300
     missed: NDArray[np.int64] | None = None
+    dropped: int = 0
 
     def __len__(self) -> int:
         return len(self.words)
@@ -216,4 +220,5 @@ def join(blocks: Sequence[ScanBlock]) -> ScanBlock:
         time_s=np.concatenate([block.time_s for block in blocks]),
         lost=sum(block.lost for block in blocks),
         missed=np.concatenate(missed) if len(missed) == len(blocks) else None,
+        dropped=sum(block.dropped for block in blocks),
     )

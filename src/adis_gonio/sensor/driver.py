@@ -28,7 +28,15 @@ from adis_gonio.errors import (
     VariantError,
     VerifyError,
 )
-from adis_gonio.sensor.data_ready import USED_BY, DataReadyLoan
+from adis_gonio.sensor.data_ready import (
+    UPDATE_EDGE,
+    USED_BY,
+    DataReadyLoan,
+    UpdateEdge,
+    arrives,
+    leads,
+    refusal,
+)
 from adis_gonio.sensor.decoding import ScanBlock, join, scales
 from adis_gonio.sensor.frames import IDLE, NORMAL, read_frames, timing_for, write_frames
 from adis_gonio.sensor.registers import (
@@ -47,6 +55,7 @@ from adis_gonio.sensor.settings import (
     ALARM_SOURCES,
     Alarm,
     Configuration,
+    ManualSelfTest,
     Offsets,
     SelfTest,
     Status,
@@ -76,6 +85,7 @@ PLAUSIBLE = 0.15
 """Relative distance of |a| at rest from 1 g up to which a variant is believed: ±2 % of scale and a bias
 of tens of mg fit in, the next variant is 5.4 times away."""
 CHECK_SCANS = 32
+MANUAL_SCANS = 64
 
 
 @dataclass(frozen=True)
@@ -130,10 +140,20 @@ class Adis16354:
         Which part of the family.
     check : bool
         See `open_sensor`.
+    update_edge : {"first", "last"}
+        Edge of the data-ready pulse that is taken for the update's (see `data_ready.UPDATE_EDGE`).
     """
 
-    def __init__(self, bus: SpiBus, variant_: str | Variant = "adis16354", *, check: bool = True) -> None:
+    def __init__(
+        self,
+        bus: SpiBus,
+        variant_: str | Variant = "adis16354",
+        *,
+        check: bool = True,
+        update_edge: UpdateEdge = UPDATE_EDGE,
+    ) -> None:
         self.bus = bus
+        self.update_edge: UpdateEdge = update_edge
         self.variant: Variant = variant(variant_)
         self._gyro_range: int | None = None
         bus.sleep_s(START_UP_S)
@@ -293,6 +313,7 @@ class Adis16354:
         *,
         block_scans: int = 256,
         leave_registers: bool = False,
+        data_ready: bool | None = None,
     ) -> ScanStream:
         """Fresh scans, one after another, by the best that the bus can do (see `sensor.scanning`).
 
@@ -306,13 +327,18 @@ class Adis16354:
         ----------
         leave_registers : bool
             Write nothing: data-ready is used only where it is enabled already.
+        data_ready : bool or None
+            True uses data-ready as it is, without a look whether edges arrive (a `DataReadyLoan` has
+            looked); False polls. Neither writes a register.
 
         Raises
         ------
         UsageError
             No output register among the names, or no room for a scan in a block.
         BusError
-            The bus failed. In the stream also where MSC_CTRL enables data-ready and no edge arrives.
+            The bus failed.
+        ChipError
+            Edges arrive on the data-ready line that are not the chip's updates.
         """
         table = registers(names)
         if not any(row.flags for row in table):
@@ -323,16 +349,20 @@ class Adis16354:
             raise UsageError(f"block_scans is {block_scans}: take 1 or more")
         configuration = self.configuration()
         period_s = configuration.sample_period_s
-        ready, at_end = configuration.data_ready, contextlib.ExitStack()
+        usable = bool(USED_BY & self.bus.capabilities)
+        looks = data_ready is None and usable and (configuration.data_ready or not leave_registers)
+        ready, at_end = bool(data_ready), contextlib.ExitStack()
         with contextlib.ExitStack() as failed:
-            if not ready and not leave_registers and USED_BY & self.bus.capabilities:
-                loan = DataReadyLoan(self)
+            if looks and leave_registers:
+                ready = arrives(self.bus, period_s)
+                streams = ready and Capability.STREAM in self.bus.capabilities
+                if streams and not leads(self.bus, table, period_s):
+                    raise refusal(self.bus)
+            elif looks:
+                loan = DataReadyLoan(self, table, period_s, self.update_edge)
                 failed.callback(loan.give_back)
-                ready = loan.arrives(period_s)
-                if ready:
-                    at_end.callback(loan.give_back)
-                else:
-                    loan.give_back()
+                at_end.callback(loan.give_back)
+                ready = loan.wired
             layout = ScanLayout(table, self.variant.name, self._gyro_range, period_s, at_end.close)
             if ready and Capability.STREAM in self.bus.capabilities:
                 frames = [int(frame) for frame in read_frames(table)]
@@ -341,16 +371,35 @@ class Adis16354:
             else:
                 counts = ready and Capability.EVENT_COUNTER in self.bus.capabilities
                 stream = PolledScans(self.bus, layout, block_scans, counts_edges=counts)
+                if looks and not ready:
+                    stream.how = f"no data-ready edge arrives: {stream.how}"
             failed.pop_all()
         return stream
 
-    def read_scans(self, count: int, names: Sequence[str | Register] = DEFAULT_SCAN) -> ScanBlock:
-        """`count` fresh scans in one block."""
+    def lend_data_ready(self, names: Sequence[str | Register] = DEFAULT_SCAN) -> DataReadyLoan | None:
+        """Enable data-ready for streams of these registers until the loan is given back.
+
+        None where the bus cannot use it. Errors as `DataReadyLoan`.
+        """
+        if not USED_BY & self.bus.capabilities:
+            return None
+        period_s = self.configuration().sample_period_s
+        return DataReadyLoan(self, registers(names), period_s, self.update_edge)
+
+    def read_scans(
+        self,
+        count: int,
+        names: Sequence[str | Register] = DEFAULT_SCAN,
+        *,
+        data_ready: bool | None = None,
+    ) -> ScanBlock:
+        """`count` fresh scans in one block; writes no register. `data_ready` as in `stream`."""
         if count < 1:
             raise UsageError(f"count is {count}: take 1 or more")
         blocks: list[ScanBlock] = []
         have = 0
-        with self.stream(names, block_scans=min(count, 256), leave_registers=True) as stream:
+        size = min(count, 256)
+        with self.stream(names, block_scans=size, leave_registers=True, data_ready=data_ready) as stream:
             for block in stream:
                 blocks.append(block)
                 have += len(block)
@@ -385,6 +434,34 @@ class Adis16354:
         if self.read(row) & busy:
             raise ChipError("the self-test did not end in 60 ms: reset the part and check its supply")
         return SelfTest(self.status())
+
+    def manual_self_test(self) -> ManualSelfTest:
+        """Apply the self-test's stimulus by hand, of either sign, and measure what it moves.
+
+        The part must be at rest. MSC_CTRL is set back at the end, however it ends.
+
+        Raises
+        ------
+        VerifyError
+            What was read back differs.
+        """
+        means, noise = {}, np.zeros(6)
+        settling_s = self.configuration().settling_s
+        try:
+            for name, positive, negative in (("rest", 0, 0), ("positive", 1, 0), ("negative", 0, 1)):
+                self.write_fields("MSC_CTRL", positive=positive, negative=negative)
+                self.bus.sleep_s(2 * settling_s)
+                values = self.read_scans(MANUAL_SCANS, (*ACCEL_OUT, *GYRO_OUT), data_ready=False).values()
+                means[name] = values.mean(axis=0)
+                if name == "rest":
+                    noise = values.std(axis=0, ddof=1)
+        finally:
+            self.write_fields("MSC_CTRL", positive=0, negative=0)
+            self.bus.sleep_s(2 * settling_s)
+        up, down = means["positive"] - means["rest"], means["negative"] - means["rest"]
+        parts = [values[k : k + 3] for k in (0, 3) for values in (up, down)] + [noise[:3], noise[3:]]
+        x = [(float(part[0]), float(part[1]), float(part[2])) for part in parts]
+        return ManualSelfTest(*x)
 
     # -- offsets and flash --------------------------------------------------------------------------
 
@@ -491,7 +568,8 @@ class Adis16354:
         Raises
         ------
         UsageError
-            No such alarm or source, or a threshold outside the source's range.
+            No such alarm or source, or a threshold outside the source's range; or of a change that is less
+            than half an LSB a sample, which the register cannot hold.
         """
         if number not in (1, 2):
             raise UsageError(f"alarm {number} does not exist: 1 or 2")
@@ -507,6 +585,11 @@ class Adis16354:
         if not low <= threshold <= high:
             raise UsageError(
                 f"threshold {alarm.threshold:g} {unit[0]} is outside the range of {source.name}"
+            )
+        if alarm.rate_samples and alarm.threshold and not threshold:
+            raise UsageError(
+                f"threshold {alarm.threshold:g} {unit[0]} a sample is too small for {source.name}:"
+                f" the least is {lsb[0]:.4g} {unit[0]} a sample, whatever rate_samples is"
             )
         self.write(f"ALM_MAG{number}", int(alarm.above) << 15 | threshold & source.data_mask)
         self.write(f"ALM_SMPL{number}", alarm.rate_samples)
@@ -603,7 +686,8 @@ class Adis16354:
                 )
 
     def _check_variant(self) -> None:
-        block = self.read_scans(CHECK_SCANS, ACCEL_OUT)
+        # Polled: a line that is wrong must not keep the sensor from being opened.
+        block = self.read_scans(CHECK_SCANS, ACCEL_OUT, data_ready=False)
         norm_lsb = float(np.median(np.linalg.norm(block.numbers(), axis=1)))
         if abs(norm_lsb / self.variant.one_g_lsb - 1) <= PLAUSIBLE:
             return

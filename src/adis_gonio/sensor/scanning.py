@@ -21,7 +21,7 @@ from __future__ import annotations
 import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Self
 
@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.bus import FrameStream, SpiBus, Words
-from adis_gonio.errors import AdisGonioError, SilentChipError
+from adis_gonio.errors import AdisGonioError, ChipError, SilentChipError
 from adis_gonio.sensor.decoding import Floats, ScanBlock
 from adis_gonio.sensor.frames import IDLE, read_frames
 from adis_gonio.sensor.registers import ND, Register
@@ -43,6 +43,10 @@ ALIGNABLE = 0.45
 LEAST_PASSES = 4
 """Passes in a batch: with three or more, one at least is without news."""
 
+
+JUDGED_SCANS = 32
+FRESH_SHARE = 0.75
+"""Latest scans of a stream at data-ready edges, and the share of them that must hold new data."""
 
 COUNTER_SLACK = 2.0
 """Updates by which edges and scans may disagree: some lie between a scan and the counter's reading."""
@@ -80,6 +84,11 @@ class ScanStream(ABC):
     """
 
     how: str = ""
+
+    @property
+    def caveat(self) -> str:
+        """What has to be known of the rows, in words; empty where nothing has."""
+        return ""
 
     def __init__(self, layout: ScanLayout) -> None:
         self._layout = layout
@@ -147,12 +156,22 @@ class StreamedScans(ScanStream):
         super().__init__(layout)
         self._stream = stream
         self._flags = np.array([row.flags for row in layout.table])
+        self._judged: NDArray[np.bool_] = np.empty(0, bool)
 
     def _next(self) -> ScanBlock:
         block = next(self._stream)
-        # A scan without ND repeats an older one: the edge was not an update's.
-        new = (block.words[:, self._flags] & ND).astype(bool).all(axis=1)
-        return self._block(block.words[new], block.time_s[new], block.lost)
+        # A scan with a word without ND repeats an older one, at least in part: its edge was no update's.
+        new: NDArray[np.bool_] = np.all(block.words[:, self._flags] & ND, axis=1)
+        dropped = len(new) - int(new.sum())
+        self._judged = np.append(self._judged, new)[-JUDGED_SCANS:]
+        if len(self._judged) == JUDGED_SCANS and self._judged.mean() < FRESH_SHARE:
+            old = int(JUDGED_SCANS - self._judged.sum())
+            raise ChipError(
+                f"{old} of {JUDGED_SCANS} scans at data-ready edges found no new data (ND) in a register:"
+                " the edges are not the chip's updates; check the line's wire and MSC_CTRL[2:0]"
+                " (docs/hardware.md)"
+            )
+        return replace(self._block(block.words[new], block.time_s[new], block.lost), dropped=dropped)
 
     def _stop(self) -> None:
         self._stream.close()
@@ -209,6 +228,16 @@ class PolledScans(ScanStream):
                     "no new data from the sensor: it sleeps, restarts or is not connected"
                     " (bit ND never came in any output register)"
                 )
+
+    @property
+    def caveat(self) -> str:
+        """That a row may hold words of two updates, where the passes are too slow to tell them apart."""
+        if self._pass_s < ALIGNABLE * self._period_s:
+            return ""
+        return (
+            "scans were polled, too slowly to tell the sensor's updates apart: the words of a row may stem"
+            " from two or more neighbouring updates"
+        )
 
     def _heed_counter(self) -> None:
         """Let the next block mend what time has counted too few or too many by the edges."""

@@ -177,6 +177,58 @@ class SelfTest:
         )
 
 
+@dataclass(frozen=True)
+class ManualSelfTest:
+    """What the manual self-test moved: change of the mean output under the stimulus of either sign.
+
+    The gyros answer to both signs, the accelerometers to the positive one alone (DS p. 19, B). How far is
+    not given, so only whether and which way is judged.
+
+    Attributes
+    ----------
+    accel_positive_mg, accel_negative_mg : tuple of 3 float
+    gyro_positive_dps, gyro_negative_dps : tuple of 3 float
+    accel_noise_mg, gyro_noise_dps : tuple of 3 float
+        Standard deviation of a sample at rest; a sensor has moved where its mean did by four of them.
+    """
+
+    accel_positive_mg: tuple[float, float, float]
+    accel_negative_mg: tuple[float, float, float]
+    gyro_positive_dps: tuple[float, float, float]
+    gyro_negative_dps: tuple[float, float, float]
+    accel_noise_mg: tuple[float, float, float]
+    gyro_noise_dps: tuple[float, float, float]
+
+    @property
+    def passed(self) -> bool:
+        """True where every sensor answers as the data sheet says."""
+        return not self.failures
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What did not, in words."""
+        found = []
+        for k, axis in enumerate("XYZ"):
+            most = 4 * self.accel_noise_mg[k]
+            if abs(self.accel_positive_mg[k]) <= most:
+                found.append(f"accelerometer {axis} does not answer to the positive stimulus")
+            if abs(self.accel_negative_mg[k]) > most:
+                found.append(f"accelerometer {axis} moves under the negative stimulus")
+        for k, axis in enumerate("XYZ"):
+            most = 4 * self.gyro_noise_dps[k]
+            up, down = self.gyro_positive_dps[k], self.gyro_negative_dps[k]
+            for value, sign in ((up, "positive"), (down, "negative")):
+                if abs(value) <= most:
+                    found.append(f"gyro {axis} does not answer to the {sign} stimulus")
+            if min(abs(up), abs(down)) > most and up * down > 0:
+                found.append(f"gyro {axis} moves the same way under both stimuli")
+        return tuple(found)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return asdict(self) | {"passed": self.passed, "failures": list(self.failures)}
+
+
 ALARM_SOURCES: dict[str, int] = {
     name: code
     for code, name in enumerate(
@@ -202,11 +254,11 @@ class Alarm:
     source : str
         Register that is watched, such as `XACCL_OUT`.
     threshold : float
-        In mg, °/s, °C or V, or that much per `rate_samples` samples.
+        In mg, °/s, °C or V; with `rate_samples` that much a sample.
     above : bool
         True alarms above the threshold, False below.
     rate_samples : int
-        0 compares the value; 1 to 255 compares its change over so many samples.
+        0 compares the value; 1 to 255 compares its mean change a sample over so many samples (DS p. 20, B).
     filtered : bool
         Compare filtered data; ALM_CTRL[4], shared by both alarms.
     """

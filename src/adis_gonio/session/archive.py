@@ -92,11 +92,12 @@ class Archive(ArchiveView):
     def add_record(self, kind: str, value: Any, bus_s: float) -> None:
         """Write something that happened."""
         with self._transaction():
-            number = self._next("records", "record")
-            self._insert("records", number, self._run, utc_now(), float(bus_s), kind, to_json(value))
+            self._record(kind, value, bus_s)
 
     def add_attempt(self, attempt: Attempt) -> int:
         """Write an attempt with all its scans and moves; on return it is on the disk.
+
+        Scans that were dropped within the dwell stand as a record, which older programs read over.
 
         Returns
         -------
@@ -129,6 +130,9 @@ class Archive(ArchiveView):
             for sequence, (phase, block) in enumerate(attempt.blocks):
                 words, time_s = block.words.astype("<u2").tobytes(), block.time_s.astype("<f8").tobytes()
                 self._insert("blocks", number, sequence, phase, len(block), block.lost, words, time_s)
+            dropped = sum(block.dropped for phase, block in attempt.blocks if phase == "dwell")
+            if dropped:
+                self._record("dropped", {"attempt": number, "scans": dropped}, attempt.ended_bus_s)
             for count, move in enumerate(attempt.moves, start=self._next("moves", "move")):
                 self._insert(
                     "moves",
@@ -140,6 +144,10 @@ class Archive(ArchiveView):
                     to_json(move.direction),
                 )
         return number
+
+    def _record(self, kind: str, value: Any, bus_s: float) -> None:
+        number = self._next("records", "record")
+        self._insert("records", number, self._run, utc_now(), float(bus_s), kind, to_json(value))
 
     def _next(self, table: str, key: str) -> int:
         (largest,) = self._connection.execute(f"SELECT coalesce(max({key}), 0) FROM {table}").fetchone()

@@ -10,12 +10,13 @@ import numpy as np
 
 from adis_gonio.errors import SessionError, UsageError
 from adis_gonio.model.records import Floats
-from adis_gonio.sensor.data_ready import USED_BY
+from adis_gonio.sensor.data_ready import MASK as DATA_READY_BITS
+from adis_gonio.sensor.data_ready import DataReadyLoan
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.sensor.registers import REGISTERS
 from adis_gonio.sensor.scanning import ScanStream
 from adis_gonio.session.plans import Plan, Position
-from adis_gonio.session.rows import Move, Record, StoredAttempt
+from adis_gonio.session.rows import JsonDict, Move, Record, StoredAttempt
 from adis_gonio.session.settings import Settings
 from adis_gonio.session.view import ArchiveView
 from adis_gonio.session.watch import window_samples
@@ -89,6 +90,9 @@ class Bench:
         self.stage: Stage | None = getattr(sensor.bus, "stage", None)
         self.world: World | None = getattr(sensor.bus, "world", None)
         self._stream: ScanStream | None = None
+        self._loan: DataReadyLoan | None = None
+        self._why_polled = ""
+        self._scanning: JsonDict = {}
 
     @property
     def simulated(self) -> bool:
@@ -150,19 +154,49 @@ class Bench:
 
     def configure(self) -> tuple[dict[str, int], dict[str, int]]:
         """Set the sensor up as the settings say; return all registers before and after."""
-        settings = self.settings
-        before = self.sensor.read_all()
-        used = bool(USED_BY & self.sensor.bus.capabilities)
-        self.configuration = self.sensor.configure(
-            smpl_prd=settings.smpl_prd,
-            filter_m=settings.filter_m,
-            gyro_range_dps=settings.gyro_range_dps,
-            data_ready=used if settings.data_ready is None else settings.data_ready,
+        settings, sensor = self.settings, self.sensor
+        before = sensor.read_all()
+        sensor.configure(
+            smpl_prd=settings.smpl_prd, filter_m=settings.filter_m, gyro_range_dps=settings.gyro_range_dps
         )
+        self._borrow_data_ready()
+        self.configuration = sensor.configuration()
         self.period_s = self.configuration.sample_period_s
         self.settle_s = max(settings.settle_s, self.configuration.settling_s)
         self.window = window_samples(self.configuration)
-        return before, self.sensor.read_all()
+        return before, sensor.read_all()
+
+    def _borrow_data_ready(self) -> None:
+        """Take data-ready for the session where it is wired; scans are polled where it is not."""
+        if self.settings.data_ready is False:
+            self._loan, self._why_polled = None, "data-ready is switched off for this session"
+            return
+        self._loan = self.sensor.lend_data_ready(self.settings.registers)
+        if self._loan is None:
+            self._why_polled = "this bus cannot use data-ready"
+        elif not self._loan.wired:
+            self._loan, self._why_polled = None, "no data-ready edge arrives: is DIO1 wired to the bridge?"
+        if self._loan is None and self.settings.data_ready:
+            raise SessionError(f"{self.sensor.bus.url}: {self._why_polled} (the session asks for it)")
+
+    @property
+    def why_polled(self) -> str:
+        """Why scans are polled, in words; empty where they are not."""
+        return self._why_polled
+
+    @property
+    def scanning(self) -> JsonDict:
+        """How scans are got: `how` in words, and a `caveat` where the rows need one; once one was got."""
+        return dict(self._scanning)
+
+    def close(self) -> None:
+        """End the stream and set data-ready back; may be called twice."""
+        try:
+            self.close_stream()
+        finally:
+            loan, self._loan = self._loan, None
+            if loan is not None:
+                loan.give_back()
 
     def require_same_settings(self, archive: ArchiveView, now: dict[str, int]) -> None:
         """Raise `SessionError` where a control register is not what it was when the session began."""
@@ -170,7 +204,9 @@ class Bench:
         if before is None:
             return
         for name in _SETTINGS:
-            if before.get(name) != now[name]:
+            # How scans are got is no setting: the wire of data-ready may be there or not.
+            ignored = DATA_READY_BITS if name == "MSC_CTRL" else 0
+            if (before.get(name, -1) ^ now[name]) & ~ignored:
                 raise SessionError(
                     f"{archive.path}: {name} was {before.get(name)} and is {now[name]}: another sensor, or"
                     " it was changed; set it back or begin a new session"
@@ -189,15 +225,20 @@ class Bench:
             block_scans = max(8, self.window // 2)
             # The session has set the registers, and they stay as the archive says.
             self._stream = self.sensor.stream(
-                self.settings.registers, block_scans=block_scans, leave_registers=True
+                self.settings.registers,
+                block_scans=block_scans,
+                leave_registers=True,
+                data_ready=self._loan is not None,
             )
         return self._stream
 
     def close_stream(self) -> None:
         """End the stream, so that registers can be read; may be called twice."""
         if self._stream is not None:
-            self._stream.close()
-            self._stream = None
+            stream, self._stream = self._stream, None
+            why = f"{self._why_polled}; " if self._why_polled else ""
+            self._scanning = {"how": f"{why}{stream.how}", "caveat": stream.caveat}
+            stream.close()
 
     def move_to(self, position: Position) -> Move | None:
         """Let the stage go to a position; None where nothing can be moved there."""

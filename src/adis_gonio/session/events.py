@@ -50,10 +50,13 @@ class Configured(Event):
         JSON form of the sensor's configuration.
     changed : dict of str to (int, int)
         Control registers that this changed: number before and after.
+    why_polled : str
+        Why scans are polled; empty where they start at the data-ready edges.
     """
 
     configuration: dict[str, Any]
     changed: dict[str, tuple[int, int]]
+    why_polled: str
 
 
 @dataclass(frozen=True)
@@ -147,6 +150,8 @@ class DwellDone(Event):
         Number of the attempt in the archive.
     accel_mg : Vector
         Mean of the dwell.
+    alarms : int
+        Scans in which an error or alarm stood (EA).
     """
 
     place: int
@@ -155,6 +160,7 @@ class DwellDone(Event):
     samples: int
     lost: int
     accel_mg: Vector
+    alarms: int
 
 
 @dataclass(frozen=True)
@@ -174,12 +180,28 @@ class Problem(Event):
 
     Attributes
     ----------
-    kind : {"status", "supply", "lost", "stillness"}
+    kind : {"status", "alarm", "supply", "lost", "dropped", "stillness"}
     """
 
-    kind: Literal["status", "supply", "lost", "stillness"]
+    kind: Literal["status", "alarm", "supply", "lost", "dropped", "stillness"]
     message: str
     place: int
+
+
+@dataclass(frozen=True)
+class RepetitionOffered(Event):
+    """The plan is done, but a fault or alarm stood in some dwells. Answers: accept, decline, repeat, stop.
+
+    Accepted, the dwells are made again; declined, they are kept as they are, and not asked about again.
+
+    Attributes
+    ----------
+    places, positions : tuple
+        Where.
+    """
+
+    places: tuple[int, ...]
+    positions: tuple[Position, ...]
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from adis_gonio.errors import DataError
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sensor.decoding import ScanBlock, join
 from adis_gonio.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
+from adis_gonio.session.faults import WITHOUT_NEWS, Alarms, alarms_of
 from adis_gonio.session.plans import Plan
 from adis_gonio.session.rows import JsonDict, StoredAttempt
 from adis_gonio.session.view import ArchiveView
@@ -20,10 +21,10 @@ def read_session(path: str | Path) -> Session:
     """Read a session file: its complete dwells, in the order in which they were recorded.
 
     A session may be read while another program records it. Samples are in LSB and °/s, times in seconds
-    since the session began. `facts` holds `configuration`, `registers` (before, configured, after),
-    `plan`, `settings`, `url`, `note`, `runs`, `dwells` (times, lost scans, STATUS of each), `problems`,
-    `advised` (what an advisor asked for, round by round), `complete`, and for simulated sessions alone
-    `truth`, which no fit may use.
+    since the session began. `facts` holds `configuration`, `registers` (before, configured, after), `plan`,
+    `settings`, `url`, `note`, `runs`, `dwells` (times, lost and dropped scans, STATUS and alarms of each),
+    `scanning` (how scans were got), `problems`, `advised` (what an advisor asked for, round by round),
+    `complete`, and for simulated sessions alone `truth`, which no fit may use.
 
     Raises
     ------
@@ -38,6 +39,7 @@ def read_session(path: str | Path) -> Session:
         pending, skipped = view.pending(), view.skipped()
         if not stored:
             raise DataError(f"{path}: no dwell is complete yet; resume the session")
+        dropped = {r.value["attempt"]: r.value["scans"] for r in view.records("dropped")}
         joined = [join(view.blocks(attempt, "dwell")) for attempt in stored]
         facts: JsonDict = {
             "url": header.url,
@@ -56,7 +58,11 @@ def read_session(path: str | Path) -> Session:
             "advised": [record.value for record in view.records("advised")],
             "complete": not pending,
             "skipped": sorted(skipped),
-            "dwells": [_facts_of(a, scans) for a, scans in zip(stored, joined, strict=True)],
+            "scanning": view.last("scanning"),
+            "dwells": [
+                _facts_of(a, scans, dropped.get(a.number, 0))
+                for a, scans in zip(stored, joined, strict=True)
+            ],
         }
         truth = view.last("truth")
     if header.simulated and truth is not None:
@@ -70,7 +76,7 @@ def read_session(path: str | Path) -> Session:
         plane=plan.plane,
         title=header.title,
         source=str(path),
-        notes=_notes(plan, pending, skipped, facts["dwells"]),
+        notes=_notes(plan, pending, skipped, facts),
         facts=facts,
     )
 
@@ -92,7 +98,8 @@ def _dwell(number: int, attempt: StoredAttempt, scans: ScanBlock) -> Dwell:
     )
 
 
-def _facts_of(attempt: StoredAttempt, scans: ScanBlock) -> JsonDict:
+def _facts_of(attempt: StoredAttempt, scans: ScanBlock, dropped: int) -> JsonDict:
+    alarms = alarms_of(scans)
     return {
         "place": attempt.place,
         "attempt": attempt.number,
@@ -100,14 +107,14 @@ def _facts_of(attempt: StoredAttempt, scans: ScanBlock) -> JsonDict:
         "started_utc": attempt.started_utc,
         "samples": len(scans),
         "lost": scans.lost,
+        "dropped": dropped,
         "status": attempt.status,
+        "alarms": None if alarms is None else alarms.as_dict(),
     }
 
 
-def _notes(
-    plan: Plan, pending: Sequence[int], skipped: set[int], dwells: Sequence[JsonDict]
-) -> tuple[str, ...]:
-    notes = []
+def _notes(plan: Plan, pending: Sequence[int], skipped: set[int], facts: JsonDict) -> tuple[str, ...]:
+    notes, dwells = [], facts["dwells"]
     if pending:
         notes.append(
             f"unfinished session: {len(dwells)} of {len(plan)} positions of plan '{plan.name}' are done"
@@ -117,4 +124,13 @@ def _notes(
     lost = sum(dwell["lost"] for dwell in dwells)
     if lost:
         notes.append(f"{lost} scans were lost on the bus within the dwells")
+    dropped = sum(dwell["dropped"] for dwell in dwells)
+    if dropped:
+        notes.append(f"{dropped} scans within the dwells were left out: {WITHOUT_NEWS}")
+    if facts["scanning"] and facts["scanning"]["caveat"]:
+        notes.append(facts["scanning"]["caveat"])
+    for number, dwell in enumerate(dwells):
+        if dwell["alarms"] is not None:
+            where = plan.positions[dwell["place"]]
+            notes.append(f"dwell {number} ({where}): {Alarms(**dwell['alarms'])}")
     return tuple(notes)

@@ -32,6 +32,11 @@ class SamplesRecorder:
     Accelerometers are written in LSB, as the sensor gave them; gyros in °/s, temperature in °C, supply
     in V. Registers that the format has no column for are left out.
 
+    Attributes
+    ----------
+    notes : list of str
+        What the reader of the file has to know; written with its header, before the first row.
+
     Raises
     ------
     UsageError
@@ -52,6 +57,7 @@ class SamplesRecorder:
             raise UsageError(f"{path}: a recording is named .csv or .csv.gz")
         self.rows = 0
         self.lost = 0
+        self.notes: list[str] = []
         self._header = [
             f"# title: {' '.join(title.split()) or 'continuous recording'}",
             f"# sensor: {variant}",
@@ -79,7 +85,8 @@ class SamplesRecorder:
                     f"a recording needs the accelerometers; the scan lacks {', '.join(missing)}"
                 )
             names = ",".join(["time_s", *(_AXIS_COLUMNS[name] for name in self._columns)])
-            self._file.write("\n".join([*self._header, names, ""]))
+            notes = [f"# note: {' '.join(note.split())}" for note in self.notes]
+            self._file.write("\n".join([*self._header, *notes, names, ""]))
         chosen = block.select(self._columns)
         accel = [BY_NAME[name].kind is Kind.ACCEL for name in self._columns]
         values = np.where(accel, chosen.numbers(), chosen.values())

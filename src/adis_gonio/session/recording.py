@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from adis_gonio.sensor.decoding import ScanBlock, join
 from adis_gonio.session.plans import Position
 from adis_gonio.session.rows import Attempt, Move, Outcome, Phase
@@ -173,18 +175,20 @@ class Recording:
             parts = [part for part in parts if part[2] > part[1]]
             lossy = "dwell" if any(part[0] == "dwell" for part in parts) else parts[0][0] if parts else ""
             for phase, low, high in parts:
-                lost = block.lost if phase == lossy else 0
-                pieces.append((phase, _cut(block, low, high, lost)))
+                piece = _cut(block, low, high)
+                if phase == lossy:
+                    piece = replace(piece, lost=block.lost, dropped=block.dropped)
+                pieces.append((phase, piece))
             index += len(block)
         return pieces
 
 
-def _cut(block: ScanBlock, low: int, high: int, lost: int) -> ScanBlock:
+def _cut(block: ScanBlock, low: int, high: int) -> ScanBlock:
+    """Some of a block's scans, without its counts."""
     return ScanBlock(
         block.registers,
         block.words[low:high],
         block.time_s[low:high],
-        lost,
-        block.variant,
-        block.gyro_range_dps,
+        variant=block.variant,
+        gyro_range_dps=block.gyro_range_dps,
     )

@@ -21,6 +21,7 @@ the same to the last bit.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import queue
 import threading
@@ -34,7 +35,6 @@ import numpy as np
 
 from adis_gonio.errors import AdisGonioError, SessionError, UsageError
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
-from adis_gonio.sensor.decoding import ScanBlock
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.session.archive import Archive, Header, read_session, utc_now
 from adis_gonio.session.bench import Bench
@@ -52,12 +52,14 @@ from adis_gonio.session.events import (
     NoiseMeasured,
     PositionAsked,
     Problem,
+    RepetitionOffered,
     StageMoved,
     Started,
     Vector,
     Waiting,
     Watching,
 )
+from adis_gonio.session.faults import problems
 from adis_gonio.session.plans import Plan, Position, blindness, extended, extension
 from adis_gonio.session.recording import Recording
 from adis_gonio.session.settings import Settings
@@ -69,10 +71,6 @@ MOST_RESTARTS = 5
 
 WINDOWS_TO_STILLNESS = 4
 """Windows that the watch needs before it can say anything; waited for besides the time-out."""
-
-SUPPLY_LIMITS_V = (4.75, 5.25)
-"""Specified supply (DS, B)."""
-
 
 WARMING_S = 600.0
 """Wait for another temperature, where the program sets it."""
@@ -118,6 +116,7 @@ class SessionRunner:
         self._advisor = advisor
         self._done = {attempt.place: attempt.number for attempt in archive.dwells()}
         self._skipped = archive.skipped()
+        self._faulty = {attempt.place for attempt in archive.faulty()}
         self._last_place = max(self._done, key=self._done.__getitem__, default=None)
         self._limits: StillnessLimits | None = None
         self._noise_mg: Floats = np.zeros(3)
@@ -125,6 +124,7 @@ class SessionRunner:
         self._allowed: frozenset[Answer] = frozenset()
         self._stopping = threading.Event()
         self._ran = False
+        self._scanning: dict[str, Any] = archive.last("scanning") or {}
 
     @classmethod
     def begin(
@@ -282,8 +282,11 @@ class SessionRunner:
             yield from self._prepare()
             yield from self._visit()
             finished = self._finish()
+        except BaseException:
+            with contextlib.suppress(AdisGonioError):  # the first error counts; the bus may be gone
+                self._bench.close()
+            raise
         finally:
-            self._bench.close_stream()
             self._archive.close()
         yield finished
 
@@ -307,7 +310,7 @@ class SessionRunner:
         self._note("configuration", configuration)
         self._note("registers-configured", after)
         self._note("truth", bench.truth())
-        yield Configured(configuration, bench.changes(before, after))
+        yield Configured(configuration, bench.changes(before, after), bench.why_polled)
         noise = archive.last("noise")
         if noise is None:
             noise = yield from self._measure_noise()
@@ -334,6 +337,7 @@ class SessionRunner:
                     f" its noise should be about {expected:.2g} mg; put it on a quiet support and resume"
                 )
         bench.close_stream()
+        self._tell_scanning()
         if noise is None:
             return None
         measured = [float(value) for value in noise]
@@ -354,6 +358,9 @@ class SessionRunner:
     def _visit(self) -> Iterator[Event]:
         while not self._stopping.is_set():
             place = self._next_place()
+            if place is None and self._faulty:
+                yield from self._offer_repetition()
+                continue
             if place is None:
                 answer = yield from self._offer_extension()
             else:
@@ -401,6 +408,22 @@ class SessionRunner:
         finally:
             self._allowed = frozenset()
             self._bench.close_stream()
+
+    def _offer_repetition(self) -> Iterator[Event]:
+        """Ask about dwells with a fault: repeat them, or keep them as they are, which is recorded."""
+        places = sorted(self._faulty)
+        where = tuple(self._plan.positions[place] for place in places)
+        offer = RepetitionOffered(tuple(places), where)
+        answer = yield from self._ask(offer, {Answer.ACCEPT, Answer.DECLINE}, Answer.DECLINE)
+        if answer is Answer.REPEAT and self._last_place is not None:
+            places = [self._last_place]
+        elif answer is Answer.DECLINE:
+            self._note("kept", [self._done[place] for place in places])
+            self._faulty.clear()
+        if answer in (Answer.ACCEPT, Answer.REPEAT):
+            for place in places:
+                if not self._stopping.is_set():
+                    yield from self._dwell(place)
 
     def _offer_extension(self) -> Generator[Event, None, Answer]:
         longer = extension(self._plan, len(self._done))
@@ -572,18 +595,31 @@ class SessionRunner:
     def _complete(self, recording: Recording) -> Iterator[Event]:
         bench = self._bench
         bench.close_stream()
+        self._tell_scanning()
         status = bench.sensor.status()
         bench.checkpoint()
         attempt = recording.attempt("complete", bench.now_s, status=status.word)
         number = self._archive.add_attempt(attempt)
         place, scans = recording.place, recording.scans()
+        found = problems(place, scans, status)
+        self._faulty.discard(place)
+        if status.word or scans.alarm.any():
+            self._faulty.add(place)
         self._done[place] = number
         self._skipped.discard(place)
         self._last_place = place
         mean = _vector(scans.accel_mg.mean(axis=0))
-        yield DwellDone(place, recording.position, number, len(scans), scans.lost, mean)
-        for problem in _problems(place, scans, status.messages):
+        alarms = int(scans.alarm.sum())
+        yield DwellDone(place, recording.position, number, len(scans), scans.lost, mean, alarms)
+        for problem in found:
             yield self._problem(problem)
+
+    def _tell_scanning(self) -> None:
+        """Record how scans are got, where that is new."""
+        now = self._bench.scanning
+        if now != self._scanning:
+            self._scanning = now
+            self._note("scanning", now)
 
     def _problem(self, problem: Problem) -> Problem:
         self._note("problem", problem.as_dict())
@@ -596,7 +632,7 @@ class SessionRunner:
 
     def _finish(self) -> Finished:
         complete = self._next_place() is None
-        self._bench.close_stream()
+        self._bench.close()  # what was changed for the scans alone is set back first
         self._note("registers-after", self._bench.sensor.read_all())
         self._note("truth", self._bench.truth(self._archive.dwells()))
         self._note("finished", {"complete": complete})
@@ -619,27 +655,6 @@ class _Idle:
             if len(self._kept) > 1:
                 break
         return Watching("idle", _vector(self._kept.mean(axis=0)), _vector(self._kept.std(axis=0, ddof=1)))
-
-
-def _problems(place: int, scans: ScanBlock, status: tuple[str, ...]) -> list[Problem]:
-    """What the operator should know of a dwell: STATUS, supply, lost scans."""
-    problems = [Problem("status", f"STATUS: {message}", place) for message in status]
-    if "SUPPLY_OUT" in scans.registers:
-        supply = scans.supply_v
-        low, high = SUPPLY_LIMITS_V
-        if supply.min() < low or supply.max() > high:
-            problems.append(
-                Problem(
-                    "supply",
-                    f"the supply was between {supply.min():.3f} and {supply.max():.3f} V;"
-                    f" the part needs {low} to {high} V",
-                    place,
-                )
-            )
-    if scans.lost:
-        share = 100.0 * scans.lost / (len(scans) + scans.lost)
-        problems.append(Problem("lost", f"{scans.lost} scans ({share:.2g} %) were lost on the bus", place))
-    return problems
 
 
 def _vector(values: Any) -> Vector:

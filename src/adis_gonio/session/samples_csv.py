@@ -2,7 +2,8 @@
 
 `read_samples_csv` reads `.csv` and `.csv.gz` (told apart by content, not by name) in bulk; only where the
 bulk conversion fails are the rows walked one by one, so that the message names the first bad one.
-`write_samples_csv` writes the same format; what it writes is read back without a change.
+`write_samples_csv` writes the same format; what it writes is read back without a change. A line
+`# note: text`, of which there may be several, becomes one of `Session.notes`.
 
 A file without the column `position` is one continuous recording: its dwells are found by stillness
 (`adis_gonio.session.stillness`), and `Session.notes` says what was found.
@@ -139,6 +140,7 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
         raise DataError(f"{path.name}: the session has no dwell to write")
     parts = _columns_of(dwells, path.name)
     lines = [f"# {key}: {value}" for key, value in _keys_of(session).items()]
+    lines += [f"# note: {' '.join(note.split())}" for note in session.notes]
     lines.append(",".join(parts))
     texts = [chain.from_iterable(map(texts_of, dwells)) for texts_of in parts.values()]
     lines.extend(map(",".join, zip(*texts, strict=True)))
@@ -247,19 +249,7 @@ def _split(path: Path, text: str) -> _Table:
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     while lines and not lines[-1].strip():
         lines.pop()
-    keys: dict[str, tuple[str, int]] = {}
-    notes: list[str] = []
-    start = 0
-    while start < len(lines) and (lines[start].startswith("#") or not lines[start].strip()):
-        name, colon, value = lines[start].lstrip("#").partition(":")
-        if colon:
-            name = name.strip().lower()
-            if name in keys:
-                raise DataError(f"{path.name}, row {start + 1}: key '{name}' stands there twice")
-            keys[name] = (value.strip(), start + 1)
-            if name not in _KEYS:
-                notes.append(f"key '{name}' in row {start + 1} is not known and was ignored")
-        start += 1
+    keys, notes, start = _keys(path, lines)
     if start == len(lines):
         raise DataError(f"{path.name}: no header row; expected one like 'time_s,position,angle_deg,ax,ay'")
     header = [name.strip() for name in lines[start].split(",")]
@@ -277,6 +267,27 @@ def _split(path: Path, text: str) -> _Table:
     cells = ",".join(rows).split(",")
     columns = {name: cells[k :: commas + 1] for k, name in enumerate(header)}
     return _Table(path, keys, tuple(notes), columns, start + 2)
+
+
+def _keys(path: Path, lines: list[str]) -> tuple[dict[str, tuple[str, int]], list[str], int]:
+    """Keys with their rows, notes, and the line after them."""
+    keys: dict[str, tuple[str, int]] = {}
+    notes: list[str] = []
+    start = 0
+    while start < len(lines) and (lines[start].startswith("#") or not lines[start].strip()):
+        name, colon, value = lines[start].lstrip("#").partition(":")
+        name, start = name.strip().lower(), start + 1
+        if not colon:
+            continue
+        if name == "note":
+            notes.append(value.strip())
+            continue
+        if name in keys:
+            raise DataError(f"{path.name}, row {start}: key '{name}' stands there twice")
+        keys[name] = (value.strip(), start)
+        if name not in _KEYS:
+            notes.append(f"key '{name}' in row {start} is not known and was ignored")
+    return keys, notes, start
 
 
 def _check_header(path: Path, header: list[str], row: int) -> None:

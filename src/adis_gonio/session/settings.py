@@ -35,7 +35,8 @@ class Settings:
     gyro_range_dps : int
         300, 150 or 75.
     data_ready : bool or None
-        Data-ready pulses; None enables them where the bus can use them.
+        Data-ready pulses for the time of the session; None uses them where the bus can and the line is
+        wired, True insists on it, False polls.
     registers : tuple of str
         What a scan holds; the three accelerometer outputs are the least.
 

@@ -109,6 +109,16 @@ class ArchiveView:
         latest = {a.place: a.number for a in self.attempts() if a.outcome == "complete"}
         return [a for a in self.attempts() if latest.get(a.place) == a.number and a.outcome == "complete"]
 
+    def faulty(self) -> list[StoredAttempt]:
+        """Dwells with a fault or alarm (STATUS after them, EA within) that nobody chose to keep."""
+        kept = {number for record in self.records("kept") for number in record.value}
+        return [
+            attempt
+            for attempt in self.dwells()
+            if attempt.number not in kept
+            and (attempt.status or any(block.alarm.any() for block in self.blocks(attempt, "dwell")))
+        ]
+
     def skipped(self) -> set[int]:
         """Places that the operator skipped and that have no dwell."""
         return {record.value for record in self.records("skipped")} - {a.place for a in self.dwells()}

@@ -198,8 +198,8 @@ class SimBus(SpiBus):
 class SimStream(FrameStream):
     """A stream of a simulated bus.
 
-    The list runs from each edge on, with one idle frame behind it that fetches the last reply; edges
-    that fall into a run are lost. Time that the caller lets pass between blocks is buffered.
+    The list runs from each falling edge on, with one idle frame behind it that fetches the last reply;
+    edges that fall into a run are lost. Time that the caller lets pass between blocks is buffered.
     """
 
     def __init__(self, bus: SimBus, frames: Words, block_scans: int) -> None:
@@ -219,7 +219,7 @@ class SimStream(FrameStream):
             bus._require_open()
             self._require_edges()
             chip, timing, k = bus.chip, bus.timing, len(self._list)
-            first = chip.next_update_s(max(self._free_s, chip.time_s))
+            first = chip.next_edge_s(max(self._free_s, chip.time_s), rising=bus.edge_rises)
             if first is None:
                 raise BusTimeoutError(f"{bus.url}: no data-ready edge; the chip is not running")
             period = chip.update_period_s

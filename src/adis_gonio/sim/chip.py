@@ -26,7 +26,7 @@ Choices where the real behaviour is not known
 | bit 14 of a frame, COMMAND's high byte | ignored | D |
 | waking | SLP_CNT reads 0 and the taps are empty | D |
 | change of SMPL_PRD | updates start anew from there, the taps are empty | D |
-| data-ready pulse | 50 µs wide by default | D |
+| data-ready pulse | 50 µs wide by default, begins with the update (or ends with it: `update_edge`) | C |
 
 What is not simulated
     Edges and levels on the pins within a frame (t_DAV and the like), supply current, brown-out, lever-arm
@@ -39,6 +39,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from enum import Enum, auto
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,7 @@ from adis_gonio.sim.memory import Memory
 from adis_gonio.sim.sampling import GYRO_COLUMNS, OUTPUTS, Sampler, Updates
 
 Words = NDArray[np.uint16]
+UpdateEdge = Literal["first", "last"]
 
 _CHUNK = 1 << 15
 _SHORTEST_FAST_RUN = 4
@@ -68,6 +70,8 @@ _COMMAND = BY_NAME["COMMAND"]
 _SPI_FAILED = _STATUS.field("spi").mask
 _FLASH_FAILED = _STATUS.field("flash").mask
 _SUPPLY_LOW = _STATUS.field("supply_low").mask
+FALLING_BITS = _SUPPLY_LOW | _STATUS.field("supply_high").mask | _STATUS.field("over_range").mask
+"""STATUS bits that fall by themselves as soon as their condition has ended (DS p. 20, A)."""
 _SELF_TEST = BY_NAME["MSC_CTRL"].field("self_test").mask
 SELF_TEST_BITS = {
     f"{axis}{sensor}": _STATUS.field(f"{name}_{axis}_self_test").mask | _STATUS.field("self_test").mask
@@ -115,6 +119,11 @@ class SimulatedChip:
         Parts that fail the internal self-test: `xaccl`, `zgyro`, …
     data_ready_pulse_s : float
         Width of the data-ready pulse.
+    update_edge : {"first", "last"}
+        Edge of the data-ready pulse at which the outputs change: the pulse begins then, or ends (C).
+    status_falls : bool
+        Supply and over-range bits of STATUS fall by themselves; False keeps them until a read, as the
+        other bits.
 
     Attributes
     ----------
@@ -140,6 +149,8 @@ class SimulatedChip:
         floating_word: int = 0xFFFF,
         self_test_failures: Sequence[str] = (),
         data_ready_pulse_s: float = 50e-6,
+        update_edge: UpdateEdge = "first",
+        status_falls: bool = True,
     ) -> None:
         for name in self_test_failures:
             if name not in SELF_TEST_BITS:
@@ -152,6 +163,8 @@ class SimulatedChip:
         self._surroundings = surroundings
         self._failures = tuple(self_test_failures)
         self._pulse_s = data_ready_pulse_s
+        self._update_edge = update_edge
+        self._falling = FALLING_BITS if status_falls else 0
         self._memory = Memory(flash, endurance)
         self._sampler = Sampler(self.variant, self._memory)
         self._row: Words
@@ -237,11 +250,28 @@ class SimulatedChip:
         count = math.floor((after_s - self._epoch) / self._period + _EDGE_TOLERANCE)
         return self._epoch + (count + 1) * self._period
 
+    def edge_after_update_s(self, *, rising: bool) -> float:
+        """How long after an update its pulse's rising or falling edge comes in s; negative before it."""
+        high = bool(BY_NAME["MSC_CTRL"].field("polarity").of(self._memory["MSC_CTRL"]))
+        begins = high == rising
+        at_first = 0.0 if self._update_edge == "first" else -self._pulse_s
+        return at_first if begins else at_first + self._pulse_s
+
+    def next_edge_s(self, after_s: float, *, rising: bool) -> float | None:
+        """Time of the data-ready edge of the next update, later than `after_s`; None where none comes."""
+        update_s = self.next_update_s(after_s)
+        if update_s is None:
+            return None
+        edge_s = update_s + self.edge_after_update_s(rising=rising)
+        return edge_s if edge_s > after_s else edge_s + self._period
+
     def dio(self, time_s: float) -> tuple[int | None, int | None]:
         """Levels that the chip drives on DIO1 and DIO2 at a time; None where a line is an input."""
         self.run_to(time_s)
         since = time_s - (self._epoch + self._k * self._period)
-        pulse = self._state in _SAMPLING and self._k > 0 and since < self._pulse_s
+        if self._update_edge == "last":
+            since += self._pulse_s - self._period
+        pulse = self._state in _SAMPLING and self._k > 0 and 0 <= since < self._pulse_s
         return levels(self._memory, pulse=pulse, status=self._status)
 
     def hard_reset(self, time_s: float) -> None:
@@ -347,7 +377,8 @@ class SimulatedChip:
         if index[-1]:
             updates = self._take(int(index[-1]))
             rows = np.concatenate([rows, updates.words])
-            status = np.bitwise_or.accumulate(np.concatenate([status, updates.status]))
+            stood = np.concatenate([status, updates.status])
+            status = stood & self._falling | np.bitwise_or.accumulate(stood & ~self._falling)
         self._time_s = float(rises[n - 1])
         values = self._values(words[:n] >> np.uint16(9), index, seen, rows, status != 0)
         out[0], out[1:n] = self._reply, values[:-1]
@@ -560,8 +591,9 @@ class SimulatedChip:
         count = np.arange(self._k + 1, self._k + n + 1, dtype=np.float64)
         times = self._epoch + count * self._period
         updates = self._sampler.update(self._surroundings.sample(times))
-        self._status |= int(np.bitwise_or.reduce(updates.status))
         self._standing = int(updates.status[-1])
+        kept = (self._status | int(np.bitwise_or.reduce(updates.status))) & ~self._falling
+        self._status = kept | self._standing & self._falling
         self._row = updates.words[-1]
         self._k += n
         self._updates += n

@@ -61,9 +61,9 @@ class Alarm:
     column : int
         Column of its source.
     threshold : int
-        Number in the source's format.
+        Number in the source's format; of a change that much a sample.
     samples : int
-        Updates over which the change is taken; 0 for the value itself.
+        Updates over which the mean change a sample is taken; 0 for the value itself.
     """
 
     bit: int
@@ -185,7 +185,8 @@ class Sampler:
             values[:, GYRO_COLUMNS] -= per_g * 1e-3 * inputs.accel_mg
         if self._manual_test:
             values[:, GYRO_COLUMNS] += self._manual_test * SELF_TEST_GYRO_DPS
-            values[:, ACCEL_COLUMNS] += self._manual_test * SELF_TEST_ACCEL_MG
+            # The accelerometers answer to the positive stimulus alone (DS p. 19, B).
+            values[:, ACCEL_COLUMNS] += max(self._manual_test, 0.0) * SELF_TEST_ACCEL_MG
         values -= self._zero
         values *= self._gain
         np.rint(values, out=values)
@@ -208,12 +209,14 @@ class Sampler:
         return np.asarray(status, np.int64)
 
     def _alarming(self, alarm: Alarm, source: Integers, n: int) -> NDArray[np.bool_]:
-        value = source[_HISTORY:]
+        value, threshold = source[_HISTORY:], alarm.threshold
         known = np.ones(n, bool)
         if alarm.samples:
+            # The mean change a sample, (1/N)·Σ(y(n+1) − y(n)) (DS p. 20, B), without dividing.
             value = value - source[_HISTORY - alarm.samples : len(source) - alarm.samples]
+            threshold *= alarm.samples
             known = self._taken + np.arange(1, n + 1) > alarm.samples
-        return known & (value > alarm.threshold if alarm.greater else value < alarm.threshold)
+        return known & (value > threshold if alarm.greater else value < threshold)
 
 
 def _alarms(memory: Memory) -> list[Alarm]:

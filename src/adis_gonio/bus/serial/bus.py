@@ -91,6 +91,7 @@ class SerialBus(SpiBus):
         self._release = release or port.close
         self._stream: SerialStream | None = None
         self._counted = 0
+        self._board_us = 0
         self._lost_session = False
         self.firmware = self._link.hello(boot_s)
         self.unbroken_frames = max(1, self.firmware.max_frames)
@@ -212,10 +213,19 @@ class SerialBus(SpiBus):
             self._require_open()
             if Capability.EVENT_COUNTER not in self.capabilities:
                 raise self._lacks(Capability.EVENT_COUNTER)
-            edges = self.count_edges()
+            return self.count_events()[0]
+
+    def count_events(self) -> tuple[int, float]:
+        """Data-ready edges since the last call, and the time by the firmware's clock in s."""
+        with self._lock:
+            self._require_open()
+            if Capability.EVENT_COUNTER not in self.capabilities:
+                raise self._lacks(Capability.EVENT_COUNTER)
+            now = self._ask(wire.StatisticsRequest(), wire.StatisticsReply)
             # The firmware never sets its counter back: a reply that was lost loses no edges.
-            new, self._counted = (edges - self._counted) & 0xFFFF_FFFF, edges
-            return new
+            new, self._counted = (now.edges - self._counted) & 0xFFFF_FFFF, now.edges
+            self._board_us += (now.now_us - self._board_us) & 0xFFFF_FFFF
+            return new, self._board_us * 1e-6
 
     # -- for streams ------------------------------------------------------------------------------------
 

@@ -22,6 +22,25 @@ TRIES = 5
 """Times that a request is sent before the firmware is called silent."""
 HELLO_EVERY_S = 0.3
 
+# Opening a port resets many boards. Their boot loader then listens at another baud rate (Optiboot: 115 200)
+# and takes what it hears for commands, that to erase a page among them. It leaves at once, though, where
+# the second byte of a command is no blank, and zeros at our rate can never look like the command to erase:
+# that has bits which are set side by side, zeros are high for a stop bit of 2 us in 20.
+ZEROS = bytes(16)
+"""Empty packets for the firmware; at 115 200 baud three bytes or four, of which two make a loader leave."""
+ZEROS_EVERY_S = 0.02
+ZEROS_FIRST_S = 0.24
+"""A loader listens 70 ms after the reset, 90 at most (start-up 65 ms, B)."""
+ZEROS_AGAIN_S = 0.06
+LEAVE_S = 0.16
+"""Silence after the zeros: a loader needs 16 ms to leave (its watchdog), and a start-up follows."""
+EARLY_HELLOS = 2
+"""Hellos before a loader's own time is over: the first for boards that did not reset, the second for
+loaders that blink before they listen (Optiboot: 0.4 s), by which the first is lost."""
+LOADER_S = 2.0
+"""Longest wait of a boot loader; most wait a second. One that does not heed zeros hears nothing more until
+then."""
+
 B = TypeVar("B", bound=Body)
 
 
@@ -124,6 +143,8 @@ class Link:
     def hello(self, wait_s: float) -> wire.HelloReply:
         """Open a session; repeats for so long, since a board may still boot.
 
+        Zeros go before each hello, so that a boot loader which listens leaves instead of reading it.
+
         Raises
         ------
         BusTimeoutError
@@ -135,13 +156,17 @@ class Link:
         packet = self._packet(wire.HelloRequest(wire.VERSION, nonce))
         end_s = self._clock.now_s() + wait_s
         bad = self.receiver.counts.bad
-        answer = self._converse(
-            packet,
-            wire.HelloReply,
-            HELLO_EVERY_S,
-            lambda _: self._clock.now_s() < end_s,
-            nonce=nonce,
-        )
+        quiet_s = end_s - max(wait_s - LOADER_S, HELLO_EVERY_S)
+
+        def again(sent: int) -> bool:
+            if sent and self._clock.now_s() >= end_s:
+                return False
+            if sent == EARLY_HELLOS:
+                self._listen(quiet_s - self._clock.now_s())
+            self._send_zeros(ZEROS_AGAIN_S if sent else ZEROS_FIRST_S)
+            return True
+
+        answer = self._converse(packet, wire.HelloReply, HELLO_EVERY_S, again, nonce=nonce)
         if answer is not None:
             if isinstance(answer.body, wire.HelloReply):
                 if answer.body.protocol != wire.VERSION:
@@ -204,6 +229,19 @@ class Link:
             else:
                 self._replies.append(packet)
         return True
+
+    def _listen(self, wait_s: float) -> None:
+        """Take in what arrives, and send nothing."""
+        end_s = self._clock.now_s() + wait_s
+        while (left := end_s - self._clock.now_s()) > 0:
+            self.pump(left)
+
+    def _send_zeros(self, length_s: float) -> None:
+        end_s = self._clock.now_s() + length_s
+        while self._clock.now_s() < end_s:
+            self.port.send(ZEROS)
+            self._listen(ZEROS_EVERY_S)
+        self._listen(LEAVE_S)
 
     # -- packets ----------------------------------------------------------------------------------------
 

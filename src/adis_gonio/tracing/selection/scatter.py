@@ -8,8 +8,8 @@ again under it. Of the two accounts the one of higher log evidence stands:
 * functions under the measured noise: L(0) of the best model less the price of its terms;
 * functions under the noise with the component: the same under s, less the price of s,
 
-L the log likelihood of the refitted model, restricted for its base parameters (Harville, J. Am. Stat. Assoc.
-72, 1977). Noise that no covariate explains costs one parameter; functions that imitate it cost many.
+L the log likelihood of the refitted model, restricted for its base parameters (Harville, J. Am. Stat.
+Assoc. 72, 1977). Noise that no covariate explains costs one parameter; functions that imitate it cost many.
 """
 
 from __future__ import annotations
