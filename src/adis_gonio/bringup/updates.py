@@ -1,0 +1,396 @@
+"""The internal update: its rate, data-ready's edges, the steps of SMPL_PRD."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adis_gonio.bringup.bench import BOARD_CLOCK_U, HOST_CLOCK_U, Bench, Effect, Floats, Step, not_measured
+from adis_gonio.bringup.result import Answer, Curve, Measured, Outcome, StepResult, Verdict
+from adis_gonio.bus import Capability, Words
+from adis_gonio.errors import UsageError
+from adis_gonio.sensor.frames import read_frames, timing_for, write_frames
+from adis_gonio.sensor.registers import BY_NAME, ND
+from adis_gonio.sensor.settings import sample_period_s
+
+_CODES = [n for n in range(256) if n & 0x7F or n & 0x80]
+_MISC = BY_NAME["MSC_CTRL"]
+_READ = "XACCL_OUT"
+
+
+@dataclass(frozen=True)
+class Period:
+    """Measured period of the update in s with its standard uncertainty."""
+
+    value_s: float
+    u_s: float
+
+
+def measured_period(bench: Bench, expected_s: float, updates: int) -> Period | str:
+    """Period of the update from ND of one register read again and again; or why it cannot be.
+
+    The first read after an update carries ND, so a span of ND flags is a whole number of periods long to
+    within a read's time at either end, evenly spread: u = frame sqrt(1/6) / number of periods.
+    """
+    _, frame_s = bench.repeated(_READ, 4)
+    if frame_s > expected_s / 2.5:
+        return (
+            f"this bridge reads a word in {1e3 * frame_s:.2g} ms, an update takes {1e3 * expected_s:.2g} ms"
+        )
+    spans, periods, ends = 0.0, 0, 0
+    batch = math.ceil(min(updates, 256) * expected_s / frame_s)
+    for _ in range(64 + 2 * updates):
+        words, frame_s = bench.repeated(_READ, batch)
+        at = np.flatnonzero(words & ND)
+        if len(at) > 1:
+            if at[0] == 0:
+                at = at[1:]  # the update may have been long before the batch began
+            if len(at) > 1:
+                spans += float(at[-1] - at[0]) * frame_s
+                periods += len(at) - 1
+                ends += 1
+        if periods >= updates:
+            break
+    if not periods:
+        return "no update was seen: bit ND never came"
+    value = spans / periods
+    clock_u = BOARD_CLOCK_U if bench.bus.unbroken_frames is not None else HOST_CLOCK_U
+    return Period(value, math.hypot(frame_s * math.sqrt(ends / 6) / periods, clock_u * value))
+
+
+def nearest_code(period_s: float) -> int:
+    """SMPL_PRD whose nominal period is nearest by ratio."""
+    return min(_CODES, key=lambda n: abs(math.log(period_s / sample_period_s(n))))
+
+
+class Rate(Step):
+    """Rate of ND against SMPL_PRD."""
+
+    name = "sample rate"
+    does = "counts new-data flags (ND) of one register that is read without a pause"
+
+    def run(self, bench: Bench) -> StepResult:
+        """Compare with the period that SMPL_PRD says."""
+        configuration = bench.sensor.configuration()
+        expected = configuration.sample_period_s
+        found = measured_period(bench, expected, max(8, min(512, round(2.0 / expected))))
+        if isinstance(found, str):
+            return not_measured(found)
+        rate = 1 / found.value_s
+        figures = (
+            Measured("sample rate", rate, "Hz", rate * found.u_s / found.value_s, 1 / expected),
+            Measured("period", 1e6 * found.value_s, "us", 1e6 * found.u_s, 1e6 * expected),
+        )
+        off = abs(found.value_s - expected)
+        if off <= bench.budget.z() * found.u_s:
+            return StepResult(Verdict.OK, f"{rate:.2f} updates a second, as SMPL_PRD says", figures)
+        code = nearest_code(found.value_s)
+        if sample_period_s(code) != expected:
+            return StepResult(
+                Verdict.FAULT,
+                f"{rate:.2f} updates a second, SMPL_PRD says {1 / expected:.2f}; that would be"
+                f" SMPL_PRD = 0x{code:02X}",
+                figures,
+            )
+        return StepResult(
+            Verdict.DIFFERS,
+            f"{rate:.2f} updates a second, {100 * (rate * expected - 1):+.2f} % from SMPL_PRD's nominal rate",
+            figures,
+        )
+
+
+@dataclass(frozen=True)
+class _Edges:
+    """What scans of one register, started by the bridge at edges, show.
+
+    Attributes
+    ----------
+    position : (n,) int
+        Number of the read that carries ND in each scan; -1 none, -2 several.
+    """
+
+    position: Words
+    lost: int
+    jitter_us: float
+    rate_hz: float
+    frame_us: float
+    reads: int
+
+    @property
+    def usual(self) -> int:
+        """Most frequent position."""
+        values, counts = np.unique(self.position, return_counts=True)
+        return int(values[np.argmax(counts)])
+
+    @property
+    def locked(self) -> float:
+        """Share of scans with ND at the usual position or beside it: the edge belongs to the update."""
+        near = np.abs(self.position - self.usual) <= 1
+        return float(np.mean(near & (self.position >= 0)))
+
+
+class DataReady(Step):
+    """Edges of data-ready: their rate, whose they are, which of the two leads, jitter, missed ones."""
+
+    name = "data-ready"
+    does = (
+        "enables data-ready, counts edges, starts scans at both edges of the pulse and looks where ND comes"
+    )
+    effect = Effect.LENDS
+    _scans = 256
+    _lists = (28, 16, 8)
+    """Reads of a scan: as many as the bridge takes, so that they fill a period."""
+
+    def run(self, bench: Bench) -> StepResult:
+        """Both polarities where the bridge starts scans, a count where it only counts."""
+        streams, counts = bench.has(Capability.STREAM), bench.has(Capability.EVENT_COUNTER)
+        if not (streams or counts):
+            return not_measured(
+                "this bridge has no data-ready input (neither streams nor an event counter)"
+            )
+        if not bench.lends:
+            return not_measured("it would enable data-ready, which --leave-registers forbids")
+        configuration = bench.sensor.configuration()
+        period = configuration.sample_period_s
+        figures: list[Measured] = []
+        before = bench.sensor.read(_MISC)
+        try:
+            if counts:
+                self._enable(bench, before, first=True)
+                expected, edges = self._count(bench, period)
+                figures.append(Measured("edges counted", edges, expected=expected))
+                # Two edges may lie on either side of the span; the bridge's clock is off by so much.
+                slack = 2 + bench.budget.z() * BOARD_CLOCK_U * expected
+                if edges == 0:
+                    return StepResult(
+                        Verdict.FAULT, "no edge arrives: is DIO1 wired to the bridge's data-ready input?",
+                        tuple(figures),
+                    )  # fmt: skip
+                if abs(edges - expected) > slack:
+                    return StepResult(Verdict.FAULT, self._of_rate(edges, expected, period), tuple(figures))
+                bench.data_ready = True
+            if not streams:
+                return StepResult(
+                    Verdict.OK,
+                    f"{edges} edges where {expected:.0f} updates were expected; which edge leads: not measured,"
+                    " this bridge starts no scans at the edge",
+                    tuple(figures),
+                )
+            bench.data_ready = False
+            self._enable(bench, before, first=True)
+            first = self._scan(bench, period)
+            self._enable(bench, before, first=False)
+            second = self._scan(bench, period)
+        except UsageError as error:
+            return not_measured(
+                f"this bridge takes no list of {self._lists[-1]} reads at an edge ({error})"
+            )
+        finally:
+            self._write(bench, before)
+            bench.refresh()
+        return self._judge(bench, period, first, second, figures)
+
+    def _enable(self, bench: Bench, before: int, *, first: bool) -> None:
+        """Data-ready on DIO1, so that the bridge's edge is the pulse's first or second one."""
+        low = before & ~(_MISC.field("polarity").mask | _MISC.field("line").mask)
+        low |= _MISC.field("data_ready").mask
+        if bench.bus.edge_rises == first:
+            low |= _MISC.field("polarity").mask
+        self._write(bench, low)
+
+    def _write(self, bench: Bench, word: int) -> None:
+        bench.bus.exchange_array(write_frames(_MISC, word & _MISC.write_mask, byte_mask=0x00FF))
+
+    def _count(self, bench: Bench, period_s: float) -> tuple[float, int]:
+        """Updates expected and edges counted meanwhile."""
+        bench.bus.read_event_counter()
+        begin_s = bench.bus.now_s()
+        bench.bus.sleep_s(max(0.5, 20 * period_s))
+        edges = bench.bus.read_event_counter()
+        return (bench.bus.now_s() - begin_s) / period_s, edges
+
+    def _of_rate(self, edges: int, expected: float, period_s: float) -> str:
+        rate = edges / expected / period_s
+        rest = (
+            "edges are missed: the line is weak, or the bridge is busy"
+            if edges < expected
+            else "what arrives is not data-ready alone: the input is open or picks up noise"
+        )
+        return f"{rate:.0f} edges a second where {1 / period_s:.1f} updates are configured: {rest}"
+
+    def _scan(self, bench: Bench, period_s: float) -> _Edges:
+        """Scans that nearly fill the period with reads of one register."""
+        frame = int(read_frames([BY_NAME[_READ]])[0])
+        timing = timing_for(bench.sensor.read("SMPL_PRD"))
+        for reads in self._lists:
+            # One more frame fetches the last reply; a twentieth of the period is left for the bridge.
+            fill_us = math.floor(0.95e6 * period_s / (reads + 1))
+            fitting = min(max(timing.period_us, fill_us), 1000.0)
+            if (reads + 1) * fitting > 0.97e6 * period_s:
+                continue
+            got = bench.bus.configure(replace(timing, period_us=fitting))
+            try:
+                stream = bench.bus.stream([frame] * reads, block_scans=self._scans // 4)
+            except UsageError:
+                if reads == self._lists[-1]:
+                    raise
+                continue
+            with stream:
+                blocks = [next(stream) for _ in range(4)]
+            words = np.concatenate([block.words for block in blocks])
+            times = np.concatenate([block.time_s for block in blocks])
+            lost = sum(block.lost for block in blocks[1:])  # what was before the first block is no loss
+            return _Edges(_positions(words), lost, *_jitter(times, period_s), 1e6 * got.frame_s, reads)
+        raise UsageError("the period is too short for a list of reads")
+
+    def _judge(
+        self, bench: Bench, period_s: float, first: _Edges, second: _Edges, figures: list[Measured]
+    ) -> StepResult:
+        for name, edges in (("first", first), ("second", second)):
+            figures += [
+                Measured(f"{name} edge: rate of scans", edges.rate_hz, "Hz", expected=1 / period_s),
+                Measured(f"{name} edge: scans that follow an update", edges.locked, expected=1.0),
+                Measured(f"{name} edge: read that carries ND", edges.usual, expected=0),
+                Measured(f"{name} edge: jitter (rms, as the bridge stamps it)", edges.jitter_us, "us"),
+                Measured(f"{name} edge: missed", edges.lost, expected=0),
+            ]
+        curve = _histogram(first, second)
+        result = lambda verdict, text, answers=(): StepResult(  # noqa: E731
+            verdict, text, tuple(figures), dict(answers), (curve,)
+        )
+        if first.locked < 1:
+            return result(
+                Verdict.FAULT,
+                f"{100 * (1 - first.locked):.0f} % of the scans do not follow an update: the input picks up what"
+                " is not data-ready",
+            )
+        missed = first.lost + second.lost
+        if missed:
+            return result(Verdict.FAULT, f"{missed} of {2 * self._scans + missed} edges were missed")
+        bench.data_ready = True
+        late_us = _delay_us(first, bench)
+        answers = {}
+        if second.locked == 1:
+            answers["data_ready_pulse"] = _pulse(first, second, period_s, bench)
+        if first.usual > 0:
+            answers["data_ready_edge"] = Answer(
+                Outcome.CONTRADICTS,
+                f"the update comes {late_us[0]:.0f} to {late_us[1]:.0f} µs after the pulse's first edge",
+                (
+                    Measured(
+                        "update after the first edge",
+                        sum(late_us) / 2,
+                        "us",
+                        first.frame_us / math.sqrt(12),
+                    ),
+                ),
+            )
+            return result(
+                Verdict.FAULT,
+                f"the wrong edge leads: the update comes {late_us[0]:.0f} to {late_us[1]:.0f} µs after the edge that"
+                " starts a scan, so that its words mix two updates; use the other edge (edge= in the URL)",
+                answers.items(),
+            )
+        before_us = 1e6 * period_s - first.reads * first.frame_us
+        answers["data_ready_edge"] = Answer(
+            Outcome.CONFIRMS,
+            f"the update is over when a scan starts at the pulse's first edge, by {before_us:.0f} µs at most",
+        )
+        return result(
+            Verdict.OK,
+            f"every edge follows an update, none is missed; the first edge of the pulse leads; jitter"
+            f" {first.jitter_us:.1f} µs rms",
+            answers.items(),
+        )
+
+
+def _positions(words: Words) -> Words:
+    new = (words & ND).astype(bool)
+    new[0] = False  # before the first scan nobody read
+    count = new.sum(axis=1)
+    place = np.where(count == 1, np.argmax(new, axis=1), np.where(count, -2, -1))
+    return np.asarray(place[1:], np.int64)  # type: ignore[return-value]
+
+
+def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
+    """Rms in µs of the times about an even row, and their rate in Hz."""
+    steps = np.diff(time_s)
+    number = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / period_s), 1))])
+    slope, _ = np.polyfit(number, time_s - time_s[0], 1)
+    rest = time_s - time_s[0] - np.polyval(np.polyfit(number, time_s - time_s[0], 1), number)
+    del slope
+    return 1e6 * float(np.std(rest)), (len(time_s) - 1) / float(time_s[-1] - time_s[0])
+
+
+def _delay_us(edges: _Edges, bench: Bench) -> tuple[float, float]:
+    """The update lies between the read before the one with ND and that one: a word is taken at its end."""
+    clocks_us = 16e6 / bench.bus.timing.clock_hz
+    return (edges.usual - 1) * edges.frame_us + clocks_us, edges.usual * edges.frame_us + clocks_us
+
+
+def _pulse(first: _Edges, second: _Edges, period_s: float, bench: Bench) -> Answer:
+    """Width of the pulse from where the update lies behind its two edges."""
+    apart = (first.usual - second.usual) % first.reads
+    if apart:
+        width = apart * first.frame_us
+        figure = Measured("pulse", width, "us", first.frame_us / math.sqrt(6))
+        return Answer(Outcome.MEASURED, "from where ND comes in scans at either edge", (figure,))
+    gap_us = 1e6 * period_s - (first.reads - 1) * first.frame_us
+    return Answer(
+        Outcome.MEASURED,
+        f"shorter than {gap_us:.0f} µs: scans at either edge find the update in the same place",
+        (Measured("pulse, upper limit", gap_us, "us"),),
+    )
+
+
+def _histogram(first: _Edges, second: _Edges) -> Curve:
+    places = list(range(-2, first.reads))
+    share = {
+        name: [float(np.mean(edges.position == place)) for place in places]
+        for name, edges in (("first edge", first), ("second edge", second))
+    }
+    return Curve(
+        "data-ready", "read of the scan that carries ND", "share of the scans", places, share,
+        "Where the update lies in scans started at either edge of the pulse: 0 means before the first read,"
+        " -1 no update between two edges, -2 several.",
+    )  # fmt: skip
+
+
+class SamplePeriods(Step):
+    """Steps of SMPL_PRD in both time bases."""
+
+    name = "sample periods"
+    does = "writes eight steps of SMPL_PRD in both time bases and measures the period of each"
+    effect = Effect.WRITES
+    question = "Write SMPL_PRD (eight values, about 10 s)?"
+    _codes = (0x01, 0x04, 0x09, 0x0A, 0x1F, 0x7F, 0x80, 0x83)
+
+    def run(self, bench: Bench) -> StepResult:
+        """Compare each with base × (N + 1)."""
+        figures, off, why = [], [], ""
+        for code in self._codes:
+            bench.sensor.write("SMPL_PRD", code)
+            expected = sample_period_s(code)
+            bench.bus.sleep_s(2 * expected)
+            found = measured_period(bench, expected, max(12, min(256, round(0.5 / expected))))
+            if isinstance(found, str):
+                why = found
+                continue
+            figures.append(
+                Measured(
+                    f"period at 0x{code:02X}", 1e3 * found.value_s, "ms", 1e3 * found.u_s, 1e3 * expected
+                )
+            )
+            if abs(found.value_s - expected) > bench.budget.z() * found.u_s:
+                off.append((code, found.value_s / expected))
+        if not figures:
+            return not_measured(why)
+        if off:
+            text = "; ".join(f"0x{code:02X}: {ratio:.4f} times its nominal period" for code, ratio in off)
+            answer = Answer(Outcome.CONTRADICTS, text, tuple(figures))
+            return StepResult(Verdict.DIFFERS, text, tuple(figures), {"sample_period": answer})
+        text = f"{len(figures)} steps of both time bases have their nominal period"
+        answer = Answer(Outcome.CONFIRMS, text, tuple(figures))
+        return StepResult(Verdict.OK, text, tuple(figures), {"sample_period": answer})
