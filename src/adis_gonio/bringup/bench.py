@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -17,7 +17,8 @@ from adis_gonio.bus import Capability, Words
 from adis_gonio.sensor.decoding import ScanBlock, join
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.sensor.frames import IDLE
-from adis_gonio.sensor.registers import BY_NAME, EA, Register, register
+from adis_gonio.sensor.registers import BY_NAME, EA, Register, register, registers
+from adis_gonio.sensor.scanning import PolledScans, ScanLayout, ScanStream
 
 Floats = NDArray[np.float64]
 
@@ -25,6 +26,12 @@ HOST_CLOCK_U = 100e-6 / np.sqrt(3)
 """Relative standard uncertainty of a computer's clock: quartz, within 100 ppm."""
 BOARD_CLOCK_U = 5e-3 / np.sqrt(3)
 """The same of a bridge that times frames itself: a ceramic resonator, within 0.5 %."""
+
+
+LONGEST_S = 40.0
+"""No run of scans takes longer, for slow bridges and slow sample rates, …"""
+FEWEST = 16
+"""… unless there are not even so many scans."""
 
 
 class Effect(StrEnum):
@@ -71,6 +78,8 @@ class Bench:
         Data-ready may be enabled.
     blocked : str
         Why nothing more can be measured; empty while something can.
+    clock : float
+        Measured period of the update over its nominal one; 1 where it is not known.
     data_ready : bool
         Edges were seen to belong to the updates.
     supply_ok : bool
@@ -82,6 +91,8 @@ class Bench:
     budget: Budget = field(default_factory=Budget)
     lends: bool = True
     blocked: str = ""
+    clock: float = 1.0
+    clock_known: bool = False
     data_ready: bool = False
     supply_ok: bool = True
     constants: dict[str, int] = field(default_factory=dict)
@@ -113,28 +124,43 @@ class Bench:
         return replies[1:], self.bus.timing.frame_s if timed else took_s
 
     def scans(self, count: int, names: Sequence[str]) -> tuple[ScanBlock, bool]:
-        """Scans (at most `count`), and whether they follow each other without a gap.
+        """Scans (at most `count`, no longer than `LONGEST_S`), and whether they follow without a gap.
 
         The bridge streams where data-ready may be lent and was found to work, else it polls. Where there
         are gaps the longest run without one is returned if it is long enough, else all scans.
         """
-        lent = self.lends and self.data_ready
         blocks: list[ScanBlock] = []
-        have = 0
-        with self.sensor.stream(names, block_scans=min(count, 256), leave_registers=not lent) as stream:
+        have, begin_s = 0, self.bus.now_s()
+        with self._stream(names, min(count, 256)) as stream:
             for block in stream:
                 blocks.append(block)
                 have += len(block)
-                if have >= count:
+                late = self.bus.now_s() - begin_s > LONGEST_S
+                if have >= count or (late and have >= FEWEST):
                     break
         whole = join(blocks).first(count)
         run = _longest_run(blocks, count)
         return (run, True) if len(run) >= count // 2 else (whole, False)
 
+    def _stream(self, names: Sequence[str], block_scans: int) -> ScanStream:
+        if self.lends and self.data_ready:
+            return self.sensor.stream(names, block_scans=block_scans)
+        # Data-ready may be enabled and not be wired: polling needs none.
+        now = self.sensor.configuration()
+        layout = ScanLayout(
+            registers(names), self.sensor.variant.name, now.gyro_range_dps, now.sample_period_s
+        )
+        return PolledScans(self.bus, layout, max(4, min(block_scans, round(0.5 / now.sample_period_s))))
+
     def means(self, count: int, names: Sequence[str]) -> Floats:
         """Means of the registers' numbers over `count` scans."""
         block, _ = self.scans(count, names)
         return np.asarray(block.numbers().mean(axis=0), np.float64)
+
+    def sample_quickly(self) -> None:
+        """The fastest sample rate, for steps that write anyway."""
+        if self.sensor.read("SMPL_PRD") & 0xFF != 0x01:
+            self.sensor.write("SMPL_PRD", 0x01)
 
     # -- flags ------------------------------------------------------------------------------------------
 
@@ -168,8 +194,6 @@ def _longest_run(blocks: Sequence[ScanBlock], count: int) -> ScanBlock:
     if not len(lengths):
         return whole.first(0)
     best = int(np.argmax(lengths))
-    from dataclasses import replace
-
     cut = slice(breaks[best], min(breaks[best + 1], breaks[best] + count))
     return replace(whole, words=whole.words[cut], time_s=whole.time_s[cut], lost=0, missed=None)
 

@@ -49,7 +49,10 @@ class Health(Step):
         value, u = zero + lsb * mean, lsb * u
         figures = (
             Measured("supply", float(value[0]), "V", float(u[0]), 5.0),
-            *(Measured(f"temperature {axis}", float(t), "degC", float(s)) for axis, t, s in zip("xyz", value[1:], u[1:], strict=True)),
+            *(
+                Measured(f"temperature {axis}", float(t), "degC", float(s))
+                for axis, t, s in zip("xyz", value[1:], u[1:], strict=True)
+            ),
             Measured("STATUS as it was found", found),
             Measured("STATUS read again", standing.word, expected=0),
         )  # fmt: skip
@@ -67,10 +70,9 @@ class Health(Step):
             bench.supply_ok = False
         if wrong:
             return StepResult(Verdict.FAULT, "; ".join(wrong), figures)
+        warmth = ", ".join(f"{t:.1f}" for t in value[1:])
         return StepResult(
-            Verdict.OK,
-            f"supply {value[0]:.3f} V, temperatures {', '.join(f'{t:.1f}' for t in value[1:])} °C, STATUS clear",
-            figures,
+            Verdict.OK, f"supply {value[0]:.3f} V, temperatures {warmth} °C, STATUS clear", figures
         )
 
 
@@ -92,7 +94,10 @@ class WhichPart(Step):
         off = norm / asked.one_g_lsb - 1
         figures = (
             Measured("|a|", norm, "LSB", u_norm, asked.one_g_lsb),
-            *(Measured(f"mean of {name}", float(m), "LSB", float(s)) for name, m, s in zip(ACCEL_OUT, mean, u, strict=True)),
+            *(
+                Measured(f"mean of {name}", float(m), "LSB", float(s))
+                for name, m, s in zip(ACCEL_OUT, mean, u, strict=True)
+            ),
             Measured("tolerance of |a| (1 sigma)", tolerance * asked.one_g_lsb, "LSB"),
         )  # fmt: skip
         nearest = min(VARIANTS.values(), key=lambda v: abs(np.log(max(norm, 1e-9) / v.one_g_lsb)))
@@ -109,13 +114,14 @@ class WhichPart(Step):
         if not fits:
             return StepResult(
                 Verdict.FAULT,
-                f"|a| is {norm / asked.one_g_lsb:.2f} g: no known part; keep it still, or an axis does not work",
+                f"|a| is {norm / asked.one_g_lsb:.2f} g: no known part; was it still? Does every axis work?",
                 figures,
             )
         if abs(off) > bench.budget.z() * tolerance:
             return StepResult(
                 Verdict.DIFFERS,
-                f"|a| is {1000 * norm / asked.one_g_lsb:.0f} mg, more from 1 g than the table's bias and gain allow",
+                f"|a| is {1000 * norm / asked.one_g_lsb:.0f} mg, further from 1 g than the table's bias and gain"
+                " allow",
                 figures,
             )
         return StepResult(

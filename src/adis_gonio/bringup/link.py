@@ -1,4 +1,4 @@
-"""The link: does anything sensible answer, does the bridge keep the limits, at which clocks without errors."""
+"""The link: does anything sensible answer, are the limits kept, at which clocks are words right."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from adis_gonio.bringup.result import Curve, Measured, StepResult, Verdict
 from adis_gonio.bus import SpiTiming, Words
 from adis_gonio.errors import UsageError
 from adis_gonio.sensor.frames import FAST, FAST_UP_TO, IDLE, NORMAL, read_frames
-from adis_gonio.sensor.registers import BY_NAME, REGISTERS, Register
+from adis_gonio.sensor.registers import REGISTERS, Register
 from adis_gonio.sensor.variants import LEAST_M, RANGE_CODE
 
 CLOCKS_HZ = (2e6, 1.5e6, 1e6, 750e3, 500e3, 250e3, 125e3, 62.5e3, 31.25e3)
@@ -63,7 +63,7 @@ _READINGS: tuple[tuple[str, Callable[[int], int]], ...] = (
 
 
 class Link(Step):
-    """Is there a chip, and is it read the right way?"""
+    """Whether there is a chip, and whether it is read the right way."""
 
     name = "link"
     does = "reads the control registers three times: silence, a stuck, inverted or shifted data line"
@@ -73,7 +73,9 @@ class Link(Step):
         frames = np.append(np.tile(read_frames(_CONSTANT), _PASSES), np.uint16(IDLE))
         words = bench.bus.exchange_array(frames)[1:].reshape(_PASSES, -1)
         first = [int(word) for word in words[0]]
-        figures = (Measured("control registers read", len(first), expected=len(_CONSTANT)),)
+        figures: tuple[Measured, ...] = (
+            Measured("control registers read", len(first), expected=len(_CONSTANT)),
+        )
         problem = _silence(words) or _unsteady(words)
         if not problem:
             scores = [
@@ -92,8 +94,8 @@ class Link(Step):
         wrong = [row.name for row, word in zip(_CONSTANT, first, strict=True) if not legal(row, word)]
         if wrong:
             return StepResult(
-                Verdict.DIFFERS, f"registers answer, but with bits that they should not have: {', '.join(wrong)}",
-                figures,
+                Verdict.DIFFERS,
+                f"registers answer, but with bits that they should not have: {', '.join(wrong)}", figures,
             )  # fmt: skip
         names = ", ".join(sorted(bench.bus.capabilities)) or "none"
         return StepResult(
@@ -153,9 +155,9 @@ class Timing(Step):
             )
         return StepResult(
             Verdict.OK,
-            f"the bridge keeps the limits: {figures[0].value / 1e3:g} kHz, stall {figures[1].value:g} µs in fast"
-            f" mode, {figures[3].value / 1e3:g} kHz, {figures[4].value:g} µs in normal mode, as it reports them;"
-            f" in normal mode a frame takes {frame_us:.0f} µs",
+            f"the bridge reports {figures[0].value / 1e3:g} kHz and {figures[1].value:g} µs of stall in fast"
+            f" mode, {figures[3].value / 1e3:g} kHz and {figures[4].value:g} µs in normal mode, where a frame"
+            f" takes {frame_us:.0f} µs",
             tuple(figures),
         )
 
@@ -230,7 +232,10 @@ class BitErrors(Step):
         bits = 16 * sum(trial.reads for trial in trials)
         errors = sum(trial.wrong_bits for trial in trials)
         figures = (
-            *(Measured(f"wrong words at {t.clock_hz / 1e3:g} kHz, of {t.reads}", t.wrong_words, expected=0) for t in trials),
+            *(
+                Measured(f"wrong words at {t.clock_hz / 1e3:g} kHz, of {t.reads}", t.wrong_words, expected=0)
+                for t in trials
+            ),
             Measured("bit error rate, upper limit (95 %)", at_most(errors, bits)),
         )  # fmt: skip
         curve = Curve(
@@ -253,7 +258,9 @@ class BitErrors(Step):
             bench.blocked = "words are wrong at the slowest clock"
             text += ", the slowest: shorten the wires, check supply and ground"
         else:
-            text += f", none up to {clean[-1] / 1e3:g} kHz: shorten the wires; the rest was done no faster than that"
+            text += (
+                f", none up to {clean[-1] / 1e3:g} kHz: shorten the wires; what follows was done no faster"
+            )
         if changed:
             text += f"; a read became a write: {', '.join(changed)} changed"
         return StepResult(Verdict.FAULT, text, figures, curves=(curve,))
@@ -289,4 +296,5 @@ def _judge(clock_hz: float, words: Words, expected: Words, frame_us: float) -> _
 def _majority(words: Words) -> Words:
     """Each bit as most of the passes have it."""
     ones = ((words[:, :, np.newaxis] >> np.arange(16, dtype=np.uint16)) & 1).mean(axis=0) > 0.5
-    return (ones.astype(np.uint32) << np.arange(16)).sum(axis=1).astype(np.uint16)
+    words_of: Words = (ones.astype(np.uint32) << np.arange(16)).sum(axis=1).astype(np.uint16)
+    return words_of

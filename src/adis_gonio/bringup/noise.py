@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from adis_gonio.bringup.bench import Bench, Effect, Floats, Step, not_measured
+from adis_gonio.bringup.bench import LONGEST_S, Bench, Effect, Floats, Step, not_measured
 from adis_gonio.bringup.health import bartlett, white_gain
 from adis_gonio.bringup.result import Answer, Curve, Measured, Outcome, StepResult, Verdict
 from adis_gonio.sensor.decoding import scales
@@ -51,7 +51,7 @@ def spectrum(values: Floats) -> tuple[Floats, Floats]:
     flat = flat - np.outer(at, at @ flat) / float(at @ at)
     window = np.hanning(n + 1)[:-1]
     power = np.abs(np.fft.rfft(flat * window[:, None], axis=0)) ** 2 / np.sum(window**2)
-    return np.fft.rfftfreq(n), power
+    return np.asarray(np.fft.rfftfreq(n), np.float64), np.asarray(power, np.float64)
 
 
 class Noise(Step):
@@ -59,6 +59,7 @@ class Noise(Step):
 
     name = "noise"
     does = f"{_SCANS} scans of accelerometers and gyros at rest: rms, bands of the spectrum, tones"
+    effect = Effect.LENDS
 
     def run(self, bench: Bench) -> StepResult:
         """Judge six axes."""
@@ -70,6 +71,10 @@ class Noise(Step):
         block, whole = bench.scans(_SCANS, names)
         if not whole:
             block = block.first(_FEW)
+        if len(block) < _FEW // 4:
+            return not_measured(
+                f"{len(block)} scans in {LONGEST_S:g} s are too few; a faster SMPL_PRD gives more"
+            )
         m, rate = configuration.filter_m, configuration.sample_rate_hz
         lsb, _, units = scales(registers(names), sensor.variant, configuration.gyro_range_dps)
         performance = sensor.variant.performance
@@ -84,10 +89,14 @@ class Noise(Step):
             spacing = float(np.mean(np.diff(block.time_s))) * rate
             judged = _by_variance(bench, numbers, m, spacing, expected / lsb)
         found, u = judged.sigma * lsb, judged.u * lsb
-        figures = tuple(
-            Measured(f"noise of {name}, unfiltered", float(s), unit, float(d), float(e))
-            for name, s, d, e, unit in zip(names, found, u, expected, units, strict=True)
-        ) + (Measured("scans", len(block)), *judged.figures)
+        figures = (
+            *(
+                Measured(f"noise of {name}, unfiltered", float(s), unit, float(d), float(e))
+                for name, s, d, e, unit in zip(names, found, u, expected, units, strict=True)
+            ),
+            Measured("scans", len(block)),
+            *judged.figures,
+        )
         answers = {
             "accel_noise": _answer(names[:3], found[:3], u[:3], judged.level_off[:3], "mg", expected[0]),
             "gyro_noise": _answer(names[3:], found[3:], u[3:], judged.level_off[3:], "°/s", expected[3]),
@@ -95,7 +104,7 @@ class Noise(Step):
         curves = judged.curves(names)
         if judged.tones:
             text = "; ".join(
-                f"a tone at {hz:.1f} Hz on {names[k]}, {math.sqrt(2) * rms * lsb[k]:.2g} {units[k]} in amplitude"
+                f"a tone at {hz:.1f} Hz on {names[k]}, amplitude {math.sqrt(2) * rms * lsb[k]:.2g} {units[k]}"
                 for k, hz, rms in judged.tones
             )
             return StepResult(Verdict.FAULT, f"{text}: hum or a vibrating table", figures, answers, curves)
@@ -140,8 +149,8 @@ class _Judged:
                 "noise", "frequency / Hz", "noise / that of the figure, unfiltered", [float(f) for f in hz],
                 {name: [float(p) for p in power[:, k]] for k, name in enumerate(names)}
                 | {"filter": [float(p) for p in shape]},
-                "Spectra over the level that the variant's noise has without the filter, mean of neighbouring"
-                " bins, and the shape of the filter.",
+                "Spectra over the level that the variant's noise has without the filter, neighbouring bins"
+                " averaged, and the shape of the filter.",
                 log=True,
             ),
         )  # fmt: skip
@@ -226,6 +235,7 @@ class FilterSteps(Step):
         lsb = bench.sensor.variant.accel_mg_per_lsb
         flicker = (bench.sensor.variant.performance.bias_instability_mg / lsb) ** 2
         variances, dofs = [], []
+        bench.sample_quickly()
         for m in range(7):
             bench.sensor.write("SENS_AVG", sens_avg_word(300, m))
             configuration = bench.sensor.configuration()
@@ -252,7 +262,7 @@ class FilterSteps(Step):
                 off.append(m)
         text = ", ".join(f"{figure.value:.3f}" for figure in figures)
         if off:
-            text = f"noise gains {text} for M = 1 … 6; the table's do not fit at M = {', '.join(map(str, off))}"
+            text = f"noise gains {text} for M = 1 … 6, not the table's at M = {', '.join(map(str, off))}"
             answer = Answer(Outcome.CONTRADICTS, text, tuple(figures))
             return StepResult(Verdict.DIFFERS, text, tuple(figures), {"filter_gain": answer})
         text = f"noise gains {text} for M = 1 … 6, as the table says"

@@ -64,7 +64,8 @@ QUESTIONS: tuple[Question, ...] = (
         " and one pose also has the bias in it (10 mg are 1 %)",
     ),
     _register(
-        "accel_offset_lsb", "XACCL_OFF", "LSB of XACCL_OFF, YACCL_OFF, ZACCL_OFF in LSB of the output?", "1",
+        "accel_offset_lsb", "XACCL_OFF", "LSB of XACCL_OFF, YACCL_OFF, ZACCL_OFF in LSB of the output?",
+        "1",
     ),
     Question(
         "offset_after_filter", "Do the offsets act before or after the filter?",
@@ -84,7 +85,8 @@ QUESTIONS: tuple[Question, ...] = (
         _ESTIMATE, "D", "one pose has |a| only; calibrate with the plan 'poses'",
     ),
     Question(
-        "accel_alignment", "Angle between the axes?", f"within {_FIGURES.non_orthogonality_deg}°", "DS", "B",
+        "accel_alignment", "Angle between the axes?", f"within {_FIGURES.non_orthogonality_deg}°",
+        "DS", "B",
         "needs several poses; calibrate with the plan 'poses'",
     ),
     Question(
@@ -94,7 +96,8 @@ QUESTIONS: tuple[Question, ...] = (
     ),
     Question(
         "accel_temperature", "Temperature coefficients of bias and gain?",
-        f"{_FIGURES.bias_tempco_mg_per_c} mg/°C, {_FIGURES.scale_tempco_ppm_per_c:g} ppm/°C", _ESTIMATE, "D",
+        f"{_FIGURES.bias_tempco_mg_per_c} mg/°C, {_FIGURES.scale_tempco_ppm_per_c:g} ppm/°C",
+        _ESTIMATE, "D",
         "needs a chamber, or a warm-up that is recorded",
     ),
     Question(
@@ -110,7 +113,8 @@ QUESTIONS: tuple[Question, ...] = (
     ),
     Question("data_ready_pulse", "Width of the data-ready pulse?", "not given", "–", "?"),
     _register(
-        "self_test_gyro", "MSC_CTRL", "Do the gyros answer to both signs of the manual self-test?", "yes", "B"
+        "self_test_gyro", "MSC_CTRL", "Do the gyros answer to both signs of the manual self-test?",
+        "yes", "B",
     ),
     _register(
         "self_test_accel", "MSC_CTRL", "Do the accelerometers answer to the positive sign only?", "yes", "B"

@@ -73,7 +73,7 @@ def bring_up(
     bus: SpiBus,
     *,
     variant: str | Variant = "adis16354",
-    permission: Permission = Permission(),  # noqa: B008  (frozen)
+    permission: Permission = Permission(),
     tell: Callable[[Row], object] = lambda row: None,
     steps: tuple[Step, ...] = STEPS,
 ) -> Bringup:
@@ -101,6 +101,8 @@ def bring_up(
 
 
 class _Run:
+    _no_link = "the link does not work"
+
     def __init__(
         self, bus: SpiBus, variant: str | Variant, permission: Permission, tell: Callable[[Row], object]
     ) -> None:
@@ -113,8 +115,6 @@ class _Run:
         self._answers: dict[str, Answer] = {}
         self._bench: Bench | None = None
         self._undo: Undo | None = None
-        self._left: list[str] = []
-        self._unverified = ""
 
     def all(self, steps: tuple[Step, ...]) -> Bringup:
         begun = datetime.now(UTC).isoformat(timespec="seconds")
@@ -130,11 +130,7 @@ class _Run:
             if stopped:
                 result = not_measured("stopped by the operator")
             elif self._bench is None:
-                result = (
-                    StepResult(Verdict.FAULT, failure)
-                    if not self._rows
-                    else not_measured("the link does not work")
-                )
+                result = not_measured(self._no_link) if self._rows else StepResult(Verdict.FAULT, failure)
             else:
                 try:
                     result = self._one(self._bench, step)
@@ -152,17 +148,19 @@ class _Run:
             return not_measured("the answer to its question was no")
         if step.effect is Effect.READS:
             return _attempt(bench, step)
-        try:
-            if self._undo is None:
+        if self._undo is None:
+            try:
                 self._undo = Undo(bench)
-        except AdisGonioError as error:
-            return StepResult(Verdict.FAULT, str(error))
+            except AdisGonioError as error:
+                return StepResult(Verdict.FAULT, f"could not be done: {error}")
         try:
             return _attempt(bench, step)
         finally:
-            self._left = self._undo.put_back()
-            if self._left:
-                bench.blocked = f"{', '.join(self._left)} could not be put back"
+            try:
+                self._undo.put_back()
+            finally:
+                if self._undo.left:
+                    bench.blocked = f"{', '.join(self._undo.left)} could not be put back"
 
     def _refusal(self, step: Step) -> str:
         if step.effect is Effect.WRITES and not self._permission.writes:
@@ -184,8 +182,9 @@ class _Run:
             answers[question.name] = self._answers.get(question.name) or Answer(
                 Outcome.NOT_MEASURED, NO_ANSWER.format(question.otherwise)
             )
-        if self._left:
-            undone = f"NOT put back: {', '.join(self._left)}; switch the supply off and on"
+        left = () if self._undo is None else self._undo.left
+        if left:
+            undone = f"NOT put back: {', '.join(left)}; switch the supply off and on"
         elif self._undo is None:
             undone = "nothing was written"
         else:
@@ -200,7 +199,7 @@ class _Run:
             rows=tuple(self._rows),
             answers=answers,
             undone=undone,
-            undone_ok=not self._left,
+            undone_ok=not left,
             comparisons=self._budget.spent,
             false_alarm=self._budget.total,
             stopped=stopped,
@@ -217,7 +216,7 @@ def _attempt(bench: Bench, step: Step) -> StepResult:
 def _bridge(bus: ClockCeiling) -> dict[str, Any]:
     """What the bridge says of itself."""
     inner = bus.inner
-    said = {"bus": type(inner).__name__, "capabilities": sorted(inner.capabilities)}
+    said: dict[str, Any] = {"bus": type(inner).__name__, "capabilities": sorted(inner.capabilities)}
     said["unbroken_frames"] = inner.unbroken_frames
     said["clock_hz_used_at_most"] = bus.ceiling_hz
     firmware = getattr(inner, "firmware", None)

@@ -18,9 +18,10 @@ class Undo:
         self._bench = bench
         self.rows = writable()
         self.before = self._read()
+        self.left: tuple[str, ...] = ()
 
-    def put_back(self) -> list[str]:
-        """Restore every register that is not as it was noted; names of those that could not be.
+    def put_back(self) -> None:
+        """Restore every register that is not as it was noted; `left` names those that could not be.
 
         Raises
         ------
@@ -28,11 +29,11 @@ class Undo:
             The operator interrupted it; raised when it is done.
         """
         interrupted = False
-        left = [row.name for row in self.rows]
+        self.left = tuple(row.name for row in self.rows)
         for _ in range(_TRIES):
             try:
-                left = [row.name for row in self._restore()]
-                if not left:
+                self.left = tuple(row.name for row in self._restore())
+                if not self.left:
                     break
             except KeyboardInterrupt:
                 interrupted = True
@@ -40,7 +41,6 @@ class Undo:
                 continue
         if interrupted:
             raise KeyboardInterrupt
-        return left
 
     def _restore(self) -> list[Register]:
         """One try; rows that still differ."""

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.bringup.bench import BOARD_CLOCK_U, HOST_CLOCK_U, Bench, Effect, Floats, Step, not_measured
 from adis_gonio.bringup.result import Answer, Curve, Measured, Outcome, StepResult, Verdict
@@ -83,6 +84,7 @@ class Rate(Step):
             Measured("sample rate", rate, "Hz", rate * found.u_s / found.value_s, 1 / expected),
             Measured("period", 1e6 * found.value_s, "us", 1e6 * found.u_s, 1e6 * expected),
         )
+        bench.clock, bench.clock_known = found.value_s / expected, True
         off = abs(found.value_s - expected)
         if off <= bench.budget.z() * found.u_s:
             return StepResult(Verdict.OK, f"{rate:.2f} updates a second, as SMPL_PRD says", figures)
@@ -96,7 +98,7 @@ class Rate(Step):
             )
         return StepResult(
             Verdict.DIFFERS,
-            f"{rate:.2f} updates a second, {100 * (rate * expected - 1):+.2f} % from SMPL_PRD's nominal rate",
+            f"{rate:.2f} updates a second, {100 * (rate * expected - 1):+.2f} % from the nominal rate",
             figures,
         )
 
@@ -111,7 +113,7 @@ class _Edges:
         Number of the read that carries ND in each scan; -1 none, -2 several.
     """
 
-    position: Words
+    position: NDArray[np.int64]
     lost: int
     jitter_us: float
     rate_hz: float
@@ -153,7 +155,7 @@ class DataReady(Step):
         if not bench.lends:
             return not_measured("it would enable data-ready, which --leave-registers forbids")
         configuration = bench.sensor.configuration()
-        period = configuration.sample_period_s
+        period = configuration.sample_period_s * bench.clock
         figures: list[Measured] = []
         before = bench.sensor.read(_MISC)
         try:
@@ -174,8 +176,8 @@ class DataReady(Step):
             if not streams:
                 return StepResult(
                     Verdict.OK,
-                    f"{edges} edges where {expected:.0f} updates were expected; which edge leads: not measured,"
-                    " this bridge starts no scans at the edge",
+                    f"{edges} edges where {expected:.0f} updates were expected; which edge leads: not"
+                    " measured, this bridge starts no scans at the edge",
                     tuple(figures),
                 )
             bench.data_ready = False
@@ -257,21 +259,22 @@ class DataReady(Step):
                 Measured(f"{name} edge: missed", edges.lost, expected=0),
             ]
         curve = _histogram(first, second)
-        result = lambda verdict, text, answers=(): StepResult(  # noqa: E731
-            verdict, text, tuple(figures), dict(answers), (curve,)
-        )
+
+        def result(verdict: Verdict, text: str) -> StepResult:
+            return StepResult(verdict, text, tuple(figures), answers, (curve,))
+
+        answers: dict[str, Answer] = {}
         if first.locked < 1:
             return result(
                 Verdict.FAULT,
-                f"{100 * (1 - first.locked):.0f} % of the scans do not follow an update: the input picks up what"
-                " is not data-ready",
+                f"{100 * (1 - first.locked):.0f} % of the scans do not follow an update: the input picks up"
+                " noise",
             )
         missed = first.lost + second.lost
         if missed:
             return result(Verdict.FAULT, f"{missed} of {2 * self._scans + missed} edges were missed")
         bench.data_ready = True
         late_us = _delay_us(first, bench)
-        answers = {}
         if second.locked == 1:
             answers["data_ready_pulse"] = _pulse(first, second, period_s, bench)
         if first.usual > 0:
@@ -289,38 +292,36 @@ class DataReady(Step):
             )
             return result(
                 Verdict.FAULT,
-                f"the wrong edge leads: the update comes {late_us[0]:.0f} to {late_us[1]:.0f} µs after the edge that"
-                " starts a scan, so that its words mix two updates; use the other edge (edge= in the URL)",
-                answers.items(),
+                f"the wrong edge leads: the update comes {late_us[0]:.0f} to {late_us[1]:.0f} µs after the edge"
+                " that starts a scan, so that its words mix two updates; use the other edge (edge= in the"
+                " URL)",
             )
         before_us = 1e6 * period_s - first.reads * first.frame_us
         answers["data_ready_edge"] = Answer(
             Outcome.CONFIRMS,
-            f"the update is over when a scan starts at the pulse's first edge, by {before_us:.0f} µs at most",
+            f"a scan that starts at the pulse's first edge comes after the update, by {before_us:.0f} µs at"
+            " most",
         )
         return result(
             Verdict.OK,
             f"every edge follows an update, none is missed; the first edge of the pulse leads; jitter"
             f" {first.jitter_us:.1f} µs rms",
-            answers.items(),
         )
 
 
-def _positions(words: Words) -> Words:
+def _positions(words: Words) -> NDArray[np.int64]:
     new = (words & ND).astype(bool)
     new[0] = False  # before the first scan nobody read
     count = new.sum(axis=1)
     place = np.where(count == 1, np.argmax(new, axis=1), np.where(count, -2, -1))
-    return np.asarray(place[1:], np.int64)  # type: ignore[return-value]
+    return np.asarray(place[1:], np.int64)
 
 
 def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
     """Rms in µs of the times about an even row, and their rate in Hz."""
     steps = np.diff(time_s)
     number = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / period_s), 1))])
-    slope, _ = np.polyfit(number, time_s - time_s[0], 1)
     rest = time_s - time_s[0] - np.polyval(np.polyfit(number, time_s - time_s[0], 1), number)
-    del slope
     return 1e6 * float(np.std(rest)), (len(time_s) - 1) / float(time_s[-1] - time_s[0])
 
 
@@ -372,7 +373,7 @@ class SamplePeriods(Step):
         figures, off, why = [], [], ""
         for code in self._codes:
             bench.sensor.write("SMPL_PRD", code)
-            expected = sample_period_s(code)
+            expected = sample_period_s(code) * bench.clock
             bench.bus.sleep_s(2 * expected)
             found = measured_period(bench, expected, max(12, min(256, round(0.5 / expected))))
             if isinstance(found, str):
@@ -392,5 +393,7 @@ class SamplePeriods(Step):
             answer = Answer(Outcome.CONTRADICTS, text, tuple(figures))
             return StepResult(Verdict.DIFFERS, text, tuple(figures), {"sample_period": answer})
         text = f"{len(figures)} steps of both time bases have their nominal period"
+        if bench.clock_known:
+            text += f" by the part's own clock ({100 * (1 / bench.clock - 1):+.2f} %)"
         answer = Answer(Outcome.CONFIRMS, text, tuple(figures))
         return StepResult(Verdict.OK, text, tuple(figures), {"sample_period": answer})

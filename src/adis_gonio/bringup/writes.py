@@ -32,6 +32,7 @@ class Offset(Step):
     def run(self, bench: Bench) -> StepResult:
         """Means before, with and after the offset; drift between before and after cancels."""
         sensor = bench.sensor
+        bench.sample_quickly()
         held = [sensor.read(name) for name in ACCEL_OFF]
         steps = [_STEP if value + _STEP <= BY_NAME[ACCEL_OFF[0]].range[1] else -_STEP for value in held]
         before = bench.means(_SCANS, ACCEL_OUT)
@@ -60,8 +61,8 @@ class Offset(Step):
         if off:
             return StepResult(
                 Verdict.DIFFERS,
-                f"the outputs moved by {text} LSB for each LSB of the offset registers: their LSB is not the"
-                " output's",
+                f"the outputs moved by {text} LSB for each LSB of the offset registers: their LSB is not"
+                " the output's",
                 figures, answers,
             )  # fmt: skip
         return StepResult(
@@ -78,7 +79,7 @@ class Offset(Step):
 
     @staticmethod
     def _behind_filter(bench: Bench, held: int, step: int) -> Answer:
-        """With the longest filter: is the step there at once, or does it come in over 127 samples?"""
+        """With the longest filter: whether the step is there at once, or comes in over 127 samples."""
         sensor = bench.sensor
         sensor.write("SENS_AVG", sens_avg_word(300, _MOST_M))
         bench.wait_updates()
@@ -102,8 +103,8 @@ class Offset(Step):
         after = share > (0.5 + ramp / 2)
         return Answer(
             Outcome.MEASURED,
-            f"{'after' if after else 'before'} the filter: {100 * share:.0f} % of the step came with the next"
-            f" reading at M = {_MOST_M}",
+            f"{'after' if after else 'before'} the filter: {100 * share:.0f} % of the step came with the"
+            f" next reading at M = {_MOST_M}",
             figures,
         )
 
@@ -132,6 +133,7 @@ class SelfTests(Step):
     def run(self, bench: Bench) -> StepResult:
         """Means of six axes without, with +, without, with −, without."""
         internal = bench.sensor.self_test()
+        bench.sample_quickly()
         bench.wait_updates()
         names = (*ACCEL_OUT, *GYRO_OUT)
         means = []
@@ -180,12 +182,13 @@ def _self_test_answers(
     plus: Floats, minus: Floats, limit: Floats, figures: tuple[Measured, ...]
 ) -> dict[str, Answer]:
     both = [abs(minus[k]) > limit[k] and plus[k] * minus[k] < 0 for k in (3, 4, 5)]
+    deaf = ", ".join(axis for axis, answers in zip("XYZ", both, strict=True) if not answers)
     still = [abs(minus[k]) <= limit[k] for k in (0, 1, 2)]
     return {
         "self_test_gyro": Answer(
             Outcome.CONFIRMS if all(both) else Outcome.CONTRADICTS,
             "the gyros answer to both signs, opposite ways" if all(both)
-            else f"gyros {', '.join(a for a, b in zip('XYZ', both, strict=True) if not b)} do not answer to both signs",
+            else f"gyro {deaf} does not answer to both signs, opposite ways",
             tuple(f for f in figures if "GYRO" in f.name),
         ),
         "self_test_accel": Answer(
@@ -208,6 +211,7 @@ class StatusBits(Step):
 
     def run(self, bench: Bench) -> StepResult:
         """First the alarm, which the table says stays, then over-range, which it says falls."""
+        bench.sample_quickly()
         bench.status()
         bench.wait_updates()
         if standing := bench.status():
@@ -220,7 +224,7 @@ class StatusBits(Step):
             return StepResult(Verdict.DIFFERS, "; ".join(off), figures, answers)
         return StepResult(
             Verdict.OK,
-            "; ".join(answers[name].text for name in ("alarm_stays", "over_range_falls") if name in answers),
+            "; ".join(answers[name].text for name in ("alarm_stays", "over_range_falls")),
             figures, answers,
         )  # fmt: skip
 
@@ -274,7 +278,9 @@ class StatusBits(Step):
             return bool(bench.status() & _OVER_RANGE)
 
         if not over(end):
-            text = f"not measured: {reached_mg:.0f} mg by the offset raise no over-range (it is judged without it)"
+            text = (
+                f"not measured: {reached_mg:.0f} mg by the offset raise no over-range: it is judged without"
+            )
             return (), {
                 k: Answer(Outcome.NOT_MEASURED, text) for k in ("over_range_falls", "over_range_threshold")
             }
