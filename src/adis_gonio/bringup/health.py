@@ -114,14 +114,14 @@ class WhichPart(Step):
         if not fits:
             return StepResult(
                 Verdict.FAULT,
-                f"|a| is {norm / asked.one_g_lsb:.2f} g: no known part; was it still? Does every axis work?",
+                f"|a| is {norm / asked.one_g_lsb:.2f} g: no known part; was it still?",
                 figures,
             )
         if abs(off) > bench.budget.z() * tolerance:
             return StepResult(
                 Verdict.DIFFERS,
-                f"|a| is {1000 * norm / asked.one_g_lsb:.0f} mg, further from 1 g than the table's bias and gain"
-                " allow",
+                f"|a| is {1000 * norm / asked.one_g_lsb:.0f} mg, further from 1 g than the table's bias and"
+                " gain allow",
                 figures,
             )
         return StepResult(

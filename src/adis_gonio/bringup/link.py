@@ -155,9 +155,9 @@ class Timing(Step):
             )
         return StepResult(
             Verdict.OK,
-            f"the bridge reports {figures[0].value / 1e3:g} kHz and {figures[1].value:g} µs of stall in fast"
-            f" mode, {figures[3].value / 1e3:g} kHz and {figures[4].value:g} µs in normal mode, where a frame"
-            f" takes {frame_us:.0f} µs",
+            f"the bridge reports {figures[0].value / 1e3:g} kHz and {figures[1].value:g} µs of stall in"
+            f" fast mode, {figures[3].value / 1e3:g} kHz and {figures[4].value:g} µs in normal mode, where"
+            f" a frame takes {frame_us:.0f} µs",
             tuple(figures),
         )
 
@@ -233,7 +233,7 @@ class BitErrors(Step):
         errors = sum(trial.wrong_bits for trial in trials)
         figures = (
             *(
-                Measured(f"wrong words at {t.clock_hz / 1e3:g} kHz, of {t.reads}", t.wrong_words, expected=0)
+                Measured(f"wrong of {t.reads} at {t.clock_hz / 1e3:g} kHz", t.wrong_words, expected=0)
                 for t in trials
             ),
             Measured("bit error rate, upper limit (95 %)", at_most(errors, bits)),

@@ -101,10 +101,10 @@ class Noise(Step):
             "accel_noise": _answer(names[:3], found[:3], u[:3], judged.level_off[:3], "mg", expected[0]),
             "gyro_noise": _answer(names[3:], found[3:], u[3:], judged.level_off[3:], "°/s", expected[3]),
         }
-        curves = judged.curves(names)
+        curves = judged.curves()
         if judged.tones:
             text = "; ".join(
-                f"a tone at {hz:.1f} Hz on {names[k]}, amplitude {math.sqrt(2) * rms * lsb[k]:.2g} {units[k]}"
+                f"a tone of {math.sqrt(2) * rms * lsb[k]:.2g} {units[k]} at {hz:.1f} Hz on {names[k]}"
                 for k, hz, rms in judged.tones
             )
             return StepResult(Verdict.FAULT, f"{text}: hum or a vibrating table", figures, answers, curves)
@@ -139,7 +139,7 @@ class _Judged:
         self.figures: tuple[Measured, ...] = ()
         self.density: tuple[Floats, Floats, Floats] | None = None
 
-    def curves(self, names: tuple[str, ...]) -> tuple[Curve, ...]:
+    def curves(self) -> tuple[Curve, ...]:
         """Smoothed spectra beside the expected ones."""
         if self.density is None:
             return ()
@@ -147,7 +147,10 @@ class _Judged:
         return (
             Curve(
                 "noise", "frequency / Hz", "noise / that of the figure, unfiltered", [float(f) for f in hz],
-                {name: [float(p) for p in power[:, k]] for k, name in enumerate(names)}
+                {
+                    "accelerometers": [float(p) for p in power[:, :3].mean(axis=1)],
+                    "gyros": [float(p) for p in power[:, 3:].mean(axis=1)],
+                }
                 | {"filter": [float(p) for p in shape]},
                 "Spectra over the level that the variant's noise has without the filter, neighbouring bins"
                 " averaged, and the shape of the filter.",
