@@ -60,8 +60,14 @@ class Board:
         What becomes of the data line.
     clean_hz, bit_errors : float
         Highest clock without errors, and probability of a wrong bit above it.
-    kept_period_us : float
-        Frames come at least so far apart, whatever is asked for.
+    quick : float
+        Share of the promised time of a frame that the bridge really takes.
+    streams, counts, rising : bool
+        What the bridge offers: streams, an event counter, the rising edge as trigger.
+    flash : tuple of (name, word)
+        Registers that were saved before.
+    direction : tuple of float or None
+        Attitude: what an ideal sensor reads, in g.
     """
 
     part: str = "adis16354"
@@ -81,8 +87,12 @@ class Board:
     miso: str = ""
     clean_hz: float = np.inf
     bit_errors: float = 1e-3
+    quick: float = 1.0
     streams: bool = True
     counts: bool = True
+    rising: bool = False
+    flash: tuple[tuple[str, int], ...] = ()
+    direction: tuple[float, float, float] | None = None
 
     def open(self, seed: int = 0, **settings) -> BoardBus:
         """A bus to a new board of this kind."""
@@ -142,7 +152,8 @@ class BoardChip(SimulatedChip):
     """A chip with the part's own habits."""
 
     def __init__(self, world: World, board: Board) -> None:
-        super().__init__(world, board.part, start_s=-0.5, data_ready_pulse_s=board.pulse_s)
+        flash = dict(board.flash)
+        super().__init__(world, board.part, start_s=-0.5, flash=flash, data_ready_pulse_s=board.pulse_s)
         self._board = board
         self._sampler = BoardSampler(variant(board.part), self._memory, board)
         self._restart_sampling(self._until, empty=True)
@@ -176,11 +187,19 @@ class BoardBus(SimBus):
             | ({Capability.STREAM} if board.streams else set())
             | ({Capability.EVENT_COUNTER} if board.counts else set())
         )
-        self._counted_s = 0.0
+        self.edge_rises = board.rising
+        if board.direction is not None:
+            self.stage.orient(board.direction)
+            self.sleep_s(2.0)
+        self._counted_s = self.now_s()
         self._edges_before = 0
 
     def _exchange(self, frames: Words) -> Words:
-        return self.heard(super()._exchange(frames))
+        begin_s = self.now_s()
+        replies = super()._exchange(frames)
+        if self.board.quick != 1.0:  # the chip is spared: a part that dies says nothing about the bridge
+            self._now = begin_s + self.board.quick * (self._now - begin_s)
+        return self.heard(replies)
 
     def heard(self, replies: Words) -> Words:
         """What the bridge makes of what the chip sends."""
@@ -285,6 +304,31 @@ class BoardStream(FrameStream):
 
 
 SOUND = Board()
+
+
+def sound(seed: int) -> Board:
+    """A sound board of its own attitude, flash and bridge."""
+    dice = np.random.default_rng([seed, 78])
+    streams, counts = ((True, True), (False, True), (False, False), (True, False))[dice.integers(4)]
+    rate = int(dice.choice([0x01, 0x01, 0x01, 0x03, 0x09, 0x0A, 0x1F]))
+    m = int(dice.integers(0, 7))
+    ranges = [code for code, least in ((4, 0), (2, 2), (1, 4)) if m >= least]
+    direction = dice.standard_normal(3)
+    return Board(
+        streams=streams,
+        counts=counts,
+        rising=bool(dice.integers(2)),
+        pulse_s=float(dice.uniform(20e-6, 300e-6)),
+        direction=tuple(direction / np.linalg.norm(direction)),
+        flash=(
+            ("SMPL_PRD", rate),
+            ("SENS_AVG", int(dice.choice(ranges)) << 8 | m),
+            ("MSC_CTRL", int(dice.choice([0x00, 0x04, 0x06, 0xC0]))),
+            ("XACCL_OFF", BY_NAME["XACCL_OFF"].word(int(dice.integers(-200, 200)))),
+            ("ZGYRO_OFF", BY_NAME["ZGYRO_OFF"].word(int(dice.integers(-200, 200)))),
+        ),
+    )
+
 
 FAULTY: dict[str, tuple[Board, str, str]] = {
     "noise on D2 instead of data-ready": (Board(data_ready=False, noise_hz=2000.0), "data-ready", "noise"),

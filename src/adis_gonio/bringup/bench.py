@@ -161,6 +161,7 @@ class Bench:
         """The fastest sample rate, for steps that write anyway."""
         if self.sensor.read("SMPL_PRD") & 0xFF != 0x01:
             self.sensor.write("SMPL_PRD", 0x01)
+            self.wait_updates()
 
     # -- flags ------------------------------------------------------------------------------------------
 

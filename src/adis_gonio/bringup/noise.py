@@ -12,14 +12,17 @@ from adis_gonio.bringup.result import Answer, Curve, Measured, Outcome, StepResu
 from adis_gonio.sensor.decoding import scales
 from adis_gonio.sensor.registers import ACCEL_OUT, GYRO_OUT, registers
 from adis_gonio.sensor.settings import sens_avg_word
+from adis_gonio.sensor.variants import Variant
 
 _SCANS = 4096
 _FEW = 512
 _BANDS = 6
 _HANN_WIDTH = 35 / 18
 """Bins of a periodogram with Hann's window that count as one independent bin in a mean."""
-_CALIBRATED = 0.01
-"""Flicker may add so much of the white level at the lowest frequency that is used."""
+_MOST_FLICKER = 0.1
+"""Flicker, which the model has, may add so much of the white level at the lowest frequency used."""
+GYRO_FLOOR_DPS = 0.015
+"""Bias instability of the gyros (D: the simulator's)."""
 
 
 def response(m: int, frequency: Floats) -> Floats:
@@ -38,6 +41,41 @@ def degrees_of_freedom(count: int, m: int, spacing: float = 1.0) -> float:
     lags = np.arange(1, len(shape) / spacing)
     rho = np.interp(lags * spacing, np.arange(len(shape)), shape, right=0.0)
     return (count - 1) / (1 + 2 * float(np.sum(rho**2)))
+
+
+def flicker(floor: Floats, frequency_hz: Floats, rate_hz: float) -> Floats:
+    """Level (n, k) in a periodogram of flicker whose Allan deviation has a floor (k,).
+
+    Its one-sided density is floor² / (2 ln 2 f), that of white noise 2 σ² / rate; a bin holds σ².
+    """
+    level: Floats = floor**2 / (2 * math.log(2) * frequency_hz[:, None]) * rate_hz / 2
+    return level
+
+
+def rounding(m: int, sigma: float, frequency: Floats) -> Floats:
+    """Level (n,) in a periodogram of the rounding of filtered noise, in LSB².
+
+    A slow signal is rounded the same way for several samples: the error is not white. With ρ the signal's
+    correlation and σ its rms in LSB the error's is Σ exp(−4π²n²σ²(1 − ρ)) / (2π²n²) (Widrow and Kollár,
+    Quantization Noise, for Gaussian signals of half an LSB and more).
+
+    Parameters
+    ----------
+    sigma : float
+        Rms before the filter, in LSB.
+    frequency : (n,) float
+        In cycles a sample.
+    """
+    weights = bartlett(m)
+    rho = np.correlate(weights, weights, "full")[len(weights) - 1 :]
+    turn = (2 * np.pi * sigma * white_gain(m)) ** 2 * (1 - rho / rho[0])
+    order = np.arange(1, 9)[:, None]
+    error = np.sum(np.exp(-(order**2) * turn) / (2 * np.pi**2 * order**2), axis=0)
+    error[0] = 1 / 12
+    level: Floats = (
+        error[0] + 2 * np.cos(2 * np.pi * np.outer(frequency, np.arange(1, len(error)))) @ error[1:]
+    )
+    return np.maximum(level, 0.0)
 
 
 def spectrum(values: Floats) -> tuple[Floats, Floats]:
@@ -159,9 +197,21 @@ class _Judged:
         )  # fmt: skip
 
 
+def floors(part: Variant, expected: Floats) -> Floats:
+    """Bias instability (6,) in LSB, for axes whose noise in LSB is expected."""
+    performance = part.performance
+    white = np.array([performance.noise_mg] * 3 + [performance.gyro_noise_dps] * 3)
+    return np.asarray(
+        np.array([performance.bias_instability_mg] * 3 + [GYRO_FLOOR_DPS] * 3) * expected / white,
+        np.float64,
+    )
+
+
 def _by_variance(bench: Bench, numbers: Floats, m: int, spacing: float, expected: Floats) -> _Judged:
     """Where scans have gaps: the variance alone."""
-    variance = np.maximum(numbers.var(axis=0, ddof=1) - 1 / 12, 1e-9)
+    # Over so few octaves flicker has about the variance of twice its floor.
+    extra = 2 * floors(bench.sensor.variant, expected) ** 2
+    variance = np.maximum(numbers.var(axis=0, ddof=1) - 1 / 12 - extra, 1e-9)
     dof = degrees_of_freedom(len(numbers), m, spacing)
     sigma = np.sqrt(variance) / white_gain(m)
     judged = _Judged(sigma, sigma / math.sqrt(2 * dof))
@@ -175,20 +225,22 @@ def _by_spectrum(bench: Bench, numbers: Floats, m: int, rate_hz: float, expected
     """Level, shape and tones where the noise is above rounding and flicker."""
     cycles, power = spectrum(numbers)
     gain = response(m, cycles)
-    floor = bench.sensor.variant.performance.bias_instability_mg / bench.sensor.variant.accel_mg_per_lsb
-    # Flicker of that floor has the density floor² / (2 ln 2 f), white noise 2 σ² / rate.
-    lowest_hz = floor**2 / (2 * math.log(2) * _CALIBRATED * 2 * expected[0] ** 2 / rate_hz)
+    part = bench.sensor.variant
+    floor = floors(part, expected)
+    lowest_hz = float(np.max(flicker(floor, np.ones(1), rate_hz)[0] / (_MOST_FLICKER * expected**2)))
     used = cycles * rate_hz >= max(lowest_hz, 4 * rate_hz / len(numbers))
-    used &= gain * float(np.min(expected)) ** 2 >= 1 / 12
+    rounded = np.stack([rounding(m, sigma, cycles) for sigma in expected], axis=1)
+    used &= np.all(gain[:, None] * expected**2 >= rounded, axis=1)
     used[-1] = False  # the last bin is real: another distribution
-    relative = (power[used] - 1 / 12) / gain[used, None]
-    # Each bin's own scatter is that of signal and rounding together: weigh it by the signal's share.
-    share = gain[used, None] * expected**2 / (gain[used, None] * expected**2 + 1 / 12)
+    rest = gain[used, None] * flicker(floor, cycles[used] * rate_hz, rate_hz) + rounded[used]
+    relative = (power[used] - rest) / gain[used, None]
+    # A bin's scatter is that of signal, flicker and rounding together: weigh it by the signal's share.
+    share = gain[used, None] * expected**2 / (gain[used, None] * expected**2 + rest)
     level = np.sum(share**2 * relative, axis=0) / np.sum(share**2, axis=0)
     effective = np.sum(share**2, axis=0) / _HANN_WIDTH
     sigma = np.sqrt(np.maximum(level, 1e-12))
     judged = _Judged(sigma, sigma / (2 * np.sqrt(effective)))
-    model = gain[used, None] * level + 1 / 12
+    model = gain[used, None] * np.maximum(level, 1e-12) + rest
     ratio = power[used] / model
     hz = cycles[used] * rate_hz
     for k in range(len(sigma)):

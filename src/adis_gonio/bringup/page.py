@@ -120,8 +120,9 @@ def _limits(found: Bringup) -> Section:
         words=(
             f"A sound board is accused with a probability below {found.false_alarm:g}: that is shared out"
             f" over {MOST_TESTS} comparisons, of which {found.comparisons} were made. Each limit is the"
-            " quantile of the figure's distribution on a sound board: normal for means, chi-square for variances,"
-            " exponential for the bins of a spectrum. What is not random on a sound board has no limit.",
+            " quantile of the figure's distribution on a sound board: normal for means, chi-square for"
+            " variances, exponential for the bins of a spectrum. What is not random on a sound board has"
+            " no limit.",
             "Values stand with their standard uncertainty.",
         ),
         notes=(f"Bridge: {bridge}.", f"Registers as they were found: {held or 'not read'}."),

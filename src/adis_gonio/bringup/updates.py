@@ -293,8 +293,8 @@ class DataReady(Step):
             return result(
                 Verdict.FAULT,
                 f"the wrong edge leads: the update comes {late_us[0]:.0f} to {late_us[1]:.0f} µs after"
-                " the edge that starts a scan, so that its words mix two updates; use the other edge (edge= in the"
-                " URL)",
+                " the edge that starts a scan, so that its words mix two updates; use the other edge (edge="
+                " in the URL)",
             )
         before_us = 1e6 * period_s - first.reads * first.frame_us
         answers["data_ready_edge"] = Answer(

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from adis_gonio.bringup.bench import Bench, Effect, Floats, Step, not_measured
+from adis_gonio.bringup.noise import GYRO_FLOOR_DPS
 from adis_gonio.bringup.result import Answer, Measured, Outcome, StepResult, Verdict
 from adis_gonio.errors import ChipError
 from adis_gonio.sensor.decoding import scales
@@ -117,7 +118,7 @@ def _mean_u(bench: Bench, count: int) -> Floats:
     part = bench.sensor.variant
     lsb, _, _ = scales(registers((*ACCEL_OUT, *GYRO_OUT)), part, 300)
     white = np.array([part.performance.noise_mg] * 3 + [part.performance.gyro_noise_dps] * 3) / lsb
-    floor = np.array([part.performance.bias_instability_mg] * 3 + [0.05] * 3) / lsb
+    floor = np.array([part.performance.bias_instability_mg] * 3 + [GYRO_FLOOR_DPS] * 3) / lsb
     result: Floats = np.sqrt(white**2 / count + 2 * floor**2 + 1 / 12 / count)
     return result
 
