@@ -334,6 +334,8 @@ FAULTY: dict[str, tuple[Board, str, str]] = {
     "noise on D2 instead of data-ready": (Board(data_ready=False, noise_hz=2000.0), "data-ready", "noise"),
     "wrong edge of data-ready": (Board(lead_s=60e-6), "data-ready", "wrong edge"),
     "data-ready edges missed": (Board(missed=0.1), "data-ready", "missed"),
+    "noise beside data-ready, no counter": (Board(noise_hz=100.0, counts=False), "data-ready", "noise"),
+    "edges missed, no counter": (Board(missed=0.1, counts=False), "data-ready", "missed"),
     "MISO inverted": (Board(miso="inverted"), "link", "inverted"),
     "MISO stuck low": (Board(miso="low"), "link", "stuck low"),
     "MISO stuck high": (Board(miso="high"), "link", "stuck high"),
@@ -345,6 +347,7 @@ FAULTY: dict[str, tuple[Board, str, str]] = {
     "supply at 4.7 V": (Board(supply_v=4.7), "supply", "4.7"),
     "50 Hz hum on X": (Board(hum_mg=2.0), "noise", "50.0 Hz"),
     "gyro Z deaf to its self-test": (Board(deaf=(3,)), "self-test", "ZGYRO_OUT"),
+    "stall not kept": (Board(quick=0.9), "timing", "stall is not kept"),
     "update 4 % too slow": (Board(rate_error=-0.04), "sample rate", "786"),
 }
 """Board, step that has to name it, and a word of its sentence, by what is wrong."""

@@ -19,6 +19,12 @@ from adis_gonio.sensor.settings import sample_period_s
 _CODES = [n for n in range(256) if n & 0x7F or n & 0x80]
 _MISC = BY_NAME["MSC_CTRL"]
 _READ = "XACCL_OUT"
+_LONGEST_FRAME_US = 20_000.0
+"""Frames of a list are no further apart; the bridges' timers reach to some 50 ms."""
+_BENT = 0.02
+"""Times of a bridge with a clock of its own may be bent so much while its rate is learnt."""
+_UNBROKEN_PERIODS = 3
+"""Periods that a batch without a pause must hold, so that its own frames tell the time."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +46,9 @@ def measured_period(bench: Bench, expected_s: float, updates: int) -> Period | s
         return (
             f"this bridge reads a word in {1e3 * frame_s:.2g} ms, an update takes {1e3 * expected_s:.2g} ms"
         )
+    unbroken = bench.bus.unbroken_frames
+    if unbroken is not None and unbroken * frame_s < _UNBROKEN_PERIODS * expected_s:
+        return _by_clock(bench, expected_s, updates)
     spans, periods, ends = 0.0, 0, 0
     batch = math.ceil(min(updates, 256) * expected_s / frame_s)
     for _ in range(64 + 2 * updates):
@@ -59,6 +68,30 @@ def measured_period(bench: Bench, expected_s: float, updates: int) -> Period | s
     value = spans / periods
     clock_u = BOARD_CLOCK_U if bench.bus.unbroken_frames is not None else HOST_CLOCK_U
     return Period(value, math.hypot(frame_s * math.sqrt(ends / 6) / periods, clock_u * value))
+
+
+def _by_clock(bench: Bench, expected_s: float, updates: int) -> Period | str:
+    """The same by short batches and the bus's clock: each finds at most one update."""
+    first = last = 0.0
+    count, longest = -1, 0.0
+    end_s = bench.bus.now_s() + 3 * (updates + 3) * expected_s
+    before_s = bench.bus.now_s()
+    while count < updates:
+        words, _ = bench.repeated(_READ, 1)
+        now_s = bench.bus.now_s()
+        longest, before_s = max(longest, now_s - before_s), now_s
+        if longest > expected_s / 2.5:
+            return (
+                f"this bridge looks every {1e3 * longest:.2g} ms, an update takes {1e3 * expected_s:.2g} ms"
+            )
+        if words[0] & ND:
+            count += 1
+            last = now_s
+            first = first or now_s
+        elif now_s > end_s:
+            return "no update was seen: bit ND never came"
+    value = (last - first) / count
+    return Period(value, math.hypot(longest * math.sqrt(1 / 6) / count, HOST_CLOCK_U * value))
 
 
 def nearest_code(period_s: float) -> int:
@@ -117,8 +150,26 @@ class _Edges:
     lost: int
     jitter_us: float
     rate_hz: float
+    expected: float
     frame_us: float
     reads: int
+
+    @property
+    def surplus(self) -> float:
+        """Edges that the bridge saw more than there were updates; negative where it saw fewer."""
+        seen = len(self.position) + self.lost
+        return seen - self.expected
+
+    @property
+    def slack(self) -> float:
+        """By how much that may be off: one at either end, and a bridge's times while they are learnt."""
+        return 2 + _BENT * self.expected
+
+    @property
+    def missed(self) -> int:
+        """Edges without a scan: reported by the bridge, or gaps in its times."""
+        gaps = self.expected - len(self.position)
+        return max(self.lost, round(gaps) if gaps > self.slack else 0)
 
     @property
     def usual(self) -> int:
@@ -142,8 +193,8 @@ class DataReady(Step):
     )
     effect = Effect.LENDS
     _scans = 256
-    _lists = (28, 16, 8)
-    """Reads of a scan: as many as the bridge takes, so that they fill a period."""
+    _lists = (16, 8)
+    """Reads of a scan: the firmware takes 16; 8 are what a usual scan has."""
 
     def run(self, bench: Bench) -> StepResult:
         """Both polarities where the bridge starts scans, a count where it only counts."""
@@ -223,29 +274,40 @@ class DataReady(Step):
         return f"{rate:.0f} edges a second where {1 / period_s:.1f} updates are configured: {rest}"
 
     def _scan(self, bench: Bench, period_s: float) -> _Edges:
-        """Scans that nearly fill the period with reads of one register."""
-        frame = int(read_frames([BY_NAME[_READ]])[0])
+        """Scans that nearly fill the period with reads of one register.
+
+        A bridge may be too slow to hand on long scans: edges count as missed where short ones miss them.
+        """
         timing = timing_for(bench.sensor.read("SMPL_PRD"))
+        found: list[_Edges] = []
         for reads in self._lists:
             # One more frame fetches the last reply; a twentieth of the period is left for the bridge.
             fill_us = math.floor(0.95e6 * period_s / (reads + 1))
-            fitting = min(max(timing.period_us, fill_us), 1000.0)
+            fitting = min(max(timing.period_us, fill_us), _LONGEST_FRAME_US)
             if (reads + 1) * fitting > 0.97e6 * period_s:
                 continue
             got = bench.bus.configure(replace(timing, period_us=fitting))
             try:
-                stream = bench.bus.stream([frame] * reads, block_scans=self._scans // 4)
+                found.append(self._stream(bench, reads, period_s, 1e6 * got.frame_s))
             except UsageError:
                 if reads == self._lists[-1]:
                     raise
                 continue
-            with stream:
-                blocks = [next(stream) for _ in range(4)]
-            words = np.concatenate([block.words for block in blocks])
-            times = np.concatenate([block.time_s for block in blocks])
-            lost = sum(block.lost for block in blocks[1:])  # what was before the first block is no loss
-            return _Edges(_positions(words), lost, *_jitter(times, period_s), 1e6 * got.frame_s, reads)
-        raise UsageError("the period is too short for a list of reads")
+            if not found[-1].lost:
+                break
+        if not found:
+            raise UsageError("the period is too short for a list of reads")
+        return min(found, key=lambda edges: edges.lost)
+
+    def _stream(self, bench: Bench, reads: int, period_s: float, frame_us: float) -> _Edges:
+        frame = int(read_frames([BY_NAME[_READ]])[0])
+        with bench.bus.stream([frame] * reads, block_scans=self._scans // 4) as stream:
+            blocks = [next(stream) for _ in range(4)]
+        words = np.concatenate([block.words for block in blocks])
+        times = np.concatenate([block.time_s for block in blocks])
+        lost = sum(block.lost for block in blocks[1:])  # what was before the first block is no loss
+        expected = float(times[-1] - times[0]) / period_s
+        return _Edges(_positions(words), lost, *_jitter(times, period_s), expected, frame_us, reads)
 
     def _judge(
         self, bench: Bench, period_s: float, first: _Edges, second: _Edges, figures: list[Measured]
@@ -256,7 +318,7 @@ class DataReady(Step):
                 Measured(f"{name} edge: scans that follow an update", edges.locked, expected=1.0),
                 Measured(f"{name} edge: read that carries ND", edges.usual, expected=0),
                 Measured(f"{name} edge: jitter (rms, as the bridge stamps it)", edges.jitter_us, "us"),
-                Measured(f"{name} edge: missed", edges.lost, expected=0),
+                Measured(f"{name} edge: missed", edges.missed, expected=0),
             ]
         curve = _histogram(first, second)
 
@@ -264,17 +326,22 @@ class DataReady(Step):
             return StepResult(verdict, text, tuple(figures), answers, (curve,))
 
         answers: dict[str, Answer] = {}
+        surplus = max(first.surplus - first.slack, second.surplus - second.slack)
+        if surplus > 0:
+            return result(
+                Verdict.FAULT, "more edges come than updates: the input picks up noise beside data-ready"
+            )
         if first.locked < 1:
             return result(
                 Verdict.FAULT,
                 f"{100 * (1 - first.locked):.0f} % of the scans do not follow an update: the input picks up"
                 " noise",
             )
-        missed = first.lost + second.lost
+        missed = first.missed + second.missed
         if missed:
             return result(Verdict.FAULT, f"{missed} of {2 * self._scans + missed} edges were missed")
         bench.data_ready = True
-        late_us = _delay_us(first, bench)
+        late_us = _delay_us(first, period_s, bench)
         if second.locked == 1:
             answers["data_ready_pulse"] = _pulse(first, second, period_s, bench)
         if first.usual > 0:
@@ -296,10 +363,9 @@ class DataReady(Step):
                 " the edge that starts a scan, so that its words mix two updates; use the other edge (edge="
                 " in the URL)",
             )
-        before_us = 1e6 * period_s - first.reads * first.frame_us
         answers["data_ready_edge"] = Answer(
             Outcome.CONFIRMS,
-            f"a scan that starts at the pulse's first edge comes after the update, by {before_us:.0f} µs at"
+            f"a scan that starts at the pulse's first edge comes after the update, by {-late_us[0]:.0f} µs at"
             " most",
         )
         return result(
@@ -325,25 +391,32 @@ def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
     return 1e6 * float(np.std(rest)), (len(time_s) - 1) / float(time_s[-1] - time_s[0])
 
 
-def _delay_us(edges: _Edges, bench: Bench) -> tuple[float, float]:
-    """The update lies between the read before the one with ND and that one: a word is taken at its end."""
-    clocks_us = 16e6 / bench.bus.timing.clock_hz
-    return (edges.usual - 1) * edges.frame_us + clocks_us, edges.usual * edges.frame_us + clocks_us
+def _delay_us(edges: _Edges, period_s: float, bench: Bench) -> tuple[float, float]:
+    """Between which times after the edge the update lies in µs; negative is before it.
+
+    A word is taken at the end of its frame, so the update lies between the end of the read before the one
+    with ND and that one's; before the first read that is the last one of the scan before.
+    """
+    taken_us = 16e6 / bench.bus.timing.clock_hz
+    if edges.usual > 0:
+        return (edges.usual - 1) * edges.frame_us + taken_us, edges.usual * edges.frame_us + taken_us
+    return (edges.reads - 1) * edges.frame_us + taken_us - 1e6 * period_s, taken_us
 
 
 def _pulse(first: _Edges, second: _Edges, period_s: float, bench: Bench) -> Answer:
     """Width of the pulse from where the update lies behind its two edges."""
-    apart = (first.usual - second.usual) % first.reads
-    if apart:
-        width = apart * first.frame_us
-        figure = Measured("pulse", width, "us", first.frame_us / math.sqrt(6))
-        return Answer(Outcome.MEASURED, "from where ND comes in scans at either edge", (figure,))
-    gap_us = 1e6 * period_s - (first.reads - 1) * first.frame_us
-    return Answer(
-        Outcome.MEASURED,
-        f"shorter than {gap_us:.0f} µs: scans at either edge find the update in the same place",
-        (Measured("pulse, upper limit", gap_us, "us"),),
+    one, two = (_delay_us(edges, period_s, bench) for edges in (first, second))
+    low, high = one[0] - two[1], one[1] - two[0]
+    if low <= 0 <= high:
+        text = f"shorter than {high:.0f} µs: scans at either edge find the update in the same place"
+        return Answer(Outcome.MEASURED, text, (Measured("pulse, upper limit", high, "us"),))
+    width = (low + high) / 2 % (1e6 * period_s)
+    half = (high - low) / 2
+    figure = Measured("pulse", width, "us", half / math.sqrt(3))
+    text = (
+        f"{max(width - half, 0):.0f} to {width + half:.0f} µs, from where ND comes in scans at either edge"
     )
+    return Answer(Outcome.MEASURED, text, (figure,))
 
 
 def _histogram(first: _Edges, second: _Edges) -> Curve:
