@@ -56,12 +56,15 @@ class Step(ABC):
     effect : Effect
     question : str
         What is asked before something is written.
+    settles : tuple of str
+        Questions about the part that it answers.
     """
 
     name: str
     does: str
     effect: Effect = Effect.READS
     question: str = ""
+    settles: tuple[str, ...] = ()
 
     @abstractmethod
     def run(self, bench: Bench) -> StepResult:

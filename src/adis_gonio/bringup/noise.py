@@ -98,6 +98,7 @@ class Noise(Step):
     name = "noise"
     does = f"{_SCANS} scans of accelerometers and gyros at rest: rms, bands of the spectrum, tones"
     effect = Effect.LENDS
+    settles = ("accel_noise", "gyro_noise")
 
     def run(self, bench: Bench) -> StepResult:
         """Judge six axes."""
@@ -283,6 +284,7 @@ class FilterSteps(Step):
     does = "writes M = 0 … 6 in SENS_AVG and measures the noise of the accelerometers at each"
     effect = Effect.WRITES
     question = "Write SENS_AVG (filter M = 0 … 6, about 20 s)?"
+    settles = ("filter_gain",)
     _scans = 2048
 
     def run(self, bench: Bench) -> StepResult:

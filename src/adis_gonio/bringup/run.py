@@ -172,7 +172,10 @@ class _Run:
     def _add(self, step: Step, result: StepResult) -> None:
         row = Row(step.name, step.does, step.effect, result)
         self._rows.append(row)
-        self._answers.update(result.answers)
+        why = result.text.removeprefix("not measured: ")
+        for name in step.settles:
+            default = Answer(Outcome.NOT_MEASURED, NO_ANSWER.format(why))
+            self._answers[name] = result.answers.get(name, default)
         self._tell(row)
 
     def _whole(self, begun: str, stopped: bool) -> Bringup:

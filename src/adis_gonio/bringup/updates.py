@@ -192,6 +192,7 @@ class DataReady(Step):
         "enables data-ready, counts edges, starts scans at both edges of the pulse and looks where ND comes"
     )
     effect = Effect.LENDS
+    settles = ("data_ready_edge", "data_ready_pulse")
     _scans = 256
     _lists = (16, 8)
     """Reads of a scan: the firmware takes 16; 8 are what a usual scan has."""
@@ -407,8 +408,8 @@ def _pulse(first: _Edges, second: _Edges, period_s: float, bench: Bench) -> Answ
     """Width of the pulse from where the update lies behind its two edges."""
     one, two = (_delay_us(edges, period_s, bench) for edges in (first, second))
     low, high = one[0] - two[1], one[1] - two[0]
-    if low <= 0 <= high:
-        text = f"shorter than {high:.0f} µs: scans at either edge find the update in the same place"
+    if first.usual == second.usual:
+        text = f"shorter than {high:.0f} µs, or the pause is: scans at either edge find the update alike"
         return Answer(Outcome.MEASURED, text, (Measured("pulse, upper limit", high, "us"),))
     width = (low + high) / 2 % (1e6 * period_s)
     half = (high - low) / 2
@@ -439,6 +440,7 @@ class SamplePeriods(Step):
     does = "writes eight steps of SMPL_PRD in both time bases and measures the period of each"
     effect = Effect.WRITES
     question = "Write SMPL_PRD (eight values, about 10 s)?"
+    settles = ("sample_period",)
     _codes = (0x01, 0x04, 0x09, 0x0A, 0x1F, 0x7F, 0x80, 0x83)
 
     def run(self, bench: Bench) -> StepResult:

@@ -29,6 +29,7 @@ class Offset(Step):
     does = f"writes {_STEP:+d} to XACCL_OFF, YACCL_OFF, ZACCL_OFF and looks how far the outputs move"
     effect = Effect.WRITES
     question = f"Write XACCL_OFF, YACCL_OFF and ZACCL_OFF ({_STEP:+d} LSB for a second)?"
+    settles = ("accel_offset_lsb", "offset_after_filter")
 
     def run(self, bench: Bench) -> StepResult:
         """Means before, with and after the offset; drift between before and after cancels."""
@@ -130,6 +131,7 @@ class SelfTests(Step):
     does = "runs the internal self-test, then the manual one with the positive and the negative stimulus"
     effect = Effect.WRITES
     question = "Run the self-tests (MSC_CTRL[10:8], about 3 s, volatile)?"
+    settles = ("self_test_gyro", "self_test_accel")
 
     def run(self, bench: Bench) -> StepResult:
         """Means of six axes without, with +, without, with −, without."""
@@ -208,6 +210,7 @@ class StatusBits(Step):
     does = "raises an alarm and over-range by registers alone, ends them, and looks at EA and STATUS"
     effect = Effect.WRITES
     question = "Write ALM_MAG1, ALM_CTRL and an accelerometer's offset (a second each)?"
+    settles = ("alarm_stays", "over_range_falls", "over_range_threshold")
     _halvings = 9
 
     def run(self, bench: Bench) -> StepResult:
@@ -329,6 +332,7 @@ class FlashCount(Step):
     does = "resets the part, so that the registers hold what the flash holds, and saves that: ENDURANCE + 1"
     effect = Effect.FLASH
     question = "Reset the part and write the flash once (10 000 writes are its life)?"
+    settles = ("flash_count",)
 
     def run(self, bench: Bench) -> StepResult:
         """Save what is saved already."""
