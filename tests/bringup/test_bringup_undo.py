@@ -1,4 +1,4 @@
-"""What is written is undone and verified: after each step, an error, a Ctrl-C; and who forbids it is obeyed."""
+"""What is written is undone and verified after each step, an error, a Ctrl-C; a no is obeyed."""
 
 import numpy as np
 import pytest

@@ -69,7 +69,7 @@ def rounding(m: int, sigma: float, frequency: Floats) -> Floats:
     weights = bartlett(m)
     rho = np.correlate(weights, weights, "full")[len(weights) - 1 :]
     turn = (2 * np.pi * sigma * white_gain(m)) ** 2 * (1 - rho / rho[0])
-    order = np.arange(1, 9)[:, None]
+    order = np.arange(1, 65)[:, None]
     error = np.sum(np.exp(-(order**2) * turn) / (2 * np.pi**2 * order**2), axis=0)
     error[0] = 1 / 12
     level: Floats = (

@@ -366,8 +366,8 @@ class DataReady(Step):
             )
         answers["data_ready_edge"] = Answer(
             Outcome.CONFIRMS,
-            f"a scan that starts at the pulse's first edge comes after the update, by {-late_us[0]:.0f} µs at"
-            " most",
+            f"a scan that starts at the pulse's first edge comes after the update, by at most"
+            f" {-late_us[0]:.0f} µs",
         )
         return result(
             Verdict.OK,
@@ -409,7 +409,7 @@ def _pulse(first: _Edges, second: _Edges, period_s: float, bench: Bench) -> Answ
     one, two = (_delay_us(edges, period_s, bench) for edges in (first, second))
     low, high = one[0] - two[1], one[1] - two[0]
     if first.usual == second.usual:
-        text = f"shorter than {high:.0f} µs, or the pause is: scans at either edge find the update alike"
+        text = f"pulse or pause below {high:.0f} µs: scans at either edge find the update in one place"
         return Answer(Outcome.MEASURED, text, (Measured("pulse, upper limit", high, "us"),))
     width = (low + high) / 2 % (1e6 * period_s)
     half = (high - low) / 2

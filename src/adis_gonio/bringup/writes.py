@@ -51,7 +51,7 @@ class Offset(Step):
             for out, name, r, s in zip(ACCEL_OUT, ACCEL_OFF, ratio, u, strict=True)
         )
         off = [k for k in range(3) if abs(ratio[k] - 1) > bench.budget.z() * u[k]]
-        filtered = self._behind_filter(bench, held[0], steps[0])
+        filtered = self._behind_filter(bench, held[0], steps[0], float(ratio[0]))
         text = ", ".join(f"{r:.4f}" for r in ratio)
         answers = {
             "accel_offset_lsb": Answer(
@@ -80,7 +80,7 @@ class Offset(Step):
             bench.sensor.write(name, value)
 
     @staticmethod
-    def _behind_filter(bench: Bench, held: int, step: int) -> Answer:
+    def _behind_filter(bench: Bench, held: int, step: int, ratio: float) -> Answer:
         """With the longest filter: whether the step is there at once, or comes in over 127 samples."""
         sensor = bench.sensor
         sensor.write("SENS_AVG", sens_avg_word(300, _MOST_M))
@@ -92,7 +92,7 @@ class Offset(Step):
         words, _ = bench.repeated(ACCEL_OUT[0], 2)
         passed = 2 + (bench.bus.now_s() - begin_s) / sensor.configuration().sample_period_s
         row = BY_NAME[ACCEL_OUT[0]]
-        share = (row.number(int(words[0])) - before) / step
+        share = (row.number(int(words[0])) - before) / (step * ratio)
         sensor.write(ACCEL_OFF[0], held)
         taps = 1 << _MOST_M
         ramp = min(passed, taps) ** 2 / 2 / taps**2
