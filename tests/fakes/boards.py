@@ -18,7 +18,7 @@ from adis_gonio.sensor.registers import ACCEL_OUT, BY_NAME
 from adis_gonio.sensor.variants import variant
 from adis_gonio.sim import SimBus, SimulatedChip, World, WorldSettings
 from adis_gonio.sim.inputs import Inputs
-from adis_gonio.sim.sampling import ACCEL_COLUMNS, Sampler
+from adis_gonio.sim.sampling import ACCEL_COLUMNS, SELF_TEST_ACCEL_MG, Sampler
 
 TRIGGER_S = 4e-6
 """From an edge to the fall of chip select."""
@@ -137,14 +137,14 @@ class BoardSampler(Sampler):
 
     def _scaled(self, inputs):
         values = super()._scaled(inputs)
-        still = set(self._board.deaf)
-        if self._manual_test < 0 and not self._board.negative_self_test:
-            still |= set(range(ACCEL_COLUMNS.start, ACCEL_COLUMNS.stop))
-        if self._manual_test and still:
-            stimulus, self._manual_test = self._manual_test, 0.0
-            columns = sorted(still)
-            values[:, columns] = super()._scaled(inputs)[:, columns]
-            self._manual_test = stimulus
+        stimulus, self._manual_test = self._manual_test, 0.0
+        if stimulus:
+            without = super()._scaled(inputs)
+            moved = stimulus if stimulus > 0 or self._board.negative_self_test else 0.0
+            move = np.rint(moved * SELF_TEST_ACCEL_MG * self._gain[ACCEL_COLUMNS]).astype(np.int64)
+            values[:, ACCEL_COLUMNS] = without[:, ACCEL_COLUMNS] + move
+            values[:, self._board.deaf] = without[:, self._board.deaf]
+        self._manual_test = stimulus
         return values
 
 

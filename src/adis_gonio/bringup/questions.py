@@ -109,7 +109,8 @@ QUESTIONS: tuple[Question, ...] = (
         "sample_period", "SMPL_PRD", "Period of the internal update?", "0.61035 or 18.921 ms × (N + 1)"
     ),
     Question(
-        "data_ready_edge", "Which edge of the data-ready pulse follows the update?", "the first", "DS", "B",
+        "data_ready_edge", "Which edge of the data-ready pulse follows the update?", "the first",
+        "inferred", "C",
     ),
     Question("data_ready_pulse", "Width of the data-ready pulse?", "not given", "–", "?"),
     _register(

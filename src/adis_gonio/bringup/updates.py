@@ -359,10 +359,10 @@ class DataReady(Step):
                 ),
             )
             return result(
-                Verdict.FAULT,
-                f"the wrong edge leads: the update comes {late_us[0]:.0f} to {late_us[1]:.0f} µs after"
-                " the edge that starts a scan, so that its words mix two updates; use the other edge (edge="
-                " in the URL)",
+                Verdict.DIFFERS,
+                f"the wrong edge leads: the update comes {late_us[0]:.0f} to {late_us[1]:.0f} µs after the"
+                " pulse's first edge, so that words of a scan that starts there mix two updates"
+                + ("; at its second edge they do not" if second.usual == 0 else ""),
             )
         answers["data_ready_edge"] = Answer(
             Outcome.CONFIRMS,
