@@ -86,6 +86,24 @@ def test_the_width_of_the_pulse_lies_within_what_is_said_of_it(width_us, leads):
         assert edge.outcome is Outcome.CONFIRMS
 
 
+@pytest.mark.parametrize("counts", [True, False])
+def test_a_board_without_the_wire_is_not_accused_and_polls(counts):
+    found = bring_up(
+        Board(data_ready=False, counts=counts).open(2),
+        steps=only("link", "bit errors", "data-ready", "noise"),
+    )
+    assert not found.accused
+    assert found.row("data-ready").text.startswith("not measured: no edge arrives")
+    assert found.row("noise").verdict is Verdict.OK
+
+
+def test_an_offset_that_somebody_wrote_is_not_the_parts_bias():
+    board = Board(flash=(("XACCL_OFF", 500),), direction=(1.0, 0.0, 0.0))
+    found = bring_up(board.open(9, bias_x_mg=0.0), steps=only("link", "bit errors", "variant"))
+    assert found.row("variant").verdict is Verdict.OK
+    assert found.row("variant").figures[0].value == pytest.approx(2140, rel=0.01)
+
+
 def test_the_threshold_of_over_range_is_found():
     found = bring_up(SOUND.open(4), permission=ALL, steps=only("link", "status"))
     (figure,) = found.answers["over_range_threshold"].figures

@@ -110,6 +110,20 @@ def test_a_ctrl_c_at_any_write_ends_the_run_with_the_registers_put_back(at, time
     assert [row.name for row in found.rows] == [step.name for step in steps(*SHORT)]
 
 
+def test_a_ctrl_c_while_a_row_is_shown_keeps_the_rows():
+    bus, before, _ = opened()
+
+    def show(row):
+        if row.name == "offset":
+            raise KeyboardInterrupt
+
+    found = bring_up(bus, permission=WRITES, steps=steps(*SHORT), tell=show)
+    assert found.stopped
+    assert found.row("offset").verdict is Verdict.OK
+    assert found.row("status").text == "not measured: stopped by the operator"
+    assert registers_of(bus) == before
+
+
 @pytest.mark.parametrize("at", [1, 3, 6, 14, 20])
 def test_an_error_in_a_step_is_its_fault_and_the_next_steps_go_on(at):
     bus, before, _ = opened()

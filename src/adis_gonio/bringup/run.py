@@ -137,7 +137,15 @@ class _Run:
                 except KeyboardInterrupt:
                     stopped = True
                     result = not_measured("stopped by the operator")
-            self._add(step, result)
+            try:
+                self._add(step, result)
+            except KeyboardInterrupt:
+                stopped = True
+        if self._undo is not None:
+            try:
+                self._undo.put_back()  # once more, whatever moment an interruption has hit
+            except KeyboardInterrupt:
+                stopped = True
         return self._whole(begun, stopped)
 
     def _one(self, bench: Bench, step: Step) -> StepResult:
