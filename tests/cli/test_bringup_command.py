@@ -10,6 +10,7 @@ import pytest
 from adis_gonio.bringup import STEPS
 from adis_gonio.bringup.questions import QUESTIONS
 from adis_gonio.cli import main
+from adis_gonio.errors import NotInstalledError
 from fakes.boards import FAULTY, SOUND
 
 SIM = "sim:?seed=1"
@@ -51,6 +52,16 @@ def test_page_and_json_are_written_beside_each_other_and_say_the_same(tmp_path, 
     for question in QUESTIONS:
         assert question.text in shown
     assert document["headline"] in shown
+
+
+def test_without_the_plots_library_the_page_is_written_all_the_same(tmp_path, board, monkeypatch):
+    def missing(*what, **how):
+        raise NotInstalledError("figures need a library")
+
+    monkeypatch.setattr("adis_gonio.bringup.page.plot", missing)
+    board(SOUND)
+    assert main(["bringup", "board:", "-o", str(tmp_path / "a.html")]) == 0
+    assert "figures need a library" in (tmp_path / "a.html").read_text()
 
 
 def test_every_line_says_a_steps_verdict(capsys, board):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from adis_gonio.bringup.limits import MOST_TESTS
 from adis_gonio.bringup.questions import QUESTIONS
 from adis_gonio.bringup.result import Bringup, Curve, Measured, Outcome, Row, Verdict
+from adis_gonio.errors import NotInstalledError
 from adis_gonio.report.numbers import number, uncertain, with_unit
 from adis_gonio.report.parts import Figure, Section, Table
 from adis_gonio.report.render import render
@@ -65,12 +66,15 @@ def _answers(found: Bringup) -> Section:
 
 
 def _figures(found: Bringup) -> Section:
-    drawn = [
-        Figure(_draw(curve), curve.caption)
-        for row in found.rows
-        for curve in row.result.curves
-        if len(curve.x)
-    ]
+    try:
+        drawn = [
+            Figure(_draw(curve), curve.caption)
+            for row in found.rows
+            for curve in row.result.curves
+            if len(curve.x)
+        ]
+    except NotInstalledError as error:  # what was measured on the bench is worth a page without them
+        return Section("Figures", words=(f"There are none: {error}.",))
     return Section("Figures", figures=drawn)
 
 
