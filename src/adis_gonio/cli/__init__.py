@@ -27,6 +27,7 @@ COMMANDS = {
     "stream": ("adis_gonio.cli.stream", "Show or record what the sensor measures."),
     "registers": ("adis_gonio.cli.registers", "List, read and write registers."),
     "selftest": ("adis_gonio.cli.selftest", "Run the sensor's internal self-test."),
+    "bringup": ("adis_gonio.cli.bringup", "Check a new board step by step, and what it says of the part."),
     "devices": ("adis_gonio.cli.devices", "List the buses and the devices that are connected."),
 }
 

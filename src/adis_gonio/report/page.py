@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
-
 from adis_gonio import __version__
 from adis_gonio.fitting import FitResult
 from adis_gonio.model.records import Session
 from adis_gonio.report import sections as make
 from adis_gonio.report import words
 from adis_gonio.report.parts import Section
+from adis_gonio.report.render import render
 from adis_gonio.tracing.outcome.figures import Views
 from adis_gonio.tracing.outcome.result import TraceResult
 
@@ -56,26 +54,13 @@ def build_page(
         body += [make.within(result)]
         body += [make.rivals(result), make.sight(result), make.advice(result)]
     body += [*sections, make.data(session, result, software)]
-    environment = Environment(
-        loader=PackageLoader("adis_gonio.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    # Figures are the package's own drawings, whose texts are escaped already.
-    environment.filters["drawing"] = Markup
-    return environment.get_template("page.html").render(
-        title=words.title(session),
+    return render(
+        "Calibration report",
+        words.title(session),
         shape=words.shape(session),
         simulated=bool(session.facts.get("simulated")),
         begun=str(session.facts.get("started_utc", "")),
         software=software,
-        sections=[section for section in body if _filled(section)],
-    )
-
-
-def _filled(section: Section) -> bool:
-    return any(
-        (section.words, section.points, section.figures, section.tables, section.notes, section.parts)
+        sections=body,
+        closing="This page is made from the session's file alone and can be made again from it.",
     )

@@ -1,0 +1,150 @@
+"""Faults are named by the step that they belong to; sound boards are not accused."""
+
+import pytest
+
+from adis_gonio.bringup import STEPS, Outcome, Permission, Verdict, bring_up
+from adis_gonio.bringup.limits import MOST_TESTS
+from adis_gonio.bringup.questions import QUESTIONS
+from fakes.boards import FAULTY, SOUND, Board, sound
+
+ALL = Permission(writes=True, flash=True)
+
+
+def only(*names):
+    return tuple(step for step in STEPS if step.name in names)
+
+
+@pytest.mark.parametrize("name", FAULTY)
+def test_a_fault_is_named_by_its_step_and_by_no_other(name):
+    board, step, word = FAULTY[name]
+    found = bring_up(board.open(1), permission=ALL)
+    assert found.accused == (step,)
+    assert word in found.row(step).text
+    assert found.undone_ok
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_sound_board_is_not_accused_whatever_its_settings_and_its_bridge(seed):
+    bus = sound(seed).open(seed)
+    before = {name: bus.chip.memory[name] for name in dict(bus.board.flash)}
+    found = bring_up(bus, permission=ALL)
+    assert not found.accused, [found.row(name).text for name in found.accused]
+    assert found.sound
+    assert found.comparisons <= MOST_TESTS
+    assert {name: bus.chip.memory[name] for name in before} == before
+    assert bus.chip.memory["ENDURANCE"] == 1
+
+
+def test_on_a_sound_board_every_row_that_a_step_answers_is_answered():
+    found = bring_up(SOUND.open(0), permission=ALL)
+    assert set(found.answers) == {question.name for question in QUESTIONS}
+    outcomes = {name: answer.outcome for name, answer in found.answers.items()}
+    confirmed = {name for name, outcome in outcomes.items() if outcome is Outcome.CONFIRMS}
+    assert confirmed == {
+        "accel_offset_lsb", "accel_noise", "gyro_noise", "filter_gain", "sample_period", "data_ready_edge",
+        "self_test_gyro", "self_test_accel", "over_range_falls", "alarm_stays", "flash_count",
+    }  # fmt: skip
+    measured = {name for name, outcome in outcomes.items() if outcome is Outcome.MEASURED}
+    assert measured == {"offset_after_filter", "data_ready_pulse", "over_range_threshold"}
+    assert all(answer.text for answer in found.answers.values())
+
+
+def test_the_offset_registers_lsb_is_measured_as_it_is():
+    found = bring_up(Board(offset_lsb=2).open(3), permission=ALL, steps=only("link", "offset"))
+    answer = found.answers["accel_offset_lsb"]
+    assert answer.outcome is Outcome.CONTRADICTS
+    for figure in answer.figures:
+        assert figure.value == pytest.approx(2.0, abs=5 * figure.u)
+        assert figure.u < 1e-3
+
+
+def test_the_accelerometers_answer_to_the_negative_stimulus_is_reported_as_a_difference():
+    found = bring_up(
+        Board(negative_self_test=True).open(2), permission=ALL, steps=only("link", "self-test")
+    )
+    assert found.row("self-test").verdict is Verdict.DIFFERS
+    assert found.answers["self_test_accel"].outcome is Outcome.CONTRADICTS
+    assert found.answers["self_test_gyro"].outcome is Outcome.CONFIRMS
+
+
+@pytest.mark.parametrize("width_us", [30, 150, 250, 400, 700, 1100])
+@pytest.mark.parametrize("leads", [False, True])
+def test_the_width_of_the_pulse_lies_within_what_is_said_of_it(width_us, leads):
+    board = Board(pulse_s=1e-6 * width_us, lead_s=1e-6 * width_us * leads)
+    found = bring_up(board.open(1), steps=only("link", "timing", "bit errors", "data-ready"))
+    (figure,) = found.answers["data_ready_pulse"].figures
+    if figure.u is None:
+        assert width_us <= figure.value or width_us >= 1220 - figure.value
+    else:
+        assert abs(figure.value - width_us) <= 3**0.5 * figure.u
+    late = leads and width_us > 20
+    edge = found.answers["data_ready_edge"]
+    if late and width_us < 1100:  # so wide a pulse ends just before the next update
+        assert edge.outcome is Outcome.CONTRADICTS
+        assert found.accused == ("data-ready",)
+    elif not leads:
+        assert edge.outcome is Outcome.CONFIRMS
+
+
+@pytest.mark.parametrize("counts", [True, False])
+def test_a_board_without_the_wire_is_not_accused_and_polls(counts):
+    found = bring_up(
+        Board(data_ready=False, counts=counts).open(2),
+        steps=only("link", "bit errors", "data-ready", "noise"),
+    )
+    assert not found.accused
+    assert found.row("data-ready").text.startswith("not measured: no edge arrives")
+    assert found.row("noise").verdict is Verdict.OK
+
+
+def test_an_offset_that_somebody_wrote_is_not_the_parts_bias():
+    board = Board(flash=(("XACCL_OFF", 500),), direction=(1.0, 0.0, 0.0))
+    found = bring_up(board.open(9, bias_x_mg=0.0), steps=only("link", "bit errors", "variant"))
+    assert found.row("variant").verdict is Verdict.OK
+    assert found.row("variant").figures[0].value == pytest.approx(2140, rel=0.01)
+
+
+def test_the_threshold_of_over_range_is_found():
+    found = bring_up(SOUND.open(4), permission=ALL, steps=only("link", "status"))
+    (figure,) = found.answers["over_range_threshold"].figures
+    assert abs(figure.value - 1700) <= 2 * figure.u
+    assert figure.u < 20
+
+
+def test_above_a_clock_with_errors_nothing_is_clocked_faster():
+    bus = Board(clean_hz=300e3).open(5)
+    clocks = []
+    exchange = bus._exchange
+
+    def watched(frames):
+        clocks.append(bus.timing.clock_hz)
+        return exchange(frames)
+
+    bus._exchange = watched
+    found = bring_up(bus, permission=ALL)
+    assert found.accused == ("bit errors",)
+    tried = clocks.index(500e3)
+    assert max(clocks) == 500e3
+    assert max(clocks[tried + 1 :]) <= 250e3
+
+
+def test_where_every_clock_has_errors_nothing_more_is_judged():
+    found = bring_up(Board(clean_hz=20e3, bit_errors=0.01).open(6), permission=ALL)
+    assert found.accused in (("bit errors",), ("link",))
+    rest = found.rows[3:]
+    assert all(row.result.verdict is Verdict.NOT_MEASURED for row in rest)
+
+
+def test_a_silent_axis_is_named():
+    found = bring_up(SOUND.open(7, noise_mg=0.0, bias_instability_mg=0.0), steps=only("link", "noise"))
+    assert found.row("noise").verdict is Verdict.FAULT
+    assert "never changes" in found.row("noise").text
+
+
+def test_noise_that_is_not_the_tables_is_a_difference_with_its_size():
+    found = bring_up(SOUND.open(8, noise_mg=6.0), steps=only("link", "bit errors", "noise"))
+    assert found.row("noise").verdict is Verdict.DIFFERS
+    answer = found.answers["accel_noise"]
+    assert answer.outcome is Outcome.CONTRADICTS
+    assert all(figure.value == pytest.approx(6.0, abs=5 * figure.u) for figure in answer.figures)
+    assert found.answers["gyro_noise"].outcome is Outcome.CONFIRMS

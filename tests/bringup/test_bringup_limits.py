@@ -1,0 +1,79 @@
+"""Limits are the quantiles that they claim to be; the spectrum's model holds."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from adis_gonio.bringup.limits import FALSE_ALARM, MOST_TESTS, Budget, at_most
+from adis_gonio.bringup.noise import degrees_of_freedom, flicker, response, rounding, spectrum
+from adis_gonio.bringup.updates import nearest_code
+from adis_gonio.sensor.settings import sample_period_s
+from adis_gonio.sim.filter import bartlett_sums, history_rows, taps
+from adis_gonio.sim.noise import Flicker
+
+
+def test_the_limits_of_a_whole_run_add_up_to_the_false_alarm_rate_of_a_board():
+    budget = Budget()
+    spent = sum(budget.alpha() for _ in range(MOST_TESTS))
+    assert spent == pytest.approx(FALSE_ALARM)
+    with pytest.raises(RuntimeError, match="comparisons"):
+        budget.z()
+
+
+def test_each_limit_is_exceeded_with_its_probability():
+    alpha = FALSE_ALARM / MOST_TESTS
+    assert 2 * stats.norm.sf(Budget().z()) == pytest.approx(alpha)
+    for dof in (3.0, 60.0, 4000.0):
+        low, high = Budget().variance_ratio(dof)
+        assert stats.chi2.cdf(low * dof, dof) == pytest.approx(alpha / 2)
+        assert stats.chi2.sf(high * dof, dof) == pytest.approx(alpha / 2)
+    highest = Budget().highest_bin(1000)
+    assert 1000 * np.exp(-highest) == pytest.approx(alpha)
+    assert at_most(0, 16000) == pytest.approx(3 / 16000, rel=0.01)
+    assert at_most(5, 5) == 1.0
+
+
+def filtered(m, n, sigma, seed):
+    """Rounded samples of white noise behind the chip's filter, in LSB."""
+    noise = np.random.default_rng(seed).normal(0, sigma * 1024, (n + history_rows(m), 1))
+    return bartlett_sums(np.rint(noise).astype(np.int64), m) / taps(m) ** 2 / 1024
+
+
+@pytest.mark.parametrize("m", range(7))
+def test_the_spectrum_of_rounded_filtered_noise_is_the_models(m):
+    sigma, n = 10.0, 1 << 15
+    power = np.mean([spectrum(np.rint(filtered(m, n, sigma, seed)))[1][:, 0] for seed in range(8)], axis=0)
+    cycles = np.fft.rfftfreq(n)
+    model = sigma**2 * response(m, cycles) + rounding(m, sigma, cycles)
+    ratio = (power / model)[4:-1]
+    for band in np.array_split(ratio, 16):
+        assert band.mean() == pytest.approx(1.0, abs=5 * np.sqrt(35 / 18 / 8 / len(band)) + 0.01)
+
+
+@pytest.mark.parametrize(("m", "spacing"), [(0, 1), (2, 1), (6, 1), (6, 13), (3, 40)])
+def test_degrees_of_freedom_are_those_of_the_variance_of_filtered_samples(m, spacing):
+    n = 600
+    variances = [filtered(m, n * spacing, 100.0, seed)[::spacing, 0].var(ddof=1) for seed in range(400)]
+    relative = np.std(variances) / np.mean(variances)
+    assert 2 / relative**2 == pytest.approx(degrees_of_freedom(n, m, spacing), rel=0.3)
+
+
+def test_the_level_of_flicker_is_that_of_the_simulated_world():
+    rate = 819.2
+    n = 1 << 14
+    time_s = np.arange(n) / rate
+    powers = [
+        spectrum(Flicker(np.array([1.0]), np.random.default_rng(seed)).at(time_s))[1][:, 0]
+        for seed in range(30)
+    ]
+    hz = np.fft.rfftfreq(n) * rate
+    band = (hz > 0.3) & (hz < 1.2)
+    model = flicker(np.array([1.0]), hz[band], rate)[:, 0]
+    assert np.mean(np.mean(powers, axis=0)[band] / model) == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_period_belongs_to_the_nearest_code():
+    for code in (0x01, 0x02, 0x09, 0x0A, 0x7F, 0x80, 0x83, 0xFF):
+        assert sample_period_s(nearest_code(1.001 * sample_period_s(code))) == pytest.approx(
+            sample_period_s(code), rel=0.005
+        )
