@@ -24,7 +24,7 @@ def from_trace(trace: dict[str, Any]) -> dict[str, Any]:
     """
     out = empty()
     for found in trace["found"]:
-        name, share = found["effect"], min(max(found.get("probability", 0.95), 0.0), 1.0)
+        name, share = found["effect"], _probability(found)
         names, probability = _set(trace, name, share)
         parameters = {
             key: {"value": p["value"], "u": p["u"]}
@@ -51,6 +51,14 @@ def from_trace(trace: dict[str, Any]) -> dict[str, Any]:
     return out
 
 
+def _probability(finding: dict[str, Any]) -> float:
+    """Probability of a finding; where it states none (effects within the dwells), one less its p-value."""
+    share = finding.get("probability")
+    if share is None:
+        share = 1 - (finding.get("p_value") or 0.0)
+    return min(max(float(share), 0.0), 1.0)
+
+
 def _set(trace: dict[str, Any], name: str, share: float) -> tuple[list[str], list[float]]:
     for group in trace.get("sets", []):
         if group["names"] and name in group["names"]:
@@ -69,8 +77,8 @@ def _set(trace: dict[str, Any], name: str, share: float) -> tuple[list[str], lis
 
 def _something(trace: dict[str, Any]) -> float:
     """Probability of anything beside the bias: of the models that are named as rivals, and of what was claimed."""
-    claimed = [f.get("probability", 0.95) for f in trace["found"] if f["effect"] != "bias"]
-    claimed += [trace["unnamed"].get("probability", 0.95)] if trace["unnamed"] else []
+    claimed = [_probability(f) for f in trace["found"] if f["effect"] != "bias"]
+    claimed += [_probability(trace["unnamed"])] if trace["unnamed"] else []
     rivals = trace.get("rivals", [])
     total = sum(r["probability"] for r in rivals)
     if total > 0:
