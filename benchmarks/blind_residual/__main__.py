@@ -29,7 +29,9 @@ def _parser() -> argparse.ArgumentParser:
     score.add_argument("-o", "--output", type=Path, required=True)
     score.add_argument("--records", type=Path, help="also write one JSON line a session and entrant")
     for command in (make, run, score):
-        command.add_argument("--work", type=Path, required=True, help="directory with sessions/, truths/, answers/")
+        command.add_argument(
+            "--work", type=Path, required=True, help="directory with sessions/, truths/, answers/"
+        )
     seal = commands.add_parser("seal", help="check a secret against the published hash")
     seal.add_argument("--secret", required=True)
     return parser

@@ -48,22 +48,35 @@ def checked(answer: Any, where: str = "answer") -> dict[str, Any]:
 
     need(isinstance(answer, dict), "the answer must be one JSON object")
     unknown = set(answer) - set(empty())
-    need(not unknown, f"unknown key {sorted(unknown)[0] if unknown else ''!r}; known are {', '.join(empty())}")
+    need(
+        not unknown,
+        f"unknown key {sorted(unknown)[0] if unknown else ''!r}; known are {', '.join(empty())}",
+    )
     answer = empty() | answer
     need(_share(answer["something"]), "`something` must be a probability from 0 to 1")
     need(isinstance(answer["causes"], list), "`causes` must be a list")
     for k, cause in enumerate(answer["causes"]):
         here = f"causes[{k}]"
-        need(isinstance(cause, dict) and isinstance(cause.get("names"), list), f"{here} needs a list `names`")
-        names, probability = cause["names"], cause.get("probability")
-        need(bool(names) and all(isinstance(n, str) for n in names), f"{here}.names must hold at least one name")
         need(
-            isinstance(probability, list) and len(probability) == len(names) and all(map(_share, probability)),
+            isinstance(cause, dict) and isinstance(cause.get("names"), list), f"{here} needs a list `names`"
+        )
+        names, probability = cause["names"], cause.get("probability")
+        need(
+            bool(names) and all(isinstance(n, str) for n in names),
+            f"{here}.names must hold at least one name",
+        )
+        need(
+            isinstance(probability, list)
+            and len(probability) == len(names)
+            and all(map(_share, probability)),
             f"{here}.probability must be one number from 0 to 1 a name",
         )
         _check_values(cause.setdefault("parameters", {}), f"{here}.parameters", need)
     words = answer["covariates"]
-    need(isinstance(words, list) and all(isinstance(w, str) for w in words), "`covariates` must be a list of words")
+    need(
+        isinstance(words, list) and all(isinstance(w, str) for w in words),
+        "`covariates` must be a list of words",
+    )
     _check_values(answer["base"], "base", need)
     need(isinstance(answer["heldout"], dict), "`heldout` must be an object, see README.md")
     return answer

@@ -1,7 +1,8 @@
 """The catalogue's terms as columns, written from their formulas (docs/effects.md) for this benchmark alone.
 
-A `Term` is one way in which a name can act (on x alone, with this time constant, in that dwell): columns that are
-linear in their amplitudes. The generator plants them, the oracle and the simple runners look for them.
+A `Term` is one way in which a name can act (on x alone, with this time constant, in that dwell): columns
+that are linear in their amplitudes. The generator plants them, the oracle and the simple runners look
+for them.
 """
 
 from __future__ import annotations
@@ -17,10 +18,25 @@ TAUS_S = (60.0, 150.0, 400.0, 1000.0)
 """Time constants that are tried where a term has one."""
 
 NAMES = (
-    "cross_axis", "quadratic", "cubic", "asymmetry", "cross_quadratic", "bias_temperature", "scale_temperature",
-    "thermal_lag", "bias_drift", "warm_up", "supply_bias", "vibration_rectification", "hysteresis", "backlash",
-    "stage_eccentricity", "stage_ellipticity", "position_slip", "outlier_dwell",
-)  # fmt: skip
+    "cross_axis",
+    "quadratic",
+    "cubic",
+    "asymmetry",
+    "cross_quadratic",
+    "bias_temperature",
+    "scale_temperature",
+    "thermal_lag",
+    "bias_drift",
+    "warm_up",
+    "supply_bias",
+    "vibration_rectification",
+    "hysteresis",
+    "backlash",
+    "stage_eccentricity",
+    "stage_ellipticity",
+    "position_slip",
+    "outlier_dwell",
+)
 """Names that show in the readings beside a bias."""
 
 WITHIN = ("tone", "settling", "noise_change", "saturation", "quantization")
@@ -70,7 +86,11 @@ def _by_axis(name: str, c: Circumstances, stems: list[tuple[str, Floats]], extra
                 parameters.append(f"{stem}_{letter}")
                 columns.append(column)
         reading = np.stack(columns, axis=2)
-        terms.append(Term(name, f"{name}[{chosen}]{extra}", tuple(parameters), reading, np.zeros((c.n, len(columns)))))
+        terms.append(
+            Term(
+                name, f"{name}[{chosen}]{extra}", tuple(parameters), reading, np.zeros((c.n, len(columns)))
+            )
+        )
     return terms
 
 
@@ -96,7 +116,9 @@ def _across(name: str, c: Circumstances, stem: str, a: Floats, square: bool) -> 
     ]
 
 
-def _angular(name: str, c: Circumstances, parameters: tuple[str, ...], *columns: Floats, label: str = "") -> Term:
+def _angular(
+    name: str, c: Circumstances, parameters: tuple[str, ...], *columns: Floats, label: str = ""
+) -> Term:
     angle = np.radians(np.column_stack(columns))
     return Term(name, label or name, parameters, np.zeros((c.n, c.axes, angle.shape[1])), angle)
 
@@ -130,7 +152,9 @@ def terms(name: str, c: Circumstances, a: Floats) -> list[Term]:
         return _by_axis(name, c, [("drift", c.minutes)])
     if name == "warm_up":
         return [
-            t for tau in TAUS_S for t in _by_axis(name, c, [("warm_up", np.exp(-c.time_s / tau))], f"(tau={tau:g})")
+            t
+            for tau in TAUS_S
+            for t in _by_axis(name, c, [("warm_up", np.exp(-c.time_s / tau))], f"(tau={tau:g})")
         ]
     if name == "vibration_rectification":
         known = np.ptp(c.variance_mg2) > 0

@@ -1,9 +1,9 @@
 """What a session may hide: causes of the catalogue, foreign ones, strangers and pure scatter.
 
-A cause makes something `Planted` of a session's circumstances: what one unit of its amplitude adds to the readings
-and to the true angle, or how large a scatter it is. Strangers are invented from physics, without regard to what any
-tool can express; each says in one sentence what it is. `covariates` are groups of words: whoever names one word of
-each group has seen what the residual depends on.
+A cause makes something `Planted` of a session's circumstances: what one unit of its amplitude adds to
+the readings and to the true angle, or how large a scatter it is. Strangers are invented from physics,
+without regard to what any tool can express; each says in one sentence what it is. `covariates` are
+groups of words: whoever names one word of each group has seen what the residual depends on.
 """
 
 from __future__ import annotations
@@ -113,9 +113,14 @@ def _cause(
 
 
 _NEEDS = {
-    "bias_temperature": "temperature", "scale_temperature": "temperature", "thermal_lag": "temperature",
-    "supply_bias": "supply", "vibration_rectification": "vibration", "hysteresis": "approach", "backlash": "approach",
-}  # fmt: skip
+    "bias_temperature": "temperature",
+    "scale_temperature": "temperature",
+    "thermal_lag": "temperature",
+    "supply_bias": "supply",
+    "vibration_rectification": "vibration",
+    "hysteresis": "approach",
+    "backlash": "approach",
+}
 _STAGE = {"backlash", "stage_eccentricity", "stage_ellipticity", "position_slip"}
 
 
@@ -126,7 +131,9 @@ def _catalogued(name: str) -> Maker:
             raise ValueError(f"{name}: this session cannot show it")
         # One of the axes as often as all of them.
         sizes = np.array([len(t.parameters) for t in ways])
-        weight = np.where(sizes == sizes.max(), 1 / np.sum(sizes == sizes.max()), 1 / max(np.sum(sizes < sizes.max()), 1))
+        weight = np.where(
+            sizes == sizes.max(), 1 / np.sum(sizes == sizes.max()), 1 / max(np.sum(sizes < sizes.max()), 1)
+        )
         term = ways[rng.choice(len(ways), p=weight / weight.sum())]
         size = rng.uniform(0.4, 1.0, len(term.parameters)) * rng.choice([-1, 1], len(term.parameters))
         parameters = dict(zip(term.parameters, size.tolist(), strict=True))
@@ -515,7 +522,9 @@ def impact(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
 # Pure scatter: no covariate explains it
 
 
-def _scatter_reading(c: Circumstances, rng: np.random.Generator, covariance: Floats, draw: Floats) -> Planted:
+def _scatter_reading(
+    c: Circumstances, rng: np.random.Generator, covariance: Floats, draw: Floats
+) -> Planted:
     return Planted(draw, np.zeros(c.n), reading_covariance=covariance)
 
 

@@ -23,9 +23,15 @@ BINS = ((4.0, 10.0), (10.0, 16.0), (16.0, 30.0), (30.0, 50.0), (50.0, 100.0), (1
 """Ladder of the likelihood-ratio gain 2Δ ln L of the true effect."""
 
 FAMILIES = {
-    "nothing": 0.12, "bias": 0.03, "catalogue": 0.25, "two": 0.14, "within": 0.05, "foreign": 0.11, "stranger": 0.20,
+    "nothing": 0.12,
+    "bias": 0.03,
+    "catalogue": 0.25,
+    "two": 0.14,
+    "within": 0.05,
+    "foreign": 0.11,
+    "stranger": 0.20,
     "scatter": 0.10,
-}  # fmt: skip
+}
 """Share of each family. Recordings are made apart (recordings.py)."""
 
 LARGEST_MG = 150.0
@@ -99,14 +105,21 @@ class Truth:
         """The session linearised with everything known that the oracle may know."""
         c = circumstances_from(self.circumstances)
         start = np.array(self.start_s)
-        noise = _known_covariance(c, [Noise(**row) for row in self.noise], start, self.samples, self.rate_hz)
-        return linearise(c, np.array(self.readings_mg), noise, np.radians(self.fixture_deg), self.gravity_mg)
+        noise = _known_covariance(
+            c, [Noise(**row) for row in self.noise], start, self.samples, self.rate_hz
+        )
+        return linearise(
+            c, np.array(self.readings_mg), noise, np.radians(self.fixture_deg), self.gravity_mg
+        )
 
 
-def _known_covariance(c: Circumstances, noise: list[Noise], start: Floats, m: int, rate_hz: float) -> list[Floats]:
+def _known_covariance(
+    c: Circumstances, noise: list[Noise], start: Floats, m: int, rate_hz: float
+) -> list[Floats]:
     """Covariance of the readings of each axis, that of the vibration with it."""
     return [
-        x.reading_covariance(start, m, rate_hz) + np.diag(c.variance_mg2[:, i] / m) for i, x in enumerate(noise)
+        x.reading_covariance(start, m, rate_hz) + np.diag(c.variance_mg2[:, i] / m)
+        for i, x in enumerate(noise)
     ]
 
 
@@ -141,7 +154,9 @@ def draw(secret: str, number: int, family: str | None = None) -> tuple[str, Trut
     """
     rng = np.random.default_rng(seed_of(secret, number))
     if family is None:
-        family = str(rng.choice(list(FAMILIES), p=np.array(list(FAMILIES.values())) / sum(FAMILIES.values())))
+        family = str(
+            rng.choice(list(FAMILIES), p=np.array(list(FAMILIES.values())) / sum(FAMILIES.values()))
+        )
     for _ in range(200):
         made = _try(rng, family, f"s{number:05d}")
         if made is not None:
@@ -153,7 +168,11 @@ def draw(secret: str, number: int, family: str | None = None) -> tuple[str, Trut
 
 
 def _plan_angles(rng: np.random.Generator, n: int, fine: bool) -> Floats:
-    style = "random" if fine else str(rng.choice(["turn", "there_back", "shuffled", "repeated", "turns", "random"]))
+    style = (
+        "random"
+        if fine
+        else str(rng.choice(["turn", "there_back", "shuffled", "repeated", "turns", "random"]))
+    )
     step = 360.0 / max(n if style == "turn" else n // 2, 3)
     if style == "turn":
         angles = np.arange(n) * step
@@ -178,7 +197,15 @@ def _poses(rng: np.random.Generator, n: int) -> Floats:
     if rng.random() < 0.5:
         vectors = rng.normal(size=(n, 3))
     else:  # faces, edges and corners of a cube, by hand
-        grid = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) != (0, 0, 0)])
+        grid = np.array(
+            [
+                (i, j, k)
+                for i in (-1, 0, 1)
+                for j in (-1, 0, 1)
+                for k in (-1, 0, 1)
+                if (i, j, k) != (0, 0, 0)
+            ]
+        )
         order = rng.permutation(len(grid))
         vectors = grid[np.resize(order, n)] + rng.normal(0, 0.05, (n, 3))
     return vectors / np.linalg.norm(vectors, axis=1)[:, None]
@@ -215,9 +242,17 @@ def _circumstances(
     angle = _plan_angles(rng, n, "fine_angles" in needs) if plane else np.zeros(n)
     temp = supply = np.full(n, np.nan)
     if "temperature" in needs or rng.random() < 0.75:
-        temp = 25 + rng.uniform(-3, 6) + rng.uniform(1, 8) * _course(rng, time_s, ["rising", "cycle", "steps", "walk"])
+        temp = (
+            25
+            + rng.uniform(-3, 6)
+            + rng.uniform(1, 8) * _course(rng, time_s, ["rising", "cycle", "steps", "walk"])
+        )
     if "supply" in needs or rng.random() < 0.55:
-        supply = 5 + rng.uniform(-0.1, 0.1) + rng.uniform(0.02, 0.2) * _course(rng, time_s, ["walk", "steps", "cycle"])
+        supply = (
+            5
+            + rng.uniform(-0.1, 0.1)
+            + rng.uniform(0.02, 0.2) * _course(rng, time_s, ["walk", "steps", "cycle"])
+        )
     approach = np.zeros(n)
     if plane and ("approach" in needs or rng.random() < 0.7):
         move = np.diff(angle, prepend=angle[0] - 1)
@@ -278,7 +313,7 @@ def _scatter_size(d: Floats, target: float) -> float:
     return float(low)
 
 
-def _amplitudes(linear: Linear, planted: list[Planted], targets: list[float]) -> list[float] | None:
+def amplitudes(linear: Linear, planted: list[Planted], targets: list[float]) -> list[float] | None:
     """Sizes that give each cause its gain beside the others; None where the session cannot show it."""
     white = Whitened(linear)
     if planted and planted[0].is_scatter:
@@ -308,7 +343,8 @@ def realised_gains(linear: Linear, planted: list[Planted]) -> list[float]:
     columns = [_rows(linear, p)[:, None] for p in planted]
     whole = white.gain(np.hstack(columns)) if columns else 0.0
     return [
-        whole - (white.gain(np.hstack([x for j, x in enumerate(columns) if j != k])) if len(columns) > 1 else 0.0)
+        whole
+        - (white.gain(np.hstack([x for j, x in enumerate(columns) if j != k])) if len(columns) > 1 else 0.0)
         for k in range(len(columns))
     ]
 
@@ -325,8 +361,11 @@ def _draw_noise(rng: np.random.Generator, axes: int) -> tuple[list[Noise], int, 
     white = 4.7 * rng.uniform(0.6, 1.4) if chip else rng.uniform(0.8, 3)
     flicker = rng.uniform(0.02, 0.10)
     step = 0.4672 if chip else 0.1
-    return [Noise(white * rng.uniform(0.9, 1.1), taps, flicker, step) for _ in range(axes)], samples, rate, (
-        "lsb" if chip else "mg"
+    return (
+        [Noise(white * rng.uniform(0.9, 1.1), taps, flicker, step) for _ in range(axes)],
+        samples,
+        rate,
+        ("lsb" if chip else "mg"),
     )
 
 
@@ -362,7 +401,7 @@ def _try(rng: np.random.Generator, family: str, name: str) -> tuple[str, Truth] 
     targets = [float(np.exp(rng.uniform(np.log(low), np.log(high)))) for _ in hidden] if hidden else []
     clean = _readings(c, ideal, values, gravity, np.zeros(c.n), np.zeros((c.n, axes)))
     exact = linearise(c, clean, covariance, np.radians(fixture_deg), gravity)
-    sizes = _amplitudes(exact, planted, targets)
+    sizes = amplitudes(exact, planted, targets)
     if sizes is None:
         return None
     planted = [_sized(p, s) for p, s in zip(planted, sizes, strict=True)]
@@ -378,13 +417,27 @@ def _try(rng: np.random.Generator, family: str, name: str) -> tuple[str, Truth] 
     data += np.sqrt(c.variance_mg2)[:, :, None] * rng.normal(size=data.shape)
     inside: dict[str, float] = {}
     if within:
-        data, inside, targets = _within(rng, within, data, noise, start, samples, rate, float(rng.uniform(low, high)))
+        data, inside, targets = _within(
+            rng, within, data, noise, start, samples, rate, float(rng.uniform(low, high))
+        )
         hidden = [within]
     step = noise[0].step_mg
-    counts = np.round(data / step) if unit == "lsb" else np.round(data, 4) if step == 0 else np.round(data / step) * step
+    counts = (
+        np.round(data / step)
+        if unit == "lsb"
+        else np.round(data, 4)
+        if step == 0
+        else np.round(data / step) * step
+    )
     readings = counts.mean(axis=2) * (step if unit == "lsb" else 1.0)
     linear = linearise(c, readings, covariance, np.radians(fixture_deg), gravity)
-    gain = list(targets) if within else [_bias_gain(linear)] if family == "bias" else realised_gains(linear, planted)
+    gain = (
+        list(targets)
+        if within
+        else [bias_gain(linear)]
+        if family == "bias"
+        else realised_gains(linear, planted)
+    )
     parameters = {k: v for p in planted for k, v in p.parameters.items()} | inside
     catalogued = [h for h in hidden if h in NAMES or h in WITHIN]
     truth = Truth(
@@ -392,7 +445,7 @@ def _try(rng: np.random.Generator, family: str, name: str) -> tuple[str, Truth] 
         [sorted(g) for h in hidden if h in CAUSES for g in CAUSES[h].covariates],
         parameters, _base(c, values, bias), targets, [float(x) for x in gain],
         any(p.is_scatter for p in planted), plane, fixture_deg, gravity, start.tolist(), samples, rate,
-        [asdict(x) for x in noise], _plain(c), readings.tolist(), [_planted(p) for p in planted],
+        [asdict(x) for x in noise], plain(c), readings.tolist(), [plain_planted(p) for p in planted],
     )  # fmt: skip
     return _csv(c, counts, start, rate, unit, fixture_deg, gravity_mps2, noise[0].reading_u_mg, rng), truth
 
@@ -408,7 +461,8 @@ def _sized(p: Planted, size: float) -> Planted:
     )
 
 
-def _planted(p: Planted) -> dict[str, Any]:
+def plain_planted(p: Planted) -> dict[str, Any]:
+    """What was planted, as lists."""
     return {
         "reading": p.reading.tolist(),
         "angle": p.angle.tolist(),
@@ -424,11 +478,14 @@ def planted_from(plain: dict[str, Any]) -> Planted:
     return Planted(detail=plain["detail"], **arrays)
 
 
-def _plain(c: Circumstances) -> dict[str, Any]:
+def plain(c: Circumstances) -> dict[str, Any]:
+    """Circumstances as lists."""
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(c).items()}
 
 
-def _ideal(rng: np.random.Generator, c: Circumstances, gains: Floats, bias: Floats) -> tuple[Floats, Floats]:
+def _ideal(
+    rng: np.random.Generator, c: Circumstances, gains: Floats, bias: Floats
+) -> tuple[Floats, Floats]:
     """What the axes should read in g, and the base values in the order of likelihood.py."""
     if c.plane:
         alpha, lean = rng.uniform(-np.pi, np.pi), np.radians(rng.normal(0, 0.25))
@@ -436,7 +493,9 @@ def _ideal(rng: np.random.Generator, c: Circumstances, gains: Floats, bias: Floa
     return c.direction, np.array([*gains, *np.radians(rng.normal(0, 0.25, 3)), *bias])
 
 
-def _readings(c: Circumstances, ideal: Floats, values: Floats, g: float, turn: Floats, added: Floats) -> Floats:
+def _readings(
+    c: Circumstances, ideal: Floats, values: Floats, g: float, turn: Floats, added: Floats
+) -> Floats:
     """Mean readings in mg at true angles turned by `turn` (rad), with `added` (mg)."""
     if c.plane:
         alpha, kx, ky, lean, bx, by = values
@@ -473,7 +532,7 @@ def _weak_bias(
     return [target], bias, values
 
 
-def _bias_gain(linear: Linear) -> float:
+def bias_gain(linear: Linear) -> float:
     """2Δ ln L of the bias that was fitted."""
     _, left = _bias_columns(linear)
     fitted = linear.values[[name.startswith("bias") for name in linear.names]]
@@ -484,8 +543,8 @@ def _bias_gain(linear: Linear) -> float:
 
 
 def _within(
-    rng: np.random.Generator, name: str, data: Floats, noise: list[Noise], start: Floats, m: int, rate: float,
-    target: float,
+    rng: np.random.Generator, name: str, data: Floats, noise: list[Noise], start: Floats, m: int, rate:
+    float, target: float,
 ) -> tuple[Floats, dict[str, float], list[float]]:  # fmt: skip
     """Samples (n, axes, m) with an effect that shows within the dwells; its parameters and gain."""
     n = len(data)
@@ -526,8 +585,8 @@ def _within(
 
 
 def _csv(
-    c: Circumstances, counts: Floats, start: Floats, rate: float, unit: str, fixture_deg: float, gravity_mps2: float,
-    reading_u_mg: float, rng: np.random.Generator,
+    c: Circumstances, counts: Floats, start: Floats, rate: float, unit: str, fixture_deg: float,
+    gravity_mps2: float, reading_u_mg: float, rng: np.random.Generator,
 ) -> str:  # fmt: skip
     head = [
         f"# sensor: {'adis16354' if unit == 'lsb' else 'generic'}",

@@ -25,7 +25,9 @@ class ChallengeError(Exception):
     """Something that the user of the benchmark has to put right; one line."""
 
 
-def make(secret: str, count: int, sessions: Path, truths: Path, first: int = 0, family: str | None = None) -> None:
+def make(
+    secret: str, count: int, sessions: Path, truths: Path, first: int = 0, family: str | None = None
+) -> None:
     """Write `count` sessions, each in a directory of its own, and their truths elsewhere."""
     if truths.resolve().is_relative_to(sessions.resolve()):
         raise ChallengeError(f"{truths}: the truth must not lie within {sessions}, where runners run")
@@ -41,9 +43,9 @@ def make(secret: str, count: int, sessions: Path, truths: Path, first: int = 0, 
 def blind(csv: str) -> str:
     """A samples CSV without what the check dwells read.
 
-    In the plane their acceleration cells are empty. In space, where a pose is not declared, one cell of a row is:
-    the largest of the three, as the mean of the dwell says; column `hidden_sign` holds its sign. Each check dwell
-    keeps one row, its mean.
+    In the plane their acceleration cells are empty. In space, where a pose is not declared, one cell of
+    a row is: the largest of the three, as the mean of the dwell says; column `hidden_sign` holds its
+    sign. Each check dwell keeps one row, its mean.
     """
     lines = csv.splitlines()
     at = next(k for k, line in enumerate(lines) if not line.startswith("#"))
@@ -103,7 +105,7 @@ def run(
     sessions: Path, truths: Path, out: Path, name: str, command: str | None = None,
     tell: Callable[[str], None] = lambda _: None, deadline_s: float = float("inf"),
 ) -> int:  # fmt: skip
-    """Run an entrant over all sessions; one JSON line a session is added to `out`, those already there are kept.
+    """Run an entrant over all sessions that `out` does not hold yet; adds one JSON line a session.
 
     Parameters
     ----------
@@ -119,7 +121,9 @@ def run(
     int
         Number of answers that broke the contract or took too long.
     """
-    done = {json.loads(line)["id"] for line in out.read_text("utf-8").splitlines()} if out.exists() else set()
+    done = (
+        {json.loads(line)["id"] for line in out.read_text("utf-8").splitlines()} if out.exists() else set()
+    )
     begun, bad = time.monotonic(), 0
     paths = sorted(truths.glob("*.json"))
     if not paths:
@@ -148,7 +152,9 @@ def run(
             bad += 1
             tell(f"{truth.id}: {error}")
         with out.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"id": truth.id, "seconds": seconds, "error": error, "answer": answer}) + "\n")
+            file.write(
+                json.dumps({"id": truth.id, "seconds": seconds, "error": error, "answer": answer}) + "\n"
+            )
     return bad
 
 
@@ -176,13 +182,19 @@ def _external(command: str, there: Path) -> dict[str, Any]:
         raise ChallengeError(f"{command.split()[0]}: no such program")
     try:
         done = subprocess.run(
-            [program, *command.split()[1:], str(there)], capture_output=True, timeout=TIMEOUT_S, check=False, text=True
+            [program, *command.split()[1:], str(there)],
+            capture_output=True,
+            timeout=TIMEOUT_S,
+            check=False,
+            text=True,
         )
     except subprocess.TimeoutExpired:
         raise _TooLongError from None
     if done.returncode:
         words = done.stderr.strip().splitlines()
-        raise answers.AnswerError(f"the runner ended with status {done.returncode}: {words[-1] if words else 'no word'}")
+        raise answers.AnswerError(
+            f"the runner ended with status {done.returncode}: {words[-1] if words else 'no word'}"
+        )
     return answers.load(there / "answer.json")
 
 
@@ -190,7 +202,9 @@ def records(truths: Path, answered: Path, by_oracle: Path | None) -> list[scorin
     """Scores of all answered sessions."""
     told = {}
     if by_oracle is not None:
-        told = {row["id"]: row["answer"] for row in map(json.loads, by_oracle.read_text("utf-8").splitlines())}
+        told = {
+            row["id"]: row["answer"] for row in map(json.loads, by_oracle.read_text("utf-8").splitlines())
+        }
     out = []
     for line in answered.read_text("utf-8").splitlines():
         row = json.loads(line)

@@ -53,7 +53,9 @@ def percent(records: Iterable[Record], key: str | Callable[[Record], object]) ->
     if not of:
         return "–"
     low, high = scoring.wilson(hits, of)
-    return f"{hits / of:.0%} ({low:.0%}–{high:.0%}), {hits:g} of {of}".replace("%", " %").replace(" %–", "–")
+    return f"{hits / of:.0%} ({low:.0%}–{high:.0%}), {hits:g} of {of}".replace("%", " %").replace(
+        " %–", "–"
+    )
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:
@@ -73,8 +75,8 @@ def page(found: dict[str, list[Record]]) -> str:
         f"{some} sessions. Shares with Wilson's 95 % intervals. Columns are explained in README.md.",
         "## All kinds",
         _table(
-            ["entrant", "right set (catalogue, gain ≥ 16)", "something false (nothing hidden)", "wrong name",
-             "wrong at > 95 %", "covariate, no name", "fabricated on scatter", "left out ÷ oracle's, median",
+            ["entrant", "right set (gain ≥ 16)", "something false (nothing hidden)", "wrong name",
+             "wrong at > 95 %", "covariate, no name", "fabricated on scatter", "left out ÷ oracle's",
              "Brier", "log score", "CPU s, median", "failed"],
             [_summary(name, rows) for name, rows in found.items()],
         ),
@@ -99,7 +101,12 @@ def page(found: dict[str, list[Record]]) -> str:
         _coverage(found),
     ]  # fmt: skip
     for name, rows in found.items():
-        parts += [f"## {name}", "Commonest wrong names by kind:", _wrong(rows), "Reliability, probability of something:"]
+        parts += [
+            f"## {name}",
+            "Commonest wrong names by kind:",
+            _wrong(rows),
+            "Reliability, probability of something:",
+        ]
         parts.append(_reliability(_something(rows)))
         parts += ["Reliability, leading names:", _reliability(scoring.name_pairs(rows))]
     return "\n\n".join(parts) + "\n"
@@ -133,14 +140,17 @@ def _by_bin(found: dict[str, list[Record]], families: tuple[str, ...], key: str)
     rows = []
     for name, records_ in found.items():
         chosen = [r for r in records_ if r["family"] in families]
-        rows.append([name, *(percent([r for r in chosen if r["bin"] == b], key) for b in scoring.BIN_NAMES[:-1])])
+        rows.append(
+            [name, *(percent([r for r in chosen if r["bin"] == b], key) for b in scoring.BIN_NAMES[:-1])]
+        )
     return _table(["entrant", *scoring.BIN_NAMES[:-1]], rows)
 
 
 def _by_family(found: dict[str, list[Record]], key: str) -> str:
     families = ("nothing", "bias", *HIDDEN)
     rows = [
-        [name, *(percent([r for r in rows if r["family"] == f], key) for f in families)] for name, rows in found.items()
+        [name, *(percent([r for r in rows if r["family"] == f], key) for f in families)]
+        for name, rows in found.items()
     ]
     return _table(["entrant", *families], rows)
 
@@ -161,7 +171,11 @@ def _heldout(found: dict[str, list[Record]]) -> str:
     for name, records_ in found.items():
         cells = []
         for family in families:
-            r = [x["heldout_ratio"] for x in records_ if x["family"] == family and x.get("heldout_ratio") is not None]
+            r = [
+                x["heldout_ratio"]
+                for x in records_
+                if x["family"] == family and x.get("heldout_ratio") is not None
+            ]
             cells.append(f"{np.median(r):.2f} ({np.quantile(r, 0.9):.2f})" if r else "–")
         rows.append([name, *cells])
     return _table(["entrant", *families], rows)
@@ -173,7 +187,9 @@ def _coverage(found: dict[str, list[Record]]) -> str:
         for part in ("nothing", "catalogue", "two", "foreign", "stranger", "scatter"):
             cells = []
             for keys in (("delta_k",), ("delta_phi",), ("bias_x", "bias_y", "bias_z")):
-                z = [v for r in records_ if r["family"] == part for k, v in r["base_z"].items() if k in keys]
+                z = [
+                    v for r in records_ if r["family"] == part for k, v in r["base_z"].items() if k in keys
+                ]
                 cells.append(_covered(z))
             z = [v for r in records_ if r["family"] == part for v in r["amplitude_z"].values()]
             rows.append([name, part, *cells, _covered(z)])
@@ -185,7 +201,9 @@ def _covered(z: list[float]) -> str:
         return "–"
     hits, of, rms = scoring.coverage(z)
     low, high = scoring.wilson(hits, of)
-    return f"{hits / of:.0%} ({low:.0%}–{high:.0%}) of {of}, rms z {rms:.2g}".replace("%", " %").replace(" %–", "–")
+    return f"{hits / of:.0%} ({low:.0%}–{high:.0%}) of {of}, rms z {rms:.2g}".replace("%", " %").replace(
+        " %–", "–"
+    )
 
 
 def _wrong(rows: list[Record]) -> str:

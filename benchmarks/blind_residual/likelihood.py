@@ -1,8 +1,8 @@
 """Base model, whitening and likelihood of a session whose noise is known.
 
-Plane: rows are all x, then all y readings; base parameters α, two gains, Δφ. Space: attitudes are free, so a pose
-gives one row, the length of the reading; base parameters three gains, three skews. A bias is always fitted too.
-Everything else is linear in its amplitudes about that fit.
+Plane: rows are all x, then all y readings; base parameters α, two gains, Δφ. Space: attitudes are free,
+so a pose gives one row, the length of the reading; base parameters three gains, three skews. A bias is
+always fitted too. Everything else is linear in its amplitudes about that fit.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class Whitened:
         return inverse @ self.e / size, inverse @ inverse.T / np.outer(size, size)
 
     def scatter(self, covariance: Floats) -> tuple[Floats, Floats]:
-        """Eigenvalues d of a further covariance (rows, rows) beside the base model, and the squares w² beside them.
+        """Eigenvalues d of a further covariance (rows, rows) beside the base model, and squares w² to them.
 
         With its size A², 2Δ ln L = Σ w² A²d/(1 + A²d) − ln(1 + A²d).
         """
@@ -144,7 +144,9 @@ def linearise(
 
 def _least_squares(base: Floats, e: Floats, covariance: Floats, fit: np.ndarray) -> Floats:
     factor = np.linalg.cholesky(covariance[np.ix_(fit, fit)])
-    return np.linalg.lstsq(np.linalg.solve(factor, base[fit]), np.linalg.solve(factor, e[fit]), rcond=1e-12)[0]
+    return np.linalg.lstsq(
+        np.linalg.solve(factor, base[fit]), np.linalg.solve(factor, e[fit]), rcond=1e-12
+    )[0]
 
 
 def _plane(c: Circumstances, r: Floats, covariance: list[Floats], fixture_rad: float, g: float) -> Linear:
@@ -169,7 +171,13 @@ def _plane(c: Circumstances, r: Floats, covariance: list[Floats], fixture_rad: f
 
 
 def _plane_at(
-    c: Circumstances, measured: Floats, noise: Floats, fixture_rad: float, g: float, values: Floats, fit: np.ndarray
+    c: Circumstances,
+    measured: Floats,
+    noise: Floats,
+    fixture_rad: float,
+    g: float,
+    values: Floats,
+    fit: np.ndarray,
 ) -> Linear:
     n = c.n
     alpha, kx, ky, lean, bx, by = values
@@ -254,7 +262,7 @@ def _space_at(c: Circumstances, r: Floats, covariance: list[Floats], g: float, v
 
 
 def base_parameters(names: list[str], values: Floats, covariance: Floats) -> dict[str, dict[str, float]]:
-    """The parameters that entrants state, from base values and covariance: delta_k (1), delta_phi (°), bias (mg)."""
+    """The parameters that entrants state: delta_k (unit 1), delta_phi (degree), bias_x, … (mg)."""
     out: dict[str, dict[str, float]] = {}
 
     def put(name: str, value: float, gradient: Floats) -> None:
@@ -263,7 +271,9 @@ def base_parameters(names: list[str], values: Floats, covariance: Floats) -> dic
     unit = np.eye(len(names))
     if "delta_phi" in names:
         x, y = names.index("scale_x"), names.index("scale_y")
-        put("delta_k", values[x] / values[y] - 1, unit[x] / values[y] - unit[y] * values[x] / values[y] ** 2)
+        put(
+            "delta_k", values[x] / values[y] - 1, unit[x] / values[y] - unit[y] * values[x] / values[y] ** 2
+        )
         k = names.index("delta_phi")
         put("delta_phi", np.degrees(values[k]), np.degrees(unit[k]))
     for k, name in enumerate(names):

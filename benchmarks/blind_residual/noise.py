@@ -1,7 +1,7 @@
 """Noise of samples that a real part has, and the covariance of the dwell means, which the oracle knows.
 
-White noise behind the chip's filter (two boxcars of `taps` samples), flicker as a sum of first-order processes
-with time constants a decade apart, and the converter's step.
+White noise behind the chip's filter (two boxcars of `taps` samples), flicker as a sum of first-order
+processes with time constants a decade apart, and the converter's step.
 """
 
 from __future__ import annotations

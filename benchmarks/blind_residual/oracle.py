@@ -1,7 +1,7 @@
 """The oracle: knows noise, surroundings and the list of true candidates; what is possible at best.
 
-It weighs all models of up to two causes: every name of the catalogue in every way in which it can act, and, where
-the session hides something else, that cause's true form. Evidence is ½·2Δ ln L − ½ k ln(rows).
+It weighs all models of up to two causes: every name of the catalogue in every way in which it can act,
+and, where the session hides something else, that cause's true form. Evidence is ½·2Δ ln L − ½ k ln(rows).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from .answers import empty
 from .catalogue import NAMES, WITHIN, Term, terms
 from .circumstances import Floats
-from .generator import Truth, _bias_gain, planted_from, scatter_rows
+from .generator import Truth, bias_gain, planted_from, scatter_rows
 from .likelihood import Linear, Whitened, base_parameters, scatter_gain
 
 PRIOR = {"nothing": 0.4, "one": 0.4, "two": 0.2}
@@ -86,19 +86,28 @@ class Weighing:
         return float(1 - self.weight[0])
 
     def causes(self) -> list[dict[str, Any]]:
-        """Credible set of 95 % of each cause of the most likely names: two where that there are two is as sure as a claim."""
+        """Credible set of 95 % of each cause of the most likely names.
+
+        Two causes where that there are two is as sure as a claim must be.
+        """
         by_names: dict[frozenset[str], float] = {}
         for model, w in zip(self.models, self.weight, strict=True):
             key = frozenset(self.name(m) for m in model)
             by_names[key] = by_names.get(key, 0) + w
         two = sum(w for key, w in by_names.items() if len(key) == 2)
         count = 2 if two >= CLAIM else 1
-        best = max((key for key in by_names if len(key) == count), key=lambda key: by_names[key], default=frozenset())
+        best = max(
+            (key for key in by_names if len(key) == count),
+            key=lambda key: by_names[key],
+            default=frozenset(),
+        )
         out = []
         for name in sorted(best):
             rest = best - {name}
             slot = {
-                next(iter(key - rest)): w for key, w in by_names.items() if len(key) == len(best) and key > rest
+                next(iter(key - rest)): w
+                for key, w in by_names.items()
+                if len(key) == len(best) and key > rest
             }
             total = sum(slot.values())
             names, shares = [], []
@@ -112,7 +121,11 @@ class Weighing:
 
     def _parameters(self, name: str) -> dict[str, dict[str, float]]:
         """Amplitudes of a name in the best model that holds it."""
-        holding = [(w, model) for model, w in zip(self.models, self.weight, strict=True) if name in map(self.name, model)]
+        holding = [
+            (w, model)
+            for model, w in zip(self.models, self.weight, strict=True)
+            if name in map(self.name, model)
+        ]
         _, model = max(holding)
         if -1 in model:
             return {}
@@ -148,7 +161,7 @@ class Weighing:
 
 
 def heldout_rms(linear: Linear, residual: Floats, fixture_rad: float) -> float:
-    """Rms of the check dwells' residual (rows,) at the attitude that fits each best within the fixture's tolerance."""
+    """Rms of the check dwells' residual (rows,), each at the attitude within tolerance that fits best."""
     c = linear.c
     checks = np.flatnonzero(c.check)
     if not c.plane:
@@ -196,14 +209,18 @@ def answer(truth: Truth) -> dict[str, Any]:
             out["causes"].append(cause)
     values, covariance, residual = weighing.averaged()
     out["base"] = base_parameters(weighing.linear.names, values, covariance)
-    out["heldout"] = {"heldout_rms_mg": heldout_rms(weighing.linear, residual, np.radians(truth.fixture_deg))}
+    out["heldout"] = {
+        "heldout_rms_mg": heldout_rms(weighing.linear, residual, np.radians(truth.fixture_deg))
+    }
     return out
 
 
 def _told(truth: Truth, weighing: Weighing) -> list[dict[str, Any]]:
     """Causes that stand apart from the catalogue's columns: told from their gain alone."""
-    k, rows = (weighing.linear.c.axes, int(weighing.linear.fit.sum())) if truth.family == "bias" else (1, 1000)
-    gain = _bias_gain(weighing.linear) if truth.family == "bias" else truth.gain[0]
+    k, rows = (
+        (weighing.linear.c.axes, int(weighing.linear.fit.sum())) if truth.family == "bias" else (1, 1000)
+    )
+    gain = bias_gain(weighing.linear) if truth.family == "bias" else truth.gain[0]
     share = float(1 / (1 + np.exp(-np.clip((gain - k * np.log(rows)) / 2, -50, 50))))
     names = ["bias"] if truth.family == "bias" else truth.names
     return [{"names": names, "probability": [share], "parameters": {}}] if share >= CLAIM else []

@@ -1,7 +1,8 @@
 """Real recordings with a known effect added, from the folder that ADIS_GONIO_DATA names (docs/data.md).
 
-The recordings belong to others and are read where they lie. What is added is a term of the catalogue in what the
-axes read; how much it gains is reckoned against what base model and bias leave of the recording itself.
+The recordings belong to others and are read where they lie. What is added is a term of the catalogue in
+what the axes read; how much it gains is reckoned against what base model and bias leave of the recording
+itself.
 """
 
 from __future__ import annotations
@@ -14,17 +15,22 @@ from pathlib import Path
 import numpy as np
 
 from .catalogue import terms
-from .circumstances import STANDARD_MPS2, Circumstances, Floats
-from .generator import BINS, Truth, _plain, _planted, realised_gains, seed_of
 from .causes import Planted
+from .circumstances import STANDARD_MPS2, Circumstances, Floats
+from .generator import BINS, Truth, amplitudes, plain, plain_planted, realised_gains, seed_of
 from .harness import ChallengeError
 from .likelihood import linearise
 from .noise import Noise
 
 FILES = (
-    "adis16350_14_poses", "xsens_mti_recording", "mpu9150_0_recording", "mpu9150_1_recording", "mpu9150_2_recording",
-    "mpu9150_3_recording", "mpu9150_4_recording",
-)  # fmt: skip
+    "adis16350_14_poses",
+    "xsens_mti_recording",
+    "mpu9150_0_recording",
+    "mpu9150_1_recording",
+    "mpu9150_2_recording",
+    "mpu9150_3_recording",
+    "mpu9150_4_recording",
+)
 EFFECTS = ("quadratic", "cubic", "asymmetry", "cross_axis", "bias_drift", "warm_up")
 
 _XSENS = np.array([414.4, 412.0, 414.6]), np.array([33123.9, 33275.1, 32364.5])
@@ -38,7 +44,9 @@ def folder() -> Path:
     """Where the recordings lie."""
     path = Path(os.environ.get("ADIS_GONIO_DATA", Path(__file__).parents[3] / "shared" / "data"))
     if not path.is_dir():
-        raise ChallengeError(f"{path}: no recordings there; set ADIS_GONIO_DATA to their folder (docs/data.md)")
+        raise ChallengeError(
+            f"{path}: no recordings there; set ADIS_GONIO_DATA to their folder (docs/data.md)"
+        )
     return path
 
 
@@ -74,8 +82,10 @@ def plant(data: Path, secret: str, number: int) -> tuple[str, Truth]:
         zero = np.zeros(3)
     sample_mg = (raw - zero) * to_mg
     position = np.array([int(row[head.index("position")]) for row in rows]) if "position" in head else None
-    dwells = [np.flatnonzero(position == p) for p in np.unique(position)] if position is not None else still(
-        time_s, sample_mg
+    dwells = (
+        [np.flatnonzero(position == p) for p in np.unique(position)]
+        if position is not None
+        else still(time_s, sample_mg)
     )
     gravity = float(keys["gravity_mps2"]) / STANDARD_MPS2 * 1000
     reading = np.array([sample_mg[d].mean(axis=0) for d in dwells])
@@ -97,9 +107,7 @@ def plant(data: Path, secret: str, number: int) -> tuple[str, Truth]:
     known = linearise(c, reading, [np.eye(c.n) * u**2] * 3, 0.0, gravity)
     low, high = BINS[rng.integers(2, len(BINS))]
     target = float(np.exp(rng.uniform(np.log(low), np.log(high))))
-    from .generator import _amplitudes
-
-    amplitude = (_amplitudes(known, [Planted(shape, np.zeros(c.n))], [target]) or [0.0])[0]
+    amplitude = (amplitudes(known, [Planted(shape, np.zeros(c.n))], [target]) or [0.0])[0]
     added = ways[k].reading @ size * amplitude
     changed = raw + added / to_mg
     for row, values in zip(rows, changed, strict=True):
@@ -110,9 +118,9 @@ def plant(data: Path, secret: str, number: int) -> tuple[str, Truth]:
     gain = realised_gains(linearise(c, after, [np.eye(c.n) * u**2] * 3, 0.0, gravity), [planted])
     truth = Truth(
         f"r{number:05d}", "recording", f"{file}:{name}", [name], [],
-        dict(zip(ways[k].parameters, (size * amplitude).tolist(), strict=True)), {}, [target], gain, False, False, 0.0,
-        gravity, (middle - middle[0]).tolist(), 1, 1.0, [asdict(Noise(0, 1, 0, 0, u)) for _ in range(3)], _plain(c),
-        after.tolist(), [_planted(planted)],
+        dict(zip(ways[k].parameters, (size * amplitude).tolist(), strict=True)), {}, [target], gain,
+        False, False, 0.0, gravity, (middle - middle[0]).tolist(), 1, 1.0, [asdict(Noise(0, 1, 0, 0, u))
+        for _ in range(3)], plain(c), after.tolist(), [plain_planted(planted)],
     )  # fmt: skip
     return "\n".join([*lines[: at + 1], *(",".join(row) for row in rows)]) + "\n", truth
 
@@ -121,12 +129,20 @@ def _circumstances(time_s: Floats) -> Circumstances:
     n = len(time_s)
     nothing, unknown = np.zeros(n), np.full(n, np.nan)
     return Circumstances(
-        False, time_s, nothing, unknown, unknown, nothing, np.zeros((n, 3)), np.zeros(n, dtype=bool), np.zeros((n, 3))
+        False,
+        time_s,
+        nothing,
+        unknown,
+        unknown,
+        nothing,
+        np.zeros((n, 3)),
+        np.zeros(n, dtype=bool),
+        np.zeros((n, 3)),
     )
 
 
 def still(time_s: Floats, sample_mg: Floats) -> list[Floats]:
-    """Rows of each stretch of at least 1.5 s in which no axis scatters more than three times the quietest."""
+    """Rows of each stretch of at least 1.5 s in which no axis scatters much more than at its quietest."""
     n = len(time_s) - _WINDOW
     spread = np.array([sample_mg[k : k + _WINDOW].std(axis=0).max() for k in range(n)])
     quiet = np.flatnonzero(spread < 3 * np.quantile(spread, 0.05))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,9 @@ def gain_bin(gain: Sequence[float]) -> str:
 BIN_NAMES = ("<4", *(f"{low:g}-{high:g}" for low, high in BINS[:-1]), f">{BINS[-1][0]:g}", "-")
 
 
-def score(truth: Truth, answer: dict[str, Any], oracle: dict[str, Any] | None = None, seconds: float = 0.0) -> Record:
+def score(
+    truth: Truth, answer: dict[str, Any], oracle: dict[str, Any] | None = None, seconds: float = 0.0
+) -> Record:
     """One session's score.
 
     Parameters
@@ -60,10 +63,11 @@ def score(truth: Truth, answer: dict[str, Any], oracle: dict[str, Any] | None = 
     Returns
     -------
     dict
-        `claims` names and covariates claimed beside the bias; `right_top`, `right_set` shares of the true names that
-        head a set, or lie in one; `false` something claimed where nothing is hidden; `wrong` a name whose set holds
-        no true name; `wrong_confident` one of more than 95 %; `fabricated` a name or a covariate where only scatter
-        is; `covariate` (strangers) every group of words hit, without a name; …
+        `claims` names and covariates claimed beside the bias; `right_top`, `right_set` shares of the
+        true names that head a set, or lie in one; `false` something claimed where nothing is hidden;
+        `wrong` a name whose set holds no true name; `wrong_confident` one of more than 95 %;
+        `fabricated` a name or a covariate where only scatter is; `covariate` (strangers) every group of
+        words hit, without a name; …
     """
     causes = [c for c in answer["causes"] if c["names"][0] != "bias"]
     scatter_named = [c for c in causes if c["names"][0] in SCATTER_NAMES]
@@ -71,9 +75,12 @@ def score(truth: Truth, answer: dict[str, Any], oracle: dict[str, Any] | None = 
     words = set(answer["covariates"])
     nothing = truth.family in ("nothing", "bias")
     truths = set(truth.names)
-    wrong = [c for c in causes if not truths & set(c["names"]) and not (truth.scatter and c in scatter_named)]
+    wrong = [
+        c for c in causes if not truths & set(c["names"]) and not (truth.scatter and c in scatter_named)
+    ]
     record: Record = {
-        "id": truth.id, "family": truth.family, "kind": truth.kind, "plane": truth.plane, "dwells": len(truth.start_s),
+        "id": truth.id, "family": truth.family, "kind": truth.kind, "plane": truth.plane,
+        "dwells": len(truth.start_s),
         "gain": truth.gain, "bin": gain_bin(truth.gain), "truth": sorted(truths),
         "claims": [c["names"] for c in causes], "tops": [c["names"][0] for c in named],
         "covariates": sorted(words), "something": answer["something"], "seconds": seconds,
@@ -94,7 +101,9 @@ def score(truth: Truth, answer: dict[str, Any], oracle: dict[str, Any] | None = 
         holding = [len(c["names"]) for c in causes if truths & set(c["names"])]
         record["set_size"] = float(np.mean(holding)) if holding else None
     if truth.family == "bias":
-        record["right_top"] = record["right_set"] = float(any("bias" in c["names"] for c in answer["causes"]))
+        record["right_top"] = record["right_set"] = float(
+            any("bias" in c["names"] for c in answer["causes"])
+        )
     if truth.scatter:
         record["fabricated"] = bool(named or words)
         record["scatter_named"] = bool(scatter_named)
@@ -139,13 +148,13 @@ def log_score(pairs: Iterable[tuple[float, bool]]) -> float:
     return float(np.mean(values)) if values else math.nan
 
 
-def reliability(pairs: Iterable[tuple[float, bool]], edges: Sequence[float] = (0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)) -> list[
-    tuple[str, int, float, float]
-]:
+def reliability(
+    pairs: Iterable[tuple[float, bool]], edges: Sequence[float] = (0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
+) -> list[tuple[str, int, float, float]]:
     """Rows of (range, number, mean probability, share that was so)."""
     pairs = list(pairs)
     rows = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         inside = [(p, y) for p, y in pairs if low <= p < high or (high == edges[-1] and p == high)]
         if inside:
             p, y = np.array(inside, dtype=float).T

@@ -1,4 +1,4 @@
-"""Entrants that come with the benchmark: a module each, with `answer(directory) -> dict` (see README.md)."""
+"""Entrants that come with the benchmark, a module each: `answer(directory) -> dict` (see README.md)."""
 
 from __future__ import annotations
 
@@ -8,8 +8,16 @@ from pathlib import Path
 from typing import Any
 
 RUNNERS = (
-    "adis_gonio", "lasso_cv", "lasso_bic", "stepwise", "stlsq", "knockoffs", "susie", "gaussian_process", "gplearn",
-)  # fmt: skip
+    "adis_gonio",
+    "lasso_cv",
+    "lasso_bic",
+    "stepwise",
+    "stlsq",
+    "knockoffs",
+    "susie",
+    "gaussian_process",
+    "gplearn",
+)
 
 SEES_CHECK_READINGS = frozenset({"adis_gonio"})
 """Runners that get the check dwells' readings, since they state `heldout_rms_mg` themselves."""

@@ -19,8 +19,8 @@ def answer(directory: Path) -> dict[str, Any]:
 def from_trace(trace: dict[str, Any]) -> dict[str, Any]:
     """The answer that the JSON of `trace` gives.
 
-    A cause's set is that of `sets`; where the document has none, its name, then its `equivalents` and the fellows in
-    `confounded`, which get the rest of its probability in equal parts.
+    A cause's set is that of `sets`; where the document has none, its name, then its `equivalents` and
+    the fellows in `confounded`, which get the rest of its probability in equal parts.
     """
     out = empty()
     for found in trace["found"]:
@@ -76,12 +76,16 @@ def _set(trace: dict[str, Any], name: str, share: float) -> tuple[list[str], lis
 
 
 def _something(trace: dict[str, Any]) -> float:
-    """Probability of anything beside the bias: of the models that are named as rivals, and of what was claimed."""
+    """Probability of anything beside the bias: of the rivals named and of what was claimed."""
     claimed = [_probability(f) for f in trace["found"] if f["effect"] != "bias"]
     claimed += [_probability(trace["unnamed"])] if trace["unnamed"] else []
     rivals = trace.get("rivals", [])
     total = sum(r["probability"] for r in rivals)
     if total > 0:
-        other = sum(r["probability"] for r in rivals if not all(t.startswith("bias[") and "~" not in t for t in r["terms"]))
+        other = sum(
+            r["probability"]
+            for r in rivals
+            if not all(t.startswith("bias[") and "~" not in t for t in r["terms"])
+        )
         claimed.append(other / total)
     return min(max(claimed, default=0.0), 1.0)

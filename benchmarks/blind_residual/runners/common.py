@@ -1,4 +1,4 @@
-"""What the simple runners share: the samples CSV, its noise by batch means, columns of the catalogue, the answer.
+"""What the simple runners share: samples CSV, noise by batch means, columns of the catalogue, answer.
 
 They see what every entrant sees, and nothing of the truth.
 """
@@ -19,7 +19,7 @@ from ..likelihood import Linear, Whitened, base_parameters, linearise
 
 LSB_MG = 0.4672
 FLICKER_MG = 0.1
-"""What slow noise adds to a reading beyond the scatter within its dwell: the simulator's default of the part."""
+"""What slow noise adds to a reading beyond the scatter within its dwell: the part's (an estimate)."""
 _BATCHES = 8
 
 
@@ -88,9 +88,9 @@ def read(path: Path) -> Table:
                 variance[k, i] = np.var(samples[d, i])
         v = u**2 if u else (np.mean(spread) if spread else 0.04) + FLICKER_MG**2
         covariance.append(np.eye(len(dwells)) * v)
-    extra = variance - np.median(variance, axis=0)
-    if not np.any(variance.max(axis=0) > 3 * np.median(variance[variance[:, 0] > 0], axis=0)) if variance.any() else True:
-        extra = np.zeros_like(variance)
+    extra = variance - variance.min(axis=0)
+    if not variance.any() or not np.any(variance.max(axis=0) > 3 * variance.min(axis=0)):
+        extra = np.zeros_like(variance)  # alike everywhere: no vibration
     approach = of("approach")
     c = Circumstances(
         plane,
@@ -192,7 +192,7 @@ class Prepared:
         out = []
         for word, (x,) in drives.items():
             for i in range(c.axes):
-                for shape in ([x**2, a[:, i] * x, a[:, i] * x**2] if word != "approach" else [a[:, i] * x]):
+                for shape in [x**2, a[:, i] * x, a[:, i] * x**2] if word != "approach" else [a[:, i] * x]:
                     value = np.zeros((c.n, c.axes, 1))
                     value[:, i, 0] = shape
                     out.append((word, self.linear.rows(value, np.zeros((c.n, 1)))[:, 0]))
@@ -203,7 +203,9 @@ class Prepared:
             nothing = np.zeros((c.n, c.axes, 1))
             for k in (3, 4, 5, 6):
                 for f in (np.sin, np.cos):
-                    out.append(("angle", self.linear.rows(nothing, np.radians(f(k * c.angle_rad))[:, None])[:, 0]))
+                    out.append(
+                        ("angle", self.linear.rows(nothing, np.radians(f(k * c.angle_rad))[:, None])[:, 0])
+                    )
         return out
 
     def gain(self, chosen: list[int]) -> float:
@@ -230,29 +232,40 @@ class Prepared:
         return chosen
 
     def answer(self, chosen: list[int], sets: list[dict[str, Any]] | None = None) -> dict[str, Any]:
-        """The answer of who chose these features; sets by name, else each name by itself at its BIC weight."""
+        """The answer of who chose these features; without sets each name stands alone at its BIC weight."""
         out = empty()
-        columns = np.column_stack([np.zeros((len(self.linear.e), 0)), *(self.features[k].column for k in chosen)])
+        columns = np.column_stack(
+            [np.zeros((len(self.linear.e), 0)), *(self.features[k].column for k in chosen)]
+        )
         values, covariance = self.white.solve(columns)
         u = np.sqrt(np.maximum(np.diag(covariance), 0))
         p = len(self.linear.values)
-        out["base"] = base_parameters(self.linear.names, self.linear.values + values[:p], covariance[:p, :p])
+        out["base"] = base_parameters(
+            self.linear.names, self.linear.values + values[:p], covariance[:p, :p]
+        )
         parameters: dict[str, dict[str, Any]] = {}
         by_name: dict[str, list[int]] = {}
         for j, k in enumerate(chosen):
             feature = self.features[k]
             by_name.setdefault(feature.name, []).append(k)
             clean = feature.parameter.split("(")[0]
-            parameters.setdefault(feature.name, {})[clean] = {"value": float(values[p + j]), "u": float(u[p + j])}
+            parameters.setdefault(feature.name, {})[clean] = {
+                "value": float(values[p + j]),
+                "u": float(u[p + j]),
+            }
         weight = {}
         for name, members in by_name.items():
             rest = [k for k in chosen if k not in members]
-            logit = (self.gain(chosen) - self.gain(rest) - len(members) * np.log(len(self.y))) / 2 - np.log(20)
+            logit = (self.gain(chosen) - self.gain(rest) - len(members) * np.log(len(self.y))) / 2 - np.log(
+                20
+            )
             weight[name] = float(1 / (1 + np.exp(-np.clip(logit, -50, 50))))
         out["covariates"] = sorted({n[1:] for n in by_name if n.startswith("~")})
         if sets is None:
             named = [n for n in by_name if not n.startswith("~")]
-            sets = [{"names": [n], "probability": [weight[n]]} for n in sorted(named, key=lambda n: -weight[n])]
+            sets = [
+                {"names": [n], "probability": [weight[n]]} for n in sorted(named, key=lambda n: -weight[n])
+            ]
         out["causes"] = [s | {"parameters": parameters.get(s["names"][0], {})} for s in sets]
         out["something"] = max(weight.values(), default=self._quiet())
         out["heldout"] = self._heldout(values, columns)
@@ -269,8 +282,10 @@ class Prepared:
         return predictions(self.table.c, self.linear, self.filled, left, self.hidden)
 
 
-def predictions(c: Circumstances, linear: Linear, filled: Floats, left: Floats, hidden: Any) -> dict[str, Any]:
-    """Predicted cells of the check dwells; `left` (rows,) is what the model leaves of the readings as filled in."""
+def predictions(
+    c: Circumstances, linear: Linear, filled: Floats, left: Floats, hidden: Any
+) -> dict[str, Any]:
+    """Predicted cells of the check dwells; `left` (rows,) is what the model leaves of `filled`."""
     out: dict[str, Any] = {}
     for k in np.flatnonzero(c.check):
         cell = {}
@@ -283,9 +298,17 @@ def predictions(c: Circumstances, linear: Linear, filled: Floats, left: Floats, 
     return out
 
 
+OVERRIDE: dict[str, dict[str, float]] = {}
+"""Settings that tune.py tries."""
+
+
 def tuned(name: str) -> dict[str, float]:
     """Settings of a runner as tuned on its training set (tuned.json, written by tune.py)."""
-    values: dict[str, dict[str, float]] = json.loads((Path(__file__).parent / "tuned.json").read_text(encoding="utf-8"))
+    if name in OVERRIDE:
+        return OVERRIDE[name]
+    values: dict[str, dict[str, float]] = json.loads(
+        (Path(__file__).parent / "tuned.json").read_text(encoding="utf-8")
+    )
     return values[name]
 
 

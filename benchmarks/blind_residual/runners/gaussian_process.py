@@ -1,4 +1,4 @@
-"""Gaussian-process regression of the residual with a length scale a covariate (scikit-learn); gives no names."""
+"""Gaussian process of the residual with a length scale a covariate (scikit-learn); gives no names."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def covariates(c: Circumstances, a: Floats) -> dict[str, Floats]:
 
 
 def residual(prepared: Prepared) -> Floats:
-    """Residual of the base model in units of its noise, (n, axes in the plane, 1 in space); check dwells NaN."""
+    """Residual of the base model in units of its noise, (n, rows a dwell); NaN in check dwells."""
     linear, c = prepared.linear, prepared.linear.c
     values, _ = prepared.white.solve(np.zeros((len(linear.e), 0)))
     left = (linear.e - linear.base @ values) / np.sqrt(np.diag(linear.covariance))
@@ -51,10 +51,14 @@ def answer(directory: Path) -> dict[str, Any]:
 
     def fit(kept: list[str]) -> tuple[float, Any, Any]:
         x = np.hstack([words[k] for k in kept])
-        kernel = ConstantKernel(1.0, (1e-2, 1e3)) * RBF(np.ones(x.shape[1]), (0.2, 50)) + WhiteKernel(1.0, (0.5, 3.0))
+        kernel = ConstantKernel(1.0, (1e-2, 1e3)) * RBF(np.ones(x.shape[1]), (0.2, 50)) + WhiteKernel(
+            1.0, (0.5, 3.0)
+        )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            model = GaussianProcessRegressor(kernel, n_restarts_optimizer=0, random_state=0).fit(x[use], y[use])
+            model = GaussianProcessRegressor(kernel, n_restarts_optimizer=0, random_state=0).fit(
+                x[use], y[use]
+            )
         return float(model.log_marginal_likelihood_value_), model, x
 
     with warnings.catch_warnings():
@@ -72,10 +76,14 @@ def answer(directory: Path) -> dict[str, Any]:
     out = prepared.answer([])
     out["covariates"] = sorted(kept)
     best = 2 * (level - float(flat.log_marginal_likelihood_value_))
-    out["something"] = float(1 / (1 + np.exp(-np.clip(best / 2 - np.log(10), -50, 50)))) if kept else out["something"]
+    out["something"] = (
+        float(1 / (1 + np.exp(-np.clip(best / 2 - np.log(10), -50, 50)))) if kept else out["something"]
+    )
     if model is not None:
         values, _ = prepared.white.solve(np.zeros((len(prepared.linear.e), 0)))
         left = prepared.linear.e - prepared.linear.base @ values
-        bend = np.reshape(model.predict(x), (c.n, -1)).T.ravel() * np.sqrt(np.diag(prepared.linear.covariance))
+        bend = np.reshape(model.predict(x), (c.n, -1)).T.ravel() * np.sqrt(
+            np.diag(prepared.linear.covariance)
+        )
         out["heldout"] = predictions(c, prepared.linear, prepared.filled, left - bend, prepared.hidden)
     return out

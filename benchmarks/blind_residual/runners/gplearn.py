@@ -14,7 +14,7 @@ from .gaussian_process import covariates, residual
 
 
 def answer(directory: Path) -> dict[str, Any]:
-    """A formula an output; its covariates are claimed where its gain over a constant passes the tuned limit."""
+    """A formula an output; its covariates are claimed where its gain passes the tuned limit."""
     from gplearn.genetic import SymbolicRegressor
 
     prepared = Prepared(directory, single_dwells=False)
@@ -31,9 +31,13 @@ def answer(directory: Path) -> dict[str, Any]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             model = SymbolicRegressor(
-                population_size=400, generations=12, function_set=("add", "sub", "mul", "sin", "abs", "max"),
-                parsimony_coefficient=0.02, metric="mse", random_state=0,
-            ).fit(x[use], y[use, i])  # fmt: skip
+                population_size=300,
+                generations=8,
+                function_set=("add", "sub", "mul", "sin", "abs", "max"),
+                parsimony_coefficient=0.02,
+                metric="mse",
+                random_state=0,
+            ).fit(x[use], y[use, i])
         formula = model.predict(x)
         used = sorted({int(k) for k in re.findall(r"X(\d+)", str(model._program))})
         n = int(use.sum())

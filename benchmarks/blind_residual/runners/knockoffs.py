@@ -1,6 +1,7 @@
 """Knockoffs (knockpy): second-order knockoffs of the catalogue's columns, LASSO statistic.
 
-The columns are no draws of a distribution, so that the promise of the false discovery rate holds only roughly here.
+The columns are no draws of a distribution, so that the promise of the false discovery rate holds only
+roughly here.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ def answer(directory: Path) -> dict[str, Any]:
         np.random.seed(0)  # noqa: NPY002
         try:
             rows = np.sqrt(len(prepared.y))
-            kept = KnockoffFilter("lasso", "gaussian", knockoff_kwargs={"method": "equicorrelated"}).forward(
-                prepared.x * rows, prepared.y, fdr=setting["fdr"]
-            )
+            kept = KnockoffFilter(
+                "lasso", "gaussian", knockoff_kwargs={"method": "equicorrelated"}
+            ).forward(prepared.x * rows, prepared.y, fdr=setting["fdr"])
         finally:
             np.random.set_state(state)  # noqa: NPY002
     chosen = [int(k) for k in np.flatnonzero(kept)]

@@ -1,4 +1,4 @@
-"""LASSO over the catalogue's columns, its penalty by BIC or by cross-validation (scikit-learn), then refitted."""
+"""LASSO over the catalogue's columns, penalty by BIC or cross-validation (scikit-learn), then refitted."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ def lasso_bic(directory: Path) -> dict[str, Any]:
     prepared = Prepared(directory)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        model = LassoLarsIC("bic", fit_intercept=False, noise_variance=1.0, max_iter=60).fit(prepared.x, prepared.y)
+        model = LassoLarsIC("bic", fit_intercept=False, noise_variance=1.0, max_iter=60).fit(
+            prepared.x, prepared.y
+        )
     return _refitted(prepared, model.coef_, "lasso_bic")
 
 

@@ -1,4 +1,4 @@
-"""Sum of single effects (Wang, Sarkar, Carbonetto and Stephens 2020), a small iterative Bayesian stepwise selection."""
+"""Sum of single effects, a small IBSS (Wang, Sarkar, Carbonetto and Stephens 2020)."""
 
 from __future__ import annotations
 
