@@ -6,6 +6,7 @@ and, where the session hides something else, that cause's true form. Evidence is
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
@@ -61,7 +62,8 @@ class Weighing:
             singles.append((logs[-1], m))
         if scatter is not None:
             d, w2 = self.white.scatter(scatter)
-            best = max(scatter_gain(d, w2, s) for s in np.geomspace(0.05, 20, 61))
+            best, size = max((scatter_gain(d, w2, s), s) for s in np.geomspace(0.05, 20, 61))
+            self.scattered: Whitened = Whitened(replace(linear, covariance=linear.covariance + size * scatter))
             self.models.append((-1,))
             logs.append(np.log(PRIOR["one"] / count) + (best - np.log(rows)) / 2)
         first = {m for _, m in sorted(singles, reverse=True)[:_FIRST]}
@@ -150,7 +152,8 @@ class Weighing:
             members = [m for m in self.models[k] if m >= 0]
             empty_columns = np.zeros((len(self.linear.e), 0))
             columns = np.hstack([empty_columns, *(self.columns[m] for m in members)])
-            values, covariance = self.white.solve(columns)
+            white = self.scattered if self.models[k] == (-1,) else self.white
+            values, covariance = white.solve(columns)
             means.append(values[:p])
             covariances.append(covariance[:p, :p])
             left.append(self.linear.e - np.hstack([self.linear.base, columns]) @ values)
