@@ -14,7 +14,7 @@ class AnswerError(ValueError):
 
 def empty() -> dict[str, Any]:
     """The answer of who sees nothing."""
-    return {"something": 0.0, "causes": [], "covariates": [], "base": {}, "heldout": {}}
+    return {"something": 0.0, "causes": [], "covariates": [], "base": {}, "heldout": {}, "notes": {}}
 
 
 def load(path: Path) -> dict[str, Any]:

@@ -18,11 +18,12 @@ from .circumstances import Circumstances, Floats, lagged
 
 TIME = frozenset({"time", "order"})
 ANGLE = frozenset({"angle"})
-READING = frozenset({"reading", "magnitude"})
+READING = frozenset({"reading", "magnitude", "angle"})
+"""In the plane what depends on the reading depends on the angle."""
 TEMPERATURE = frozenset({"temperature"})
 SUPPLY = frozenset({"supply"})
 APPROACH = frozenset({"approach"})
-HISTORY = frozenset({"previous", "move", "travel", "approach", "order"})
+HISTORY = frozenset({"previous", "previous_angle", "move", "travel", "approach", "order"})
 TRAVEL = frozenset({"travel", "order", "time", "angle"})
 PAUSE = frozenset({"pause"})
 
@@ -76,7 +77,8 @@ class Cause:
     what : str
         One sentence.
     covariates : tuple of frozenset
-        Groups of words; empty for the catalogue and for scatter.
+        Groups of words; empty for the catalogue. Of scatter that is correlated: what may be said without
+        fabricating (a walk is smooth in time).
     plane, space : bool
         Where it can occur.
     needs : frozenset
@@ -491,7 +493,7 @@ def two_hands(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
     return _bias(c, rng, np.where(np.arange(c.n) % 2, 1.0, -1.0))
 
 
-@_cause("stranger", TEMPERATURE, needs="temperature")
+@_cause("stranger", TEMPERATURE | frozenset({"temperature_rate"}), needs="temperature")
 def temperature_rate(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
     """A gradient across the part: the zero follows how fast the temperature changes, within a limit."""
     rate = np.gradient(c.temp_c, c.time_s)
@@ -547,7 +549,7 @@ def heavy_tails(c: Circumstances, a: Floats, rng: np.random.Generator) -> Plante
     return _scatter_reading(c, rng, np.eye(c.n), rng.standard_t(3, (c.n, c.axes)) / np.sqrt(3))
 
 
-@_cause("scatter")
+@_cause("scatter", TIME)
 def telegraph(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
     """Telegraph noise: the zero jumps between two values at random times."""
     hold = (c.time_s[-1] + 1) / rng.uniform(6, 20)
@@ -564,14 +566,14 @@ def _correlated(c: Circumstances, rng: np.random.Generator, covariance: Floats) 
     return _scatter_reading(c, rng, covariance, root @ rng.normal(size=(c.n, c.axes)))
 
 
-@_cause("scatter")
+@_cause("scatter", TIME)
 def random_walk(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
     """The zero walks at random."""
     t = (c.time_s + c.pause_s[0]) / c.time_s[-1]
     return _correlated(c, rng, np.minimum(t[:, None], t))
 
 
-@_cause("scatter")
+@_cause("scatter", TIME)
 def flicker_excess(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
     """Flicker noise well above the part's own."""
     gap = np.abs(c.time_s[:, None] - c.time_s)
@@ -579,7 +581,7 @@ def flicker_excess(c: Circumstances, a: Floats, rng: np.random.Generator) -> Pla
     return _correlated(c, rng, sum(np.exp(-gap / tau) for tau in taus) / len(taus))
 
 
-@_cause("scatter")
+@_cause("scatter", TIME)
 def shifts(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
     """Several people: each block of five dwells has an offset of its own."""
     block = np.arange(c.n) // 5
@@ -593,7 +595,7 @@ def loosening(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
     return _scatter_reading(c, rng, np.diag(size**2), size[:, None] * rng.normal(size=(c.n, c.axes)))
 
 
-@_cause("scatter", space=False)
+@_cause("scatter", TIME, space=False)
 def loose_clamp(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
     """The clamp creeps at random: the angle walks."""
     t = (c.time_s + c.pause_s[0]) / c.time_s[-1]

@@ -63,7 +63,9 @@ class Weighing:
         if scatter is not None:
             d, w2 = self.white.scatter(scatter)
             best, size = max((scatter_gain(d, w2, s), s) for s in np.geomspace(0.05, 20, 61))
-            self.scattered: Whitened = Whitened(replace(linear, covariance=linear.covariance + size * scatter))
+            self.scattered: Whitened = Whitened(
+                replace(linear, covariance=linear.covariance + size * scatter)
+            )
             self.models.append((-1,))
             logs.append(np.log(PRIOR["one"] / count) + (best - np.log(rows)) / 2)
         first = {m for _, m in sorted(singles, reverse=True)[:_FIRST]}

@@ -84,7 +84,7 @@ def score(
         "gain": truth.gain, "bin": gain_bin(truth.gain), "truth": sorted(truths),
         "claims": [c["names"] for c in causes], "tops": [c["names"][0] for c in named],
         "covariates": sorted(words), "something": answer["something"], "seconds": seconds,
-        "confident": [c["probability"][0] for c in causes],
+        "confident": [c["probability"][0] for c in causes], "notes": answer["notes"],
     }  # fmt: skip
     hidden = "nothing" not in truth.family
     record["hidden"] = hidden and truth.family != "bias"
@@ -105,7 +105,8 @@ def score(
             any("bias" in c["names"] for c in answer["causes"])
         )
     if truth.scatter:
-        record["fabricated"] = bool(named or words)
+        allowed = {word for group in truth.covariates for word in group}
+        record["fabricated"] = bool(named or words - allowed)
         record["scatter_named"] = bool(scatter_named)
     elif truth.covariates:
         record["covariate"] = not causes and all(words & set(group) for group in truth.covariates)

@@ -99,7 +99,7 @@ def test_every_cause_adds_something_finite_where_it_may_occur(name: str, plane: 
     assert np.isfinite(everything).all()
     assert np.any(everything)
     assert made.is_scatter == (cause.family == "scatter")
-    assert bool(cause.covariates) == (cause.family in ("foreign", "stranger"))
+    assert bool(cause.covariates) or cause.family in ("catalogue", "scatter")
 
 
 def test_there_are_thirty_strangers_and_more():

@@ -136,6 +136,9 @@ def test_scatter_is_right_by_its_own_name_and_fabricated_by_any_other(catalogued
     bad = scoring.score(truth, answer(covariates=["temperature"]))
     assert (good["fabricated"], good["wrong"], good["scatter_named"]) == (False, False, True)
     assert bad["fabricated"]
+    walk = replace(truth, covariates=[["order", "time"]])
+    assert not scoring.score(walk, answer(covariates=["time"]))["fabricated"]
+    assert scoring.score(walk, answer(covariates=["time"], causes=[cause("bias_drift")]))["fabricated"]
 
 
 def test_nothing_hidden_makes_any_claim_but_the_bias_false(catalogued):
@@ -339,6 +342,7 @@ def test_the_trace_is_brought_into_an_answer():
     assert said["covariates"] == ["time"]
     assert said["base"]["delta_k"]["value"] == pytest.approx(0.01)
     assert said["heldout"] == error
+    assert adis_gonio.from_trace(trace | {"adequate": False})["something"] == 0.99
     with_sets = trace | {"sets": [{"names": ["cubic", "quadratic"], "probability": [0.6, 0.36]}]}
     assert adis_gonio.from_trace(with_sets)["causes"][0]["names"] == ["cubic", "quadratic"]
 

@@ -9,6 +9,10 @@ from typing import Any
 from ..answers import empty
 
 
+INADEQUATE = 0.99
+"""Probability of something where the trace says that no model explains the residual: it states none itself."""
+
+
 def answer(directory: Path) -> dict[str, Any]:
     """Trace the session of a directory."""
     import adis_gonio
@@ -46,6 +50,14 @@ def from_trace(trace: dict[str, Any]) -> dict[str, Any]:
         ratio = x["value"] / y["value"]
         u = ratio * math.hypot(x["u"] / x["value"], y["u"] / y["value"])
         out["base"]["delta_k"] = {"value": ratio - 1, "u": u}
+    out["notes"] = {
+        "adequate": trace.get("adequate"),
+        "chi2_per_dof": trace["error"]["after"].get("chi2_per_dof"),
+        "confounded": trace["confounded"],
+        "unnamed": trace["unnamed"],
+        "rivals": trace.get("rivals", [])[:4],
+        "reasons": trace.get("reasons", {}),
+    }
     rms = trace["error"]["after"]["heldout_rms_mg"]
     out["heldout"] = {} if rms is None else {"heldout_rms_mg": rms}
     return out
@@ -76,7 +88,10 @@ def _set(trace: dict[str, Any], name: str, share: float) -> tuple[list[str], lis
 
 
 def _something(trace: dict[str, Any]) -> float:
-    """Probability of anything beside the bias: of the rivals named and of what was claimed."""
+    """Probability of anything beside the bias: of the rivals named and of what was claimed.
+
+    A trace that says that its model is not adequate says that there is something, at `INADEQUATE`.
+    """
     claimed = [_probability(f) for f in trace["found"] if f["effect"] != "bias"]
     claimed += [_probability(trace["unnamed"])] if trace["unnamed"] else []
     rivals = trace.get("rivals", [])
@@ -88,4 +103,6 @@ def _something(trace: dict[str, Any]) -> float:
             if not all(t.startswith("bias[") and "~" not in t for t in r["terms"])
         )
         claimed.append(other / total)
+    if trace.get("adequate") is False:
+        claimed.append(INADEQUATE)
     return min(max(claimed, default=0.0), 1.0)
