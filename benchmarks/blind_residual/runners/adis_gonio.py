@@ -8,9 +8,8 @@ from typing import Any
 
 from ..answers import empty
 
-
 INADEQUATE = 0.99
-"""Probability of something where the trace says that no model explains the residual: it states none itself."""
+"""Probability of something where the trace says that no model explains the residual."""
 
 
 def answer(directory: Path) -> dict[str, Any]:
