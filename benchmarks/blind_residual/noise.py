@@ -81,13 +81,18 @@ class Noise:
         gaps = np.diff(start_s) - (m - 1) / rate_hz
         inside = np.exp(-1 / (rate_hz * FLICKER_TAU_S))
         fresh = np.sqrt(1 - inside**2)
+        # x_j = r^j x_0 + Σ_{i<j} r^(j−1−i) kick_i, of each process at once.
+        steps = np.arange(m + 1)
+        ago = steps[:, None] - 1 - np.arange(m)
+        sums = np.where(ago >= 0, inside[:, None, None] ** np.maximum(ago, 0), 0.0) * fresh[:, None, None]
+        fade = inside[:, None] ** steps
         state = rng.normal(size=len(FLICKER_TAU_S))
         for k in range(n):
             if k:
                 keep = np.exp(-gaps[k - 1] / FLICKER_TAU_S)
                 state = keep * state + np.sqrt(1 - keep**2) * rng.normal(size=len(state))
             kicks = rng.normal(size=(m, len(state)))
-            for j in range(m):
-                out[k, j] += self.flicker_mg * state.sum()
-                state = inside * state + fresh * kicks[j]
+            course = fade * state[:, None] + (sums @ kicks.T[:, :, None])[:, :, 0]
+            out[k] += self.flicker_mg * course[:, :-1].sum(axis=0)
+            state = course[:, -1]
         return out
