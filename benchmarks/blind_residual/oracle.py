@@ -44,17 +44,27 @@ class Weighing:
         wide = wide / np.where(size > 1e-9, size, np.inf)
         gram, score = wide.T @ wide, wide.T @ self.white.left
 
-        def gain(members: tuple[int, ...]) -> tuple[float, int]:
-            index = np.concatenate([np.arange(starts[m], starts[m + 1]) for m in members])
-            d, v = np.linalg.eigh(gram[np.ix_(index, index)])
-            keep = d > 1e-6
-            return float(np.sum((v[:, keep].T @ score[index]) ** 2 / d[keep])), int(keep.sum())
+        index = [np.arange(starts[m], starts[m + 1]) for m in range(len(candidates))]
+
+        def gains(models: list[tuple[int, ...]]) -> list[tuple[float, int]]:
+            """2Δ ln L and rank of models, those of as many columns at once."""
+            columns = [np.concatenate([index[m] for m in members]) for members in models]
+            out: list[tuple[float, int]] = [(0.0, 0)] * len(models)
+            for width in {len(x) for x in columns}:
+                which = [k for k, x in enumerate(columns) if len(x) == width]
+                at = np.array([columns[k] for k in which])
+                d, v = np.linalg.eigh(gram[at[:, :, None], at[:, None, :]])
+                keep = d > 1e-6
+                along = np.einsum("kij,ki->kj", v, score[at]) ** 2 / np.where(keep, d, np.inf)
+                for k, g, rank in zip(which, along.sum(axis=1), keep.sum(axis=1), strict=True):
+                    out[k] = float(g), int(rank)
+            return out
 
         self.models: list[tuple[int, ...]] = [()]
         logs = [np.log(PRIOR["nothing"])]
         singles = []
-        for m, t in enumerate(candidates):
-            g, k = gain((m,))
+        alone = gains([(m,) for m in range(len(candidates))])
+        for m, (t, (g, k)) in enumerate(zip(candidates, alone, strict=True)):
             if k == 0:
                 continue
             self.models.append((m,))
@@ -70,13 +80,15 @@ class Weighing:
             logs.append(np.log(PRIOR["one"] / count) + (best - np.log(rows)) / 2)
         first = {m for _, m in sorted(singles, reverse=True)[:_FIRST]}
         pairs = max(count * (count - 1) / 2, 1)
-        for one, two in combinations([m for _, m in singles], 2):
-            a, b = candidates[one].name, candidates[two].name
-            if a == b or not (one in first or two in first):
-                continue
-            g, k = gain((one, two))
+        both = [
+            (one, two)
+            for one, two in combinations([m for _, m in singles], 2)
+            if candidates[one].name != candidates[two].name and (one in first or two in first)
+        ]
+        for (one, two), (g, k) in zip(both, gains(both), strict=True):
+            prior = PRIOR["two"] / pairs / ways[candidates[one].name] / ways[candidates[two].name]
             self.models.append((one, two))
-            logs.append(np.log(PRIOR["two"] / pairs / ways[a] / ways[b]) + (g - k * np.log(rows)) / 2)
+            logs.append(np.log(prior) + (g - k * np.log(rows)) / 2)
         weight = np.exp(np.array(logs) - max(logs))
         self.weight = weight / weight.sum()
 
