@@ -13,6 +13,7 @@ import pytest
 from blind_residual import __main__ as program
 from blind_residual import answers, harness, leaderboard, oracle, scoring
 from blind_residual.generator import Truth, draw
+from blind_residual.likelihood import Whitened
 from blind_residual.runners import adis_gonio, runner
 from blind_residual.runners.common import Prepared
 from blind_residual.runners.susie import susie
@@ -70,6 +71,13 @@ def test_the_oracle_holds_the_true_base_parameters_in_its_intervals(quiet):
     held, of, rms = scoring.coverage(z)
     assert held / of > 0.88
     assert 0.7 < rms < 1.35
+
+
+def test_what_the_oracle_leaves_is_the_noise_and_the_fixture_that_it_knows(quiet):
+    left = [Whitened(t.problem()) for t, _ in quiet]
+    chi2, dof = sum(float(w.left @ w.left) for w in left), sum(w.dof for w in left)
+    assert dof > 600
+    assert abs(chi2 / dof - 1) < 4 * np.sqrt(2 / dof)
 
 
 # Scores
@@ -167,7 +175,7 @@ def test_set_size_and_left_out_error_are_taken_over_the_oracles(catalogued):
 
 
 def test_predictions_are_scored_at_the_attitude_within_the_tolerance():
-    truth = draw("heldout", 2, "nothing")[1]
+    truth = replace(draw("heldout", 2, "nothing")[1], fixture_deg=0.05)
     assert truth.plane
     linear = truth.problem()
     measured = np.array(truth.readings_mg)
@@ -181,7 +189,15 @@ def test_predictions_are_scored_at_the_attitude_within_the_tolerance():
     radial = linear.ideal_g * np.sqrt(np.mean(turned**2) / np.mean(linear.ideal_g**2))
     assert rms(np.zeros_like(measured)) == 0
     assert rms(radial) == pytest.approx(np.sqrt(np.mean(radial[checks] ** 2)), rel=0.02)
-    assert rms(turned) < rms(radial)
+    noise = (
+        np.diag(linear.covariance).reshape(2, -1).T
+        - np.radians(truth.fixture_deg) ** 2 * linear.tangent.sum(axis=1).reshape(2, -1).T ** 2
+    )
+    share = noise / (
+        noise + np.sum(turned**2, axis=1)[:, None]
+    )  # what is left of a turn within the tolerance
+    assert share.max() < 0.6
+    assert rms(turned) == pytest.approx(np.sqrt(np.mean((share * turned)[checks] ** 2)), rel=0.05)
 
 
 # Contract
