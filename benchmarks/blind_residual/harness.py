@@ -141,6 +141,8 @@ def run(
             answer = answers.checked(answer, truth.id)
             seconds = (time.process_time() if not command else time.monotonic()) - started
             answer["heldout"] = heldout_of(truth, answer["heldout"])
+        except ChallengeError:
+            raise
         except _TooLongError:
             error, answer, seconds = f"more than {TIMEOUT_S} s", answers.empty(), float(TIMEOUT_S)
         except answers.AnswerError as problem:

@@ -226,9 +226,9 @@ def answer(truth: Truth) -> dict[str, Any]:
             out["causes"].append(cause)
     values, covariance, residual = weighing.averaged()
     out["base"] = base_parameters(weighing.linear.names, values, covariance)
-    out["heldout"] = {
-        "heldout_rms_mg": heldout_rms(weighing.linear, residual, np.radians(truth.fixture_deg))
-    }
+    if weighing.linear.c.check.any():
+        rms = heldout_rms(weighing.linear, residual, np.radians(truth.fixture_deg))
+        out["heldout"] = {"heldout_rms_mg": rms}
     return out
 
 

@@ -258,6 +258,16 @@ def test_a_program_that_fails_is_one_line_and_an_empty_answer(work, text, word):
     assert [row["answer"]["causes"] for row in rows] == [[], []]
 
 
+def test_a_program_that_is_not_there_ends_the_run_with_one_line(work, capsys):
+    (work / "answers").mkdir()
+    status = program.main(["run", "x", "--program", "no-such-program-here", "--work", str(work)])
+    assert (status, capsys.readouterr().err) == (
+        1,
+        "blind_residual: no-such-program-here: no such program\n",
+    )
+    assert not (work / "answers" / "x.jsonl").exists()
+
+
 def test_a_runner_sees_one_file_and_no_reading_of_a_check_dwell(work):
     text = (
         "import json,sys,pathlib\n"

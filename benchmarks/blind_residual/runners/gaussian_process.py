@@ -38,6 +38,17 @@ def residual(prepared: Prepared) -> Floats:
     return out
 
 
+def bent(prepared: Prepared, bend: Floats) -> dict[str, Any]:
+    """Predictions of the check dwells by the base model and a function of the covariates.
+
+    `bend` (n, rows a dwell) is that function at every dwell, in units of the noise.
+    """
+    linear = prepared.linear
+    values, _ = prepared.white.solve(np.zeros((len(linear.e), 0)))
+    left = linear.e - linear.base @ values - bend.T.ravel() * np.sqrt(np.diag(linear.covariance))
+    return predictions(linear.c, linear, prepared.filled, left, prepared.hidden)
+
+
 def answer(directory: Path) -> dict[str, Any]:
     """Covariates without which the marginal likelihood falls; predictions with the process added."""
     from sklearn.gaussian_process import GaussianProcessRegressor
@@ -80,10 +91,5 @@ def answer(directory: Path) -> dict[str, Any]:
         float(1 / (1 + np.exp(-np.clip(best / 2 - np.log(10), -50, 50)))) if kept else out["something"]
     )
     if model is not None:
-        values, _ = prepared.white.solve(np.zeros((len(prepared.linear.e), 0)))
-        left = prepared.linear.e - prepared.linear.base @ values
-        bend = np.reshape(model.predict(x), (c.n, -1)).T.ravel() * np.sqrt(
-            np.diag(prepared.linear.covariance)
-        )
-        out["heldout"] = predictions(c, prepared.linear, prepared.filled, left - bend, prepared.hidden)
+        out["heldout"] = bent(prepared, np.reshape(model.predict(x), (c.n, -1)))
     return out
