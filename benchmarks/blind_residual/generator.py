@@ -556,6 +556,8 @@ def _within(
         return np.clip(data, -limit, limit), {"limit": limit}, [999.0]
     if name == "quantization":
         lsb = float(noise[0].white_mg * rng.uniform(2, 5))
+        if noise[0].step_mg:  # a converter that lost its low bits
+            lsb = noise[0].step_mg * round(lsb / noise[0].step_mg)
         return np.round(data / lsb) * lsb, {"lsb": lsb}, [999.0]
     covariance = noise[i].sample_covariance(m)
     centre = np.eye(m) - 1 / m
