@@ -77,6 +77,7 @@ struct parameters {
     double self_test_gyro;      /* open: answer of the gyros to the manual self-test, in deg/s */
     double self_test_accl;      /* open: that of the accelerometers, in mg */
     double first_update_us;     /* open: from the end of the start-up to the first update; negative: a period */
+    double pattern;             /* for tests: 1 the outputs count the updates, from a start of their own a channel */
 };
 
 static const struct parameters defaults = {
@@ -94,7 +95,7 @@ static const struct { const char *name; size_t at; } names[] = {
     PARAMETER(dr_delay_us), PARAMETER(latch_next), PARAMETER(write_reply), PARAMETER(short_frame_status),
     PARAMETER(stall_locks), PARAMETER(smpl_restart), PARAMETER(smpl_zero_as_one), PARAMETER(offset_after_filter),
     PARAMETER(filter_zeros), PARAMETER(ea_at_update), PARAMETER(unused_bits_stick), PARAMETER(busy_updates),
-    PARAMETER(gpio_pins), PARAMETER(self_test_gyro), PARAMETER(self_test_accl), PARAMETER(first_update_us),
+    PARAMETER(gpio_pins), PARAMETER(self_test_gyro), PARAMETER(self_test_accl), PARAMETER(first_update_us), PARAMETER(pattern),
 };
 #define NAMES (sizeof names / sizeof names[0])
 
@@ -344,6 +345,9 @@ static void update(chip_t *c, ps_t at)
         c->history[channel][c->head] = value + (after ? 0 : off);
         c->raw[channel] = to_counts(c, channel, value + off);
         c->out[channel] = to_bits(channel, to_counts(c, channel, filtered(c, channel) + (after ? off : 0)));
+        if (c->p.pattern != 0) {
+            c->out[channel] = to_bits(channel, (int32_t)(c->updates + 100 * (unsigned)channel));
+        }
         if (channel >= IN_GYRO_X && channel <= IN_GYRO_Z && c->p.gyro_overrange > 0 &&
             fabs(value) > range * c->p.gyro_overrange) {
             standing |= ST_OVER_RANGE;
