@@ -38,7 +38,7 @@ static const uint16_t kept[WORDS] = {
 };
 
 enum { /* STATUS */
-    ST_SUPPLY_LOW = 1 << 0, ST_SUPPLY_HIGH = 1 << 1, ST_SPI = 1 << 3, ST_OVER_RANGE = 1 << 4,
+    ST_SUPPLY_LOW = 1 << 0, ST_SUPPLY_HIGH = 1 << 1, ST_FLASH = 1 << 2, ST_SPI = 1 << 3, ST_OVER_RANGE = 1 << 4,
     ST_SELF_TEST = 1 << 5, ST_ALARM1 = 1 << 8, ST_ALARM2 = 1 << 9
 };
 #define ST_FALLS (ST_SUPPLY_LOW | ST_SUPPLY_HIGH | ST_OVER_RANGE)
@@ -66,13 +66,18 @@ struct parameters {
     double write_reply;         /* open: word shifted out after a write frame; -1 the word before it */
     double short_frame_status;  /* open: a frame of wrong length sets STATUS[3] */
     double stall_locks;         /* C: too short a stall makes the part deaf until a reset (as on later parts) */
-    double smpl_restart;        /* open: 1 a write to SMPL_PRD begins a new period, 0 the running one is finished */
+    double base_us;             /* 0.61035 ms in the sheet, which also says 819.2 SPS: 1/1638.4 s */
+    double smpl_restart;        /* open: 1 a change of SMPL_PRD begins a new period, 0 the running one is finished */
     double smpl_zero_as_one;    /* open: SMPL_PRD[6:0] = 0 */
     double offset_after_filter; /* open (later parts: after) */
     double filter_zeros;        /* open: 1 the filter starts from zeros, 0 from the first sample */
+    double filter_clears;       /* open: 1 it starts anew where SMPL_PRD, range or taps change, and after a sleep */
     double ea_at_update;        /* open: 1 EA is that of the last update, 0 that of the moment of the reading */
     double unused_bits_stick;   /* open: bits that are not used keep what was written */
     double busy_updates;        /* open: the outputs go on during a flash update and an autonull */
+    double busy_restart;        /* open: 1 a new period begins behind a flash update or a self-test */
+    double flash_needs_supply;  /* open: below 4.75 V nothing is saved and STATUS[2] is set */
+    double alarm_line_held;     /* open: 1 an alarm's line follows STATUS, 0 the last update */
     double gpio_pins;           /* levels from outside at DIO2 (bit 1) and DIO1 (bit 0) */
     double self_test_gyro;      /* open: answer of the gyros to the manual self-test, in deg/s */
     double self_test_accl;      /* open: that of the accelerometers, in mg */
@@ -83,7 +88,7 @@ struct parameters {
 static const struct parameters defaults = {
     .startup_ms = 150, .self_test_ms = 35, .flash_ms = 100, .autonull_ms = 150, .precision_null_ms = 30000, .wake_ms = 3,
     .accl_lsb_mg = 0.4672, .accl_off_lsb_mg = 0.4672, .accl_range_mg = 1700, .gyro_overrange = 1.0, .dr_width_us = 100,
-    .short_frame_status = 1, .stall_locks = 1, .smpl_zero_as_one = 1, .offset_after_filter = 1, .busy_updates = 1,
+    .short_frame_status = 1, .base_us = 1e6 / 1638.4, .stall_locks = 1, .smpl_zero_as_one = 1, .offset_after_filter = 1, .busy_updates = 1,
     .gpio_pins = 3, .self_test_gyro = 50, .self_test_accl = 500, .first_update_us = -1,
 };
 
@@ -93,7 +98,8 @@ static const struct { const char *name; size_t at; } names[] = {
     PARAMETER(precision_null_ms), PARAMETER(wake_ms), PARAMETER(self_test_fails), PARAMETER(accl_lsb_mg),
     PARAMETER(accl_off_lsb_mg), PARAMETER(accl_range_mg), PARAMETER(gyro_overrange), PARAMETER(dr_width_us),
     PARAMETER(dr_delay_us), PARAMETER(latch_next), PARAMETER(write_reply), PARAMETER(short_frame_status),
-    PARAMETER(stall_locks), PARAMETER(smpl_restart), PARAMETER(smpl_zero_as_one), PARAMETER(offset_after_filter),
+    PARAMETER(stall_locks), PARAMETER(base_us), PARAMETER(smpl_restart), PARAMETER(filter_clears),
+    PARAMETER(busy_restart), PARAMETER(flash_needs_supply), PARAMETER(alarm_line_held), PARAMETER(smpl_zero_as_one), PARAMETER(offset_after_filter),
     PARAMETER(filter_zeros), PARAMETER(ea_at_update), PARAMETER(unused_bits_stick), PARAMETER(busy_updates),
     PARAMETER(gpio_pins), PARAMETER(self_test_gyro), PARAMETER(self_test_accl), PARAMETER(first_update_us), PARAMETER(pattern),
 };
@@ -105,6 +111,7 @@ static const struct { const char *name; size_t at; } names[] = {
 #define T_DAV 100000
 #define T_DSU 24400
 #define T_DHD 48800
+#define UNSURE 20000
 #define SCLK_SLOWEST (100 * PS_US) /* 10 kHz */
 
 static const struct limits { ps_t stall, period, sclk, sleep; } limits[2] = {
@@ -114,7 +121,7 @@ static const struct limits { ps_t stall, period, sclk, sleep; } limits[2] = {
 
 static const char *const violation_names[V_KINDS] = {
     "stall", "period", "sclk_fast", "sclk_slow", "clocks", "mode", "select", "setup", "hold", "bit14", "reset_traffic",
-    "sleep_select", "wake_traffic",
+    "sleep_select", "wake_traffic", "restore_traffic",
 };
 
 /* -- state ------------------------------------------------------------------------------------------------ */
@@ -128,7 +135,7 @@ struct chip {
     uint16_t status, held_ea;
     double input[INPUTS];
     double history[CHANNELS][HISTORY];
-    unsigned head;
+    unsigned head, filled;        /* updates since the filter began anew */
     int32_t raw[CHANNELS];        /* last unfiltered values, in LSB */
     int32_t past[2][MAX_DIFFERENCES + 1]; /* sources of the rate-of-change alarms */
     unsigned past_head[2], past_count[2];
@@ -136,15 +143,19 @@ struct chip {
     int alarm_on[2];
 
     ps_t next_update, last_update;
-    ps_t ready_until, asleep_until, busy_until, test_until;
+    ps_t ready_until, asleep_until, test_until;
+    ps_t null_until, busy_until;  /* end of what a command measures, and of the flash update behind it */
     uint16_t busy_command;
-    int sleeping, waking, deaf, in_reset;
+    int sleeping, waking, woken, deaf, in_reset;
 
     int cs, sck, mosi, rst;
     ps_t cs_fell, cs_rose, sck_fell, sck_rose, mosi_changed;
     int clocks, falls;
     uint16_t in_word, out_word, reply, previous;
     int fetch;                    /* register whose word the next frame brings, -1 none */
+    uint16_t known, out_known;    /* bits of the reply that the sheet settles */
+    int loose, out_loose;         /* its number is settled to 1 LSB: the rounding of a filter that fills is open */
+    int unsure;                   /* an update came so close to a reading that the order is anybody's guess */
     int ignored;                  /* the frame now running is not heard */
     int miso, miso_before;
     ps_t miso_at;
@@ -179,7 +190,7 @@ static ps_t ms(double value)
 static ps_t sample_period(const chip_t *c)
 {
     unsigned n = c->reg[SMPL_PRD / 2] & 0x7F;
-    double base_ms = (c->reg[SMPL_PRD / 2] & 0x80) ? 18.921 : 0.61035;
+    double base_ms = c->p.base_us * 1e-3 * ((c->reg[SMPL_PRD / 2] & 0x80) ? 31 : 1); /* 18.921 ms are 31 of them */
     if (n == 0 && !(c->reg[SMPL_PRD / 2] & 0x80) && c->p.smpl_zero_as_one != 0) {
         n = 1;
     }
@@ -282,6 +293,7 @@ static double filtered(const chip_t *c, int channel)
 static void fill_history(chip_t *c)
 {
     int channel, k;
+    c->filled = 0;
     for (channel = 0; channel < CHANNELS; channel++) {
         double value = c->p.filter_zeros != 0 ? 0 : measured(c, channel);
         if (c->p.offset_after_filter == 0 && c->p.filter_zeros == 0) {
@@ -338,6 +350,7 @@ static void update(chip_t *c, ps_t at)
     uint16_t standing = 0;
     double range = gyro_lsb(c) * 4095;
     c->updates++;
+    c->filled++;
     c->head = (c->head + 1) & (HISTORY - 1);
     for (channel = 0; channel < CHANNELS; channel++) {
         double value = measured(c, channel), off = offset(c, channel);
@@ -390,9 +403,11 @@ static void start_up(chip_t *c, ps_t now)
     memset(c->past_count, 0, sizeof c->past_count);
     memset(c->alarm_on, 0, sizeof c->alarm_on);
     c->reply = 0;
+    c->known = 0;
+    c->loose = 0;
     c->fetch = -1;
-    c->sleeping = c->waking = c->deaf = 0;
-    c->busy_until = c->test_until = NEVER;
+    c->sleeping = c->waking = c->woken = c->deaf = 0;
+    c->busy_until = c->null_until = c->test_until = NEVER;
     c->busy_command = 0;
     c->last_update = NEVER;
     c->ready_until = now + ms(c->p.startup_ms);
@@ -404,6 +419,10 @@ static void start_up(chip_t *c, ps_t now)
 static void save(chip_t *c)
 {
     int k;
+    if (c->p.flash_needs_supply != 0 && c->input[IN_SUPPLY] < 4.75) {
+        c->status |= ST_FLASH;
+        return;
+    }
     for (k = 0; k < WORDS; k++) {
         c->flash[k] = (uint16_t)(c->reg[k] & kept[k]);
     }
@@ -415,21 +434,29 @@ static void null_gyros(chip_t *c)
     int k;
     for (k = 0; k < 3; k++) {
         int channel = IN_GYRO_X + k;
-        double rate = sign_extend(c->out[channel], 14) * gyro_lsb(c) - offset(c, channel);
+        double rate = filtered(c, channel) - (c->p.offset_after_filter != 0 ? 0 : offset(c, channel));
         int counts = (int)floor(-rate / 0.018315 + 0.5);
         counts = counts < -4096 ? -4096 : counts > 4095 ? 4095 : counts;
         c->reg[XGYRO_OFF / 2 + k] = (uint16_t)(counts & 0x1FFF);
     }
 }
 
-static void finish_command(chip_t *c)
+static void finish_command(chip_t *c, ps_t at)
 {
-    if (c->busy_command & (CMD_AUTONULL | CMD_PRECISION)) {
-        null_gyros(c);
-    }
     save(c);
     c->busy_command = 0;
     c->busy_until = NEVER;
+    if (c->p.busy_restart != 0) {
+        c->next_update = at + sample_period(c);
+    }
+}
+
+static void awake(chip_t *c)
+{
+    c->next_update = c->ready_until + sample_period(c);
+    if (c->p.filter_clears != 0) {
+        fill_history(c);
+    }
 }
 
 void chip_run(chip_t *c, ps_t now)
@@ -445,6 +472,10 @@ void chip_run(chip_t *c, ps_t now)
             at = c->test_until;
             what = 2;
         }
+        if (c->null_until != NEVER && c->null_until <= at) {
+            at = c->null_until;
+            what = 4;
+        }
         if (c->sleeping && c->asleep_until < at) {
             at = c->asleep_until;
             what = 3;
@@ -454,10 +485,17 @@ void chip_run(chip_t *c, ps_t now)
         }
         switch (what) {
         case 1:
-            finish_command(c);
+            finish_command(c, at);
+            break;
+        case 4:
+            c->null_until = NEVER;
+            null_gyros(c);
             break;
         case 2:
             c->test_until = NEVER;
+            if (c->p.busy_restart != 0) {
+                c->next_update = at + sample_period(c);
+            }
             c->reg[MSC_CTRL / 2] &= (uint16_t)~(1u << 10);
             if ((uint16_t)c->p.self_test_fails) {
                 c->status |= (uint16_t)(ST_SELF_TEST | (uint16_t)c->p.self_test_fails);
@@ -467,10 +505,10 @@ void chip_run(chip_t *c, ps_t now)
             c->sleeping = 0;
             c->waking = 1;
             c->ready_until = at + ms(c->p.wake_ms);
-            c->next_update = c->ready_until + sample_period(c);
+            awake(c);
             break;
         default:
-            if (!c->sleeping && c->test_until == NEVER && (c->busy_until == NEVER || c->p.busy_updates != 0)) {
+            if (!c->sleeping && c->test_until == NEVER && (c->busy_until == NEVER || c->null_until != NEVER || c->p.busy_updates != 0)) {
                 update(c, at);
             }
             c->next_update += sample_period(c);
@@ -498,12 +536,23 @@ ps_t chip_next_event(const chip_t *c, ps_t now)
 static uint16_t read_register(chip_t *c, int address)
 {
     int word = address / 2;
+    c->known = 0xFFFF;
+    c->loose = 0;
     if (word == ENDURANCE / 2) {
         return c->endurance;
     }
     if (word >= SUPPLY_OUT / 2 && word <= AUX_ADC / 2) {
         int channel = word - SUPPLY_OUT / 2;
         uint16_t value = c->out[channel];
+        unsigned m = c->reg[SENS_AVG / 2] & 7;
+        if (c->test_until != NEVER) { /* outputs are not available */
+            c->known = 0;
+            return 0;
+        }
+        if (channel == IN_SUPPLY || channel > IN_ACCL_Z) {
+            c->known = 0xCFFF;
+        }
+        c->loose = c->filled < 2u * (1u << (m > 6 ? 6 : m)) - 1u;
         if (c->fresh & (1 << channel)) {
             value |= 0x8000;
         }
@@ -518,7 +567,8 @@ static uint16_t read_register(chip_t *c, int address)
         c->status = 0;
         return value;
     }
-    if (word == COMMAND / 2) {
+    if (word == COMMAND / 2 || word == 0x18 / 2) {
+        c->known = 0;
         return 0;
     }
     if (word == GPIO_CTRL / 2) {
@@ -549,6 +599,7 @@ static void command(chip_t *c, uint8_t bits, ps_t now)
     if (bits & (CMD_PRECISION | CMD_AUTONULL | CMD_RESTORE | CMD_FLASH)) {
         double takes = bits & CMD_PRECISION ? c->p.precision_null_ms : bits & CMD_AUTONULL ? c->p.autonull_ms : 0;
         c->busy_command = bits;
+        c->null_until = bits & (CMD_PRECISION | CMD_AUTONULL) ? now + ms(takes) : NEVER;
         c->busy_until = now + ms(takes + c->p.flash_ms);
     }
 }
@@ -556,7 +607,7 @@ static void command(chip_t *c, uint8_t bits, ps_t now)
 static void write_byte(chip_t *c, int address, uint8_t byte, ps_t now)
 {
     int word = address / 2, high = address & 1;
-    uint16_t mask = writable[word], value;
+    uint16_t mask = writable[word], before = c->reg[word], value;
     if (word == COMMAND / 2) {
         if (!high) {
             command(c, byte, now);
@@ -571,8 +622,13 @@ static void write_byte(chip_t *c, int address, uint8_t byte, ps_t now)
     }
     value = high ? (uint16_t)((c->reg[word] & 0x00FF) | (byte << 8)) : (uint16_t)((c->reg[word] & 0xFF00) | byte);
     c->reg[word] = value & mask;
-    if (word == SMPL_PRD / 2 && !high && c->p.smpl_restart != 0) {
-        c->next_update = now + sample_period(c);
+    if (c->reg[word] != before && (word == SMPL_PRD / 2 || word == SENS_AVG / 2)) {
+        if (word == SMPL_PRD / 2 && c->p.smpl_restart != 0) {
+            c->next_update = now + sample_period(c);
+        }
+        if (c->p.filter_clears != 0) {
+            fill_history(c);
+        }
     }
     if (word == MSC_CTRL / 2 && high && (byte & 4)) {
         c->test_until = now + ms(c->p.self_test_ms);
@@ -610,12 +666,16 @@ static void select_falls(chip_t *c, ps_t now)
     if (c->in_reset || (!c->waking && now < c->ready_until)) {
         violate(c, V_RESET_TRAFFIC, now, c->ready_until - now);
         c->ignored = 1;
+    } else if (c->busy_command & CMD_RESTORE) {
+        violate(c, V_RESTORE_TRAFFIC, now, c->busy_until - now);
+        c->ignored = 1;
     } else if (c->sleeping) {
         c->sleeping = 0;
         c->waking = 1;
-        c->ready_until = now + ms(c->p.wake_ms);
-        c->next_update = c->ready_until + sample_period(c);
-        c->ignored = 1; /* the pulse that wakes it */
+        c->woken = 1;
+        c->ready_until = INT64_MAX / 2; /* counts from the pulse's end */
+        c->next_update = c->ready_until;
+        c->ignored = 1;
     } else if (c->waking && now < c->ready_until) {
         violate(c, V_WAKE_TRAFFIC, now, c->ready_until - now);
         c->ignored = 1;
@@ -641,10 +701,13 @@ static void select_falls(chip_t *c, ps_t now)
         c->reply = read_register(c, c->fetch);
         c->fetch = -1;
     }
-    c->out_word = c->ignored || c->deaf ? 0 : c->reply;
+    c->out_word = c->reply;
+    c->out_known = c->known;
+    c->out_loose = c->loose;
     c->cs_fell = now;
     c->miso_before = HIGH_Z;
-    c->miso = !(c->out_word >> 15); /* nothing is promised before the first edge: the wrong bit shows who samples there */
+    /* Nothing is promised before the first edge: the wrong bit shows who samples there. */
+    c->miso = c->ignored || c->deaf ? HIGH_Z : !(c->out_word >> 15);
     c->miso_at = now;
 }
 
@@ -659,12 +722,20 @@ static void select_rises(chip_t *c, ps_t now)
     if (!c->sck) {
         violate(c, V_MODE, now, 0);
     }
+    if (c->woken) {
+        c->woken = 0;
+        c->ready_until = now + ms(c->p.wake_ms);
+        awake(c);
+    }
     if (c->ignored || c->deaf) {
         return;
     }
+    if ((c->last_update != NEVER && now - c->last_update < UNSURE) || c->next_update - now < UNSURE) {
+        c->unsure = 1;
+    }
     if (c->clocks != 16 || c->falls != 16) {
         violate(c, V_CLOCKS, now, c->clocks);
-        if (c->p.short_frame_status != 0) {
+        if (c->p.short_frame_status != 0 && c->clocks) { /* a mere pulse of chip select is what wakes the part */
             c->status |= ST_SPI;
         }
         return;
@@ -687,6 +758,8 @@ static void select_rises(chip_t *c, ps_t now)
     if (address / 2 == SLP_CNT / 2 && !(address & 1) && (word & 0xFF) && now - c->sck_rose > limit->sleep) {
         violate(c, V_SLEEP_SELECT, now, now - c->sck_rose);
     }
+    c->known = 0;
+    c->loose = 0;
     c->reply = c->p.write_reply < 0 ? c->previous : (uint16_t)c->p.write_reply;
     write_byte(c, address, (uint8_t)word, now);
 }
@@ -730,7 +803,9 @@ void chip_sck(chip_t *c, ps_t now, int level)
             least(&c->least_sclk, period);
         }
         c->sck_fell = now;
-        drive_miso(c, now, c->falls < 16 ? (c->out_word >> (15 - c->falls)) & 1 : 0);
+        if (!c->ignored && !c->deaf) {
+            drive_miso(c, now, c->falls < 16 ? (c->out_word >> (15 - c->falls)) & 1 : 0);
+        }
         c->falls++;
     } else {
         if (c->mosi_changed != NEVER && now - c->mosi_changed < T_DSU) {
@@ -786,7 +861,8 @@ int chip_dio(chip_t *c, ps_t now, int line)
         return active == ((msc >> 1) & 1);
     }
     if ((alarm & 4) && (alarm & 1) == line - 1) {
-        return (c->alarm_on[0] || c->alarm_on[1]) == ((alarm >> 1) & 1);
+        int on = c->p.alarm_line_held != 0 ? (c->status & (ST_ALARM1 | ST_ALARM2)) != 0 : c->alarm_on[0] || c->alarm_on[1];
+        return on == ((alarm >> 1) & 1);
     }
     if (gpio & (1 << (line - 1))) {
         return (gpio >> (8 + line - 1)) & 1;
@@ -794,26 +870,30 @@ int chip_dio(chip_t *c, ps_t now, int line)
     return HIGH_Z;
 }
 
-/* A host in mode 3 that does nothing wrong but what its times ask for. */
-void chip_frames(chip_t *c, int n, const ps_t *begin, const uint16_t *words, ps_t half_ps, uint16_t *replies)
+/* A host in mode 3: 2 * 16 half periods from the fall of chip select to its rise, a quarter of a clock at each end. */
+int chip_frames(chip_t *c, int n, const struct frame *frames, struct answer *answers)
 {
     int k, bit;
+    c->unsure = 0;
     for (k = 0; k < n; k++) {
-        ps_t t = begin[k];
+        const struct frame *frame = &frames[k];
+        ps_t half = frame->half, t = frame->begin + half / 2;
         uint16_t reply = 0;
-        chip_cs(c, t, 0);
-        t += half_ps;
-        for (bit = 15; bit >= 0; bit--) {
+        chip_cs(c, frame->begin, 0);
+        for (bit = 0; bit < frame->bits; bit++) {
             chip_sck(c, t, 0);
-            chip_mosi(c, t, (words[k] >> bit) & 1);
-            t += half_ps;
-            reply = (uint16_t)((reply << 1) | (chip_miso(c, t) == 1));
+            chip_mosi(c, t, bit < 16 ? (frame->word >> (15 - bit)) & 1 : 0);
+            t += half;
+            reply = (uint16_t)((reply << 1) | (chip_miso(c, t) != 0)); /* nobody drives it: a pull-up */
             chip_sck(c, t, 1);
-            t += half_ps;
+            t += half;
         }
-        chip_cs(c, t, 1);
-        replies[k] = reply;
+        chip_cs(c, frame->begin + 2 * half * frame->bits, 1);
+        answers[k].word = reply;
+        answers[k].known = frame->bits != 16 ? 0 : c->deaf ? 0xFFFF : c->ignored ? 0 : c->out_known;
+        answers[k].loose = (uint16_t)c->out_loose;
     }
+    return c->unsure;
 }
 
 /* -- life, parameters, counters ------------------------------------------------------------------------------- */
@@ -854,6 +934,7 @@ void chip_input(chip_t *c, ps_t now, int input, double value)
     chip_run(c, now);
     if (input >= 0 && input < INPUTS) {
         c->input[input] = value;
+        c->filled = 0; /* the filter has to settle again */
     }
 }
 

@@ -30,6 +30,7 @@ enum violation {
     V_RESET_TRAFFIC,  /* chip select low while the part starts up */
     V_SLEEP_SELECT,   /* chip select stayed low for too long after a write to SLP_CNT */
     V_WAKE_TRAFFIC,   /* a frame while the part wakes up */
+    V_RESTORE_TRAFFIC, /* chip select low during a factory restore */
     V_KINDS
 };
 
@@ -63,8 +64,11 @@ int chip_dio(chip_t *chip, ps_t now, int line);
 void chip_run(chip_t *chip, ps_t now);
 ps_t chip_next_event(const chip_t *chip, ps_t now);
 
-/* Frames made of edges: n words whose chip select falls at begin[k], clocked with half periods of half_ps. */
-void chip_frames(chip_t *chip, int n, const ps_t *begin, const uint16_t *words, ps_t half_ps, uint16_t *replies);
+/* Frames made of edges; what came back, and how much of that the sheet settles. Returns 1 where an update came so
+ * close to a reading that its place is open. */
+struct frame { ps_t begin, half; uint16_t word, bits; };
+struct answer { uint16_t word, known, loose; };
+int chip_frames(chip_t *chip, int n, const struct frame *frames, struct answer *answers);
 
 const char *chip_violation_name(int kind);
 uint32_t chip_violations(const chip_t *chip, int kind);

@@ -13,8 +13,14 @@ PS = 1_000_000
 """Picoseconds in a microsecond."""
 
 INPUTS = (
-    "supply", "gyro_x", "gyro_y", "gyro_z", "accl_x", "accl_y", "accl_z", "temp_x", "temp_y", "temp_z", "aux",
-)  # fmt: skip
+    "supply",
+    *(f"{sensor}_{axis}" for sensor in ("gyro", "accl", "temp") for axis in "xyz"),
+    "aux",
+)
+FRAME = np.dtype([("begin", "i8"), ("half", "i8"), ("word", "u2"), ("bits", "u2")], align=True)
+"""A frame: fall of chip select and half a clock in ps, word, clocks."""
+ANSWER = np.dtype([("word", "u2"), ("known", "u2"), ("loose", "u2")])
+"""What came back, its bits that the sheet settles, 1 where its number is only settled to 1 LSB."""
 
 _I64 = ctypes.c_int64
 _SIGNATURES = {
@@ -31,8 +37,8 @@ _SIGNATURES = {
     "chip_dio": (ctypes.c_int, [ctypes.c_void_p, _I64, ctypes.c_int]),
     "chip_run": (None, [ctypes.c_void_p, _I64]),
     "chip_frames": (
-        None,
-        [ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, _I64, ctypes.c_void_p],
+        ctypes.c_int,
+        [ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p],
     ),
     "chip_violation_name": (ctypes.c_char_p, [ctypes.c_int]),
     "chip_violations": (ctypes.c_uint32, [ctypes.c_void_p, ctypes.c_int]),
@@ -84,14 +90,17 @@ class LineChip:
         self, begin_us: NDArray[np.float64], words: Sequence[int], clock_hz: float = 1e6
     ) -> NDArray[np.uint16]:
         """Frames whose chip select falls at these times; the words shifted out."""
-        begin = np.rint(np.asarray(begin_us, float) * PS).astype(np.int64)
-        sent = np.asarray(words, np.uint16)
-        replies = np.zeros(len(sent), np.uint16)
-        half = round(0.5e12 / clock_hz)
-        self._lib.chip_frames(
-            self._chip, len(sent), begin.ctypes.data, sent.ctypes.data, half, replies.ctypes.data
-        )
-        return replies
+        frames = np.zeros(len(words), FRAME)
+        frames["begin"] = np.rint(np.asarray(begin_us, float) * PS)
+        frames["half"] = round(0.5e12 / clock_hz)
+        frames["word"], frames["bits"] = words, 16
+        return np.asarray(self.exchange(frames)[0]["word"])
+
+    def exchange(self, frames: NDArray[np.void]) -> tuple[NDArray[np.void], bool]:
+        """Frames of any length (n,) FRAME; answers (n,) ANSWER, and whether an update's place is open."""
+        answers = np.zeros(len(frames), ANSWER)
+        unsure = self._lib.chip_frames(self._chip, len(frames), frames.ctypes.data, answers.ctypes.data)
+        return answers, bool(unsure)
 
     def line(self, name: str, now_us: float, level: int) -> None:
         """Drive cs, sck, mosi or rst."""

@@ -1,4 +1,4 @@
-"""The real driver, pyserial and a pty, the firmware's binary on a second emulator, a second chip at its pins.
+"""Driver, pyserial and a pty, the firmware's binary on a second emulator, a second chip at its pins.
 
 The rig shares no line with the simulator, nor with the rig in tests/firmware: what both get wrong, one mind
 got wrong twice. Every test ends with the chip's own verdict on its pins (fixture make_board).
