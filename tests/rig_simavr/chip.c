@@ -16,9 +16,8 @@ enum {
 
 #define WORDS 32 /* 16-bit registers: address / 2 */
 #define CHANNELS INPUTS
-#define HISTORY 128 /* a power of two, at least the 2 * 64 - 1 taps of the longest window */
+#define HISTORY 256 /* a power of two, above 255: the differences of a rate-of-change alarm */
 #define LOG_ROOM 1024
-#define MAX_DIFFERENCES 255
 
 /* Bits that exist in a register that can be written. */
 static const uint16_t writable[WORDS] = {
@@ -76,11 +75,12 @@ struct parameters {
     double unused_bits_stick;   /* open: bits that are not used keep what was written */
     double busy_updates;        /* open: the outputs go on during a flash update and an autonull */
     double busy_restart;        /* open: 1 a new period begins behind a flash update or a self-test */
-    double flash_needs_supply;  /* open: below 4.75 V nothing is saved and STATUS[2] is set */
+    double flash_needs_supply;  /* open: where the last update saw less than 4.75 V nothing is saved and STATUS[2] is set */
     double alarm_line_held;     /* open: 1 an alarm's line follows STATUS, 0 the last update */
     double gpio_pins;           /* levels from outside at DIO2 (bit 1) and DIO1 (bit 0) */
     double self_test_gyro;      /* open: answer of the gyros to the manual self-test, in deg/s */
     double self_test_accl;      /* open: that of the accelerometers, in mg */
+    double self_test_over_range; /* open: the answer to it counts for over-range */
     double first_update_us;     /* open: from the end of the start-up to the first update; negative: a period */
     double pattern;             /* for tests: 1 the outputs count the updates, from a start of their own a channel */
 };
@@ -101,7 +101,8 @@ static const struct { const char *name; size_t at; } names[] = {
     PARAMETER(stall_locks), PARAMETER(base_us), PARAMETER(smpl_restart), PARAMETER(filter_clears),
     PARAMETER(busy_restart), PARAMETER(flash_needs_supply), PARAMETER(alarm_line_held), PARAMETER(smpl_zero_as_one), PARAMETER(offset_after_filter),
     PARAMETER(filter_zeros), PARAMETER(ea_at_update), PARAMETER(unused_bits_stick), PARAMETER(busy_updates),
-    PARAMETER(gpio_pins), PARAMETER(self_test_gyro), PARAMETER(self_test_accl), PARAMETER(first_update_us), PARAMETER(pattern),
+    PARAMETER(gpio_pins), PARAMETER(self_test_gyro), PARAMETER(self_test_accl),
+    PARAMETER(self_test_over_range), PARAMETER(first_update_us), PARAMETER(pattern),
 };
 #define NAMES (sizeof names / sizeof names[0])
 
@@ -137,9 +138,9 @@ struct chip {
     double history[CHANNELS][HISTORY];
     unsigned head, filled;        /* updates since the filter began anew */
     int32_t raw[CHANNELS];        /* last unfiltered values, in LSB */
-    int32_t past[2][MAX_DIFFERENCES + 1]; /* sources of the rate-of-change alarms */
-    unsigned past_head[2], past_count[2];
-    uint8_t past_source[2];
+    int32_t past[CHANNELS][HISTORY]; /* the outputs, for the rate-of-change alarms */
+    unsigned taken;               /* values in the histories */
+    int supply_low;               /* at the last update */
     int alarm_on[2];
 
     ps_t next_update, last_update;
@@ -293,7 +294,7 @@ static double filtered(const chip_t *c, int channel)
 static void fill_history(chip_t *c)
 {
     int channel, k;
-    c->filled = 0;
+    c->filled = c->taken = 0;
     for (channel = 0; channel < CHANNELS; channel++) {
         double value = c->p.filter_zeros != 0 ? 0 : measured(c, channel);
         if (c->p.offset_after_filter == 0 && c->p.filter_zeros == 0) {
@@ -306,7 +307,7 @@ static void fill_history(chip_t *c)
 }
 
 /* Source of an alarm: 1 supply, 2-4 gyros, 5-7 accelerometers, 8-10 temperatures, 11 auxiliary. */
-static int alarm_stands(chip_t *c, int which)
+static int alarm_stands(const chip_t *c, int which)
 {
     uint16_t control = c->reg[ALM_CTRL / 2];
     unsigned source = (control >> (which ? 12 : 8)) & 0xF;
@@ -314,32 +315,24 @@ static int alarm_stands(chip_t *c, int which)
     int channel = (int)source - 1, is_signed, bits;
     double value, threshold;
     if (source == 0 || source > 11) {
-        c->past_count[which] = 0;
         return 0;
     }
     is_signed = channel >= IN_GYRO_X && channel <= IN_TEMP_Z;
     bits = channel >= IN_GYRO_X && channel <= IN_ACCL_Z ? 14 : 12;
     threshold = is_signed ? sign_extend(limit, bits) : limit & ((1 << bits) - 1);
-    if (control & (1 << 4)) {
-        value = is_signed ? sign_extend(c->out[channel], bits) : c->out[channel];
-    } else {
-        value = c->raw[channel];
-    }
+    value = control & (1 << 4) ? c->past[channel][c->head] : c->raw[channel];
     if (control & (which ? 1 << 7 : 1 << 6)) { /* mean change a sample over N differences */
-        unsigned n = c->reg[(which ? ALM_SMPL2 : ALM_SMPL1) / 2] & 0xFF, head;
-        if (c->past_source[which] != source) {
-            c->past_source[which] = (uint8_t)source;
-            c->past_count[which] = 0;
-        }
-        head = c->past_head[which] = (c->past_head[which] + 1) % (MAX_DIFFERENCES + 1);
-        c->past[which][head] = (int32_t)value;
-        if (c->past_count[which] <= MAX_DIFFERENCES) {
-            c->past_count[which]++;
-        }
-        if (n == 0 || c->past_count[which] <= n) {
+        unsigned n = c->reg[(which ? ALM_SMPL2 : ALM_SMPL1) / 2] & 0xFF, then;
+        n = n ? n : 1; /* open */
+        then = (c->head - n) & (HISTORY - 1);
+        if (c->taken <= n) {
             return 0;
         }
-        value = (value - c->past[which][(head + MAX_DIFFERENCES + 1 - n) % (MAX_DIFFERENCES + 1)]) / n;
+        value -= control & (1 << 4) ? c->past[channel][then]
+                                    : to_counts(c, channel, c->history[channel][then] +
+                                                            (c->p.offset_after_filter != 0 ? offset(c, channel) : 0));
+        value /= n;
+        threshold = sign_extend(limit, bits); /* open for the unsigned ones: a fall is a change as well */
     }
     return (limit & 0x8000) ? value > threshold : value < threshold;
 }
@@ -351,26 +344,30 @@ static void update(chip_t *c, ps_t at)
     double range = gyro_lsb(c) * 4095;
     c->updates++;
     c->filled++;
+    c->taken++;
     c->head = (c->head + 1) & (HISTORY - 1);
     for (channel = 0; channel < CHANNELS; channel++) {
         double value = measured(c, channel), off = offset(c, channel);
+        double felt = value - (c->p.self_test_over_range != 0 ? 0 : stimulus(c, channel));
         int after = c->p.offset_after_filter != 0;
         c->history[channel][c->head] = value + (after ? 0 : off);
         c->raw[channel] = to_counts(c, channel, value + off);
-        c->out[channel] = to_bits(channel, to_counts(c, channel, filtered(c, channel) + (after ? off : 0)));
+        c->past[channel][c->head] = to_counts(c, channel, filtered(c, channel) + (after ? off : 0));
+        c->out[channel] = to_bits(channel, c->past[channel][c->head]);
         if (c->p.pattern != 0) {
             c->out[channel] = to_bits(channel, (int32_t)(c->updates + 100 * (unsigned)channel));
         }
         if (channel >= IN_GYRO_X && channel <= IN_GYRO_Z && c->p.gyro_overrange > 0 &&
-            fabs(value) > range * c->p.gyro_overrange) {
+            fabs(felt) > range * c->p.gyro_overrange) {
             standing |= ST_OVER_RANGE;
         }
-        if (channel >= IN_ACCL_X && channel <= IN_ACCL_Z && fabs(value) > c->p.accl_range_mg) {
+        if (channel >= IN_ACCL_X && channel <= IN_ACCL_Z && fabs(felt) > c->p.accl_range_mg) {
             standing |= ST_OVER_RANGE;
         }
     }
     c->fresh = (1 << CHANNELS) - 1;
-    if (c->input[IN_SUPPLY] < 4.75) {
+    c->supply_low = c->input[IN_SUPPLY] < 4.75;
+    if (c->supply_low) {
         standing |= ST_SUPPLY_LOW;
     }
     if (c->input[IN_SUPPLY] > 5.25) {
@@ -400,7 +397,6 @@ static void start_up(chip_t *c, ps_t now)
     c->status = c->held_ea = 0;
     c->fresh = 0;
     memset(c->out, 0, sizeof c->out);
-    memset(c->past_count, 0, sizeof c->past_count);
     memset(c->alarm_on, 0, sizeof c->alarm_on);
     c->reply = 0;
     c->known = 0;
@@ -419,7 +415,7 @@ static void start_up(chip_t *c, ps_t now)
 static void save(chip_t *c)
 {
     int k;
-    if (c->p.flash_needs_supply != 0 && c->input[IN_SUPPLY] < 4.75) {
+    if (c->p.flash_needs_supply != 0 && c->supply_low) {
         c->status |= ST_FLASH;
         return;
     }

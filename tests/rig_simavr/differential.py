@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.sim import SimulatedChip
+from adis_gonio.sim import chip as _chip
 from adis_gonio.sim.chip import SELF_TEST_BITS
 from adis_gonio.sim.inputs import Inputs
 from rig_simavr.line_chip import FRAME, INPUTS, LineChip
@@ -40,6 +41,14 @@ CHOICES = {
     "gpio_pins": 0,
 }
 """Open in the sheet, chosen (confidence D) by the simulator: parameters of the line-level chip."""
+
+_SUPPLY_BITS_FALL = hasattr(_chip, "FALLING_BITS")
+"""Known: without it the simulator keeps bits of STATUS that fall by themselves (CHIP.md), takes the
+rate-of-change alarm's threshold for the change over N and moves the accelerometers both ways in the
+manual self-test."""
+
+OPTIONS = dict.fromkeys(("conditions", "rates", "manual_test"), _SUPPLY_BITS_FALL)
+"""What the sequences take in."""
 
 US, MS = 1_000_000, 1_000_000_000
 """In ps."""
@@ -177,6 +186,8 @@ class Life:
             self._reset: 1,
             self._odd_length: 3,
             self._short_stall: 1,
+            self._short_period: 2,
+            self._odd_clock: 2,
             self._hard_reset: 1,
             self._precision: 0.02,
         }
@@ -307,17 +318,55 @@ class Life:
         self._send([0x3C00, 0x3C00, 0])
 
     def _short_stall(self) -> None:
-        self._send([0x3600])
-        limit = 75 if self._is_slow() else 9
-        self._free = self._rise + round(self._between(0.5, limit - 0.01) * US)
-        self._send([0x3600], early=True)
+        """Around the limit of the stall; where it was too short both are deaf until the reset line."""
+        slow = self._is_slow()
+        limit_us = 75 if slow else 9
+        half = round(0.5e12 / (150e3 if slow else 400e3))  # long enough for the period to be kept
+        self._send([0x3600], half=half)
+        self._free = self._rise + round(self._near(limit_us) * US)
+        self._send([0x3600], half=half, early=True)
         self._send([0x3600, 0x3800, 0])
         self._hard_reset()
+
+    def _short_period(self) -> None:
+        # The quickest clock, and never so near that the stall is broken too.
+        hz, limit_us, least_us = (299e3, 160, 130) if self._is_slow() else (1.9e6, 40, 18)
+        self._judged(round(0.5e12 / hz), round(max(self._near(limit_us), least_us) * US))
+
+    def _odd_clock(self) -> None:
+        hz = self._near(self._dice.choice((10e3, 300e3 if self._is_slow() else 2e6)))
+        self._judged(round(0.5e12 / hz), 5 * MS)
+
+    def _judged(self, half: int, period: int) -> None:
+        """Two harmless frames, and whether either chip says that they broke a rule."""
+        self._send([0x3C00, 0x0000])
+        before = self.line.violations()
+        self._pause(1)
+        self._send([0x0000], half=half, compare=False)
+        self._free = self._begin + period
+        self._send([0x0000], half=half, early=True, compare=False)
+        self._pause(1)
+        ours = self.line.violations() != before
+        # What the simulator answers to such frames, and that it tells by STATUS[3], is its choice.
+        words = np.array([0x3C00, 0x0000], np.uint16)
+        begin = np.array([self._free, self._free + MS])
+        self._begin, self._free = int(begin[1]), int(begin[1]) + MS
+        self._rise = self._free
+        theirs = bool(self.simulator.frames_at(words, begin * 1e-12, clock_hz=250e3)[1] & 8)
+        self.line.frames(begin / US, [0x3C00, 0x0000], 250e3)
+        self.tally.bits += 1
+        if ours != theirs:
+            rule = f"half a clock of {half * 1e-6:.6f} µs, a period of {period * 1e-6:.6f} µs"
+            self._differ(rule, f"sees a fault: {theirs}", f"sees a fault: {ours}")
+
+    def _near(self, limit: float) -> float:
+        """Above or below a limit, never on it."""
+        return limit * self._dice.choice((0.6, 0.95, 0.999, 1.001, 1.05, 2.0))
 
     # -- both chips ----------------------------------------------------------------------------------------
 
     def _is_slow(self) -> bool:
-        return (self.simulator.memory["SMPL_PRD"] & 0xFF) >= 0x0A
+        return self.simulator.memory["SMPL_PRD"] & 0xFF >= 0x0A
 
     def _periods(self) -> float:
         """Update period in ms."""
@@ -338,13 +387,14 @@ class Life:
         *,
         bits: int = 16,
         slow_clock: bool = False,
+        half: int = 0,
         early: bool = False,
         compare: bool = True,
         begin_unknown: bool = False,
     ) -> None:
         """Frames at random distances, none too short unless `early`; compares all answers."""
         dice, slow = self._dice, self._is_slow()
-        half = dice.choice(_SLOW_HALVES if slow or slow_clock else _FAST_HALVES)
+        half = half or dice.choice(_SLOW_HALVES if slow or slow_clock else _FAST_HALVES)
         spread = dice.choice((0, 0, 20, 200, 3000))
         begin = self._free
         rows = []
