@@ -10,6 +10,7 @@ enum { STK_OK = 0x10, STK_INSYNC = 0x14, CRC_EOP = 0x20 };
 
 const struct boot_options boot_uno = {
     .reset = PS_MS, .start = 65 * PS_MS, .blink = 375 * PS_MS, .watchdog = 1000 * PS_MS, .give_up = 16 * PS_MS,
+    .tick = 1062500, .per_bit = 8,
 };
 
 void boot_begin(boot_t *boot, ps_t opened, const struct boot_options *options, line_t *out)
@@ -26,14 +27,14 @@ void boot_begin(boot_t *boot, ps_t opened, const struct boot_options *options, l
     boot->running = 1;
     boot->queued_error[2] = NEVER;
     boot->out = out;
-    receiver_begin(&boot->receiver, boot->listens, BOOT_TICK_PS, options->phase, BOOT_PER_BIT);
+    receiver_begin(&boot->receiver, boot->listens, options->tick, options->phase, (int)options->per_bit);
 }
 
 static void answer(boot_t *boot, ps_t now, uint8_t byte)
 {
     boot->counts.replies++;
     if (boot->out != NULL) {
-        line_send(boot->out, now, BOOT_TICK_PS * BOOT_PER_BIT, byte);
+        line_send(boot->out, now, boot->options.tick * boot->options.per_bit, byte);
     }
 }
 

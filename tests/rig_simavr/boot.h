@@ -4,10 +4,6 @@
 
 #include "uart.h"
 
-/* 16 MHz / 8 / 17 at double speed: 117 647 baud, what UBRR can do for 115 200. */
-#define BOOT_TICK_PS 1062500ll
-#define BOOT_PER_BIT 8
-
 struct boot_options {
     ps_t reset;     /* from opening to the end of the reset pulse (DTR over 100 nF) */
     ps_t start;     /* from there to the receiver: the oscillator's start-up, 65 ms by the fuses of an Uno */
@@ -15,6 +11,8 @@ struct boot_options {
     ps_t watchdog;  /* 1 s since the last byte without a framing error */
     ps_t give_up;   /* 16 ms, once a command did not end as it should */
     ps_t phase;     /* of the sampling clock */
+    ps_t tick;      /* of it: 16 MHz / 17 at double speed, what UBRR can do for 115 200 baud: 117 647 */
+    int64_t per_bit; /* samples a bit */
 };
 
 struct boot_counts { uint32_t bytes, framing_errors, overruns, commands, replies, page_erases, page_writes; };

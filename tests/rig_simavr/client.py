@@ -35,6 +35,8 @@ class Streamed:
     time_s : (n,) float
     lost : int
         By the firmware's count.
+    bytes : int
+        That the host received meanwhile.
     report : dict
         Of the board, at the end.
     """
@@ -42,6 +44,7 @@ class Streamed:
     words: NDArray[np.uint16]
     time_s: NDArray[np.float64]
     lost: int
+    bytes: int
     report: dict[str, Any] = field(repr=False)
 
     @property
@@ -80,6 +83,7 @@ def stream(board: Board, seconds: float) -> Streamed:
         board.sleep_s(0.01)
         board.forget_extremes()
         with sensor.stream(SEVEN) as scans:
+            before = board.report()["to_host"]
             end_s = board.now_s() + seconds
             while board.now_s() < end_s:
                 block = next(scans)
@@ -87,5 +91,6 @@ def stream(board: Board, seconds: float) -> Streamed:
                 times.append(block.time_s)
                 lost += block.lost
             report = board.report()
+            received = report["to_host"] - before
         board.set("pattern", 0)
-    return Streamed(np.concatenate(words), np.concatenate(times), lost, report)
+    return Streamed(np.concatenate(words), np.concatenate(times), lost, received, report)
