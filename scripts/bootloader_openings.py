@@ -1,9 +1,9 @@
-"""Open modelled boards 10 000 times: does a boot loader take the host's first bytes for a page erase?
+"""Open modelled boards 10 000 times, and count the pages that their boot loaders erase.
 
 The boot loader (Optiboot, in several builds) samples at its own rate what the host sends at 500 kBd; ids,
 nonces, delays, clock errors and phases are drawn anew for each opening. Three ways of opening: a hello at
 once, a run of zero delimiters and a wait before the hello, and whatever the serial transport does. Exit 1
-where the last one, or the second, erases a page or does not outlast the boot loader.
+where the second or the last erases a page.
 
     python scripts/bootloader_openings.py --openings 10000
 """
@@ -51,8 +51,9 @@ def main() -> int:
 def line(seen: Openings) -> str:
     """Counts of a board in words."""
     return (
-        f"{seen.bytes:7d} bytes, {seen.framing_errors:7d} framing errors, {seen.page_erases:3d} pages erased,"
-        f" {seen.page_writes} written, firmware by {seen.last_start_s:.2f} s"
+        f"{seen.bytes:7d} bytes, {seen.framing_errors:7d} framing errors,"
+        f" {seen.page_erases:3d} pages erased, {seen.page_writes} written,"
+        f" firmware by {seen.last_start_s:.2f} s"
     )
 
 

@@ -56,7 +56,8 @@ def main() -> int:
     report = got.report
     print(f"{len(got.time_s)} scans in {np.ptp(got.time_s):.3f} s")
     print(
-        f"lost by the firmware's count {got.lost}, by the chip's own {got.skipped}; repeated {got.stale}, mixed {got.mixed}"
+        f"lost by the firmware's count {got.lost}, by the chip's own {got.skipped};"
+        f" repeated {got.repeated}, not new {got.stale}, mixed {got.mixed}"
     )
     print(f"distance of scans {steps.min():.4f} to {steps.max():.4f} periods")
     ratio = got.bytes / (14 * len(got.time_s))

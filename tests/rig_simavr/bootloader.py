@@ -1,4 +1,4 @@
-"""Openings of a board with Optiboot: what its receiver at 115 200 baud makes of the host's bytes at another rate."""
+"""Openings of a board with Optiboot: what its receiver makes of bytes at another rate than its own."""
 
 from __future__ import annotations
 

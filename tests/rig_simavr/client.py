@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from adis_gonio.bus import SpiBus
 from adis_gonio.bus.opening import BusUrl
-from adis_gonio.bus.serial import open_from_url
+from adis_gonio.bus.serial import Port, open_from_url
+from adis_gonio.bus.serial.ports import open_port
+from adis_gonio.bus.wire import protocol as wire
 from adis_gonio.sensor import Adis16354
 from rig_simavr.board import Board, violations
 
@@ -20,9 +22,23 @@ _CHANNELS = (1, 2, 3, 4, 5, 6, 0)
 """The chip's channels of SEVEN, in its own order."""
 
 
-def open_board(board: Board, *, boot_ms: int = 20_000) -> SpiBus:
+class CountingPort:
+    """pyserial's port, as `serial:` opens it, that counts what comes in."""
+
+    def __init__(self, place: str) -> None:
+        self._port = open_port(place, wire.BAUD, f"serial:{place}")
+        self.send, self.close = self._port.send, self._port.close
+        self.received = 0
+
+    def receive(self, wait_s: float, /) -> bytes:
+        data = self._port.receive(wait_s)
+        self.received += len(data)
+        return data
+
+
+def open_board(board: Board, *, boot_ms: int = 20_000, port: Port | None = None) -> SpiBus:
     """The serial bus as `serial:` opens it, by pyserial; it waits in the board's time."""
-    return open_from_url(BusUrl.parse(f"serial:{board.port}?boot_ms={boot_ms}"), clock=board)
+    return open_from_url(BusUrl.parse(f"serial:{board.port}?boot_ms={boot_ms}"), clock=board, port=port)
 
 
 @dataclass
@@ -56,7 +72,13 @@ class Streamed:
     @property
     def skipped(self) -> int:
         """Updates between the scans that no scan brought."""
-        return int((((np.diff(self.updates[:, 0]) % 4096) - 1) % 4096).sum())
+        steps = np.diff(self.updates[:, 0]) % 4096
+        return int((steps[steps > 1] - 1).sum())
+
+    @property
+    def repeated(self) -> int:
+        """Scans of the update that the scan before them is of."""
+        return int((np.diff(self.updates[:, 0]) % 4096 == 0).sum())
 
     @property
     def mixed(self) -> int:
@@ -71,19 +93,27 @@ class Streamed:
     @property
     def sound(self) -> bool:
         """Nothing lost, repeated, mixed or against the chip's limits."""
-        return not (self.lost or self.skipped or self.mixed or self.stale or violations(self.report))
+        return not (
+            self.lost
+            or self.skipped
+            or self.repeated
+            or self.mixed
+            or self.stale
+            or violations(self.report)
+        )
 
 
 def stream(board: Board, seconds: float) -> Streamed:
     """Seven registers at the full rate for so long in the board's time."""
     words, times, lost = [], [], 0
-    with Adis16354(open_board(board)) as sensor:
+    port = CountingPort(board.port)
+    with Adis16354(open_board(board, port=port)) as sensor:
         sensor.configure(smpl_prd=1, filter_m=0, data_ready=True)
         board.set("pattern", 1)
         board.sleep_s(0.01)
         board.forget_extremes()
         with sensor.stream(SEVEN) as scans:
-            before = board.report()["to_host"]
+            before = port.received
             end_s = board.now_s() + seconds
             while board.now_s() < end_s:
                 block = next(scans)
@@ -91,6 +121,6 @@ def stream(board: Board, seconds: float) -> Streamed:
                 times.append(block.time_s)
                 lost += block.lost
             report = board.report()
-            received = report["to_host"] - before
+            received = port.received - before
         board.set("pattern", 0)
     return Streamed(np.concatenate(words), np.concatenate(times), lost, received, report)

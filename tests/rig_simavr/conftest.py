@@ -33,20 +33,23 @@ def rig_libraries() -> Path:
 
 @pytest.fixture
 def make_board() -> Iterator[Callable[..., Board]]:
-    """Starts boards; at the end each must have seen no violation and no page of its flash erased."""
+    """Starts boards; at the end each sound one must have seen no violation and no page of its flash erased."""
     if reason := build.missing():
         pytest.skip(reason)
     program = build.make(_folder(), "rig") / "rig"
     elf = build.elf(_folder())
     boards: list[Board] = []
+    judged: list[Board] = []
 
-    def make(**options: float) -> Board:
+    def make(*, sound: bool = True, **options: float) -> Board:
         boards.append(Board(program, elf, **{"seconds": 60, **options}))
+        if sound:
+            judged.append(boards[-1])
         return boards[-1]
 
     yield make
     try:
-        for board in boards:
+        for board in judged:
             report = board.report()
             assert violations(report) == {}, report["log"]
             assert report["boot"]["page_erases"] == 0

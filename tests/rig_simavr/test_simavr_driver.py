@@ -9,9 +9,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from adis_gonio.bus import SpiTiming
 from adis_gonio.errors import BusTimeoutError
 from adis_gonio.sensor import Adis16354
-from rig_simavr.client import RATE_HZ, open_board, stream
+from rig_simavr.board import violations
+from rig_simavr.client import RATE_HZ, Streamed, open_board, stream
 
 
 def test_registers_are_read_written_and_read_back(make_board):
@@ -61,7 +63,7 @@ def test_no_scan_is_lost_or_repeated_whatever_the_baud_error_and_the_adapters_la
     board = make_board(baud=baud, latency_ms=latency_ms)
     got = stream(board, 5.0 if baud == 500_000 else 1.0)
     assert len(got.words) >= (4000 if baud == 500_000 else 700)
-    assert (got.lost, got.skipped, got.mixed, got.stale) == (0, 0, 0, 0)
+    assert (got.lost, got.skipped, got.repeated, got.mixed, got.stale) == (0, 0, 0, 0, 0)
     assert np.abs(np.diff(got.time_s) * RATE_HZ - 1).max() < 0.1
     report = got.report
     assert report["board_framing"] == report["host_framing"] == report["board_overruns"] == 0
@@ -73,6 +75,27 @@ def test_a_resonator_that_is_half_a_percent_off_does_no_harm(make_board):
     got = stream(make_board(boot=0, cpu_ppm=5000), 0.6)
     assert got.sound
     assert len(got.words) > 400
+
+
+def test_a_host_that_asks_for_too_quick_frames_is_seen_at_the_pins(make_board):
+    board = make_board(sound=False, boot=0)
+    bus = open_board(board)
+    board.sleep_s(0.2)
+    bus.configure(SpiTiming(clock_hz=1e6, stall_us=2, period_us=20))
+    bus.exchange([0, 0, 0])
+    found = violations(board.report())
+    bus.close()
+    assert found == {"stall": 2, "period": 2}
+
+
+def test_lost_repeated_and_mixed_scans_are_seen_in_the_data():
+    updates = np.array([[4094], [4095], [0], [2], [2], [3]]) + np.zeros(7, int)
+    updates[5, 6] = 4
+    starts = 100 * np.array([1, 2, 3, 4, 5, 6, 0])
+    words = ((updates + starts) % 4096 | 0x8000).astype(np.uint16)
+    words[4] &= 0x7FFF
+    got = Streamed(words, np.arange(6.0), 0, 0, {"violations": {}})
+    assert (got.skipped, got.repeated, got.mixed, got.stale, got.sound) == (1, 1, 1, 1, False)
 
 
 def test_chip_select_rises_in_time_for_sleep(make_board):
