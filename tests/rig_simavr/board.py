@@ -37,6 +37,7 @@ class Board:
         self._clock_file.write(bytes(8))
         self._clock_file.flush()
         self._clock = mmap.mmap(self._clock_file.fileno(), 8, prot=mmap.PROT_READ)
+        self._seen_s, self._moved_s = 0.0, time.monotonic()
         words = [f"{name}={value:.12g}" for name, value in options.items()]
         self._process = subprocess.Popen(
             [str(program), f"elf={elf}", f"clock={self._clock_file.name}", *words],
@@ -57,19 +58,21 @@ class Board:
     # -- the board's clock, as adis_gonio.bus.host.Clock ---------------------------------------------------
 
     def now_s(self) -> float:
-        """Time of the simulated board in s."""
-        return float(struct.unpack("q", self._clock[:8])[0]) * 1e-12
+        """Time of the simulated board in s; fails where it stands still, so that no wait is for ever."""
+        now_s, wall_s = float(struct.unpack("q", self._clock[:8])[0]) * 1e-12, time.monotonic()
+        if now_s != self._seen_s:
+            self._seen_s, self._moved_s = now_s, wall_s
+        elif wall_s - self._moved_s > PATIENCE_S:
+            raise RuntimeError(f"the board stands still at {now_s:.3f} s")
+        return now_s
 
     def sleep_s(self, seconds: float) -> None:
         """Wait until the board is so much further."""
         end_s = self.now_s() + seconds
-        moved_s, seen_s = time.monotonic(), self.now_s()
         while (now_s := self.now_s()) < end_s:
             time.sleep(min(max(end_s - now_s, 0.0002), 0.02))
-            if now_s != seen_s:
-                moved_s, seen_s = time.monotonic(), now_s
-            elif time.monotonic() - moved_s > PATIENCE_S or self._process.poll() is not None:
-                raise RuntimeError(f"the board stands still at {now_s:.3f} s")
+            if self._process.poll() is not None:
+                raise RuntimeError(f"the board ended at {now_s:.3f} s")
 
     # -- its reports ---------------------------------------------------------------------------------------
 

@@ -33,7 +33,7 @@ def rig_libraries() -> Path:
 
 @pytest.fixture
 def make_board() -> Iterator[Callable[..., Board]]:
-    """Starts boards; at the end each sound one must have seen no violation and no page of its flash erased."""
+    """Starts boards; a sound one has seen no violation at the end, and no page of its flash erased."""
     if reason := build.missing():
         pytest.skip(reason)
     program = build.make(_folder(), "rig") / "rig"

@@ -132,6 +132,14 @@ def test_opening_restarts_the_board_each_time_and_the_boot_loader_is_lived_throu
     assert report["boot"]["bytes"] > 0
 
 
+def test_without_a_pull_up_the_boot_loaders_led_clocks_the_selected_chip(make_board):
+    board = make_board(sound=False, cs_pull=0)
+    open_board(board).close()
+    assert "reset_traffic" in violations(board.report())
+    open_board(board).close()  # by now the chip has started
+    assert "clocks" in violations(board.report())
+
+
 def test_a_line_that_is_six_percent_off_is_silence_not_nonsense(make_board):
     board = make_board(boot=0, baud=530_000)
     with pytest.raises(BusTimeoutError):
