@@ -16,6 +16,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/inotify.h>
 #include <sys/mman.h>
 #include <sys/prctl.h>
 #include <termios.h>
@@ -68,7 +69,7 @@ static boot_t boot;
 static elf_firmware_t firmware;
 static ps_t epoch_ps, cycle_ps;
 static volatile int64_t *shared_ps;
-static int pty = -1;
+static int pty = -1, watch = -1; /* the pty's master, and who opens its slave */
 static FILE *out; /* stdout; simavr chats on that of the C library */
 
 static avr_uart_t *uart;
@@ -600,6 +601,21 @@ static int host_sends(ps_t now)
     return !(ask.revents & POLLHUP);
 }
 
+/* 1 where the pty was opened since the last question, be it closed again by now. */
+static int was_opened(void)
+{
+    _Alignas(struct inotify_event) char events[4096];
+    ssize_t n = read(watch, events, sizeof events);
+    char *at = events;
+    int opened = 0;
+    while (n > 0 && at < events + n) {
+        const struct inotify_event *event = (const struct inotify_event *)at;
+        opened |= (event->mask & IN_OPEN) != 0;
+        at += sizeof *event + event->len;
+    }
+    return opened;
+}
+
 static int open_pty(void)
 {
     struct termios raw;
@@ -615,9 +631,13 @@ static int open_pty(void)
     }
     cfmakeraw(&raw);
     tcsetattr(slave, TCSANOW, &raw);
+    close(slave); /* from now on the kernel tells whether somebody has it open */
+    watch = inotify_init1(IN_NONBLOCK);
+    if (watch < 0 || inotify_add_watch(watch, name, IN_OPEN) < 0) {
+        return 0;
+    }
     fprintf(out, "%s\n", name);
     fflush(out);
-    close(slave); /* from now on the kernel tells whether somebody has it open */
     return 1;
 }
 
@@ -792,7 +812,7 @@ int main(int argc, char **argv)
 {
     ps_t now = 0;
     double wall_zero = 0;
-    int k, open_before = 0, booting = 0;
+    int k, booting = 0;
     static int64_t own_clock;
     out = fdopen(dup(1), "w");
     if (out == NULL || freopen("/dev/null", "w", stdout) == NULL) {
@@ -825,16 +845,7 @@ int main(int argc, char **argv)
     chip_power_on(chip, 0);
     host_ear.tick = 0;
     while (now < (ps_t)(option.seconds * 1e12)) {
-        int open_now = host_sends(now);
-        if (!open_now) { /* the board stands still */
-            open_before = 0;
-            if (!obey_all(now, 5)) {
-                return 0;
-            }
-            continue;
-        }
-        if (!open_before) {
-            open_before = 1;
+        if (was_opened()) {
             seen.openings++;
             usb_count = usb_ready = 0;
             line_clear(&to_host);
@@ -848,6 +859,12 @@ int main(int argc, char **argv)
             } else if (avr == NULL) {
                 start_application(now);
             }
+        }
+        if (!host_sends(now) || (avr == NULL && !booting)) { /* nobody has it open: the board stands still */
+            if (!obey_all(now, 5)) {
+                return 0;
+            }
+            continue;
         }
         if (!obey_all(now, 0)) {
             return 0;
