@@ -60,8 +60,8 @@ def main() -> int:
         f" repeated {got.repeated}, not new {got.stale}, mixed {got.mixed}"
     )
     print(f"distance of scans {steps.min():.4f} to {steps.max():.4f} periods")
-    ratio = got.bytes / (14 * len(got.time_s))
-    print(f"bytes on the line: {got.bytes / len(got.time_s):.3f} a scan of 14 bytes, ratio {ratio:.4f}")
+    ratio = got.line_bytes / 14
+    print(f"bytes on the line: {got.line_bytes:.3f} a scan of 14 bytes, ratio {ratio:.4f}")
     print(f"{report['frames']} frames, {sum(violations(report).values())} violations, tightest in µs:")
     print(report["extremes_us"])
     print({name: report[name] for name in ("board_framing", "board_overruns", "host_framing")})

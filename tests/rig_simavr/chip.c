@@ -406,6 +406,7 @@ static void start_up(chip_t *c, ps_t now)
     c->busy_until = c->null_until = c->test_until = NEVER;
     c->busy_command = 0;
     c->last_update = NEVER;
+    c->supply_low = 0;
     c->ready_until = now + ms(c->p.startup_ms);
     c->next_update = c->ready_until +
                      (c->p.first_update_us < 0 ? sample_period(c) : (ps_t)llround(c->p.first_update_us * 1e6));

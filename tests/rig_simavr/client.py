@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.bus import SpiBus
 from adis_gonio.bus.opening import BusUrl
-from adis_gonio.bus.serial import Port, open_from_url
-from adis_gonio.bus.serial.ports import open_port
-from adis_gonio.bus.wire import protocol as wire
+from adis_gonio.bus.serial import open_from_url
 from adis_gonio.sensor import Adis16354
 from rig_simavr.board import Board, violations
 
@@ -22,23 +20,9 @@ _CHANNELS = (1, 2, 3, 4, 5, 6, 0)
 """The chip's channels of SEVEN, in its own order."""
 
 
-class CountingPort:
-    """pyserial's port, as `serial:` opens it, that counts what comes in."""
-
-    def __init__(self, place: str) -> None:
-        self._port = open_port(place, wire.BAUD, f"serial:{place}")
-        self.send, self.close = self._port.send, self._port.close
-        self.received = 0
-
-    def receive(self, wait_s: float, /) -> bytes:
-        data = self._port.receive(wait_s)
-        self.received += len(data)
-        return data
-
-
-def open_board(board: Board, *, boot_ms: int = 20_000, port: Port | None = None) -> SpiBus:
+def open_board(board: Board, *, boot_ms: int = 20_000) -> SpiBus:
     """The serial bus as `serial:` opens it, by pyserial; it waits in the board's time."""
-    return open_from_url(BusUrl.parse(f"serial:{board.port}?boot_ms={boot_ms}"), clock=board, port=port)
+    return open_from_url(BusUrl.parse(f"serial:{board.port}?boot_ms={boot_ms}"), clock=board)
 
 
 @dataclass
@@ -51,8 +35,8 @@ class Streamed:
     time_s : (n,) float
     lost : int
         By the firmware's count.
-    bytes : int
-        That the host received meanwhile.
+    line_bytes : float
+        On the line for a scan, of eight frames each.
     report : dict
         Of the board, at the end.
     """
@@ -60,7 +44,7 @@ class Streamed:
     words: NDArray[np.uint16]
     time_s: NDArray[np.float64]
     lost: int
-    bytes: int
+    line_bytes: float
     report: dict[str, Any] = field(repr=False)
 
     @property
@@ -106,14 +90,14 @@ class Streamed:
 def stream(board: Board, seconds: float) -> Streamed:
     """Seven registers at the full rate for so long in the board's time."""
     words, times, lost = [], [], 0
-    port = CountingPort(board.port)
-    with Adis16354(open_board(board, port=port)) as sensor:
+    with Adis16354(open_board(board)) as sensor:
         sensor.configure(smpl_prd=1, filter_m=0, data_ready=True)
         board.set("pattern", 1)
         board.sleep_s(0.01)
         board.forget_extremes()
         with sensor.stream(SEVEN) as scans:
-            before = port.received
+            board.sleep_s(0.1)
+            before = board.report()
             end_s = board.now_s() + seconds
             while board.now_s() < end_s:
                 block = next(scans)
@@ -121,6 +105,6 @@ def stream(board: Board, seconds: float) -> Streamed:
                 times.append(block.time_s)
                 lost += block.lost
             report = board.report()
-            received = port.received - before
+            line_bytes = (report["heard"] - before["heard"]) * 8 / (report["frames"] - before["frames"])
         board.set("pattern", 0)
-    return Streamed(np.concatenate(words), np.concatenate(times), lost, received, report)
+    return Streamed(np.concatenate(words), np.concatenate(times), lost, line_bytes, report)

@@ -91,7 +91,7 @@ static uint8_t usb[1 << 20]; /* bytes that the adapter holds, then those that th
 static size_t usb_count, usb_ready;
 static ps_t usb_since;
 
-static struct { uint64_t from_host, to_host, edges; uint32_t openings, board_framing, board_overruns, host_framing; } seen;
+static struct { uint64_t from_host, to_host, heard, edges; uint32_t openings, board_framing, board_overruns, host_framing; } seen;
 
 static avr_cycle_count_t cycles_at(ps_t at)
 {
@@ -553,6 +553,7 @@ static void host_listens(ps_t now)
         int error = 0;
         if (receiver_take(&host_ear, &to_host, start, &byte, &error)) {
             seen.host_framing += (uint32_t)error;
+            seen.heard++;
             if (!error && usb_count < sizeof usb) {
                 if (usb_count == usb_ready) {
                     usb_since = done;
@@ -655,8 +656,8 @@ static void report(ps_t now)
     fprintf(out, "{\"time_s\": %.9f, \"frames\": %llu, \"updates\": %llu, \"edges\": %llu, \"openings\": %u", now * 1e-12,
            (unsigned long long)chip_frame_count(chip), (unsigned long long)chip_update_count(chip),
            (unsigned long long)seen.edges, seen.openings);
-    fprintf(out, ", \"from_host\": %llu, \"to_host\": %llu, \"board_framing\": %u, \"board_overruns\": %u, \"host_framing\": %u",
-           (unsigned long long)seen.from_host, (unsigned long long)seen.to_host, seen.board_framing,
+    fprintf(out, ", \"from_host\": %llu, \"to_host\": %llu, \"heard\": %llu, \"board_framing\": %u, \"board_overruns\": %u, \"host_framing\": %u",
+           (unsigned long long)seen.from_host, (unsigned long long)seen.to_host, (unsigned long long)seen.heard, seen.board_framing,
            seen.board_overruns, seen.host_framing);
     fprintf(out, ", \"boot\": {\"bytes\": %u, \"framing_errors\": %u, \"overruns\": %u, \"commands\": %u, \"page_erases\": %u, "
            "\"page_writes\": %u}",
