@@ -179,6 +179,22 @@ def zeros_first(
     return [(0.0, bytes(zeros)), *((wait_s + at, packet) for at, packet in hellos)]
 
 
+def zeros_apart(
+    dice: random.Random, zeros: int = 13, every_s: float = 0.02, seconds: float = 3.0
+) -> list[tuple[float, bytes]]:
+    """Single delimiters 20 ms apart, a pause in which a loader leaves, then hellos.
+
+    A zero alone is 0xFE to any receiver near 115 200 baud, and two of them are no command: a loader leaves.
+    In a run without gaps the two clocks beat, and what should end a command may be a blank by chance.
+    """
+    begin_s = zeros * every_s + 0.16
+    hellos = hello_at_once(dice, seconds - begin_s)
+    return [
+        *((k * every_s, b"\x00") for k in range(zeros)),
+        *((begin_s + at, packet) for at, packet in hellos),
+    ]
+
+
 BOARDS: Sequence[Board] = (
     Board(),
     Board(blink_s=0.0),
@@ -186,6 +202,7 @@ BOARDS: Sequence[Board] = (
     Board(reset_s=0.010, start_s=0.004),
     Board(baud=16e6 / 16 / 9, samples_a_bit=16),
     Board(blink_s=0.0, baud=115_200.0, samples_a_bit=16),
+    Board(baud=16e6 / 16 / 17, samples_a_bit=16),
 )
 """Boot loaders of other builds: no blinking, another watchdog, other fuses, other dividers."""
 

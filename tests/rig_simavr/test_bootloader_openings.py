@@ -8,7 +8,15 @@ from __future__ import annotations
 
 import pytest
 
-from rig_simavr.bootloader import BOARDS, Board, BootLoader, hello_at_once, open_often, zeros_first
+from rig_simavr.bootloader import (
+    BOARDS,
+    Board,
+    BootLoader,
+    hello_at_once,
+    open_often,
+    zeros_apart,
+    zeros_first,
+)
 
 OPENINGS = 150
 SLOW_DIVIDER = Board(baud=16e6 / 16 / 9, samples_a_bit=16)
@@ -64,9 +72,27 @@ def test_a_hello_sent_at_once_is_a_page_erase_now_and_then(boot_library):
     assert seen.page_erases > 0
 
 
-@pytest.mark.parametrize(
+EACH_BOARD = pytest.mark.parametrize(
     "board", BOARDS, ids=lambda board: f"{board.baud:.0f}-{board.blink_s}-{board.watchdog_s}"
 )
+
+
+@EACH_BOARD
+def test_zeros_apart_make_every_boot_loader_leave_before_the_hello(boot_library, board):
+    seen = open_often(boot_library, zeros_apart, board, range(OPENINGS))
+    # One command each, which two zeros end: it never waits for another.
+    assert seen.commands == OPENINGS
+    assert (seen.page_erases, seen.page_writes) == (0, 0)
+    assert seen.last_start_s < 0.46
+
+
+def test_a_run_of_zeros_without_gaps_may_keep_a_boot_loader(boot_library):
+    """Why they are sent apart: a pair that ends like a command is answered, and the next is waited for."""
+    run = open_often(boot_library, zeros_first, SLOW_DIVIDER, range(OPENINGS))
+    assert run.commands > OPENINGS
+
+
+@EACH_BOARD
 def test_zeros_and_a_wait_erase_nothing_and_outlast_the_boot_loader(boot_library, board):
     seen = open_often(boot_library, zeros_first, board, range(OPENINGS))
     assert seen.openings == OPENINGS
