@@ -2,8 +2,8 @@
 
 The boot loader (Optiboot, in several builds) samples at its own rate what the host sends at 500 kBd; ids,
 nonces, delays, clock errors and phases are drawn anew for each opening. Ways of opening: a hello at once, a
-run of zero delimiters and a wait before the hello, single zeros before it, and whatever the serial transport
-does. Exit 1 where any but the first erases a page.
+run of zero delimiters and a wait before the hello, single zeros before it, and whatever the serial
+transport does. Exit 1 where any but the first erases a page.
 
     python scripts/bootloader_openings.py --openings 10000
 """
