@@ -178,6 +178,7 @@ class Life:
             self._scans: 15,
             self._writes: 35,
             self._status_reads: 4,
+            self._alarm_on_the_edge: 2,
             self._flash: 2,
             self._restore: 1,
             self._autonull: 1,
@@ -259,6 +260,21 @@ class Life:
         if address in (0x2A, 0x2C):
             return max(1, data)
         return data
+
+    def _alarm_on_the_edge(self) -> None:
+        """A threshold that an output has, or is one beside."""
+        channel = self._dice.randrange(11)
+        word = self._send([0x200 * (channel + 1), 0])[1]
+        bits = 14 if 1 <= channel <= 6 else 12
+        level = (word + self._dice.choice((-1, 0, 0, 1))) & ((1 << bits) - 1)
+        level |= self._dice.choice((0, 0x8000))
+        filtered = self._dice.choice((0, 0x10))
+        writes = ((0x26, level & 0xFF), (0x27, level >> 8), (0x2E, filtered), (0x2F, channel + 1))
+        self._send([0x8000 | address << 8 | data for address, data in writes])
+        self._pause(3 * self._periods())
+        self._send([0x3C00, 0x0C00, 0x3C00, 0])
+        self._pause(3 * self._periods())
+        self._send([0x3C00, 0x0C00, 0])
 
     def _flash(self) -> None:
         self._send([0xBE08])
@@ -391,8 +407,8 @@ class Life:
         early: bool = False,
         compare: bool = True,
         begin_unknown: bool = False,
-    ) -> None:
-        """Frames at random distances, none too short unless `early`; compares all answers."""
+    ) -> list[int]:
+        """Frames at random distances, none too short unless `early`; compares all answers, returns them."""
         dice, slow = self._dice, self._is_slow()
         half = half or dice.choice(_SLOW_HALVES if slow or slow_clock else _FAST_HALVES)
         spread = dice.choice((0, 0, 20, 200, 3000))
@@ -415,6 +431,7 @@ class Life:
         told = self._simulator_takes(frames)
         if compare:
             self._compare(frames, answers, told, first=1 if begin_unknown else 0)
+        return [int(word) for word in told]
 
     def _simulator_takes(self, frames: NDArray[np.void]) -> NDArray[np.int64]:
         clock_hz = 0.5e12 / int(frames["half"][0])
