@@ -130,8 +130,8 @@ def test_stall_and_period_are_judged_by_the_mode(line_chip, smpl_prd, stall_us, 
     line_chip.set("stall_locks", 0)
     line_chip.frames([STARTED_US], [0xB600 | smpl_prd])
     at = STARTED_US + 10_000
-    # At 1 MHz or 250 kHz a frame lasts 16.5 or 66 µs.
-    clock_hz, lasts = (1e6, 16.5) if smpl_prd < 10 else (250e3, 66.0)
+    # At 1 MHz or 250 kHz a frame lasts 16 or 64 µs.
+    clock_hz, lasts = (1e6, 16.0) if smpl_prd < 10 else (250e3, 64.0)
 
     def pair(begin, distance):
         before = line_chip.violations()
@@ -145,7 +145,10 @@ def test_stall_and_period_are_judged_by_the_mode(line_chip, smpl_prd, stall_us, 
 
 def test_after_too_short_a_stall_the_part_is_deaf_until_a_reset(line_chip):
     line_chip.frames([STARTED_US, STARTED_US + 20], [0x3600, 0x3600])
-    assert read(line_chip, 0x36, 0x38, at_us=STARTED_US + 1000) == [0, 0]
+    assert read(line_chip, 0x36, 0x38, at_us=STARTED_US + 1000) == [
+        0xFFFF,
+        0xFFFF,
+    ]  # nobody drives the line
     line_chip.line("rst", STARTED_US + 2000, 0)
     line_chip.line("rst", STARTED_US + 3000, 1)
     assert read(line_chip, 0x36, 0x38, at_us=STARTED_US + 200_000) == [1, 0x0402]
@@ -161,3 +164,17 @@ def test_slow_select_after_a_sleep_command_is_named(line_chip):
         chip.line("sck", t + k + 1.0, 1)
     chip.line("cs", t + 16 + 10.1, 1)
     assert chip.violations() == {"sleep_select": 1}
+
+
+def test_a_frame_during_a_factory_restore_is_named(line_chip):
+    line_chip.frames([STARTED_US], [0xBE02])
+    read(line_chip, 0x20, at_us=STARTED_US + 50_000)
+    assert line_chip.violations() == {"restore_traffic": 2}
+
+
+@pytest.mark.parametrize(("command", "takes_us"), [(0xBE01, 251_000), (0xBE10, 30_101_000)])
+def test_nulling_measures_finer_than_an_output_shows(line_chip, command, takes_us):
+    line_chip.input(STARTED_US, "gyro_x", 41.2 * 0.018315)
+    begin = STARTED_US + 20_000
+    line_chip.frames([begin], [command])
+    assert read(line_chip, 0x1A, 0x00, at_us=begin + takes_us) == [-41 & 0x1FFF, 1]
