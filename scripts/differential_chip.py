@@ -26,6 +26,8 @@ SEQUENCES = 50
 """Of a life."""
 LIVES = 20
 """That a process takes at once."""
+REPORT = 20_000
+"""Sequences from one line of progress to the next."""
 
 
 def block(library: Path, number: int) -> Tally:
@@ -52,6 +54,10 @@ def main() -> int:
                 for difference in tally.differences:
                     print(difference)
                 total.add(tally)
+                if total.sequences // REPORT > (total.sequences - tally.sequences) // REPORT:
+                    print(
+                        f"… {total.sequences} sequences, {len(total.differences)} differences", flush=True
+                    )
     left_out = [name for name, taken in OPTIONS.items() if not taken]
     print(f"{total.sequences} sequences, {total.frames} frames, {total.bits} bits compared")
     print(
