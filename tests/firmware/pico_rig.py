@@ -1,0 +1,231 @@
+"""The Pico's UF2 in an emulated RP2040, with a chip on its pins and a USB host: tests/rig_rp2040/, a Node
+program that answers requests on its standard input.
+
+Everything happens in simulated time, and time runs only within a request. `PicoRig.port` is what a host's
+program sees of the serial port. `PtyCable` hangs the rig on a pseudo-terminal, for programs that want a
+device file.
+
+What rp2040js 1.4.1 does otherwise than the part is said in docs/testing.md.
+"""
+
+from __future__ import annotations
+
+import bisect
+import contextlib
+import json
+import os
+import subprocess
+import threading
+import time
+import tty
+from pathlib import Path
+from typing import Any
+
+from firmware.pico_build import RIG
+
+ANSWER_S = 300.0
+"""Longest wall time for one request; the watchdog ends the emulator then."""
+
+
+class PicoRig:
+    """Firmware, chip and USB host.
+
+    Parameters
+    ----------
+    image : Path
+        The UF2 file.
+    chip : dict
+        Options of the chip: part, seed, accelMg, supplyV.
+    """
+
+    def __init__(self, image: Path, **chip: Any) -> None:
+        self._process = subprocess.Popen(
+            ["node", str(RIG / "rig.js")], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        self._ns = 0.0
+        self._lock = threading.Lock()
+        self._ask(image=str(image), chip=chip)
+        self.port = PicoPort(self)
+
+    def _ask(self, **request: Any) -> dict[str, Any]:
+        process = self._process
+        assert process.stdin is not None
+        assert process.stdout is not None
+        with self._lock:
+            watchdog = threading.Timer(ANSWER_S, process.kill)
+            watchdog.start()
+            try:
+                process.stdin.write(json.dumps(request).encode() + b"\n")
+                process.stdin.flush()
+                line = process.stdout.readline()
+            finally:
+                watchdog.cancel()
+        if not line:
+            raise RuntimeError("the emulator ended")
+        answer: dict[str, Any] = json.loads(line)
+        if "error" in answer:
+            raise RuntimeError(answer["error"])
+        return answer
+
+    # -- time ------------------------------------------------------------------------------------
+
+    def now_s(self) -> float:
+        """Simulated time in s."""
+        return self._ns * 1e-9
+
+    def sleep_s(self, seconds: float) -> None:
+        """Let the firmware run for a time; what arrives is kept."""
+        self.port.arrived += self.run(seconds)
+
+    def run(self, seconds: float, send: bytes = b"", *, for_data: bool = False) -> bytes:
+        """Let the firmware run for a time, or until bytes arrive."""
+        answer = self._ask(
+            op="run", until_ns=self._ns + seconds * 1e9, send=send.hex(), for_data=for_data
+        )
+        self._ns = answer["ns"]
+        return bytes.fromhex(answer["data"])
+
+    # -- what the pins saw -----------------------------------------------------------------------
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """Figures of the pins, the chip and the USB host; see rig.js."""
+        return self._ask(op="state")
+
+    def keep_frames(self) -> None:
+        """Remember every frame from now on."""
+        self._ask(op="keep")
+
+    def frames(self, first: int = 0) -> list[tuple[int, float, float, float, int]]:
+        """Word, fall and rise of chip select in ns, clock in Hz and reply of the frames kept."""
+        return [tuple(frame) for frame in self._ask(op="frames", **{"from": first})["frames"]]
+
+    def twin_frame(self, word: int, fall_ns: float, rise_ns: float) -> int:
+        """What a second chip, alike in all, answers to a frame."""
+        return int(self._ask(op="twin", word=word, fall_ns=fall_ns, rise_ns=rise_ns)["reply"])
+
+    def forget(self) -> None:
+        """Start the tightest values anew."""
+        self._ask(op="forget")
+
+    def least_us(self, what: str, mode: str) -> float:
+        """Tightest stall, period or clock period seen in a mode, in µs."""
+        return float(self.state["least_ns"][f"{mode} {what}"]) / 1000
+
+    def edges_before(self, time_us: float) -> int:
+        """Data-ready edges until a time of the simulation."""
+        return bisect.bisect(self.state["edges_ns"], time_us * 1e3)
+
+    # -- the cable, the host, the memory ---------------------------------------------------------
+
+    def unplug(self) -> None:
+        """Pull the cable: the board loses its power."""
+        self._ask(op="unplug")
+
+    def host(self, **options: int) -> None:
+        """Change what the USB host does: in_every, baud, clear_halt (see rig.js)."""
+        self._ask(op="host", **options)
+
+    def paint_stack(self, first_free: int) -> None:
+        """Fill the RAM above the variables, below the present stack."""
+        self._ask(op="paint", **{"from": first_free})
+
+    def deepest_stack(self, first_free: int) -> int:
+        """Bytes of stack that were ever used since `paint_stack`."""
+        return int(self._ask(op="stack", **{"from": first_free})["bytes"])
+
+    def check(self) -> None:
+        """Every frame so far kept the chip's limits, and nothing was done that an RP2040 does not bear."""
+        state = self.state
+        assert not state["violations"], (state["violations"][:5], state["more"])
+        assert not state["faults"], state["faults"]
+
+    def close(self) -> None:
+        """End the emulator."""
+        process = self._process
+        with contextlib.suppress(OSError):
+            assert process.stdin is not None
+            process.stdin.close()
+        process.kill()
+        process.wait(10)
+        assert process.stdout is not None
+        process.stdout.close()
+
+
+class PicoPort:
+    """The host's program at the serial port; its time-outs are simulated time."""
+
+    def __init__(self, rig: PicoRig) -> None:
+        self._rig = rig
+        self._sending = b""
+        self.arrived = b""
+        self.received = 0
+
+    def now_s(self) -> float:
+        """Simulated time in s."""
+        return self._rig.now_s()
+
+    def send(self, data: bytes) -> None:
+        """Hand bytes to the USB host, which sends them with the next run."""
+        self._sending += data
+
+    def receive(self, wait_s: float) -> bytes:
+        """Whatever has arrived; waits for the first byte for so long."""
+        sending, self._sending = self._sending, b""
+        data, self.arrived = self.arrived, b""
+        data += self._rig.run(0.0 if data else wait_s, sending, for_data=True)
+        self.received += len(data)
+        return data
+
+    def close(self) -> None:
+        """The rig stays; there is nothing to give back."""
+
+
+class PtyCable:
+    """The rig on a pseudo-terminal: its `path` is a serial port like any other.
+
+    Simulated time runs as fast as it can while the cable is in; `now_s` and `sleep_s` make it a bus's clock,
+    so that no limit depends on how fast that is.
+    """
+
+    SLICE_S = 1e-3
+
+    def __init__(self, rig: PicoRig) -> None:
+        self._rig = rig
+        self._ours, self._theirs = os.openpty()
+        tty.setraw(self._theirs)
+        os.set_blocking(self._ours, False)
+        self.path = os.ttyname(self._theirs)
+        self._running = True
+        self._thread = threading.Thread(target=self._pump, daemon=True)
+        self._thread.start()
+
+    def now_s(self) -> float:
+        """Simulated time in s."""
+        return self._rig.now_s()
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait until the simulation is so much further."""
+        end_s = self.now_s() + seconds
+        while self.now_s() < end_s and self._running:
+            time.sleep(0.001)
+
+    def _pump(self) -> None:
+        waiting = b""
+        while self._running:
+            data = b""
+            with contextlib.suppress(BlockingIOError):
+                data = os.read(self._ours, 4096)
+            waiting += self._rig.run(self.SLICE_S, data)
+            if waiting:
+                with contextlib.suppress(BlockingIOError):
+                    waiting = waiting[os.write(self._ours, waiting) :]
+
+    def pull(self) -> None:
+        """Pull the cable; the device file is gone."""
+        if self._running:
+            self._running = False
+            self._thread.join(ANSWER_S)
+            self._rig.unplug()
+            os.close(self._ours)
+            os.close(self._theirs)
