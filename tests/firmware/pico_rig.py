@@ -21,6 +21,7 @@ import tty
 from pathlib import Path
 from typing import Any
 
+from adis_gonio.sensor.registers import BY_NAME
 from firmware.pico_build import RIG
 
 ANSWER_S = 300.0
@@ -44,8 +45,13 @@ class PicoRig:
         )
         self._ns = 0.0
         self._lock = threading.Lock()
-        self._ask(image=str(image), chip=chip)
+        try:
+            self._ask(image=str(image), chip=chip)
+        except BaseException:
+            self.close()
+            raise
         self.port = PicoPort(self)
+        self.log = PicoLog(self)
 
     def _ask(self, **request: Any) -> dict[str, Any]:
         process = self._process
@@ -79,9 +85,7 @@ class PicoRig:
 
     def run(self, seconds: float, send: bytes = b"", *, for_data: bool = False) -> bytes:
         """Let the firmware run for a time, or until bytes arrive."""
-        answer = self._ask(
-            op="run", until_ns=self._ns + seconds * 1e9, send=send.hex(), for_data=for_data
-        )
+        answer = self._ask(op="run", until_ns=self._ns + seconds * 1e9, send=send.hex(), for_data=for_data)
         self._ns = answer["ns"]
         return bytes.fromhex(answer["data"])
 
@@ -100,6 +104,11 @@ class PicoRig:
         """Word, fall and rise of chip select in ns, clock in Hz and reply of the frames kept."""
         return [tuple(frame) for frame in self._ask(op="frames", **{"from": first})["frames"]]
 
+    @property
+    def replies(self) -> list[int]:
+        """What the chip shifted out in the frames kept."""
+        return [frame[4] for frame in self.frames()]
+
     def twin_frame(self, word: int, fall_ns: float, rise_ns: float) -> int:
         """What a second chip, alike in all, answers to a frame."""
         return int(self._ask(op="twin", word=word, fall_ns=fall_ns, rise_ns=rise_ns)["reply"])
@@ -108,13 +117,23 @@ class PicoRig:
         """Start the tightest values anew."""
         self._ask(op="forget")
 
-    def least_us(self, what: str, mode: str) -> float:
-        """Tightest stall, period or clock period seen in a mode, in µs."""
-        return float(self.state["least_ns"][f"{mode} {what}"]) / 1000
+    def register(self, name: str) -> int:
+        """What the chip holds in a register."""
+        return int(self.state["memory"][BY_NAME[name].address])
+
+    @property
+    def resets(self) -> list[tuple[float, float]]:
+        """Begin and end of RST's low times in s."""
+        return [(low * 1e-9, high * 1e-9) for low, high in self.state["resets_ns"]]
+
+    @property
+    def edges_ns(self) -> list[float]:
+        """Leading edges of data-ready."""
+        return list(self._ask(op="edges")["ns"])
 
     def edges_before(self, time_us: float) -> int:
         """Data-ready edges until a time of the simulation."""
-        return bisect.bisect(self.state["edges_ns"], time_us * 1e3)
+        return bisect.bisect(self.edges_ns, time_us * 1e3)
 
     # -- the cable, the host, the memory ---------------------------------------------------------
 
@@ -150,6 +169,53 @@ class PicoRig:
         process.wait(10)
         assert process.stdout is not None
         process.stdout.close()
+
+
+class PicoLog:
+    """What the emulator's judge saw, with the names of `firmware.pins.PinLog`."""
+
+    def __init__(self, rig: PicoRig) -> None:
+        self._rig = rig
+        self._keeps = False
+
+    @property
+    def frames(self) -> int:
+        """Frames so far."""
+        return int(self._rig.state["frames"])
+
+    @property
+    def fast_frames(self) -> int:
+        """Those while the chip was in fast mode."""
+        return int(self._rig.state["fast_frames"])
+
+    @property
+    def writes(self) -> int:
+        """Those with the write bit."""
+        return int(self._rig.state["writes"])
+
+    @property
+    def keep_words(self) -> bool:
+        """Whether words and replies are kept."""
+        return self._keeps
+
+    @keep_words.setter
+    def keep_words(self, keep: bool) -> None:
+        assert keep, "what is kept stays"
+        self._keeps = True
+        self._rig.keep_frames()
+
+    @property
+    def words(self) -> list[int]:
+        """Words of the frames kept."""
+        return [frame[0] for frame in self._rig.frames()]
+
+    def forget(self) -> None:
+        """Start the tightest values anew."""
+        self._rig.forget()
+
+    def least_us(self, what: str, mode: str) -> float:
+        """Tightest stall, period or clock period seen in a mode, in µs."""
+        return float(self._rig.state["least_ns"][f"{mode} {what}"]) / 1000
 
 
 class PicoPort:

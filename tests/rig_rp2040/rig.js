@@ -58,9 +58,11 @@ class Rig {
         return {
           frames: pins.frames, fast_frames: pins.fastFrames, writes: pins.writes, least_ns: pins.least,
           most_ns: pins.most, violations: pins.violations, more: pins.more ?? 0, resets_ns: pins.resets,
-          edges_ns: pins.edges, faults: this.silicon.faults, usb: host.info, memory: [...chip.words],
+          faults: this.silicon.faults, usb: host.info, memory: [...chip.words],
           endurance: chip.endurance, transactions: host.transactions,
         };
+      case 'edges':
+        return { ns: pins.edges };
       case 'keep':
         pins.log = [];
         return {};
