@@ -3,8 +3,8 @@
     python3 uf2.py boot2.bin application.bin gonio.uf2
 
 boot2 is padded to 252 bytes and followed by a CRC-32 of its own kind (polynomial 0x04C11DB7, not reflected,
-start 0xFFFFFFFF, no final exclusive-or: RP2040 data sheet, 2.8.1.3.1). The application comes behind it. UF2:
-blocks of 512 bytes with 256 of the image each (github.com/microsoft/uf2).
+start 0xFFFFFFFF, no final exclusive-or: RP2040 data sheet, 2.8.1.3.1). The application comes behind it.
+UF2 is blocks of 512 bytes with 256 of the image each (github.com/microsoft/uf2).
 """
 
 from __future__ import annotations
@@ -57,19 +57,16 @@ def uf2(flash: bytes) -> bytes:
     return b"".join(blocks)
 
 
-def main() -> int:
-    """Returns the exit status."""
+def main() -> None:
+    """Write the file, or say what is wrong."""
     if len(sys.argv) != 4:
-        print("give boot2.bin, application.bin and the UF2 file to write", file=sys.stderr)
-        return 2
+        sys.exit("give boot2.bin, application.bin and the UF2 file to write")
     boot2, application, out = map(Path, sys.argv[1:])
     try:
         out.write_bytes(uf2(image(boot2.read_bytes(), application.read_bytes())))
     except (OSError, ValueError) as error:
-        print(f"uf2.py: {error}", file=sys.stderr)
-        return 1
-    return 0
+        sys.exit(f"uf2.py: {error}")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -161,7 +161,7 @@ class PinTests(ABC):
         exchange(client, SMPL_PRD_10)
         for _ in range(60):
             exchange(client, [0x0200])
-        # The hosts sends the next request only after the reply; the timer's wrap every 32.8 ms is met as well.
+        # The host sends the next request only after the reply. The ATmega's timer wraps every 32.8 ms.
         for wait_us in range(100, 33_000, 1357):
             rig.sleep_s(wait_us * 1e-6)
             exchange(client, [0x0200, 0x0400])

@@ -10,6 +10,7 @@ What rp2040js 1.4.1 does otherwise than the part is said in docs/testing.md.
 
 from __future__ import annotations
 
+import atexit
 import bisect
 import contextlib
 import json
@@ -19,7 +20,7 @@ import threading
 import time
 import tty
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from adis_gonio.sensor.registers import BY_NAME
 from firmware.pico_build import RIG
@@ -28,32 +29,35 @@ ANSWER_S = 300.0
 """Longest wall time for one request; the watchdog ends the emulator then."""
 
 
-class PicoRig:
-    """Firmware, chip and USB host.
+class Emulator:
+    """A process of the Node program. A warm one is far faster, so it is kept for the next rig."""
 
-    Parameters
-    ----------
-    image : Path
-        The UF2 file.
-    chip : dict
-        Options of the chip: part, seed, accelMg, supplyV.
-    """
+    _free: ClassVar[list[Emulator]] = []
 
-    def __init__(self, image: Path, **chip: Any) -> None:
+    def __init__(self) -> None:
         self._process = subprocess.Popen(
             ["node", str(RIG / "rig.js")], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
-        self._ns = 0.0
         self._lock = threading.Lock()
-        try:
-            self._ask(image=str(image), chip=chip)
-        except BaseException:
-            self.close()
-            raise
-        self.port = PicoPort(self)
-        self.log = PicoLog(self)
+        atexit.register(self.end)
 
-    def _ask(self, **request: Any) -> dict[str, Any]:
+    @classmethod
+    def take(cls) -> Emulator:
+        """One that nobody uses."""
+        return cls._free.pop() if cls._free else cls()
+
+    def give_back(self) -> None:
+        """For the next rig."""
+        self._free.append(self)
+
+    def ask(self, **request: Any) -> dict[str, Any]:
+        """Answer to a request (see rig.js).
+
+        Raises
+        ------
+        RuntimeError
+            The request failed in there, or the process ended.
+        """
         process = self._process
         assert process.stdin is not None
         assert process.stdout is not None
@@ -72,6 +76,40 @@ class PicoRig:
         if "error" in answer:
             raise RuntimeError(answer["error"])
         return answer
+
+    def end(self) -> None:
+        """End the process."""
+        process = self._process
+        process.kill()
+        for pipe in (process.stdin, process.stdout):
+            assert pipe is not None
+            with contextlib.suppress(OSError):
+                pipe.close()
+        process.wait(10)
+
+
+class PicoRig:
+    """Firmware, chip and USB host.
+
+    Parameters
+    ----------
+    image : Path
+        The UF2 file.
+    chip : dict
+        Options of the chip: part, seed, accelMg, supplyV.
+    """
+
+    def __init__(self, image: Path, **chip: Any) -> None:
+        self._emulator = Emulator.take()
+        self._ask = self._emulator.ask
+        self._ns = 0.0
+        try:
+            self._ask(op="new", image=str(image), chip=chip)
+        except BaseException:
+            self.close()
+            raise
+        self.port = PicoPort(self)
+        self.log = PicoLog(self)
 
     # -- time ------------------------------------------------------------------------------------
 
@@ -113,10 +151,6 @@ class PicoRig:
         """What a second chip, alike in all, answers to a frame."""
         return int(self._ask(op="twin", word=word, fall_ns=fall_ns, rise_ns=rise_ns)["reply"])
 
-    def forget(self) -> None:
-        """Start the tightest values anew."""
-        self._ask(op="forget")
-
     def register(self, name: str) -> int:
         """What the chip holds in a register."""
         return int(self.state["memory"][BY_NAME[name].address])
@@ -134,6 +168,10 @@ class PicoRig:
     def edges_before(self, time_us: float) -> int:
         """Data-ready edges until a time of the simulation."""
         return bisect.bisect(self.edges_ns, time_us * 1e3)
+
+    def forget(self) -> None:
+        """Start the tightest values anew."""
+        self._ask(op="forget")
 
     # -- the cable, the host, the memory ---------------------------------------------------------
 
@@ -155,20 +193,12 @@ class PicoRig:
 
     def check(self) -> None:
         """Every frame so far kept the chip's limits, and nothing was done that an RP2040 does not bear."""
-        state = self.state
-        assert not state["violations"], (state["violations"][:5], state["more"])
-        assert not state["faults"], state["faults"]
+        violations = self.log.violations
+        assert not violations, violations[:5]
 
     def close(self) -> None:
-        """End the emulator."""
-        process = self._process
-        with contextlib.suppress(OSError):
-            assert process.stdin is not None
-            process.stdin.close()
-        process.kill()
-        process.wait(10)
-        assert process.stdout is not None
-        process.stdout.close()
+        """The emulator is free for another rig."""
+        self._emulator.give_back()
 
 
 class PicoLog:
@@ -209,13 +239,23 @@ class PicoLog:
         """Words of the frames kept."""
         return [frame[0] for frame in self._rig.frames()]
 
+    @property
+    def violations(self) -> list[str]:
+        """Limits that a frame broke, and what an RP2040 does not bear; the first twenty of each."""
+        state = self._rig.state
+        return [*state["violations"], *state["faults"]]
+
     def forget(self) -> None:
         """Start the tightest values anew."""
         self._rig.forget()
 
+    def tightest_us(self) -> dict[str, float]:
+        """Tightest values of each mode, in µs."""
+        return {name: value / 1000 for name, value in self._rig.state["least_ns"].items()}
+
     def least_us(self, what: str, mode: str) -> float:
         """Tightest stall, period or clock period seen in a mode, in µs."""
-        return float(self._rig.state["least_ns"][f"{mode} {what}"]) / 1000
+        return self.tightest_us()[f"{mode} {what}"]
 
 
 class PicoPort:
@@ -250,8 +290,8 @@ class PicoPort:
 class PtyCable:
     """The rig on a pseudo-terminal: its `path` is a serial port like any other.
 
-    Simulated time runs as fast as it can while the cable is in; `now_s` and `sleep_s` make it a bus's clock,
-    so that no limit depends on how fast that is.
+    Simulated time runs as fast as it can while the cable is in. `now_s` and `sleep_s` make it a bus's
+    clock: no limit depends on how fast that is.
     """
 
     SLICE_S = 1e-3

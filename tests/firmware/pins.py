@@ -108,6 +108,10 @@ class PinLog:
         """Start the tightest values anew."""
         self.least.clear()
 
+    def tightest_us(self) -> dict[str, float]:
+        """Tightest values of each mode, in µs."""
+        return {name: value / 16 for name, value in self.least.items()}
+
     def least_us(self, what: str, mode: str) -> float:
         """Tightest stall, period or clock period seen in a mode, in µs."""
         return self.least[f"{mode} {what}"] / 16

@@ -82,10 +82,9 @@ def test_the_sensor_is_found_by_pyserial_at_any_baud_rate(cable, options):
 
 def test_pulling_the_cable_is_a_typed_error_in_a_stream_and_in_a_request(cable):
     sensor = Adis16354(open_pty(cable))
-    scans = sensor.stream(SEVEN)
-    next(scans)
-    cable.pull()
-    with pytest.raises(CannotOpenError, match="device is gone"):
+    with pytest.raises(CannotOpenError, match="device is gone"), sensor.stream(SEVEN) as scans:  # noqa: PT012
+        next(scans)
+        cable.pull()
         for _ in scans:
             pass
     with pytest.raises(BusError):

@@ -106,7 +106,8 @@ let rig = null;
 for (const request of lines()) {
   let answer;
   try {
-    if (rig === null) {
+    if (request.op === 'new') {
+      rig = null;
       rig = new Rig(request);
       answer = {};
     } else answer = rig.answer(request);
