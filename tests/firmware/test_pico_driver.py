@@ -14,6 +14,7 @@ from contract.bus_contract import BusContract, WireFrame
 from contract.bus_contract import Rig as ContractRig
 from firmware.board_tests import SEVEN, DriverTests, open_serial
 from firmware.pico_rig import PicoRig, PtyCable
+from firmware.soak import soak
 
 UP_X = [1000, 0, 0]
 
@@ -53,6 +54,11 @@ def test_times_do_not_depend_on_the_baud_rate_that_is_named(make_pico, baud):
             block = next(scans)
             behind_s = rig.now_s() - block.time_s[-1]
     assert 0 < behind_s < 0.030
+
+
+def test_three_seconds_at_the_full_rate_lose_and_repeat_nothing_and_break_no_limit(make_pico):
+    """A small run of scripts/rig_rp2040_stream.py."""
+    assert soak(make_pico(), 3.0)
 
 
 # -- a serial port of the operating system ----------------------------------------------
