@@ -97,14 +97,16 @@ class PicoRig:
         The UF2 file.
     chip : dict
         Options of the chip: part, seed, accelMg, supplyV.
+    stock_host : bool
+        The USB host of rp2040js in place of ours.
     """
 
-    def __init__(self, image: Path, **chip: Any) -> None:
+    def __init__(self, image: Path, *, stock_host: bool = False, **chip: Any) -> None:
         self._emulator = Emulator.take()
         self._ask = self._emulator.ask
         self._ns = 0.0
         try:
-            self._ask(op="new", image=str(image), chip=chip)
+            self._ask(op="new", image=str(image), chip=chip, stock_host=stock_host)
         except BaseException:
             self.close()
             raise

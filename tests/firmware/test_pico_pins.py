@@ -177,6 +177,13 @@ def test_the_host_learns_who_made_the_board_and_which_one_it_is(rig):
     assert hello.capabilities == sum(FirmwareCapability)
 
 
+def test_the_host_that_comes_with_the_emulator_gets_on_with_it_too(make_pico):
+    client = connect(make_pico(stock_host=True))
+    configure(client, 1_000_000, 9, 40)
+    for _ in range(5):
+        assert exchange(client, [0x3600] * 32)[1:] == [1] * 31
+
+
 def test_a_maker_builds_with_their_own_numbers(pico_uf2, make_pico):
     usb = make_pico(pico_uf2(VID="0x2E8A", PID="0x1234")).state["usb"]
     assert (usb["vid"], usb["pid"]) == (0x2E8A, 0x1234)

@@ -6,7 +6,7 @@ import { Chip } from './chip.js';
 import { boot, readUf2 } from './image.js';
 import { Pins } from './pins.js';
 import { Silicon } from './silicon.js';
-import { UsbHost } from './usb_host.js';
+import { StockHost, UsbHost } from './usb_host.js';
 
 const FLASH_NUMBER = [0xe6, 0x61, 0x41, 0x03, 0xe7, 0x35, 0x29, 0x2b];
 const PAINT = 0xc5;
@@ -14,14 +14,14 @@ const RAM = 0x20000000;
 const RAM_END = 0x20040000;
 
 class Rig {
-  constructor({ image, chip = {} }) {
+  constructor({ image, chip = {}, stock_host = false }) {
     this.rp2040 = new RP2040();
     this.clock = this.rp2040.clock;
     this.silicon = new Silicon(this.rp2040, FLASH_NUMBER);
     this.chip = new Chip(chip);
     this.twin = new Chip(chip);
     this.pins = new Pins(this.rp2040, this.chip);
-    this.host = new UsbHost(this.rp2040, this.silicon);
+    this.host = stock_host ? new StockHost(this.rp2040) : new UsbHost(this.rp2040, this.silicon);
     boot(this.rp2040, this.silicon, readUf2(image));
     this.powered = true;
   }

@@ -2,6 +2,8 @@
 // opens its serial port as Linux does. rp2040js' own controller ends every IN transfer at once and knows no
 // toggles, no NAK and no STALL, so it could neither see a missing empty packet nor a slow host; its registers
 // stay, its buffers are replaced here.
+import { USBCDC } from 'rp2040js';
+
 const AVAILABLE = 1 << 10;
 const STALL = 1 << 11;
 const DATA1 = 1 << 13;
@@ -313,6 +315,19 @@ export class UsbHost {
       this.arrived.push(...this.urb);
       this.urb = [];
     }
+  }
+}
+
+// The host that comes with rp2040js, on its own controller: less strict, but written by others.
+export class StockHost {
+  arrived = [];
+  plugged = true;
+  info = null;
+
+  constructor(rp2040) {
+    this.port = new USBCDC(rp2040.usbCtrl);
+    this.port.onSerialData = (data) => this.arrived.push(...data);
+    this.sending = { push: (...bytes) => bytes.forEach((byte) => this.port.sendSerialByte(byte)) };
   }
 }
 
