@@ -255,9 +255,8 @@ static void switch_clock(uint32_t control, uint32_t selected, uint32_t source)
 
 static void start_clocks(void)
 {
-    REGISTER(XOSC_CTRL) = XOSC_1_TO_15_MHZ;
     REGISTER(XOSC_STARTUP) = 47u; /* times 256 cycles: 1 ms */
-    SET(XOSC_CTRL) = XOSC_ENABLE;
+    REGISTER(XOSC_CTRL) = XOSC_ENABLE | XOSC_1_TO_15_MHZ;
     while ((REGISTER(XOSC_STATUS) & XOSC_STABLE) == 0u) {
     }
     switch_clock(CLK_SYS_CTRL, CLK_SYS_SELECTED, CLK_SYS_FROM_REF);

@@ -420,10 +420,10 @@ static void on_control_in(void)
 
 static void on_control_out(void)
 {
-    uint32_t k;
     if (transfer.takes != 0u) {
         transfer.takes = 0;
         if ((BUFFER_CONTROL(CONTROL, OUT) & BUFFER_LENGTH) == sizeof line_coding) {
+            uint32_t k;
             for (k = 0; k < sizeof line_coding; k++) {
                 line_coding[k] = BUFFER(CONTROL_BUFFER)[k];
             }

@@ -133,6 +133,19 @@ def test_flash_and_ram_are_within_their_limits_and_the_stack_is_far_from_its_own
     assert 100 < stack < STACK_LIMIT / 4
 
 
+def test_the_rigs_judge_and_chip_pass_their_own_tests(pico_uf2):
+    run = subprocess.run(
+        ["node", "--test", "judge.test.js"],
+        cwd=pico_build.RIG,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert run.returncode == 0, run.stdout
+    assert re.search(r"^# pass [1-9]", run.stdout, re.MULTILINE)
+
+
 # -- data-ready and sleep --------------------------------------------------------------
 
 
@@ -231,6 +244,22 @@ def test_a_host_that_stops_reading_loses_scans_which_are_counted_and_the_stream_
     assert 300 < totals.lost < 450
     gaps = np.rint(np.diff(trigger_times(packets, 7)) * 819.2e-6).astype(int) - 1
     assert gaps.sum() == packets[-1].lost == totals.lost
+
+
+def test_a_new_program_finds_a_board_that_still_streams_for_one_that_died(rig):
+    client = connect(rig)
+    exchange(client, DATA_READY_ON)
+    configure(client, 1_000_000, 9, 40)
+    client.request(StreamRequest(Trigger.RISING, 13, 1, 0, words(OUTPUTS)), StreamReply)
+    rig.host(in_every=100_000)  # nobody reads
+    rig.sleep_s(0.5)
+    rig.host(in_every=1, baud=115_200)
+    second = Client(rig.port)
+    assert second.hello(nonce=2).board.startswith("rp2040")
+    assert exchange(second, [0x3600, 0])[1] == 1
+    frames = rig.log.frames
+    rig.sleep_s(0.1)
+    assert rig.log.frames == frames
 
 
 def test_cleared_endpoints_begin_anew_without_a_loss(rig):
