@@ -259,7 +259,9 @@ static void start_clocks(void)
     REGISTER(XOSC_CTRL) = XOSC_ENABLE | XOSC_1_TO_15_MHZ;
     while ((REGISTER(XOSC_STATUS) & XOSC_STABLE) == 0u) {
     }
-    switch_clock(CLK_SYS_CTRL, CLK_SYS_SELECTED, CLK_SYS_FROM_REF);
+    CLEAR(CLK_SYS_CTRL) = CLK_SYS_FROM_AUX; /* first off the other source, which may not change in use */
+    while (REGISTER(CLK_SYS_SELECTED) != 1u << CLK_SYS_FROM_REF) {
+    }
     switch_clock(CLK_REF_CTRL, CLK_REF_SELECTED, CLK_REF_FROM_XOSC);
     wake(RESET_PLL_SYS | RESET_PLL_USB);
     start_pll(PLL_SYS, 125u, 6u, 2u);

@@ -47,8 +47,9 @@ class Emulator:
         return cls._free.pop() if cls._free else cls()
 
     def give_back(self) -> None:
-        """For the next rig."""
-        self._free.append(self)
+        """For the next rig, if it still runs."""
+        if self._process.poll() is None:
+            self._free.append(self)
 
     def ask(self, **request: Any) -> dict[str, Any]:
         """Answer to a request (see rig.js).

@@ -95,7 +95,7 @@ class SerialBus(SpiBus):
         self._counted = 0
         self._lost_session = False
         self.firmware = self._link.hello(boot_s)
-        native = wire.FirmwareCapability.USB in wire.FirmwareCapability(self.firmware.capabilities & 0xF)
+        native = self.firmware.capabilities & wire.FirmwareCapability.USB
         self._byte_s = _USB_BYTE_S if native else 10 / baud
         self.unbroken_frames = max(1, self.firmware.max_frames)
         self._timing = self._configure(SAFE_TIMING)
