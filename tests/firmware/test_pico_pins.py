@@ -68,6 +68,16 @@ def rig(make_pico):
     return make_pico(seed=3)
 
 
+def test_each_clock_that_the_board_tells_is_the_one_at_its_pins(rig):
+    client = connect(rig)
+    told = [hz for hz in client.hello(2).clocks_hz if hz]
+    rig.log.keep_words = True
+    for hz in told:
+        assert configure(client, hz, 9, 40).clock_hz == hz
+        exchange(client, [0x3600])
+    assert [frame[3] for frame in rig.frames()] == told
+
+
 # -- image and boot -----------------------------------------------------------------
 
 
