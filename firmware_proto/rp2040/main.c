@@ -23,7 +23,8 @@
 #define CRYSTAL_MHZ 12u
 #define SPI_SOURCE_HZ 48000000u
 
-/* Interrupts stay off for so long before the end of a frame: SLP_CNT wants CS high 10 us after the 16th clock. */
+/* SLP_CNT wants CS high within 10 us after the 16th clock. USB's interrupt, which may take that long, waits for the
+ * whole frame; data-ready's, which takes a microsecond or two, for so long before the frame's end. */
 #define QUIET_US 3u
 /* Less than this is not worth sleeping. */
 #define LEAST_SLEEP_US 5u
@@ -107,6 +108,7 @@ uint16_t board_frame(uint16_t word)
     /* a difference of n + 1 counts is n microseconds at least */
     while (board_now_us() - risen_us <= stall_us || board_now_us() - started_us <= period_us) {
     }
+    usb_hold();
     REGISTER(SIO_OUT_CLEAR) = BIT(CS);
     REGISTER(SPI0_DATA) = word;
     started_us = board_now_us();
@@ -118,6 +120,7 @@ uint16_t board_frame(uint16_t word)
     REGISTER(SIO_OUT_SET) = BIT(CS);
     risen_us = board_now_us();
     board_unlock();
+    usb_release();
     return (uint16_t)REGISTER(SPI0_DATA);
 }
 

@@ -154,13 +154,13 @@ static void send_packet(uint32_t endpoint, uint32_t buffer, const uint8_t *data,
 
 /* -- bytes to and from the host, with the controller's interrupt held off ------------------------------- */
 
-static void hold(void)
+void usb_hold(void)
 {
     REGISTER(NVIC_DISABLE) = 1u << IRQ_USB;
     __asm volatile("dsb\nisb" ::: "memory");
 }
 
-static void release(void)
+void usb_release(void)
 {
     __asm volatile("" ::: "memory");
     REGISTER(NVIC_ENABLE) = 1u << IRQ_USB;
@@ -193,12 +193,12 @@ uint8_t usb_receive(uint8_t *byte)
     __asm volatile("" ::: "memory");
     *byte = BUFFER(OUT_BUFFER)[out_at++];
     if (out_at == out_length) {
-        hold();
+        usb_hold();
         out_ready = 0;
         if (configured != 0u) {
             offer(DATA, OUT, PACKET);
         }
-        release();
+        usb_release();
     }
     return 1;
 }
@@ -216,10 +216,10 @@ void usb_put(uint8_t byte)
 
 void usb_flush(void)
 {
-    hold();
+    usb_hold();
     ring_head = ring_end;
     send_bytes();
-    release();
+    usb_release();
 }
 
 /* -- control transfers (USB 2.0, 9.4; PSTN 1.2, 6.3) ----------------------------------------------------- */
@@ -487,6 +487,6 @@ void usb_start(const char *serial)
     REGISTER(MAIN_CONTROL) = MAIN_ON;
     REGISTER(SIE_CONTROL) = SIE_CONTROL_TELLS;
     REGISTER(INTERRUPTS) = ON_BUFFER | ON_RESET | ON_SETUP;
-    release();
+    usb_release();
     SET(SIE_CONTROL) = SIE_PULL_UP;
 }

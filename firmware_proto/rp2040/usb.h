@@ -13,6 +13,10 @@ void usb_start(const char *serial);
 /* From the controller's interrupt. */
 void usb_interrupt(void);
 
+/* Hold off the controller's interrupt, and allow it; the host waits meanwhile. Not nested. */
+void usb_hold(void);
+void usb_release(void);
+
 /* A byte from the host: returns 0 where there is none. While one waits the host is held off; none is lost. */
 uint8_t usb_receive(uint8_t *byte);
 

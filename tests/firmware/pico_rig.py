@@ -176,6 +176,10 @@ class PicoRig:
         """Start the tightest values anew."""
         self._ask(op="forget")
 
+    def noise_on_ready(self, mean_us: float) -> None:
+        """Edges of data-ready at random times from now on, whatever the chip does."""
+        self._ask(op="noise", mean_ns=mean_us * 1000)
+
     # -- the cable, the host, the memory ---------------------------------------------------------
 
     def unplug(self) -> None:

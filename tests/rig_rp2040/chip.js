@@ -149,7 +149,7 @@ function signed(value, bits) {
 }
 
 // Numbers in [0, 1), the same for the same seed.
-function generator(seed) {
+export function generator(seed) {
   let state = seed >>> 0 || 1;
   return () => {
     state ^= state << 13;

@@ -2,7 +2,7 @@
 // RST are real edges of the pins. rp2040js makes no edges of clock and data: those follow from the SPI's own
 // registers (mode, bits, prescaler, clk_peri) and from the time at which the word was written.
 import { GPIOPinState } from 'rp2040js';
-import { LIMITS } from './chip.js';
+import { LIMITS, generator } from './chip.js';
 
 const CS = 17;
 const DATA_READY = 20;
@@ -144,6 +144,7 @@ export class Pins {
   // -- data-ready --------------------------------------------------------------------------------------
 
   schedule() {
+    if (this.noisy) return;
     this.pulse = false;
     this.drive();
     this.ready.schedule(Math.max(0, this.chip.nextUpdateNs - this.clock.nanos));
@@ -168,8 +169,21 @@ export class Pins {
     this.ready.schedule(PULSE_NS);
   }
 
+  // Edges of data-ready at random times from now on, whatever the chip does.
+  noise(meanNs) {
+    this.ready.cancel();
+    this.noisy = true;
+    const random = generator(7);
+    const alarm = this.clock.createAlarm(() => {
+      this.set(!this.level);
+      alarm.schedule(1000 - (meanNs / 2) * Math.log(1 - random()));
+    });
+    alarm.schedule(0);
+  }
+
   // DIO1, which idles opposite to its pulse; while it is no data-ready the board's pull-up holds it.
   drive() {
+    if (this.noisy) return;
     const { on, high, line } = this.chip.dataReady;
     this.set(on && line === 0 ? this.pulse === high : true);
   }

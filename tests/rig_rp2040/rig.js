@@ -70,6 +70,10 @@ class Rig {
         return { frames: pins.log.slice(request.from) };
       case 'forget':
         pins.least = {};
+        pins.most = {};
+        return {};
+      case 'noise':
+        pins.noise(request.mean_ns);
         return {};
       case 'twin': // the same chip again, given a frame by hand
         return { reply: this.twin.frame(request.word, request.fall_ns, request.rise_ns) };
