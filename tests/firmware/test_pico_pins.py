@@ -45,6 +45,7 @@ from firmware.board_tests import (
 )
 from firmware.client import Client
 
+SYSTEM_HZ = 125e6
 STACK_LIMIT = 4096
 """Of link.ld."""
 
@@ -151,6 +152,9 @@ def test_flash_and_ram_are_within_their_limits_and_the_stack_is_far_from_its_own
     image = pico_uf2()
     told = pico_build.make(image.parent, "size")
     assert re.fullmatch(r"flash \d+ of 16384 bytes, RAM \d+ of 16384 bytes\n", told)
+    for limit in ("FLASH_LIMIT", "RAM_LIMIT"):
+        with pytest.raises(RuntimeError, match="of 5000 bytes"):
+            pico_build.make(image.parent, "size", f"{limit}=5000")
     symbols = subprocess.run(
         ["arm-none-eabi-nm", str(image.with_suffix(".elf"))], capture_output=True, text=True, check=True
     ).stdout
@@ -216,6 +220,20 @@ def test_a_stream_by_period_begins_its_scans_on_time_although_the_processor_slee
     late = falls_us[: len(begun)] - begun
     assert late.min() >= 0
     assert late.max() < 10
+
+
+def test_the_processor_sleeps_while_there_is_nothing_to_do(rig):
+    client = connect(rig)
+    before = rig.state["cycles"]
+    rig.sleep_s(0.5)
+    assert rig.state["cycles"] - before < 0.01 * 0.5 * SYSTEM_HZ
+    exchange(client, DATA_READY_ON)
+    configure(client, 1_000_000, 9, 40)
+    before = rig.state["cycles"]
+    _, totals = stream(rig, client, OUTPUTS, 0.5)
+    assert totals.lost == 0
+    # eight frames of 40 µs in 1221 µs are 26 %, and the packets come on top
+    assert 0.2 < (rig.state["cycles"] - before) / (0.5 * SYSTEM_HZ) < 0.4
 
 
 # -- USB -----------------------------------------------------------------------------

@@ -59,7 +59,7 @@ class Rig {
           frames: pins.frames, fast_frames: pins.fastFrames, writes: pins.writes, least_ns: pins.least,
           most_ns: pins.most, violations: pins.violations, more: pins.more ?? 0, resets_ns: pins.resets,
           faults: this.silicon.faults, usb: host.info, memory: [...chip.words],
-          endurance: chip.endurance, transactions: host.transactions,
+          endurance: chip.endurance, cycles: this.rp2040.core.cycles, transactions: host.transactions,
         };
       case 'edges':
         return { ns: pins.edges };
