@@ -43,6 +43,7 @@
 #define ADDRESS 0x50110000u
 #define MAIN_CONTROL 0x50110040u
 #define MAIN_ON 1u
+#define FRAME_NUMBER 0x50110048u
 #define SIE_CONTROL 0x5011004cu
 #define SIE_PULL_UP (1u << 16)
 #define SIE_CONTROL_TELLS (1u << 29)
@@ -62,7 +63,12 @@
 #define ON_BUFFER (1u << 4)
 #define ON_RESET (1u << 12)
 #define ON_SETUP (1u << 16)
+#define ON_FRAME (1u << 17)
 #define BUFFER_BIT(endpoint, way) (1u << (2u * (endpoint) + (way)))
+
+/* Erratum E15: a transfer to the host that is cut off at the end of USB's frame of 1 ms, as behind a Raspberry
+ * Pi 4's hub, may hang the controller. So none is offered late in a frame. */
+#define LATE_IN_FRAME_US 800u
 
 #define CONTROL 0u
 #define NOTICES 1u
@@ -125,6 +131,7 @@ static uint8_t ring[1024];                    /* bytes to the host */
 static volatile uint16_t ring_head, ring_tail;
 static uint16_t ring_end; /* head, once the bytes behind it may go */
 static uint8_t in_flight, ends_full;
+static uint32_t frame_us; /* begin of USB's frame */
 
 #define RING_MASK (sizeof ring - 1u)
 
@@ -170,8 +177,8 @@ void usb_release(void)
 static void send_bytes(void)
 {
     uint32_t length = 0;
-    if (configured == 0u || in_flight != 0u) {
-        return;
+    if (configured == 0u || in_flight != 0u || REGISTER(TIMER_RAWL) - frame_us >= LATE_IN_FRAME_US) {
+        return; /* the next frame sends them */
     }
     while (length < PACKET && ring_tail != ring_head) {
         BUFFER(IN_BUFFER)[length++] = ring[ring_tail];
@@ -446,6 +453,11 @@ static void on_data_out(void)
 void usb_interrupt(void)
 {
     uint32_t status = REGISTER(INTERRUPT_STATUS);
+    if ((status & ON_FRAME) != 0u) {
+        (void)REGISTER(FRAME_NUMBER); /* which acknowledges it */
+        frame_us = REGISTER(TIMER_RAWL);
+        send_bytes();
+    }
     if ((status & ON_RESET) != 0u) {
         REGISTER(SIE_STATUS) = SIE_RESET;
         REGISTER(ADDRESS) = 0;
@@ -486,7 +498,7 @@ void usb_start(const char *serial)
     REGISTER(POWER) = POWER_VBUS | POWER_OVERRIDE; /* the Pico has no wire to see it by: it lives of it */
     REGISTER(MAIN_CONTROL) = MAIN_ON;
     REGISTER(SIE_CONTROL) = SIE_CONTROL_TELLS;
-    REGISTER(INTERRUPTS) = ON_BUFFER | ON_RESET | ON_SETUP;
+    REGISTER(INTERRUPTS) = ON_BUFFER | ON_RESET | ON_SETUP | ON_FRAME;
     usb_release();
     SET(SIE_CONTROL) = SIE_PULL_UP;
 }

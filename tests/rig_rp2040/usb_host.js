@@ -23,6 +23,33 @@ const DEADLINE_NS = 500 * MS;
 const CYCLES_BEFORE_AVAILABLE = 8;
 const URB = 128; // Linux' cdc_acm reads two packets at a time, or up to a short one
 
+// Erratum E15: what is offered to the host so late in a frame may hang the controller.
+const LATE_NS = 0.82 * MS;
+
+// A start of frame each millisecond, which reading the frame's number acknowledges.
+class Frames {
+  constructor(rp2040) {
+    const { usbCtrl: usb, clock } = rp2040;
+    this.begunNs = 0;
+    const read = usb.readUint32.bind(usb);
+    usb.readUint32 = (offset) => {
+      if (offset === 0x48) {
+        usb.intRaw &= ~(1 << 17);
+        usb.checkInterrupts();
+      }
+      return read(offset);
+    };
+    const alarm = clock.createAlarm(() => {
+      this.begunNs = clock.nanos;
+      usb.sofFrameNumber = (usb.sofFrameNumber + 1) & 0x7ff;
+      if (usb.sieCtrl & PULL_UP) usb.intRaw |= 1 << 17;
+      usb.checkInterrupts();
+      alarm.schedule(MS);
+    });
+    alarm.schedule(MS);
+  }
+}
+
 class Stalled extends Error {}
 
 export class UsbHost {
@@ -44,6 +71,7 @@ export class UsbHost {
     this.address = 0;
     this.urb = [];
     this.script = this.enumerate();
+    this.busFrames = new Frames(rp2040);
     this.usb.onUSBEnabled = () => {};
     this.usb.onResetReceived = () => {};
     this.usb.DPRAMUpdated = (offset, value) => this.onMemory(offset, value);
@@ -69,6 +97,9 @@ export class UsbHost {
     const at = (offset - 0x80) >> 2;
     const { cycles } = this.rp2040.core;
     const before = this.shadow[at];
+    if (value & AVAILABLE && this.ends && at === 2 * this.ends.in && this.now - this.busFrames.begunNs > LATE_NS) {
+      this.fault('data are offered late in a frame (erratum E15)');
+    }
     if (value & AVAILABLE && !(before & AVAILABLE)) {
       if ((value & ~AVAILABLE) >>> 0 !== before) this.fault('AVAILABLE is written together with the rest');
       else if (cycles - this.written[at] < CYCLES_BEFORE_AVAILABLE) this.fault('AVAILABLE is written too soon');
@@ -325,6 +356,7 @@ export class StockHost {
   info = null;
 
   constructor(rp2040) {
+    this.busFrames = new Frames(rp2040);
     this.port = new USBCDC(rp2040.usbCtrl);
     this.port.onSerialData = (data) => this.arrived.push(...data);
     this.sending = { push: (...bytes) => bytes.forEach((byte) => this.port.sendSerialByte(byte)) };
