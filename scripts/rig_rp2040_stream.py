@@ -2,7 +2,7 @@
 
 The UF2 runs in an emulated RP2040 with a chip on its pins and a USB host; the serial transport receives.
 Every frame is judged, every scan counted. Exit 1 where a scan was lost or repeated or a frame broke a
-limit. Takes about a minute of wall time for the minute.
+limit. Takes one to two minutes of wall time for the minute.
 
     python scripts/rig_rp2040_stream.py --seconds 60
 """
