@@ -23,10 +23,9 @@
 #define CRYSTAL_MHZ 12u
 #define SPI_SOURCE_HZ 48000000u
 
-/* SLP_CNT wants CS high within 10 us after the 16th clock: so long before it no interrupt of data-ready begins, which
- * takes a microsecond or two, and none of USB, which takes up to ten. */
-#define QUIET_US 3u
-#define USB_QUIET_US 16u
+/* SLP_CNT wants CS high within 10 us after the 16th clock: so long before it USB's interrupt, which takes up to ten,
+ * does not begin. Data-ready's takes a microsecond or two and is never held off here. */
+#define QUIET_US 16u
 /* Less than this is not worth sleeping. */
 #define LEAST_SLEEP_US 5u
 #define LONGEST_SLEEP_US 1000000u
@@ -43,7 +42,7 @@ static const struct {
     uint8_t prescale, step;
 } dividers[GP_CLOCKS] = {{2, 23}, {2, 47}, {2, 95}, {2, 191}, {4, 239}, {10, 239}};
 
-static uint32_t started_us, risen_us, stall_us, period_us, loud_us, usb_loud_us;
+static uint32_t started_us, risen_us, stall_us, period_us, loud_us;
 static uint32_t edge;
 static char serial_number[2u * FLASH_ID_SIZE + 1u];
 
@@ -100,7 +99,6 @@ void board_set_timing(uint8_t clock, uint16_t stall, uint16_t period)
         ((uint32_t)dividers[clock].step << 8) | SPI_SECOND_EDGE | SPI_CLOCK_IDLES_HIGH | SPI_16_BITS;
     REGISTER(SPI0_CR1) = SPI_ENABLE;
     loud_us = frame_us - QUIET_US;
-    usb_loud_us = frame_us - USB_QUIET_US;
     stall_us = stall;
     period_us = period;
 }
@@ -113,17 +111,13 @@ uint16_t board_frame(uint16_t word)
     REGISTER(SIO_OUT_CLEAR) = BIT(CS);
     REGISTER(SPI0_DATA) = word;
     started_us = board_now_us();
-    while (board_now_us() - started_us < usb_loud_us) {
-    }
-    usb_hold();
     while (board_now_us() - started_us < loud_us) {
     }
-    board_lock();
+    usb_hold();
     while ((REGISTER(SPI0_STATUS) & SPI_NOT_EMPTY) == 0u || (REGISTER(SPI0_STATUS) & SPI_BUSY) != 0u) {
     }
     REGISTER(SIO_OUT_SET) = BIT(CS);
     risen_us = board_now_us();
-    board_unlock();
     usb_release();
     return (uint16_t)REGISTER(SPI0_DATA);
 }
