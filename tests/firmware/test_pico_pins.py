@@ -94,7 +94,7 @@ def test_chip_select_rises_right_behind_the_last_clock_whatever_interrupts(rig, 
     assert rig.log.frames > 500
     client.next_id = number
     assert client.request(StatisticsRequest(), StatisticsReply).edges > 100
-    assert rig.state["most_ns"]["hold"] < 3000
+    assert rig.state["most_ns"]["hold"] < 1000
 
 
 def test_packets_that_leave_while_frames_run_delay_no_chip_select(rig):
@@ -106,7 +106,7 @@ def test_packets_that_leave_while_frames_run_delay_no_chip_select(rig):
     packets, totals = stream(rig, client, READABLE[1:17], 0.5)
     assert len(packets) > 60
     assert totals.lost == 0
-    assert rig.state["most_ns"]["hold"] < 3000
+    assert rig.state["most_ns"]["hold"] < 1000
 
 
 # -- image and boot -----------------------------------------------------------------
