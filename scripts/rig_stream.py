@@ -12,21 +12,14 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-import time
 from pathlib import Path
-
-import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from adis_gonio.bus.serial import SerialBus
-from adis_gonio.sensor import Adis16354
 from adis_gonio.sim import World
 from firmware import avr_build
 from firmware.rig import Rig
-
-RATE = 819.2
-SEVEN = ("XGYRO_OUT", "YGYRO_OUT", "ZGYRO_OUT", "XACCL_OUT", "YACCL_OUT", "ZACCL_OUT", "SUPPLY_OUT")
+from firmware.soak import soak
 
 
 def main() -> int:
@@ -42,39 +35,7 @@ def main() -> int:
         print(avr_build.make(elf.parent, "size").strip())
         rig = Rig(elf, World(seed=1))
         rig.sleep_s(0.02)
-        begun = time.perf_counter()
-        words, times, lost, bytes_in = run(rig, options.seconds)
-        wall_s = time.perf_counter() - begun
-    steps = np.diff(times) * RATE
-    repeated = int((~(words & 0x8000).astype(bool).all(axis=1)).sum())
-    gaps = int((np.rint(steps) - 1).sum())
-    print(f"{len(times)} scans in {np.ptp(times):.3f} s")
-    print(f"lost by the firmware's count {lost}, by time {gaps}; repeated {repeated}")
-    print(f"distance of scans {steps.min():.4f} to {steps.max():.4f} periods")
-    ratio = bytes_in / (14 * len(times))
-    print(f"bytes on the line: {bytes_in / len(times):.3f} a scan of 14 bytes, ratio {ratio:.4f}")
-    print(f"{rig.log.frames} frames, {len(rig.log.violations)} violations, tightest in µs:")
-    print({name: round(value / 16, 3) for name, value in sorted(rig.log.least.items())})
-    print(f"{wall_s:.1f} s of wall time")
-    sound = not (lost or gaps or repeated or rig.log.violations or rig.mismatches)
-    return 0 if sound and ratio <= 1.15 else 1
-
-
-def run(rig: Rig, seconds: float) -> tuple[np.ndarray, np.ndarray, int, int]:
-    """Words (n, 7), times (n,), lost scans and received bytes of a stream."""
-    words, times, lost = [], [], 0
-    with Adis16354(SerialBus(rig.port, url="serial:rig", clock=rig)) as sensor:
-        sensor.configure(smpl_prd=1, filter_m=0, data_ready=True)
-        with sensor.stream(SEVEN) as stream:
-            before = rig.port.received
-            end_s = rig.now_s() + seconds
-            while rig.now_s() < end_s:
-                block = next(stream)
-                words.append(block.words)
-                times.append(block.time_s)
-                lost += block.lost
-            bytes_in = rig.port.received - before
-    return np.concatenate(words), np.concatenate(times), lost, bytes_in
+        return 0 if soak(rig, options.seconds) else 1
 
 
 if __name__ == "__main__":
