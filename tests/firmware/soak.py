@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,32 +16,84 @@ MOST_RATIO = 1.15
 """Bytes on the line to bytes of scans."""
 
 
-def soak(rig: Any, seconds: float) -> bool:
-    """Stream seven registers at the full rate, print the figures; False where a target is missed."""
+@dataclass(frozen=True)
+class StreamFigures:
+    """What a stream of seven registers at the full rate came to on one rig.
+
+    Attributes
+    ----------
+    scans, seconds : int, float
+        Scans and simulated time between the first and the last.
+    lost, repeated : int
+        Scans that are missing by any count, and such as hold no new data.
+    frames, violations : int
+        Frames at the chip's pins, and limits that they broke.
+    period_us, stall_us : float
+        Tightest of fast mode.
+    ratio : float
+        Bytes on the line to bytes of scans.
+    wall_s : float
+    """
+
+    scans: int
+    seconds: float
+    lost: int
+    repeated: int
+    frames: int
+    violations: int
+    period_us: float
+    stall_us: float
+    ratio: float
+    wall_s: float
+
+    @property
+    def sound(self) -> bool:
+        """True where nothing is lost, repeated or broken, and the line is used well."""
+        return not (self.lost or self.repeated or self.violations) and self.ratio <= MOST_RATIO
+
+
+def table(rows: dict[str, StreamFigures]) -> str:
+    """Markdown table of the figures of rigs by their names."""
+    lines = [
+        "| rig | scans | simulated s | lost | repeated | frames | violations | period µs | stall µs "
+        "| bytes ratio | wall s |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for name, f in rows.items():
+        lines.append(
+            f"| {name} | {f.scans} | {f.seconds:.2f} | {f.lost} | {f.repeated} | {f.frames} "
+            f"| {f.violations} | {f.period_us:.2f} | {f.stall_us:.2f} | {f.ratio:.3f} | {f.wall_s:.0f} |"
+        )
+    return "\n".join(lines)
+
+
+def soak(rig: Any, seconds: float) -> StreamFigures:
+    """Stream seven registers at the full rate.
+
+    Raises
+    ------
+    AssertionError
+        The chip shifted out other bits than the driver took in.
+    """
     begun = time.perf_counter()
     words, times, lost, bytes_in = _run(rig, seconds)
-    wall_s = time.perf_counter() - begun
     steps = np.diff(times) * RATE
-    repeated = int((~(words & 0x8000).astype(bool).all(axis=1)).sum())
-    gaps = int((np.rint(steps) - 1).sum())
-    ratio = bytes_in / (14 * len(times))
-    violations = rig.log.violations
-    lines = [
-        f"{len(times)} scans in {np.ptp(times):.3f} s",
-        f"lost by the firmware's count {lost}, by time {gaps}; repeated {repeated}",
-        f"distance of scans {steps.min():.4f} to {steps.max():.4f} periods",
-        f"bytes on the line: {bytes_in / len(times):.3f} a scan of 14 bytes, ratio {ratio:.4f}",
-        f"{rig.log.frames} frames, {len(violations)} violations, tightest in µs:",
-        str({name: round(value, 3) for name, value in sorted(rig.log.tightest_us().items())}),
-        f"{wall_s:.1f} s of wall time",
-        *violations[:5],
-    ]
-    print("\n".join(lines))  # noqa: T201
-    try:
+    tightest = rig.log.tightest_us()
+    figures = StreamFigures(
+        scans=len(times),
+        seconds=float(np.ptp(times)),
+        lost=lost + int((np.rint(steps) - 1).sum()),
+        repeated=int((~(words & 0x8000).astype(bool).all(axis=1)).sum()),
+        frames=rig.log.frames,
+        violations=len(rig.log.violations),
+        period_us=tightest["fast period"],
+        stall_us=tightest["fast stall"],
+        ratio=bytes_in / (14 * len(times)),
+        wall_s=time.perf_counter() - begun,
+    )
+    if not rig.log.violations:
         rig.check()
-    except AssertionError:
-        return False
-    return not (lost or gaps or repeated) and ratio <= MOST_RATIO
+    return figures
 
 
 def _run(rig: Any, seconds: float) -> tuple[np.ndarray, np.ndarray, int, int]:
