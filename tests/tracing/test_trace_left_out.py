@@ -123,6 +123,6 @@ def test_functions_with_and_without_a_constant_keep_their_own_columns() -> None:
         alone, both = (t.columns(data.mean_mg, data.conditions) for t in (plain, beside))
         axes, width = len(plain.axes), alone.shape[-1] // len(plain.axes)
         assert both.shape[-1] == alone.shape[-1] + axes
-        first = both[:, list(plain.axes)[0], : width + 1]
+        first = both[:, plain.axes[0], : width + 1]
         np.testing.assert_array_equal(first[:, 0], 1.0)
-        np.testing.assert_array_equal(first[:, 1:], alone[:, list(plain.axes)[0], :width])
+        np.testing.assert_array_equal(first[:, 1:], alone[:, plain.axes[0], :width])
