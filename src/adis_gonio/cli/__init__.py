@@ -27,6 +27,7 @@ COMMANDS = {
     "stream": ("adis_gonio.cli.stream", "Show or record what the sensor measures."),
     "registers": ("adis_gonio.cli.registers", "List, read and write registers."),
     "selftest": ("adis_gonio.cli.selftest", "Run the sensor's internal self-test."),
+    "serve": ("adis_gonio.cli.serve", "Serve the sensor as an IIO device over the network."),
     "devices": ("adis_gonio.cli.devices", "List the buses and the devices that are connected."),
 }
 
