@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from adis_gonio.errors import AdisGonioError
 from adis_gonio.serve.device import ScanFormat
 from adis_gonio.serve.queues import ScanQueue
 from adis_gonio.serve.sampler import Scans
@@ -46,14 +45,14 @@ class Hub:
 
     Attributes
     ----------
-    failure : AdisGonioError or None
+    failure : Exception or None
         What ended the sampling; buffers then get no more scans.
     clients : int
         Connections, kept by the server.
     """
 
     def __init__(self, want: Callable[[bool], object]) -> None:
-        self.failure: AdisGonioError | None = None
+        self.failure: Exception | None = None
         self.clients = 0
         self._want = want
         self._buffers: set[Buffer] = set()
@@ -82,7 +81,7 @@ class Hub:
             self._lost_by_clients += buffer.queue.put(packed)
             buffer.news.set()
 
-    def fail(self, error: AdisGonioError) -> None:
+    def fail(self, error: Exception) -> None:
         """Let all who wait know that nothing will come."""
         self.failure = error
         for buffer in self._buffers:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -112,13 +113,11 @@ class AttributePort:
 
 def _number(value: bytes) -> float:
     """Number of an attribute's text; libiio sends the terminating zero along."""
+    text = value.split(b"\0", 1)[0].strip()
     try:
-        text = value.split(b"\0", 1)[0].decode("ascii").strip()
-        if "_" in text:
-            raise ValueError(text)
-        number = float(text)
-        if number - number:  # infinite or not a number
-            raise ValueError(text)
+        number = math.nan if b"_" in text else float(text)
     except ValueError:
-        raise Refused(Errno.EINVAL, "the value is no number") from None
+        number = math.nan
+    if not math.isfinite(number):
+        raise Refused(Errno.EINVAL, "the value is no number")
     return number

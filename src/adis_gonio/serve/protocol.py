@@ -1,4 +1,4 @@
-"""The text protocol of iiod, libiio's server (libiio 0.x), without any I/O.
+r"""The text protocol of iiod, libiio's server (libiio 0.x), without any I/O.
 
 A client sends lines; some are followed by a counted number of bytes. `Parser` takes bytes as they come and
 returns typed requests; the functions below write the answers. A number is answered as one line, negative
@@ -10,7 +10,7 @@ ones are `-errno` of Linux, whatever the machine that this runs on.
 | `PRINT` | length of the XML, the XML, a line feed |
 | `TIMEOUT ms`, `SET dev BUFFERS_COUNT n` | 0 |
 | `OPEN dev samples mask [CYCLIC]`, `CLOSE dev` | 0 |
-| `READ dev [DEBUG \\| BUFFER \\| INPUT chn \\| OUTPUT chn] [attr]` | length, value, a line feed |
+| `READ dev [DEBUG \| BUFFER \| INPUT chn \| OUTPUT chn] [attr]` | length, value, a line feed |
 | `WRITE dev [as above] [attr] length` and so many bytes | number of bytes taken |
 | `READBUF dev bytes` | length, the mask once, the bytes; again until all were sent |
 | `WRITEBUF dev bytes` | refused: a sensor has no output |
@@ -283,7 +283,7 @@ def parse_line(line: bytes) -> Request:
 
 def _parse(verb: str, words: list[str]) -> Request:
     match verb, words:
-        case ("EXIT" | "QUIT"), []:
+        case (("EXIT" | "QUIT"), []):
             return Exit()
         case "HELP", []:
             return Help()

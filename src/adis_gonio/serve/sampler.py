@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.errors import AdisGonioError
 from adis_gonio.sensor import Adis16354, ScanBlock
-from adis_gonio.sensor.registers import ACCEL_OFF, GYRO_OFF, ND, registers
+from adis_gonio.sensor.registers import ACCEL_OFF, GYRO_OFF, registers
 from adis_gonio.serve.device import SensorState
 
 T = TypeVar("T")
@@ -74,7 +74,7 @@ class Sampler:
         sensor: Adis16354,
         names: Sequence[str],
         on_scans: Callable[[Scans], object],
-        on_failure: Callable[[AdisGonioError], object],
+        on_failure: Callable[[Exception], object],
     ) -> None:
         self.names = tuple(names)
         self.newest: dict[str, int] | None = None
@@ -85,7 +85,7 @@ class Sampler:
         self._wake = threading.Event()
         self._stopping = False
         self._wanted = False
-        self._failure: AdisGonioError | None = None
+        self._failure: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="sampler", daemon=True)
         self.state = state_of(sensor)
 
@@ -101,8 +101,9 @@ class Sampler:
 
     def want(self, wanted: bool) -> None:
         """Whether somebody listens."""
-        self._wanted = wanted
-        self._wake.set()
+        if wanted != self._wanted:
+            self._wanted = wanted
+            self._wake.set()
 
     def submit(self, job: Callable[[Adis16354], T]) -> Future[T]:
         """Let the thread do something with the sensor, between two scans."""
@@ -125,7 +126,7 @@ class Sampler:
                     self._stream()
                 else:
                     self._wake.wait()
-        except AdisGonioError as error:
+        except Exception as error:  # whatever it is, nobody may wait for scans that will not come
             self._failure = error
             self._on_failure(error)
         finally:
@@ -162,14 +163,23 @@ class Sampler:
             with sensor.stream(self.names, block_scans=block_scans) as stream:
                 for block in stream:
                     # A simulated clock may run ahead of the wall's: clients expect the sensor's rate.
-                    ahead_s = (float(block.time_s[-1]) - bus_s) - (time.monotonic() - wall_s)
-                    if ahead_s > 0 and self._wake.wait(ahead_s):
-                        pass
+                    self._wait_until(wall_s + float(block.time_s[-1]) - bus_s)
                     self._publish(block, since_1970_ns)
-                    if self._stopping or not self._wanted or not self._jobs.empty():
+                    if self._interrupted:
                         break
         finally:
             self.newest = None
+
+    @property
+    def _interrupted(self) -> bool:
+        return self._stopping or not self._wanted or not self._jobs.empty()
+
+    def _wait_until(self, monotonic_s: float) -> None:
+        while (left_s := monotonic_s - time.monotonic()) > 0:
+            self._wake.wait(left_s)
+            self._wake.clear()
+            if self._interrupted:
+                return
 
     def _publish(self, block: ScanBlock, since_1970_ns: int) -> None:
         numbers = block.numbers()

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from adis_gonio import __version__
-from adis_gonio.errors import AdisGonioError, CannotOpenError
+from adis_gonio.errors import CannotOpenError
 from adis_gonio.sensor import DEFAULT_SCAN, Adis16354
 from adis_gonio.serve.client import ClientSession
 from adis_gonio.serve.device import IioDevice
@@ -146,9 +146,9 @@ class IioServer:
             self._tell(f"{name}: refused, {MOST_CLIENTS} connections are open")
             writer.close()
             return
-        task = asyncio.current_task()
-        if task is not None:
-            self._clients.add(task)
+        if (task := asyncio.current_task()) is None:
+            return  # asyncio runs this in a task
+        self._clients.add(task)
         self._hub.clients += 1
         writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         client = ClientSession(reader, writer, self._device, self._port, self._hub)
@@ -157,7 +157,7 @@ class IioServer:
             await client.run()
         finally:
             self._hub.clients -= 1
-            self._clients.discard(task)  # type: ignore[arg-type]
+            self._clients.discard(task)
             if client.sent or client.lost:
                 self._tell(
                     f"{name}: left after {time.monotonic() - begin_s:.1f} s,"
@@ -169,7 +169,7 @@ class IioServer:
     def _scans_came(self, scans: Scans) -> None:
         self._call(lambda: self._hub.publish(scans))
 
-    def _sensor_failed(self, error: AdisGonioError) -> None:
+    def _sensor_failed(self, error: Exception) -> None:
         def fail() -> None:
             self._hub.fail(error)
             # One turn of the loop later, so that whoever waits for scans is answered first.
