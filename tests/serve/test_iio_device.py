@@ -20,7 +20,9 @@ ALL = tuple(row.name for row in REGISTERS if row.flags)
 def state_of(**changes):
     settings = {"smpl_prd": 1, "filter_m": 2, "gyro_range_dps": 300}
     configuration = Configuration(**(settings | changes), data_ready=False, linear_g=False, origin=False)
-    return SensorState(configuration, {row.name: k for k, row in enumerate(REGISTERS) if "_OFF" in row.name})
+    return SensorState(
+        configuration, {row.name: k for k, row in enumerate(REGISTERS) if "_OFF" in row.name}
+    )
 
 
 def device_of(part="adis16354", names=DEFAULT_SCAN):
@@ -56,7 +58,9 @@ def test_filter_frequencies_are_those_of_the_chips_table():
     table = [350, 149, 67.3, 32.9, 16.4, 8.17, 4.08]
     assert [low_pass_3db_hz(m, 819.2) for m in range(7)] == pytest.approx(table, rel=4e-3)
     device, state = device_of(), state_of(smpl_prd=0x03)
-    offered = device.channel_value(device.channel("accel_x"), "filter_low_pass_3db_frequency_available", state)
+    offered = device.channel_value(
+        device.channel("accel_x"), "filter_low_pass_3db_frequency_available", state
+    )
     assert [filter_for(float(hz), state) for hz in offered.split()] == list(range(7))
     assert filter_for(1.0, state) == 6
     for hz in (0.0, -3.0, math.inf):
@@ -85,7 +89,12 @@ def test_the_xml_names_what_can_be_asked_for():
             if attribute.get("name") != "raw":
                 device.channel_value(device.channel(element.get("id")), attribute.get("name"), state)
     files = {a.get("filename") for a in root.iter("attribute") if a.get("filename")}
-    assert {"in_accel_x_calibbias", "in_voltage0_supply_raw", "in_temp_z_offset", "in_voltage1_raw"} <= files
+    assert {
+        "in_accel_x_calibbias",
+        "in_voltage0_supply_raw",
+        "in_temp_z_offset",
+        "in_voltage1_raw",
+    } <= files
     assert "in_accel_filter_low_pass_3db_frequency" in files
 
 

@@ -32,7 +32,10 @@ LINES = [
     (b"PRINT\r\n", Print()),
     (b"print\n", Print()),
     (b"TIMEOUT 2500\r\n", Timeout(2500)),
-    (b"READ iio:device0 sampling_frequency\r\n", ReadAttribute(Target("iio:device0"), "sampling_frequency")),
+    (
+        b"READ iio:device0 sampling_frequency\r\n",
+        ReadAttribute(Target("iio:device0"), "sampling_frequency"),
+    ),
     (b"READ iio:device0 \r\n", ReadAttribute(Target("iio:device0"), "")),
     (
         b"READ iio:device0 INPUT accel_x raw\r\n",

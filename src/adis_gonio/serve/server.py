@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from adis_gonio import __version__
 from adis_gonio.errors import CannotOpenError
@@ -25,6 +26,9 @@ PORT = 30431
 
 MOST_CLIENTS = 64
 """Connections at a time; a context of libiio has one, and one more for each open buffer."""
+
+SEND_BUFFER = 1 << 15
+"""Bytes that the system holds for a client: more than a second of all channels at full rate."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +108,7 @@ class IioServer:
 
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
+        self._loop.set_exception_handler(_report)
         host, port = self._settings.host, self._settings.port
         try:
             server = await asyncio.start_server(self._connected, host, port)
@@ -150,11 +155,13 @@ class IioServer:
             return  # asyncio runs this in a task
         self._clients.add(task)
         self._hub.clients += 1
-        writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        _prepare(writer)
         client = ClientSession(reader, writer, self._device, self._port, self._hub)
         begin_s = time.monotonic()
         try:
-            await client.run()
+            # The end of the server cancels; a cancelled task of a connection would be logged as an error.
+            with contextlib.suppress(asyncio.CancelledError):
+                await client.run()
         finally:
             self._hub.clients -= 1
             self._clients.discard(task)
@@ -182,6 +189,19 @@ class IioServer:
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):  # the loop has ended
                 self._loop.call_soon_threadsafe(action)
+
+
+def _report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Leave out that a connection broke where nobody waited for it any more: its end is what ended it."""
+    if not isinstance(context.get("exception"), ConnectionError):
+        loop.default_exception_handler(context)
+
+
+def _prepare(writer: asyncio.StreamWriter) -> None:
+    """Notice a client that vanished, and let little pile up for one that does not read."""
+    endpoint = writer.get_extra_info("socket")
+    endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
 
 
 def _name_of(writer: asyncio.StreamWriter) -> str:
