@@ -16,24 +16,13 @@ from adis_gonio.errors import BusTimeoutError
 from adis_gonio.sensor import Adis16354
 from adis_gonio.serve.client import MOST_PENDING
 from adis_gonio.sim.bus import SimBus
+from fakes.counting_bus import CountingBus
 from serve.raw_client import WAIT_S, RawClient, served
 
 PERIOD_NS = 1_220_700
 ALL = 0x1FF
 SCAN = np.dtype([("values", "<i2", (8,)), ("time_ns", "<i8")])
 EPERM, ENOENT, EIO, ENXIO, EBADF, EACCES, EBUSY, ENODEV, EINVAL = -1, -2, -5, -6, -9, -13, -16, -19, -22
-
-
-class CountingBus(SimBus):
-    """Notes the write frames that reach the chip."""
-
-    def __init__(self, **options):
-        super().__init__(**options)
-        self.writes = []
-
-    def _exchange(self, frames):
-        self.writes += [int(frame) for frame in frames if frame & 0x8000]
-        return super()._exchange(frames)
 
 
 def wait_until(condition):
@@ -193,7 +182,7 @@ def test_a_client_that_dies_in_the_middle_leaves_no_trace():
         for goodbye in (b"", b"WRITE iio:device0 INPUT accel_x calibbias 4\r\n1", b"READBUF iio:dev"):
             dying = server.client()
             assert dying.open(ALL) == 0
-            dying.send(b"READBUF iio:device0 2400000\r\n" if not goodbye else goodbye)
+            dying.send(goodbye or b"READBUF iio:device0 2400000\r\n")
             wait_until(lambda: asking.text("READ iio:device0 DEBUG clients") == "2")
             dying.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             dying.close()  # a reset, not a goodbye
@@ -228,8 +217,8 @@ def test_a_read_beyond_the_last_whole_scan_ends_with_zero():
 
 
 def test_attributes_are_read_and_written_while_scans_flow():
-    with served("sim:?seed=1&realtime=1", allow_writes=True) as server:
-        with server.client() as client, server.client() as writer:
+    with served("sim:?seed=1&realtime=1", allow_writes=True) as server, server.client() as writer:
+        with server.client() as client:
             assert client.open(ALL) == 0
             client.scans(24, 50)
             raw = int(writer.text("READ iio:device0 INPUT accel_x raw"))
