@@ -25,24 +25,36 @@ from adis_gonio.sensor import Adis16354
 from adis_gonio.serve import IioServer, ServeSettings
 from fakes.counting_bus import CountingBus
 
-WORDS = """
-VERSION PRINT HELP TIMEOUT OPEN CLOSE READ WRITE READBUF WRITEBUF GETTRIG SETTRIG SET BUFFERS_COUNT CYCLIC
-INPUT OUTPUT DEBUG BUFFER iio:device0 adis16354 iio:device1 accel_x anglvel_z temp_x voltage0 timestamp
-raw scale calibbias sampling_frequency filter_low_pass_3db_frequency clients 000001ff 00000001 ffffffff
-0 1 2 4 16 24 100 4096 99999999999999999999 -1 x \0 \x7f
-""".split()
+VERBS = ("VERSION", "PRINT", "HELP", "TIMEOUT", "OPEN", "CLOSE", "READ", "WRITE", "READBUF", "WRITEBUF")
+MORE_VERBS = ("GETTRIG", "SETTRIG", "SET", "BUFFERS_COUNT", "CYCLIC", "INPUT", "OUTPUT", "DEBUG", "BUFFER")
+PLACES = (
+    "iio:device0",
+    "adis16354",
+    "iio:device1",
+    "accel_x",
+    "anglvel_z",
+    "temp_x",
+    "voltage0",
+    "timestamp",
+)
+NAMES = ("raw", "scale", "calibbias", "sampling_frequency", "filter_low_pass_3db_frequency", "clients")
+NUMBERS = (
+    "000001ff",
+    "00000001",
+    "ffffffff",
+    "0",
+    "1",
+    "2",
+    "4",
+    "16",
+    "24",
+    "100",
+    "4096",
+    "9" * 20,
+    "-1",
+)
+WORDS = (*VERBS, *MORE_VERBS, *PLACES, *NAMES, *NUMBERS, "-1", "x", "\0", "\x7f")
 CHUNK = 4096
-
-
-class CountingBus(SimBus):
-    """Counts the write frames that reach the chip, apart from data-ready's."""
-
-    forbidden = 0
-
-    def _exchange(self, frames: Words) -> Words:
-        writes = frames[(frames & 0x8000) != 0]
-        self.forbidden += int(((writes & 0xFF00) != DATA_READY_FRAME).sum())
-        return super()._exchange(frames)
 
 
 def main() -> int:

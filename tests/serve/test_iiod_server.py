@@ -161,7 +161,7 @@ def test_five_clients_each_with_a_mask_of_its_own_lose_nothing():
 
 
 def test_a_client_that_does_not_read_loses_its_own_oldest_scans_and_nobody_elses():
-    with served(allow_writes=True) as server, server.client() as slow, server.client() as quick:
+    with served(queue_s=0.5) as server, server.client() as slow, server.client() as quick:
         slow.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         assert slow.open(ALL, 16) == 0
         slow.send(b"READBUF iio:device0 240000000\r\n")
@@ -217,18 +217,18 @@ def test_a_read_beyond_the_last_whole_scan_ends_with_zero():
 
 
 def test_attributes_are_read_and_written_while_scans_flow():
-    with served("sim:?seed=1&realtime=1", allow_writes=True) as server, server.client() as writer:
-        with server.client() as client:
-            assert client.open(ALL) == 0
-            client.scans(24, 50)
-            raw = int(writer.text("READ iio:device0 INPUT accel_x raw"))
-            assert_gapless(client.scans(24, 100))
-            assert writer.write("iio:device0 INPUT accel_x calibbias", "500") == 4
-            values = np.frombuffer(client.scans(24, 400), SCAN)["values"][:, 0]
-            assert values[-50:].mean() - raw == pytest.approx(500, abs=60)
-            assert client.write("iio:device0 INPUT accel_x calibbias", "0") == 2
-            assert client.ask("CLOSE iio:device0") == 0
-            assert client.ask("READBUF iio:device0 24") == EBADF
+    url = "sim:?seed=1&realtime=1"
+    with served(url, allow_writes=True) as server, server.client() as writer, server.client() as client:
+        assert client.open(ALL) == 0
+        client.scans(24, 50)
+        raw = int(writer.text("READ iio:device0 INPUT accel_x raw"))
+        assert_gapless(client.scans(24, 100))
+        assert writer.write("iio:device0 INPUT accel_x calibbias", "500") == 4
+        values = np.frombuffer(client.scans(24, 400), SCAN)["values"][:, 0]
+        assert values[-50:].mean() - raw == pytest.approx(500, abs=60)
+        assert client.write("iio:device0 INPUT accel_x calibbias", "0") == 2
+        assert client.ask("CLOSE iio:device0") == 0
+        assert client.ask("READBUF iio:device0 24") == EBADF
 
 
 class DyingBus(SimBus):

@@ -10,8 +10,8 @@ from adis_gonio.serve.device import ScanFormat
 from adis_gonio.serve.queues import ScanQueue
 from adis_gonio.serve.sampler import Scans
 
-QUEUE_S = 4.0
-"""Least time that a client's queue bridges."""
+QUEUE_S = 30.0
+"""Time that a client's queue bridges; all channels at full rate fill it with 0.6 MB."""
 
 CLIENT_BLOCKS = 4
 """Its capacity in buffers of the size that the client opened: what the kernel's own default is."""
@@ -42,6 +42,8 @@ class Hub:
     ----------
     want : callable
         Told whether somebody listens.
+    queue_s : float
+        Least time that a client's queue bridges.
 
     Attributes
     ----------
@@ -51,17 +53,18 @@ class Hub:
         Connections, kept by the server.
     """
 
-    def __init__(self, want: Callable[[bool], object]) -> None:
+    def __init__(self, want: Callable[[bool], object], queue_s: float = QUEUE_S) -> None:
         self.failure: Exception | None = None
         self.clients = 0
         self._want = want
+        self._queue_s = queue_s
         self._buffers: set[Buffer] = set()
         self._lost_by_sensor = 0
         self._lost_by_clients = 0
 
     def open(self, scan_format: ScanFormat, samples: int, rate_hz: float) -> Buffer:
         """Begin to fill a buffer from now on."""
-        capacity = min(MOST_QUEUED, max(CLIENT_BLOCKS * samples, round(QUEUE_S * rate_hz), 16))
+        capacity = min(MOST_QUEUED, max(CLIENT_BLOCKS * samples, round(self._queue_s * rate_hz), 16))
         buffer = Buffer(scan_format, ScanQueue(capacity))
         self._buffers.add(buffer)
         self._want(True)

@@ -17,7 +17,7 @@ from adis_gonio.errors import CannotOpenError
 from adis_gonio.sensor import DEFAULT_SCAN, Adis16354
 from adis_gonio.serve.client import ClientSession
 from adis_gonio.serve.device import IioDevice
-from adis_gonio.serve.hub import Hub
+from adis_gonio.serve.hub import QUEUE_S, Hub
 from adis_gonio.serve.port import AttributePort
 from adis_gonio.serve.sampler import Sampler, Scans
 
@@ -43,12 +43,15 @@ class ServeSettings:
         Let clients write attributes.
     registers : tuple of str
         Output registers that become channels, in order.
+    queue_s : float
+        Time of no reading after which a client begins to lose its oldest scans.
     """
 
     host: str = "127.0.0.1"
     port: int = PORT
     allow_writes: bool = False
     registers: tuple[str, ...] = DEFAULT_SCAN
+    queue_s: float = QUEUE_S
 
 
 class IioServer:
@@ -84,7 +87,7 @@ class IioServer:
         self._device = IioDevice(sensor.variant, settings.registers, description)
         names = [row.name for row in self._device.table]
         self._sampler = Sampler(sensor, names, self._scans_came, self._sensor_failed)
-        self._hub = Hub(self._sampler.want)
+        self._hub = Hub(self._sampler.want, settings.queue_s)
         self._port = AttributePort(self._device, self._sampler, settings.allow_writes, self._hub.counts)
         self._clients: set[asyncio.Task[None]] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
