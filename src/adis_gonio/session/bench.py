@@ -10,25 +10,15 @@ import numpy as np
 
 from adis_gonio.errors import SessionError, UsageError
 from adis_gonio.model.records import Floats
-from adis_gonio.sensor.data_ready import USED_BY
-from adis_gonio.sensor.driver import Adis16354
-from adis_gonio.sensor.registers import REGISTERS
-from adis_gonio.sensor.scanning import ScanStream
 from adis_gonio.session.plans import Plan, Position
 from adis_gonio.session.rows import Move, Record, StoredAttempt
-from adis_gonio.session.settings import Settings
+from adis_gonio.session.settings import LEAST_SAMPLES, Settings
+from adis_gonio.session.source import Measuring, SampleSource, SampleStream
 from adis_gonio.session.view import ArchiveView
 from adis_gonio.session.watch import window_samples
 
 CHECKPOINT_S = 1e-3
 """Silence that ends in a checkpoint, so that no frame's timing reaches over the point of resuming."""
-
-_SETTINGS = tuple(
-    row.name
-    for row in REGISTERS
-    if row.readable and row.writable and row.name not in ("GPIO_CTRL", "SLP_CNT")
-)
-"""Control registers that hold settings; the two left out hold levels of lines and a count that runs."""
 
 
 class Stage(Protocol):
@@ -68,14 +58,14 @@ class Bench:
 
     Parameters
     ----------
-    sensor : Adis16354
+    source : SampleSource
         Open.
     settings : Settings
         How to measure.
 
     Attributes
     ----------
-    configuration : Configuration
+    configuration : Measuring
         How the sensor measures; known after `configure`, and so are the three that follow from it:
     window : int
         Samples of a window of the watch.
@@ -83,12 +73,12 @@ class Bench:
         Wait between stillness and a dwell; never less than the filter needs.
     """
 
-    def __init__(self, sensor: Adis16354, settings: Settings) -> None:
-        self.sensor = sensor
+    def __init__(self, source: SampleSource, settings: Settings) -> None:
+        self.source = source
         self.settings = settings
-        self.stage: Stage | None = getattr(sensor.bus, "stage", None)
-        self.world: World | None = getattr(sensor.bus, "world", None)
-        self._stream: ScanStream | None = None
+        self.stage: Stage | None = source.stage
+        self.world: World | None = source.world
+        self._stream: SampleStream | None = None
 
     @property
     def simulated(self) -> bool:
@@ -97,14 +87,14 @@ class Bench:
 
     @property
     def now_s(self) -> float:
-        """Clock of the bus."""
-        return self.sensor.bus.now_s()
+        """Clock of the source."""
+        return self.source.now_s()
 
     def require_auto(self, plan: Plan) -> None:
         """Raise `UsageError` where a plan cannot be run without an operator."""
         if self.stage is None:
             raise UsageError(
-                f"{self.sensor.bus.url}: auto needs a stage that the program can move, such as sim: has;"
+                f"{self.source.url}: auto needs a stage that the program can move, such as sim: has;"
                 " run it without auto"
             )
         free = any(position.angle_deg is None for position in plan.positions)
@@ -134,11 +124,11 @@ class Bench:
 
     def require_same_sensor(self, archive: ArchiveView) -> None:
         """Raise `SessionError` where a session was begun with another sensor."""
-        path, header, url = archive.path, archive.header(), self.sensor.bus.url
-        if self.sensor.variant.name != header.variant:
+        path, header, url = archive.path, archive.header(), self.source.url
+        if self.source.part.name != header.variant:
             raise SessionError(
                 f"{path}: began with an {header.variant.upper()}, this is an"
-                f" {self.sensor.variant.name.upper()}"
+                f" {self.source.part.name.upper()}"
             )
         if header.simulated != self.simulated:
             kind = "simulated" if header.simulated else "real"
@@ -151,46 +141,43 @@ class Bench:
     def configure(self) -> tuple[dict[str, int], dict[str, int]]:
         """Set the sensor up as the settings say; return all registers before and after."""
         settings = self.settings
-        before = self.sensor.read_all()
-        used = bool(USED_BY & self.sensor.bus.capabilities)
-        self.configuration = self.sensor.configure(
-            smpl_prd=settings.smpl_prd,
-            filter_m=settings.filter_m,
-            gyro_range_dps=settings.gyro_range_dps,
-            data_ready=used if settings.data_ready is None else settings.data_ready,
-        )
+        before = self.source.registers()
+        self.configuration: Measuring = self.source.configure(settings)
         self.period_s = self.configuration.sample_period_s
         self.settle_s = max(settings.settle_s, self.configuration.settling_s)
-        self.window = window_samples(self.configuration)
-        return before, self.sensor.read_all()
+        self.window = window_samples(self.configuration.sample_rate_hz, self.configuration.settling_s)
+        if settings.dwell_s < LEAST_SAMPLES * self.period_s:
+            raise UsageError(
+                f"dwell_s is {settings.dwell_s:g}: at {1 / self.period_s:.4g} samples a second"
+                f" take {LEAST_SAMPLES * self.period_s:.3g} s or more"
+            )
+        return before, self.source.registers()
 
     def require_same_settings(self, archive: ArchiveView, now: dict[str, int]) -> None:
         """Raise `SessionError` where a control register is not what it was when the session began."""
-        before = archive.last("registers-configured")
-        if before is None:
+        registers, measuring = archive.last("registers-configured"), archive.last("configuration")
+        if registers is None:
             return
-        for name in _SETTINGS:
-            if before.get(name) != now[name]:
+        before = self.source.identity(registers, measuring)
+        for name, value in self.source.identity(now, self.configuration.as_dict()).items():
+            if before.get(name) != value:
                 raise SessionError(
-                    f"{archive.path}: {name} was {before.get(name)} and is {now[name]}: another sensor, or"
+                    f"{archive.path}: {name} was {before.get(name)} and is {value}: another sensor, or"
                     " it was changed; set it back or begin a new session"
                 )
 
-    @staticmethod
-    def changes(before: dict[str, int], after: dict[str, int]) -> dict[str, tuple[int, int]]:
+    def changes(self, before: dict[str, int], after: dict[str, int]) -> dict[str, tuple[int, int]]:
         """Settings that differ: number before and after."""
-        return {name: (before[name], after[name]) for name in _SETTINGS if before[name] != after[name]}
+        was, now = self.source.identity(before, {}), self.source.identity(after, {})
+        return {name: (was[name], now[name]) for name in now if was[name] != now[name]}
 
     # -- scans and moves --------------------------------------------------------------------------
 
-    def scans(self) -> ScanStream:
+    def scans(self) -> SampleStream:
         """The running stream of scans, opened when first needed; two blocks fill a window."""
         if self._stream is None:
             block_scans = max(8, self.window // 2)
-            # The session has set the registers, and they stay as the archive says.
-            self._stream = self.sensor.stream(
-                self.settings.registers, block_scans=block_scans, leave_registers=True
-            )
+            self._stream = self.source.samples(self.settings, block_scans)
         return self._stream
 
     def close_stream(self) -> None:
@@ -233,7 +220,7 @@ class Bench:
 
     def checkpoint(self) -> None:
         """Make the present a point from which a simulated session can go on: silence before it."""
-        self.sensor.bus.sleep_s(CHECKPOINT_S)
+        self.source.sleep_s(CHECKPOINT_S)
 
     def bring_world_to(self, archive: ArchiveView, attempt: int) -> None:
         """Let a new simulated world live through what the archived one did.
@@ -257,19 +244,19 @@ class Bench:
         if attempt:
             # At its end the dwell's STATUS was read, which clears it: a bit that is left would show as EA.
             self._wait_until(end_s - CHECKPOINT_S / 2)
-            self.sensor.status()
+            self.source.status()
         self._wait_until(end_s)
 
     def _wait_until(self, bus_s: float) -> None:
-        bus = self.sensor.bus
-        if bus_s - bus.now_s() < -1e-6:
+        source = self.source
+        if bus_s - source.now_s() < -1e-6:
             raise SessionError(
                 "the simulated sensor is later than it was when the session was recorded (by another"
                 " version of the program?); begin a new session"
             )
         # The last step is short, hence exact in float64: the clock shows the archived time to the bit.
-        while (ahead := bus_s - bus.now_s()) > 0:
-            bus.sleep_s(ahead if ahead < CHECKPOINT_S else ahead - CHECKPOINT_S / 2)
+        while (ahead := bus_s - source.now_s()) > 0:
+            source.sleep_s(ahead if ahead < CHECKPOINT_S else ahead - CHECKPOINT_S / 2)
 
     def truth(self, dwells: Sequence[StoredAttempt] = ()) -> dict[str, float] | None:
         """What the simulation hides, as it was during dwells; None for a real sensor."""

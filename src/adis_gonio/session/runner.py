@@ -34,10 +34,10 @@ import numpy as np
 
 from adis_gonio.errors import AdisGonioError, SessionError, UsageError
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
-from adis_gonio.sensor.decoding import ScanBlock
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.session.archive import Archive, Header, read_session, utc_now
 from adis_gonio.session.bench import Bench
+from adis_gonio.session.blocks import GENERIC, Block, session_columns
 from adis_gonio.session.closing import Advisor
 from adis_gonio.session.events import (
     Advised,
@@ -61,8 +61,9 @@ from adis_gonio.session.events import (
 from adis_gonio.session.plans import Plan, Position, blindness, extended, extension
 from adis_gonio.session.recording import Recording
 from adis_gonio.session.settings import Settings
+from adis_gonio.session.source import SampleSource, as_source
 from adis_gonio.session.stillness import StillnessLimits, limits_from_noise
-from adis_gonio.session.watch import Look, NoiseMeter, StillnessWatch, white_noise_gain
+from adis_gonio.session.watch import Look, NoiseMeter, StillnessWatch
 
 MOST_RESTARTS = 5
 """Interruptions of one dwell after which somebody has to look."""
@@ -129,7 +130,7 @@ class SessionRunner:
     @classmethod
     def begin(
         cls,
-        sensor: Adis16354,
+        sensor: Adis16354 | SampleSource,
         path: str | Path,
         plan: Plan,
         settings: Settings | None = None,
@@ -146,7 +147,7 @@ class SessionRunner:
 
         Parameters
         ----------
-        sensor : Adis16354
+        sensor : Adis16354 or SampleSource
             Open; stays open afterwards.
         path : path
             File to make; an existing session is never overwritten.
@@ -175,14 +176,15 @@ class SessionRunner:
         if fixture_sigma_deg is not None and not fixture_sigma_deg >= 0:
             raise UsageError(f"fixture_sigma_deg is {fixture_sigma_deg}: take 0° or more")
         settings = settings or Settings()
-        bench = Bench(sensor, settings)
+        source = as_source(sensor)
+        bench = Bench(source, settings)
         if auto:
             bench.require_auto(plan)
         header = Header(
-            url=sensor.bus.url,
-            variant=sensor.variant.name,
+            url=source.url,
+            variant=source.part.name,
             plan=plan,
-            settings=settings.as_dict(),
+            settings={k: v for k, v in settings.as_dict().items() if k in source.kept},
             gravity_mps2=gravity_mps2,
             fixture_sigma_deg=math.inf if plan.plane == "none" else fixture_sigma_deg,
             title=title,
@@ -195,7 +197,7 @@ class SessionRunner:
     @classmethod
     def resume(
         cls,
-        sensor: Adis16354,
+        sensor: Adis16354 | SampleSource,
         path: str | Path,
         *,
         auto: bool = False,
@@ -217,7 +219,7 @@ class SessionRunner:
         """
         archive = Archive.open_existing(path)
         try:
-            bench = Bench(sensor, Settings.from_dict(archive.header().settings))
+            bench = Bench(as_source(sensor), Settings.from_dict(archive.header().settings))
             if auto:
                 bench.require_auto(archive.plan())
             bench.require_same_sensor(archive)
@@ -292,7 +294,7 @@ class SessionRunner:
         began_s = bench.now_s
         yield Started(
             str(archive.path),
-            bench.sensor.bus.url,
+            bench.source.url,
             self._header.variant,
             self._plan,
             self._resumed,
@@ -318,8 +320,7 @@ class SessionRunner:
 
     def _measure_noise(self) -> Generator[Event, None, list[float] | None]:
         bench = self._bench
-        figures = bench.sensor.variant.performance
-        expected = figures.noise_mg * white_noise_gain(bench.configuration.filter_m)
+        expected = bench.source.expected_noise_mg(bench.configuration)
         meter = NoiseMeter(bench.window, expected)
         deadline = bench.now_s + bench.settings.still_timeout_s + meter.least_samples * bench.period_s
         noise: Floats | None = None
@@ -343,7 +344,7 @@ class SessionRunner:
 
     def _limit(self, noise: list[float]) -> NoiseMeasured:
         bench = self._bench
-        quantum = bench.sensor.variant.accel_mg_per_lsb
+        quantum = bench.source.part.step_mg
         limits = limits_from_noise(np.array(noise), bench.window, quantum)
         self._limits = limits
         self._noise_mg = np.maximum(noise, quantum / math.sqrt(12))
@@ -404,7 +405,7 @@ class SessionRunner:
 
     def _offer_extension(self) -> Generator[Event, None, Answer]:
         longer = extension(self._plan, len(self._done))
-        typical_mg = self._bench.sensor.variant.performance.initial_bias_mg
+        typical_mg = self._bench.source.part.initial_bias_mg
         gravity_mg = 1000.0 * self._header.gravity_mps2 / STANDARD_GRAVITY_MPS2
         blind = blindness(self._plan, typical_mg, gravity_mg)
         if longer is None or blind is None:
@@ -498,7 +499,7 @@ class SessionRunner:
             if self._stopping.is_set():
                 return True
             yield Waiting(place, length_s - left, length_s)
-            self._bench.sensor.bus.sleep_s(min(left, WAIT_STEP_S))
+            self._bench.source.sleep_s(min(left, WAIT_STEP_S))
         return False
 
     def _new_recording(self, place: int) -> Recording:
@@ -574,9 +575,9 @@ class SessionRunner:
     def _complete(self, recording: Recording) -> Iterator[Event]:
         bench = self._bench
         bench.close_stream()
-        status = bench.sensor.status()
+        status = bench.source.status()
         bench.checkpoint()
-        attempt = recording.attempt("complete", bench.now_s, status=status.word)
+        attempt = recording.attempt("complete", bench.now_s, status=None if status is None else status.word)
         number = self._archive.add_attempt(attempt)
         place, scans = recording.place, recording.scans()
         self._done[place] = number
@@ -584,7 +585,7 @@ class SessionRunner:
         self._last_place = place
         mean = _vector(scans.accel_mg.mean(axis=0))
         yield DwellDone(place, recording.position, number, len(scans), scans.lost, mean)
-        for problem in _problems(place, scans, status.messages):
+        for problem in _problems(place, scans, () if status is None else status.messages):
             yield self._problem(problem)
 
     def _problem(self, problem: Problem) -> Problem:
@@ -599,7 +600,7 @@ class SessionRunner:
     def _finish(self) -> Finished:
         complete = self._next_place() is None
         self._bench.close_stream()
-        self._note("registers-after", self._bench.sensor.read_all())
+        self._note("registers-after", self._bench.source.registers())
         self._note("truth", self._bench.truth(self._archive.dwells()))
         self._note("finished", {"complete": complete})
         return Finished(
@@ -623,11 +624,11 @@ class _Idle:
         return Watching("idle", _vector(self._kept.mean(axis=0)), _vector(self._kept.std(axis=0, ddof=1)))
 
 
-def _problems(place: int, scans: ScanBlock, status: tuple[str, ...]) -> list[Problem]:
+def _problems(place: int, scans: Block, status: tuple[str, ...]) -> list[Problem]:
     """What the operator should know of a dwell: STATUS, supply, lost scans."""
     problems = [Problem("status", f"STATUS: {message}", place) for message in status]
-    if "SUPPLY_OUT" in scans.registers:
-        supply = scans.supply_v
+    supply = None if scans.variant == GENERIC else session_columns(scans).get("supply_v")
+    if supply is not None:
         low, high = SUPPLY_LIMITS_V
         if supply.min() < low or supply.max() > high:
             problems.append(

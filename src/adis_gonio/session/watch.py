@@ -15,7 +15,6 @@ import numpy as np
 from adis_gonio.errors import SessionError
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Floats
-from adis_gonio.sensor.settings import Configuration, filter_settling_samples
 from adis_gonio.session.stillness import StillnessLimits
 
 WINDOW_S = 0.25
@@ -37,12 +36,12 @@ EXPECTED_RATIO = 10.0
 STUCK_LOOKS = 3
 
 
-def window_samples(configuration: Configuration) -> int:
-    """Length of a window of the watch in samples, for a rate and a filter."""
+def window_samples(sample_rate_hz: float, settling_s: float) -> int:
+    """Length of a window of the watch in samples, for a rate and a filter's settling time."""
     return max(
         LEAST_WINDOW,
-        round(WINDOW_S * configuration.sample_rate_hz),
-        SETTLINGS_PER_WINDOW * filter_settling_samples(configuration.filter_m),
+        round(WINDOW_S * sample_rate_hz),
+        SETTLINGS_PER_WINDOW * round(settling_s * sample_rate_hz),
     )
 
 
