@@ -263,7 +263,8 @@ class BufferedSamples(IioStream):
         if self._stamped:
             time_s, lost = self._times(numbers[TIMESTAMP])
         else:
-            time_s, lost = self._begin_s + self._period_s * (self._count + np.arange(count)), 0
+            places = np.arange(self._count, self._count + count, dtype=np.float64)
+            time_s, lost = np.asarray(self._begin_s + self._period_s * places, np.float64), 0
         self._count += count
         return self._values(numbers, time_s, lost)
 
@@ -281,8 +282,8 @@ class BufferedSamples(IioStream):
             )
         self._last_ns = int(stamps_ns[-1])
         lost = int(np.maximum(np.rint(steps_s / self._period_s) - 1, 0).sum())
-        time_s: Floats = self._begin_s + (stamps_ns - self._first_ns).astype(np.float64) * 1e-9
-        return time_s, lost
+        since_s = (stamps_ns - self._first_ns).astype(np.float64) * 1e-9
+        return np.asarray(self._begin_s + since_s, np.float64), lost
 
     def _stop(self) -> None:
         self._device.close_buffer()

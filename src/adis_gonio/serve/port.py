@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from adis_gonio.errors import AdisGonioError, UsageError
+from adis_gonio.sensor import Adis16354
 from adis_gonio.sensor.registers import Register
 from adis_gonio.serve.device import (
     DEBUG_ATTRIBUTES,
@@ -85,22 +86,25 @@ class AttributePort:
             case "calibbias":
                 await self._write_bias(self.device.channel(target.channel), number)
             case "sampling_frequency":
-                await self._do(self.sampler.submit(lambda s: s.configure(sample_rate_hz=number)))
+                await self._change(lambda s: s.configure(sample_rate_hz=number))
             case _:
                 taps = filter_for(number, self.sampler.state)
-                await self._do(self.sampler.submit(lambda s: s.configure(filter_m=taps)))
+                await self._change(lambda s: s.configure(filter_m=taps))
 
     async def _write_bias(self, channel: Channel, number: float) -> None:
         if channel.register is None or not number.is_integer():
             raise Refused(Errno.EINVAL, f"calibbias is a whole number, not {number:g}")
         name = OFFSET_OF[channel.register.name]
-        await self._do(self.sampler.submit(lambda s: s.write(name, int(number))))
+        await self._change(lambda s: s.write(name, int(number)))
 
     async def _raw(self, row: Register) -> int:
         newest = self.sampler.newest
         if newest is not None:
             return newest[row.name]
         return await self._do(self.sampler.submit(lambda s: s.read(row)))
+
+    async def _change(self, job: Callable[[Adis16354], object]) -> None:
+        await self._do(self.sampler.submit(job, changes=True))
 
     async def _do(self, future: Future[T]) -> T:
         try:

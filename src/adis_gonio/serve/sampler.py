@@ -7,12 +7,14 @@ sensor streams.
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,6 +26,7 @@ from adis_gonio.sensor.registers import ACCEL_OFF, GYRO_OFF, registers
 from adis_gonio.serve.device import SensorState
 
 T = TypeVar("T")
+_Job = tuple[Callable[[Adis16354], Any], "Future[Any]", bool]
 
 BLOCK_S = 0.04
 """Time that a block of scans spans: what a client waits for its newest scan at most, beside the bus."""
@@ -64,7 +67,7 @@ class Sampler:
     Attributes
     ----------
     state : SensorState
-        What the registers say; true after every job.
+        What the registers say.
     newest : mapping of str to int, or None
         Numbers of the newest scan while the sensor streams.
     """
@@ -81,7 +84,7 @@ class Sampler:
         self._sensor = sensor
         self._on_scans = on_scans
         self._on_failure = on_failure
-        self._jobs: queue.SimpleQueue[tuple[Callable[[Adis16354], Any], Future[Any]]] = queue.SimpleQueue()
+        self._jobs: queue.SimpleQueue[_Job] = queue.SimpleQueue()
         self._wake = threading.Event()
         self._stopping = False
         self._wanted = False
@@ -105,13 +108,19 @@ class Sampler:
             self._wanted = wanted
             self._wake.set()
 
-    def submit(self, job: Callable[[Adis16354], T]) -> Future[T]:
-        """Let the thread do something with the sensor, between two scans."""
+    def submit(self, job: Callable[[Adis16354], T], *, changes: bool = False) -> Future[T]:
+        """Let the thread do something with the sensor, between two scans.
+
+        Parameters
+        ----------
+        changes : bool
+            The job writes registers, so that `state` has to be read again.
+        """
         future: Future[T] = Future()
         if self._failure is not None or self._stopping:
             future.set_exception(self._failure or AdisGonioError("the server ends"))
             return future
-        self._jobs.put((job, future))
+        self._jobs.put((job, future, changes))
         self._wake.set()
         return future
 
@@ -135,20 +144,21 @@ class Sampler:
 
     def _run_jobs(self) -> None:
         while not self._jobs.empty():
-            job, future = self._jobs.get()
+            job, future, changes = self._jobs.get()
             if not future.set_running_or_notify_cancel():
                 continue
             try:
-                result = job(self._sensor)
-                self.state = state_of(self._sensor)
+                answer = partial(future.set_result, job(self._sensor))
             except Exception as error:
-                future.set_exception(error)
-            else:
-                future.set_result(result)
+                answer = partial(future.set_exception, error)
+            if changes:  # half of a change that failed may stand
+                with contextlib.suppress(AdisGonioError):
+                    self.state = state_of(self._sensor)
+            answer()
 
     def _refuse_jobs(self) -> None:
         while not self._jobs.empty():
-            _, future = self._jobs.get()
+            _, future, _ = self._jobs.get()
             if future.set_running_or_notify_cancel():
                 future.set_exception(self._failure or AdisGonioError("the server ends"))
 

@@ -10,10 +10,11 @@ import numpy as np
 
 from adis_gonio.errors import SessionError, UsageError
 from adis_gonio.model.records import Floats
+from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.session.plans import Plan, Position
 from adis_gonio.session.rows import Move, Record, StoredAttempt
 from adis_gonio.session.settings import LEAST_SAMPLES, Settings
-from adis_gonio.session.source import Measuring, SampleSource, SampleStream
+from adis_gonio.session.source import Measuring, SampleSource, SampleStream, as_source
 from adis_gonio.session.view import ArchiveView
 from adis_gonio.session.watch import window_samples
 
@@ -58,7 +59,7 @@ class Bench:
 
     Parameters
     ----------
-    source : SampleSource
+    sensor : Adis16354 or SampleSource
         Open.
     settings : Settings
         How to measure.
@@ -73,8 +74,8 @@ class Bench:
         Wait between stillness and a dwell; never less than the filter needs.
     """
 
-    def __init__(self, source: SampleSource, settings: Settings) -> None:
-        self.source = source
+    def __init__(self, sensor: Adis16354 | SampleSource, settings: Settings) -> None:
+        self.source = source = as_source(sensor)
         self.settings = settings
         self.stage: Stage | None = source.stage
         self.world: World | None = source.world
@@ -145,7 +146,7 @@ class Bench:
         self.configuration: Measuring = self.source.configure(settings)
         self.period_s = self.configuration.sample_period_s
         self.settle_s = max(settings.settle_s, self.configuration.settling_s)
-        self.window = window_samples(self.configuration.sample_rate_hz, self.configuration.settling_s)
+        self.window = window_samples(self.configuration)
         if settings.dwell_s < LEAST_SAMPLES * self.period_s:
             raise UsageError(
                 f"dwell_s is {settings.dwell_s:g}: at {1 / self.period_s:.4g} samples a second"

@@ -61,7 +61,7 @@ from adis_gonio.session.events import (
 from adis_gonio.session.plans import Plan, Position, blindness, extended, extension
 from adis_gonio.session.recording import Recording
 from adis_gonio.session.settings import Settings
-from adis_gonio.session.source import SampleSource, as_source
+from adis_gonio.session.source import SampleSource
 from adis_gonio.session.stillness import StillnessLimits, limits_from_noise
 from adis_gonio.session.watch import Look, NoiseMeter, StillnessWatch
 
@@ -176,8 +176,8 @@ class SessionRunner:
         if fixture_sigma_deg is not None and not fixture_sigma_deg >= 0:
             raise UsageError(f"fixture_sigma_deg is {fixture_sigma_deg}: take 0° or more")
         settings = settings or Settings()
-        source = as_source(sensor)
-        bench = Bench(source, settings)
+        bench = Bench(sensor, settings)
+        source = bench.source
         if auto:
             bench.require_auto(plan)
         header = Header(
@@ -219,7 +219,7 @@ class SessionRunner:
         """
         archive = Archive.open_existing(path)
         try:
-            bench = Bench(as_source(sensor), Settings.from_dict(archive.header().settings))
+            bench = Bench(sensor, Settings.from_dict(archive.header().settings))
             if auto:
                 bench.require_auto(archive.plan())
             bench.require_same_sensor(archive)

@@ -8,7 +8,7 @@ half, so that no short motion falls between two of them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from adis_gonio.errors import SessionError
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Floats
 from adis_gonio.session.stillness import StillnessLimits
+
+if TYPE_CHECKING:
+    from adis_gonio.session.source import Measuring
 
 WINDOW_S = 0.25
 LEAST_WINDOW = 32
@@ -36,12 +39,12 @@ EXPECTED_RATIO = 10.0
 STUCK_LOOKS = 3
 
 
-def window_samples(sample_rate_hz: float, settling_s: float) -> int:
+def window_samples(measuring: Measuring) -> int:
     """Length of a window of the watch in samples, for a rate and a filter's settling time."""
     return max(
         LEAST_WINDOW,
-        round(WINDOW_S * sample_rate_hz),
-        SETTLINGS_PER_WINDOW * round(settling_s * sample_rate_hz),
+        round(WINDOW_S * measuring.sample_rate_hz),
+        SETTLINGS_PER_WINDOW * round(measuring.settling_s * measuring.sample_rate_hz),
     )
 
 
