@@ -58,9 +58,9 @@ class SysfsTree:
             self.write(f"scan_elements/in_{name}_{what}", text)
 
     def state(self) -> dict[str, str]:
-        return {str(p.relative_to(self.device)): p.read_text().strip() for p in self.device.rglob("*_en")} | {
-            name: self.read(name) for name in ("buffer/enable", "buffer/length")
-        }
+        return {
+            str(p.relative_to(self.device)): p.read_text().strip() for p in self.device.rglob("*_en")
+        } | {name: self.read(name) for name in ("buffer/enable", "buffer/length")}
 
     # -- the driver's side ------------------------------------------------------------------------
 
@@ -110,5 +110,7 @@ class SysfsTree:
         if self._enabled("temp"):
             out += (230).to_bytes(2, "little")
         if self._enabled("timestamp"):
-            out += b"\xee" * (-len(out) % 8) + round(1e18 + count * 1e9 / self.rate_hz).to_bytes(8, "little")
+            out += b"\xee" * (-len(out) % 8) + round(1e18 + count * 1e9 / self.rate_hz).to_bytes(
+                8, "little"
+            )
         return out

@@ -41,7 +41,9 @@ def test_every_number_comes_back(bits, shift, signed, big, value):
     assert form.numbers(np.frombuffer(stored, form.dtype)).tolist() == [number]
 
 
-@pytest.mark.parametrize("text", ["", "s14/16", "le:s14/16", "le:s14/12>>0", "le:s16/16X3>>0", "le:s14/16>>3"])
+@pytest.mark.parametrize(
+    "text", ["", "s14/16", "le:s14/16", "le:s14/12>>0", "le:s16/16X3>>0", "le:s14/16>>3"]
+)
 def test_what_cannot_be_read_is_refused(text):
     with pytest.raises(CannotOpenError, match="format"):
         SampleFormat.parse(text)
@@ -66,7 +68,9 @@ def test_units_are_those_of_a_session():
 
 def test_a_session_takes_three_axes_and_one_column_of_each_kind():
     accel = [IioChannel(f"accel_{axis}") for axis in "xyz"]
-    names = [c.id for c in wanted([*accel, IioChannel("temp_x"), IioChannel("temp0"), IioChannel("light")], "")]
+    names = [
+        c.id for c in wanted([*accel, IioChannel("temp_x"), IioChannel("temp0"), IioChannel("light")], "")
+    ]
     assert names == ["accel_x", "accel_y", "accel_z", "temp0"]
     assert [c.id for c in wanted([*accel, IioChannel("anglvel_x")], "")] == names[:3]  # one gyro is no use
     with pytest.raises(CannotOpenError, match=r"accel_y, accel_z missing"):

@@ -125,7 +125,11 @@ class Operator:
 
 
 def test_auto_needs_a_stage(tmp_path):
-    with served() as server, open_source(url_of(server)) as source, pytest.raises(UsageError, match="stage"):
+    with (
+        served() as server,
+        open_source(url_of(server)) as source,
+        pytest.raises(UsageError, match="stage"),
+    ):
         SessionRunner.begin(source, tmp_path / "a.session", plan("mmpm"), QUICK, auto=True)
 
 
