@@ -1,4 +1,4 @@
-"""A tree like /sys/bus/iio/devices and /dev with an accelerometer, by the kernel's IIO ABI; Linux' files only.
+"""A tree like /sys/bus/iio/devices and /dev with an accelerometer, by the kernel's IIO ABI.
 
 The node in /dev is a FIFO: `feed` writes scans into it as a driver would, laid out by what is enabled.
 """

@@ -42,7 +42,7 @@ def test_every_number_comes_back(bits, shift, signed, big, value):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "s14/16", "le:s14/16", "le:s14/12>>0", "le:s16/16X3>>0", "le:s14/16>>3"]
+    "text", ["", "s14/16", "le:s14/16", "le:s14/12>>0", "le:s16/16X3>>0", "le:s9/8>>0"]
 )
 def test_what_cannot_be_read_is_refused(text):
     with pytest.raises(CannotOpenError, match="format"):

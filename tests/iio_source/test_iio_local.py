@@ -78,10 +78,10 @@ def test_single_values_are_polled_where_asked(tree):
     ("change", "options", "error", "match"),
     [
         (lambda t: t.write("buffer/enable", "1"), "", CannotOpenError, "in use"),
-        (lambda t: os.remove(t.node), "", CannotOpenError, "trigger"),
+        (lambda t: t.node.unlink(), "", CannotOpenError, "trigger"),
         (lambda t: t.write("in_accel_scale", "much"), "", CannotOpenError, "scale is 'much'"),
         (lambda t: t.write("scan_elements/in_accel_x_type", "le:s3"), "", CannotOpenError, "format"),
-        (lambda t: os.remove(t.device / "in_accel_sampling_frequency"), "", CannotOpenError, "rate=HZ"),
+        (lambda t: (t.device / "in_accel_sampling_frequency").unlink(), "", CannotOpenError, "rate=HZ"),
         (lambda t: None, "&poll=0", UsageError, "poll"),
         (lambda t: None, "&pol=5", UsageError, "did you mean 'poll'"),
     ],
