@@ -5,4 +5,5 @@ export DEBIAN_FRONTEND=noninteractive
 apt-get update -qq
 apt-get install -y -qq --no-install-recommends \
   gcc g++ make cppcheck libelf-dev gcc-avr avr-libc binutils-avr \
-  qemu-system-x86 busybox-static cpio kmod udev >/dev/null
+  qemu-system-x86 busybox-static cpio kmod udev \
+  libiio0 libiio-utils >/dev/null
