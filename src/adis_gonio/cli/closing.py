@@ -89,10 +89,13 @@ def _listed(names: list[str]) -> str:
 
 def _groups(summary: Mapping[str, Any]) -> str:
     """Groups that are not told apart, one a line, the first of them."""
+    from adis_gonio.model.effects import catalogue
+
+    known = catalogue()
     seen: dict[str, list[str]] = {}
     for names in summary["confounded"]:
         others = seen.setdefault(names[0], [])
-        others += [name for name in names[1:] if name not in others and not name.startswith("unnamed")]
+        others += [name for name in names[1:] if name not in others and name in known]
     lines = [f"{first} or {', '.join(others[:_MOST_GROUPS])}" for first, others in seen.items() if others]
     more = [f"and {len(lines) - _MOST_GROUPS} more"] if len(lines) > _MOST_GROUPS else []
     return "\n".join([*lines[:_MOST_GROUPS], *more]) or "–"

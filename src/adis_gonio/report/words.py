@@ -234,8 +234,8 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
     lines = []
     for first, others in groups.items():
         text = first
-        named = [name for name in others if not name.startswith("unnamed")]
-        nameless = [name for name in others if name.startswith("unnamed")]
+        named = [name for name in others if name in catalogue()]
+        nameless = [name for name in others if name not in named]
         told = named[:most] + nameless[:1]
         if told:
             more = len(named[most:]) + len(nameless[1:])

@@ -177,10 +177,13 @@ def _ended(result: TraceResult, wanted: list[Measurement], within: list[Measurem
 
 def _open_names(result: TraceResult) -> str:
     """Effects of the model that something else with a name could replace, each with the first of these."""
+    from adis_gonio.model.effects import catalogue
+
+    known = catalogue().keys() - {step.effect for step in result.steps}
     inside = {step.effect for step in result.steps}
     pairs: dict[str, str] = {}
     for names in result.confounded:
-        others = [name for name in names[1:] if not name.startswith("unnamed") and name not in inside]
+        others = [name for name in names[1:] if name in known]
         if names[0] in inside and others:
             pairs.setdefault(names[0], others[0])
     return ", and between ".join(f"{name} and {other}" for name, other in pairs.items())

@@ -22,7 +22,7 @@ Choices where the real behaviour is not known
 | updates during a flash update, restore or self-test | none; they start anew after it | D |
 | autonull | takes the filtered gyros of the last update, then a flash update | D |
 | precision autonull | mean of the unfiltered gyros over 30 s | D |
-| supply below 4.75 V at the end of a flash update | nothing saved, STATUS[2] | D |
+| supply below 4.75 V at the last update before a flash update ends | nothing saved, STATUS[2] | D |
 | bit 14 of a frame, COMMAND's high byte | ignored | D |
 | waking | SLP_CNT reads 0 and the taps are empty | D |
 | change of SMPL_PRD | updates start anew from there, the taps are empty | D |

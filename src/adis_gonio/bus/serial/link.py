@@ -26,8 +26,9 @@ HELLO_EVERY_S = 0.3
 # and takes what it hears for commands, that to erase a page among them. It leaves at once, though, where
 # the second byte of a command is no blank, and zeros at our rate can never look like the command to erase:
 # that has bits which are set side by side, zeros are high for a stop bit of 2 us in 20.
-ZEROS = bytes(16)
-"""Empty packets for the firmware; at 115 200 baud three bytes or four, of which two make a loader leave."""
+ZEROS = bytes(1)
+"""An empty packet for the firmware; for a loader a byte that is no command, and the next one no blank after
+it: two of them make it leave. Without gaps between them a run of zeros keeps some loaders in step."""
 ZEROS_EVERY_S = 0.02
 ZEROS_FIRST_S = 0.24
 """A loader listens 70 ms after the reset, 90 at most (start-up 65 ms, B)."""

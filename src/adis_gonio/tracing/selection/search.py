@@ -29,7 +29,7 @@ ANOTHER = 0.0
 
 FULL = 6
 """Models of each size that are extended by every term."""
-NAMED_SHARE = 3
+NAMES_ONLY = 3
 """One model in so many of the beam has names only: a nameless function of many columns imitates any two of
 several causes better than any two of their names do."""
 ACTIVE = 250
@@ -164,7 +164,7 @@ def _widest(problem: LinearProblem, fresh: dict[Model, float], count: int) -> li
     ranked = sorted(fresh, key=lambda m: -fresh[m])
     kept = ranked[:count]
     named = [m for m in ranked[count:] if _all_named(problem, m)]
-    kept += named[: max(count // NAMED_SHARE - len([m for m in kept if _all_named(problem, m)]), 0)]
+    kept += named[: max(count // NAMES_ONLY - len([m for m in kept if _all_named(problem, m)]), 0)]
     if ranked and len(ranked[0]) == 1:
         seen = {_face(problem.terms[m[0]]) for m in kept}
         for model in ranked[count:]:
