@@ -52,7 +52,7 @@ def test_values_come_back_from_the_archive_to_the_last_bit(tmp_path):
 
 def test_blocks_of_values_are_cut_and_joined():
     whole = values(40, lost=3)
-    parts = [cut(whole, 0, 10, 1), cut(whole, 10, 40, 2)]
+    parts = [cut(whole, 0, 10, counted=False), cut(whole, 10, 40, counted=True)]
     again = join(parts)
     assert np.array_equal(again.data, whole.data)
     assert again.lost == 3

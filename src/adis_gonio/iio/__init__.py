@@ -3,3 +3,7 @@
 `channels` says what a scan's bytes mean (no I/O), `local` and `network` are two ways to a device behind the
 contract of `device`, `source` makes a session's source of one.
 """
+
+from adis_gonio.iio.source import IioMeasuring, IioSource, open_from_url
+
+__all__ = ["IioMeasuring", "IioSource", "open_from_url"]

@@ -112,42 +112,54 @@ class ClientSession:
             case protocol.Timeout():
                 self._timeout_s = request.milliseconds / 1000.0 or None
                 return protocol.integer(0)
+            case protocol.Malformed():
+                raise Refused(request.errno, request.why)
+            case protocol.ReadAttribute() | protocol.WriteAttribute():
+                return await self._answer_attribute(request)
+            case (
+                protocol.Open()
+                | protocol.Close()
+                | protocol.ReadBuffer()
+                | protocol.WriteBuffer()
+                | protocol.GetTrigger()
+                | protocol.SetTrigger()
+                | protocol.SetBuffers()
+            ):
+                self._require_device(request.device)
+                return await self._answer_buffer(request)
+            case _:
+                raise Refused(Errno.EINVAL)
+
+    async def _answer_attribute(self, request: Request) -> bytes:
+        match request:
             case protocol.ReadAttribute(target, ""):
                 values = [await self._port.read(target, name) for name in self._port.names(target)]
                 return protocol.all_values([value.encode() for value in values])
-            case protocol.ReadAttribute():
-                value = await self._port.read(request.target, request.name)
-                return protocol.counted(value.encode() + b"\0")
-            case protocol.WriteAttribute(_, ""):
+            case protocol.ReadAttribute(target, name):
+                return protocol.counted((await self._port.read(target, name)).encode() + b"\0")
+            case protocol.WriteAttribute(target, name, value) if name:
+                await self._port.write(target, name, value)
+                return protocol.integer(len(value))
+            case _:
                 raise Refused(Errno.ENOSYS, "attributes are written one at a time")
-            case protocol.WriteAttribute():
-                await self._port.write(request.target, request.name, request.value)
-                return protocol.integer(len(request.value))
+
+    async def _answer_buffer(self, request: Request) -> bytes:
+        match request:
             case protocol.Open():
-                self._require_device(request.device)
                 self._open(request)
                 return protocol.integer(0)
             case protocol.Close():
-                self._require_device(request.device)
                 self._require_buffer()
                 self._close()
                 return protocol.integer(0)
             case protocol.ReadBuffer():
-                self._require_device(request.device)
                 return await self._send_scans(self._require_buffer(), request.size)
             case protocol.WriteBuffer():
-                self._require_device(request.device)
                 raise Refused(Errno.EPERM, "a sensor has no outputs")
-            case protocol.GetTrigger() | protocol.SetTrigger():
-                self._require_device(request.device)
-                raise Refused(Errno.ENOENT, "there are no triggers: the sensor's own updates drive it")
             case protocol.SetBuffers():
-                self._require_device(request.device)
                 return protocol.integer(0) if request.count else protocol.error(Errno.EINVAL)
-            case protocol.Malformed():
-                raise Refused(request.errno, request.why)
             case _:
-                raise Refused(Errno.EINVAL)
+                raise Refused(Errno.ENOENT, "there are no triggers: the sensor's own updates drive it")
 
     def _require_device(self, device: str) -> None:
         if not self._device.knows(device):

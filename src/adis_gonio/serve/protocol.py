@@ -22,7 +22,7 @@ Source: iiod's grammar (`iiod/parser.y`, `iiod/ops.c`) and the client's side of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal
@@ -281,46 +281,47 @@ def parse_line(line: bytes) -> Request:
         return Malformed(f"{words[0][:16]}: {error}")
 
 
+_ALONE: dict[str, Callable[[], Request]] = {
+    "EXIT": Exit,
+    "QUIT": Exit,
+    "HELP": Help,
+    "VERSION": Version,
+    "PRINT": Print,
+}
+_OF_DEVICE: dict[str, Callable[[str], Request]] = {"CLOSE": Close, "GETTRIG": GetTrigger}
+_OF_SIZE: dict[str, Callable[[str, int], Request]] = {"READBUF": ReadBuffer, "WRITEBUF": WriteBuffer}
+"""Requests by their verb: of no word more, of a device, of a device and a number of bytes."""
+
+
 def _parse(verb: str, words: list[str]) -> Request:
     match verb, words:
-        case (("EXIT" | "QUIT"), []):
-            return Exit()
-        case "HELP", []:
-            return Help()
-        case "VERSION", []:
-            return Version()
-        case "PRINT", []:
-            return Print()
+        case _, [] if verb in _ALONE:
+            return _ALONE[verb]()
+        case _, [device] if verb in _OF_DEVICE:
+            return _OF_DEVICE[verb](device)
+        case _, [device, size] if verb in _OF_SIZE:
+            return _OF_SIZE[verb](device, _count(size))
         case "TIMEOUT", [number]:
             return Timeout(_count(number))
-        case "OPEN", [device, samples, mask]:
-            return Open(device, _count(samples), _hexadecimal(mask))
-        case "OPEN", [device, samples, mask, cyclic] if cyclic.upper() == "CYCLIC":
-            return Open(device, _count(samples), _hexadecimal(mask), cyclic=True)
-        case "CLOSE", [device]:
-            return Close(device)
-        case "READBUF", [device, size]:
-            return ReadBuffer(device, _count(size))
-        case "WRITEBUF", [device, size]:
-            return WriteBuffer(device, _count(size))
-        case "GETTRIG", [device]:
-            return GetTrigger(device)
-        case "SETTRIG", [device]:
-            return SetTrigger(device, None)
-        case "SETTRIG", [device, trigger]:
-            return SetTrigger(device, trigger)
+        case "OPEN", [device, samples, mask, *rest] if [word.upper() for word in rest] in ([], ["CYCLIC"]):
+            return Open(device, _count(samples), _hexadecimal(mask), cyclic=bool(rest))
+        case "SETTRIG", ([device] | [device, _]):
+            return SetTrigger(device, words[1] if len(words) > 1 else None)
         case "SET", [device, name, count] if name.upper() == "BUFFERS_COUNT":
             return SetBuffers(device, _count(count))
         case "READ", [device, *rest]:
             return ReadAttribute(*_attribute(device, rest))
         case "WRITE", [device, *rest, size]:
-            length = _count(size)
-            if length > VALUE_LIMIT:
-                why = f"a value of {length} bytes; the limit is {VALUE_LIMIT}"
-                return Malformed(why, Errno.E2BIG, fatal=True)
-            return _Announced(WriteAttribute(*_attribute(device, rest), b""), length)
+            return _announced(device, rest, _count(size))
         case _:
             return Malformed(f"no request of {1 + len(words)} words begins with {verb[:16]}")
+
+
+def _announced(device: str, words: Sequence[str], size: int) -> Request:
+    if size > VALUE_LIMIT:
+        why = f"a value of {size} bytes; the limit is {VALUE_LIMIT}"
+        return Malformed(why, Errno.E2BIG, fatal=True)
+    return _Announced(WriteAttribute(*_attribute(device, words), b""), size)
 
 
 def _attribute(device: str, words: Sequence[str]) -> tuple[Target, str]:

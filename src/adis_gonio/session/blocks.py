@@ -1,8 +1,9 @@
 """Samples one after another, of the chip as words or of any other sensor as values.
 
-A session takes either: both have `time_s`, `lost`, `dropped`, `alarm` (None where the sensor tells of none),
-`registers` (names of the columns), `units`, `values()`, `accel_mg`, `first`, and this module's functions. The chip's are `ScanBlock`; `ValueBlock` is what a source
-gives that knows its values in units and nothing of the chip.
+A session takes either: both have `time_s`, `lost`, `dropped`, `alarm` (None where the sensor tells of
+none), `registers` (names of the columns), `units`, `values()`, `accel_mg`, `first`, and this module's
+functions. The chip's are `ScanBlock`; `ValueBlock` is what a source gives that knows its values in units
+and nothing of the chip.
 """
 
 from __future__ import annotations

@@ -21,9 +21,9 @@ def read_session(path: str | Path) -> Session:
 
     A session may be read while another program records it. Samples are in LSB (of a generic sensor in mg)
     and °/s, times in seconds since the session began. `facts` holds `configuration`, `registers` (before,
-    configured, after), `plan`, `settings`, `url`, `note`, `runs`, `dwells` (times, lost and dropped scans, STATUS and alarms of each),
-    `scanning` (how scans were got), `problems`, `advised` (what an advisor asked for, round by round),
-    `complete`, and for simulated sessions alone `truth`, which no fit may use.
+    configured, after), `plan`, `settings`, `url`, `note`, `runs`, `dwells` (times, lost and dropped scans,
+    STATUS and alarms of each), `scanning` (how scans were got), `problems`, `advised` (what an advisor
+    asked for, round by round), `complete`, and for simulated sessions alone `truth`, which no fit may use.
 
     Raises
     ------
