@@ -1,5 +1,6 @@
 """The server with plain sockets: answers, errors, many clients, clients that die, and its end."""
 
+import gc
 import os
 import signal
 import socket
@@ -15,6 +16,7 @@ from adis_gonio.cli import main
 from adis_gonio.errors import BusTimeoutError
 from adis_gonio.sensor import Adis16354
 from adis_gonio.serve.client import MOST_PENDING
+from adis_gonio.serve.server import SEND_BUFFER
 from adis_gonio.sim.bus import SimBus
 from fakes.counting_bus import CountingBus
 from serve.raw_client import WAIT_S, RawClient, served
@@ -348,3 +350,15 @@ def test_noise_on_the_wire_writes_nothing_and_stops_nobody():
         with server.client() as client:
             assert client.ask("TIMEOUT 1") == 0
         assert len(bus.writes) == before
+
+
+def test_the_servers_end_closes_a_connection_whose_answers_nobody_takes():
+    with socket.socket() as silent:
+        silent.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        with served() as server, server.client() as other:
+            silent.connect(("127.0.0.1", server.port))
+            asked = 2 * SEND_BUFFER // len(other.text("PRINT")) + 3  # more than the kernel takes
+            silent.sendall(b"PRINT\r\n" * asked + b"EXIT\r\n")
+            for _ in range(20):  # turns of the server's loop, in which it comes to EXIT
+                assert other.ask("TIMEOUT 1000") == 0
+        gc.collect()  # a transport that was left open warns when it is collected

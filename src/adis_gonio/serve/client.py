@@ -71,11 +71,15 @@ class ClientSession:
         finally:
             for task in tasks:
                 task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
             self._close()
             self._writer.close()
-            with contextlib.suppress(ConnectionError, TimeoutError):
-                await self._writer.wait_closed()
+            try:
+                await asyncio.gather(*tasks, return_exceptions=True)
+                with contextlib.suppress(ConnectionError, TimeoutError):
+                    await self._writer.wait_closed()
+            finally:
+                # The server's end may cancel here, too, while the client has not taken what was sent.
+                self._writer.transport.abort()
 
     async def _listen(self) -> None:
         """Bytes to requests, until there are no more."""
