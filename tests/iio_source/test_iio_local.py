@@ -9,7 +9,7 @@ import pytest
 
 from adis_gonio.cli import main
 from adis_gonio.errors import BusTimeoutError, CannotOpenError, ProtocolError, UsageError
-from adis_gonio.iio.source import find_devices
+from adis_gonio.iio.source import NO_FAULTS, find_devices
 from adis_gonio.session import load_session
 from adis_gonio.session.source import open_source
 from iio_source.sysfs_tree import NAME, OFFSET, SCALE, SysfsTree
@@ -118,18 +118,26 @@ def test_a_device_that_goes_away_is_an_error(tree):
         stream.close()
 
 
-def test_a_device_without_a_buffer_needs_polling(tmp_path):
+def test_a_device_without_a_buffer_needs_polling(tmp_path, capsys):
     tree = SysfsTree(tmp_path / "root", buffered=False)
     with pytest.raises(CannotOpenError, match="poll=HZ"):
         open_source(url_of(tree))
     assert main(["stream", url_of(tree, more="&poll=100"), "--seconds", "0.3", "--json"]) == 0
+    told = capsys.readouterr()
+    assert "not simultaneous" in told.err
+    document = json.loads(told.out)
+    assert document["alarm"] is None
+    assert document["dropped"] == 0
 
 
 def test_stream_records_a_generic_sensor_that_can_be_read_back(tree, tmp_path, capsys):
     out = tmp_path / "rest.csv"
     assert main(["stream", url_of(tree), "--seconds", "2.5", "-o", str(out)]) == 0
-    assert "scans by the device's own clock" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "scans by the device's own clock" in told
+    assert told.count(NO_FAULTS) == 1
     session = load_session(out)
+    assert NO_FAULTS in session.notes
     assert session.sensor == "generic"
     assert session.accel_unit == "mg"
     assert session.dwells[0].accel.mean(axis=0) == pytest.approx(AT_REST_MG, abs=3)
@@ -148,8 +156,10 @@ def test_what_only_the_chip_has_is_refused(tree, capsys, words):
 
 
 def test_commands_that_need_frames_say_so(tree, capsys):
-    for command in ("registers", "selftest", "serve"):
+    for command in ("registers", "selftest", "bringup", "serve"):
         assert main([command, url_of(tree)]) == 2
-        assert "gives samples" in capsys.readouterr().err
+        told = capsys.readouterr().err
+        assert "gives samples" in told
+        assert told.count("\n") == 1
     assert main(["devices", "--json"]) == 0
     json.loads(capsys.readouterr().out)

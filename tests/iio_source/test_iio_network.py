@@ -10,6 +10,7 @@ import pytest
 from adis_gonio import fit, load_session, trace
 from adis_gonio.cli import main
 from adis_gonio.errors import BusError, CannotOpenError, SessionError, UsageError
+from adis_gonio.iio.source import NO_FAULTS
 from adis_gonio.session import SessionRunner, Settings, plan
 from adis_gonio.session.events import DwellDone, ExtensionOffered, Finished, PositionAsked
 from adis_gonio.session.source import open_source
@@ -70,6 +71,8 @@ def test_a_session_by_network_finds_the_truth_and_is_traced(tmp_path):
     assert session.facts["configuration"]["device"] == "adis16354"
     assert set(session.facts["settings"]) == {"dwell_s", "settle_s", "still_timeout_s"}
     assert "truth" not in session.facts, "what a network hides stays hidden"
+    assert all(dwell["status"] is dwell["alarms"] is None for dwell in session.facts["dwells"])
+    assert session.notes.count(NO_FAULTS) == 1
     assert all(len(dwell) == pytest.approx(491, abs=2) for dwell in session.dwells)
     found = fit(session, method="ml").as_dict()["parameters"]
     for name in ("delta_k", "delta_phi", "bias_x", "bias_y"):
@@ -107,7 +110,10 @@ def test_calibrate_takes_it_from_the_command_line(tmp_path, monkeypatch, capsys)
         monkeypatch.setattr("sys.stdin", Operator(server, [0.0, 90.0]))
         words = ["calibrate", url_of(server), "--plan", "two-position", "--dwell", "0.6", "-o", str(path)]
         assert main(words) == 0
-    assert "generic on iio:ip:127.0.0.1" in capsys.readouterr().err
+    told = capsys.readouterr()
+    assert "generic on iio:ip:127.0.0.1" in told.err
+    assert "polled" not in told.err
+    assert " ".join((told.out + told.err).split()).count(NO_FAULTS) == 1
     assert len(load_session(path).dwells) == 2
 
 

@@ -7,10 +7,11 @@ from adis_gonio.errors import SessionError, UsageError
 from adis_gonio.sensor import open_sensor
 from adis_gonio.session import SessionRunner, Settings, plan
 from adis_gonio.session.archive import Archive, Attempt, Header
-from adis_gonio.session.blocks import ValueBlock, cut, join, session_columns
-from adis_gonio.session.events import DwellDone
+from adis_gonio.session.blocks import ValueBlock, count_alarms, cut, join, session_columns
+from adis_gonio.session.events import DwellDone, Problem
+from adis_gonio.session.faults import problems
 from adis_gonio.session.plans import Position
-from adis_gonio.session.source import has_frames, open_source
+from adis_gonio.session.source import ChipSource, has_frames, open_source
 
 SHORT = Settings(dwell_s=0.5)
 URL = "sim:?seed=3"
@@ -70,6 +71,43 @@ def test_a_bus_is_opened_as_the_chip_behind_it():
     assert has_frames(URL)
     assert not has_frames("iio:device0")
     with open_source(URL, variant="adis16354") as source:
+        assert isinstance(source, ChipSource)
         assert source.part.name == "adis16354"
         assert source.part.step_mg == 0.4672
         assert source.stage is source.sensor.bus.stage
+
+
+def test_what_the_chip_borrows_for_a_session_is_set_back_however_often_it_was_configured():
+    with open_source(URL) as source:
+        source.sensor.configure(linear_g=True)
+        before = source.registers()["MSC_CTRL"]
+        source.configure(SHORT)
+        source.configure(SHORT)
+        assert source.why_polled == ""
+        borrowed = source.registers()
+        assert borrowed["MSC_CTRL"] & ~before
+        with source.samples(SHORT, 64) as stream:
+            assert "data-ready edge" in stream.how
+        source.give_back()
+        source.give_back()
+        after = source.registers()
+        assert after["MSC_CTRL"] == before
+        # The wire may come off between two runs of a session: that is no other sensor.
+        assert source.identity(borrowed, {}) == source.identity(after, {})
+
+
+def test_a_session_that_forbids_data_ready_polls_and_says_why():
+    with open_source(URL) as source:
+        before = source.registers()["MSC_CTRL"]
+        source.configure(Settings(dwell_s=0.5, data_ready=False))
+        assert source.registers()["MSC_CTRL"] == before
+        assert "switched off" in source.why_polled
+        with source.samples(SHORT, 64) as stream:
+            assert "polling" in stream.how
+
+
+def test_a_sensor_without_words_of_status_is_judged_by_its_losses_alone():
+    data = np.tile([0.0, 0.0, 1000.0, 3.3], (40, 1))
+    block = ValueBlock(("ax", "ay", "az", "supply_v"), data, np.arange(40) / 100, lost=10)
+    assert count_alarms(block) == 0
+    assert problems(2, block, None) == [Problem("lost", "10 scans (20 %) were lost on the bus", 2)]

@@ -108,6 +108,8 @@ def command(
         stack.callback(tell_the_sum)  # after a failure too: what came before it stands
         stream = stack.enter_context(open_stream(min(scans_a_line, 1024)))
         click.echo(f"{url}: {rate:.4g} samples/s, {stream.how}", err=True)
+        if stream.caveat:
+            click.echo(stream.caveat, err=True)
         begin: float | None = None
         end = False
         try:

@@ -300,7 +300,7 @@ class BufferedSamples(IioStream):
 class PolledSamples(IioStream):
     """Single values, read one after another by the host's clock."""
 
-    how = "single values by the host's clock; the axes of a sample are not simultaneous"
+    how = "single values by the host's clock"
     caveat = f"the axes of a sample are not simultaneous; {NO_FAULTS}"
 
     def __init__(self, source: IioSource, block_samples: int) -> None:
