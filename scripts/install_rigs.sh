@@ -7,3 +7,8 @@ apt-get install -y -qq --no-install-recommends \
   gcc g++ make cppcheck libelf-dev gcc-avr avr-libc binutils-avr simavr libsimavr-dev \
   qemu-system-x86 busybox-static cpio kmod udev \
   libiio0 libiio-utils >/dev/null
+# The Raspberry Pi Pico's firmware: ARM compiler, its C library, and the emulator, which Node.js runs.
+apt-get install -y -qq --no-install-recommends \
+  gcc-arm-none-eabi binutils-arm-none-eabi picolibc-arm-none-eabi >/dev/null
+command -v npm >/dev/null || apt-get install -y -qq --no-install-recommends nodejs npm >/dev/null
+npm ci --silent --no-audit --no-fund --prefix "$(dirname "$0")/../tests/rig_rp2040"

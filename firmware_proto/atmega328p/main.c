@@ -39,6 +39,8 @@
 
 #define RECEIVE_RING 64u /* a power of two */
 
+const uint16_t board_capabilities = GP_CAP_DATA_READY | GP_CAP_HARD_RESET;
+
 /* 2 MHz is left out: it is the chip's limit, and resonators are off by 0.5 %. */
 const uint32_t board_clocks_hz[GP_CLOCKS] = {1000000ul, 500000ul, 250000ul, 125000ul, 0ul, 0ul};
 /* SPR1, SPR0 and SPI2X (bit 2) of these clocks. */

@@ -6,6 +6,9 @@
 
 #include "gonio_protocol.h"
 
+/* GP_CAP_DATA_READY, GP_CAP_HARD_RESET: the board has that wire. GP_CAP_USB: it is a USB device itself. */
+extern const uint16_t board_capabilities;
+
 /* SPI clocks in Hz, fastest first, 0 where unused. */
 extern const uint32_t board_clocks_hz[GP_CLOCKS];
 

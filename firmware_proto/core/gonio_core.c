@@ -308,7 +308,7 @@ static uint8_t hello(void)
     body[GP_HELLO_REPLY_MAJOR] = GONIO_MAJOR;
     body[GP_HELLO_REPLY_MINOR] = GONIO_MINOR;
     body[GP_HELLO_REPLY_PATCH] = GONIO_PATCH;
-    gonio_put16(body + GP_HELLO_REPLY_CAPABILITIES, GP_CAP_STREAM | GP_CAP_DATA_READY | GP_CAP_HARD_RESET);
+    gonio_put16(body + GP_HELLO_REPLY_CAPABILITIES, (uint16_t)(GP_CAP_STREAM | board_capabilities));
     body[GP_HELLO_REPLY_MAX_FRAMES] = GONIO_MAX_FRAMES;
     body[GP_HELLO_REPLY_MAX_LIST] = GONIO_MAX_LIST;
     body[GP_HELLO_REPLY_MAX_SCAN_BYTES] = GONIO_MAX_SCAN_BYTES;
@@ -574,11 +574,14 @@ static void take_packet(uint8_t length)
     send_later(reply, reply_length);
 }
 
-static void receive(void)
+/* 1 where bytes came in. */
+static uint8_t receive(void)
 {
     uint8_t left = BYTES_A_POLL;
+    uint8_t took = 0;
     uint8_t byte;
     while (left-- > 0u && outgoing == NULL && board_receive(&byte) != 0u) {
+        took = 1;
         switch (gonio_decode(&decoder, byte)) {
         case GONIO_PACKET:
             take_packet(decoder.length);
@@ -597,6 +600,7 @@ static void receive(void)
             break;
         }
     }
+    return took;
 }
 
 /* -- public ------------------------------------------------------------------------------------------- */
@@ -623,8 +627,9 @@ void gonio_init(void)
     board_select_edge(0);
 }
 
-void gonio_poll(void)
+uint32_t gonio_poll(void)
 {
+    uint8_t took = 0;
     period_triggers();
     if (stream.on != 0u) {
         scan();
@@ -635,8 +640,17 @@ void gonio_poll(void)
         if (board_send_room() >= outgoing_length + WIRE_OVERHEAD) {
             gonio_send(outgoing, outgoing_length);
             outgoing = NULL;
+            took = 1;
         }
     } else {
-        receive();
+        took = receive();
     }
+    if (took != 0u || outgoing != NULL || stream.closed != 0u || trigger.pending != 0u) {
+        return 0;
+    }
+    if (stream.on != 0u && stream.by_period != 0u) {
+        int32_t left_us = (int32_t)(stream.next_us - board_now_us());
+        return left_us > 0 ? (uint32_t)left_us : 0u;
+    }
+    return GONIO_IDLE;
 }

@@ -27,8 +27,11 @@
 /* Once, before anything else; the board is ready. */
 void gonio_init(void);
 
-/* From the main loop, for ever. */
-void gonio_poll(void);
+/* From the main loop, for ever. Returns for how many microseconds there is nothing to do unless an interrupt
+ * comes, so that a board may sleep; 0: call it again at once. */
+uint32_t gonio_poll(void);
+
+#define GONIO_IDLE 0xFFFFFFFFul /* only an interrupt brings work */
 
 /* From the data-ready interrupt. */
 void gonio_on_edge(uint32_t now_us);

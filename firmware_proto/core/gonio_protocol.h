@@ -27,6 +27,7 @@
 #define GP_CAP_STREAM 0x0001u /* runs a list of read frames by itself */
 #define GP_CAP_DATA_READY 0x0002u /* can trigger on data-ready edges and counts them */
 #define GP_CAP_HARD_RESET 0x0004u /* drives the chip's RST line */
+#define GP_CAP_USB 0x0008u /* is a USB device itself: there is no baud rate */
 
 #define GP_TRIGGER_RISING 0u /* rising edge of data-ready */
 #define GP_TRIGGER_FALLING 1u /* falling edge of data-ready */

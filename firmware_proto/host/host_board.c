@@ -9,6 +9,7 @@
 
 uint16_t (*host_frame_hook)(uint16_t word);
 
+const uint16_t board_capabilities = GP_CAP_DATA_READY | GP_CAP_HARD_RESET;
 const uint32_t board_clocks_hz[GP_CLOCKS] = {2000000ul, 1000000ul, 250000ul, 0ul, 0ul, 0ul};
 
 struct ring {

@@ -14,7 +14,7 @@ LINES = [line for line in rules().splitlines() if line and not line.startswith("
 
 
 def test_every_rule_is_well_formed_and_gives_access():
-    part = r'[A-Za-z{}]+(==|\+?=)"[^"]+"'
+    part = r'[A-Za-z_{}]+(==|\+?=)"[^"]+"'
     for line in LINES:
         assert re.fullmatch(f"{part}(, {part})+", line), line
         assert 'TAG+="uaccess"' in line
@@ -32,6 +32,7 @@ def test_both_backends_of_hidapi_and_every_bridge_are_covered():
         assert line in LINES
     assert rule_for('SUBSYSTEM=="spidev"')
     assert rule_for('SUBSYSTEM=="tty" 2341')
+    assert "ID_MM_DEVICE_IGNORE" in rule_for('SUBSYSTEM=="tty" ATTRS{manufacturer}=="adis-gonio"')
 
 
 def test_uaccess_tags_only_work_below_73():

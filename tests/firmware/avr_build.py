@@ -1,9 +1,10 @@
 """The firmware's ELF, built by avr-gcc, once a test run and set of options."""
 
 import shutil
-import subprocess
 from functools import cache
 from pathlib import Path
+
+from firmware.make import make as run_make
 
 PORT = Path(__file__).parents[2] / "firmware_proto" / "atmega328p"
 
@@ -22,16 +23,7 @@ def missing() -> str:
 
 def make(folder: Path, *arguments: str) -> str:
     """Run make with its products in a folder; returns what it printed."""
-    run = subprocess.run(
-        ["make", "-s", "-C", str(PORT), f"BUILD={folder}", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-    if run.returncode:
-        raise RuntimeError(f"make failed:\n{run.stdout}{run.stderr}")
-    return run.stdout
+    return run_make(PORT, folder, *arguments)
 
 
 @cache

@@ -23,6 +23,10 @@ TRIES = 40
 line most requests."""
 
 
+LATER_S = 0.0371
+"""Each try waits longer, so that it falls elsewhere between two scans: 0.25 s are 204.8 of them."""
+
+
 class RefusedError(Exception):
     """The firmware answered with an error."""
 
@@ -49,10 +53,10 @@ class Client:
     def request(self, body: Body, reply: type[Reply]) -> Reply:
         """A request with a new id, repeated with that id until it is answered."""
         self.next_id = (self.next_id + 1) & 0xFFFF
-        for _ in range(TRIES - 1):
+        for k in range(TRIES - 1):
             self.send(body, self.next_id)
             try:
-                return self.answer(self.next_id, reply)
+                return self.answer(self.next_id, reply, k * LATER_S)
             except TimeoutError:
                 self.retries += 1
         self.send(body, self.next_id)
@@ -61,9 +65,9 @@ class Client:
     def send(self, body: Body, request_id: int) -> None:
         self.port.send(encode(Packet.of(body, request_id)))
 
-    def answer(self, request_id: int, reply: type[Reply]) -> Reply:
+    def answer(self, request_id: int, reply: type[Reply], more_s: float = 0.0) -> Reply:
         """The reply with an id; `RefusedError`, or `TimeoutError`."""
-        end = self.port.now_s() + self._timeout_s
+        end = self.port.now_s() + self._timeout_s + more_s
         while self.port.now_s() < end:
             answer = None
             for packet in self.poll():

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from adis_gonio.bus.wire.protocol import BAUD
-from firmware import avr_build, host_core
+from firmware import avr_build, host_core, pico_build
 from firmware.client import Client
 from firmware.host_core import HostCore
 
@@ -73,3 +73,33 @@ def make_rig(avr_elf: Callable[..., Path]) -> Iterator[Callable[..., Any]]:
     yield make
     for rig in rigs:
         rig.check()
+
+
+@pytest.fixture
+def pico_uf2() -> Callable[..., Path]:
+    """Builds the Pico's firmware for options such as PID="0x0002"."""
+    reason = pico_build.missing()
+    if reason:
+        pytest.skip(reason)
+    return lambda **options: pico_build.uf2(_folder(), **options)
+
+
+@pytest.fixture
+def make_pico(pico_uf2: Callable[..., Path]) -> Iterator[Callable[..., Any]]:
+    """Builds Picos with options of their chip, and judges every frame that their pins have seen."""
+    from firmware.pico_rig import PicoRig
+
+    rigs: list[PicoRig] = []
+
+    def make(image: Path | None = None, **chip: Any) -> PicoRig:
+        rigs.append(PicoRig(image or pico_uf2(), **chip))
+        rigs[-1].sleep_s(0.1)  # start-up and the host's enumeration
+        return rigs[-1]
+
+    yield make
+    try:
+        for rig in rigs:
+            rig.check()
+    finally:
+        for rig in rigs:
+            rig.close()

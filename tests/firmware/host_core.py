@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import shutil
-import subprocess
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+
+from firmware.make import make
 
 HOST = Path(__file__).parents[2] / "firmware_proto" / "host"
 FRAME = ctypes.CFUNCTYPE(ctypes.c_uint16, ctypes.c_uint16)
@@ -25,15 +26,7 @@ def missing() -> str:
 @cache
 def build(folder: Path, target: str) -> Path:
     """A product of firmware_proto/host/Makefile."""
-    run = subprocess.run(
-        ["make", "-s", "-C", str(HOST), f"BUILD={folder}", str(folder / target)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
-    if run.returncode:
-        raise RuntimeError(f"make failed:\n{run.stdout}{run.stderr}")
+    make(HOST, folder, str(folder / target))
     return folder / target
 
 

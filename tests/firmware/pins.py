@@ -115,6 +115,10 @@ class PinLog:
         self.least.clear()
         self.longest_trail.clear()
 
+    def tightest_us(self) -> dict[str, float]:
+        """Tightest values of each mode, in µs."""
+        return {name: value / 16 for name, value in self.least.items()}
+
     def least_us(self, what: str, mode: str) -> float:
         """Tightest stall, period or clock period seen in a mode, in µs."""
         return self.least[f"{mode} {what}"] / 16

@@ -287,6 +287,10 @@ class Rig:
         untouched = len(ram) - len(ram.lstrip(bytes([PAINT])))
         return RAM_END + 1 - first_free - untouched
 
+    def register(self, name: str) -> int:
+        """What the chip holds in a register."""
+        return int(self.chip.memory[name])
+
     def edges_before(self, time_us: float) -> int:
         """Data-ready edges until a time of the firmware's clock, which began with the simulation."""
         return bisect.bisect(self.edges_s, time_us * 1e-6)

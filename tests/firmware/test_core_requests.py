@@ -72,7 +72,7 @@ def test_hello_tells_versions_limits_clocks_and_the_board(core):
     assert (reply.protocol, reply.nonce, reply.board) == (VERSION, 0xDEADBEEF, "host TEST1")
     assert reply.clocks_hz == (2_000_000, 1_000_000, 250_000, 0, 0, 0)
     assert (reply.max_frames, reply.max_list, reply.max_scan_bytes) == (32, 16, 182)
-    assert reply.capabilities == sum(FirmwareCapability)
+    assert reply.capabilities == sum(FirmwareCapability) - FirmwareCapability.USB
 
 
 def test_another_protocol_version_is_refused_with_the_firmwares_own(core):

@@ -112,3 +112,17 @@ def test_a_harmonic_that_is_rounding_on_the_grid_of_a_session_is_no_candidate() 
     assert len(grid) > 1
     assert not term.columns(ideal, grid).any()
     assert np.abs(term.columns(ideal, other)).max() > 0.4
+
+
+def test_functions_with_and_without_a_constant_keep_their_own_columns() -> None:
+    data = readings_of(forth_and_back())
+    terms = {term.label: term for term in nameless_terms(data)}
+    pairs = [(terms[label], terms[f"{label} + const"]) for label in terms if f"{label} + const" in terms]
+    assert len(pairs) > 50
+    for plain, beside in pairs:
+        alone, both = (t.columns(data.mean_mg, data.conditions) for t in (plain, beside))
+        axes, width = len(plain.axes), alone.shape[-1] // len(plain.axes)
+        assert both.shape[-1] == alone.shape[-1] + axes
+        first = both[:, list(plain.axes)[0], : width + 1]
+        np.testing.assert_array_equal(first[:, 0], 1.0)
+        np.testing.assert_array_equal(first[:, 1:], alone[:, list(plain.axes)[0], :width])

@@ -20,7 +20,7 @@ from adis_gonio.dwells.samples import Samples, samples_of, scatter
 from adis_gonio.dwells.sensitivity import sensitivity
 from adis_gonio.dwells.tones import tones
 from adis_gonio.dwells.variances import heterogeneous, noise_change
-from adis_gonio.tracing.outcome.values import Detectable
+from adis_gonio.estimation.values import Detectable
 
 _CORRELATED = 0.2
 _FARTHEST = 64

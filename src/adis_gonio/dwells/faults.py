@@ -30,8 +30,8 @@ from adis_gonio.dwells.finding import (
     positions_text,
 )
 from adis_gonio.dwells.samples import Samples, deviation
+from adis_gonio.estimation.values import Value
 from adis_gonio.model.records import Floats
-from adis_gonio.tracing.outcome.values import Value
 
 _NEIGHBOURS = 15
 _LEAST_SAMPLES = 2 * _NEIGHBOURS

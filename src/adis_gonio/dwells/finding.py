@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from adis_gonio.estimation.values import Value
 from adis_gonio.model.records import Floats
-from adis_gonio.tracing.outcome.values import Value
 
 Kind = Literal["drift", "settling", "step", "disturbance", "tone", "spikes", "stuck", "noise_change"]
 

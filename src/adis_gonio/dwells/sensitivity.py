@@ -16,7 +16,7 @@ from adis_gonio.dwells.samples import Samples
 from adis_gonio.dwells.tones import effective_dwells
 from adis_gonio.dwells.variances import LEAST_DWELLS as LEAST_LOUD
 from adis_gonio.dwells.variances import levels_of
-from adis_gonio.tracing.outcome.values import Detectable
+from adis_gonio.estimation.values import Detectable
 
 _POWER = 0.9
 _TAPERED = 2 / 3 * 0.95

@@ -29,8 +29,8 @@ from adis_gonio.dwells.finding import (
     with_u,
 )
 from adis_gonio.dwells.samples import Samples
+from adis_gonio.estimation.values import Value
 from adis_gonio.model.records import Floats
-from adis_gonio.tracing.outcome.values import Value
 
 LEAST_DWELLS = 3
 _LIVELY = 0.6

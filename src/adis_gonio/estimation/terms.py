@@ -209,7 +209,9 @@ class Basis:
     approximates: bool = False
     with_constant: bool = False
     local: Local = ""
-    _last: list[tuple[Conditions, Floats]] = field(default_factory=list, repr=False, compare=False)
+    _last: list[tuple[Conditions, Floats]] = field(
+        default_factory=list, init=False, repr=False, compare=False
+    )
 
     def over(self, conditions: Conditions) -> Floats:
         """`common` at the conditions (n, q); kept for the next term, since many share a basis.

@@ -26,11 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.errors import FitError
+from adis_gonio.estimation.values import Detectable, Value
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Floats, Session
 from adis_gonio.sensor.variants import VARIANTS
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, Step, TraceResult
-from adis_gonio.tracing.outcome.values import Detectable, Value
 
 BLOCKS = 10
 LEAST_ROWS = 200

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from adis_gonio.errors import AdisGonioError
+from adis_gonio.estimation.values import Detectable, Value
 from adis_gonio.model.effects import catalogue, effect
 from adis_gonio.model.effects.base import Parameter
 from adis_gonio.model.records import Session
 from adis_gonio.report.numbers import listed, number, p_text, percent, times, uncertain, with_unit
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, TraceResult
-from adis_gonio.tracing.outcome.values import Detectable, Value
 
 _IN_SAMPLES = "looked for within the dwells"
 _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")

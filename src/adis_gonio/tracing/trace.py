@@ -6,12 +6,13 @@ Session ─ readings ─▶ candidates ─▶ selection ─▶ validation ─▶
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from adis_gonio.advice.words import advise
 from adis_gonio.errors import FitError
+from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.estimation.terms import Term
 from adis_gonio.model.records import Session
@@ -29,7 +30,7 @@ from adis_gonio.tracing.outcome.findings import (
 )
 from adis_gonio.tracing.outcome.naming import judge
 from adis_gonio.tracing.outcome.openings import undecided
-from adis_gonio.tracing.outcome.result import Step, TraceResult
+from adis_gonio.tracing.outcome.result import ErrorFigures, Step, TraceResult
 from adis_gonio.tracing.outcome.sets import credible_sets
 from adis_gonio.tracing.selection.scatter import with_scatter
 from adis_gonio.tracing.selection.select import ADEQUATE, select
@@ -76,6 +77,8 @@ def trace(session: Session, max_effects: int = 6) -> TraceResult:
 
 def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
     """Trace readings; see `trace`."""
+    from adis_gonio.advice.words import advise  # next door, and it looks in here
+
     training, checking = data.training, data.checking
     _enough(training)
     named, missing = named_terms(training)
@@ -136,10 +139,12 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
     open_still = replace(selection, adequate=adequate)
     sets = tuple(one for one in credible_sets(selection) if one.present >= PRESENT)
     seen = tuple(finding for finding in findings if finding.effect not in weak)
+    if scatter is not None:
+        seen = (*seen, scatter_finding(scatter, _left_to_scatter(fits, figures)))
     advice, measurements = advise(data, open_still, terms, names.confounded)
     return TraceResult(
         adequate=adequate,
-        found=(*seen, *(() if scatter is None else (scatter_finding(scatter, final),))),
+        found=seen,
         sets=sets,
         steps=tuple(Step(label, error) for label, error in zip(steps, figures[1:], strict=True)),
         confounded=names.confounded,
@@ -157,6 +162,15 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         fits=(*fits[:-1], final.fit),
         inflation=final.inflation,
     )
+
+
+def _left_to_scatter(fits: Sequence[Fit], figures: Sequence[ErrorFigures]) -> float:
+    """Share of the base model's excess over the measured noise that the final model leaves."""
+    excess = [
+        fit.dof * max((figure.chi2_per_dof or 1.0) - 1.0, 0.0)
+        for fit, figure in zip(fits, figures, strict=True)
+    ]
+    return min(excess[-1] / max(excess[0], 1e-12), 1.0)
 
 
 def _enough(data: Readings) -> None:

@@ -1,10 +1,11 @@
 """`serial:/dev/ttyUSB0` - a board with the project's firmware (firmware_proto/), by pyserial.
 
-`serial:` where one USB serial port is there; `serial:socket://host:port` and pyserial's other URLs too.
+`serial:` where one USB serial port is there, or one that names itself (a Raspberry Pi Pico);
+`serial:socket://host:port` and pyserial's other URLs too.
 
 | option | meaning | default |
 |---|---|---|
-| `baud` | 500000, or 1000000 where the firmware was built so | 500000 |
+| `baud` | 500000, or 1000000 where the firmware was built so; a Pico has none | 500000 |
 | `edge` | edge of data-ready that starts a scan: `falling` or `rising` | falling |
 | `boot_ms` | how long the firmware is waited for after opening | 3000 |
 | `serial_number` | USB serial number, instead of a port | |
@@ -74,6 +75,8 @@ def _place(url: BusUrl, number: str) -> str:
     if not fits:
         what = f"port with serial number {number}" if number else "USB serial port"
         raise missing(url.text, what, ports.devices(boards))
+    if len(fits) > 1:
+        fits = [board for board in fits if ports.names_itself(board)] or fits
     if len(fits) > 1:
         raise several(url.text, ports.devices(fits))
     return str(fits[0].device)

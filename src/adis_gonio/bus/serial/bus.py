@@ -30,6 +30,8 @@ BOOT_S = 3.0
 """How long a hello is repeated after opening: many boards reset then, and their boot loader waits."""
 AGAIN_S = 1.5
 """How long where the board runs already."""
+_USB_BYTE_S = 1e-6
+"""A byte on a full-speed bus, where the board is a USB device itself: 64 of them in some 60 µs."""
 _GATHER_S = 0.01
 """A stream's bytes are fetched so often at most: fewer, larger reads cost less."""
 
@@ -50,7 +52,8 @@ class SerialBus(SpiBus):
     trigger : Trigger
         Edge of data-ready that starts a scan of a stream; the chip's pulse is low unless MSC_CTRL[1].
     baud : int
-        Tells how long a packet was on its way, which its times take into account.
+        Tells how long a packet was on its way, which its times take into account; a board that is a USB
+        device itself has none.
     link : Link
         In place of one of its own making.
     release : callable
@@ -86,7 +89,6 @@ class SerialBus(SpiBus):
         self._clock = clock
         self._trigger = trigger
         self.edge_rises = trigger is wire.Trigger.RISING
-        self._byte_s = 10 / baud
         self._link = link or Link(port, url=url, clock=clock)
         self._release = release or port.close
         self._stream: SerialStream | None = None
@@ -94,6 +96,8 @@ class SerialBus(SpiBus):
         self._board_us = 0
         self._lost_session = False
         self.firmware = self._link.hello(boot_s)
+        native = self.firmware.capabilities & wire.FirmwareCapability.USB
+        self._byte_s = _USB_BYTE_S if native else 10 / baud
         self.unbroken_frames = max(1, self.firmware.max_frames)
         self._timing = self._configure(SAFE_TIMING)
         self.capabilities = self._offered()

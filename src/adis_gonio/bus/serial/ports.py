@@ -14,6 +14,8 @@ from adis_gonio.errors import BusError, BusTimeoutError, NotInstalledError, Prot
 SLICE_S = 0.05
 """Longest single wait in a read. It never changes: pyserial would set up the whole port anew each time."""
 WRITE_S = 1.0
+PRODUCT = "adis-gonio"
+"""A firmware that is a USB device itself begins its product's name so, whatever its VID:PID."""
 
 
 def load() -> Any:
@@ -110,13 +112,20 @@ def list_boards() -> list[Any]:
     return sorted((port for port in ports if port.vid is not None), key=lambda port: str(port.device))
 
 
+def names_itself(port: Any) -> bool:
+    """Whether a port says by its USB strings that it is a board of ours, as the Pico's firmware does."""
+    return str(port.product or "").startswith(PRODUCT)
+
+
 def devices(ports: list[Any]) -> list[Device]:
     """Rows for a list of devices. Ports are not opened: that would reset many boards."""
     rows = []
     for port in ports:
         name = port.product or port.description or "serial port"
         number = f", serial number {port.serial_number}" if port.serial_number else ""
-        text = f"{name} ({port.vid:04x}:{port.pid:04x}{number}), if it has the adis-gonio firmware"
+        text = f"{name} ({port.vid:04x}:{port.pid:04x}{number})"
+        if not names_itself(port):
+            text += ", if it has the adis-gonio firmware"
         rows.append(Device(f"serial:{port.device}", text))
     return rows
 

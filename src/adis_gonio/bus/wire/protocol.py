@@ -64,6 +64,8 @@ class FirmwareCapability(IntFlag):
     """Can trigger on data-ready edges and counts them."""
     HARD_RESET = 1 << 2
     """Drives the chip's RST line."""
+    USB = 1 << 3
+    """Is a USB device itself: there is no baud rate."""
 
 
 class Trigger(IntEnum):

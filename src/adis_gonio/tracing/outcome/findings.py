@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
+from adis_gonio.estimation.values import Value
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.outcome.result import Finding, Rival, Unnamed
-from adis_gonio.tracing.outcome.values import Value
 from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, span
 from adis_gonio.tracing.selection.scatter import Scatter
 from adis_gonio.tracing.selection.select import Selection, fit_model
@@ -119,16 +119,16 @@ def told_from_zero(finding: Finding) -> bool:
     return not values or any(abs(v.value) > TOLD * (v.u or 0.0) for v in values)
 
 
-def scatter_finding(scatter: Scatter, selection: Selection) -> Finding:
-    """Scatter from dwell to dwell as an entry of `found`."""
+def scatter_finding(scatter: Scatter, explains: float) -> Finding:
+    """Scatter from dwell to dwell as an entry of `found`, with its share of the base model's excess."""
     return Finding(
         effect=scatter.kind,
         axes=(),
         parameters={"scatter": Value(scatter.value, scatter.u, scatter.unit)},
         p_value=min(1.0, float(np.exp(-scatter.log_odds))),
-        explains=0.0,
+        explains=explains,
         probability=float(1 / (1 + np.exp(-scatter.log_odds))),
-        cause="readings scatter from dwell to dwell by more than the samples within them do",
+        cause="Readings scatter from dwell to dwell by more than the samples within them do.",
     )
 
 

@@ -7,8 +7,8 @@ from typing import Any, Literal
 
 from adis_gonio.dwells.finding import WithinFinding
 from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.values import Detectable, Value, finite_or_none
 from adis_gonio.tracing.outcome.sets import CredibleSet
-from adis_gonio.tracing.outcome.values import Detectable, Value, finite_or_none
 
 
 @dataclass(frozen=True)
