@@ -12,6 +12,8 @@ from adis_gonio.bus.contract import SpiBus
 from adis_gonio.errors import BusError, NotInstalledError, UsageError
 
 ENTRY_POINT_GROUP = "adis_gonio.bus"
+SOURCE_GROUP = "adis_gonio.source"
+"""Entry points of what gives samples and no frames (see `adis_gonio.session.source`)."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,10 @@ def open_bus(url: str) -> SpiBus:
                     f" pip install 'adis-gonio[{parsed.scheme}]'"
                 ) from error
             return opener(parsed)
+    if any(point.name == parsed.scheme for point in entry_points(group=SOURCE_GROUP)):
+        raise UsageError(
+            f"'{url}': gives samples, but carries no frames to a chip: stream and calibrate take it"
+        )
     known = bus_schemes()
     near = difflib.get_close_matches(parsed.scheme, known, n=1)
     hint = f"did you mean '{near[0]}:'?" if near else f"known: {', '.join(known) or 'none'}"

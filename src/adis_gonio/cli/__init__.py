@@ -28,6 +28,7 @@ COMMANDS = {
     "registers": ("adis_gonio.cli.registers", "List, read and write registers."),
     "selftest": ("adis_gonio.cli.selftest", "Run the sensor's internal self-test."),
     "bringup": ("adis_gonio.cli.bringup", "Check a new board step by step, and what it says of the part."),
+    "serve": ("adis_gonio.cli.serve", "Serve the sensor as an IIO device over the network."),
     "devices": ("adis_gonio.cli.devices", "List the buses and the devices that are connected."),
 }
 

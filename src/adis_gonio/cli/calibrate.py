@@ -16,7 +16,6 @@ from adis_gonio.errors import FitError, SessionError, UsageError
 
 if TYPE_CHECKING:
     from adis_gonio.model.records import Session
-    from adis_gonio.sensor import Adis16354
     from adis_gonio.session import SessionRunner
     from adis_gonio.session.closing import TraceAdvisor
     from adis_gonio.session.events import (
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
         RepetitionOffered,
     )
     from adis_gonio.session.plans import Position
+    from adis_gonio.session.source import SampleSource
     from adis_gonio.tracing import TraceResult
 
 _WIDTH = 100
@@ -99,8 +99,8 @@ def command(
     With --trace the session then says which further positions would decide what is still open, and goes on
     with them until the model is adequate or no position is expected to show more.
     """
-    from adis_gonio.sensor import open_sensor
     from adis_gonio.session import load_session
+    from adis_gonio.session.source import open_source, refuse_chip_options
 
     if output.exists() and not resume:
         raise SessionError(f"{output}: exists already; --resume goes on with it, or choose another name")
@@ -108,12 +108,13 @@ def command(
         raise SessionError(f"{output}: no such session to resume")
     if max_extra is not None and not closing:
         raise UsageError("--max-extra limits what --trace adds: give --trace as well")
+    refuse_chip_options(url, _given("rate_hz", "filter_m", "range_dps", "variant", "no_check"))
     advisor = _advisor(max_extra) if closing else None
     if resume and not closing and _nothing_left(output):
         click.echo(f"{output}: complete, nothing is left to do", err=True)
         complete = True
     else:
-        with open_sensor(url, variant=options["variant"], check=not options["no_check"]) as sensor:
+        with open_source(url, variant=options["variant"], check=not options["no_check"]) as sensor:
             runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
             complete = Bench(runner, auto=options["auto"]).run()
     session = load_session(output)
@@ -174,8 +175,16 @@ def _nothing_left(path: Path) -> bool:
         return done and extension(view.plan(), len(view.dwells())) is None
 
 
+def _given(*names: str) -> dict[str, bool]:
+    """Which options stand on the command line, by their spelling there."""
+    context = click.get_current_context()
+    spelling = {option.name: option.opts[-1] for option in context.command.params}
+    default = click.core.ParameterSource.DEFAULT
+    return {spelling[name]: context.get_parameter_source(name) is not default for name in names}
+
+
 def _runner(
-    sensor: Adis16354,
+    sensor: SampleSource,
     output: Path,
     *,
     resume: bool,
@@ -200,7 +209,7 @@ def _runner(
         return SessionRunner.resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
     if options["latitude"] is not None and options["gravity_mps2"] is not None:
         raise UsageError("give --gravity or --latitude, not both")
-    world = getattr(sensor.bus, "world", None)
+    world = sensor.world
     gravity = options["gravity_mps2"]
     fixture = options["fixture_deg"]
     if options["latitude"] is not None:
@@ -288,12 +297,10 @@ class Bench:
                     self._say(f"  {event.done} positions are done")
             case events.Configured():
                 rate = event.configuration["sample_rate_hz"]
-                taps = 2 ** event.configuration["filter_m"]
+                filter_m = event.configuration.get("filter_m")
+                filtered = "" if filter_m is None else f", filter 2 × {2**filter_m} taps"
                 changed = ", ".join(f"{name} {a} → {b}" for name, (a, b) in event.changed.items())
-                self._say(
-                    f"  {rate:.1f} samples/s, filter 2 × {taps} taps"
-                    + (f"; changed {changed}" if changed else "")
-                )
+                self._say(f"  {rate:.1f} samples/s{filtered}" + (f"; changed {changed}" if changed else ""))
                 if event.why_polled:
                     self._say(f"  scans are polled: {event.why_polled}")
             case events.NoiseMeasured():

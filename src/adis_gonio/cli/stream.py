@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import click
@@ -11,8 +13,11 @@ import numpy as np
 
 from adis_gonio.cli.show import no_check_option, variant_option
 from adis_gonio.errors import UsageError
-from adis_gonio.sensor import DEFAULT_SCAN, ScanBlock, open_sensor
+from adis_gonio.sensor import DEFAULT_SCAN, Adis16354, open_sensor
 from adis_gonio.sensor.registers import registers as rows_of
+from adis_gonio.session.blocks import Block, count_alarms
+from adis_gonio.session.settings import Settings
+from adis_gonio.session.source import SampleStream, has_frames, open_source, refuse_chip_options
 
 
 @click.command("stream")
@@ -65,24 +70,33 @@ def command(
     if as_json and seconds is None:
         raise UsageError("--json needs --seconds: a document has an end")
     chosen = tuple(row.name for row in rows_of(names.split(","))) if names else DEFAULT_SCAN
+    chip_options: dict[str, object] = {"--registers": names, "--leave-registers": leave_registers}
+    chip_options |= {"--rate": rate_hz, "--filter": filter_m is not None, "--range": range_dps}
+    refuse_chip_options(url, chip_options | {"--no-check": no_check})
     if leave_registers and not (rate_hz is filter_m is range_dps is None):
         raise UsageError("--leave-registers writes nothing, so it excludes --rate, --filter and --range")
     with contextlib.ExitStack() as stack:
-        sensor = stack.enter_context(open_sensor(url, variant=variant, check=not no_check))
-        if rate_hz is not None or filter_m is not None or range_dps is not None:
-            sensor.configure(sample_rate_hz=rate_hz, filter_m=filter_m, gyro_range_dps=range_dps)
+        open_stream: Callable[[int], SampleStream]
+        if has_frames(url):
+            sensor = stack.enter_context(open_sensor(url, variant=variant, check=not no_check))
+            if rate_hz is not None or filter_m is not None or range_dps is not None:
+                sensor.configure(sample_rate_hz=rate_hz, filter_m=filter_m, gyro_range_dps=range_dps)
+            part, rate = sensor.variant.name, sensor.configuration().sample_rate_hz
+            open_stream = partial(_scans, sensor, chosen, leave_registers)
+        else:
+            source = stack.enter_context(open_source(url))
+            measuring = source.configure(Settings())
+            part, rate = source.part.name, measuring.sample_rate_hz
+            open_stream = partial(source.samples, Settings())
         recorder = None
         if output is not None:
             from adis_gonio.session.recorder import SamplesRecorder
 
             recorder = stack.enter_context(
-                SamplesRecorder(
-                    output, sensor.variant.name, gravity_mps2=gravity_mps2, title=f"stream {url}"
-                )
+                SamplesRecorder(output, part, gravity_mps2=gravity_mps2, title=f"stream {url}")
             )
-        rate = sensor.configuration().sample_rate_hz
         scans_a_line = max(1, round(every_s * rate))
-        waiting: list[ScanBlock] = []
+        waiting: list[Block] = []
         scans = lost = dropped = alarms = 0
 
         def tell_the_sum() -> None:
@@ -92,10 +106,10 @@ def command(
             click.echo(f"{scans} scans, {lost} lost{besides}{where}", err=True)
 
         stack.callback(tell_the_sum)  # after a failure too: what came before it stands
-        stream = stack.enter_context(
-            sensor.stream(chosen, block_scans=min(scans_a_line, 1024), leave_registers=leave_registers)
-        )
+        stream = stack.enter_context(open_stream(min(scans_a_line, 1024)))
         click.echo(f"{url}: {rate:.4g} samples/s, {stream.how}", err=True)
+        if stream.caveat:
+            click.echo(stream.caveat, err=True)
         begin: float | None = None
         end = False
         try:
@@ -104,7 +118,7 @@ def command(
                 if seconds is not None:
                     block, end = _until(block, begin + seconds)
                 scans, lost = scans + len(block), lost + block.lost
-                dropped, alarms = dropped + block.dropped, alarms + int(block.alarm.sum())
+                dropped, alarms = dropped + block.dropped, alarms + count_alarms(block)
                 if recorder is not None:
                     if stream.caveat and not recorder.rows:
                         recorder.notes = [stream.caveat]
@@ -123,13 +137,19 @@ def command(
         _document(waiting, lost, dropped)
 
 
-def _until(block: ScanBlock, end_s: float) -> tuple[ScanBlock, bool]:
+def _scans(
+    sensor: Adis16354, names: tuple[str, ...], leave_registers: bool, block_scans: int
+) -> SampleStream:
+    return sensor.stream(names, block_scans=block_scans, leave_registers=leave_registers)
+
+
+def _until(block: Block, end_s: float) -> tuple[Block, bool]:
     """The part of a block before a time, and whether it was reached."""
     keep = int(np.searchsorted(block.time_s, end_s))
     return block.first(keep), keep < len(block)
 
 
-def _line(blocks: list[ScanBlock], *, first: bool, since_s: float) -> None:
+def _line(blocks: list[Block], *, first: bool, since_s: float) -> None:
     values = np.concatenate([block.values() for block in blocks])
     if not len(values):
         return
@@ -145,13 +165,19 @@ def _line(blocks: list[ScanBlock], *, first: bool, since_s: float) -> None:
     click.echo(f"{time_s:9.2f}" + "".join(f"{cell:>19}" for cell in cells))
 
 
-def _document(blocks: list[ScanBlock], lost: int, dropped: int) -> None:
+def _alarms(blocks: list[Block]) -> list[bool] | None:
+    """Where an error or alarm stood; None for a sensor that tells of none."""
+    told = [block.alarm for block in blocks if block.alarm is not None]
+    return [bool(alarm) for part in told for alarm in part] if told or not blocks else None
+
+
+def _document(blocks: list[Block], lost: int, dropped: int) -> None:
     document = {
         "registers": list(blocks[0].registers) if blocks else [],
         "units": list(blocks[0].units) if blocks else [],
         "time_s": [float(t) for block in blocks for t in block.time_s],
         "values": [[float(value) for value in row] for block in blocks for row in block.values()],
-        "alarm": [bool(alarm) for block in blocks for alarm in block.alarm],
+        "alarm": _alarms(blocks),
         "lost": lost,
         "dropped": dropped,
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -13,6 +14,9 @@ from adis_gonio.sensor.variants import LEAST_M, RANGE_CODE
 FAST_BASE_S = 0.61035e-3
 SLOW_BASE_S = 18.921e-3
 """Time bases of SMPL_PRD (DS, A)."""
+
+ANALOG_POLE_HZ = 350.0
+"""-3 dB of the analog front end (DS, A)."""
 
 _RANGE_OF_CODE = {code: dps for dps, code in RANGE_CODE.items()}
 
@@ -41,6 +45,25 @@ def smpl_prd_for(sample_rate_hz: float) -> int:
 def filter_settling_samples(filter_m: int) -> int:
     """Samples until two boxcars of 2^M taps have settled: 2 * 2^M - 1 (DS, A)."""
     return int(2 * 2**filter_m - 1)
+
+
+def low_pass_3db_hz(filter_m: int, sample_rate_hz: float) -> float:
+    """Frequency in Hz at which the filter has halved the power (the table's column -3 dB; DS, A).
+
+    Two boxcars of N = 2^M taps pass (sin(N x) / (N sin x))² of an amplitude, with x = π f / rate. Without
+    them (M = 0) the analog pole is what is left.
+    """
+    if filter_m == 0:
+        return ANALOG_POLE_HZ
+    n = 2**filter_m
+    low, high = 0.0, math.pi / n  # the first zero
+    for _ in range(60):
+        x = (low + high) / 2
+        if (math.sin(n * x) / (n * math.sin(x))) ** 2 > math.sqrt(0.5):
+            low = x
+        else:
+            high = x
+    return sample_rate_hz * low / math.pi
 
 
 @dataclass(frozen=True)

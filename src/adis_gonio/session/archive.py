@@ -17,6 +17,7 @@ from typing import Any
 from adis_gonio import __version__
 from adis_gonio.errors import SessionError
 from adis_gonio.session import database
+from adis_gonio.session.blocks import to_bytes
 from adis_gonio.session.reading import read_session
 from adis_gonio.session.rows import Attempt, Header, Move, Record, StoredAttempt, checksum, to_json, utc_now
 from adis_gonio.session.view import ArchiveView
@@ -128,7 +129,7 @@ class Archive(ArchiveView):
                 len(attempt.blocks),
             )
             for sequence, (phase, block) in enumerate(attempt.blocks):
-                words, time_s = block.words.astype("<u2").tobytes(), block.time_s.astype("<f8").tobytes()
+                words, time_s = to_bytes(block), block.time_s.astype("<f8").tobytes()
                 self._insert("blocks", number, sequence, phase, len(block), block.lost, words, time_s)
             dropped = sum(block.dropped for phase, block in attempt.blocks if phase == "dwell")
             if dropped:

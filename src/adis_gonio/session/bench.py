@@ -10,26 +10,16 @@ import numpy as np
 
 from adis_gonio.errors import SessionError, UsageError
 from adis_gonio.model.records import Floats
-from adis_gonio.sensor.data_ready import MASK as DATA_READY_BITS
-from adis_gonio.sensor.data_ready import DataReadyLoan
 from adis_gonio.sensor.driver import Adis16354
-from adis_gonio.sensor.registers import REGISTERS
-from adis_gonio.sensor.scanning import ScanStream
 from adis_gonio.session.plans import Plan, Position
 from adis_gonio.session.rows import JsonDict, Move, Record, StoredAttempt
-from adis_gonio.session.settings import Settings
+from adis_gonio.session.settings import LEAST_SAMPLES, Settings
+from adis_gonio.session.source import Measuring, SampleSource, SampleStream, as_source
 from adis_gonio.session.view import ArchiveView
 from adis_gonio.session.watch import window_samples
 
 CHECKPOINT_S = 1e-3
 """Silence that ends in a checkpoint, so that no frame's timing reaches over the point of resuming."""
-
-_SETTINGS = tuple(
-    row.name
-    for row in REGISTERS
-    if row.readable and row.writable and row.name not in ("GPIO_CTRL", "SLP_CNT")
-)
-"""Control registers that hold settings; the two left out hold levels of lines and a count that runs."""
 
 
 class Stage(Protocol):
@@ -69,14 +59,14 @@ class Bench:
 
     Parameters
     ----------
-    sensor : Adis16354
+    sensor : Adis16354 or SampleSource
         Open.
     settings : Settings
         How to measure.
 
     Attributes
     ----------
-    configuration : Configuration
+    configuration : Measuring
         How the sensor measures; known after `configure`, and so are the three that follow from it:
     window : int
         Samples of a window of the watch.
@@ -84,14 +74,12 @@ class Bench:
         Wait between stillness and a dwell; never less than the filter needs.
     """
 
-    def __init__(self, sensor: Adis16354, settings: Settings) -> None:
-        self.sensor = sensor
+    def __init__(self, sensor: Adis16354 | SampleSource, settings: Settings) -> None:
+        self.source = source = as_source(sensor)
         self.settings = settings
-        self.stage: Stage | None = getattr(sensor.bus, "stage", None)
-        self.world: World | None = getattr(sensor.bus, "world", None)
-        self._stream: ScanStream | None = None
-        self._loan: DataReadyLoan | None = None
-        self._why_polled = ""
+        self.stage: Stage | None = source.stage
+        self.world: World | None = source.world
+        self._stream: SampleStream | None = None
         self._scanning: JsonDict = {}
 
     @property
@@ -101,14 +89,14 @@ class Bench:
 
     @property
     def now_s(self) -> float:
-        """Clock of the bus."""
-        return self.sensor.bus.now_s()
+        """Clock of the source."""
+        return self.source.now_s()
 
     def require_auto(self, plan: Plan) -> None:
         """Raise `UsageError` where a plan cannot be run without an operator."""
         if self.stage is None:
             raise UsageError(
-                f"{self.sensor.bus.url}: auto needs a stage that the program can move, such as sim: has;"
+                f"{self.source.url}: auto needs a stage that the program can move, such as sim: has;"
                 " run it without auto"
             )
         free = any(position.angle_deg is None for position in plan.positions)
@@ -138,11 +126,11 @@ class Bench:
 
     def require_same_sensor(self, archive: ArchiveView) -> None:
         """Raise `SessionError` where a session was begun with another sensor."""
-        path, header, url = archive.path, archive.header(), self.sensor.bus.url
-        if self.sensor.variant.name != header.variant:
+        path, header, url = archive.path, archive.header(), self.source.url
+        if self.source.part.name != header.variant:
             raise SessionError(
                 f"{path}: began with an {header.variant.upper()}, this is an"
-                f" {self.sensor.variant.name.upper()}"
+                f" {self.source.part.name.upper()}"
             )
         if header.simulated != self.simulated:
             kind = "simulated" if header.simulated else "real"
@@ -154,35 +142,23 @@ class Bench:
 
     def configure(self) -> tuple[dict[str, int], dict[str, int]]:
         """Set the sensor up as the settings say; return all registers before and after."""
-        settings, sensor = self.settings, self.sensor
-        before = sensor.read_all()
-        sensor.configure(
-            smpl_prd=settings.smpl_prd, filter_m=settings.filter_m, gyro_range_dps=settings.gyro_range_dps
-        )
-        self._borrow_data_ready()
-        self.configuration = sensor.configuration()
+        settings = self.settings
+        before = self.source.registers()
+        self.configuration: Measuring = self.source.configure(settings)
         self.period_s = self.configuration.sample_period_s
         self.settle_s = max(settings.settle_s, self.configuration.settling_s)
         self.window = window_samples(self.configuration)
-        return before, sensor.read_all()
-
-    def _borrow_data_ready(self) -> None:
-        """Take data-ready for the session where it is wired; scans are polled where it is not."""
-        if self.settings.data_ready is False:
-            self._loan, self._why_polled = None, "data-ready is switched off for this session"
-            return
-        self._loan = self.sensor.lend_data_ready(self.settings.registers)
-        if self._loan is None:
-            self._why_polled = "this bus cannot use data-ready"
-        elif not self._loan.wired:
-            self._loan, self._why_polled = None, "no data-ready edge arrives: is DIO1 wired to the bridge?"
-        if self._loan is None and self.settings.data_ready:
-            raise SessionError(f"{self.sensor.bus.url}: {self._why_polled} (the session asks for it)")
+        if settings.dwell_s < LEAST_SAMPLES * self.period_s:
+            raise UsageError(
+                f"dwell_s is {settings.dwell_s:g}: at {1 / self.period_s:.4g} samples a second"
+                f" take {LEAST_SAMPLES * self.period_s:.3g} s or more"
+            )
+        return before, self.source.registers()
 
     @property
     def why_polled(self) -> str:
         """Why scans are polled, in words; empty where they are not."""
-        return self._why_polled
+        return self.source.why_polled
 
     @property
     def scanning(self) -> JsonDict:
@@ -190,53 +166,44 @@ class Bench:
         return dict(self._scanning)
 
     def close(self) -> None:
-        """End the stream and set data-ready back; may be called twice."""
+        """End the stream and set back what was borrowed for the session; may be called twice."""
         try:
             self.close_stream()
         finally:
-            loan, self._loan = self._loan, None
-            if loan is not None:
-                loan.give_back()
+            self.source.give_back()
 
     def require_same_settings(self, archive: ArchiveView, now: dict[str, int]) -> None:
         """Raise `SessionError` where a control register is not what it was when the session began."""
-        before = archive.last("registers-configured")
-        if before is None:
+        registers, measuring = archive.last("registers-configured"), archive.last("configuration")
+        if registers is None:
             return
-        for name in _SETTINGS:
-            # How scans are got is no setting: the wire of data-ready may be there or not.
-            ignored = DATA_READY_BITS if name == "MSC_CTRL" else 0
-            if (before.get(name, -1) ^ now[name]) & ~ignored:
+        before = self.source.identity(registers, measuring)
+        for name, value in self.source.identity(now, self.configuration.as_dict()).items():
+            if before.get(name) != value:
                 raise SessionError(
-                    f"{archive.path}: {name} was {before.get(name)} and is {now[name]}: another sensor, or"
+                    f"{archive.path}: {name} was {before.get(name)} and is {value}: another sensor, or"
                     " it was changed; set it back or begin a new session"
                 )
 
-    @staticmethod
-    def changes(before: dict[str, int], after: dict[str, int]) -> dict[str, tuple[int, int]]:
+    def changes(self, before: dict[str, int], after: dict[str, int]) -> dict[str, tuple[int, int]]:
         """Settings that differ: number before and after."""
-        return {name: (before[name], after[name]) for name in _SETTINGS if before[name] != after[name]}
+        names = self.source.identity(after, {})
+        return {name: (before[name], after[name]) for name in names if before[name] != after[name]}
 
     # -- scans and moves --------------------------------------------------------------------------
 
-    def scans(self) -> ScanStream:
+    def scans(self) -> SampleStream:
         """The running stream of scans, opened when first needed; two blocks fill a window."""
         if self._stream is None:
             block_scans = max(8, self.window // 2)
-            # The session has set the registers, and they stay as the archive says.
-            self._stream = self.sensor.stream(
-                self.settings.registers,
-                block_scans=block_scans,
-                leave_registers=True,
-                data_ready=self._loan is not None,
-            )
+            self._stream = self.source.samples(self.settings, block_scans)
         return self._stream
 
     def close_stream(self) -> None:
         """End the stream, so that registers can be read; may be called twice."""
         if self._stream is not None:
             stream, self._stream = self._stream, None
-            why = f"{self._why_polled}; " if self._why_polled else ""
+            why = f"{self.why_polled}; " if self.why_polled else ""
             self._scanning = {"how": f"{why}{stream.how}", "caveat": stream.caveat}
             stream.close()
 
@@ -274,7 +241,7 @@ class Bench:
 
     def checkpoint(self) -> None:
         """Make the present a point from which a simulated session can go on: silence before it."""
-        self.sensor.bus.sleep_s(CHECKPOINT_S)
+        self.source.sleep_s(CHECKPOINT_S)
 
     def bring_world_to(self, archive: ArchiveView, attempt: int) -> None:
         """Let a new simulated world live through what the archived one did.
@@ -298,19 +265,19 @@ class Bench:
         if attempt:
             # At its end the dwell's STATUS was read, which clears it: a bit that is left would show as EA.
             self._wait_until(end_s - CHECKPOINT_S / 2)
-            self.sensor.status()
+            self.source.status()
         self._wait_until(end_s)
 
     def _wait_until(self, bus_s: float) -> None:
-        bus = self.sensor.bus
-        if bus_s - bus.now_s() < -1e-6:
+        source = self.source
+        if bus_s - source.now_s() < -1e-6:
             raise SessionError(
                 "the simulated sensor is later than it was when the session was recorded (by another"
                 " version of the program?); begin a new session"
             )
         # The last step is short, hence exact in float64: the clock shows the archived time to the bit.
-        while (ahead := bus_s - bus.now_s()) > 0:
-            bus.sleep_s(ahead if ahead < CHECKPOINT_S else ahead - CHECKPOINT_S / 2)
+        while (ahead := bus_s - source.now_s()) > 0:
+            source.sleep_s(ahead if ahead < CHECKPOINT_S else ahead - CHECKPOINT_S / 2)
 
     def truth(self, dwells: Sequence[StoredAttempt] = ()) -> dict[str, float] | None:
         """What the simulation hides, as it was during dwells; None for a real sensor."""

@@ -6,13 +6,13 @@
 | `runs` | one opening of the session by a program: the first, and one each time it is resumed |
 | `records` | something that happened: registers read, a configuration, a plan, a problem, the end (JSON) |
 | `attempts` | one try at a dwell, complete or interrupted, with its times and what interrupted it |
-| `blocks` | the raw words of an attempt (uint16, little-endian, scan by scan) and their times (float64) |
+| `blocks` | scans of an attempt: words (uint16), of a generic sensor values (float64); times (float64) |
 | `moves` | a move of the stage by the program, at its time on the bus's clock |
 
 Every table refuses UPDATE and DELETE: what was written stays. Every row ends with a checksum of the others.
-Times called `bus_s` are on the clock of the bus of that run, in s; adding the run's `clock_offset_s` makes
-them seconds since the session began. `continues` is the attempt after which a resumed run goes on, 0 for
-the beginning: a simulated world is brought back to that point.
+Numbers in blobs are little-endian. Times called `bus_s` are on the clock of the bus of that run, in s;
+adding the run's `clock_offset_s` makes them seconds since the session began. `continues` is the attempt
+after which a resumed run goes on, 0 for the beginning: a simulated world is brought back to that point.
 
 Durability: a rollback journal (`journal_mode=DELETE`), so that there is one file and nothing beside it
 between commits, and `synchronous=EXTRA`, which besides the file syncs the directory once the journal is

@@ -14,6 +14,7 @@ import numpy as np
 
 from adis_gonio.sensor.decoding import ScanBlock
 from adis_gonio.sensor.settings import Status
+from adis_gonio.session.blocks import Block
 from adis_gonio.session.events import Problem
 from adis_gonio.session.rows import JsonDict
 
@@ -56,10 +57,10 @@ class Alarms:
         )
 
 
-def alarms_of(scans: ScanBlock) -> Alarms | None:
-    """When EA stood in the scans of a dwell; None where it never did."""
+def alarms_of(scans: Block) -> Alarms | None:
+    """When EA stood in the scans of a dwell; None where it never did, or the sensor has no such bit."""
     alarm = scans.alarm
-    if not alarm.any():
+    if alarm is None or not alarm.any():
         return None
     edges = np.flatnonzero(np.diff(alarm.astype(np.int8), prepend=0, append=0))
     starts, ends = edges[::2], edges[1::2]
@@ -73,18 +74,15 @@ def alarms_of(scans: ScanBlock) -> Alarms | None:
     )
 
 
-def problems(place: int, scans: ScanBlock, status: Status) -> list[Problem]:
-    """What the operator should know of a dwell."""
-    found = [Problem("status", f"STATUS: {message}", place) for message in status.messages]
+def problems(place: int, scans: Block, status: Status | None) -> list[Problem]:
+    """What the operator should know of a dwell; STATUS is None where the sensor has none."""
+    messages = () if status is None else status.messages
+    found = [Problem("status", f"STATUS: {message}", place) for message in messages]
     alarms = alarms_of(scans)
     if alarms is not None:
-        why = (
-            ""
-            if status.word
-            else "; it has passed: over-range or the supply, whose bits fall by themselves"
-        )
+        why = "" if messages else "; it has passed: over-range or the supply, whose bits fall by themselves"
         found.append(Problem("alarm", f"{alarms}{why}", place))
-    if "SUPPLY_OUT" in scans.registers:
+    if isinstance(scans, ScanBlock) and "SUPPLY_OUT" in scans.registers:
         supply = scans.supply_v
         low, high = SUPPLY_LIMITS_V
         if supply.min() < low or supply.max() > high:

@@ -9,8 +9,7 @@ import numpy as np
 
 from adis_gonio.errors import DataError
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.sensor.decoding import ScanBlock, join
-from adis_gonio.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
+from adis_gonio.session.blocks import GENERIC, Block, join, session_columns
 from adis_gonio.session.faults import WITHOUT_NEWS, Alarms, alarms_of
 from adis_gonio.session.plans import Plan
 from adis_gonio.session.rows import JsonDict, StoredAttempt
@@ -20,11 +19,11 @@ from adis_gonio.session.view import ArchiveView
 def read_session(path: str | Path) -> Session:
     """Read a session file: its complete dwells, in the order in which they were recorded.
 
-    A session may be read while another program records it. Samples are in LSB and °/s, times in seconds
-    since the session began. `facts` holds `configuration`, `registers` (before, configured, after), `plan`,
-    `settings`, `url`, `note`, `runs`, `dwells` (times, lost and dropped scans, STATUS and alarms of each),
-    `scanning` (how scans were got), `problems`, `advised` (what an advisor asked for, round by round),
-    `complete`, and for simulated sessions alone `truth`, which no fit may use.
+    A session may be read while another program records it. Samples are in LSB (of a generic sensor in mg)
+    and °/s, times in seconds since the session began. `facts` holds `configuration`, `registers` (before,
+    configured, after), `plan`, `settings`, `url`, `note`, `runs`, `dwells` (times, lost and dropped scans,
+    STATUS and alarms of each), `scanning` (how scans were got), `problems`, `advised` (what an advisor
+    asked for, round by round), `complete`, and for simulated sessions alone `truth`, which no fit may use.
 
     Raises
     ------
@@ -71,6 +70,7 @@ def read_session(path: str | Path) -> Session:
     return Session(
         dwells,
         sensor=header.variant,
+        accel_unit="mg" if header.variant == GENERIC else "lsb",
         gravity_mps2=header.gravity_mps2,
         fixture_sigma_deg=header.fixture_sigma_deg,
         plane=plan.plane,
@@ -81,24 +81,22 @@ def read_session(path: str | Path) -> Session:
     )
 
 
-def _dwell(number: int, attempt: StoredAttempt, scans: ScanBlock) -> Dwell:
-    def has(names: Sequence[str]) -> bool:
-        return all(name in scans.registers for name in names)
-
+def _dwell(number: int, attempt: StoredAttempt, scans: Block) -> Dwell:
+    columns = session_columns(scans)
     return Dwell(
         number,
         scans.time_s + attempt.offset_s,
-        scans.select(ACCEL_OUT).numbers().astype(np.float64),
+        np.column_stack([columns[name] for name in ("ax", "ay", "az")]),
         angle_deg=attempt.position.angle_deg,
         approach=attempt.position.approach,
         use=attempt.position.use,
-        gyro=scans.gyro_dps if has(GYRO_OUT) and scans.gyro_range_dps else None,
-        temperature_c=scans.temperature_c if any(name in scans.registers for name in TEMP_OUT) else None,
-        supply_v=scans.supply_v if has(("SUPPLY_OUT",)) else None,
+        gyro=np.column_stack([columns[name] for name in ("gx", "gy", "gz")]) if "gx" in columns else None,
+        temperature_c=columns.get("temp_c"),
+        supply_v=columns.get("supply_v"),
     )
 
 
-def _facts_of(attempt: StoredAttempt, scans: ScanBlock, dropped: int) -> JsonDict:
+def _facts_of(attempt: StoredAttempt, scans: Block, dropped: int) -> JsonDict:
     alarms = alarms_of(scans)
     return {
         "place": attempt.place,

@@ -15,22 +15,14 @@ import numpy as np
 
 from adis_gonio.errors import UsageError
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
-from adis_gonio.sensor import ScanBlock
-from adis_gonio.sensor.registers import BY_NAME, Kind
-
-_AXIS_COLUMNS = {
-    **{f"{axis}ACCL_OUT": f"a{axis.lower()}" for axis in "XYZ"},
-    **{f"{axis}GYRO_OUT": f"g{axis.lower()}" for axis in "XYZ"},
-    "XTEMP_OUT": "temp_c",
-    "SUPPLY_OUT": "supply_v",
-}
+from adis_gonio.session.blocks import GENERIC, Block, session_columns
 
 
 class SamplesRecorder:
     """Writes scans to a samples CSV (`.csv` or `.csv.gz`), a row a scan; use it as a context manager.
 
-    Accelerometers are written in LSB, as the sensor gave them; gyros in °/s, temperature in °C, supply
-    in V. Registers that the format has no column for are left out.
+    Accelerometers are written in LSB, as the sensor gave them (of a generic one in mg); gyros in °/s,
+    temperature in °C, supply in V. Registers that the format has no column for are left out.
 
     Attributes
     ----------
@@ -61,37 +53,29 @@ class SamplesRecorder:
         self._header = [
             f"# title: {' '.join(title.split()) or 'continuous recording'}",
             f"# sensor: {variant}",
-            "# accel_unit: lsb",
+            f"# accel_unit: {'mg' if variant == GENERIC else 'lsb'}",
             f"# gravity_mps2: {gravity_mps2:.6g}",
             "# fixture_sigma_deg: free",
             "# plane: none",
         ]
-        self._columns: list[str] | None = None
+        self._named = False
         self._file: IO[str] = (
             gzip.open(path, "xt", encoding="utf-8")  # noqa: SIM115 (closed by `close`)
             if path.name.endswith(".gz")
             else path.open("x", encoding="utf-8")
         )
 
-    def add(self, block: ScanBlock) -> None:
+    def add(self, block: Block) -> None:
         """Append the scans of a block."""
-        if self._columns is None:
-            self._columns = [name for name in _AXIS_COLUMNS if name in block.registers]
-            missing = [
-                name for name in ("XACCL_OUT", "YACCL_OUT", "ZACCL_OUT") if name not in self._columns
-            ]
-            if missing:
-                raise UsageError(
-                    f"a recording needs the accelerometers; the scan lacks {', '.join(missing)}"
-                )
-            names = ",".join(["time_s", *(_AXIS_COLUMNS[name] for name in self._columns)])
+        columns = session_columns(block)
+        if not self._named:
             notes = [f"# note: {' '.join(note.split())}" for note in self.notes]
-            self._file.write("\n".join([*self._header, *notes, names, ""]))
-        chosen = block.select(self._columns)
-        accel = [BY_NAME[name].kind is Kind.ACCEL for name in self._columns]
-        values = np.where(accel, chosen.numbers(), chosen.values())
-        formats = ["%.6f", *("%d" if whole else "%.6g" for whole in accel)]
-        np.savetxt(self._file, np.column_stack([block.time_s, values]), fmt=formats, delimiter=",")
+            self._file.write("\n".join([*self._header, *notes, ",".join(["time_s", *columns]), ""]))
+            self._named = True
+        whole = block.variant != GENERIC
+        formats = ["%d" if whole and name in ("ax", "ay", "az") else "%.6g" for name in columns]
+        table = np.column_stack([block.time_s, *columns.values()])
+        np.savetxt(self._file, table, fmt=["%.6f", *formats], delimiter=",")
         self._file.flush()
         self.rows += len(block)
         self.lost += block.lost

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-from adis_gonio.sensor.decoding import ScanBlock, join
+from adis_gonio.session.blocks import Block, cut, join
 from adis_gonio.session.plans import Position
 from adis_gonio.session.rows import Attempt, Move, Outcome, Phase
 
@@ -42,7 +40,7 @@ class Recording:
         self._dwell_s = dwell_s
         self._settle_s = settle_s
         self._period_s = period_s
-        self._blocks: list[ScanBlock] = []
+        self._blocks: list[Block] = []
         self._count = 0
         self._still_s: float | None = None
         self._begin_s = 0.0
@@ -83,7 +81,7 @@ class Recording:
             min(self._samples_time(self._count - 1) - self._begin_s, self._dwell_s) if self.begun else 0.0
         )
 
-    def add(self, block: ScanBlock) -> None:
+    def add(self, block: Block) -> None:
         """Take the next scans."""
         self._blocks.append(block)
         self._count += len(block)
@@ -116,7 +114,7 @@ class Recording:
         """True where the dwell's last sample has come and windows up to sample `checked` were still."""
         return self._stop is not None and checked >= self._stop
 
-    def scans(self) -> ScanBlock:
+    def scans(self) -> Block:
         """The dwell's scans as one block."""
         return join([block for phase, block in self._pieces() if phase == "dwell"])
 
@@ -159,11 +157,11 @@ class Recording:
                 return float(block.time_s[sample - index])
         raise IndexError(sample)
 
-    def _pieces(self) -> list[tuple[Phase, ScanBlock]]:
+    def _pieces(self) -> list[tuple[Phase, Block]]:
         """Blocks cut where the dwell begins and ends; what a cut block lost is counted to the dwell."""
         begin = self._count if self.begin is None else self.begin
         stop = self._count if self._stop is None else self._stop
-        pieces: list[tuple[Phase, ScanBlock]] = []
+        pieces: list[tuple[Phase, Block]] = []
         index = 0
         for block in self._blocks:
             edges = [min(max(edge - index, 0), len(block)) for edge in (0, begin, stop, self._count)]
@@ -175,20 +173,6 @@ class Recording:
             parts = [part for part in parts if part[2] > part[1]]
             lossy = "dwell" if any(part[0] == "dwell" for part in parts) else parts[0][0] if parts else ""
             for phase, low, high in parts:
-                piece = _cut(block, low, high)
-                if phase == lossy:
-                    piece = replace(piece, lost=block.lost, dropped=block.dropped)
-                pieces.append((phase, piece))
+                pieces.append((phase, cut(block, low, high, counted=phase == lossy)))
             index += len(block)
         return pieces
-
-
-def _cut(block: ScanBlock, low: int, high: int) -> ScanBlock:
-    """Some of a block's scans, without its counts."""
-    return ScanBlock(
-        block.registers,
-        block.words[low:high],
-        block.time_s[low:high],
-        variant=block.variant,
-        gyro_range_dps=block.gyro_range_dps,
-    )

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from adis_gonio import __version__
-from adis_gonio.sensor.decoding import ScanBlock
+from adis_gonio.session.blocks import Block
 from adis_gonio.session.plans import Plan, Position
 
 Phase = Literal["before", "dwell", "after"]
@@ -52,7 +52,7 @@ class Attempt:
         Wall clock, ISO 8601, UTC.
     started_bus_s, ended_bus_s : float
         Clock of the bus.
-    blocks : sequence of (phase, ScanBlock)
+    blocks : sequence of (phase, Block)
         Every scan that was read, in order; those of phase `dwell` are the dwell's samples.
     moves : sequence of Move
         What moved the stage for it.
@@ -66,7 +66,7 @@ class Attempt:
     started_utc: str
     started_bus_s: float
     ended_bus_s: float
-    blocks: Sequence[tuple[Phase, ScanBlock]]
+    blocks: Sequence[tuple[Phase, Block]]
     moves: Sequence[Move] = ()
     reason: str = ""
     status: int | None = None

@@ -38,6 +38,7 @@ from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.session.archive import Archive, Header, read_session, utc_now
 from adis_gonio.session.bench import Bench
+from adis_gonio.session.blocks import count_alarms
 from adis_gonio.session.closing import Advisor
 from adis_gonio.session.events import (
     Advised,
@@ -63,8 +64,9 @@ from adis_gonio.session.faults import problems
 from adis_gonio.session.plans import Plan, Position, blindness, extended, extension
 from adis_gonio.session.recording import Recording
 from adis_gonio.session.settings import Settings
+from adis_gonio.session.source import SampleSource
 from adis_gonio.session.stillness import StillnessLimits, limits_from_noise
-from adis_gonio.session.watch import Look, NoiseMeter, StillnessWatch, white_noise_gain
+from adis_gonio.session.watch import Look, NoiseMeter, StillnessWatch
 
 MOST_RESTARTS = 5
 """Interruptions of one dwell after which somebody has to look."""
@@ -129,7 +131,7 @@ class SessionRunner:
     @classmethod
     def begin(
         cls,
-        sensor: Adis16354,
+        sensor: Adis16354 | SampleSource,
         path: str | Path,
         plan: Plan,
         settings: Settings | None = None,
@@ -146,7 +148,7 @@ class SessionRunner:
 
         Parameters
         ----------
-        sensor : Adis16354
+        sensor : Adis16354 or SampleSource
             Open; stays open afterwards.
         path : path
             File to make; an existing session is never overwritten.
@@ -176,13 +178,14 @@ class SessionRunner:
             raise UsageError(f"fixture_sigma_deg is {fixture_sigma_deg}: take 0° or more")
         settings = settings or Settings()
         bench = Bench(sensor, settings)
+        source = bench.source
         if auto:
             bench.require_auto(plan)
         header = Header(
-            url=sensor.bus.url,
-            variant=sensor.variant.name,
+            url=source.url,
+            variant=source.part.name,
             plan=plan,
-            settings=settings.as_dict(),
+            settings={k: v for k, v in settings.as_dict().items() if k in source.kept},
             gravity_mps2=gravity_mps2,
             fixture_sigma_deg=math.inf if plan.plane == "none" else fixture_sigma_deg,
             title=title,
@@ -195,7 +198,7 @@ class SessionRunner:
     @classmethod
     def resume(
         cls,
-        sensor: Adis16354,
+        sensor: Adis16354 | SampleSource,
         path: str | Path,
         *,
         auto: bool = False,
@@ -295,7 +298,7 @@ class SessionRunner:
         began_s = bench.now_s
         yield Started(
             str(archive.path),
-            bench.sensor.bus.url,
+            bench.source.url,
             self._header.variant,
             self._plan,
             self._resumed,
@@ -321,8 +324,7 @@ class SessionRunner:
 
     def _measure_noise(self) -> Generator[Event, None, list[float] | None]:
         bench = self._bench
-        figures = bench.sensor.variant.performance
-        expected = figures.noise_mg * white_noise_gain(bench.configuration.filter_m)
+        expected = bench.source.expected_noise_mg(bench.configuration)
         meter = NoiseMeter(bench.window, expected)
         deadline = bench.now_s + bench.settings.still_timeout_s + meter.least_samples * bench.period_s
         noise: Floats | None = None
@@ -347,7 +349,7 @@ class SessionRunner:
 
     def _limit(self, noise: list[float]) -> NoiseMeasured:
         bench = self._bench
-        quantum = bench.sensor.variant.accel_mg_per_lsb
+        quantum = bench.source.part.step_mg
         limits = limits_from_noise(np.array(noise), bench.window, quantum)
         self._limits = limits
         self._noise_mg = np.maximum(noise, quantum / math.sqrt(12))
@@ -427,7 +429,7 @@ class SessionRunner:
 
     def _offer_extension(self) -> Generator[Event, None, Answer]:
         longer = extension(self._plan, len(self._done))
-        typical_mg = self._bench.sensor.variant.performance.initial_bias_mg
+        typical_mg = self._bench.source.part.initial_bias_mg
         gravity_mg = 1000.0 * self._header.gravity_mps2 / STANDARD_GRAVITY_MPS2
         blind = blindness(self._plan, typical_mg, gravity_mg)
         if longer is None or blind is None:
@@ -521,7 +523,7 @@ class SessionRunner:
             if self._stopping.is_set():
                 return True
             yield Waiting(place, length_s - left, length_s)
-            self._bench.sensor.bus.sleep_s(min(left, WAIT_STEP_S))
+            self._bench.source.sleep_s(min(left, WAIT_STEP_S))
         return False
 
     def _new_recording(self, place: int) -> Recording:
@@ -596,20 +598,20 @@ class SessionRunner:
         bench = self._bench
         bench.close_stream()
         self._tell_scanning()
-        status = bench.sensor.status()
+        status = bench.source.status()
         bench.checkpoint()
-        attempt = recording.attempt("complete", bench.now_s, status=status.word)
+        attempt = recording.attempt("complete", bench.now_s, status=None if status is None else status.word)
         number = self._archive.add_attempt(attempt)
         place, scans = recording.place, recording.scans()
         found = problems(place, scans, status)
         self._faulty.discard(place)
-        if status.word or scans.alarm.any():
+        alarms = count_alarms(scans)
+        if attempt.status or alarms:
             self._faulty.add(place)
         self._done[place] = number
         self._skipped.discard(place)
         self._last_place = place
         mean = _vector(scans.accel_mg.mean(axis=0))
-        alarms = int(scans.alarm.sum())
         yield DwellDone(place, recording.position, number, len(scans), scans.lost, mean, alarms)
         for problem in found:
             yield self._problem(problem)
@@ -633,7 +635,7 @@ class SessionRunner:
     def _finish(self) -> Finished:
         complete = self._next_place() is None
         self._bench.close()  # what was changed for the scans alone is set back first
-        self._note("registers-after", self._bench.sensor.read_all())
+        self._note("registers-after", self._bench.source.registers())
         self._note("truth", self._bench.truth(self._archive.dwells()))
         self._note("finished", {"complete": complete})
         return Finished(

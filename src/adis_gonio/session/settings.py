@@ -81,5 +81,5 @@ class Settings:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Settings:
-        """Settings from their JSON form."""
-        return cls(**{**data, "registers": tuple(data["registers"])})
+        """Settings from their JSON form; those that are not there have their defaults."""
+        return cls(**{**data, "registers": tuple(data.get("registers", DEFAULT_SCAN))})

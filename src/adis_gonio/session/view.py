@@ -12,8 +12,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from adis_gonio.sensor.decoding import ScanBlock
 from adis_gonio.session import database
+from adis_gonio.session.blocks import Block, count_alarms, from_bytes
 from adis_gonio.session.plans import Plan, Position
 from adis_gonio.session.rows import Header, JsonDict, Move, Phase, Record, StoredAttempt, checksum
 
@@ -116,7 +116,7 @@ class ArchiveView:
             attempt
             for attempt in self.dwells()
             if attempt.number not in kept
-            and (attempt.status or any(block.alarm.any() for block in self.blocks(attempt, "dwell")))
+            and (attempt.status or any(count_alarms(block) for block in self.blocks(attempt, "dwell")))
         ]
 
     def skipped(self) -> set[int]:
@@ -128,7 +128,7 @@ class ArchiveView:
         settled = {a.place for a in self.dwells()} | self.skipped()
         return [place for place in range(len(self.plan())) if place not in settled]
 
-    def blocks(self, attempt: StoredAttempt, phase: Phase | None = None) -> list[ScanBlock]:
+    def blocks(self, attempt: StoredAttempt, phase: Phase | None = None) -> list[Block]:
         """Scans of an attempt, of one phase or all, block by block, as they were read.
 
         Raises
@@ -142,15 +142,15 @@ class ArchiveView:
                 self.path, f"{len(rows)} of {attempt.blocks} blocks of attempt {attempt.number}"
             )
         return [
-            ScanBlock(
-                attempt.registers,
-                np.frombuffer(words, "<u2").astype(np.uint16).reshape(scans, len(attempt.registers)),
+            from_bytes(
+                words,
                 np.frombuffer(time_s, "<f8").astype(np.float64),
                 lost,
-                attempt.variant,
-                attempt.gyro_range_dps,
+                registers=attempt.registers,
+                variant=attempt.variant,
+                gyro_range_dps=attempt.gyro_range_dps,
             )
-            for _, _, name, scans, lost, words, time_s in rows
+            for _, _, name, _, lost, words, time_s in rows
             if phase in (None, name)
         ]
 

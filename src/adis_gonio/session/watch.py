@@ -8,15 +8,17 @@ half, so that no short motion falls between two of them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from adis_gonio.errors import SessionError
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Floats
-from adis_gonio.sensor.settings import Configuration, filter_settling_samples
 from adis_gonio.session.stillness import StillnessLimits
+
+if TYPE_CHECKING:
+    from adis_gonio.session.source import Measuring
 
 WINDOW_S = 0.25
 LEAST_WINDOW = 32
@@ -37,12 +39,12 @@ EXPECTED_RATIO = 10.0
 STUCK_LOOKS = 3
 
 
-def window_samples(configuration: Configuration) -> int:
-    """Length of a window of the watch in samples, for a rate and a filter."""
+def window_samples(measuring: Measuring) -> int:
+    """Length of a window of the watch in samples, for a rate and a filter's settling time."""
     return max(
         LEAST_WINDOW,
-        round(WINDOW_S * configuration.sample_rate_hz),
-        SETTLINGS_PER_WINDOW * filter_settling_samples(configuration.filter_m),
+        round(WINDOW_S * measuring.sample_rate_hz),
+        SETTLINGS_PER_WINDOW * round(measuring.settling_s * measuring.sample_rate_hz),
     )
 
 

@@ -71,14 +71,15 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
     density = np.median(diagonals * counts[:, np.newaxis], axis=0) * period_s
     variance = np.mean([part.var(axis=0, ddof=1) for part in samples], axis=0)
     told = session.facts.get("configuration")
-    if isinstance(told, dict):
+    told = told if isinstance(told, dict) and "smpl_prd" in told else None  # a generic sensor has none
+    if told is not None:
         smpl_prd, filter_m = int(told["smpl_prd"]), int(told["filter_m"])
     else:
         slowest, fastest = 1 / sample_period_s(0xFF), 1 / sample_period_s(1)
         smpl_prd = smpl_prd_for(min(max(1 / period_s, slowest), fastest))
         filter_m = 0
     white = np.sqrt(density / sample_period_s(smpl_prd))
-    if not isinstance(told, dict):
+    if told is None:
         wanted = float(np.mean(np.log(variance / white**2)))
         filter_m = min(range(7), key=lambda m: abs(math.log((bartlett(m) ** 2).sum()) - wanted))
     return SamplesNoise(smpl_prd, filter_m, white, np.sqrt(means.flicker))

@@ -1,0 +1,307 @@
+"""Where a session's samples come from: the chip behind its driver, or any other sensor.
+
+`SampleSource` is all that a session knows of its sensor. `ChipSource` is the driver as one; a package adds
+others by an entry point in the group `adis_gonio.source`: scheme = "module:opener".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from adis_gonio.bus.opening import SOURCE_GROUP, BusUrl
+from adis_gonio.errors import SessionError, UsageError
+from adis_gonio.sensor.data_ready import MASK as DATA_READY_BITS
+from adis_gonio.sensor.data_ready import DataReadyLoan
+from adis_gonio.sensor.driver import Adis16354, open_sensor
+from adis_gonio.sensor.registers import REGISTERS
+from adis_gonio.sensor.settings import Configuration, Status
+from adis_gonio.session.blocks import Block
+from adis_gonio.session.settings import Settings
+from adis_gonio.session.watch import white_noise_gain
+
+
+class Measuring(Protocol):
+    """How a sensor measures."""
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Samples a second."""
+
+    @property
+    def sample_period_s(self) -> float:
+        """Time between two of them."""
+
+    @property
+    def settling_s(self) -> float:
+        """Time until a filter has forgotten what was before; 0 where none is known."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+
+
+class SampleStream(Protocol):
+    """Blocks of samples until it is closed; a context manager.
+
+    Attributes
+    ----------
+    how : str
+        How the samples are got, in words.
+    """
+
+    how: str
+
+    @property
+    def caveat(self) -> str:
+        """What has to be known of the samples, in words; empty where nothing has."""
+
+    def __iter__(self) -> Iterator[Block]:
+        """Itself."""
+
+    def __next__(self) -> Block:
+        """Next block; raises `BusError` where the sensor fails."""
+
+    def close(self) -> None:
+        """Stop, and set back what was changed for the stream; may be called twice."""
+
+    def __enter__(self) -> Self:
+        """Itself."""
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What is known of a sensor before it is measured.
+
+    Attributes
+    ----------
+    name : str
+        The archive's `variant`: a part of the family, or `generic`.
+    initial_bias_mg : float
+        Typical bias of an axis.
+    step_mg : float
+        Step of the converter; 0 where it is not known.
+    """
+
+    name: str
+    initial_bias_mg: float
+    step_mg: float
+
+
+class SampleSource(Protocol):
+    """A sensor as a session sees it. Errors are those of `adis_gonio.errors`.
+
+    Attributes
+    ----------
+    url : str
+        What it was opened by.
+    part : Part
+    stage, world : object or None
+        What moves it and what is hidden, where these are simulated (see `bench.Stage`, `bench.World`).
+    kept : tuple of str
+        The settings of `Settings` that mean something to it; the archive keeps these.
+    why_polled : str
+        Why samples are polled where data-ready could start them; else empty. Known after `configure`.
+    """
+
+    url: str
+    part: Part
+    stage: Any
+    world: Any
+    kept: tuple[str, ...]
+    why_polled: str
+
+    def now_s(self) -> float:
+        """The sensor's own monotonic clock, on which its samples' times are."""
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait on that clock."""
+
+    def configure(self, settings: Settings) -> Measuring:
+        """Let it measure as the settings say, as far as it can, and say how it does.
+
+        What is borrowed for the samples' time alone (data-ready) stands until `give_back`.
+        """
+
+    def give_back(self) -> None:
+        """Set back what `configure` borrowed; may be called twice."""
+
+    def registers(self) -> dict[str, int]:
+        """All that can be read of its state; empty where there are no registers."""
+
+    def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
+        """What must be the same when a session goes on, out of registers and configuration then."""
+
+    def expected_noise_mg(self, measuring: Measuring) -> float:
+        """Estimate of a sample's noise at rest; ten times that is motion."""
+
+    def samples(self, settings: Settings, block_samples: int) -> SampleStream:
+        """Samples from now on, with nothing changed at the sensor that `configure` has set."""
+
+    def status(self) -> Status | None:
+        """Faults that the sensor reports, which clears them; None where it reports none."""
+
+    def close(self) -> None:
+        """Forget the sensor; may be called twice."""
+
+    def __enter__(self) -> Self:
+        """Itself."""
+
+    def __exit__(self, *error: object) -> None:
+        """Close."""
+
+
+HOLDING_SETTINGS = tuple(
+    row.name
+    for row in REGISTERS
+    if row.readable and row.writable and row.name not in ("GPIO_CTRL", "SLP_CNT")
+)
+"""Control registers that hold settings; the two left out hold levels of lines and a count that runs."""
+
+
+class ChipSource:
+    """The driver as a source of samples."""
+
+    kept = tuple(Settings.__dataclass_fields__)
+
+    def __init__(self, sensor: Adis16354) -> None:
+        self.sensor = sensor
+        self.url = sensor.bus.url
+        variant = sensor.variant
+        self.part = Part(variant.name, variant.performance.initial_bias_mg, variant.accel_mg_per_lsb)
+        self.stage: Any = getattr(sensor.bus, "stage", None)
+        self.world: Any = getattr(sensor.bus, "world", None)
+        self.why_polled = ""
+        self._loan: DataReadyLoan | None = None
+
+    def now_s(self) -> float:
+        """Clock of the bus."""
+        return self.sensor.bus.now_s()
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait on the bus's clock."""
+        self.sensor.bus.sleep_s(seconds)
+
+    def configure(self, settings: Settings) -> Configuration:
+        """Set the chip up, and borrow data-ready where it is wired unless the settings forbid it.
+
+        Raises
+        ------
+        SessionError
+            The settings insist on data-ready, and it cannot be used.
+        """
+        self.sensor.configure(
+            smpl_prd=settings.smpl_prd, filter_m=settings.filter_m, gyro_range_dps=settings.gyro_range_dps
+        )
+        self._borrow_data_ready(settings)
+        return self.sensor.configuration()
+
+    def _borrow_data_ready(self, settings: Settings) -> None:
+        self.give_back()
+        self.why_polled = ""
+        if settings.data_ready is False:
+            self.why_polled = "data-ready is switched off for this session"
+            return
+        loan = self.sensor.lend_data_ready(settings.registers)
+        if loan is None:
+            self.why_polled = "this bus cannot use data-ready"
+        elif not loan.wired:
+            self.why_polled = "no data-ready edge arrives: is DIO1 wired to the bridge?"
+        else:
+            self._loan = loan
+        if self.why_polled and settings.data_ready:
+            raise SessionError(f"{self.url}: {self.why_polled} (the session asks for it)")
+
+    def give_back(self) -> None:
+        """Set data-ready back; may be called twice."""
+        loan, self._loan = self._loan, None
+        if loan is not None:
+            loan.give_back()
+
+    def registers(self) -> dict[str, int]:
+        """All readable registers."""
+        return self.sensor.read_all()
+
+    def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
+        """The control registers that hold settings; without data-ready, whose wire may be there or not."""
+        held = {name: registers.get(name) for name in HOLDING_SETTINGS}
+        if held["MSC_CTRL"] is not None:
+            held["MSC_CTRL"] &= ~DATA_READY_BITS
+        return held
+
+    def expected_noise_mg(self, measuring: Measuring) -> float:
+        """The variant's estimate behind the filter that is set."""
+        filter_m = measuring.filter_m if isinstance(measuring, Configuration) else 0
+        return self.sensor.variant.performance.noise_mg * white_noise_gain(filter_m)
+
+    def samples(self, settings: Settings, block_samples: int) -> SampleStream:
+        """Scans of the registers that the settings name."""
+        # The session has set the registers, and they stay as the archive says.
+        return self.sensor.stream(
+            settings.registers,
+            block_scans=block_samples,
+            leave_registers=True,
+            data_ready=self._loan is not None,
+        )
+
+    def status(self) -> Status:
+        """STATUS."""
+        return self.sensor.status()
+
+    def close(self) -> None:
+        """Close the sensor."""
+        self.sensor.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def as_source(sensor: Adis16354 | SampleSource) -> SampleSource:
+    """A source of what may be the chip's driver."""
+    return ChipSource(sensor) if isinstance(sensor, Adis16354) else sensor
+
+
+def has_frames(url: str) -> bool:
+    """False where a URL names a source of samples without a chip's frames behind it."""
+    return BusUrl.parse(url).scheme not in {point.name for point in entry_points(group=SOURCE_GROUP)}
+
+
+def open_source(url: str, *, variant: str = "adis16354", check: bool = True) -> SampleSource:
+    """Open a source of samples by URL: a bus with the chip behind it, or another sensor (`iio:`).
+
+    Parameters
+    ----------
+    variant, check
+        As `open_sensor`; they mean the chip only.
+
+    Raises
+    ------
+    UsageError, CannotOpenError
+        As `open_bus`.
+    """
+    parsed = BusUrl.parse(url)
+    for point in entry_points(group=SOURCE_GROUP):
+        if point.name == parsed.scheme:
+            source: SampleSource = point.load()(parsed)
+            return source
+    return ChipSource(open_sensor(url, variant=variant, check=check))
+
+
+def refuse_chip_options(url: str, given: Mapping[str, object]) -> None:
+    """Raise `UsageError` where options for the chip come with a URL that has none behind it."""
+    names = [name for name, value in given.items() if value]
+    if names and not has_frames(url):
+        raise UsageError(f"{', '.join(names)}: for the ADIS16354 only; set up {url} by its own means")

@@ -1,0 +1,146 @@
+"""The IIO device: units, XML and the bytes of a scan."""
+
+import math
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from adis_gonio.errors import UsageError
+from adis_gonio.sensor import DEFAULT_SCAN, VARIANTS
+from adis_gonio.sensor.registers import REGISTERS
+from adis_gonio.sensor.settings import Configuration, low_pass_3db_hz, smpl_prd_for
+from adis_gonio.serve.device import IioDevice, ScanFormat, SensorState, filter_for
+from adis_gonio.serve.protocol import Errno, Refused
+from adis_gonio.serve.queues import ScanQueue
+
+ALL = tuple(row.name for row in REGISTERS if row.flags)
+
+
+def state_of(**changes):
+    settings = {"smpl_prd": 1, "filter_m": 2, "gyro_range_dps": 300}
+    configuration = Configuration(**(settings | changes), data_ready=False, linear_g=False, origin=False)
+    return SensorState(
+        configuration, {row.name: k for k, row in enumerate(REGISTERS) if "_OFF" in row.name}
+    )
+
+
+def device_of(part="adis16354", names=DEFAULT_SCAN):
+    return IioDevice(VARIANTS[part], names, 'a "sensor" & more')
+
+
+def value(device, channel, name, state):
+    return float(device.channel_value(device.channel(channel), name, state))
+
+
+@pytest.mark.parametrize(("part", "one_g"), [("adis16354", 2140), ("adis16350", 397)])
+def test_one_g_is_981_in_si_units_for_each_variant(part, one_g):
+    scale = value(device_of(part), "accel_z", "scale", state_of())
+    assert one_g * scale == pytest.approx(9.80665, rel=2e-3)
+
+
+@pytest.mark.parametrize("dps", [300, 150, 75])
+def test_the_gyros_scale_follows_the_range(dps):
+    scale = value(device_of(), "anglvel_x", "scale", state_of(gyro_range_dps=dps, filter_m=4))
+    # CHIP: 0.07326 °/s per LSB at ±300 °/s
+    assert math.degrees(scale) == pytest.approx(0.07326 * dps / 300)
+
+
+def test_temperature_is_millidegrees_and_supply_millivolts():
+    device, state = device_of(), state_of()
+    scale, offset = (value(device, "temp_x", name, state) for name in ("scale", "offset"))
+    assert (0 + offset) * scale == pytest.approx(25_000)
+    assert (100 + offset) * scale == pytest.approx(25_000 + 14_530)
+    assert 2730 * value(device, "voltage0", "scale", state) == pytest.approx(5000, rel=1e-3)
+
+
+def test_filter_frequencies_are_those_of_the_chips_table():
+    table = [350, 149, 67.3, 32.9, 16.4, 8.17, 4.08]
+    assert [low_pass_3db_hz(m, 819.2) for m in range(7)] == pytest.approx(table, rel=4e-3)
+    device, state = device_of(), state_of(smpl_prd=0x03)
+    offered = device.channel_value(
+        device.channel("accel_x"), "filter_low_pass_3db_frequency_available", state
+    )
+    assert [filter_for(float(hz), state) for hz in offered.split()] == list(range(7))
+    assert filter_for(1.0, state) == 6
+    for hz in (0.0, -3.0, math.inf):
+        with pytest.raises(Refused):
+            filter_for(hz, state)
+
+
+def test_every_rate_that_is_offered_is_one_that_the_part_has():
+    device, state = device_of(), state_of()
+    offered = device.device_value("sampling_frequency_available", state).split()
+    for hz in map(float, offered):
+        n = smpl_prd_for(hz)
+        assert device.device_value("sampling_frequency", state_of(smpl_prd=n)) == f"{hz:.10g}"
+    assert len(" ".join(offered)) < 1000  # libiio's buffers
+
+
+def test_the_xml_names_what_can_be_asked_for():
+    device, state = device_of(names=ALL), state_of()
+    root = ET.fromstring(device.xml(state))
+    assert root.get("description") == 'a "sensor" & more'
+    channels = root.findall("device/channel")
+    assert [c.get("id") for c in channels] == [c.id for c in device.channels]
+    assert [int(c.find("scan-element").get("index")) for c in channels] == list(range(len(channels)))
+    for element in channels[:-1]:
+        for attribute in element.findall("attribute"):
+            if attribute.get("name") != "raw":
+                device.channel_value(device.channel(element.get("id")), attribute.get("name"), state)
+    files = {a.get("filename") for a in root.iter("attribute") if a.get("filename")}
+    assert {
+        "in_accel_x_calibbias",
+        "in_voltage0_supply_raw",
+        "in_temp_z_offset",
+        "in_voltage1_raw",
+    } <= files
+    assert "in_accel_filter_low_pass_3db_frequency" in files
+
+
+@pytest.mark.parametrize("names", [(), ("XACCL_OUT", "XACCL_OUT"), ("STATUS",), ("ENDURANCE",)])
+def test_what_is_no_channel_is_not_served(names):
+    with pytest.raises(UsageError):
+        device_of(names=names)
+
+
+@pytest.mark.parametrize(
+    ("mask", "size", "offsets"),
+    [
+        ("00000001", 2, [0]),
+        ("00000007", 6, [0, 2, 4]),
+        ("00000101", 16, [0, 8]),  # a time after one sample: padded to its own size
+        ("000001ff", 24, [0, 2, 4, 6, 8, 10, 12, 14, 16]),
+    ],
+)
+def test_samples_are_aligned_as_libiio_expects(mask, size, offsets):
+    dtype = ScanFormat.of_mask(device_of(), mask).dtype
+    assert dtype.itemsize == size
+    assert [dtype.fields[name][1] for name in dtype.names] == offsets
+
+
+@pytest.mark.parametrize("mask", ["1", "00000000", "00000200", "0000000000000001"])
+def test_a_mask_that_does_not_fit_is_refused(mask):
+    with pytest.raises(Refused) as refused:
+        ScanFormat.of_mask(device_of(), mask)
+    assert refused.value.errno is Errno.EINVAL
+
+
+def test_packed_scans_are_little_endian_numbers():
+    packed = ScanFormat.of_mask(device_of(), "00000102").pack(
+        np.array([[0, -2, 0, 0, 0, 0, 0, 0]], np.int32), np.array([5], np.int64)
+    )
+    assert packed.tobytes() == b"\xfe\xff" + b"\0" * 6 + b"\x05" + b"\0" * 7
+
+
+def test_a_full_queue_loses_its_oldest_and_counts_them():
+    queue, scans = ScanQueue(10), np.arange(100).astype([("n", "<i4")])
+    taken = []
+    for k in range(0, 60, 6):
+        queue.put(scans[k : k + 6])
+        if k == 24:
+            taken += np.frombuffer(queue.take(4), "<i4").tolist()
+    taken += np.frombuffer(queue.take(1000), "<i4").tolist()
+    assert len(queue) == 0
+    assert taken == [20, 21, 22, 23, *range(50, 60)]
+    assert queue.lost == 60 - len(taken)
