@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from adis_gonio.estimation.readings import Readings
 from adis_gonio.fitting.methods import METHODS, applicable_methods, fit, fit_every, fit_readings
 from adis_gonio.fitting.result import Estimate, FitResult
 
@@ -10,7 +9,6 @@ __all__ = [
     "METHODS",
     "Estimate",
     "FitResult",
-    "Readings",
     "applicable_methods",
     "fit",
     "fit_every",
