@@ -73,7 +73,8 @@ def with_scatter(
     """The selection, or one under the noise with a variance component where that is the better account."""
     data = selection.data
     plain = {term.name for term in selection.terms} <= {"bias"}
-    if not data.noise_known or len(data) < LEAST_READINGS or (plain and selection.adequate):
+    untouched = plain and selection.adequate
+    if not max_effects or not data.noise_known or len(data) < LEAST_READINGS or untouched:
         return selection, None
     at_most = _evidence(selection)
     best: tuple[float, Selection, Kind, float] | None = None
