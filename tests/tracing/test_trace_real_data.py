@@ -9,7 +9,7 @@ import pytest
 
 from adis_gonio import load_session, trace
 from adis_gonio.cli import main
-from adis_gonio.tracing import series
+from adis_gonio.one_pose import series
 
 DATA = Path(os.environ.get("ADIS_GONIO_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 

@@ -85,7 +85,7 @@ class Fit:
     @classmethod
     def begin(cls, data: Readings, *, with_prior: bool = True) -> Fit:
         """The base model at rough values, not yet refitted."""
-        base, attitude = data.model.begin(data.mean_mg, data.turn_rad, np.isfinite(data.fixture))
+        base, attitude = data.model.begin(data.mean_mg, data.turn_rad, np.isfinite(data.angle_rad))
         return cls(data, (), Values(base, attitude), with_prior)
 
     def having(self, terms: Sequence[Term], values: Sequence[Floats]) -> Fit:
@@ -421,7 +421,7 @@ class Fit:
 
     def _placed_on(self, data: Readings, terms: Sequence[Term] | None) -> Fit:
         model = data.model
-        _, attitude = model.begin(data.mean_mg, data.turn_rad, np.isfinite(data.fixture))
+        _, attitude = model.begin(data.mean_mg, data.turn_rad, np.isfinite(data.angle_rad))
         if isinstance(model, PlanarTurn):
             shown = np.arctan2(data.mean_mg[:, 1], data.mean_mg[:, 0]) - self.values.base[0]
             attitude = np.where(np.isfinite(data.angle_rad), 0.0, shown)

@@ -125,7 +125,7 @@ def scatter_finding(scatter: Scatter, explains: float) -> Finding:
         effect=scatter.kind,
         axes=(),
         parameters={"scatter": Value(scatter.value, scatter.u, scatter.unit)},
-        p_value=min(1.0, float(np.exp(-scatter.log_odds))),
+        p_value=scatter.p_value,
         explains=explains,
         probability=float(1 / (1 + np.exp(-scatter.log_odds))),
         cause="Readings scatter from dwell to dwell by more than the samples within them do.",

@@ -32,7 +32,8 @@ PRIOR = 0.05
 """Prior probability of a variance component."""
 LEAST_RATIO = 0.5
 """Least size in units of the measured uncertainty: less changes no reading's weight."""
-LEAST_READINGS = 8
+LEAST_CHECKS = 6
+"""Least degrees of freedom that base model and bias leave: a variance is then known to a third."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,8 @@ class Scatter:
         What was measured within the dwells, or stated of the fixture, in the same unit.
     log_odds : float
         Log evidence for it against functions under the measured noise.
+    p_value : float
+        Of the ratio of restricted likelihoods beside the same model, over the prior of such a component.
     """
 
     kind: Kind
@@ -56,6 +59,7 @@ class Scatter:
     u: float
     declared: float
     log_odds: float
+    p_value: float
 
     @property
     def unit(self) -> str:
@@ -73,8 +77,9 @@ def with_scatter(
     """The selection, or one under the noise with a variance component where that is the better account."""
     data = selection.data
     plain = {term.name for term in selection.terms} <= {"bias"}
+    checks = selection.base.dof - data.axes
     untouched = plain and selection.adequate
-    if not max_effects or not data.noise_known or len(data) < LEAST_READINGS or untouched:
+    if not max_effects or not data.noise_known or checks < LEAST_CHECKS or untouched:
         return selection, None
     at_most = _evidence(selection)
     best: tuple[float, Selection, Kind, float] | None = None
@@ -192,8 +197,14 @@ def _stated(data: Readings, kind: Kind, size: float, chosen: Selection, log_odds
     def height(log_size: float) -> float:
         return _restricted(fit_under(chosen.fit, _with(data, kind, size * math.exp(log_size))))
 
+    from scipy.stats import chi2
+
+    none = _restricted(fit_under(chosen.fit, data))
+    ratio = 2 * max(height(0.0) - none, 0.0)
+    # At the edge of what a variance can be, half of the distribution is zero.
+    p_value = min(1.0, 0.5 * float(chi2.sf(ratio, 1)) / PRIOR)
     curvature = -(height(step) - 2 * height(0.0) + height(-step)) / step**2
     relative = 1 / math.sqrt(curvature) if curvature > 0 else 1.0
     factor: Callable[[float], float] = math.degrees if kind == "fixture_scatter" else float
     declared = data.fixture_rad if kind == "fixture_scatter" else _measured(data, kind)
-    return Scatter(kind, factor(size), factor(size) * relative, factor(declared), log_odds)
+    return Scatter(kind, factor(size), factor(size) * relative, factor(declared), log_odds, p_value)
