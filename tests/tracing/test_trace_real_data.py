@@ -70,11 +70,12 @@ def test_fourteen_poses_cannot_decide_between_drift_and_curvature(capsys):
 @pytest.mark.parametrize("name", ["xsens_mti_recording", *(f"mpu9150_{k}_recording" for k in range(5))])
 def test_nothing_beyond_bias_scale_and_skew_is_claimed(capsys, name):
     document = told(capsys, name)
-    assert names(document) == {"bias"}
+    in_counts = name.startswith("xsens")  # the zero of an axis is then part of its unit, and found with it
+    assert names(document) == (set() if in_counts else {"bias"})
     assert document["unnamed"] is None
     assert document["adequate"]
     before, after = document["error"]["before"], document["error"]["after"]
-    assert after["heldout_rms_mg"] < 0.1 * before["heldout_rms_mg"]
+    assert after["heldout_rms_mg"] < (0.2 if in_counts else 0.1 * before["heldout_rms_mg"])
     if name.startswith("mpu9150"):  # the poses of the other are too close to the faces
         assert "body axes" in document["heldout_design"]
 
