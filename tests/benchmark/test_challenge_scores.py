@@ -348,9 +348,13 @@ def test_the_trace_is_brought_into_an_answer():
     error = {"heldout_rms_mg": 0.2}
     trace = {
         "found": [
-            {"effect": "quadratic", "probability": 0.9, "parameters": {"k2_x": {"value": 3.0, "u": 0.1}},
-             "equivalents": ["bias + cross_quadratic"]},
+            {"effect": "quadratic", "probability": 0.9, "parameters": {"k2_x": {"value": 3.0, "u": 0.1}}},
             {"effect": "bias", "probability": 1.0, "parameters": {"bias_x": {"value": 9.0, "u": 0.1}}},
+        ],
+        "sets": [
+            {"names": ["quadratic", "asymmetry", "unnamed: reading"], "probability": [0.6, 0.3, 0.06]},
+            {"names": ["bias"], "probability": [1.0]},
+            {"names": ["unnamed: angle and time", "cubic"], "probability": [0.7, 0.26]},
         ],
         "confounded": [["quadratic", "asymmetry"]],
         "unnamed": {"covariates": ["time"], "probability": 0.7},
@@ -361,14 +365,18 @@ def test_the_trace_is_brought_into_an_answer():
                  "delta_phi": {"value": 0.1, "u": 0.01}},
     }  # fmt: skip
     said = answers.checked(adis_gonio.from_trace(trace))
-    assert said["causes"][0]["names"] == ["quadratic", "cross_quadratic", "asymmetry"]
+    (cause,) = said["causes"]
+    assert cause["names"] == ["quadratic", "asymmetry"]
+    assert cause["probability"] == [0.6, 0.3]
+    assert cause["parameters"] == {"k2_x": {"value": 3.0, "u": 0.1}}
     assert said["something"] == pytest.approx(0.9)
-    assert said["covariates"] == ["time"]
+    assert said["covariates"] == ["angle", "time"]
+    assert said["base"]["bias_x"] == {"value": 9.0, "u": 0.1}
     assert said["base"]["delta_k"]["value"] == pytest.approx(0.01)
     assert said["heldout"] == error
     assert adis_gonio.from_trace(trace | {"adequate": False})["something"] == 0.99
-    with_sets = trace | {"sets": [{"names": ["cubic", "quadratic"], "probability": [0.6, 0.36]}]}
-    assert adis_gonio.from_trace(with_sets)["causes"][0]["names"] == ["cubic", "quadratic"]
+    unsure = trace | {"found": [], "sets": [{"names": ["cubic", "quadratic"], "probability": [0.6, 0.36]}]}
+    assert adis_gonio.from_trace(unsure)["causes"][0]["names"] == ["cubic", "quadratic"]
 
 
 # Seal and board
