@@ -45,7 +45,8 @@ def test_trace_names_what_is_there_and_nothing_else(kind: str) -> None:
         assert len(covered) > 20
         assert np.mean(covered) > 0.85
     elif kind == "two":
-        assert at_least(0.90, (v.exact for v in verdicts)), told(verdicts)
+        # 93 of 100 (docs/trace.md); a bias within what 1/f noise makes of another day is no finding.
+        assert at_least(0.85, (v.exact for v in verdicts)), told(verdicts)
     else:
         share, most = (0.90, 0.05) if kind == "uncatalogued" else (0.60, 0.15)
         assert at_least(share, (v.covariate for v in verdicts)), told(verdicts)
