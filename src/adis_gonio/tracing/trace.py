@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from adis_gonio.errors import FitError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings, readings_of
@@ -175,7 +173,7 @@ def _left_to_scatter(fits: Sequence[Fit], figures: Sequence[ErrorFigures]) -> fl
 
 def _enough(data: Readings) -> None:
     base = len(data.model.parameters)
-    rows = len(data) * (1 if data.free or np.isinf(data.fixture).all() else 2)
+    rows = len(data) * (1 if data.free else 2)
     if rows < base:
         raise FitError(
             f"{len(data)} positions give {rows} equations for {base} base parameters; measure at least "

@@ -140,13 +140,13 @@ def _most_likely(fit: Fit, data: Readings, kind: Kind) -> float:
     scale = _measured(data, kind)
 
     def loss(log_size: float) -> float:
-        return -_restricted(fit_under(fit, _with(data, kind, scale * math.exp(log_size))))
+        return -_restricted(_fit_under(fit, _with(data, kind, scale * math.exp(log_size))))
 
     found = minimize_scalar(loss, bounds=(-2.0, 7.0), method="bounded", options={"xatol": 0.05})
     return scale * math.exp(float(found.x)) if float(found.fun) < loss(-6.0) else 0.0
 
 
-def fit_under(fit: Fit, data: Readings) -> Fit:
+def _fit_under(fit: Fit, data: Readings) -> Fit:
     """The same model refitted under other noise."""
     return replace(fit, data=data).refit(4)
 
@@ -192,14 +192,14 @@ def _restricted(fit: Fit, *, base_only: bool = False) -> float:
 
 def _stated(data: Readings, kind: Kind, size: float, chosen: Selection, log_odds: float) -> Scatter:
     """The component with its uncertainty, by the curvature of the restricted likelihood."""
+    from scipy.stats import chi2
+
     step = 0.1
 
     def height(log_size: float) -> float:
-        return _restricted(fit_under(chosen.fit, _with(data, kind, size * math.exp(log_size))))
+        return _restricted(_fit_under(chosen.fit, _with(data, kind, size * math.exp(log_size))))
 
-    from scipy.stats import chi2
-
-    none = _restricted(fit_under(chosen.fit, data))
+    none = _restricted(_fit_under(chosen.fit, data))
     ratio = 2 * max(height(0.0) - none, 0.0)
     # At the edge of what a variance can be, half of the distribution is zero.
     p_value = min(1.0, 0.5 * float(chi2.sf(ratio, 1)) / PRIOR)

@@ -9,6 +9,7 @@ import numpy as np
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.model.records import Floats
+from adis_gonio.tracing.selection.select import adequacy
 
 
 def unexpected(fit: Fit, others: Readings, inflation: float = 1.0) -> float:
@@ -18,8 +19,6 @@ def unexpected(fit: Fit, others: Readings, inflation: float = 1.0) -> float:
     (Cook and Weisberg, Residuals and Influence in Regression, 1982, chapter 2). What dwells share is taken
     as noise of each one's own.
     """
-    from scipy import stats
-
     alone = replace(others, own_covariance=others.covariance, slow_mg=None)
     there = fit.on(alone)
     residual = there.residual.ravel() / np.sqrt(inflation)
@@ -28,10 +27,7 @@ def unexpected(fit: Fit, others: Readings, inflation: float = 1.0) -> float:
     carried = rows[:, :size] @ _root(fit.covariance[:size, :size])
     spread = np.eye(len(rows)) + carried @ carried.T
     distance = float(residual @ np.linalg.solve(spread, residual))
-    count = there.equations
-    if np.isinf(others.noise_dof):
-        return float(stats.chi2.sf(distance, count))
-    return float(stats.f.sf(distance / count, count, max(others.noise_dof, 1.0)))
+    return adequacy(distance, there.equations, others.noise_dof)
 
 
 def _root(covariance: Floats) -> Floats:
