@@ -17,7 +17,7 @@ from tracing.undeclared import BEYOND, GRAMMAR
 from tracing.verdict import Verdict
 
 SEED = 11
-COUNTS = {"none": 24, "one": 2 * len(NAMES), "two": 20, "uncatalogued": len(GRAMMAR), "beyond": len(BEYOND)}
+COUNTS = {"none": 24, "one": 2 * len(NAMES), "two": 100, "uncatalogued": len(GRAMMAR), "beyond": len(BEYOND)}
 
 
 def at_least(share: float, hits: Iterable[bool]) -> bool:
@@ -45,8 +45,8 @@ def test_trace_names_what_is_there_and_nothing_else(kind: str) -> None:
         assert len(covered) > 20
         assert np.mean(covered) > 0.85
     elif kind == "two":
-        # 93 of 100 (docs/trace.md); a bias within what 1/f noise makes of another day is no finding.
-        assert at_least(0.85, (v.exact for v in verdicts)), told(verdicts)
+        # The true share is about 93 % (docs/trace.md): twenty sessions do not tell it from the bound.
+        assert at_least(0.90, (v.exact for v in verdicts)), told(verdicts)
     else:
         share, most = (0.90, 0.05) if kind == "uncatalogued" else (0.60, 0.15)
         assert at_least(share, (v.covariate for v in verdicts)), told(verdicts)
