@@ -81,6 +81,8 @@ class Cause:
         fabricating (a walk is smooth in time).
     plane, space : bool
         Where it can occur.
+    since : str
+        Name that the catalogue has had for it since the causes were written down, if any.
     needs : frozenset
         Of `temperature`, `supply`, `approach`, `vibration`, `fine_angles`: what the session must have.
     make : callable
@@ -94,18 +96,25 @@ class Cause:
     space: bool
     needs: frozenset[str]
     make: Maker
+    since: str = ""
 
 
 CAUSES: dict[str, Cause] = {}
 
 
 def _cause(
-    family: str, *covariates: frozenset[str], plane: bool = True, space: bool = True, needs: str = ""
+    family: str,
+    *covariates: frozenset[str],
+    plane: bool = True,
+    space: bool = True,
+    needs: str = "",
+    since: str = "",
 ) -> Callable[[Maker], Maker]:
     def register(make: Maker) -> Maker:
         name = make.__name__.strip("_")
         what = (make.__doc__ or "").strip()
-        CAUSES[name] = Cause(name, family, what, covariates, plane, space, frozenset(needs.split()), make)
+        required = frozenset(needs.split())
+        CAUSES[name] = Cause(name, family, what, covariates, plane, space, required, make, since)
         return make
 
     return register
@@ -194,13 +203,13 @@ def _travel(c: Circumstances) -> Floats:
 # Foreign: a form that the catalogue has, with a covariate or in a place where it does not have it
 
 
-@_cause("foreign", TIME)
+@_cause("foreign", TIME, since="scale_drift")
 def gain_time(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
     """The gain drifts evenly with time."""
     return _gain(c, a, rng, c.minutes)
 
 
-@_cause("foreign", SUPPLY, needs="supply")
+@_cause("foreign", SUPPLY, needs="supply", since="supply_scale")
 def gain_supply(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
     """The gain follows the supply."""
     return _gain(c, a, rng, c.supply_v - 5)
@@ -224,19 +233,19 @@ def angle_time(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted
     return _turned(c, c.minutes)
 
 
-@_cause("foreign", ANGLE, space=False)
+@_cause("foreign", ANGLE, space=False, since="stage_periodic")
 def angle_third(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
     """A stage's error of three cycles a turn."""
     return _turned(c, np.sin(3 * c.angle_rad + _phase(rng)))
 
 
-@_cause("foreign", ANGLE, space=False)
+@_cause("foreign", ANGLE, space=False, since="stage_periodic")
 def angle_fourth(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
     """A stage's error of four cycles a turn."""
     return _turned(c, np.sin(4 * c.angle_rad + _phase(rng)))
 
 
-@_cause("foreign", TEMPERATURE, needs="temperature")
+@_cause("foreign", TEMPERATURE, needs="temperature", since="misalignment_temperature")
 def misalignment_temperature(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
     """An axis leans towards another with the temperature."""
     value = np.zeros((c.n, c.axes))
@@ -342,7 +351,7 @@ def eccentricity_warms(c: Circumstances, a: Floats, rng: np.random.Generator) ->
     return _turned(c, (late - late[0]) * np.cos(c.angle_rad + _phase(rng)))
 
 
-@_cause("stranger", ANGLE, space=False, needs="fine_angles")
+@_cause("stranger", ANGLE, space=False, needs="fine_angles", since="stage_periodic")
 def worm_gear(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
     """A worm gear of 36 teeth: 36 cycles a turn."""
     return _turned(c, np.sin(36 * c.angle_rad + _phase(rng)))
@@ -360,7 +369,7 @@ def stick_slip(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted
     return _turned(c, 2 * np.mod(_travel(c) * rng.uniform(2.2, 3.7) + rng.random(), 1) - 1)
 
 
-@_cause("stranger", HISTORY | READING | TIME)
+@_cause("stranger", HISTORY | READING | TIME, since="creep")
 def creep_after_loading(c: Circumstances, a: Floats, rng: np.random.Generator) -> Planted:
     """The spring creeps towards its load with a time constant of minutes."""
     tau = rng.uniform(60, 240)

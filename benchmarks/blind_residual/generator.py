@@ -69,6 +69,8 @@ class Truth:
         Mean readings as recorded, check dwells too.
     planted : list of dict
         Of each cause what it added: `reading` (n, axes) mg, `angle` (n,) rad; of scatter its covariance.
+    since : list of str
+        Names that the catalogue has had since for causes that were none of its own: right, not asked for.
     """
 
     id: str
@@ -91,6 +93,7 @@ class Truth:
     circumstances: dict[str, Any]
     readings_mg: list[list[float]]
     planted: list[dict[str, Any]] = field(default_factory=list)
+    since: list[str] = field(default_factory=list)
 
     @classmethod
     def load(cls, path: Path) -> Truth:
@@ -446,6 +449,7 @@ def _try(rng: np.random.Generator, family: str, name: str) -> tuple[str, Truth] 
         parameters, _base(c, values, bias), targets, [float(x) for x in gain],
         any(p.is_scatter for p in planted), plane, fixture_deg, gravity, start.tolist(), samples, rate,
         [asdict(x) for x in noise], plain(c), readings.tolist(), [plain_planted(p) for p in planted],
+        [CAUSES[h].since for h in hidden if h in CAUSES and CAUSES[h].since],
     )  # fmt: skip
     return _csv(c, counts, start, rate, unit, fixture_deg, gravity_mps2, noise[0].reading_u_mg, rng), truth
 

@@ -65,9 +65,9 @@ def score(
     dict
         `claims` names and covariates claimed beside the bias; `right_top`, `right_set` shares of the
         true names that head a set, or lie in one; `false` something claimed where nothing is hidden;
-        `wrong` a name whose set holds no true name; `wrong_confident` one of more than 95 %;
+        `wrong` a name whose set holds no true name, nor one that the catalogue has had since; `wrong_confident` one of more than 95 %;
         `fabricated` a name or a covariate where only scatter is; `covariate` (strangers) every group of
-        words hit, without a name; …
+        words hit, without a name, or the name that the catalogue has had since; …
     """
     causes = [c for c in answer["causes"] if c["names"][0] != "bias"]
     scatter_named = [c for c in causes if c["names"][0] in SCATTER_NAMES]
@@ -75,13 +75,16 @@ def score(
     words = set(answer["covariates"])
     nothing = truth.family in ("nothing", "bias")
     truths = set(truth.names)
+    right_names = truths | set(truth.since)
     wrong = [
-        c for c in causes if not truths & set(c["names"]) and not (truth.scatter and c in scatter_named)
+        c
+        for c in causes
+        if not right_names & set(c["names"]) and not (truth.scatter and c in scatter_named)
     ]
     record: Record = {
         "id": truth.id, "family": truth.family, "kind": truth.kind, "plane": truth.plane,
         "dwells": len(truth.start_s),
-        "gain": truth.gain, "bin": gain_bin(truth.gain), "truth": sorted(truths),
+        "gain": truth.gain, "bin": gain_bin(truth.gain), "truth": sorted(right_names),
         "claims": [c["names"] for c in causes], "tops": [c["names"][0] for c in named],
         "covariates": sorted(words), "something": answer["something"], "seconds": seconds,
         "confident": [c["probability"][0] for c in causes], "notes": answer["notes"],
@@ -109,8 +112,10 @@ def score(
         record["fabricated"] = bool(named or words - allowed)
         record["scatter_named"] = bool(scatter_named)
     elif truth.covariates:
-        record["covariate"] = not causes and all(words & set(group) for group in truth.covariates)
-        record["covariate_some"] = any(words & set(group) for group in truth.covariates)
+        named_since = bool(causes) and not wrong
+        hit = [bool(words & set(group)) for group in truth.covariates]
+        record["covariate"] = named_since or (not causes and all(hit))
+        record["covariate_some"] = named_since or any(hit)
     record["detected"] = bool(causes or words) if record["hidden"] else None
     record["base_z"] = {
         key: (answer["base"][key]["value"] - value) / max(answer["base"][key]["u"], 1e-300)

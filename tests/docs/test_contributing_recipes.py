@@ -69,17 +69,17 @@ def test_the_bus_keeps_the_contract(bench):
 
 def test_the_effect_is_simulated_and_traced_by_its_name(bench, tmp_path):
     session = str(tmp_path / "drift.session")
-    effect = "scale_drift:rate_x=0.2"
+    effect = "mount_drift:rate=10"
     bench("adis_gonio", "simulate", "--plan", "tumble", "--effect", effect, "-o", session)
     found = json.loads(bench("adis_gonio", "trace", session, "--json").stdout)["found"]
-    (drift,) = [finding for finding in found if finding["effect"] == "scale_drift"]
-    rate = drift["parameters"]["rate_x"]
-    assert rate["unit"] == "1/h"
-    assert abs(rate["value"] - 0.2) < 4 * rate["u"] < 0.1
+    (drift,) = [finding for finding in found if finding["effect"] == "mount_drift"]
+    rate = drift["parameters"]["rate"]
+    assert rate["unit"] == "deg/h"
+    assert abs(rate["value"] - 10) < 4 * rate["u"] < 5
 
 
 def test_without_the_package_the_effect_is_unknown_in_one_line(tmp_path):
-    command = [sys.executable, "-m", "adis_gonio", "simulate", "--effect", "scale_drift"]
+    command = [sys.executable, "-m", "adis_gonio", "simulate", "--effect", "mount_drift"]
     done = subprocess.run(
         [*command, "-o", str(tmp_path / "none.session")],
         capture_output=True,
@@ -88,4 +88,4 @@ def test_without_the_package_the_effect_is_unknown_in_one_line(tmp_path):
         check=False,
     )
     assert done.returncode == 2
-    assert "no effect is called 'scale_drift'" in done.stderr
+    assert "no effect is called 'mount_drift'" in done.stderr

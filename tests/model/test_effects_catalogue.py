@@ -21,14 +21,19 @@ NAMES = [
     "cross_quadratic",
     "bias_temperature",
     "scale_temperature",
+    "misalignment_temperature",
     "thermal_lag",
     "bias_drift",
+    "scale_drift",
     "warm_up",
     "supply_bias",
+    "supply_scale",
     "hysteresis",
+    "creep",
     "backlash",
     "stage_eccentricity",
     "stage_ellipticity",
+    "stage_periodic",
     "axis_tilt",
     "gravity",
     "saturation",
@@ -58,6 +63,7 @@ def bench(dwells: int = 12, columns: int = 3) -> tuple[np.ndarray, Conditions]:
     vector = rng.normal(size=(dwells, 3))
     ideal = 1000 * vector / np.linalg.norm(vector, axis=1)[:, None]
     history = np.arange(0.0, time[-1] + 5.0, 2.0)
+    ends = (np.arange(dwells)[:, None] * (0.2 * PER_DWELL + 5.0) + [0.0, 0.2 * PER_DWELL]).ravel()
 
     def temperature(t: np.ndarray) -> np.ndarray:
         return 25 + 8 * np.sin(2 * np.pi * t / 150)
@@ -72,6 +78,7 @@ def bench(dwells: int = 12, columns: int = 3) -> tuple[np.ndarray, Conditions]:
         temperature_c=temperature(time),
         supply_v=5 + 0.05 * np.sin(time / 40),
         temperature_history=(history, temperature(history)),
+        load_history=(ends, np.repeat(ideal, 2, axis=0)),
         variance_mg2=rng.uniform(10, 500, (dwells, 3))[order],
     )
 
@@ -85,9 +92,13 @@ def readings_of(conditions: Conditions) -> Conditions:
     means = {
         field.name: by_dwell(getattr(conditions, field.name))
         for field in dataclasses.fields(conditions)
-        if field.name != "temperature_history"
+        if not field.name.endswith("_history")
     }
-    return Conditions(**means, temperature_history=conditions.temperature_history)
+    return Conditions(
+        **means,
+        temperature_history=conditions.temperature_history,
+        load_history=conditions.load_history,
+    )
 
 
 def value_of(one: Effect, values: np.ndarray, ideal: np.ndarray, conditions: Conditions) -> np.ndarray:

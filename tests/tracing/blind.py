@@ -123,6 +123,11 @@ def believable(terms: list[Term]) -> bool:
         "warm_up": 200,
         "lag": 50,
         "drift": 50,
+        "scale_drift": 50000,
+        "supply_scale": 500000,
+        "misalignment_tempco": 0.1,
+        "creep": 100,
+        "per": 2,
         "ecc": 2,
         "ell": 2,
     }

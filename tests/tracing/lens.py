@@ -28,7 +28,9 @@ class Lens:
         fit = ~bench.check if use is None else use
         dwells = bench.dwells
         self.rows = Rows(
-            *(getattr(dwells, f)[fit] for f in list(Rows.__dataclass_fields__)[:-1]), history=dwells.history
+            *(getattr(dwells, f)[fit] for f in list(Rows.__dataclass_fields__)[:-2]),
+            history=dwells.history,
+            loads=dwells.loads,
         )
         psi = bench.alpha - self.rows.angle_rad
         self.ideal = bench.ideal_mg(psi)

@@ -78,12 +78,12 @@ def on_axes(axes: str, drive: Callable[[Rows, Floats, int], Floats]) -> Basis:
     return basis
 
 
-def lagged_temperature(rows: Rows, tau_s: float) -> Floats:
-    """T_lag at the rows' times, τ dT_lag/dt = T − T_lag, by small steps over the whole history."""
-    times, temperatures = rows.history
+def lagged(rows: Rows, driver: Floats, tau_s: float) -> Floats:
+    """Lag of a driver (m,) of the history at the rows' times, τ dy/dt = x − y, by small steps."""
+    times, _ = rows.history
     fine = np.linspace(times[0], times[-1], 4000)
     step = fine[1] - fine[0]
-    course = np.interp(fine, times, temperatures)
+    course = np.interp(fine, times, driver)
     kept = np.exp(-step / tau_s)
     # The lag e = T − T_lag obeys e' = kept·e + s·τ·(1 − kept), exactly for a constant slope s over a step.
     feed = np.concatenate([[0.0], np.diff(course) / step * tau_s * (1 - kept)])
@@ -107,6 +107,17 @@ _READING: dict[str, tuple[str, Callable[[Rows, Floats, int], Floats], tuple[str,
     "bias_drift": ("drift_{i}", lambda r, a, i: r.time_s / 60, ()),
     "supply_bias": ("supply_{i}", lambda r, a, i: r.supply_v - 5, ("surroundings",)),
     "hysteresis": ("hysteresis_{i}", lambda r, a, i: r.approach / 2, ("approach",)),
+    "scale_drift": ("scale_drift_{i}", lambda r, a, i: 1e-6 * r.time_s / 60 * a[:, i], ()),
+    "supply_scale": (
+        "supply_scale_{i}",
+        lambda r, a, i: 1e-6 * (r.supply_v - 5) * a[:, i],
+        ("surroundings",),
+    ),
+    "misalignment_temperature": (
+        "misalignment_tempco_{i}{p}",
+        lambda r, a, i: np.pi / 180 * (r.temperature_c - 25) * a[:, 1 - i],
+        ("surroundings",),
+    ),
 }
 _STAGE: dict[str, tuple[tuple[str, ...], Callable[[Rows], Floats], tuple[str, ...]]] = {
     "backlash": (("backlash",), lambda r: r.approach[None] / 2, ("approach",)),
@@ -121,11 +132,25 @@ _STAGE: dict[str, tuple[tuple[str, ...], Callable[[Rows], Floats], tuple[str, ..
         (),
     ),
 }
-NAMES = (*_READING, *_STAGE, "thermal_lag", "warm_up", "position_slip", "outlier_dwell")
+_LASTING: dict[str, tuple[str, Callable[[Rows, Floats, int, float], Floats], tuple[str, ...]]] = {
+    "thermal_lag": (
+        "lag_{i}",
+        lambda r, a, i, tau: lagged(r, r.history[1], tau) - r.temperature_c,
+        ("surroundings",),
+    ),
+    "warm_up": ("warm_up_{i}", lambda r, a, i, tau: np.exp(-r.time_s / tau), ()),
+    "creep": ("creep_{i}", lambda r, a, i, tau: (lagged(r, r.loads[:, i], tau) - a[:, i]) / 1000, ()),
+}
+"""Names with a time constant."""
+_OF_ONE_AXIS = {"misalignment_temperature"}
+"""Names that are drawn on one axis: two leans at once are one lean and a part that turns with its mount."""
+MOST_CYCLES = 24
+"""Most cycles a turn of `stage_periodic` that the judge tries."""
+NAMES = (*_READING, *_STAGE, *_LASTING, "stage_periodic", "position_slip", "outlier_dwell")
 
 
 def _term(name: str, axes: str, choice: float) -> Term:
-    """Term of unit coefficients; `choice` is τ in s or the number of a dwell where there is one."""
+    """Term of unit coefficients; `choice` is τ in s, cycles a turn or the number of a dwell."""
     ones = np.ones(len(axes))
     if name in _READING:
         label, drive, needs = _READING[name]
@@ -136,24 +161,20 @@ def _term(name: str, axes: str, choice: float) -> Term:
         return Term(
             name, lambda r, a: waves(r), np.ones(len(labels)), attitude=True, reported=labels, needs=needs
         )
-    if name == "thermal_lag":
-
-        def late(r: Rows, a: Floats, i: int) -> Floats:
-            return lagged_temperature(r, choice) - r.temperature_c
-
-        labels = tuple(f"lag_{i}" for i in axes)
+    if name in _LASTING:
+        label, late, needs = _LASTING[name]
+        basis = on_axes(axes, lambda r, a, i: late(r, a, i, choice))
+        labels = tuple(label.format(i=i) for i in axes)
+        return Term(name, basis, ones, reported=labels, shapes={"tau": choice}, needs=needs)
+    if name == "stage_periodic":
         return Term(
             name,
-            on_axes(axes, late),
-            ones,
-            reported=labels,
-            shapes={"tau": choice},
-            needs=("surroundings",),
+            lambda r, a: np.stack([np.sin(choice * r.angle_rad), np.cos(choice * r.angle_rad)]),
+            np.ones(2),
+            attitude=True,
+            reported=("per_sin", "per_cos"),
+            shapes={"cycles": choice},
         )
-    if name == "warm_up":
-        labels = tuple(f"warm_up_{i}" for i in axes)
-        basis = on_axes(axes, lambda r, a, i: np.exp(-r.time_s / choice))
-        return Term(name, basis, ones, reported=labels, shapes={"tau": choice})
     if name == "position_slip":
         return Term(
             name,
@@ -179,7 +200,12 @@ def draw_named(
     """A catalogued term with random axes, signs and shapes (its size is set afterwards)."""
     axes = str(rng.choice(choices))
     choice = 0.0
-    if name in {"thermal_lag", "warm_up"}:
+    if name in _OF_ONE_AXIS:
+        axes = axes[0]
+    if name == "stage_periodic":
+        angles = len(np.unique(np.round(np.mod(rows.angle_rad[~check], 2 * np.pi), 6)))
+        choice = float(rng.integers(3, max((angles - 1) // 2, 3), endpoint=True))
+    elif name in _LASTING:
         choice = float(rows.time_s[-1] * np.exp(rng.uniform(np.log(0.05), np.log(0.4))))
     elif name in {"position_slip", "outlier_dwell"}:
         choice = float(rng.choice(np.flatnonzero(~check)[1:]))
@@ -191,7 +217,11 @@ def draw_named(
 
 def alternatives(name: str, rows: Rows, axes: str = "xy") -> list[Term]:
     """All that `name` could mean in a session: every axis, time constants by grid, each dwell, degrees."""
-    if name in {"thermal_lag", "warm_up"}:
+    if name in _OF_ONE_AXIS:
+        return [_term(name, axis, 0.0) for axis in axes]
+    if name == "stage_periodic":
+        return [_term(name, axes, float(cycles)) for cycles in range(3, MOST_CYCLES + 1)]
+    if name in _LASTING:
         taus = rows.time_s[-1] * np.geomspace(0.01, 4, 14)
         return [_term(name, axes, float(tau)) for tau in taus]
     if name in {"position_slip", "outlier_dwell"}:

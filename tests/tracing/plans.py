@@ -5,7 +5,7 @@ Own physics in numpy, from the conventions of the samples CSV; nothing here impo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,8 @@ LSB_MG = 0.4672
 class Rows:
     """Covariates of n rows: the samples of a session, or its dwells (means).
 
-    `history` is (times, temperatures) of all samples.
+    `history` is (times, temperatures) of all samples, `loads` (m, axes) what the axes should read then, in
+    mg.
     """
 
     time_s: Floats
@@ -31,6 +32,7 @@ class Rows:
     temperature_c: Floats
     supply_v: Floats
     history: tuple[Floats, Floats]
+    loads: Floats
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,7 @@ class Bench:
             mean(rows.temperature_c),
             mean(rows.supply_v),
             rows.history,
+            rows.loads,
         )
 
     def mean(self, values: Floats) -> Floats:
@@ -177,9 +180,10 @@ def draw_bench(rng: np.random.Generator) -> Bench:
         np.round(temperature, 3),
         np.round(supply, 4),
         (np.round(time, 4), np.round(temperature, 3)),
+        np.zeros((len(time), 2)),
     )
     u = rng.uniform(0.05, 0.3) * rng.uniform(0.8, 1.25, 2)
-    return Bench(
+    bench = Bench(
         samples,
         starts,
         check,
@@ -194,6 +198,8 @@ def draw_bench(rng: np.random.Generator) -> Bench:
         in_steps=bool(rng.random() < 0.25),
         setting=f"{order}, {d - check.sum()} readings, temperature {thermal}, supply {electric}",
     )
+    loads = bench.ideal_mg(bench.alpha - samples.angle_rad)
+    return replace(bench, samples=replace(samples, loads=loads))
 
 
 def draw_noise(rng: np.random.Generator, bench: Bench) -> Floats:

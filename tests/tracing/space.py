@@ -30,6 +30,9 @@ NAMES = (
     "scale_temperature",
     "bias_drift",
     "supply_bias",
+    "scale_drift",
+    "supply_scale",
+    "creep",
     "warm_up",
     "thermal_lag",
     "outlier_dwell",
@@ -40,8 +43,6 @@ FOREIGN_TERMS = (
     "bias_jump",
     "temperature_knee",
     "supply_times_temperature",
-    "gain_time",
-    "gain_supply",
     "supply_square",
     "gain_jump",
     "drift_knee",
@@ -135,7 +136,9 @@ def draw_space(rng: np.random.Generator) -> SpaceBench:
     electric = str(rng.choice(["switched", "wandering", "cycling", "still"]))
     supply = np.round(rng.uniform(4.95, 5.05) + rng.uniform(0.05, 0.2) * course(rng, time, electric), 4)
     none = np.zeros(len(time))
-    samples = Rows(time, none, none, none, index.astype(float), temperature, supply, (time, temperature))
+    matrix = np.diag(1 + rng.normal(0, 0.01, 3)) + np.tril(np.deg2rad(rng.normal(0, 0.4, (3, 3))), -1)
+    history, loads = (time, temperature), G_MG * (unit @ matrix.T)[index]
+    samples = Rows(time, none, none, none, index.astype(float), temperature, supply, history, loads)
     starts = np.arange(d + 1) * per_dwell
 
     def mean(values: Floats) -> Floats:
@@ -151,8 +154,8 @@ def draw_space(rng: np.random.Generator) -> SpaceBench:
         mean(temperature),
         mean(supply),
         samples.history,
+        samples.loads,
     )
-    matrix = np.diag(1 + rng.normal(0, 0.01, 3)) + np.tril(np.deg2rad(rng.normal(0, 0.4, (3, 3))), -1)
     return SpaceBench(
         samples,
         dwells,
@@ -172,8 +175,9 @@ class SpaceLens:
     def __init__(self, bench: SpaceBench, use: NDArray[np.bool_] | None = None) -> None:
         self.bench = bench
         fit = ~bench.check if use is None else use
-        fields = [f for f in Rows.__dataclass_fields__ if f != "history"]
-        self.rows = Rows(*(getattr(bench.dwells, f)[fit] for f in fields), history=bench.dwells.history)
+        fields = [f for f in Rows.__dataclass_fields__ if f not in {"history", "loads"}]
+        whole = {"history": bench.dwells.history, "loads": bench.dwells.loads}
+        self.rows = Rows(*(getattr(bench.dwells, f)[fit] for f in fields), **whole)
         self.ideal = bench.ideal_mg[fit]
         # The normal of the ellipsoid on which the ideal readings lie, in the whitened space.
         normal = np.linalg.solve(bench.matrix.T, bench.unit[fit].T).T * bench.u_mg

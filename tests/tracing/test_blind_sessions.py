@@ -41,6 +41,8 @@ def test_own_physics_agrees_with_the_catalogue(name: str) -> None:
     choices = {
         "dwell": int(np.argmax(term.basis(rows, np.ones((len(check), 2)))[0].reshape(len(check), -1)[:, 0]))
     }
+    if "cycles" in term.shapes:
+        choices["cycles"] = int(term.shapes["cycles"])
     kind = effects[name]
     effect = kind(axes=axes, **{c: choices[c] for c in kind.choices() if c in choices})
     truth = dict(zip(term.reported, term.coefficients, strict=True)) | term.shapes
@@ -54,6 +56,7 @@ def test_own_physics_agrees_with_the_catalogue(name: str) -> None:
         temperature_c=rows.temperature_c,
         supply_v=rows.supply_v,
         temperature_history=rows.history,
+        load_history=(rows.history[0], rows.loads),
     )
     ideal = bench.ideal_mg(bench.alpha - rows.angle_rad)
     own = term.value(rows, ideal)
@@ -154,16 +157,16 @@ def test_a_name_is_equivalent_only_where_the_session_cannot_tell() -> None:
 
 def test_undeclared_needs_its_covariate_and_suffers_no_name() -> None:
     jump = next(
-        draw("uncatalogued", 3, k)[0] for k in range(len(GRAMMAR)) if list(GRAMMAR)[k] == "stage_harmonic_3"
+        draw("uncatalogued", 3, k)[0] for k in range(len(GRAMMAR)) if list(GRAMMAR)[k] == "stage_jump"
     )
-    right = judge(jump, answer(unnamed={"covariates": ["angle"], "form": "true angle ~ sin 3θ"}))
+    right = judge(jump, answer(unnamed={"covariates": ["time"], "form": "true angle ~ a step at t = 9 s"}))
     assert right.covariate
     assert right.form
     assert right.exact
     wrong = judge(jump, answer("thermal_lag", unnamed={"covariates": ["supply_v"], "form": "line"}))
     assert wrong.wrong == ("thermal_lag",)
     assert not wrong.covariate
-    both = judge(jump, answer(unnamed={"covariates": ["angle", "supply_v"], "form": ""}))
+    both = judge(jump, answer(unnamed={"covariates": ["time", "supply_v"], "form": ""}))
     assert not both.covariate
 
 

@@ -108,19 +108,6 @@ def _within(rng: np.random.Generator, values: Floats, low: float = 0.25, high: f
     return float(np.quantile(values, rng.uniform(low, high)))
 
 
-def _stage_harmonic(order: int) -> Draw:
-    def draw(rng: np.random.Generator, rows: Rows) -> Term:
-        phase = rng.uniform(0, 2 * np.pi)
-        return _turned(
-            f"stage_harmonic_{order}",
-            lambda r: np.sin(order * r.angle_rad + phase),
-            "angle",
-            rf"(angle|ψ).*({order}\s*·?\s*(θ|angle)|harmonic)",
-        )
-
-    return draw
-
-
 def _bias_jump(rng: np.random.Generator, rows: Rows) -> Term:
     when = _within(rng, rows.time_s)
     return _biased(rng, "bias_jump", lambda r: (r.time_s > when) * 1.0, "time", "(bias|zero).*(step|jump)")
@@ -198,21 +185,6 @@ def _supply_square(rng: np.random.Generator, rows: Rows) -> Term:
     )
 
 
-def _gain_supply(rng: np.random.Generator, rows: Rows) -> Term:
-    return _gain(
-        rng,
-        "gain_supply",
-        lambda r: r.supply_v - 5,
-        "supply",
-        "(gain|scale).*[~ ]\\(?(V|supply)",
-        needs="surroundings",
-    )
-
-
-def _gain_time(rng: np.random.Generator, rows: Rows) -> Term:
-    return _gain(rng, "gain_time", lambda r: r.time_s / 60, "time", "(gain|scale).*[~ ](t|time)$")
-
-
 def _gain_approach(rng: np.random.Generator, rows: Rows) -> Term:
     return _gain(
         rng, "gain_approach", lambda r: r.approach, "approach", "(gain|scale).*approach", needs="approach"
@@ -245,15 +217,6 @@ def _cross_modulus(rng: np.random.Generator, rows: Rows) -> Term:
     return _response(rng, "cross_modulus", lambda a, p: np.abs(p), r"\||abs|mod")
 
 
-def _lean_temperature(rng: np.random.Generator, rows: Rows) -> Term:
-    axes = _axes(rng)
-    basis = on_axes(axes, lambda r, a, i: a[:, 1 - i] / 1000 * (r.temperature_c - 25))
-    made = _made(
-        "lean_temperature", basis, _sizes(rng, axes), "temperature", "cross|lean|misal", "", "surroundings"
-    )
-    return replace(made, also=("reading",))
-
-
 def _drift_square(rng: np.random.Generator, rows: Rows) -> Term:
     return _biased(
         rng, "drift_square", lambda r: r.time_s**2, "time", "²|\\^2|square|power|quad", "bias_drift"
@@ -273,28 +236,23 @@ def _drift_knee(rng: np.random.Generator, rows: Rows) -> Term:
 
 
 GRAMMAR: dict[str, Draw] = {
-    "stage_harmonic_3": _stage_harmonic(3),
     "bias_jump": _bias_jump,
     "memory_bias": _memory_sine,
     "temperature_knee": _temperature_knee,
     "supply_times_temperature": _supply_temperature,
     "quintic": _quintic,
-    "gain_time": _gain_time,
     "stage_jump": _stage_jump,
-    "gain_supply": _gain_supply,
     "gain_approach": _gain_approach,
     "turn_temperature": _turn_temperature,
     "memory_turn": _memory_turn,
     "supply_square": _supply_square,
     "gain_jump": _gain_jump,
-    "stage_harmonic_4": _stage_harmonic(4),
     "cross_cubic": _cross_cubic,
     "gain_temperature_knee": _gain_temperature_knee,
     "cross_modulus": _cross_modulus,
     "turn_time": _turn_time,
     "drift_square": _drift_square,
     "drift_knee": _drift_knee,
-    "lean_temperature": _lean_temperature,  # an axis that turns against the other
 }
 
 
@@ -327,7 +285,7 @@ def _gp_angle_bias(rng: np.random.Generator, rows: Rows) -> Term:
 
 def _gp_angle_turn(rng: np.random.Generator, rows: Rows) -> Term:
     f = _periodic_draw(rng, rng.uniform(0.35, 0.6))
-    leading = "stage_eccentricity stage_ellipticity"
+    leading = "stage_eccentricity stage_ellipticity stage_periodic"
     return _turned("smooth_turn_of_angle", lambda r: f(r.angle_rad), "angle", "", leading)
 
 
@@ -370,7 +328,7 @@ def _wavy_turn(rng: np.random.Generator, rows: Rows) -> Term:
         lambda r: np.sin(3 * r.angle_rad + depth * np.sin(r.angle_rad + phase)),
         "angle",
         "",
-        "stage_eccentricity stage_ellipticity",
+        "stage_eccentricity stage_ellipticity stage_periodic",
     )
 
 

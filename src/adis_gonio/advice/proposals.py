@@ -621,6 +621,7 @@ def _imagined(
             temperature_c=None if wanted is None else np.full(n, wanted),
             supply_v=volts,
             temperature_history=history,
+            load_history=c.load_history,
             variance_mg2=None if c.variance_mg2 is None else np.tile(c.variance_mg2.mean(axis=0), (n, 1)),
         ),
         gravity_mg=data.gravity_mg,

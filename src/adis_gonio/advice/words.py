@@ -9,6 +9,7 @@ from adis_gonio.advice.proposals import LEAST_SEPARATION, propose
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
 from adis_gonio.model.effects import AXES
+from adis_gonio.tracing.outcome.cycles import cycles_alike
 from adis_gonio.tracing.outcome.result import Measurement
 from adis_gonio.tracing.selection.select import Selection
 
@@ -18,13 +19,18 @@ PLAIN = 100.0
 _ONE_TURN = "remount the part turned by 180° and repeat some angles"
 _OUT_OF_PLANE = "repeat the session with the part on its side, so that gravity leaves the plane"
 _CYCLE = "repeat a few positions about 10 °C warmer, and again after it has cooled"
+_BETWEEN = "measure at angles between those of this session"
 _REMEDIES = {
     "bias": "repeat a few positions on another day or at another temperature",
     "bias_temperature": _CYCLE,
     "scale_temperature": _CYCLE,
+    "misalignment_temperature": _CYCLE,
     "thermal_lag": "heat and let cool at different speeds, with a dwell every few minutes",
     "supply_bias": "change the supply by hand at one position, such as from 4.8 to 5.2 V",
+    "supply_scale": "change the supply by hand at +1 g and at −1 g, such as from 4.8 to 5.2 V",
     "bias_drift": "repeat some positions in another order, and once more after a break",
+    "scale_drift": "repeat +1 g and −1 g of an axis early and late, and once more after a break",
+    "creep": "turn by 180°, dwell there for several time constants, and turn back",
     "warm_up": "switch the sensor off, let it cool, and repeat a few positions after switching on",
     "hysteresis": "approach several positions from both sides",
     "backlash": "approach several positions from both sides",
@@ -34,6 +40,7 @@ _REMEDIES = {
     "cross_axis": _ONE_TURN,
     "stage_eccentricity": _ONE_TURN,
     "stage_ellipticity": "remount the part turned by 90° and repeat some angles",
+    "stage_periodic": _BETWEEN,
     "cubic": "remount the part turned by 90° and repeat some angles",
     "axis_tilt": "level the stage's axis with a spirit level",
     "gravity": "enter the local gravity, as from --latitude and --height",
@@ -80,6 +87,7 @@ def advise(
     remedies = _REMEDIES if data.planar else {**_REMEDIES, **_REMEDIES_IN_SPACE}
     groups = [c for c in confounded if c[0] in inside or not selection.adequate]
     lines += _by_hand(groups, decided, remedies)
+    lines += _of_cycles(selection)
     lines += _of_unnamed(selection.terms)
     lines += _not_recorded(selection.data)
     if not selection.adequate and not lines:
@@ -197,9 +205,17 @@ def _by_hand(
     ]
 
 
+def _of_cycles(selection: Selection) -> list[str]:
+    """What would tell the cycles a turn that were found from others that look like them."""
+    return [
+        f"to tell {cycles} cycles a turn from {_joined([str(n) for n in others], ', ')}: {_BETWEEN}"
+        for cycles, others in cycles_alike(selection)
+    ]
+
+
 _FORM_SHOWS = {
-    "angle": "measure at angles between those of this session",
-    "reading": "measure at angles between those of this session",
+    "angle": _BETWEEN,
+    "reading": _BETWEEN,
     "time": "repeat one position many times over a session of this length",
     "order": "repeat one position many times over a session of this length",
     "temperature": "repeat one position while the temperature goes slowly up and down",

@@ -101,6 +101,8 @@ class WithinFinding:
         Single dwells and axes; empty where all of `positions` share the parameters.
     advice : str
         What to do about it; empty where nothing has to be done.
+    aliases_hz : tuple of float
+        Other frequencies that the samples show as this line; of a tone only.
     view : View or None
         For a figure; no part of the document nor of a comparison.
     """
@@ -114,6 +116,7 @@ class WithinFinding:
     sentence: str
     places: tuple[Place, ...] = ()
     advice: str = ""
+    aliases_hz: tuple[float, ...] = ()
     view: View | None = field(default=None, repr=False, compare=False)
 
     def as_dict(self) -> dict[str, Any]:
@@ -128,6 +131,7 @@ class WithinFinding:
             "sentence": self.sentence,
             "places": [place.as_dict() for place in self.places],
             "advice": self.advice,
+            **({"aliases_hz": list(self.aliases_hz)} if self.kind == "tone" else {}),
         }
 
 

@@ -8,8 +8,10 @@ spectra): degrees of freedom are lowered until they explain the scatter of the o
 median. A line is taken away before the next one is looked for.
 
 The time between samples need not be constant: frequency and amplitude are fitted on the samples' own times.
-A frequency above half of the sampling rate is seen as its alias. Amplitudes are those of the recorded
-samples, behind whatever filter the sensor has.
+A line at f of samples at the rate f_s may be a vibration at f or at any k f_s ± f, k = 1, 2, …: above
+half of the rate it is seen as its alias, and a filter that works on samples already taken lets it pass as
+it lets f pass. A finding names them all up to `HIGHEST_HZ`. Amplitudes are those of the recorded samples,
+behind whatever filter the sensor has.
 """
 
 from __future__ import annotations
@@ -32,8 +34,13 @@ from adis_gonio.dwells.finding import (
 )
 from adis_gonio.dwells.samples import Samples
 from adis_gonio.estimation.values import Value
+from adis_gonio.model.effects import effect
 from adis_gonio.model.records import Floats
 
+HIGHEST_HZ = effect("tone", ("x",)).parameters[1].high
+"""Highest true frequency that is thought of: the bound of the catalogue's `tone`."""
+MOST_ALIASES = 6
+"""Most of them in a sentence."""
 MOST = 5
 """Most lines that are looked for."""
 _MOST_POINTS = 600
@@ -175,6 +182,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
     sizes = ", ".join(
         f"{samples.letters[k]} {with_u(parameters[f'tone_{samples.letters[k]}'])}" for k in axes
     )
+    folding = aliases_hz(frequency, 1 / period)
     finding = WithinFinding(
         kind="tone",
         effect="tone",
@@ -184,16 +192,32 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         p_value=peak.p_value,
         sentence=(
             f"a spectral line at {with_u(parameters['frequency'])} (amplitude {sizes}) in "
-            f"{positions_text(positions, len(samples))}; above {number(0.5 / period)} Hz it would be seen "
-            "as its alias"
+            f"{positions_text(positions, len(samples))}{_or_alias(folding)}"
         ),
         advice=(
-            "find what shakes the table at the line's frequency, or its alias: record again at another "
-            "rate and see whether the line moves"
+            "find what shakes the table at the line's frequency, or at one that folds to it: record again "
+            "at another rate, where a line of that frequency stays and an alias moves"
         ),
+        aliases_hz=folding,
         view=_view(density, period, axes[0], samples.letters[axes[0]], frequency),
     )
     return finding, samples.with_values(values)
+
+
+def aliases_hz(frequency_hz: float, rate_hz: float) -> tuple[float, ...]:
+    """Frequencies k f_s ± f up to `HIGHEST_HZ` that samples at a rate f_s show at f, lowest first."""
+    orders = np.arange(1, int((HIGHEST_HZ + frequency_hz) / rate_hz) + 1)
+    folding = np.concatenate([orders * rate_hz - frequency_hz, orders * rate_hz + frequency_hz])
+    return tuple(np.sort(folding[folding <= HIGHEST_HZ]).tolist())
+
+
+def _or_alias(folding: tuple[float, ...]) -> str:
+    """What a sentence says of the frequencies that fold to a line."""
+    if not folding:
+        return ""
+    named = ", ".join(number(f, 4) for f in folding[:MOST_ALIASES])
+    more = ", …" if len(folding) > MOST_ALIASES else ""
+    return f"; a vibration at {named}{more} Hz would be seen there as well"
 
 
 def _amplitudes(

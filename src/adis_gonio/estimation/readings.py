@@ -427,7 +427,7 @@ def reduced(session: Session) -> Readings:
         dof=dof,
         known=known,
         angle_rad=angle,
-        conditions=_conditions(dwells, angle, unit, scale, axes),
+        conditions=_conditions(dwells, angle, mean, unit, scale, axes),
         gravity_mg=session.gravity_mg,
         fixture_rad=0.0 if sigma is None else math.radians(sigma),
         fixture_stated=sigma is not None,
@@ -471,7 +471,9 @@ def _unit_of_counts(mean: Floats, gravity_mg: float) -> Unit:
     return Unit("counts", centre, gains / gravity_mg)
 
 
-def _conditions(dwells: list[Dwell], angle: Floats, unit: Unit, scale: float, axes: int) -> Conditions:
+def _conditions(
+    dwells: list[Dwell], angle: Floats, mean_mg: Floats, unit: Unit, scale: float, axes: int
+) -> Conditions:
     start = float(dwells[0].time_s[0])
     declared = angle if np.isfinite(angle).all() else None
     approach = np.array([float(dwell.approach) for dwell in dwells])
@@ -489,6 +491,7 @@ def _conditions(dwells: list[Dwell], angle: Floats, unit: Unit, scale: float, ax
         temperature_c=temperature,
         supply_v=_means([dwell.supply_v for dwell in dwells]),
         temperature_history=None if temperature is None else _history(dwells, start),
+        load_history=_loads(dwells, mean_mg, start),
         variance_mg2=variance,
     )
 
@@ -512,6 +515,14 @@ def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
         time = np.add.reduceat(time, cuts) / counts
         temperature = np.add.reduceat(temperature, cuts) / counts
     return time, temperature
+
+
+def _loads(dwells: list[Dwell], mean_mg: Floats, start: float) -> tuple[Floats, Floats] | None:
+    """What the axes read in mg from the first to the last sample of each dwell, linear while it moves."""
+    ends = np.array([dwell.time_s[[0, -1]] for dwell in dwells]) - start
+    kept = np.column_stack([np.ones(len(dwells), dtype=bool), ends[:, 1] > ends[:, 0]])
+    times, loads = ends[kept], np.repeat(mean_mg, kept.sum(axis=1), axis=0)
+    return (times, loads) if (np.diff(times) > 0).all() else None
 
 
 def _mg_per_unit(session: Session) -> float:

@@ -332,6 +332,7 @@ def _reason(reason: str) -> str:
         "supply_v": "supply",
         "angle_rad": "declared angle",
         "previous_angle_rad": "declared angle",
+        "load_history": "times that increase",
     }
     for field, word in words.items():
         if reason == f"{field} not recorded":

@@ -20,6 +20,8 @@ from adis_gonio.sim.inputs import Floats
 from adis_gonio.sim.settings import WorldSettings
 
 _SHORTEST_MOVE_S = 0.3
+_KNOTS = 33
+"""Points of a move by which its course is told: between them a turn of 180° leaves its chord by 0.1 %."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,7 @@ class Stage:
         self._legs = [self._planar(-np.inf, -np.inf, 0.0, 0.0, error, error, 0, 0, 0.0)]
         self._starts = np.array([-np.inf])
         self._moves = 0
+        self._course: tuple[Floats, Floats] | None = None
 
     @property
     def angle_deg(self) -> float:
@@ -182,6 +185,18 @@ class Stage:
         ]
         return Motion(*(np.concatenate([getattr(part, name) for part in parts]) for name in _NAMES))
 
+    def course(self) -> tuple[Floats, Floats]:
+        """Times (m,) and directions (m, 3) between which the part turns in nearly straight lines.
+
+        It rests before the first and after the last of them; of no move there is one, at 0.
+        """
+        if self._course is None:
+            moves = [leg for leg in self._legs if leg.end_s > leg.start_s]
+            times = [np.linspace(leg.start_s, leg.end_s, _KNOTS) for leg in moves]
+            knots = np.unique(np.concatenate(times)) if times else np.zeros(1)
+            self._course = knots, self.at(knots).direction
+        return self._course
+
     # -- making legs ------------------------------------------------------------------------------
 
     def _require_still(self, start_s: float) -> None:
@@ -265,6 +280,7 @@ class Stage:
     def _append(self, leg: _Leg) -> None:
         self._legs.append(leg)
         self._starts = np.append(self._starts, leg.start_s)
+        self._course = None
 
     # -- following legs ---------------------------------------------------------------------------
 

@@ -310,6 +310,7 @@ class World:
     ) -> Conditions | None:
         if not self.effects:
             return None
+        turned_s, directions = self.stage.course()
         history_s = np.arange(0.0, max(float(time_s[-1]), 0.0) + 2 * _HISTORY_STEP_S, _HISTORY_STEP_S)
         return Conditions(
             time_s=time_s,
@@ -321,6 +322,7 @@ class World:
             temperature_c=temperature,
             supply_v=supply,
             temperature_history=(history_s, self.temperature_c(history_s)),
+            load_history=(turned_s, self._ideal(directions)),
             variance_mg2=np.repeat((self._noise_mg**2 + vibration**2)[:, None], 3, axis=1),
         )
 

@@ -96,6 +96,8 @@ class TermEffect(Effect):
         Axes that the model knows; the others are left alone.
     history : tuple or None
         Measured history of the temperature, which the term sees instead of the world's.
+    loads : tuple or None
+        The same of what the axes read.
     offset_s : float
         Time of the world at which the session begins.
     variance_mg2 : (d, axes) float or None
@@ -105,6 +107,7 @@ class TermEffect(Effect):
     term: Term = field(kw_only=True)
     columns: int = field(kw_only=True)
     history: tuple[Floats, Floats] | None = field(kw_only=True)
+    loads: tuple[Floats, Floats] | None = field(kw_only=True)
     offset_s: float = field(kw_only=True)
     variance_mg2: Floats | None = field(kw_only=True, default=None)
 
@@ -152,6 +155,7 @@ class TermEffect(Effect):
             conditions,
             time_s=conditions.time_s - self.offset_s,
             temperature_history=self.history,
+            load_history=self.loads,
             variance_mg2=variance,
         )
 
@@ -197,6 +201,7 @@ class LikeWorld(World):
                 term=term,
                 columns=data.axes,
                 history=history,
+                loads=data.conditions.load_history,
                 offset_s=offset_s,
                 variance_mg2=data.conditions.variance_mg2,
             )

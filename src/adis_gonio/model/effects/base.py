@@ -100,6 +100,8 @@ class Conditions:
     temperature_history : tuple of (m,) float, (m,) float
         Times (increasing, on the clock of `time_s`) and temperatures of the whole session, for effects
         with memory.
+    load_history : tuple of (m,) float, (m, axes) float
+        The same of what the axes read, in mg.
     variance_mg2 : (n, axes) float
         Variance of the samples within the dwell.
 
@@ -118,6 +120,7 @@ class Conditions:
     temperature_c: Floats | None = None
     supply_v: Floats | None = None
     temperature_history: tuple[Floats, Floats] | None = None
+    load_history: tuple[Floats, Floats] | None = None
     variance_mg2: Floats | None = None
 
     def __post_init__(self) -> None:
@@ -129,7 +132,7 @@ class Conditions:
         return len(self.time_s)
 
     def _rows(self) -> dict[str, Floats]:
-        every = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "temperature_history"}
+        every = {f.name: getattr(self, f.name) for f in fields(self) if not f.name.endswith("_history")}
         return {name: rows for name, rows in every.items() if rows is not None}
 
     def lacks(self, needs: Sequence[str]) -> tuple[str, ...]:
@@ -144,9 +147,11 @@ class Conditions:
         return found
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Conditions:
-        """Conditions of some of the rows; the temperature's history stays whole."""
+        """Conditions of some of the rows; histories stay whole."""
         chosen: dict[str, Any] = {name: rows[index] for name, rows in self._rows().items()}
-        return Conditions(**chosen, temperature_history=self.temperature_history)
+        return Conditions(
+            **chosen, temperature_history=self.temperature_history, load_history=self.load_history
+        )
 
 
 @dataclass(frozen=True)
@@ -181,6 +186,8 @@ class Effect(ABC):
     """Fields of `Conditions` without which it cannot be computed."""
     by_axis: ClassVar[bool] = True
     """True where it acts on the axes of `axes`; False where it has none to choose."""
+    one_axis: ClassVar[bool] = False
+    """True where a candidate acts on one axis only, since on several it holds another cause besides."""
     within_dwell: ClassVar[bool] = False
     """True where its trace stands among the samples of a dwell rather than between readings."""
 

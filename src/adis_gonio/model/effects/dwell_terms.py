@@ -90,8 +90,9 @@ class Tone(SampleEffect):
     cause = "A machine or the mains shakes the table: a spectral line within the dwells."
     formula = "sample_i += tone_i · sin(2π f t + phase)"
     separated_by = (
-        "A line in the spectrum that white or flicker noise has not; a line that moves with the sample "
-        "rate is an alias: record at two rates. `vibration_rectification` may follow its strength."
+        "A line in the spectrum that white or flicker noise has not; samples at a rate f_s show "
+        "k f_s ± f at the same place, and a line that moves with the rate is such an alias: record at two "
+        "rates. `vibration_rectification` may follow its strength."
     )
 
     @property

@@ -1,7 +1,8 @@
 """Terms that follow the surroundings: temperature, supply, time, local gravity.
 
 Sizes (estimates for the ADIS16354): 0.5 mg/°C and 40 ppm/°C as its better sibling, a self-heating of a few
-degrees with a time constant of minutes.
+degrees with a time constant of minutes; a gain that moves with the supply by a hundredth of what a wholly
+ratiometric sensor has (1/5 V, 200 000 ppm/V), and with time by as much at 1 g as the zero does.
 """
 
 from __future__ import annotations
@@ -13,14 +14,14 @@ import numpy as np
 
 from adis_gonio.errors import UsageError
 from adis_gonio.model.effects.base import Conditions, Effect, Parameter
-from adis_gonio.model.effects.families import CourseEffect, LinearAxisEffect
+from adis_gonio.model.effects.families import CourseEffect, CrossEffect, LinearAxisEffect
 from adis_gonio.model.effects.lag import lagged
 from adis_gonio.model.records import Floats
 
 REFERENCE_C = 25.0
 """Temperature at which the terms in temperature are zero: zero of the chip's temperature words."""
 REFERENCE_V = 5.0
-"""Supply at which `supply_bias` is zero: the nominal one."""
+"""Supply at which the terms in the supply are zero: the nominal one."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class ScaleTemperature(LinearAxisEffect):
     formula = "a_i += scale_tempco_i · 10⁻⁶ · (T − 25 °C) · a_i"
     separated_by = (
         "`bias_temperature` does not change its sign with the reading: the same temperatures at +1 g and "
-        "at −1 g; a drift of the gain in time needs the temperature to go both ways."
+        "at −1 g; `scale_drift` needs the temperature to go both ways."
     )
     needs = ("temperature_c",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (
@@ -82,6 +83,31 @@ class ScaleTemperature(LinearAxisEffect):
     def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Reading times T − 25 °C, per ppm."""
         return (1e-6 * (conditions.covariate("temperature_c") - REFERENCE_C) * ideal_mg[:, axis],)
+
+
+class MisalignmentTemperature(CrossEffect):
+    """The direction of an axis follows the temperature.
+
+    In the plane a lean of both axes is a lean of one and a turn of the whole part. A part that turns with
+    its mount is no misalignment, so that a candidate of the trace leans one axis; two of them stand for
+    both.
+    """
+
+    name = "misalignment_temperature"
+    cause = "The sensitive direction of an axis leans towards another with the temperature of the die."
+    formula = "a_i += misalignment_tempco_ip · (T − 25 °C) · a_p (angle in radians)"
+    separated_by = (
+        "`scale_temperature` shows where the axis is along gravity, this where it is across it: several "
+        "angles at two temperatures. A mount that turns with the temperature moves both axes by the same "
+        "angle; a lean that goes on in time needs the temperature to go both ways."
+    )
+    needs = ("temperature_c",)
+    one_axis: ClassVar[bool] = True
+    coefficient: ClassVar[Parameter] = Parameter("misalignment_tempco", "deg/°C", -0.1, 0.1, 0.002)
+
+    def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
+        """Reading across times T − 25 °C, per degree."""
+        return np.deg2rad(across_mg * (conditions.covariate("temperature_c") - REFERENCE_C))
 
 
 class ThermalLag(CourseEffect):
@@ -130,6 +156,27 @@ class SupplyBias(LinearAxisEffect):
         return (conditions.covariate("supply_v") - REFERENCE_V,)
 
 
+class SupplyScale(LinearAxisEffect):
+    """The gain follows the supply."""
+
+    name = "supply_scale"
+    cause = "The sensitivity of an axis changes with the supply voltage."
+    formula = "a_i += supply_scale_i · 10⁻⁶ · (V − 5 V) · a_i"
+    separated_by = (
+        "`supply_bias` does not change its sign with the reading: the same voltages at +1 g and at −1 g. A "
+        "supply that sinks while the part warms imitates `scale_temperature`, one that sinks evenly "
+        "`scale_drift`: change it by hand."
+    )
+    needs = ("supply_v",)
+    coefficients: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("supply_scale", "ppm/V", -500000.0, 500000.0, 2000.0),
+    )
+
+    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Reading times V − 5 V, per ppm."""
+        return (1e-6 * (conditions.covariate("supply_v") - REFERENCE_V) * ideal_mg[:, axis],)
+
+
 class BiasDrift(LinearAxisEffect):
     """The zero moves evenly with time."""
 
@@ -145,6 +192,26 @@ class BiasDrift(LinearAxisEffect):
     def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Time in minutes."""
         return (conditions.time_s / 60.0,)
+
+
+class ScaleDrift(LinearAxisEffect):
+    """The gain moves evenly with time."""
+
+    name = "scale_drift"
+    cause = "The sensitivity of an axis moves evenly with time (ageing, a reference that drifts)."
+    formula = "a_i += scale_drift_i · 10⁻⁶ · t/60 · a_i, t from the session's start"
+    separated_by = (
+        "`bias_drift` does not change its sign with the reading: +1 g and −1 g early and late. Where "
+        "temperature or supply only rise or sink it is `scale_temperature` or `supply_scale`: let them go "
+        "both ways. A gain that moves after the load has changed is `creep`."
+    )
+    coefficients: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("scale_drift", "ppm/min", -50000.0, 50000.0, 50.0),
+    )
+
+    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Reading times minutes, per ppm."""
+        return (1e-6 * conditions.time_s / 60.0 * ideal_mg[:, axis],)
 
 
 class WarmUp(CourseEffect):
@@ -200,9 +267,12 @@ class Gravity(Effect):
 EFFECTS: tuple[type[Effect], ...] = (
     BiasTemperature,
     ScaleTemperature,
+    MisalignmentTemperature,
     ThermalLag,
     SupplyBias,
+    SupplyScale,
     BiasDrift,
+    ScaleDrift,
     WarmUp,
     Gravity,
 )

@@ -74,7 +74,7 @@ class LinearAxisEffect(AxisEffect):
 
 @dataclass(frozen=True)
 class CrossEffect(AxisEffect):
-    """Reading i gets Σ_p value_ip · basis(a_i, a_p) over the axes p across it.
+    """Reading i gets Σ_p value_ip · basis(a_i, a_p, conditions) over the axes p across it.
 
     In the plane (`axes` without z) an axis has one partner, the other one of x and y; with z among the
     axes every axis has both others. Parameters carry both letters, `name_ip`.
@@ -93,8 +93,8 @@ class CrossEffect(AxisEffect):
         return by_letters((self.coefficient,), [axis + other for axis, other in self.pairs()])
 
     @abstractmethod
-    def basis(self, own_mg: Floats, across_mg: Floats) -> Floats:
-        """Basis function (n,) of the axis' own ideal reading and of the one across."""
+    def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
+        """Basis function (n,) of the axis' own ideal reading, the one across and the conditions."""
 
     def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
         """Basis functions (n, axes, p) of the readings; `values` do not matter, the effect is linear."""
@@ -103,7 +103,7 @@ class CrossEffect(AxisEffect):
         design = np.zeros((*ideal_mg.shape, len(pairs)))
         for k, (axis, other) in enumerate(pairs):
             i, p = AXES.index(axis), AXES.index(other)
-            design[:, i, k] = self.basis(ideal_mg[:, i], ideal_mg[:, p])
+            design[:, i, k] = self.basis(ideal_mg[:, i], ideal_mg[:, p], conditions)
         return design
 
     def reading_mg(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
@@ -112,7 +112,7 @@ class CrossEffect(AxisEffect):
         added = np.zeros(ideal_mg.shape)
         for value, (axis, other) in zip(values, self.pairs(), strict=True):
             i, p = AXES.index(axis), AXES.index(other)
-            added[:, i] += value * self.basis(ideal_mg[:, i], ideal_mg[:, p])
+            added[:, i] += value * self.basis(ideal_mg[:, i], ideal_mg[:, p], conditions)
         return added
 
 

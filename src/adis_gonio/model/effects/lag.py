@@ -54,7 +54,7 @@ def lagged(record_s: Floats, record: Floats, time_s: Floats, tau_s: float) -> tu
     e' = r e + s τ (1 − r), and ∂e'/∂τ = r ∂e/∂τ + (e − s τ) r h/τ² + s (1 − r).
     """
     if not len(record_s) or len(record_s) != len(record) or (np.diff(record_s) <= 0).any():
-        raise UsageError("temperature history: needs one value a time, and times that increase")
+        raise UsageError("a history needs one value a time, and times that increase")
     if not tau_s > 0:
         raise UsageError(f"a time constant is greater than 0, not {tau_s:g} s")
 

@@ -54,7 +54,7 @@ def effect(name: str, axes: Sequence[str] = ("x", "y"), **choices: int) -> Effec
         Axes on which it shall act; without meaning for an effect that has none to choose (of the stage).
     choices : int
         Fields beside the axes: `dwell` of `position_slip` and `outlier_dwell`, `degree` of
-        `bias_temperature`.
+        `bias_temperature`, `cycles` of `stage_periodic`.
 
     Raises
     ------

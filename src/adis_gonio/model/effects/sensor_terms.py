@@ -67,7 +67,7 @@ class Misalignment(CrossEffect):
     )
     coefficient: ClassVar[Parameter] = Parameter("misalignment", "deg", -5.0, 5.0, 0.25)
 
-    def basis(self, own_mg: Floats, across_mg: Floats) -> Floats:
+    def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
         """Reading across, per degree."""
         return np.deg2rad(across_mg)
 
@@ -89,7 +89,7 @@ class CrossAxis(CrossEffect):
     )
     coefficient: ClassVar[Parameter] = Parameter("kip", "mg/g²", -100.0, 100.0, 1.0)
 
-    def basis(self, own_mg: Floats, across_mg: Floats) -> Floats:
+    def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
         """Product of the two readings in g²."""
         return own_mg * across_mg / MG_PER_G**2
 
@@ -158,7 +158,7 @@ class CrossQuadratic(CrossEffect):
     )
     coefficient: ClassVar[Parameter] = Parameter("kpp", "mg/g²", -100.0, 100.0, 1.0)
 
-    def basis(self, own_mg: Floats, across_mg: Floats) -> Floats:
+    def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
         """Square of the reading across in g²."""
         return (across_mg / MG_PER_G) ** 2
 

@@ -14,9 +14,35 @@ from typing import ClassVar
 
 import numpy as np
 
+from adis_gonio.errors import UsageError
 from adis_gonio.model.effects.base import Conditions, Effect, Parameter
-from adis_gonio.model.effects.families import LinearAxisEffect, StageEffect
+from adis_gonio.model.effects.families import (
+    MG_PER_G,
+    AxisEffect,
+    LinearAxisEffect,
+    StageEffect,
+    by_letters,
+)
+from adis_gonio.model.effects.lag import lagged
 from adis_gonio.model.records import Floats
+
+LEAST_CYCLES = 3
+"""Fewest cycles a turn of `stage_periodic`: one and two have names of their own."""
+_ROUNDING = 1e-9
+"""Least size of a harmonic: less is the rounding of an angle."""
+_SAME_PHASE = 1e-6
+"""What a mean phase factor may lack of 1: a scatter of 1.4 mrad, which is what angles are rounded to."""
+
+
+def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
+    """True where two numbers of cycles a turn are the same function at these angles, but for a phase.
+
+    With the phase of e^{i(m ∓ n)θ} constant over the angles, m cycles are n cycles: they are an alias. A
+    constant is 0 cycles.
+    """
+    turns = np.array([cycles - others, cycles + others])
+    length = np.abs(np.exp(1j * turns[:, None] * angle_rad).mean(axis=1))
+    return bool((length > 1 - _SAME_PHASE).any())
 
 
 class StageEccentricity(StageEffect):
@@ -61,6 +87,53 @@ class StageEllipticity(StageEffect):
         """Second harmonic of the declared angle."""
         angle = conditions.covariate("angle_rad")
         return np.sin(2 * angle), np.cos(2 * angle)
+
+
+@dataclass(frozen=True)
+class StagePeriodic(StageEffect):
+    """Any whole number of cycles a turn from three on.
+
+    Attributes
+    ----------
+    cycles : int
+        Cycles a turn; one is `stage_eccentricity`, two are `stage_ellipticity`.
+
+    Notes
+    -----
+    At N equally spaced angles n cycles, N − n, N + n, … are the same column: a session shows n up to N/2,
+    and what it finds may as well be any that folds to it (`alike`).
+    """
+
+    cycles: int = 3
+
+    name = "stage_periodic"
+    cause = "A worm, a gear or the division of the stage repeats its error a whole number of times a turn."
+    formula = "ψ += per_sin · sin cycles·θ + per_cos · cos cycles·θ"
+    separated_by = (
+        "Gives harmonics cycles ± 1 on both axes together: `cubic` shares cos 3t with two and four cycles; "
+        "remount the part by half a cycle, the stage's term changes its sign. Numbers of cycles that fold "
+        "to the same at equally spaced angles: measure at angles between those of the session."
+    )
+    needs = ("angle_rad",)
+    coefficients: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("per_sin", "deg", -2.0, 2.0, 0.01),
+        Parameter("per_cos", "deg", -2.0, 2.0, 0.01),
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.cycles < LEAST_CYCLES:
+            raise UsageError(
+                f"{self.name}: cycles is {self.cycles}, it can be {LEAST_CYCLES} or more; one cycle a turn "
+                "is stage_eccentricity, two are stage_ellipticity"
+            )
+
+    def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
+        """Harmonic `cycles` of the declared angle."""
+        turned = self.cycles * conditions.covariate("angle_rad")
+        # At 2·cycles equally spaced angles one of the two is rounding and stands for nothing.
+        waves = (np.sin(turned), np.cos(turned))
+        return tuple(np.where(np.abs(wave) > _ROUNDING, wave, 0.0) for wave in waves)
 
 
 class Backlash(StageEffect):
@@ -126,6 +199,61 @@ class Hysteresis(LinearAxisEffect):
         return (0.5 * conditions.covariate("approach"),)
 
 
+class Creep(AxisEffect):
+    """The axis answers to a part of its load late, and so goes on creeping after each change of the load.
+
+    With τ da_late/dt = a − a_late, and a_late = a where the session begins, the term is
+    creep_i (a_late − a) per g: right after a change of the load by Δa it lacks creep·Δa, and what it lacks
+    decays with τ. It is zero where the load has rested, so that it does not compete with the gain. A gain
+    that changes with the load itself is `quadratic` or `cubic`; a gain that drifts *after* loading is this.
+    `settling` is the same for every dwell and over within it; `hysteresis` knows the direction of the last
+    move only.
+    """
+
+    name = "creep"
+    cause = "The spring or the mount of an axis goes on yielding after the load on it has changed."
+    formula = "a_i += creep_i · (a_late,i − a_i)/1000, τ da_late,i/dt = a_i − a_late,i"
+    separated_by = (
+        "It follows the loads of all dwells before, in proportion: turn by 180°, repeat the position for "
+        "several τ, and turn back. `settling` begins anew with every dwell, `bias_drift` and `warm_up` do "
+        "not ask where the part has been, `hysteresis` does not decay."
+    )
+    needs = ("load_history",)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The amplitudes, then the time constant."""
+        return (
+            *by_letters((Parameter("creep", "mg/g", -100.0, 100.0, 1.0),), self.axes),
+            Parameter("tau", "s", 1.0, 36000.0, 120.0, shape=True),
+        )
+
+    def _course(self, column: int, tau_s: float, own_mg: Floats, c: Conditions) -> tuple[Floats, Floats]:
+        """(a_late − a)/1000 of a column and its derivative by τ, (n,) each."""
+        if c.load_history is None:
+            raise UsageError("the session does not record load_history")
+        times, loads = c.load_history
+        late, by_tau = lagged(times, loads[:, column], c.time_s, tau_s)
+        return (late - own_mg) / MG_PER_G, by_tau / MG_PER_G
+
+    def reading_mg(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """What the axes still lack, (n, axes) in mg."""
+        added = np.zeros(ideal_mg.shape)
+        for value, column in zip(values[:-1], self.columns_of(ideal_mg), strict=True):
+            course, _ = self._course(column, float(values[-1]), ideal_mg[:, column], conditions)
+            added[:, column] = value * course
+        return added
+
+    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+        """Derivative (n, axes, p): the course by the amplitudes, its slope by τ."""
+        design = np.zeros((*ideal_mg.shape, len(values)))
+        for k, column in enumerate(self.columns_of(ideal_mg)):
+            course, slope = self._course(column, float(values[-1]), ideal_mg[:, column], conditions)
+            design[:, column, k] = course
+            design[:, column, -1] = values[k] * slope
+        return design
+
+
 class AxisTilt(Effect):
     """The axis of rotation is out of the horizontal by ε.
 
@@ -185,8 +313,10 @@ class AxisTilt(Effect):
 EFFECTS: tuple[type[Effect], ...] = (
     StageEccentricity,
     StageEllipticity,
+    StagePeriodic,
     Backlash,
     PositionSlip,
     Hysteresis,
+    Creep,
     AxisTilt,
 )

@@ -265,16 +265,15 @@ def _of_angle(data: Readings) -> Iterator[_Made]:
     def of_angle(function: Callable[[Floats], Floats]) -> Callable[[Conditions], Floats]:
         return lambda c: function(c.covariate("angle_rad"))[:, None]
 
-    # One cycle of an axis is gain and misalignment; one and two of the angle have names.
+    # One cycle of an axis is gain and misalignment; cycles of the angle have names.
     for k in range(2, 7):
-        places: tuple[Where, ...] = ("bias", "angle") if k > 2 else ("bias",)
-        yield _Made("angle", False, Basis(f"sin {k}θ, cos {k}θ", ("angle",), harmonic((k,))), places)
+        yield _Made("angle", False, Basis(f"sin {k}θ, cos {k}θ", ("angle",), harmonic((k,))), ("bias",))
         for word, f in (("sin", np.sin), ("cos", np.cos)):
             yield _Made(
                 "angle",
                 False,
                 Basis(f"{word} {k}θ", ("angle",), of_angle(shapes.multiple(f, k))),
-                ("bias", "angle"),
+                ("bias",),
             )
     turn = 2 * np.pi
     more: dict[str, Callable[[Floats], Floats]] = {
@@ -344,7 +343,9 @@ def _of_scalar(
         return lambda c: function((get(c) - middle) / half)
 
     covariates = (family,)
-    named: tuple[Where, ...] = ("bias", "gain") if family == "temperature" else ("bias",)
+    named: tuple[Where, ...] = ("bias", "gain")
+    if family == "temperature":
+        named = ("bias", "gain", "misalignment")
     yield from _both(family, covariates, f"{d}", about(shapes.line), named)
     curves: dict[str, shapes.Shape] = {
         f"{d}²": shapes.power(2),
@@ -437,7 +438,7 @@ def _of_time(data: Readings) -> Iterator[_Made]:
         return lambda c: function((c.time_s - middle) / half)
 
     covariates = ("time",)
-    yield from _both("time", covariates, "t", lambda c: c.time_s / (2 * half), ("bias",))
+    yield from _both("time", covariates, "t", lambda c: c.time_s / (2 * half), ("bias", "gain"))
     yield from _both("time", covariates, "t²", lambda c: (c.time_s / (2 * half)) ** 2)
     yield from _both("time", covariates, "t³", lambda c: (c.time_s / (2 * half)) ** 3)
     yield from _both("time", covariates, "√t", lambda c: np.sqrt(np.maximum(c.time_s, 0) / (2 * half)))

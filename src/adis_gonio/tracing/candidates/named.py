@@ -12,6 +12,8 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm
 from adis_gonio.model.effects import AXES, Effect, Enters, catalogue
 from adis_gonio.model.effects.base import Parameter
+from adis_gonio.model.effects.stage import LEAST_CYCLES, alike
+from adis_gonio.model.records import Floats
 
 NAMED_SHARE = 0.7
 """Share of the prior that the catalogue has; the grammar of nameless terms has the rest."""
@@ -19,12 +21,15 @@ COMMON = {"bias": 6.0, "quadratic": 1.5}
 """Weight of an effect against the others (1): every sensor has a bias, and of two names that a session
 cannot tell apart the more common stands."""
 GRID = 9
+MOST_CYCLES = 72
+"""Most cycles a turn that are looked for: a worm of 72 teeth."""
 
 
 def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
     """Candidates, and the reason for every effect that cannot be one.
 
-    Each effect has a share of the prior; its variants (axes, dwell, degree, shape) divide it.
+    Each effect has a share of the prior; its variants (axes, dwell, degree, shape) divide it evenly, its
+    numbers of cycles by 1/n: in every octave of them there is one as likely.
     """
     terms: list[NamedTerm] = []
     missing: dict[str, str] = {}
@@ -43,8 +48,9 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
             missing[name] = "attitudes are free"
             continue
         variants = list(_variants(kind, data))
-        share = NAMED_SHARE * weights[name] / total / len(variants)
-        for effect, shapes in variants:
+        parts = np.array([1 / getattr(effect, "cycles", 1) for effect, _ in variants])
+        shares = NAMED_SHARE * weights[name] / total * parts / parts.sum()
+        for (effect, shapes), share in zip(variants, shares, strict=True):
             label = effect.name
             if effect.axes:
                 label += "[" + "".join(effect.axes) + "]"
@@ -67,6 +73,8 @@ def covariates_of(kind: type[Effect]) -> tuple[str, ...]:
     }
     known = {
         "bias_drift": ("time",),
+        "scale_drift": ("time",),
+        "creep": ("previous_angle",),
         "warm_up": ("time",),
         "bias": (),
         "thermal_lag": ("temperature",),
@@ -85,7 +93,7 @@ def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tupl
     if kind.by_axis:
         subsets = [
             subset
-            for size in range(1, len(letters) + 1)
+            for size in range(1, (1 if kind.one_axis else len(letters)) + 1)
             for subset in itertools.combinations(letters, size)
         ]
     choices = kind.choices()
@@ -109,6 +117,8 @@ def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tupl
     elif "degree" in choices:
         levels = len(np.unique(np.round(data.conditions.covariate("temperature_c"), 1)))
         options = [{"degree": k} for k in (1, 2, 3) if k < max(2, levels)]
+    elif "cycles" in choices:
+        options = [{"cycles": k} for k in cycles_shown(data.conditions.covariate("angle_rad"))]
     for axes in subsets:
         for option in options:
             effect = kind(axes, **option)
@@ -116,6 +126,15 @@ def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tupl
             grids = [[(k, value) for value in _grid(p, data)] for k, p in shaped]
             for shapes in itertools.product(*grids):
                 yield effect, shapes
+
+
+def cycles_shown(angle_rad: Floats) -> list[int]:
+    """Numbers of cycles a turn that these angles tell from a constant and from fewer cycles."""
+    shown = list(range(LEAST_CYCLES))
+    for cycles in range(LEAST_CYCLES, MOST_CYCLES + 1):
+        if not any(alike(cycles, fewer, angle_rad) for fewer in shown):
+            shown.append(cycles)
+    return shown[LEAST_CYCLES:]
 
 
 def _grid(parameter: Parameter, data: Readings) -> list[float]:

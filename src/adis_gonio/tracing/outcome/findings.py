@@ -9,6 +9,7 @@ import numpy as np
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.records import Floats
+from adis_gonio.tracing.outcome.cycles import cycles_alike
 from adis_gonio.tracing.outcome.result import Finding, Rival, Unnamed
 from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, span
 from adis_gonio.tracing.selection.scatter import Scatter
@@ -51,10 +52,14 @@ def finding_of(selection: Selection, name: str) -> Finding:
         if isinstance(term, NamedTerm) and term.name == name:
             cause = term.effect.cause
             axes += [axis for axis in term.effect.axes if axis not in axes]
+            seen = np.abs(fit.candidate(term)).max(axis=(0, 1)) > 0
+            unseen = {k for k, shown in zip(term.amplitudes, seen, strict=True) if not shown}
             for k, parameter in enumerate(term.effect.parameters):
                 within = fit.covariance[at + k, at + k] * selection.inflation
                 u = student * float(np.sqrt(within + between.get(parameter.name, 0.0)))
-                parameters[parameter.name] = Value(float(values[k]), u, parameter.unit)
+                undetermined = k in unseen
+                value = 0.0 if undetermined else float(values[k])
+                parameters[parameter.name] = Value(value, None if undetermined else u, parameter.unit)
             for choice in term.effect.choices():
                 parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
     # The level is spent by the prior: a name has a far greater share of it than one of thousands of
@@ -235,6 +240,11 @@ def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
     """What has to be said about the noise."""
     data = selection.data
     notes = list(data.notes)
+    for cycles, others in cycles_alike(selection):
+        listed = ", ".join(str(n) for n in others)
+        notes.append(
+            f"at the angles of this session {cycles} cycles a turn of the stage look like {listed}"
+        )
     if not data.noise_known:
         notes.append(
             "the noise of a reading is not known; it was estimated from the residual, so that adequacy "
