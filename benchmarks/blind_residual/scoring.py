@@ -65,7 +65,8 @@ def score(
     dict
         `claims` names and covariates claimed beside the bias; `right_top`, `right_set` shares of the
         true names that head a set, or lie in one; `false` something claimed where nothing is hidden;
-        `wrong` a name whose set holds no true name, nor one that the catalogue has had since; `wrong_confident` one of more than 95 %;
+        `wrong` a name whose set holds no true name, nor one that the catalogue has had since;
+        `wrong_confident` one of more than 95 %;
         `fabricated` a name or a covariate where only scatter is; `covariate` (strangers) every group of
         words hit, without a name, or the name that the catalogue has had since; …
     """

@@ -136,6 +136,16 @@ def test_a_stranger_wants_every_group_of_covariates_and_no_name(catalogued):
     assert (both["wrong"], one["covariate_some"], named["wrong_confident"]) == (False, True, True)
 
 
+def test_a_name_that_the_catalogue_has_had_since_is_right_and_not_asked_for(catalogued):
+    truth = replace(catalogued, family="foreign", names=[], covariates=[["time"]], since=["scale_drift"])
+    named = scoring.score(truth, answer(causes=[cause("scale_drift")]))
+    nameless = scoring.score(truth, answer(covariates=["time"]))
+    wrong = scoring.score(truth, answer(causes=[cause("scale_drift"), cause("cubic")]))
+    assert (named["covariate"], nameless["covariate"], wrong["covariate"]) == (True, True, False)
+    assert (named["wrong"], nameless["wrong"], wrong["wrong_names"]) == (False, False, ["cubic"])
+    assert "right_set" not in nameless
+
+
 def test_scatter_is_right_by_its_own_name_and_fabricated_by_any_other(catalogued):
     truth = replace(catalogued, family="scatter", names=[], scatter=True)
     good = scoring.score(truth, answer(causes=[cause("reading_scatter")]))

@@ -6,6 +6,7 @@ import pytest
 from adis_gonio.errors import UsageError
 from adis_gonio.model.effects import Conditions, Enters, effect
 from adis_gonio.model.effects.lag import lagged
+from adis_gonio.model.effects.stage import alike
 
 TURN = 2 * np.pi * np.arange(48) / 48
 
@@ -186,6 +187,65 @@ def test_stage_harmonics_are_degrees_of_sine_and_cosine():
     two = effect("stage_ellipticity")
     angle = two.attitude_rad(np.array([0.1, 0.2]), conditions_at(np.deg2rad([0.0, 45.0, 90.0])))
     assert np.rad2deg(angle) == pytest.approx([0.2, 0.1, -0.2])
+
+
+def test_periodic_error_repeats_its_cycles_in_a_turn():
+    three = effect("stage_periodic", cycles=3)
+    angle = three.attitude_rad(np.array([0.1, 0.2]), conditions_at(np.deg2rad([0.0, 30.0, 60.0])))
+    assert np.rad2deg(angle) == pytest.approx([0.2, 0.1, -0.2])
+    for fewer in (0, 1, 2):
+        with pytest.raises(UsageError, match="stage_eccentricity, two are stage_ellipticity"):
+            effect("stage_periodic", cycles=fewer)
+
+
+@pytest.mark.parametrize(
+    ("cycles", "others"), [(5, 7), (5, 17), (5, 19), (1, 11), (2, 10), (0, 12), (6, 18)]
+)
+def test_cycles_that_fold_to_the_same_at_equal_angles_are_alike_until_an_angle_stands_between(
+    cycles, others
+):
+    equal = np.deg2rad(np.arange(12) * 30.0) + 0.3
+    assert alike(cycles, others, equal)
+    waves = [
+        effect("stage_periodic", cycles=max(n, 3)).derivative(
+            np.zeros(2), np.zeros((12, 2)), conditions_at(equal)
+        )
+        for n in (cycles, others)
+    ]
+    if cycles > 2:
+        assert span_residual(waves[1], waves[0]) == pytest.approx(0, abs=1e-9)
+    assert not alike(cycles, others, np.append(equal, np.deg2rad(47.0)))
+    assert not alike(cycles, others + 1, equal)
+
+
+def test_what_follows_gain_time_and_supply_changes_its_sign_with_the_reading():
+    conditions = Conditions(np.array([0.0, 120.0]), supply_v=np.array([5.0, 4.9]))
+    ideal = np.array([[1000.0, -500.0]] * 2)
+    drift = readings("scale_drift", [300.0, 300.0], ideal, conditions)
+    np.testing.assert_allclose(drift, [[0, 0], [0.6, -0.3]], atol=1e-12)
+    supply = readings("supply_scale", [2000.0, 2000.0], ideal, conditions)
+    np.testing.assert_allclose(supply, [[0, 0], [-0.2, 0.1]], atol=1e-12)
+
+
+def test_lean_by_temperature_takes_a_degree_of_the_reading_across_for_each_degree():
+    conditions = Conditions(np.zeros(2), temperature_c=np.array([25.0, 35.0]))
+    ideal = np.array([[1000.0, 400.0]] * 2)
+    added = readings("misalignment_temperature", [0.1, -0.1], ideal, conditions)
+    one_degree = np.pi / 180
+    np.testing.assert_allclose(added, [[0, 0], [400 * one_degree, -1000 * one_degree]], atol=1e-12)
+
+
+def test_creep_lacks_the_change_of_the_load_and_makes_up_for_it_with_its_time_constant():
+    """A part that rested at 0 is turned over within 1 µs to +1 g on X, half of it on Y, and stays."""
+    history = (
+        np.array([0.0, 100.0, 100.000001, 500.0]),
+        np.array([[0.0, 0.0]] * 2 + [[1000.0, 500.0]] * 2),
+    )
+    time = np.array([50.0, 100.000001, 160.0, 400.0])
+    ideal = np.array([[0.0, 0.0]] + [[1000.0, 500.0]] * 3)
+    added = readings("creep", [4.0, 2.0, 60.0], ideal, Conditions(time, load_history=history))
+    left = np.array([0.0, 1.0, np.exp(-1.0), np.exp(-5.0)])
+    np.testing.assert_allclose(added, -left[:, None] * [4.0, 1.0], atol=1e-6)
 
 
 def test_backlash_and_hysteresis_are_full_widths_between_the_approaches():

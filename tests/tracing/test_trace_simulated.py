@@ -76,6 +76,58 @@ def test_no_nameless_surface_takes_the_place_of_three_names(
     assert found(result) <= {"bias", *effects, *instead}
 
 
+@pytest.mark.parametrize("seed", [3101, 3102])
+def test_creep_after_each_turn_is_found_by_name(tmp_path, capsys, seed: int) -> None:
+    effect = ("--effect", "creep:creep_x=5,creep_y=-3,tau=20")
+    result = traced(tmp_path, capsys, seed, *TUMBLE, *effect)
+    assert found(result) == {"bias", "creep"}
+    assert result["unnamed"] is None
+    values = next(e for e in result["found"] if e["effect"] == "creep")["parameters"]
+    for name, truth in {"creep_x": 5, "creep_y": -3, "tau": 20}.items():
+        assert abs(values[name]["value"] - truth) < 4 * values[name]["u"]
+
+
+@pytest.mark.parametrize("seed", [3101, 3102])
+def test_cycles_that_fold_at_twelve_angles_are_found_as_the_fewest_and_the_others_named(
+    tmp_path, capsys, seed: int
+) -> None:
+    effect = ("--effect", "stage_periodic:cycles=17,per_sin=0.1,per_cos=0.05")
+    result = traced(tmp_path, capsys, seed, *TUMBLE, "--set", "fixture_sigma_deg=0.01", *effect)
+    assert found(result) == {"bias", "stage_periodic"}
+    values = next(e for e in result["found"] if e["effect"] == "stage_periodic")["parameters"]
+    assert values["cycles"]["value"] == 5
+    # sin 17θ is sin 5θ at whole multiples of 30°, and −sin 7θ.
+    assert abs(values["per_sin"]["value"] - 0.1) < 4 * values["per_sin"]["u"]
+    assert any(
+        "5 cycles a turn look like 7, 17, 19" in note.replace(" of the stage", "")
+        for note in result["notes"]
+    )
+    assert any("tell 5 cycles a turn from 7, 17, 19" in line for line in result["next"])
+
+
+@pytest.mark.parametrize("seed", [3101, 3102])
+def test_of_cycles_that_are_their_own_mirror_the_phase_that_nothing_shows_has_no_uncertainty(
+    tmp_path, capsys, seed: int
+) -> None:
+    effect = ("--effect", "stage_periodic:cycles=6,per_sin=0.1,per_cos=0.08")
+    result = traced(tmp_path, capsys, seed, *TUMBLE, "--set", "fixture_sigma_deg=0.01", *effect)
+    values = next(e for e in result["found"] if e["effect"] == "stage_periodic")["parameters"]
+    assert values["per_sin"]["u"] is None
+    assert abs(values["per_cos"]["value"] - 0.08) < 4 * values["per_cos"]["u"]
+
+
+@pytest.mark.parametrize("seed", [3101, 3102])
+def test_a_gain_that_follows_a_supply_which_only_sinks_stands_with_a_drift_of_the_gain(
+    tmp_path, capsys, seed: int
+) -> None:
+    options = ("--effect", "supply_scale:supply_scale_y=20000", "--set", "supply_drift_v_per_h=-4")
+    result = traced(tmp_path, capsys, seed, *TUMBLE, "--set", "fixture_sigma_deg=0.01", *options)
+    assert found(result) - {"bias"} <= {"supply_scale", "scale_drift"}
+    together = next(s["names"] for s in result["sets"] if "supply_scale" in s["names"])
+    assert "scale_drift" in together
+    assert any({"supply_scale", "scale_drift"} <= set(group) for group in result["confounded"])
+
+
 def test_a_constant_temperature_does_not_become_an_impossible_coefficient(tmp_path, capsys) -> None:
     # The sensor reads 25.05 °C throughout: a bias of 5.6 mg would be 116 mg/°C, five times the bound.
     result = traced(tmp_path, capsys, 1002, "--plan", "tumble")

@@ -63,6 +63,24 @@ def test_tone_through_the_chip(tmp_path):
         assert held(found, "tone_y", 1 * gain)
 
 
+@pytest.mark.parametrize("above_hz", [600.0, 1500.0])
+def test_a_tone_above_half_the_rate_is_seen_as_its_alias_and_named_among_what_folds_there(
+    tmp_path, above_hz
+):
+    effect = f"tone:tone_x=4,frequency={above_hz}"
+    (found,) = within(simulated(tmp_path / "alias.csv", effect))
+    seen_hz = abs(above_hz - RATE_HZ * round(above_hz / RATE_HZ))
+    gain = abs(FILTER @ np.exp(-2j * np.pi * seen_hz / RATE_HZ * np.arange(len(FILTER))))
+    assert (found.kind, found.axes) == ("tone", ("x",))
+    assert held(found, "frequency", seen_hz)
+    assert held(found, "tone_x", 4 * gain)
+    u_hz = found.parameters["frequency"].u
+    assert u_hz is not None
+    assert min(abs(f - above_hz) for f in found.aliases_hz) < 4 * u_hz + 1e-4 * above_hz
+    assert found.as_dict()["aliases_hz"] == list(found.aliases_hz)
+    assert f"{above_hz:.4g}"[:3] in found.sentence
+
+
 def test_settling_through_the_chip(tmp_path):
     for seed in range(2):
         path = simulated(tmp_path / f"{seed}.csv", "settling:settling_x=8,tau=0.8", seed=seed)
