@@ -98,10 +98,7 @@ def test_cycles_that_fold_at_twelve_angles_are_found_as_the_fewest_and_the_other
     assert values["cycles"]["value"] == 5
     # sin 17θ is sin 5θ at whole multiples of 30°, and −sin 7θ.
     assert abs(values["per_sin"]["value"] - 0.1) < 4 * values["per_sin"]["u"]
-    assert any(
-        "5 cycles a turn look like 7, 17, 19" in note.replace(" of the stage", "")
-        for note in result["notes"]
-    )
+    assert any("5 cycles a turn of the stage look like 7, 17, 19" in note for note in result["notes"])
     assert any("tell 5 cycles a turn from 7, 17, 19" in line for line in result["next"])
 
 

@@ -205,6 +205,23 @@ def _turn_time(rng: np.random.Generator, rows: Rows) -> Term:
     return _turned("turn_time", lambda r: r.time_s / 60, "time", "(angle|ψ).*[~ ](t|time)$")
 
 
+def _turn_supply(rng: np.random.Generator, rows: Rows) -> Term:
+    return _turned(
+        "turn_supply",
+        lambda r: r.supply_v - 5,
+        "supply",
+        "(angle|ψ).*[~ ]\\(?(V|supply)",
+        needs="surroundings",
+    )
+
+
+def _lean_time(rng: np.random.Generator, rows: Rows) -> Term:
+    axis = str(rng.choice(["x", "y"]))
+    basis = on_axes(axis, lambda r, a, i: a[:, 1 - i] / 1000 * r.time_s / 60)
+    made = _made("lean_time", basis, _sizes(rng, axis), "time", "cross|lean|misal")
+    return replace(made, also=("reading",))
+
+
 def _quintic(rng: np.random.Generator, rows: Rows) -> Term:
     return _response(rng, "quintic", lambda a, p: a**5, "5|⁵|quintic", "cubic")
 
@@ -251,6 +268,8 @@ GRAMMAR: dict[str, Draw] = {
     "gain_temperature_knee": _gain_temperature_knee,
     "cross_modulus": _cross_modulus,
     "turn_time": _turn_time,
+    "turn_supply": _turn_supply,
+    "lean_time": _lean_time,  # an axis that turns against the other
     "drift_square": _drift_square,
     "drift_knee": _drift_knee,
 }
@@ -397,7 +416,7 @@ def _supply_sigmoid(rng: np.random.Generator, rows: Rows) -> Term:
 
 def _gain_wander(rng: np.random.Generator, rows: Rows) -> Term:
     f = _smooth_draw(rng, 0.0, rows.time_s[-1], rng.uniform(0.15, 0.3))
-    return _gain(rng, "gain_wanders", lambda r: f(r.time_s), "time", "")
+    return _gain(rng, "gain_wanders", lambda r: f(r.time_s), "time", "", "scale_drift")
 
 
 def _two_slopes(rng: np.random.Generator, rows: Rows) -> Term:
