@@ -46,7 +46,7 @@ Harmonic n needs at least 2n + 1 positions. What shares its columns is told apar
 """
 
 TURN = ("quadratic", "cross_axis", "cross_quadratic", "cubic", "asymmetry", "misalignment", "scale", "bias")
-STAGE_TURN = ("stage_eccentricity", "stage_ellipticity")
+STAGE_TURN = ("stage_eccentricity", "stage_ellipticity", "stage_periodic")
 
 PLUGIN = """\
 ## An effect of your own

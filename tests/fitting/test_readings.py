@@ -164,6 +164,20 @@ def test_readings_of_one_row_have_the_stated_uncertainty_or_none():
     assert not reduced(session(dwell([[1.0, 2.0]]))).known.any()
 
 
+def test_loads_stand_from_the_first_to_the_last_sample_of_each_dwell():
+    measured = session(
+        dwell([[998.0, 0.0], [1002.0, 2.0]]),
+        dwell([[0.0, 990.0]], 1, angle_deg=90.0),
+        dwell([[-1001.0, 5.0], [-999.0, 5.0]], 2),
+        reading_u_mg=1.0,
+    )
+    times, loads = reduced(measured).conditions.load_history
+    assert times == pytest.approx([0, 1 / 819.2, 100, 200, 200 + 1 / 819.2])
+    np.testing.assert_allclose(loads, [[1000, 1], [1000, 1], [0, 990], [-1000, 5], [-1000, 5]])
+    back = session(dwell([[1000.0, 0.0]], 1), dwell([[0.0, 990.0]], 0), reading_u_mg=1.0)
+    assert reduced(back).conditions.load_history is None, "times that run back tell no history"
+
+
 def test_check_dwells_are_left_out():
     readings = reduced(session(dwell([[1.0, 2.0]], 0), dwell([[5.0, 6.0]], 1, use="check"), reading_u_mg=1))
     assert readings.training.position.tolist() == [0]

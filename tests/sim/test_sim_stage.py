@@ -197,3 +197,20 @@ def test_positions_in_pieces_equal_positions_at_once():
     for name in ("direction", "rate_dps", "ringing_mg", "angle_rad", "time_in_dwell_s"):
         pieces = np.concatenate([getattr(part.at(times[k : k + 1]), name) for k in range(1000)])
         assert np.array_equal(pieces, getattr(whole, name), equal_nan=True), name
+
+
+def test_the_course_between_its_knots_is_the_way_that_the_part_takes():
+    part = stage(alpha_deg=3.0, fixture_sigma_deg=0.1)
+    knots, directions = part.course()
+    assert knots.tolist() == [0.0]
+    assert directions == pytest.approx(at(part, 0).direction)
+    now = part.move_to(0.0, 180.0)
+    now = part.move_to(now + 5, 20.0, approach=1)
+    now = part.orient(now + 5, np.array([1.0, 1.0, -1.0]))
+    now = part.move_to(now + 5, 90.0)
+    times = np.linspace(-1, now + 3, 2000)
+    knots, directions = part.course()
+    assert (np.diff(knots) > 0).all()
+    for axis in range(3):
+        told = np.interp(times, knots, directions[:, axis])
+        np.testing.assert_allclose(told, part.at(times).direction[:, axis], atol=2e-3)
