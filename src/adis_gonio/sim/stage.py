@@ -21,7 +21,7 @@ from adis_gonio.sim.settings import WorldSettings
 
 _SHORTEST_MOVE_S = 0.3
 _KNOTS = 33
-"""Points of a move by which its course is told: between them a turn of 180° leaves its chord by (π²/64)²/8 = 0.3 %."""
+"""Points of a move by which its course is told: a turn of 180° leaves its chords by (π²/64)²/8 = 0.3 %."""
 
 
 @dataclass(frozen=True)
