@@ -27,24 +27,12 @@ from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.effects.lag import lagged
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.candidates import shapes
+from adis_gonio.tracing.thresholds import limits
 
-NAMELESS_SHARE = 0.3
-"""Share of the prior that all nameless terms together have."""
-
-FAMILY_WEIGHT = {"reading": 1.0, "angle": 1.0, "time": 1.0, "temperature": 1.0, "supply": 0.7}
-"""Weight of the terms of one covariate against others (0.7); approach, memory and products among these."""
-SMOOTH_WEIGHT = 0.25
-"""Part of a covariate's weight that its smooth functions have; its formulas have the rest."""
-
+COMMON = ("reading", "angle", "time", "temperature")
+"""Covariates of full weight; supply, approach, memory and products are less likely causes."""
 
 EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "misalignment", "angle")
-
-
-LEAST_RANGE = {"temperature": 0.5, "supply": 0.01}
-"""Least range (°C, V) in which a covariate is a factor of a product: below it is a constant with noise, and
-the product is the other factor."""
-LEAST_DWELLS = 1.9
-"""Dwells (participation ratio) that a bump has to touch."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +49,7 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
     """All nameless candidates of a session with their price."""
     made = [m for m in _bases(data) if not _one_dwell(m.basis, data.conditions)]
     families = sorted({m.family for m in made})
-    weight = {family: FAMILY_WEIGHT.get(family, 0.7) for family in families}
+    weight = {family: 1.0 if family in COMMON else limits.family_weight for family in families}
     total = sum(weight.values())
     placed: dict[tuple[str, bool], list[tuple[_Made, Where, tuple[int, ...]]]] = {}
     subsets = [
@@ -81,8 +69,8 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
     for (family, smooth), members in placed.items():
         both = (family, not smooth) in placed
         marked = {id(m): replace(m.basis, approximates=smooth) for m, _, _ in members}
-        part = (SMOOTH_WEIGHT if smooth else 1 - SMOOTH_WEIGHT) if both else 1.0
-        share = NAMELESS_SHARE * weight[family] / total * part / len(members)
+        part = (limits.smooth_weight if smooth else 1 - limits.smooth_weight) if both else 1.0
+        share = limits.nameless_share * weight[family] / total * part / len(members)
         for m, where, subset in members:
             axes = "".join("xyz"[k] for k in subset)
             label = f"{where}[{axes}]~{m.basis.form}" if axes else f"{where}~{m.basis.form}"
@@ -104,7 +92,7 @@ def _one_dwell(basis: Basis, conditions: Conditions) -> bool:
     rows = basis.over(conditions)[:, -1]
     if basis.local == "step":
         return bool(min(rows.sum(), (1 - rows).sum()) < 2)
-    return bool((rows**2).sum() ** 2 < LEAST_DWELLS * (rows**4).sum())
+    return bool((rows**2).sum() ** 2 < limits.bump_dwells * (rows**4).sum())
 
 
 def _bases(data: Readings) -> Iterator[_Made]:
@@ -581,8 +569,10 @@ def _products(data: Readings) -> Iterator[_Made]:
     conditions = data.conditions
     scalars: dict[str, tuple[str, Callable[[Conditions], Floats], float]] = {}
 
+    least = {"temperature": limits.least_range_c, "supply": limits.least_range_v}
+
     def add(name: str, letter: str, get: Callable[[Conditions], Floats], zero: float) -> None:
-        if np.ptp(get(conditions)) > LEAST_RANGE.get(name, 0.0):
+        if np.ptp(get(conditions)) > least.get(name, 0.0):
             scalars[name] = (letter, get, zero)
 
     add("time", "t", lambda c: c.time_s, 0.0)

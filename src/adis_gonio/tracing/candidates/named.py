@@ -12,13 +12,7 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm
 from adis_gonio.model.effects import AXES, Effect, Enters, catalogue
 from adis_gonio.model.effects.base import Parameter
-
-NAMED_SHARE = 0.7
-"""Share of the prior that the catalogue has; the grammar of nameless terms has the rest."""
-COMMON = {"bias": 6.0, "quadratic": 1.5}
-"""Weight of an effect against the others (1): every sensor has a bias, and of two names that a session
-cannot tell apart the more common stands."""
-GRID = 9
+from adis_gonio.tracing.thresholds import limits
 
 
 def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
@@ -29,7 +23,8 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
     terms: list[NamedTerm] = []
     missing: dict[str, str] = {}
     kinds = catalogue()
-    weights = {name: COMMON.get(name, 1.0) for name in kinds}
+    common = {"bias": limits.bias_weight, "quadratic": limits.quadratic_weight}
+    weights = {name: common.get(name, 1.0) for name in kinds}
     total = sum(weights.values())
     for name, kind in kinds.items():
         if kind.enters is Enters.SAMPLES or kind.within_dwell:
@@ -43,7 +38,7 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
             missing[name] = "attitudes are free"
             continue
         variants = list(_variants(kind, data))
-        share = NAMED_SHARE * weights[name] / total / len(variants)
+        share = limits.named_share * weights[name] / total / len(variants)
         for effect, shapes in variants:
             label = effect.name
             if effect.axes:
@@ -127,4 +122,4 @@ def _grid(parameter: Parameter, data: Readings) -> list[float]:
     step = max(length / max(len(time) - 1, 1), 1e-3)
     low = max(parameter.low, step)
     high = min(parameter.high, max(1.5 * length, 2 * low))
-    return [float(value) for value in np.geomspace(low, high, GRID)]
+    return [float(value) for value in np.geomspace(low, high, limits.grid)]

@@ -23,7 +23,7 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Basis, NamelessTerm, Where
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
-from adis_gonio.tracing.candidates.grammar import NAMELESS_SHARE
+from adis_gonio.tracing.thresholds import limits
 
 LENGTHS = (0.1, 0.18, 0.32, 0.56, 1.0)
 """Lengths of a kernel in units of the covariate's range."""
@@ -31,8 +31,6 @@ RING = (0.25, 0.4, 0.65, 1.0)
 """Widths w of the periodic kernel exp(−2 sin²(Δ/2)/w²)."""
 AMPLITUDES = (2.0, 4.0, 8.0, 16.0)
 """Prior standard deviations of a process, in standard uncertainties of a reading."""
-SELDOM = 0.3
-"""Weight of two covariates together, and of the previous position, against one covariate."""
 
 _HARMONICS = 16
 _BEYOND = 0.1
@@ -71,12 +69,16 @@ def processes(data: Readings) -> list[Process]:
             for axes in [()] if where == "angle" else subsets:
                 made.append(NamelessTerm("", basis.covariates, 0.0, where, axes, basis))
     members = Counter(term.covariates for term in made)
-    weight = {c: SELDOM if len(c) > 1 or c == ("previous_angle",) else 1.0 for c in members}
+    weight = {c: limits.pair_weight if len(c) > 1 or c == ("previous_angle",) else 1.0 for c in members}
     total = sum(weight.values())
     out = []
     for term, amplitude in itertools.product(made, AMPLITUDES):
         share = (
-            NAMELESS_SHARE * weight[term.covariates] / total / members[term.covariates] / len(AMPLITUDES)
+            limits.nameless_share
+            * weight[term.covariates]
+            / total
+            / members[term.covariates]
+            / len(AMPLITUDES)
         )
         sized = replace(term, shrinkage=amplitude * u_mg, cost=-math.log(share))
         label = f"{term.where}[{''.join('xyz'[k] for k in term.axes)}]~{term.basis.form} ({amplitude:g} u)"

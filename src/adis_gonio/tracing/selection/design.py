@@ -16,15 +16,8 @@ from numpy.typing import NDArray
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.terms import ROUNDING, Term
 from adis_gonio.model.records import Floats
+from adis_gonio.tracing.thresholds import limits
 
-_OBSERVABLE = 0.02
-"""Least length of a column beside the base model against its whole length, for it to be seen at all: what
-is shorter would need an amplitude fifty times what it leaves, and differs from the base model by
-second-order terms only."""
-_INDEPENDENT = 1e-4
-"""Least squared length of an orthonormal column beside a model, for it to be counted as another column."""
-PRIOR_SNR = 4.0
-"""Prior standard deviation of an effect in a reading, in standard uncertainties of a reading."""
 _RANK = 1e-7
 """Least squared length of a column beside the others of its own term."""
 
@@ -89,12 +82,12 @@ class LinearProblem:
         # block; by Woodbury's identity it takes no more than (1 + ε) 1 − AAᵀ, of the size of the model.
         along = np.add.reduceat(inside * z, first, axis=1).T
         gram = np.add.reduceat((inside[:, None] * inside).reshape(k * k, -1), first, axis=1)
-        least = 1 + _INDEPENDENT
+        least = 1 + limits.independent
         small = least * np.eye(k) - gram.T.reshape(-1, k, k)
         solved = along / small[:, :, 0] if k == 1 else np.linalg.solve(small, along[:, :, None])[:, :, 0]
         both = square + (along * solved).sum(axis=1)
         twice = (both + least * (solved**2).sum(axis=1)) / least**2
-        gain: Floats = both / least + _INDEPENDENT * twice
+        gain: Floats = both / least + limits.independent * twice
         return gain
 
     def only(self, chosen: NDArray[np.intp]) -> LinearProblem:
@@ -139,7 +132,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     together = together * np.where(before > 0, 1 / np.where(before > 0, before, 1.0), 0.0)
     together = together - base @ (base.T @ together)
     after = np.linalg.norm(together, axis=0)
-    seen_at_all = after > _OBSERVABLE
+    seen_at_all = after > limits.observable
     together = together * np.where(seen_at_all, 1 / np.where(seen_at_all, after, 1.0), 0.0)
     before = np.where(seen_at_all, before * after, 1.0)
 
@@ -199,7 +192,7 @@ def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
     """½ Σ ln(1 + s² n) over the columns of each block, a column being spread over n = 1/Σ u⁴ rows."""
     if not len(first):
         return np.zeros(0)
-    price = 0.5 * np.log1p(PRIOR_SNR**2 / np.maximum(((columns**2) ** 2).sum(axis=0), 1e-300))
+    price = 0.5 * np.log1p(limits.prior_snr**2 / np.maximum(((columns**2) ** 2).sum(axis=0), 1e-300))
     blocks: Floats = np.add.reduceat(price, first)
     return blocks
 
@@ -209,7 +202,7 @@ def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
     if not len(model):
         return np.zeros((len(problem.target), 0)), problem.target
     u, s, _ = np.linalg.svd(np.concatenate([problem.block(k) for k in model], axis=1), full_matrices=False)
-    basis = u[:, s > np.sqrt(_INDEPENDENT)]
+    basis = u[:, s > np.sqrt(limits.independent)]
     return basis, problem.target - basis @ (basis.T @ problem.target)
 
 
