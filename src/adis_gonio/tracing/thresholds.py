@@ -46,7 +46,7 @@ class Limits:
     smooth_weight: float = number(0.25, "chosen", "part of a covariate's prior that its polynomials have")
     pair_weight: float = number(0.3, "chosen", "prior weight of a process in two covariates against one")
     prior_snr: float = number(4.0, "chosen", "prior standard deviation of an effect, in u of a reading")
-    scatter_prior: float = number(0.05, "chosen", "prior probability of a variance component", off=0.0)
+    scatter_prior: float = number(0.05, "chosen", "prior probability of a variance component", off=1e-30)
 
     # What a session can show
     observable: float = number(
@@ -129,7 +129,7 @@ class Limits:
         0.5,
         "chosen",
         "part of the range of what a term added, by which it may go beyond elsewhere",
-        off=INFINITE,
+        off=1e6,
     )
     least_choice: int = number(9, "chosen", "least dwells for choosing anew without some of them", off=0)
     least_dwells: int = number(5, "chosen", "least dwells for judging single effects by folds", off=0)

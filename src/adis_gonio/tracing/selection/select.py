@@ -178,7 +178,8 @@ def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
     off = np.angle(np.exp(1j * (off - np.median(off))))
     typical = 1.4826 * float(np.median(np.abs(off)))
     length = np.linalg.norm(reading, axis=1) / data.gravity_mg
-    far = np.abs(off) > max(np.deg2rad(limits.gross_slip_deg), limits.gross_spreads * typical)
+    far = np.degrees(np.abs(off)) > limits.gross_slip_deg
+    far &= np.abs(off) > limits.gross_spreads * typical
     if (
         not far.any()
         or far.mean() > limits.gross_share
