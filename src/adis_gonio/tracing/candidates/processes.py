@@ -131,17 +131,7 @@ def _reading_u_mg(data: Readings) -> float:
 def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:
     """Features of every kernel, with the places where it may enter."""
     c = data.conditions
-    scalars: dict[str, Get] = {"time": lambda k: k.time_s}
-    if c.temperature_c is not None:
-        scalars["temperature"] = lambda k: k.covariate("temperature_c")
-    if c.supply_v is not None:
-        scalars["supply"] = lambda k: k.covariate("supply_v")
-    scalars = {name: get for name, get in scalars.items() if np.ptp(get(c)) > 0}
-    rings: dict[str, Get] = {}
-    if c.angle_rad is not None:
-        rings["angle"] = lambda k: k.covariate("angle_rad")
-    if c.previous_angle_rad is not None:
-        rings["previous_angle"] = lambda k: k.covariate("previous_angle_rad")
+    scalars, rings = _lines_and_rings(c)
     for name, get in scalars.items():
         for length in LENGTHS:
             basis = Basis(f"a smooth function of {name}", (name,), _line(get, get(c), length))
@@ -156,10 +146,23 @@ def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:
     for (one, f), (two, g) in itertools.combinations(scalars.items(), 2):
         for length in LENGTHS[2::2]:
             both = _product(_line(f, f(c), length), _line(g, g(c), length))
-            yield (
-                Basis(f"a smooth function of {one} and {two}", (one, two), both),
-                ("bias", "gain", "angle"),
-            )
+            form = f"a smooth function of {one} and {two}"
+            yield Basis(form, (one, two), both), ("bias", "gain", "angle")
+
+
+def _lines_and_rings(c: Conditions) -> tuple[dict[str, Get], dict[str, Get]]:
+    """Covariates that move along a line, and those that go round."""
+    lines: dict[str, Get] = {"time": lambda k: k.time_s}
+    if c.temperature_c is not None:
+        lines["temperature"] = lambda k: k.covariate("temperature_c")
+    if c.supply_v is not None:
+        lines["supply"] = lambda k: k.covariate("supply_v")
+    rings: dict[str, Get] = {}
+    if c.angle_rad is not None:
+        rings["angle"] = lambda k: k.covariate("angle_rad")
+    if c.previous_angle_rad is not None:
+        rings["previous_angle"] = lambda k: k.covariate("previous_angle_rad")
+    return {name: get for name, get in lines.items() if np.ptp(get(c)) > 0}, rings
 
 
 def _inducing(low: float, high: float, length: float) -> Callable[[Floats], Floats]:

@@ -123,69 +123,73 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
 
     raw = [fit.candidate(term) for term in terms]
     widths = np.array([block.shape[2] for block in raw], dtype=np.intp)
-    together = fit.white(np.concatenate(raw, axis=2))
-    before = np.linalg.norm(together, axis=0)
+    columns, length = _beside(base, fit.white(np.concatenate(raw, axis=2)), widths)
+    blocks = _orthonormal_blocks(columns, length, widths)
+
+    # Blocks of one width stand together.
+    chosen = sorted(blocks, key=lambda k: (blocks[k][0].shape[1], k))
+    width = np.array([blocks[k][0].shape[1] for k in chosen], dtype=np.intp)
+    first = (np.cumsum(width) - width).astype(np.intp)
+    together = np.concatenate([np.zeros((len(y), 0)), *(blocks[k][0] for k in chosen)], axis=1)
+    together = np.ascontiguousarray(together)
+    return LinearProblem(
+        terms=tuple(terms[k] for k in chosen),
+        columns=together,
+        first=first,
+        width=width,
+        target=y,
+        dof=len(y) - base.shape[1],
+        back=tuple(blocks[k][1] for k in chosen),
+        hidden=tuple(term for k, term in enumerate(terms) if k not in blocks),
+        cost=np.array([terms[k].cost for k in chosen]),
+        column_price=_column_prices(together, first),
+    )
+
+
+def _beside(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
+    """Columns projected off the base model, of length 1, and their length before; unseen ones are zero."""
+    before = np.linalg.norm(columns, axis=0)
     # The sixth harmonic's sine on a grid of 30° is rounding, not a direction.
-    starts = np.concatenate([[0], np.cumsum(widths)[:-1]]).astype(np.intp)
+    starts = np.cumsum(widths) - widths
     longest = np.repeat(np.maximum.reduceat(before, starts), widths) if len(before) else before
     before = np.where(before > ROUNDING * longest, before, 0.0)
-    together = together * np.where(before > 0, 1 / np.where(before > 0, before, 1.0), 0.0)
-    together = together - base @ (base.T @ together)
-    after = np.linalg.norm(together, axis=0)
-    seen_at_all = after > limits.observable
-    together = together * np.where(seen_at_all, 1 / np.where(seen_at_all, after, 1.0), 0.0)
-    before = np.where(seen_at_all, before * after, 1.0)
+    columns = columns * np.where(before > 0, 1 / np.where(before > 0, before, 1.0), 0.0)
+    columns = columns - base @ (base.T @ columns)
+    after = np.linalg.norm(columns, axis=0)
+    seen = after > limits.observable
+    columns = columns * np.where(seen, 1 / np.where(seen, after, 1.0), 0.0)
+    return columns, np.where(seen, before * after, 1.0)
 
-    blocks: dict[int, list[tuple[int, Floats, Floats]]] = {}
-    hidden = []
+
+def _orthonormal_blocks(
+    columns: Floats, length: Floats, widths: NDArray[np.intp]
+) -> dict[int, tuple[Floats, Floats]]:
+    """By number of the term its orthonormal block, and amplitudes from the block's coefficients.
+
+    Terms that the session cannot see have none. Blocks of one width are made at once.
+    """
+    starts = np.cumsum(widths) - widths
+    blocks: dict[int, tuple[Floats, Floats]] = {}
     for size in sorted({int(w) for w in widths}):
         members = np.flatnonzero(widths == size)
         index = starts[members, None] + np.arange(size)
-        stack = together[:, index].transpose(1, 0, 2)  # (members, rows, width)
+        stack = columns[:, index].transpose(1, 0, 2)  # (members, rows, width)
         gram = stack.transpose(0, 2, 1) @ stack
         root = np.linalg.cholesky(gram + 1e-10 * np.eye(size))
         whole = [bool((np.diagonal(one) ** 2 > _RANK).all()) for one in root]
         halves = np.linalg.inv(root).transpose(0, 2, 1)
         turned = stack @ halves
         for k, member in enumerate(members.tolist()):
-            half, columns = halves[k], turned[k]
+            half, block = halves[k], turned[k]
             if not whole[k]:
                 values, vectors = np.linalg.eigh(gram[k])
                 seen = np.asarray(values > _RANK)
                 if not seen.any():
-                    hidden.append(terms[member])
                     continue
                 half = vectors[:, seen] / np.sqrt(values[seen])
-                columns = stack[k] @ half
-            raw_half = half / before[index[k]][:, None]
-            blocks.setdefault(columns.shape[1], []).append((member, columns, raw_half))
-
-    chosen: list[int] = []
-    pieces, back, first, width_of = [np.zeros((len(y), 0))], [], [], []
-    at_column = 0
-    for width in sorted(blocks):
-        for member, columns, raw_half in blocks[width]:
-            chosen.append(member)
-            pieces.append(columns)
-            back.append(raw_half)
-            first.append(at_column)
-            width_of.append(width)
-            at_column += width
-    picked = tuple(terms[k] for k in chosen)
-    together = np.ascontiguousarray(np.concatenate(pieces, axis=1))
-    begins = np.array(first, dtype=np.intp)
-    return LinearProblem(
-        terms=picked,
-        columns=together,
-        first=begins,
-        width=np.array(width_of, dtype=np.intp),
-        target=y,
-        dof=len(y) - base.shape[1],
-        back=tuple(back),
-        hidden=tuple(hidden),
-        cost=np.array([term.cost for term in picked]),
-        column_price=_column_prices(together, begins),
-    )
+                block = stack[k] @ half
+            blocks[member] = block, half / length[index[k]][:, None]
+    return blocks
 
 
 def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:

@@ -127,12 +127,7 @@ def search(
             fresh.update(_open(found, model, spare, smaller, active))
         if not fresh:
             break
-        wide = _widest(problem, fresh, 2 * beam if size == 1 else beam)
-        top = max(found.scores.values())
-        level = [m for m in wide if fresh[m] + found.hope(m) > top - 2.0]
-        if size > 2 and max(fresh.values()) < top - 2.0:
-            # One nameless surface may be ahead of two names that want a third beside them.
-            level = [m for m in level if _all_named(problem, m)]
+        level = _next_level(found, fresh, size, beam)
         if not level:
             break
     for model in start:
@@ -140,6 +135,17 @@ def search(
             _open(found, model, spare)
     _exchange(found, spare, max_terms)
     return found
+
+
+def _next_level(found: Search, fresh: dict[Model, float], size: int, beam: int) -> list[Model]:
+    """Models of a size that are opened: the best of those that may still come near the best of all."""
+    top = max(found.scores.values())
+    wide = _widest(found.problem, fresh, 2 * beam if size == 1 else beam)
+    level = [m for m in wide if fresh[m] + found.hope(m) > top - 2.0]
+    if size > 2 and max(fresh.values()) < top - 2.0:
+        # One nameless surface may be ahead of two names that want a third beside them.
+        level = [m for m in level if _all_named(found.problem, m)]
+    return level
 
 
 def _active(found: Search) -> NDArray[np.intp]:
