@@ -132,7 +132,12 @@ def traced(work: Path, kind: str, seed: int, index: int, rule: str) -> dict[str,
         setattr(limits, name, off if name == rule else (usual if rule else probe))
     path = session_path(work, kind, index)
     answer = trace_file(str(path))
-    row: dict[str, Any] = {"kind": kind, "index": index, "rule": rule, "decided": sorted(decided | WHOLE)}
+    depends = sorted(decided | WHOLE)
+    if not rule and "failure" in answer:  # a probe in the answer itself
+        for name in RULES:
+            setattr(limits, name, getattr(Limits(), name))
+        answer = trace_file(str(path))
+    row: dict[str, Any] = {"kind": kind, "index": index, "rule": rule, "decided": depends}
     return row | (_on_ladder(path, answer) if kind == LADDER else _judged(kind, seed, index, answer))
 
 
