@@ -709,6 +709,20 @@ def test_what_cannot_be_opened_says_who_must_act(comports, monkeypatch, code, sa
     assert "\n" not in str(caught.value)
 
 
+def test_a_port_that_windows_denies_is_busy_and_no_udev_rule_is_named(comports, monkeypatch):
+    serial = pytest.importorskip("serial")
+
+    def refuse(*args, **options):  # pyserial's own words there, without a code
+        raise serial.SerialException(
+            "could not open port 'COM3': PermissionError(13, 'Access is denied.', None, 5)"
+        )
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    with pytest.raises(CannotOpenError, match=r"COM3 is busy: close the other program") as caught:
+        open_bus("serial:COM3")
+    assert "udev" not in str(caught.value)
+
+
 def test_without_pyserial_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "serial", None)
     with pytest.raises(NotInstalledError, match=r"adis-gonio\[serial\]"):
