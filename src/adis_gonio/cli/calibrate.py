@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adis_gonio.cli.show import console, json_option, no_check_option, poll_option, print_json, variant_option
+from adis_gonio.cli.show import (
+    console,
+    json_option,
+    no_check_option,
+    poll_option,
+    print_json,
+    variant_option,
+)
 from adis_gonio.errors import FitError, SessionError, UsageError
 
 if TYPE_CHECKING:

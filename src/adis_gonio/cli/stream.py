@@ -62,8 +62,8 @@ def command(
     gets every scan; it has no positions, `adis-gonio fit` finds the dwells by stillness.
 
     Where the bridge can use the sensor's data-ready line, it is enabled in MSC_CTRL while the stream runs
-    and set back at its end, Ctrl-C included; where no edge arrives, or with --poll, scans are polled. The other
-    registers are left as they are unless --rate, --filter or --range is given.
+    and set back at its end, Ctrl-C included; where no edge arrives, or with --poll, scans are polled. The
+    other registers are left as they are unless --rate, --filter or --range is given.
     """
     if seconds is not None and not seconds > 0:
         raise UsageError(f"--seconds is {seconds:g}: take a time above 0")
