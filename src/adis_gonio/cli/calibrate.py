@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adis_gonio.cli.show import console, json_option, no_check_option, print_json, variant_option
+from adis_gonio.cli.show import (
+    console,
+    json_option,
+    no_check_option,
+    poll_option,
+    print_json,
+    variant_option,
+)
 from adis_gonio.errors import FitError, SessionError, UsageError
 
 if TYPE_CHECKING:
@@ -70,6 +77,7 @@ _WIDTH = 100
 @click.option(
     "--range", "range_dps", type=int, default=300, show_default=True, help="Gyros: 300, 150, 75 °/s."
 )
+@poll_option
 @click.option("--gravity", "gravity_mps2", type=float, help="Local gravity in m/s² (default 9.80665).")
 @click.option("--latitude", type=float, help="Latitude in degrees: gravity of the ellipsoid there.")
 @click.option("--height", type=float, default=0.0, help="Height in m, with --latitude.")
@@ -96,6 +104,9 @@ def command(
     Every sample goes into the session file as it is taken. The file survives a kill at any moment;
     --resume goes on with what is missing. Ctrl-C ends the session and keeps all of it.
 
+    Scans start at the sensor's data-ready edges where the bridge can use them and the line is wired; else,
+    or with --poll, they are polled.
+
     With --trace the session then says which further positions would decide what is still open, and goes on
     with them until the model is adequate or no position is expected to show more.
     """
@@ -108,7 +119,7 @@ def command(
         raise SessionError(f"{output}: no such session to resume")
     if max_extra is not None and not closing:
         raise UsageError("--max-extra limits what --trace adds: give --trace as well")
-    refuse_chip_options(url, _given("rate_hz", "filter_m", "range_dps", "variant", "no_check"))
+    refuse_chip_options(url, _given("rate_hz", "filter_m", "range_dps", "poll", "variant", "no_check"))
     advisor = _advisor(max_extra) if closing else None
     if resume and not closing and _nothing_left(output):
         click.echo(f"{output}: complete, nothing is left to do", err=True)
@@ -206,6 +217,8 @@ def _runner(
             raise UsageError(
                 "--resume goes on with the session's own plan: leave --plan and --positions out"
             )
+        if options["poll"]:
+            raise UsageError("--resume gets its scans as the session did before: leave --poll out")
         return SessionRunner.resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
     if options["latitude"] is not None and options["gravity_mps2"] is not None:
         raise UsageError("give --gravity or --latitude, not both")
@@ -225,6 +238,7 @@ def _runner(
         smpl_prd=1 if options["rate_hz"] is None else smpl_prd_for(options["rate_hz"]),
         filter_m=options["filter_m"],
         gyro_range_dps=options["range_dps"],
+        data_ready=False if options["poll"] else None,
     )
     return SessionRunner.begin(
         sensor,

@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from adis_gonio.cli.show import no_check_option, variant_option
+from adis_gonio.cli.show import no_check_option, poll_option, variant_option
 from adis_gonio.errors import UsageError
 from adis_gonio.sensor import DEFAULT_SCAN, Adis16354, open_sensor
 from adis_gonio.sensor.registers import registers as rows_of
@@ -35,6 +35,7 @@ from adis_gonio.session.source import SampleStream, has_frames, open_source, ref
 @click.option(
     "--leave-registers", is_flag=True, help="Write nothing: data-ready is used only if it is enabled."
 )
+@poll_option
 @click.option("--json", "as_json", is_flag=True, help="One JSON document with every scan, at the end.")
 @variant_option
 @no_check_option
@@ -50,6 +51,7 @@ def command(
     range_dps: int | None,
     gravity_mps2: float,
     leave_registers: bool,
+    poll: bool,
     as_json: bool,
     variant: str,
     no_check: bool,
@@ -60,8 +62,8 @@ def command(
     gets every scan; it has no positions, `adis-gonio fit` finds the dwells by stillness.
 
     Where the bridge can use the sensor's data-ready line, it is enabled in MSC_CTRL while the stream runs
-    and set back at its end, Ctrl-C included; where no edge arrives, scans are polled. The other registers
-    are left as they are unless --rate, --filter or --range is given.
+    and set back at its end, Ctrl-C included; where no edge arrives, or with --poll, scans are polled. The
+    other registers are left as they are unless --rate, --filter or --range is given.
     """
     if seconds is not None and not seconds > 0:
         raise UsageError(f"--seconds is {seconds:g}: take a time above 0")
@@ -71,6 +73,7 @@ def command(
         raise UsageError("--json needs --seconds: a document has an end")
     chosen = tuple(row.name for row in rows_of(names.split(","))) if names else DEFAULT_SCAN
     chip_options: dict[str, object] = {"--registers": names, "--leave-registers": leave_registers}
+    chip_options["--poll"] = poll
     chip_options |= {"--rate": rate_hz, "--filter": filter_m is not None, "--range": range_dps}
     refuse_chip_options(url, chip_options | {"--no-check": no_check})
     if leave_registers and not (rate_hz is filter_m is range_dps is None):
@@ -82,7 +85,7 @@ def command(
             if rate_hz is not None or filter_m is not None or range_dps is not None:
                 sensor.configure(sample_rate_hz=rate_hz, filter_m=filter_m, gyro_range_dps=range_dps)
             part, rate = sensor.variant.name, sensor.configuration().sample_rate_hz
-            open_stream = partial(_scans, sensor, chosen, leave_registers)
+            open_stream = partial(_scans, sensor, chosen, leave_registers, poll)
         else:
             source = stack.enter_context(open_source(url))
             measuring = source.configure(Settings())
@@ -138,9 +141,12 @@ def command(
 
 
 def _scans(
-    sensor: Adis16354, names: tuple[str, ...], leave_registers: bool, block_scans: int
+    sensor: Adis16354, names: tuple[str, ...], leave_registers: bool, poll: bool, block_scans: int
 ) -> SampleStream:
-    return sensor.stream(names, block_scans=block_scans, leave_registers=leave_registers)
+    data_ready = False if poll else None
+    return sensor.stream(
+        names, block_scans=block_scans, leave_registers=leave_registers, data_ready=data_ready
+    )
 
 
 def _until(block: Block, end_s: float) -> tuple[Block, bool]:
