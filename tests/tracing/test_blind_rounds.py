@@ -17,7 +17,13 @@ from tracing.undeclared import BEYOND, GRAMMAR
 from tracing.verdict import Verdict
 
 SEED = 11
-COUNTS = {"none": 24, "one": 2 * len(NAMES), "two": 100, "uncatalogued": len(GRAMMAR), "beyond": len(BEYOND)}
+COUNTS = {
+    "none": 24,
+    "one": 2 * len(NAMES),
+    "two": 100,
+    "uncatalogued": len(GRAMMAR),
+    "beyond": len(BEYOND),
+}
 
 
 def at_least(share: float, hits: Iterable[bool]) -> bool:

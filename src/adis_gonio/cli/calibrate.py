@@ -27,10 +27,13 @@ if TYPE_CHECKING:
     from adis_gonio.session.closing import TraceAdvisor
     from adis_gonio.session.events import (
         Advised,
+        Configured,
+        DwellDone,
         Event,
         ExtensionOffered,
         PositionAsked,
         RepetitionOffered,
+        Started,
     )
     from adis_gonio.session.plans import Position
     from adis_gonio.session.source import SampleSource
@@ -302,61 +305,18 @@ class Bench:
         from adis_gonio.session import events
 
         match event:
-            case events.Started():
-                what = "resumed" if event.resumed else "begun"
-                self._say(
-                    f"{event.plan.name} {what}, {len(event.plan)} positions, {event.variant} on {event.url}"
-                )
-                if event.resumed:
-                    self._say(f"  {event.done} positions are done")
-            case events.Configured():
-                rate = event.configuration["sample_rate_hz"]
-                filter_m = event.configuration.get("filter_m")
-                filtered = "" if filter_m is None else f", filter 2 × {2**filter_m} taps"
-                changed = ", ".join(f"{name} {a} → {b}" for name, (a, b) in event.changed.items())
-                self._say(f"  {rate:.1f} samples/s{filtered}" + (f"; changed {changed}" if changed else ""))
-                if event.why_polled:
-                    self._say(f"  scans are polled: {event.why_polled}")
-            case events.NoiseMeasured():
-                noise = ", ".join(f"{value:.2f}" for value in event.noise_mg)
-                self._say(f"  noise at rest {noise} mg (x, y, z)")
-            case events.PositionAsked():
-                if not self._auto:
-                    self._ask_position(event)
             case events.Watching():
                 self._show(event.state, f"spread {max(event.spread_mg):.2f} mg", None, None)
             case events.DwellProgress():
-                note = f"{event.elapsed_s:.0f} of {event.length_s:.0f} s"
-                self._show("dwell", note, event.elapsed_s, event.length_s)
-            case events.DwellDone():
-                x, y, z = event.accel_mg
-                lost = f", {event.lost} lost" if event.lost else ""
-                lost += f", {event.alarms} with an error or alarm" if event.alarms else ""
-                self._hide()
-                self._say(
-                    f"  {event.position!s:>16}   x {x:+9.2f}   y {y:+9.2f}   z {z:+9.2f} mg"
-                    f"   {event.samples} samples{lost}"
-                )
-            case events.DwellInterrupted():
-                self._say(
-                    f"  dwell at {event.position} interrupted: {event.reason} (samples kept)", "yellow"
-                )
-            case events.Problem():
-                self._say(f"  {event.message}", "yellow")
-            case events.RepetitionOffered():
-                self._offer_repetition(event)
-            case events.ExtensionOffered():
-                self._offer(event)
+                self._show_time("dwell", event.elapsed_s, event.length_s)
+            case events.Waiting():
+                self._show_time("waiting", event.elapsed_s, event.length_s)
             case events.Advising():
                 if not self._screen.is_terminal:
                     self._say(f"tracing {event.dwells} dwells …")
                 self._show("tracing", f"{event.dwells} dwells", None, None)
-            case events.Advised():
-                self._hide()
-                self._advised(event)
-            case events.Waiting():
-                note = f"{event.elapsed_s:.0f} of {event.length_s:.0f} s"
-                self._show("waiting", note, event.elapsed_s, event.length_s)
+            case events.PositionAsked() | events.RepetitionOffered() | events.ExtensionOffered():
+                self._answer(event)
             case events.Finished():
                 if not event.complete:
                     self._say(
@@ -364,8 +324,74 @@ class Bench:
                     )
                 return event.complete
             case _:
-                pass
+                self._tell(event)
         return False
+
+    def _answer(self, event: PositionAsked | RepetitionOffered | ExtensionOffered) -> None:
+        """Put a question to the operator."""
+        from adis_gonio.session import events
+
+        match event:
+            case events.PositionAsked():
+                if not self._auto:
+                    self._ask_position(event)
+            case events.RepetitionOffered():
+                self._offer_repetition(event)
+            case events.ExtensionOffered():
+                self._offer(event)
+
+    def _tell(self, event: Event) -> None:
+        """Say what has happened, in lines that stay."""
+        from adis_gonio.session import events
+
+        match event:
+            case events.Started():
+                self._started(event)
+            case events.Configured():
+                self._configured(event)
+            case events.NoiseMeasured():
+                noise = ", ".join(f"{value:.2f}" for value in event.noise_mg)
+                self._say(f"  noise at rest {noise} mg (x, y, z)")
+            case events.DwellDone():
+                self._dwell_done(event)
+            case events.DwellInterrupted():
+                where = event.position
+                self._say(f"  dwell at {where} interrupted: {event.reason} (samples kept)", "yellow")
+            case events.Problem():
+                self._say(f"  {event.message}", "yellow")
+            case events.Advised():
+                self._hide()
+                self._advised(event)
+            case _:
+                pass
+
+    def _started(self, event: Started) -> None:
+        what = "resumed" if event.resumed else "begun"
+        self._say(f"{event.plan.name} {what}, {len(event.plan)} positions, {event.variant} on {event.url}")
+        if event.resumed:
+            self._say(f"  {event.done} positions are done")
+
+    def _configured(self, event: Configured) -> None:
+        rate = event.configuration["sample_rate_hz"]
+        filter_m = event.configuration.get("filter_m")
+        filtered = "" if filter_m is None else f", filter 2 × {2**filter_m} taps"
+        changed = ", ".join(f"{name} {a} → {b}" for name, (a, b) in event.changed.items())
+        self._say(f"  {rate:.1f} samples/s{filtered}" + (f"; changed {changed}" if changed else ""))
+        if event.why_polled:
+            self._say(f"  scans are polled: {event.why_polled}")
+
+    def _dwell_done(self, event: DwellDone) -> None:
+        x, y, z = event.accel_mg
+        lost = f", {event.lost} lost" if event.lost else ""
+        lost += f", {event.alarms} with an error or alarm" if event.alarms else ""
+        self._hide()
+        self._say(
+            f"  {event.position!s:>16}   x {x:+9.2f}   y {y:+9.2f}   z {z:+9.2f} mg"
+            f"   {event.samples} samples{lost}"
+        )
+
+    def _show_time(self, what: str, elapsed_s: float, length_s: float) -> None:
+        self._show(what, f"{elapsed_s:.0f} of {length_s:.0f} s", elapsed_s, length_s)
 
     def _show(self, what: str, note: str, done: float | None, total: float | None) -> None:
         self._progress.update(
