@@ -93,8 +93,6 @@ def command(
         click.echo(f"{url}: {opened.rate_hz:.4g} samples/s, {stream.how}", err=True)
         if stream.caveat:
             click.echo(stream.caveat, err=True)
-            if recorder is not None:
-                recorder.notes = [stream.caveat]
         with contextlib.suppress(KeyboardInterrupt):
             show.run(stream, seconds)
     if as_json:
@@ -179,7 +177,7 @@ class _Show:
                 begin = float(block.time_s[0]) if begin is None else begin
                 if seconds is not None:
                     block, end = _until(block, begin + seconds)
-                self._add(block)
+                self._add(block, stream.caveat)
                 held = sum(map(len, self._waiting))
                 # A rest of a few scans would make a line that cannot be compared with the others.
                 full = held >= self.scans_a_line or (end and held > self.scans_a_line // 2)
@@ -192,12 +190,14 @@ class _Show:
             click.echo("", err=True)
             raise
 
-    def _add(self, block: Block) -> None:
+    def _add(self, block: Block, caveat: str) -> None:
         self._scans += len(block)
         self._lost += block.lost
         self._dropped += block.dropped
         self._alarms += count_alarms(block)
         if self._recorder is not None:
+            if caveat and not self._recorder.rows:
+                self._recorder.notes = [caveat]
             self._recorder.add(block)
         self._waiting.append(block)
 
