@@ -3,7 +3,8 @@
 Three rigs: `yasimavr` (the ATmega328P's ELF with the simulated chip on its pins), `simavr` (the same ELF on
 another core, with a second, independent chip at line level and a pty), `rp2040` (the Pico's UF2 in an
 emulated RP2040 with a chip on its pins and a USB host). Every frame is judged from the pins, every scan
-counted. Exit 1 where a scan was lost or repeated or a frame broke a limit; a minute takes minutes.
+counted. Exit 1 where a scan was lost or repeated or a frame broke a limit, 2 where a rig is missing; a
+minute takes minutes.
 
     python scripts/rig_streams.py --seconds 60
     python scripts/rig_streams.py --rig simavr --baud 490000 --latency-ms 16
@@ -106,7 +107,8 @@ def main() -> int:
     )
     options = parser.parse_args()
     rows: dict[str, StreamFigures] = {}
-    for name in options.rig or RIGS:
+    asked = options.rig or list(RIGS)
+    for name in asked:
         with tempfile.TemporaryDirectory() as folder:
             figures = RIGS[name](options, Path(folder))
         if isinstance(figures, str):
@@ -115,7 +117,7 @@ def main() -> int:
         rows[name] = figures
         print(f"{name}: {'sound' if figures.sound else 'NOT sound'}", file=sys.stderr)
     print(table(rows))
-    return 2 if not rows else int(not all(figures.sound for figures in rows.values()))
+    return 2 if len(rows) < len(asked) else int(not all(figures.sound for figures in rows.values()))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@
 Level: pure noise is drawn in the whitened problem of simulated sessions, and the best score of any
 candidate recorded. A candidate is added where its score is above 0, so that the share of positive best
 scores is the family-wise error rate; the 99 % quantile says how far the prices
-(`tracing.search.ANOTHER`) are from 1 %.
+are from 1 %.
 
 Speed: the selection among all candidates against one scipy `least_squares` fit of base and candidate
 for each, on a session of 48 readings.

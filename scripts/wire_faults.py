@@ -5,10 +5,11 @@ bus is usable afterwards. The fakes live in virtual time, so that time-outs cost
 
     python scripts/wire_faults.py [--requests 100000] [--seed 1] [--only serial,stream,mcp2210,…]
 
-`stream` sends as many packets of scans over the bad serial line: short ones (three registers, four scans),
-and long ones (seven registers) at the full rates, where hardly any arrives whole, and at a tenth of them.
-Every scan says by its own words which sample it is, so that each word that is accepted and each gap that is
-counted is judged.
+`stream` and `polled` are the driver's continuous scans over the bad serial line, at the data-ready edge
+and without it: as many packets of scans or polled batches, short and long, at the full rates and at parts
+of them. Every word says which update of the chip it is of, so that each row that is delivered is judged:
+all of its words of one update, none twice. Each gap that is counted is judged too: of streams block by
+block; of polled scans, whose times a repeated request leaves open, when the line is quiet again.
 
 Rates: 1 % of each fault a byte on the serial line (drop, duplicate, flip, delay, chunk) and 0.1 % hangs a
 delivery. On USB the unit is a packet, as the cable's own CRC and sequence bits guard its bytes: 1 % each of
@@ -21,19 +22,23 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import random
 import sys
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio.bus import BusUrl, SpiBus, SpiTiming, cp2130, mcp2210, serial, spidev
 from adis_gonio.errors import BusError, CannotOpenError
+from adis_gonio.sensor import Adis16354
 from adis_gonio.sim import SimulatedChip, World
+from adis_gonio.sim.sampling import OUTPUTS
 from fakes.clock import VirtualClock
 from fakes.cp2130_device import Cp2130Device
 from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
@@ -41,14 +46,13 @@ from fakes.faults import Faults
 from fakes.firmware import FakeFirmware
 from fakes.mcp2210_device import Mcp2210Device
 from fakes.mcp2210_hid import FakeHid, HidBoard
-from fakes.numbered_scans import Judge, NumberingFirmware
+from fakes.numbered_scans import Judge, NumberedChip
 from fakes.pins import ChipPins
 from fakes.serial_port import FakePort
 from fakes.spidev_kernel import FakeSpidevKernel
 
 FAST = SpiTiming(1e6, 9.0, 40.0)
 UNPLUG = 2e-4
-DATA_READY = 0x04
 LONGEST_S = 8.0
 """Longest that one exchange may take, repetitions, recovery and a new session included."""
 
@@ -228,67 +232,105 @@ def run(name: str, requests: int, seed: int) -> dict[str, object]:
     }
 
 
-# -- streams ---------------------------------------------------------------------------------------------
+# -- continuous scans --------------------------------------------------------------------------------------
 
 
-STREAMS = ((3, 4, 1.0), (7, 16, 1.0), (7, 16, 0.1))
-"""Registers, scans in a packet, part of the full rate of faults."""
 STREAM_DELAY_S = 0.001
 """Mean delay of a delayed byte in streams; with longer ones the line would carry less than is sent."""
 CYCLE = 1000
-"""Packets until a stream is closed and another begun."""
+"""Packets or batches until a stream is closed and another begun."""
+QUIET_BLOCKS = 10
+"""Blocks without faults, after which the count of polled scans is judged."""
+POLLED_SLACK = 4
+"""Scans by which it may be off then: the board's answer takes some updates, and when in that time the
+frames ran is not known."""
 
 
-class StreamRig(SerialRig):
-    """Scans with numbers instead of a chip's words."""
+@dataclass(frozen=True)
+class Way:
+    """A way to get scans over the line."""
 
-    def __init__(self, seed: int) -> None:
+    capabilities: int
+    registers: int
+    scans: int
+    part: float
+    """Of the full rates of faults."""
+
+
+WAYS = {
+    "stream": (Way(7, 3, 4, 1.0), Way(7, 7, 16, 1.0), Way(7, 7, 16, 0.1)),
+    "polled": (Way(2, 3, 4, 0.1), Way(2, 7, 16, 0.1), Way(0, 3, 4, 0.01), Way(0, 7, 16, 0.1)),
+}
+"""The first use data-ready; of the others the first two have its counter alone, the last none."""
+
+
+class ScanRig(SerialRig):
+    """The firmware with a chip whose words are numbers of its updates."""
+
+    def __init__(self, seed: int, way: Way) -> None:
         super().__init__(seed)
-        self.chip.memory["MSC_CTRL"] = DATA_READY
-        self.firmware = self.numbering = NumberingFirmware(self.pins)
+        self.chip = NumberedChip(start_s=-0.5)
+        self.pins = ChipPins(self.chip, self.clock)
+        self.firmware = FakeFirmware(self.pins, capabilities=way.capabilities)
         self.port = FakePort(self.firmware)
 
+    @property
+    def work(self) -> int:
+        """Packets of scans and requests so far."""
+        return self.firmware.scan_packets + len(self.firmware.executed)
 
-def run_streams(packets: int, seed: int) -> dict[str, object]:
-    """So many packets of scans over a bad line."""
-    rig = StreamRig(seed)
-    bus = rig.open()
-    happened: Counter[str] = Counter()
+
+def run_scans(name: str, work: int, seed: int) -> dict[str, object]:
+    """So many packets of scans or polled batches over a bad line."""
     outcome: Counter[str] = Counter()
-    longest = 0.0
-    sound = True
-    cycle = 0
-    while rig.numbering.packets < packets:
-        width, scans, part = STREAMS[cycle % len(STREAMS)]
-        cycle += 1
-        rates = {kind: rate * part for kind, rate in BYTES.items()}
-        faults = Faults(seed=seed + cycle, delay_s=STREAM_DELAY_S, **rates)
-        rig.set(rig.quiet)
-        rig.clock.sleep_s(LONGEST_S)
-        judge, until = Judge(width), rig.numbering.packets + CYCLE
-        with bus.stream([0x0A00] * width, block_scans=scans) as stream:
+    happened: Counter[str] = Counter()
+    done, longest, most_off, sound, usable = 0, 0.0, 0, True, True
+    for cycle in itertools.count():
+        if done >= work:
+            break
+        way = WAYS[name][cycle % len(WAYS[name])]
+        rig = ScanRig(seed, way)
+        names = [row.name for row in OUTPUTS[1 : 1 + way.registers]]
+        judge = Judge(names, 0 if name == "stream" else None)
+        rates = {kind: rate * way.part for kind, rate in BYTES.items()}
+        faults = Faults(seed=seed * 100_000 + cycle, delay_s=STREAM_DELAY_S, unplug=UNPLUG, **rates)
+        # Numbers are no accelerations: the driver must not look at |a|.
+        sensor, gone = Adis16354(rig.open(), check=False), False
+        with contextlib.suppress(CannotOpenError), sensor.stream(names, block_scans=way.scans) as stream:
+            judge.look(next(stream))
             rig.set(faults)
-            while rig.numbering.packets < until:
+            while rig.work < CYCLE:
                 begin = rig.clock.now_s()
                 try:
-                    block = next(stream)
+                    judge.look(next(stream))
                 except BusError as error:
                     outcome[type(error).__name__] += 1
-                    longest = max(longest, rig.clock.now_s() - begin)
-                    break
-                judge.look(block.words, block.lost)
+                    if isinstance(error, CannotOpenError):
+                        gone = True
+                        raise
+                longest = max(longest, rig.clock.now_s() - begin)
             rig.set(rig.quiet)
+            for _ in range(QUIET_BLOCKS):
+                judge.look(next(stream))
+            most_off = max(most_off, abs(judge.off))
+        if gone:
+            rig.set(rig.quiet)
+            rig.replug()
+            sensor = Adis16354(rig.open(), check=False)
+        usable &= sensor.read("ENDURANCE") == 0
+        done += rig.work
         outcome.update(judge.found)
         happened.update(faults.seen)
         sound &= judge.sound
-    usable = bus.exchange([0, 0]) is not None
+    passed = sound and usable and most_off <= POLLED_SLACK and longest < LONGEST_S
     return {
-        "packets": rig.numbering.packets,
+        "work": done,
         "outcome": dict(outcome),
         "faults": dict(happened),
+        "most_off": most_off,
         "longest_s": round(longest, 2),
         "usable": usable,
-        "passed": usable and sound and outcome["scans"] > 0 and longest < LONGEST_S,
+        "passed": passed and outcome["scans"] > 0,
     }
 
 
@@ -297,13 +339,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--requests", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default=",".join([*RIGS, "stream"]))
+    parser.add_argument("--only", default=",".join([*RIGS, *WAYS]))
     options = parser.parse_args()
     good = True
     for name in options.only.split(","):
         begin = time.perf_counter()
-        if name == "stream":
-            result = run_streams(options.requests, options.seed)
+        if name in WAYS:
+            result = run_scans(name, options.requests, options.seed)
         else:
             result = run(name, options.requests, options.seed)
         good &= bool(result["passed"])

@@ -25,13 +25,17 @@ from adis_gonio.errors import (
     ProtocolError,
     UsageError,
 )
+from adis_gonio.sensor import Adis16354
+from adis_gonio.sensor.decoding import ScanBlock
+from adis_gonio.sensor.registers import ND
 from adis_gonio.sim import SimulatedChip, World
+from adis_gonio.sim.sampling import OUTPUTS
 from contract.bus_contract import DATA_READY_ON, BusContract, Rig, WatchedChip
 from fakes.boot_loader import BootingBoard, BootLoader
 from fakes.clock import VirtualClock, WorkClock
 from fakes.faults import Faults
 from fakes.firmware import FakeFirmware
-from fakes.numbered_scans import Judge, NumberingFirmware, words_of
+from fakes.numbered_scans import Judge, NumberedChip, words_of
 from fakes.pins import ChipPins
 from fakes.serial_port import FakePort, PtyBoard
 
@@ -450,35 +454,80 @@ def test_scans_lost_on_the_wire_are_counted_to_the_last_one():
     assert bench.firmware.all_lost == 0
 
 
+def numbered(capabilities=7, slack=0, width=7):
+    """A driver on a board whose chip numbers its updates, the names of a scan, and a judge of them."""
+    bench = Bench(capabilities=capabilities)
+    bench.chip = NumberedChip(start_s=-0.5)
+    bench.firmware.pins.chip = bench.chip
+    names = [row.name for row in OUTPUTS[1 : 1 + width]]
+    return bench, Adis16354(bench.open(), check=False), names, Judge(names, slack)
+
+
 @pytest.mark.parametrize(("width", "scans", "rate"), [(3, 4, 0.01), (7, 16, 0.001)])
-def test_on_a_bad_line_every_word_of_a_stream_is_right_and_every_gap_is_counted(width, scans, rate):
+def test_on_a_bad_line_every_row_of_a_stream_is_of_one_update_and_every_gap_is_counted(width, scans, rate):
     """scripts/wire_faults.py --only stream does it for a hundred thousand packets."""
-    bench = Bench(watched=False)
-    bench.chip.memory["MSC_CTRL"] = 0x04
-    bench.firmware = NumberingFirmware(bench.firmware.pins)
-    bench.port = FakePort(bench.firmware)
-    bus = bench.open()
-    judge = Judge(width)
-    with bus.stream([0x0A00] * width, block_scans=scans) as stream:
+    bench, sensor, names, judge = numbered(width=width)
+    with sensor.stream(names, block_scans=scans) as stream:
         rates = dict.fromkeys(("drop", "duplicate", "flip", "delay", "chunk"), rate)
         bench.port.faults = Faults(seed=5, delay_s=0.001, **rates)
-        while bench.firmware.packets < 1500:
-            block = next(stream)
-            judge.look(block.words, block.lost)
+        while bench.firmware.scan_packets < 1500:
+            judge.look(next(stream))
         bench.port.faults = Faults()
     assert judge.sound, judge.found
     assert judge.found["gaps"] > 100
     assert judge.found["scans"] > 500
 
 
-def test_the_judge_of_streams_sees_a_wrong_word():
-    words = words_of(np.arange(70_000, 70_010), 7)
-    judge = Judge(7)
-    judge.look(words, 0)
-    assert judge.sound
-    words[4, 5] ^= 1
-    judge.look(words, 0)
-    assert judge.found["wrong words"] == 1
+@pytest.mark.parametrize("width", [3, 7])
+@pytest.mark.parametrize("rate", [0.0, 0.001])
+@pytest.mark.parametrize("capabilities", [0, 2], ids=["by time", "by the edge counter"])
+def test_polled_rows_are_of_one_update_and_lost_ones_are_counted(capabilities, rate, width):
+    """scripts/wire_faults.py --only polled does it for a hundred thousand batches."""
+    bench, sensor, names, judge = numbered(capabilities, slack=None, width=width)
+    with sensor.stream(names, block_scans=16) as stream:
+        rates = dict.fromkeys(("drop", "duplicate", "flip", "delay", "chunk"), rate)
+        failed = 0
+        for n in range(160):
+            bench.port.faults = Faults(seed=n, delay_s=0.001, **rates) if 10 <= n < 150 else Faults()
+            try:
+                judge.look(next(stream))
+            except BusTimeoutError:
+                failed += 1
+        assert not stream.caveat
+    assert judge.sound, judge.found
+    assert judge.found["scans"] > 300
+    assert abs(judge.off) <= 4  # the updates of one exchange
+    assert (failed > 0) == (rate > 0)
+
+
+def test_polling_over_a_serial_line_misses_none_of_slow_samples():
+    _, sensor, names, judge = numbered(capabilities=0)
+    sensor.configure(sample_rate_hz=50.0)
+    with sensor.stream(names, block_scans=4) as stream:
+        while judge.found["scans"] < 400:
+            judge.look(next(stream))
+    assert judge.sound, judge.found
+    assert judge.found["gaps"] == 0
+
+
+def test_the_judge_of_scans_sees_a_mixed_row_a_repeated_one_and_a_wrong_count():
+    names = [row.name for row in OUTPUTS]
+    words = words_of(np.arange(70_000, 70_010), names)
+
+    def found(words, lost=0):
+        judge = Judge(names)
+        judge.look(ScanBlock(tuple(names), words_of(np.array([69_999]), names), np.zeros(1)))
+        judge.look(ScanBlock(tuple(names), words, np.zeros(len(words)), lost))
+        assert judge.sound == (lost == 0 and words is sound)
+        return judge.found
+
+    sound = words | ND
+    assert found(sound)["scans"] == 11
+    mixed = words.copy()
+    mixed[4, 5] = words[3, 5]
+    assert found(mixed)["mixed"] == 1
+    assert found(words[[0, 1, 1, 2]])["backwards"] == 1
+    assert found(words, lost=1)["wrong counts"] == 1
 
 
 def test_triggers_that_the_firmware_lost_are_counted():
@@ -658,6 +707,20 @@ def test_what_cannot_be_opened_says_who_must_act(comports, monkeypatch, code, sa
     with pytest.raises(CannotOpenError, match=says) as caught:
         open_bus("serial:/dev/x")
     assert "\n" not in str(caught.value)
+
+
+def test_a_port_that_windows_denies_is_busy_and_no_udev_rule_is_named(comports, monkeypatch):
+    serial = pytest.importorskip("serial")
+
+    def refuse(*args, **options):  # pyserial's own words there, without a code
+        raise serial.SerialException(
+            "could not open port 'COM3': PermissionError(13, 'Access is denied.', None, 5)"
+        )
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    with pytest.raises(CannotOpenError, match=r"COM3 is busy: close the other program") as caught:
+        open_bus("serial:COM3")
+    assert "udev" not in str(caught.value)
 
 
 def test_without_pyserial_the_extra_is_named(monkeypatch):

@@ -271,6 +271,16 @@ def test_stream_json_needs_an_end_and_holds_every_value(capsys):
     assert failed(capsys, "stream", SIM, "--json")[0] == 2
 
 
+def test_with_poll_data_ready_is_left_alone_by_stream_and_calibrate(capsys, tmp_path):
+    path, flags = tmp_path / "s.session", ("--auto", "--dwell", "0.5", "-o", str(tmp_path / "s.session"))
+    assert main(["stream", SIM, "--seconds", "0.5", "--poll", "--json"]) == 0
+    assert "samples/s, polling;" in capsys.readouterr().err
+    assert main(["calibrate", SIM, "--poll", *flags]) == 0
+    facts = load_session(path).facts
+    assert facts["configuration"]["data_ready"] is False
+    assert facts["scanning"]["how"].startswith("data-ready is switched off for this session; polling;")
+
+
 def test_selftest_and_devices(capsys):
     assert main(["selftest", SIM]) == 0
     assert "passed" in capsys.readouterr().out
@@ -366,6 +376,8 @@ def test_a_truncated_archive_gives_one_line_and_is_left_as_it_is(capsys, tmp_pat
         (["calibrate", SIM], 2, "-o"),
         (["calibrate", SIM, "--plan", "for-position", "-o", "x.session"], 2, "four-position"),
         (["calibrate", SIM, "--resume", "-o", "nosuch.session"], 1, "nosuch.session"),
+        (["calibrate", "iio:ip:localhost", "--poll", "-o", "x.session"], 2, "--poll"),
+        (["stream", "iio:ip:localhost", "--poll"], 2, "--poll"),
         (["calibrate", SIM, "--dwell", "0", "--auto", "-o", "x.session"], 2, "dwell_s"),
         (["calibrate", SIM, "--dwell", "ten", "--auto", "-o", "x.session"], 2, "ten"),
         (["calibrate", SIM, "--latitude", "95", "-o", "x.session"], 2, "latitude"),

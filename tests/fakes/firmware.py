@@ -102,6 +102,7 @@ class FakeFirmware:
         )
         self.frames = 0
         self.all_lost = 0
+        self.scan_packets = 0
         self.restart()
 
     # -- life -------------------------------------------------------------------------------------------
@@ -437,5 +438,6 @@ class _Stream:
         # Two buffers: one is sent while the other fills; where both are full, triggers are lost.
         self._blocked_s = firmware._line_free_s
         firmware._put(firmware._packed(0xC4, self.id, body), now_s)
+        firmware.scan_packets += 1
         self.sent += len(self._times)
         self._words, self._times = [], []

@@ -1,74 +1,103 @@
-"""Scans that say by their own words which sample of the chip they are, so that a receiver can be judged."""
+"""A chip whose output words say which update they are of, so that whoever receives scans can be judged."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from fakes.firmware import TRIGGER_S, FakeFirmware
+from adis_gonio.sensor.decoding import ScanBlock
+from adis_gonio.sim import SimulatedChip, World
+from adis_gonio.sim.inputs import Inputs
+from adis_gonio.sim.sampling import OUTPUTS, Sampler, Updates
 
-RATE_HZ = 819.2
-FRAME_S = 40e-6
-SCANS = 0xC4
-
-
-def words_of(samples: np.ndarray, width: int) -> np.ndarray:
-    """Words (n, width) uint16 of samples by their numbers: two hold the number, the others depend on it."""
-    column = np.arange(width, dtype=np.uint64)
-    mixed = (samples.astype(np.uint64)[:, None] + column) * 0x9E3779B97F4A7C15
-    words = (mixed >> 40).astype(np.uint16)
-    words[:, 0] = samples & 0xFFFF
-    words[:, 1] = samples >> 16
-    return words
+WRAP = 1 << 14
+"""Updates after which the words of a column come again: 20 s at the full rate."""
+DATA = WRAP - 1
+_FACTORS = {row.name: 4 * k + 5 for k, row in enumerate(OUTPUTS)}
+"""Odd ones: each word alone tells its update, and words of one column in another tell a wrong one."""
 
 
-class NumberingFirmware(FakeFirmware):
-    """Answers each frame of a scan with a word of its sample, without asking the chip."""
+def words_of(updates: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """Words (n, k) uint16 without flags that registers hold after updates (n,)."""
+    return (updates[:, None] * np.array([_FACTORS[name] for name in names]) & DATA).astype(np.uint16)
 
-    packets = 0
-    _words: list[int] | None = None
-    _column = 0
 
-    def frame(self, word: int, not_before_s: float = -1.0) -> int:
-        if not_before_s > 0:  # the first of a scan
-            sample = round((not_before_s - TRIGGER_S) * RATE_HZ)
-            # The first reply of a list is thrown away.
-            self._words = [0, *words_of(np.array([sample]), 32)[0].tolist()]
-            self._column = 0
-            self.pins.free_s = not_before_s
-        self.pins.free_s += FRAME_S
-        self._column += 1
-        return self._words[self._column - 1] if self._words else 0
+class NumberingSampler(Sampler):
+    """Counts the updates instead of measuring."""
 
-    def _packed(self, kind: int, request_id: int, body: bytes) -> bytes:
-        self.packets += kind == SCANS
-        return FakeFirmware._packed(kind, request_id, body)
+    taken = 0
+
+    def update(self, inputs: Inputs) -> Updates:
+        n = len(inputs.supply_v)
+        updates = self.taken + np.arange(n)
+        self.taken += n
+        words = words_of(updates, [row.name for row in OUTPUTS])
+        return Updates(words, np.zeros(n, np.int64), np.zeros((n, len(OUTPUTS)), np.int64))
+
+
+class Nowhere(World):
+    """Inputs that nobody looks at."""
+
+    def sample(self, time_s: np.ndarray) -> Inputs:
+        one, three = np.zeros(len(time_s)), np.zeros((len(time_s), 3))
+        return Inputs(three, three, three, one, one)
+
+
+class NumberedChip(SimulatedChip):
+    """The chip with updates of its own, flags and data-ready, but numbers instead of measurements."""
+
+    def __init__(self, **options) -> None:
+        super().__init__(Nowhere(seed=1), **options)
+        self._sampler = NumberingSampler(self.variant, self.memory)
+
+    @property
+    def updates(self) -> int:
+        """So many were made."""
+        return self._sampler.taken
 
 
 @dataclass
 class Judge:
-    """Looks at every block of a stream; `found` counts scans, lost ones, wrong words and wrong counts."""
+    """Looks at every block; `found` counts scans, lost ones, mixed and repeated rows, wrong counts.
 
-    width: int
+    Parameters
+    ----------
+    names : registers of a scan
+    slack : int or None
+        Scans by which the count of lost ones may be off after any block; None leaves `off` to be judged.
+
+    Attributes
+    ----------
+    off : int
+        Scans that were lost since the first block, less those that were told.
+    """
+
+    names: Sequence[str]
+    slack: int | None = 0
     found: Counter = field(default_factory=Counter)
-    _next: int = -1
+    off: int = 0
+    _last: int | None = None
 
-    def look(self, words: np.ndarray, lost: int) -> None:
-        """The next block."""
-        samples = words[:, 0].astype(np.int64) | words[:, 1].astype(np.int64) << 16
-        self.found["scans"] += len(samples)
-        self.found["lost"] += lost
-        self.found["wrong words"] += int((words_of(samples, self.width) != words).sum())
-        self.found["backwards"] += int((np.diff(samples, prepend=self._next - 1) <= 0).sum())
-        if self._next >= 0:  # what is lost before the first block nobody can know by its words
-            gone = int(samples[-1]) + 1 - self._next - len(samples)
-            self.found["wrong counts"] += gone != lost
+    def look(self, block: ScanBlock) -> None:
+        """Take the next block."""
+        inverse = [pow(_FACTORS[name], -1, WRAP) for name in self.names]
+        told = (block.words & DATA).astype(np.int64) * np.array(inverse) & DATA
+        steps = np.diff(told[:, 0], prepend=told[0, 0] - 1 if self._last is None else self._last) & DATA
+        self.found["scans"] += len(told)
+        self.found["lost"] += block.lost
+        self.found["mixed"] += int((told != told[:, :1]).any(axis=1).sum())
+        self.found["backwards"] += int(((steps == 0) | (steps > WRAP // 2)).sum())
+        if self._last is not None:  # what is lost before the first block its words cannot tell
+            gone = int((steps - 1).sum())
+            self.off += gone - block.lost - block.dropped
+            self.found["wrong counts"] += self.slack is not None and abs(self.off) > self.slack
             self.found["gaps"] += gone > 0
-        self._next = int(samples[-1]) + 1
+        self._last = int(told[-1, 0])
 
     @property
     def sound(self) -> bool:
         """True where nothing was wrong."""
-        return not (self.found["wrong words"] or self.found["wrong counts"] or self.found["backwards"])
+        return not (self.found["mixed"] or self.found["wrong counts"] or self.found["backwards"])

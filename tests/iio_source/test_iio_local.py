@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import sys
 
 import numpy as np
@@ -103,6 +104,20 @@ def test_a_device_that_is_silent_is_a_time_out(tree, monkeypatch):
     try:
         with pytest.raises(BusTimeoutError, match="trigger"), open_source(url_of(tree)) as source:
             next(source.stream(5))
+    finally:
+        os.close(keep)
+
+
+def test_a_device_that_is_pulled_out_is_gone_and_not_only_silent(tree, monkeypatch):
+    """A kernel keeps the open node, silent, and takes the attributes away."""
+    tree.stop()
+    monkeypatch.setattr("adis_gonio.iio.source.PATIENCE_S", 0.2)
+    keep = os.open(tree.node, os.O_RDWR)
+    try:
+        with open_source(url_of(tree)) as source, source.stream(5) as stream:
+            shutil.rmtree(tree.device)
+            with pytest.raises(ProtocolError, match="the device is gone"):
+                next(stream)
     finally:
         os.close(keep)
 

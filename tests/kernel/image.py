@@ -36,6 +36,8 @@ MODULES = (
     *("vhci_hcd", "xhci_pci"),
     # what ships with the kernel for the bridges
     *("usbhid", "hid_generic", "cdc_acm", "cp210x", "ftdi_sio"),
+    # an IIO accelerometer without its hardware: a HID sensor that user space makes
+    *("uhid", "hid_sensor_accel_3d"),
 )
 XZ_MAGIC = b"\xfd7zXZ\x00"
 ELF_MAGIC = b"\x7fELF"

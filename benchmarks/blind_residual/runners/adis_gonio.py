@@ -11,6 +11,7 @@ from ..answers import empty
 NAMELESS = "unnamed: "
 """How `sets` marks a function without a name, before its covariates."""
 WITHIN = ("tone", "settling", "noise_change")
+SCATTER = ("reading_scatter", "fixture_scatter")
 INADEQUATE = 0.99
 """Probability of something where the trace says that no model explains the residual."""
 
@@ -42,8 +43,8 @@ def from_trace(trace: dict[str, Any]) -> dict[str, Any]:
             continue
         cause = {"names": [name for name, _ in names], "probability": [p for _, p in names]}
         out["causes"].append(cause | {"parameters": _values(found_by.get(group["names"][0]))})
-    within = [f for f in trace["found"] if f["effect"] in WITHIN]
-    for found in within:  # seen among the samples of dwells, of which there are no sets
+    alone = [f for f in trace["found"] if f["effect"] in (*WITHIN, *SCATTER)]
+    for found in alone:  # within the dwells, and variances: no set of names is weighed for these
         cause = {"names": [found["effect"]], "probability": [_probability(found)]}
         out["causes"].append(cause | {"parameters": _values(found)})
     if trace["unnamed"]:

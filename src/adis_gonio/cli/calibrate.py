@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adis_gonio.cli.show import console, json_option, no_check_option, print_json, variant_option
+from adis_gonio.cli.show import (
+    console,
+    json_option,
+    no_check_option,
+    poll_option,
+    print_json,
+    variant_option,
+)
 from adis_gonio.errors import FitError, SessionError, UsageError
 
 if TYPE_CHECKING:
@@ -20,10 +27,13 @@ if TYPE_CHECKING:
     from adis_gonio.session.closing import TraceAdvisor
     from adis_gonio.session.events import (
         Advised,
+        Configured,
+        DwellDone,
         Event,
         ExtensionOffered,
         PositionAsked,
         RepetitionOffered,
+        Started,
     )
     from adis_gonio.session.plans import Position
     from adis_gonio.session.source import SampleSource
@@ -70,6 +80,7 @@ _WIDTH = 100
 @click.option(
     "--range", "range_dps", type=int, default=300, show_default=True, help="Gyros: 300, 150, 75 °/s."
 )
+@poll_option
 @click.option("--gravity", "gravity_mps2", type=float, help="Local gravity in m/s² (default 9.80665).")
 @click.option("--latitude", type=float, help="Latitude in degrees: gravity of the ellipsoid there.")
 @click.option("--height", type=float, default=0.0, help="Height in m, with --latitude.")
@@ -96,6 +107,9 @@ def command(
     Every sample goes into the session file as it is taken. The file survives a kill at any moment;
     --resume goes on with what is missing. Ctrl-C ends the session and keeps all of it.
 
+    Scans start at the sensor's data-ready edges where the bridge can use them and the line is wired; else,
+    or with --poll, they are polled.
+
     With --trace the session then says which further positions would decide what is still open, and goes on
     with them until the model is adequate or no position is expected to show more.
     """
@@ -108,7 +122,7 @@ def command(
         raise SessionError(f"{output}: no such session to resume")
     if max_extra is not None and not closing:
         raise UsageError("--max-extra limits what --trace adds: give --trace as well")
-    refuse_chip_options(url, _given("rate_hz", "filter_m", "range_dps", "variant", "no_check"))
+    refuse_chip_options(url, _given("rate_hz", "filter_m", "range_dps", "poll", "variant", "no_check"))
     advisor = _advisor(max_extra) if closing else None
     if resume and not closing and _nothing_left(output):
         click.echo(f"{output}: complete, nothing is left to do", err=True)
@@ -206,6 +220,8 @@ def _runner(
             raise UsageError(
                 "--resume goes on with the session's own plan: leave --plan and --positions out"
             )
+        if options["poll"]:
+            raise UsageError("--resume gets its scans as the session did before: leave --poll out")
         return SessionRunner.resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
     if options["latitude"] is not None and options["gravity_mps2"] is not None:
         raise UsageError("give --gravity or --latitude, not both")
@@ -225,6 +241,7 @@ def _runner(
         smpl_prd=1 if options["rate_hz"] is None else smpl_prd_for(options["rate_hz"]),
         filter_m=options["filter_m"],
         gyro_range_dps=options["range_dps"],
+        data_ready=False if options["poll"] else None,
     )
     return SessionRunner.begin(
         sensor,
@@ -288,61 +305,18 @@ class Bench:
         from adis_gonio.session import events
 
         match event:
-            case events.Started():
-                what = "resumed" if event.resumed else "begun"
-                self._say(
-                    f"{event.plan.name} {what}, {len(event.plan)} positions, {event.variant} on {event.url}"
-                )
-                if event.resumed:
-                    self._say(f"  {event.done} positions are done")
-            case events.Configured():
-                rate = event.configuration["sample_rate_hz"]
-                filter_m = event.configuration.get("filter_m")
-                filtered = "" if filter_m is None else f", filter 2 × {2**filter_m} taps"
-                changed = ", ".join(f"{name} {a} → {b}" for name, (a, b) in event.changed.items())
-                self._say(f"  {rate:.1f} samples/s{filtered}" + (f"; changed {changed}" if changed else ""))
-                if event.why_polled:
-                    self._say(f"  scans are polled: {event.why_polled}")
-            case events.NoiseMeasured():
-                noise = ", ".join(f"{value:.2f}" for value in event.noise_mg)
-                self._say(f"  noise at rest {noise} mg (x, y, z)")
-            case events.PositionAsked():
-                if not self._auto:
-                    self._ask_position(event)
             case events.Watching():
                 self._show(event.state, f"spread {max(event.spread_mg):.2f} mg", None, None)
             case events.DwellProgress():
-                note = f"{event.elapsed_s:.0f} of {event.length_s:.0f} s"
-                self._show("dwell", note, event.elapsed_s, event.length_s)
-            case events.DwellDone():
-                x, y, z = event.accel_mg
-                lost = f", {event.lost} lost" if event.lost else ""
-                lost += f", {event.alarms} with an error or alarm" if event.alarms else ""
-                self._hide()
-                self._say(
-                    f"  {event.position!s:>16}   x {x:+9.2f}   y {y:+9.2f}   z {z:+9.2f} mg"
-                    f"   {event.samples} samples{lost}"
-                )
-            case events.DwellInterrupted():
-                self._say(
-                    f"  dwell at {event.position} interrupted: {event.reason} (samples kept)", "yellow"
-                )
-            case events.Problem():
-                self._say(f"  {event.message}", "yellow")
-            case events.RepetitionOffered():
-                self._offer_repetition(event)
-            case events.ExtensionOffered():
-                self._offer(event)
+                self._show_time("dwell", event.elapsed_s, event.length_s)
+            case events.Waiting():
+                self._show_time("waiting", event.elapsed_s, event.length_s)
             case events.Advising():
                 if not self._screen.is_terminal:
                     self._say(f"tracing {event.dwells} dwells …")
                 self._show("tracing", f"{event.dwells} dwells", None, None)
-            case events.Advised():
-                self._hide()
-                self._advised(event)
-            case events.Waiting():
-                note = f"{event.elapsed_s:.0f} of {event.length_s:.0f} s"
-                self._show("waiting", note, event.elapsed_s, event.length_s)
+            case events.PositionAsked() | events.RepetitionOffered() | events.ExtensionOffered():
+                self._answer(event)
             case events.Finished():
                 if not event.complete:
                     self._say(
@@ -350,8 +324,74 @@ class Bench:
                     )
                 return event.complete
             case _:
-                pass
+                self._tell(event)
         return False
+
+    def _answer(self, event: PositionAsked | RepetitionOffered | ExtensionOffered) -> None:
+        """Put a question to the operator."""
+        from adis_gonio.session import events
+
+        match event:
+            case events.PositionAsked():
+                if not self._auto:
+                    self._ask_position(event)
+            case events.RepetitionOffered():
+                self._offer_repetition(event)
+            case events.ExtensionOffered():
+                self._offer(event)
+
+    def _tell(self, event: Event) -> None:
+        """Say what has happened, in lines that stay."""
+        from adis_gonio.session import events
+
+        match event:
+            case events.Started():
+                self._started(event)
+            case events.Configured():
+                self._configured(event)
+            case events.NoiseMeasured():
+                noise = ", ".join(f"{value:.2f}" for value in event.noise_mg)
+                self._say(f"  noise at rest {noise} mg (x, y, z)")
+            case events.DwellDone():
+                self._dwell_done(event)
+            case events.DwellInterrupted():
+                where = event.position
+                self._say(f"  dwell at {where} interrupted: {event.reason} (samples kept)", "yellow")
+            case events.Problem():
+                self._say(f"  {event.message}", "yellow")
+            case events.Advised():
+                self._hide()
+                self._advised(event)
+            case _:
+                pass
+
+    def _started(self, event: Started) -> None:
+        what = "resumed" if event.resumed else "begun"
+        self._say(f"{event.plan.name} {what}, {len(event.plan)} positions, {event.variant} on {event.url}")
+        if event.resumed:
+            self._say(f"  {event.done} positions are done")
+
+    def _configured(self, event: Configured) -> None:
+        rate = event.configuration["sample_rate_hz"]
+        filter_m = event.configuration.get("filter_m")
+        filtered = "" if filter_m is None else f", filter 2 × {2**filter_m} taps"
+        changed = ", ".join(f"{name} {a} → {b}" for name, (a, b) in event.changed.items())
+        self._say(f"  {rate:.1f} samples/s{filtered}" + (f"; changed {changed}" if changed else ""))
+        if event.why_polled:
+            self._say(f"  scans are polled: {event.why_polled}")
+
+    def _dwell_done(self, event: DwellDone) -> None:
+        x, y, z = event.accel_mg
+        lost = f", {event.lost} lost" if event.lost else ""
+        lost += f", {event.alarms} with an error or alarm" if event.alarms else ""
+        self._hide()
+        self._say(
+            f"  {event.position!s:>16}   x {x:+9.2f}   y {y:+9.2f}   z {z:+9.2f} mg"
+            f"   {event.samples} samples{lost}"
+        )
+
+    def _show_time(self, what: str, elapsed_s: float, length_s: float) -> None:
+        self._show(what, f"{elapsed_s:.0f} of {length_s:.0f} s", elapsed_s, length_s)
 
     def _show(self, what: str, note: str, done: float | None, total: float | None) -> None:
         self._progress.update(

@@ -17,6 +17,9 @@ json_option = click.option("--json", "as_json", is_flag=True, help="One JSON doc
 variant_option = click.option(
     "--variant", default="adis16354", show_default=True, help="adis16354, adis16350 or adis16355."
 )
+poll_option = click.option(
+    "--poll", is_flag=True, help="Poll the scans: leave the data-ready line alone, whatever is on it."
+)
 no_check_option = click.option(
     "--no-check", is_flag=True, help="Open without proving that |a| is 1 g for this variant."
 )

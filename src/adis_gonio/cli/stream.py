@@ -5,19 +5,24 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
 
-from adis_gonio.cli.show import no_check_option, variant_option
+from adis_gonio.cli.show import no_check_option, poll_option, variant_option
 from adis_gonio.errors import UsageError
 from adis_gonio.sensor import DEFAULT_SCAN, Adis16354, open_sensor
 from adis_gonio.sensor.registers import registers as rows_of
 from adis_gonio.session.blocks import Block, count_alarms
 from adis_gonio.session.settings import Settings
 from adis_gonio.session.source import SampleStream, has_frames, open_source, refuse_chip_options
+
+if TYPE_CHECKING:
+    from adis_gonio.session.recorder import SamplesRecorder
 
 
 @click.command("stream")
@@ -35,6 +40,7 @@ from adis_gonio.session.source import SampleStream, has_frames, open_source, ref
 @click.option(
     "--leave-registers", is_flag=True, help="Write nothing: data-ready is used only if it is enabled."
 )
+@poll_option
 @click.option("--json", "as_json", is_flag=True, help="One JSON document with every scan, at the end.")
 @variant_option
 @no_check_option
@@ -50,6 +56,7 @@ def command(
     range_dps: int | None,
     gravity_mps2: float,
     leave_registers: bool,
+    poll: bool,
     as_json: bool,
     variant: str,
     no_check: bool,
@@ -60,8 +67,8 @@ def command(
     gets every scan; it has no positions, `adis-gonio fit` finds the dwells by stillness.
 
     Where the bridge can use the sensor's data-ready line, it is enabled in MSC_CTRL while the stream runs
-    and set back at its end, Ctrl-C included; where no edge arrives, scans are polled. The other registers
-    are left as they are unless --rate, --filter or --range is given.
+    and set back at its end, Ctrl-C included; where no edge arrives, or with --poll, scans are polled. The
+    other registers are left as they are unless --rate, --filter or --range is given.
     """
     if seconds is not None and not seconds > 0:
         raise UsageError(f"--seconds is {seconds:g}: take a time above 0")
@@ -69,47 +76,100 @@ def command(
         raise UsageError(f"--every is {every_s:g}: take a time above 0")
     if as_json and seconds is None:
         raise UsageError("--json needs --seconds: a document has an end")
-    chosen = tuple(row.name for row in rows_of(names.split(","))) if names else DEFAULT_SCAN
-    chip_options: dict[str, object] = {"--registers": names, "--leave-registers": leave_registers}
-    chip_options |= {"--rate": rate_hz, "--filter": filter_m is not None, "--range": range_dps}
-    refuse_chip_options(url, chip_options | {"--no-check": no_check})
-    if leave_registers and not (rate_hz is filter_m is range_dps is None):
-        raise UsageError("--leave-registers writes nothing, so it excludes --rate, --filter and --range")
+    options = _Options(names, rate_hz, filter_m, range_dps, leave_registers, poll, variant, no_check)
+    options.refuse(url)
     with contextlib.ExitStack() as stack:
-        open_stream: Callable[[int], SampleStream]
-        if has_frames(url):
-            sensor = stack.enter_context(open_sensor(url, variant=variant, check=not no_check))
-            if rate_hz is not None or filter_m is not None or range_dps is not None:
-                sensor.configure(sample_rate_hz=rate_hz, filter_m=filter_m, gyro_range_dps=range_dps)
-            part, rate = sensor.variant.name, sensor.configuration().sample_rate_hz
-            open_stream = partial(_scans, sensor, chosen, leave_registers)
-        else:
-            source = stack.enter_context(open_source(url))
-            measuring = source.configure(Settings())
-            part, rate = source.part.name, measuring.sample_rate_hz
-            open_stream = partial(source.samples, Settings())
+        opened = _opened(stack, url, options)
         recorder = None
         if output is not None:
             from adis_gonio.session.recorder import SamplesRecorder
 
             recorder = stack.enter_context(
-                SamplesRecorder(output, part, gravity_mps2=gravity_mps2, title=f"stream {url}")
+                SamplesRecorder(output, opened.part, gravity_mps2=gravity_mps2, title=f"stream {url}")
             )
-        scans_a_line = max(1, round(every_s * rate))
-        waiting: list[Block] = []
-        scans = lost = dropped = alarms = 0
-
-        def tell_the_sum() -> None:
-            where = f", recorded in {output}" if output is not None else ""
-            besides = f", {dropped} left out without new data (ND)" if dropped else ""
-            besides += f", {alarms} with an error or alarm in STATUS (EA)" if alarms else ""
-            click.echo(f"{scans} scans, {lost} lost{besides}{where}", err=True)
-
-        stack.callback(tell_the_sum)  # after a failure too: what came before it stands
-        stream = stack.enter_context(open_stream(min(scans_a_line, 1024)))
-        click.echo(f"{url}: {rate:.4g} samples/s, {stream.how}", err=True)
+        show = _Show(max(1, round(every_s * opened.rate_hz)), recorder, lines=not as_json)
+        stack.callback(show.tell_the_sum)  # after a failure too: what came before it stands
+        stream = stack.enter_context(opened.stream(min(show.scans_a_line, 1024)))
+        click.echo(f"{url}: {opened.rate_hz:.4g} samples/s, {stream.how}", err=True)
         if stream.caveat:
             click.echo(stream.caveat, err=True)
+        with contextlib.suppress(KeyboardInterrupt):
+            show.run(stream, seconds)
+    if as_json:
+        show.tell_document()
+
+
+@dataclass(frozen=True)
+class _Options:
+    """What is asked of the sensor."""
+
+    names: str | None
+    rate_hz: float | None
+    filter_m: int | None
+    range_dps: int | None
+    leave_registers: bool
+    poll: bool
+    variant: str
+    no_check: bool
+
+    @property
+    def configures(self) -> bool:
+        return not (self.rate_hz is self.filter_m is self.range_dps is None)
+
+    def refuse(self, url: str) -> None:
+        """Refuse what excludes one another, and what a source without registers has not."""
+        asked: dict[str, object] = {
+            "--registers": self.names,
+            "--leave-registers": self.leave_registers,
+            "--poll": self.poll,
+            "--rate": self.rate_hz,
+            "--filter": self.filter_m is not None,
+            "--range": self.range_dps,
+            "--no-check": self.no_check,
+        }
+        refuse_chip_options(url, asked)
+        if self.leave_registers and self.configures:
+            raise UsageError(
+                "--leave-registers writes nothing, so it excludes --rate, --filter and --range"
+            )
+
+
+@dataclass(frozen=True)
+class _Opened:
+    """A source of samples: its part, its rate, and how its stream is opened (scans a block)."""
+
+    part: str
+    rate_hz: float
+    stream: Callable[[int], SampleStream]
+
+
+def _opened(stack: contextlib.ExitStack, url: str, options: _Options) -> _Opened:
+    chosen = tuple(row.name for row in rows_of(options.names.split(","))) if options.names else DEFAULT_SCAN
+    if not has_frames(url):
+        source = stack.enter_context(open_source(url))
+        rate = source.configure(Settings()).sample_rate_hz
+        return _Opened(source.part.name, rate, partial(source.samples, Settings()))
+    sensor = stack.enter_context(open_sensor(url, variant=options.variant, check=not options.no_check))
+    if options.configures:
+        sensor.configure(
+            sample_rate_hz=options.rate_hz, filter_m=options.filter_m, gyro_range_dps=options.range_dps
+        )
+    scans = partial(_scans, sensor, chosen, options.leave_registers, options.poll)
+    return _Opened(sensor.variant.name, sensor.configuration().sample_rate_hz, scans)
+
+
+class _Show:
+    """What is shown and recorded of a stream, with its sums."""
+
+    def __init__(self, scans_a_line: int, recorder: SamplesRecorder | None, *, lines: bool) -> None:
+        self.scans_a_line = scans_a_line
+        self._recorder = recorder
+        self._lines = lines
+        self._waiting: list[Block] = []
+        self._scans = self._lost = self._dropped = self._alarms = 0
+
+    def run(self, stream: SampleStream, seconds: float | None) -> None:
+        """Take blocks until the time is over, the stream ends, or Ctrl-C."""
         begin: float | None = None
         end = False
         try:
@@ -117,30 +177,49 @@ def command(
                 begin = float(block.time_s[0]) if begin is None else begin
                 if seconds is not None:
                     block, end = _until(block, begin + seconds)
-                scans, lost = scans + len(block), lost + block.lost
-                dropped, alarms = dropped + block.dropped, alarms + count_alarms(block)
-                if recorder is not None:
-                    if stream.caveat and not recorder.rows:
-                        recorder.notes = [stream.caveat]
-                    recorder.add(block)
-                waiting.append(block)
-                held = sum(map(len, waiting))
+                self._add(block, stream.caveat)
+                held = sum(map(len, self._waiting))
                 # A rest of a few scans would make a line that cannot be compared with the others.
-                if not as_json and (held >= scans_a_line or (end and held > scans_a_line // 2)):
-                    _line(waiting, first=scans == held, since_s=begin)
-                    waiting.clear()
+                full = held >= self.scans_a_line or (end and held > self.scans_a_line // 2)
+                if self._lines and full:
+                    _line(self._waiting, first=self._scans == held, since_s=begin)
+                    self._waiting.clear()
                 if end:
                     break
         except KeyboardInterrupt:
             click.echo("", err=True)
-    if as_json:
-        _document(waiting, lost, dropped)
+            raise
+
+    def _add(self, block: Block, caveat: str) -> None:
+        self._scans += len(block)
+        self._lost += block.lost
+        self._dropped += block.dropped
+        self._alarms += count_alarms(block)
+        if self._recorder is not None:
+            if caveat and not self._recorder.rows:
+                self._recorder.notes = [caveat]
+            self._recorder.add(block)
+        self._waiting.append(block)
+
+    def tell_the_sum(self) -> None:
+        """What came, what was lost, where it was recorded."""
+        where = f", recorded in {self._recorder.path}" if self._recorder is not None else ""
+        besides = f", {self._dropped} left out without new data (ND)" if self._dropped else ""
+        besides += f", {self._alarms} with an error or alarm in STATUS (EA)" if self._alarms else ""
+        click.echo(f"{self._scans} scans, {self._lost} lost{besides}{where}", err=True)
+
+    def tell_document(self) -> None:
+        """Every scan as one JSON document."""
+        _document(self._waiting, self._lost, self._dropped)
 
 
 def _scans(
-    sensor: Adis16354, names: tuple[str, ...], leave_registers: bool, block_scans: int
+    sensor: Adis16354, names: tuple[str, ...], leave_registers: bool, poll: bool, block_scans: int
 ) -> SampleStream:
-    return sensor.stream(names, block_scans=block_scans, leave_registers=leave_registers)
+    data_ready = False if poll else None
+    return sensor.stream(
+        names, block_scans=block_scans, leave_registers=leave_registers, data_ready=data_ready
+    )
 
 
 def _until(block: Block, end_s: float) -> tuple[Block, bool]:

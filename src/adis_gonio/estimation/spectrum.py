@@ -273,46 +273,56 @@ def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
 
 
 def _choose_foot(groups: list[_Ordinates]) -> _Foot:
+    """Foot of the least variance at zero; bands are halved as long as they may hold a better one."""
     best: _Foot | None = None
     flicker = _flicker_at_foot(groups)
     band = 0.5
-    while True:
-        cells = _cells(groups, band)
-        if cells is None:
-            break
+    while (cells := _cells(groups, band)) is not None:
         x, weight, mean, inverse_x = cells
         total = float(weight.sum())
         if best is not None and (total < _LEAST_WEIGHT or 1 / total > best.log_zero_variance):
             break
-        fits: list[tuple[Floats, Floats, float]] = []
-        for order in range(min(3, len(x))):
-            for p in range(len(fits), min(order + 3, len(x))):
-                fits.append(_whittle(_basis(x, p), weight, mean))
-            beta, covariance, deviance = fits[order]
-            richer = fits[order + 1 : order + 3]
-            if any(deviance - fit[2] > gain for fit, gain in zip(richer, _GAINS, strict=False)):
-                continue
-            at_zero = _basis(np.zeros(1), order)[0]
-            variance = float(at_zero @ covariance @ at_zero)
-            if best is None or variance < best.log_zero_variance:
-                best = _Foot(band, float(at_zero @ beta), variance, total, beta)
-            break
-        beside = _beside_flicker(x, weight, mean, inverse_x) if flicker else None
-        if beside is not None:
-            beta, covariance = beside
-            at_zero = _basis(np.zeros(1), len(beta) - 1)[0]
-            variance = float(at_zero @ covariance @ at_zero)
-            if best is None or variance < best.log_zero_variance:
-                best = _Foot(band, float(at_zero @ beta), variance, total, beta, beside_flicker=True)
+        feet = [_polynomial_foot(band, x, weight, mean)]
+        if flicker:
+            feet.append(_foot_beside_flicker(band, x, weight, mean, inverse_x))
+        for foot in feet:
+            if foot is not None and (best is None or foot.log_zero_variance < best.log_zero_variance):
+                best = foot
         if total < _LEAST_WEIGHT:
-            if best is None:
-                best = _Foot(band, 0.0, 1 / total, total, np.zeros(1))
-            break
+            return best or _Foot(band, 0.0, 1 / total, total, np.zeros(1))
         band /= 2
     if best is None:  # the narrowest band holds no ordinate at all: take the whole one as flat
         total = sum(float(group.weight.sum()) * len(group.dwell) for group in groups)
         best = _Foot(0.5, 0.0, 1 / total, total, np.zeros(1))
     return best
+
+
+def _polynomial_foot(band: float, x: Floats, weight: Floats, mean: Floats) -> _Foot | None:
+    """Polynomial of the least order that one or two terms more do not clearly better, or None."""
+    fits: list[tuple[Floats, Floats, float]] = []
+    for order in range(min(3, len(x))):
+        for p in range(len(fits), min(order + 3, len(x))):
+            fits.append(_whittle(_basis(x, p), weight, mean))
+        beta, covariance, deviance = fits[order]
+        richer = fits[order + 1 : order + 3]
+        if not any(deviance - fit[2] > gain for fit, gain in zip(richer, _GAINS, strict=False)):
+            return _foot(band, beta, covariance, weight)
+    return None
+
+
+def _foot_beside_flicker(
+    band: float, x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
+) -> _Foot | None:
+    beside = _beside_flicker(x, weight, mean, inverse_x)
+    return None if beside is None else _foot(band, *beside, weight, beside_flicker=True)
+
+
+def _foot(
+    band: float, beta: Floats, covariance: Floats, weight: Floats, *, beside_flicker: bool = False
+) -> _Foot:
+    at_zero = _basis(np.zeros(1), len(beta) - 1)[0]
+    variance = float(at_zero @ covariance @ at_zero)
+    return _Foot(band, float(at_zero @ beta), variance, float(weight.sum()), beta, beside_flicker)
 
 
 def _beside_flicker(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -68,22 +69,25 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
         raise FitError(
             f"method {method} needs declared angles and fixture_sigma_deg is free here: use method ml"
         )
-    if method == "paper":
-        return fit_paper(readings)
-    if method == "two-position":
-        return fit_positions(readings, "two-position", _TWO)
-    if method == "four-position":
-        return fit_positions(readings, "four-position", _FOUR)
-    if method == "mmpm":
-        return fit_mmpm(readings)
-    if method is None and _only_two(readings):
+    if method is not None:
+        return _BY_NAME[method](readings)
+    if _only_two(readings):
         return fit_positions(readings, "two-position", _TWO)
     try:
         return fit_ml(readings)
     except SingularError:
-        if method is None and not readings.free and all(len(rows) for rows in rows_at(readings, _TWO)):
+        if not readings.free and all(len(rows) for rows in rows_at(readings, _TWO)):
             return fit_positions(readings, "two-position", _TWO)
         raise
+
+
+_BY_NAME: dict[str, Callable[[Readings], FitResult]] = {
+    "paper": fit_paper,
+    "two-position": lambda readings: fit_positions(readings, "two-position", _TWO),
+    "four-position": lambda readings: fit_positions(readings, "four-position", _FOUR),
+    "mmpm": fit_mmpm,
+    "ml": fit_ml,
+}
 
 
 def applicable_methods(session: Session) -> tuple[str, ...]:

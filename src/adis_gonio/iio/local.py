@@ -112,6 +112,8 @@ class LocalDevice:
             raise ProtocolError(f"{self.where}: no buffer is open")
         ready, _, _ = select.select([self._descriptor], [], [], timeout_s)
         if not ready:
+            if not self._folder.exists():  # the kernel wakes no reader when a device is pulled out
+                raise ProtocolError(f"{self.where}: the device is gone")
             raise BusTimeoutError(f"{self.where}: no scan in {timeout_s:.3g} s: is its trigger running?")
         try:
             data = os.read(self._descriptor, size)

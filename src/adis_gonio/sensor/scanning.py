@@ -9,11 +9,11 @@ Two ways, behind one iterator of `ScanBlock`:
 
 Polling without tearing. An update may fall between two reads of one pass, so that the pass mixes two
 updates. Each *column*, however, sees every update once: ND is set by an update and cleared by the read of
-that very register. After a pass without any ND no column is ahead of another, and from there on the j-th
-fresh word of every column belongs to the same update. Columns are therefore queued and matched row by
-row; where the host was away for longer than an update, or a row's words are further apart in time than
-one, the alignment is made anew. A bus that needs more than a period for a pass cannot do this: there
-each pass is a scan, and what was missed follows from the time.
+that very register. After a pass without any ND no column is ahead of another: the latest fresh words of
+all columns belong to the same update, and from there on so do the j-th ones. Columns are therefore queued
+and matched row by row; where the chip was not read for longer than an update, a batch's replies were lost,
+or a row's words are further apart in time than one, the alignment is made anew. A bus that needs more than
+a period for a pass cannot do this: there each pass is a scan, and what was missed follows from the time.
 """
 
 from __future__ import annotations
@@ -201,6 +201,7 @@ class PolledScans(ScanStream):
         self._queue_words: list[Words] = []
         self._queue_times: list[Floats] = []
         self._missed = 0.0
+        self._in_bursts = bus.unbroken_frames is not None
         self._polled_s = bus.now_s()
         self._probed = False
         self._edges: int | None = 0 if counts_edges else None
@@ -265,14 +266,22 @@ class PolledScans(ScanStream):
             # A pause within a batch would hide updates from some columns and not from others.
             passes = min(passes, max(1, (self._bus.unbroken_frames - 1) // len(self._frames)))
         frames = np.append(np.tile(self._frames, passes), np.uint16(IDLE))
-        begin = self._bus.now_s()
-        if begin + self._pass_s - self._polled_s > self._period_s:
-            # The host was away for longer than an update: columns may have missed different ones.
-            self._aligned = False
+        # Replies that are lost take ND of their words with them.
+        aligned, self._aligned = self._aligned, False
+        begin_s = self._bus.now_s()
         replies = self._bus.exchange_array(frames)
-        end = self._polled_s = self._bus.now_s()
-        self._pass_s = (end - begin) / passes  # what the bus really took
-        times = begin + (end - begin) * np.arange(frames.size) / frames.size
+        end_s = self._bus.now_s()
+        took_s = end_s - begin_s
+        if self._in_bursts:  # the board keeps the timing; when in the exchange the frames ran is not known
+            took_s = min(took_s, frames.size * self._bus.timing.frame_s)
+        else:
+            self._pass_s = took_s / passes  # what the bus really took
+        spare_s = end_s - begin_s - took_s
+        # Where the chip was not read for an update, columns may have missed different ones.
+        unread_s = begin_s + spare_s - self._polled_s
+        self._aligned = aligned and unread_s + self._pass_s <= self._period_s
+        self._polled_s = begin_s + took_s
+        times = begin_s + spare_s / 2 + took_s * np.arange(frames.size) / frames.size
         shape = (passes, len(self._frames))
         return replies[1:].reshape(shape), times[:-1].reshape(shape)
 
@@ -288,10 +297,16 @@ class PolledScans(ScanStream):
         start = 0
         if not self._aligned:
             quiet = np.flatnonzero(~fresh.any(axis=1))
-            self._queue_words = [np.empty(0, np.uint16)] * count
-            self._queue_times = [np.empty(0)] * count
-            start = int(quiet[0]) + 1 if quiet.size else len(words)
+            start = int(quiet[0]) if quiet.size else len(words)
             self._aligned = bool(quiet.size)
+            # What every column had last before a pass without news is one update's; a column that had
+            # nothing got that update in a batch before. It may be an update old, so that only a count on
+            # the average, that of bursts, bears its time.
+            had, last = fresh[:start], np.full(count, len(words))
+            if self._in_bursts and self._aligned and had.any(axis=0).all():
+                last = start - 1 - np.argmax(had[::-1], axis=0)
+            self._queue_words = [words[row : row + 1, k] for k, row in enumerate(last)]
+            self._queue_times = [times[row : row + 1, k] for k, row in enumerate(last)]
         for k in range(count):
             new = fresh[start:, k]
             self._queue_words[k] = np.concatenate([self._queue_words[k], words[start:, k][new]])
@@ -318,15 +333,14 @@ class PolledScans(ScanStream):
         self._last_s = float(time_s[-1])
         gaps = np.diff(time_s, prepend=before) / self._period_s
         poll = self._pass_s / self._period_s
-        in_bursts = self._bus.unbroken_frames is not None  # times within one are spread over its transport
-        if poll < ALIGNABLE and not in_bursts:  # known to less than half a period: the count is exact
+        if poll < ALIGNABLE and not self._in_bursts:  # known to less than half a period: the count is exact
             missed = np.rint(gaps) - 1
-        elif poll < 1 and not in_bursts:  # only a lower bound is sure
+        elif poll < 1 and not self._in_bursts:  # only a lower bound is sure
             missed = np.floor(gaps - poll)
         else:  # right on the average
             missed = gaps - 1
         # In bursts the times jitter: what one gap has too much another has too little.
-        total = self._missed + np.cumsum(missed if in_bursts else np.maximum(missed, 0))
+        total = self._missed + np.cumsum(missed if self._in_bursts else np.maximum(missed, 0))
         whole = np.floor(np.maximum.accumulate(np.maximum(total, 0))).astype(np.int64)
         self._missed = float(total[-1] - whole[-1])
         counts = np.diff(whole, prepend=0)

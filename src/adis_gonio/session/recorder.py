@@ -26,6 +26,7 @@ class SamplesRecorder:
 
     Attributes
     ----------
+    path : Path
     notes : list of str
         What the reader of the file has to know; written with its header, before the first row.
 
@@ -47,6 +48,7 @@ class SamplesRecorder:
             raise UsageError(f"{path} exists: choose another name, recordings are not overwritten")
         if not path.name.endswith((".csv", ".csv.gz")):
             raise UsageError(f"{path}: a recording is named .csv or .csv.gz")
+        self.path = path
         self.rows = 0
         self.lost = 0
         self.notes: list[str] = []

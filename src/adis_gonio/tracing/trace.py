@@ -31,14 +31,12 @@ from adis_gonio.tracing.outcome.openings import undecided
 from adis_gonio.tracing.outcome.result import ErrorFigures, Step, TraceResult
 from adis_gonio.tracing.outcome.sets import credible_sets
 from adis_gonio.tracing.selection.scatter import with_scatter
-from adis_gonio.tracing.selection.select import ADEQUATE, select
+from adis_gonio.tracing.selection.select import select
+from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.unnamed.averaging import average
 from adis_gonio.tracing.validation.checked import unexpected
 from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order
-from adis_gonio.tracing.validation.survival import PRESENT, checkable, never_worse, surviving, without
-
-SIGNIFICANT = 0.01
-"""Largest p-value, multiplied by the candidates, of an effect that is called found."""
+from adis_gonio.tracing.validation.survival import checkable, never_worse, surviving, without
 
 
 def trace(session: Session, max_effects: int = 6) -> TraceResult:
@@ -110,7 +108,7 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
     weak = {
         finding.effect: f"its own test beside the others is p = {finding.p_value:.2g}"
         for finding in findings
-        if finding.p_value > SIGNIFICANT
+        if finding.p_value > limits.significant
     }
     if figures[-1].heldout_rms_mg is None:
         weak |= {
@@ -128,14 +126,14 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
     adequate = final.adequate and scatter is None and (final.fit.dof > 0 or not training.noise_known)
     if adequate and checking is not None and averaged is None and training.noise_known:
         p = unexpected(final.fit, checking, final.inflation)
-        if p < ADEQUATE:
+        if p < limits.adequate:
             adequate = False
             notes.append(
                 f"the {len(checking)} check dwells do not agree with the model that explains the others "
                 f"(p = {p:.2g}): something is in them that the others do not show"
             )
     open_still = replace(selection, adequate=adequate)
-    sets = tuple(one for one in credible_sets(selection) if one.present >= PRESENT)
+    sets = tuple(one for one in credible_sets(selection) if one.present >= limits.present)
     seen = tuple(finding for finding in findings if finding.effect not in weak)
     if scatter is not None:
         seen = (*seen, scatter_finding(scatter, _left_to_scatter(fits, figures)))

@@ -132,9 +132,11 @@ def devices(ports: list[Any]) -> list[Device]:
 
 def _cannot_open(error: OSError, place: str, baud: int, url: str) -> BusError:
     code = error.errno
-    if code in (errno.EACCES, errno.EPERM) or "PermissionError" in str(error):
+    if code in (errno.EACCES, errno.EPERM):
         return no_permission(url, place, "tty")
-    if code in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
+    # Windows calls a port that another program has "access denied", which pyserial gives as text only.
+    words = ("exclusively lock", "PermissionError")
+    if code in (errno.EBUSY, errno.EAGAIN) or any(word in str(error) for word in words):
         return busy(url, place)
     if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in str(error):
         return missing(url, f"port {place}", devices(list_boards()))

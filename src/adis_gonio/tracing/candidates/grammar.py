@@ -27,24 +27,12 @@ from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.effects.lag import lagged
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.candidates import shapes
+from adis_gonio.tracing.thresholds import limits
 
-NAMELESS_SHARE = 0.3
-"""Share of the prior that all nameless terms together have."""
-
-FAMILY_WEIGHT = {"reading": 1.0, "angle": 1.0, "time": 1.0, "temperature": 1.0, "supply": 0.7}
-"""Weight of the terms of one covariate against others (0.7); approach, memory and products among these."""
-SMOOTH_WEIGHT = 0.25
-"""Part of a covariate's weight that its smooth functions have; its formulas have the rest."""
-
+COMMON = ("reading", "angle", "time", "temperature")
+"""Covariates of full weight; supply, approach, memory and products are less likely causes."""
 
 EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "misalignment", "angle")
-
-
-LEAST_RANGE = {"temperature": 0.5, "supply": 0.01}
-"""Least range (°C, V) in which a covariate is a factor of a product: below it is a constant with noise, and
-the product is the other factor."""
-LEAST_DWELLS = 1.9
-"""Dwells (participation ratio) that a bump has to touch."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +49,7 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
     """All nameless candidates of a session with their price."""
     made = [m for m in _bases(data) if not _one_dwell(m.basis, data.conditions)]
     families = sorted({m.family for m in made})
-    weight = {family: FAMILY_WEIGHT.get(family, 0.7) for family in families}
+    weight = {family: 1.0 if family in COMMON else limits.family_weight for family in families}
     total = sum(weight.values())
     placed: dict[tuple[str, bool], list[tuple[_Made, Where, tuple[int, ...]]]] = {}
     subsets = [
@@ -81,8 +69,8 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
     for (family, smooth), members in placed.items():
         both = (family, not smooth) in placed
         marked = {id(m): replace(m.basis, approximates=smooth) for m, _, _ in members}
-        part = (SMOOTH_WEIGHT if smooth else 1 - SMOOTH_WEIGHT) if both else 1.0
-        share = NAMELESS_SHARE * weight[family] / total * part / len(members)
+        part = (limits.smooth_weight if smooth else 1 - limits.smooth_weight) if both else 1.0
+        share = limits.nameless_share * weight[family] / total * part / len(members)
         for m, where, subset in members:
             axes = "".join("xyz"[k] for k in subset)
             label = f"{where}[{axes}]~{m.basis.form}" if axes else f"{where}~{m.basis.form}"
@@ -104,7 +92,7 @@ def _one_dwell(basis: Basis, conditions: Conditions) -> bool:
     rows = basis.over(conditions)[:, -1]
     if basis.local == "step":
         return bool(min(rows.sum(), (1 - rows).sum()) < 2)
-    return bool((rows**2).sum() ** 2 < LEAST_DWELLS * (rows**4).sum())
+    return bool((rows**2).sum() ** 2 < limits.bump_dwells * (rows**4).sum())
 
 
 def _bases(data: Readings) -> Iterator[_Made]:
@@ -578,55 +566,69 @@ def _of_memory(data: Readings) -> Iterator[_Made]:
         yield _Made(family, True, Basis(form, covariates, columns))
 
 
+@dataclass(frozen=True)
+class _Factor:
+    """A covariate of a product: its name, letter, values and the zero that means something."""
+
+    name: str
+    letter: str
+    get: Callable[[Conditions], Floats]
+    zero: float = 0.0
+
+
+def _factors(conditions: Conditions) -> Iterator[_Factor]:
+    """Covariates that may stand in a product."""
+    yield _Factor("time", "t", lambda c: c.time_s)
+    if conditions.temperature_c is not None:
+        yield _Factor("temperature", "(T − 25 °C)", lambda c: c.covariate("temperature_c"), REFERENCE_C)
+    if conditions.supply_v is not None:
+        yield _Factor("supply", "(V − 5 V)", lambda c: c.covariate("supply_v"), REFERENCE_V)
+    if conditions.approach is not None:
+        yield _Factor("approach", "approach", lambda c: c.covariate("approach"))
+    if conditions.angle_rad is not None and conditions.previous_angle_rad is not None:
+        yield _Factor("previous_angle", "sin θ′", lambda c: np.sin(c.covariate("previous_angle_rad")))
+
+
 def _products(data: Readings) -> Iterator[_Made]:
     conditions = data.conditions
-    scalars: dict[str, tuple[str, Callable[[Conditions], Floats], float]] = {}
+    # One that hardly moves is a constant with noise, and a product with it the other factor.
+    least = {"temperature": limits.least_range_c, "supply": limits.least_range_v}
+    moving = [f for f in _factors(conditions) if np.ptp(f.get(conditions)) > least.get(f.name, 0.0)]
+    for one, two in itertools.combinations(moving, 2):
+        yield from _product(one, two, conditions)
 
-    def add(name: str, letter: str, get: Callable[[Conditions], Floats], zero: float) -> None:
-        if np.ptp(get(conditions)) > LEAST_RANGE.get(name, 0.0):
-            scalars[name] = (letter, get, zero)
 
-    add("time", "t", lambda c: c.time_s, 0.0)
-    if conditions.temperature_c is not None:
-        add("temperature", "(T − 25 °C)", lambda c: c.covariate("temperature_c"), REFERENCE_C)
-    if conditions.supply_v is not None:
-        add("supply", "(V − 5 V)", lambda c: c.covariate("supply_v"), REFERENCE_V)
-    if conditions.approach is not None:
-        add("approach", "approach", lambda c: c.covariate("approach"), 0.0)
-    if conditions.angle_rad is not None and conditions.previous_angle_rad is not None:
-        add("previous_angle", "sin θ′", lambda c: np.sin(c.covariate("previous_angle_rad")), 0.0)
-    for (one, (p, f, a)), (two, (q, g, b)) in itertools.combinations(scalars.items(), 2):
-        fm, fh = _scaled(f(conditions))
-        gm, gh = _scaled(g(conditions))
-        names = (one, two)
+def _product(one: _Factor, two: _Factor, conditions: Conditions) -> Iterator[_Made]:
+    """Forms of two covariates together: their product, surfaces over both."""
+    one_middle, one_half = _scaled(one.get(conditions))
+    two_middle, two_half = _scaled(two.get(conditions))
+    names = (one.name, two.name)
 
-        def about(c: Conditions, f=f, g=g, a=a, b=b, fh=fh, gh=gh) -> Floats:  # type: ignore[no-untyped-def]
-            return np.asarray((f(c) - a) / fh * (g(c) - b) / gh)
+    def about(c: Conditions) -> Floats:
+        return np.asarray((one.get(c) - one.zero) / one_half * (two.get(c) - two.zero) / two_half)
 
-        def centred(c: Conditions, f=f, g=g, fm=fm, gm=gm, fh=fh, gh=gh) -> Floats:  # type: ignore[no-untyped-def]
-            return np.asarray((f(c) - fm) / fh * (g(c) - gm) / gh)
+    def scaled(c: Conditions) -> tuple[Floats, Floats]:
+        return (one.get(c) - one_middle) / one_half, (two.get(c) - two_middle) / two_half
 
-        def surface(c: Conditions, f=f, g=g, fm=fm, gm=gm, fh=fh, gh=gh) -> Floats:  # type: ignore[no-untyped-def]
-            u, v = (f(c) - fm) / fh, (g(c) - gm) / gh
-            return np.stack([u, v, u * v], axis=1)
+    def centred(c: Conditions) -> Floats:
+        u, v = scaled(c)
+        return np.asarray(u * v)
 
-        def curved(c: Conditions, f=f, g=g, fm=fm, gm=gm, fh=fh, gh=gh) -> Floats:  # type: ignore[no-untyped-def]
-            u, v = (f(c) - fm) / fh, (g(c) - gm) / gh
-            return np.stack([u, v, u * v, u * u, v * v], axis=1)
+    def surface(c: Conditions) -> Floats:
+        u, v = scaled(c)
+        return np.stack([u, v, u * v], axis=1)
 
-        yield from _both("products", names, f"{p} × {q}", about)
-        yield from _both("products", names, f"{p} × {q}, centred", centred)
-        form = f"a surface over {one} and {two}"
-        yield _Made("products", True, Basis(form, names, surface))
-        yield _Made(
-            "products",
-            True,
-            Basis(form + " + const", names, _with_constant(surface), with_constant=True),
-            ("bias",),
-        )
-        if "approach" not in names:
-            yield _Made(
-                "products",
-                True,
-                Basis("a curved " + form.removeprefix("a "), names, _with_constant(curved)),
-            )
+    def curved(c: Conditions) -> Floats:
+        u, v = scaled(c)
+        return np.stack([u, v, u * v, u * u, v * v], axis=1)
+
+    letters = f"{one.letter} × {two.letter}"
+    yield from _both("products", names, letters, about)
+    yield from _both("products", names, f"{letters}, centred", centred)
+    form = f"a surface over {one.name} and {two.name}"
+    yield _Made("products", True, Basis(form, names, surface))
+    constant = Basis(form + " + const", names, _with_constant(surface), with_constant=True)
+    yield _Made("products", True, constant, ("bias",))
+    if "approach" not in names:
+        bent = Basis("a curved " + form.removeprefix("a "), names, _with_constant(curved))
+        yield _Made("products", True, bent)

@@ -14,15 +14,7 @@ from adis_gonio.model.effects import AXES, Effect, Enters, catalogue
 from adis_gonio.model.effects.base import Parameter
 from adis_gonio.model.effects.stage import LEAST_CYCLES, alike
 from adis_gonio.model.records import Floats
-
-NAMED_SHARE = 0.7
-"""Share of the prior that the catalogue has; the grammar of nameless terms has the rest."""
-COMMON = {"bias": 6.0, "quadratic": 1.5}
-"""Weight of an effect against the others (1): every sensor has a bias, and of two names that a session
-cannot tell apart the more common stands."""
-GRID = 9
-MOST_CYCLES = 72
-"""Most cycles a turn that are looked for: a worm of 72 teeth."""
+from adis_gonio.tracing.thresholds import limits
 
 
 def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
@@ -34,7 +26,8 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
     terms: list[NamedTerm] = []
     missing: dict[str, str] = {}
     kinds = catalogue()
-    weights = {name: COMMON.get(name, 1.0) for name in kinds}
+    common = {"bias": limits.bias_weight, "quadratic": limits.quadratic_weight}
+    weights = {name: common.get(name, 1.0) for name in kinds}
     total = sum(weights.values())
     for name, kind in kinds.items():
         if kind.enters is Enters.SAMPLES or kind.within_dwell:
@@ -49,7 +42,7 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
             continue
         variants = list(_variants(kind, data))
         parts = np.array([1 / getattr(effect, "cycles", 1) for effect, _ in variants])
-        shares = NAMED_SHARE * weights[name] / total * parts / parts.sum()
+        shares = limits.named_share * weights[name] / total * parts / parts.sum()
         for (effect, shapes), share in zip(variants, shares, strict=True):
             label = effect.name
             if effect.axes:
@@ -131,7 +124,7 @@ def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tupl
 def cycles_shown(angle_rad: Floats) -> list[int]:
     """Numbers of cycles a turn that these angles tell from a constant and from fewer cycles."""
     shown = list(range(LEAST_CYCLES))
-    for cycles in range(LEAST_CYCLES, MOST_CYCLES + 1):
+    for cycles in range(LEAST_CYCLES, limits.most_cycles + 1):
         if not any(alike(cycles, fewer, angle_rad) for fewer in shown):
             shown.append(cycles)
     return shown[LEAST_CYCLES:]
@@ -146,4 +139,4 @@ def _grid(parameter: Parameter, data: Readings) -> list[float]:
     step = max(length / max(len(time) - 1, 1), 1e-3)
     low = max(parameter.low, step)
     high = min(parameter.high, max(1.5 * length, 2 * low))
-    return [float(value) for value in np.geomspace(low, high, GRID)]
+    return [float(value) for value in np.geomspace(low, high, limits.grid)]

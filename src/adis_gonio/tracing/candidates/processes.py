@@ -23,7 +23,7 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Basis, NamelessTerm, Where
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
-from adis_gonio.tracing.candidates.grammar import NAMELESS_SHARE
+from adis_gonio.tracing.thresholds import limits
 
 LENGTHS = (0.1, 0.18, 0.32, 0.56, 1.0)
 """Lengths of a kernel in units of the covariate's range."""
@@ -31,8 +31,6 @@ RING = (0.25, 0.4, 0.65, 1.0)
 """Widths w of the periodic kernel exp(−2 sin²(Δ/2)/w²)."""
 AMPLITUDES = (2.0, 4.0, 8.0, 16.0)
 """Prior standard deviations of a process, in standard uncertainties of a reading."""
-SELDOM = 0.3
-"""Weight of two covariates together, and of the previous position, against one covariate."""
 
 _HARMONICS = 16
 _BEYOND = 0.1
@@ -71,12 +69,16 @@ def processes(data: Readings) -> list[Process]:
             for axes in [()] if where == "angle" else subsets:
                 made.append(NamelessTerm("", basis.covariates, 0.0, where, axes, basis))
     members = Counter(term.covariates for term in made)
-    weight = {c: SELDOM if len(c) > 1 or c == ("previous_angle",) else 1.0 for c in members}
+    weight = {c: limits.pair_weight if len(c) > 1 or c == ("previous_angle",) else 1.0 for c in members}
     total = sum(weight.values())
     out = []
     for term, amplitude in itertools.product(made, AMPLITUDES):
         share = (
-            NAMELESS_SHARE * weight[term.covariates] / total / members[term.covariates] / len(AMPLITUDES)
+            limits.nameless_share
+            * weight[term.covariates]
+            / total
+            / members[term.covariates]
+            / len(AMPLITUDES)
         )
         sized = replace(term, shrinkage=amplitude * u_mg, cost=-math.log(share))
         label = f"{term.where}[{''.join('xyz'[k] for k in term.axes)}]~{term.basis.form} ({amplitude:g} u)"
@@ -129,17 +131,7 @@ def _reading_u_mg(data: Readings) -> float:
 def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:
     """Features of every kernel, with the places where it may enter."""
     c = data.conditions
-    scalars: dict[str, Get] = {"time": lambda k: k.time_s}
-    if c.temperature_c is not None:
-        scalars["temperature"] = lambda k: k.covariate("temperature_c")
-    if c.supply_v is not None:
-        scalars["supply"] = lambda k: k.covariate("supply_v")
-    scalars = {name: get for name, get in scalars.items() if np.ptp(get(c)) > 0}
-    rings: dict[str, Get] = {}
-    if c.angle_rad is not None:
-        rings["angle"] = lambda k: k.covariate("angle_rad")
-    if c.previous_angle_rad is not None:
-        rings["previous_angle"] = lambda k: k.covariate("previous_angle_rad")
+    scalars, rings = _lines_and_rings(c)
     for name, get in scalars.items():
         for length in LENGTHS:
             basis = Basis(f"a smooth function of {name}", (name,), _line(get, get(c), length))
@@ -154,10 +146,23 @@ def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:
     for (one, f), (two, g) in itertools.combinations(scalars.items(), 2):
         for length in LENGTHS[2::2]:
             both = _product(_line(f, f(c), length), _line(g, g(c), length))
-            yield (
-                Basis(f"a smooth function of {one} and {two}", (one, two), both),
-                ("bias", "gain", "angle"),
-            )
+            form = f"a smooth function of {one} and {two}"
+            yield Basis(form, (one, two), both), ("bias", "gain", "angle")
+
+
+def _lines_and_rings(c: Conditions) -> tuple[dict[str, Get], dict[str, Get]]:
+    """Covariates that move along a line, and those that go round."""
+    lines: dict[str, Get] = {"time": lambda k: k.time_s}
+    if c.temperature_c is not None:
+        lines["temperature"] = lambda k: k.covariate("temperature_c")
+    if c.supply_v is not None:
+        lines["supply"] = lambda k: k.covariate("supply_v")
+    rings: dict[str, Get] = {}
+    if c.angle_rad is not None:
+        rings["angle"] = lambda k: k.covariate("angle_rad")
+    if c.previous_angle_rad is not None:
+        rings["previous_angle"] = lambda k: k.covariate("previous_angle_rad")
+    return {name: get for name, get in lines.items() if np.ptp(get(c)) > 0}, rings
 
 
 def _inducing(low: float, high: float, length: float) -> Callable[[Floats], Floats]:

@@ -10,12 +10,10 @@ import numpy as np
 
 from adis_gonio.estimation.terms import NamedTerm
 from adis_gonio.model.effects.stage import StagePeriodic, alike
-from adis_gonio.tracing.candidates.named import MOST_CYCLES
 from adis_gonio.tracing.selection.design import span
 from adis_gonio.tracing.selection.select import Selection
+from adis_gonio.tracing.thresholds import limits
 
-LEAST_SHARE = 0.05
-"""Share of the probability from which a number of cycles is named."""
 MOST_NAMED = 5
 
 
@@ -34,9 +32,11 @@ def cycles_alike(selection: Selection) -> list[tuple[int, tuple[int, ...]]]:
         basis, residual = span(problem, [k for k in best if k != own])
         score = 0.5 * problem.gains(basis, residual) / selection.inflation - selection.found.prices
         weight = np.exp([score[k] - score[own] for k in periodic])
-        likely = weight >= LEAST_SHARE * weight.sum()
+        likely = weight >= (1 - limits.set_level) * weight.sum()
         cycles = {n for n, shown in zip(periodic.values(), likely, strict=True) if shown}
-        cycles |= {n for n in range(periodic[own], MOST_CYCLES + 1) if alike(n, periodic[own], angle)}
+        cycles |= {
+            n for n in range(periodic[own], limits.most_cycles + 1) if alike(n, periodic[own], angle)
+        }
         others = sorted(cycles - {periodic[own]})
         if others:
             out.append((periodic[own], tuple(others[:MOST_NAMED])))

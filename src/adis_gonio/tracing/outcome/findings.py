@@ -14,13 +14,9 @@ from adis_gonio.tracing.outcome.result import Finding, Rival, Unnamed
 from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, span
 from adis_gonio.tracing.selection.scatter import Scatter
 from adis_gonio.tracing.selection.select import Selection, fit_model
+from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.unnamed.averaging import Averaged
 from adis_gonio.tracing.unnamed.dependence import dependence
-
-TOLD = 2.0
-"""Standard uncertainties by which a value has to differ from zero to be told from it."""
-LEAST_WEIGHT = 0.05
-"""Least posterior of a model that counts in the uncertainty of an effect: rarer ones lie beyond 95 %."""
 
 
 def students_factor(selection: Selection) -> float:
@@ -97,7 +93,7 @@ def between_models(selection: Selection, name: str) -> dict[str, float]:
     spread = dict.fromkeys(own, 0.0)
     total = 0.0
     for model, weight in verdict.weights.items():
-        if weight < LEAST_WEIGHT or _kind(problem.terms, model, name) != kind:
+        if weight < limits.probable or _kind(problem.terms, model, name) != kind:
             continue
         values = _amplitudes_of(problem, model, name)
         total += weight
@@ -110,7 +106,7 @@ def _between_bases(selection: Selection) -> Floats:
     """Covariance (p, p) of the base parameters between the probable models."""
     own = selection.fit.values.base
     total = np.zeros((len(own), len(own)))
-    weights = {m: w for m, w in selection.verdict.weights.items() if w >= LEAST_WEIGHT}
+    weights = {m: w for m, w in selection.verdict.weights.items() if w >= limits.probable}
     for model, weight in weights.items():
         if model != selection.verdict.best:
             away = fit_model(selection.problem, model, selection.base).values.base - own
@@ -121,7 +117,7 @@ def _between_bases(selection: Selection) -> Floats:
 def told_from_zero(finding: Finding) -> bool:
     """True where a value differs from zero by more than its own uncertainty allows."""
     values = [v for v in finding.parameters.values() if v.u is not None and v.u > 0]
-    return not values or any(abs(v.value) > TOLD * (v.u or 0.0) for v in values)
+    return not values or any(abs(v.value) > limits.told * (v.u or 0.0) for v in values)
 
 
 def scatter_finding(scatter: Scatter, explains: float) -> Finding:

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from adis_gonio.estimation.terms import NamelessTerm, Term
-from adis_gonio.tracing.selection.posterior import CERTAIN, skeleton
+from adis_gonio.tracing.selection.posterior import skeleton
 from adis_gonio.tracing.selection.search import Model
 from adis_gonio.tracing.selection.select import Selection
+from adis_gonio.tracing.thresholds import limits
 
 SLOW = {"time", "order", "temperature", "temperature_rate", "supply", "variance"}
 """Covariates that move on from dwell to dwell; the others follow the position."""
-NEAR = 0.15
-"""Share of the best model's posterior from which a rival is named."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +36,9 @@ class Names:
 def judge(selection: Selection) -> Names:
     """Names that stand.
 
-    A name stands if the models that hold it have `CERTAIN` of the posterior, and no nameless term of the
-    same kind of covariate (slow or of position) stands in the same model: that name may be a piece of the
-    unknown cause.
+    A name stands if the models that hold it have most of the posterior (`certain`), and no nameless term of
+    the same kind of covariate (slow or of position) stands in the same model: that name may be a piece of
+    the unknown cause.
     """
     verdict, terms = selection.verdict, selection.problem.terms
     model = [terms[k] for k in verdict.best]
@@ -51,7 +50,7 @@ def judge(selection: Selection) -> Names:
         mine = [term for term in model if term.name == name]
         beside = [u for u in unknown if any(related(term, u) for term in mine)]
         probability = verdict.names.get(name, 0.0)
-        if probability < CERTAIN:
+        if probability < limits.certain:
             pending[name] = f"models without it have {1 - probability:.0%} of the posterior"
         elif beside:
             pending[name] = "may be a piece of the same unnamed cause"
@@ -81,7 +80,7 @@ def _replacements(selection: Selection) -> list[tuple[str, ...]]:
     best = verdict.best
     top = verdict.weights[best]
     out: list[tuple[str, ...]] = []
-    rivals = [m for m, w in verdict.weights.items() if m != best and w >= NEAR * top]
+    rivals = [m for m, w in verdict.weights.items() if m != best and w >= limits.near * top]
     rivals += [m for m in verdict.same.get(best, []) if len(m) <= len(best)]
     for rival in sorted(rivals, key=lambda m: -selection.found.scores[m]):
         if skeleton(selection.found, rival) == skeleton(selection.found, best):
@@ -90,7 +89,7 @@ def _replacements(selection: Selection) -> list[tuple[str, ...]]:
         lost = [p for p in ours if p not in theirs]
         gained = [p for p in theirs if p not in ours]
         named = any(part.name is not None for part in (*lost, *gained))
-        sure = all(verdict.names.get(p.name, 0.0) > 0.9 for p in lost if p.name is not None)
+        sure = all(verdict.names.get(p.name, 0.0) > limits.sure for p in lost if p.name is not None)
         same = rival in verdict.same.get(best, [])
         if lost and gained and named and (same or not sure):
             out.append(tuple(part.shown_as for part in (*lost, *gained)))

@@ -6,18 +6,15 @@ import numpy as np
 
 from adis_gonio.tracing.selection.design import LinearProblem, span
 from adis_gonio.tracing.selection.select import Selection
-
-LEVEL = 0.1
-ALIKE = 10.0
-"""Likelihood ratio to the best one up to which another name is as good an explanation."""
+from adis_gonio.tracing.thresholds import limits
 
 
 def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
     """Names that, added alone, take a significant part of an inadequate model's residual (F-test at 10 %).
 
     The noise is then the residual itself, since what was measured within the dwells does not explain it.
-    Where one does, others count that are as likely within a factor `ALIKE`. The best variant of each name
-    counts; the most likely comes first. None of them is claimed.
+    Where one does, others count that are nearly as likely. The best variant of each
+    name counts; the most likely comes first. None of them is claimed.
     """
     from scipy import stats
 
@@ -35,10 +32,12 @@ def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
         left = max(chi2 - float(gains[k]), 1e-12)
         p = float(stats.f.sf(float(gains[k]) / width / (left / (dof - width)), width, dof - width))
         best[term.name] = min(best.get(term.name, (np.inf, np.inf)), (p, left))
-    if not best or min(best.values())[0] >= LEVEL:
+    if not best or min(best.values())[0] >= limits.open_level:
         return ()
     least = min(left for _, left in best.values())
     alike = {
-        name: p for name, (p, left) in best.items() if 0.5 * dof * np.log(left / least) < np.log(ALIKE)
+        name: p
+        for name, (p, left) in best.items()
+        if 0.5 * dof * np.log(left / least) < np.log(limits.open_alike)
     }
     return tuple(sorted(alike, key=lambda name: alike[name])[:count])

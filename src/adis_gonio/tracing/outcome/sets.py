@@ -2,7 +2,7 @@
 
 A cause is taken out of the model and every candidate put in alone; exp(score) weighs them (the score is the
 log Bayes factor with its price, `selection.search`). Variants of a name (axes, shapes, dwells) add up. The
-set is the smallest with `LEVEL` of the probability, as SuSiE has it for correlated variables (Wang, Sarkar,
+set is the smallest with 95 % of the probability, as SuSiE has it for correlated variables (Wang, Sarkar,
 Carbonetto and Stephens, J. R. Stat. Soc. B 82, 2020); functions without a name compete on equal terms.
 """
 
@@ -17,13 +17,12 @@ import numpy as np
 from adis_gonio.estimation.terms import Term
 from adis_gonio.tracing.selection.design import span
 from adis_gonio.tracing.selection.select import Selection
-
-LEVEL = 0.95
+from adis_gonio.tracing.thresholds import limits
 
 
 @dataclass(frozen=True)
 class CredibleSet:
-    """The smallest set of names for one cause that holds `LEVEL` of its probability.
+    """The smallest set of names for one cause that holds 95 % of its probability.
 
     Attributes
     ----------
@@ -83,7 +82,7 @@ def set_of(selection: Selection, cause: str) -> CredibleSet:
         names.append(name)
         probability.append(weight[name] / total)
         together += probability[-1]
-        if together >= LEVEL:
+        if together >= limits.set_level:
             break
     # Against nothing, which has the score 0.
     odds = total * float(np.exp(min(top, 700.0)))

@@ -16,15 +16,8 @@ from numpy.typing import NDArray
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.terms import ROUNDING, Term
 from adis_gonio.model.records import Floats
+from adis_gonio.tracing.thresholds import limits
 
-_OBSERVABLE = 0.02
-"""Least length of a column beside the base model against its whole length, for it to be seen at all: what
-is shorter would need an amplitude fifty times what it leaves, and differs from the base model by
-second-order terms only."""
-_INDEPENDENT = 1e-4
-"""Least squared length of an orthonormal column beside a model, for it to be counted as another column."""
-PRIOR_SNR = 4.0
-"""Prior standard deviation of an effect in a reading, in standard uncertainties of a reading."""
 _RANK = 1e-7
 """Least squared length of a column beside the others of its own term."""
 
@@ -89,12 +82,12 @@ class LinearProblem:
         # block; by Woodbury's identity it takes no more than (1 + ε) 1 − AAᵀ, of the size of the model.
         along = np.add.reduceat(inside * z, first, axis=1).T
         gram = np.add.reduceat((inside[:, None] * inside).reshape(k * k, -1), first, axis=1)
-        least = 1 + _INDEPENDENT
+        least = 1 + limits.independent
         small = least * np.eye(k) - gram.T.reshape(-1, k, k)
         solved = along / small[:, :, 0] if k == 1 else np.linalg.solve(small, along[:, :, None])[:, :, 0]
         both = square + (along * solved).sum(axis=1)
         twice = (both + least * (solved**2).sum(axis=1)) / least**2
-        gain: Floats = both / least + _INDEPENDENT * twice
+        gain: Floats = both / least + limits.independent * twice
         return gain
 
     def only(self, chosen: NDArray[np.intp]) -> LinearProblem:
@@ -130,76 +123,80 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
 
     raw = [fit.candidate(term) for term in terms]
     widths = np.array([block.shape[2] for block in raw], dtype=np.intp)
-    together = fit.white(np.concatenate(raw, axis=2))
-    before = np.linalg.norm(together, axis=0)
+    columns, length = _beside(base, fit.white(np.concatenate(raw, axis=2)), widths)
+    blocks = _orthonormal_blocks(columns, length, widths)
+
+    # Blocks of one width stand together.
+    chosen = sorted(blocks, key=lambda k: (blocks[k][0].shape[1], k))
+    width = np.array([blocks[k][0].shape[1] for k in chosen], dtype=np.intp)
+    first = (np.cumsum(width) - width).astype(np.intp)
+    together = np.concatenate([np.zeros((len(y), 0)), *(blocks[k][0] for k in chosen)], axis=1)
+    together = np.ascontiguousarray(together)
+    return LinearProblem(
+        terms=tuple(terms[k] for k in chosen),
+        columns=together,
+        first=first,
+        width=width,
+        target=y,
+        dof=len(y) - base.shape[1],
+        back=tuple(blocks[k][1] for k in chosen),
+        hidden=tuple(term for k, term in enumerate(terms) if k not in blocks),
+        cost=np.array([terms[k].cost for k in chosen]),
+        column_price=_column_prices(together, first),
+    )
+
+
+def _beside(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
+    """Columns projected off the base model, of length 1, and their length before; unseen ones are zero."""
+    before = np.linalg.norm(columns, axis=0)
     # The sixth harmonic's sine on a grid of 30° is rounding, not a direction.
-    starts = np.concatenate([[0], np.cumsum(widths)[:-1]]).astype(np.intp)
+    starts = np.cumsum(widths) - widths
     longest = np.repeat(np.maximum.reduceat(before, starts), widths) if len(before) else before
     before = np.where(before > ROUNDING * longest, before, 0.0)
-    together = together * np.where(before > 0, 1 / np.where(before > 0, before, 1.0), 0.0)
-    together = together - base @ (base.T @ together)
-    after = np.linalg.norm(together, axis=0)
-    seen_at_all = after > _OBSERVABLE
-    together = together * np.where(seen_at_all, 1 / np.where(seen_at_all, after, 1.0), 0.0)
-    before = np.where(seen_at_all, before * after, 1.0)
+    columns = columns * np.where(before > 0, 1 / np.where(before > 0, before, 1.0), 0.0)
+    columns = columns - base @ (base.T @ columns)
+    after = np.linalg.norm(columns, axis=0)
+    seen = after > limits.observable
+    columns = columns * np.where(seen, 1 / np.where(seen, after, 1.0), 0.0)
+    return columns, np.where(seen, before * after, 1.0)
 
-    blocks: dict[int, list[tuple[int, Floats, Floats]]] = {}
-    hidden = []
+
+def _orthonormal_blocks(
+    columns: Floats, length: Floats, widths: NDArray[np.intp]
+) -> dict[int, tuple[Floats, Floats]]:
+    """By number of the term its orthonormal block, and amplitudes from the block's coefficients.
+
+    Terms that the session cannot see have none. Blocks of one width are made at once.
+    """
+    starts = np.cumsum(widths) - widths
+    blocks: dict[int, tuple[Floats, Floats]] = {}
     for size in sorted({int(w) for w in widths}):
         members = np.flatnonzero(widths == size)
         index = starts[members, None] + np.arange(size)
-        stack = together[:, index].transpose(1, 0, 2)  # (members, rows, width)
+        stack = columns[:, index].transpose(1, 0, 2)  # (members, rows, width)
         gram = stack.transpose(0, 2, 1) @ stack
         root = np.linalg.cholesky(gram + 1e-10 * np.eye(size))
         whole = [bool((np.diagonal(one) ** 2 > _RANK).all()) for one in root]
         halves = np.linalg.inv(root).transpose(0, 2, 1)
         turned = stack @ halves
         for k, member in enumerate(members.tolist()):
-            half, columns = halves[k], turned[k]
+            half, block = halves[k], turned[k]
             if not whole[k]:
                 values, vectors = np.linalg.eigh(gram[k])
                 seen = np.asarray(values > _RANK)
                 if not seen.any():
-                    hidden.append(terms[member])
                     continue
                 half = vectors[:, seen] / np.sqrt(values[seen])
-                columns = stack[k] @ half
-            raw_half = half / before[index[k]][:, None]
-            blocks.setdefault(columns.shape[1], []).append((member, columns, raw_half))
-
-    chosen: list[int] = []
-    pieces, back, first, width_of = [np.zeros((len(y), 0))], [], [], []
-    at_column = 0
-    for width in sorted(blocks):
-        for member, columns, raw_half in blocks[width]:
-            chosen.append(member)
-            pieces.append(columns)
-            back.append(raw_half)
-            first.append(at_column)
-            width_of.append(width)
-            at_column += width
-    picked = tuple(terms[k] for k in chosen)
-    together = np.ascontiguousarray(np.concatenate(pieces, axis=1))
-    begins = np.array(first, dtype=np.intp)
-    return LinearProblem(
-        terms=picked,
-        columns=together,
-        first=begins,
-        width=np.array(width_of, dtype=np.intp),
-        target=y,
-        dof=len(y) - base.shape[1],
-        back=tuple(back),
-        hidden=tuple(hidden),
-        cost=np.array([term.cost for term in picked]),
-        column_price=_column_prices(together, begins),
-    )
+                block = stack[k] @ half
+            blocks[member] = block, half / length[index[k]][:, None]
+    return blocks
 
 
 def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
     """½ Σ ln(1 + s² n) over the columns of each block, a column being spread over n = 1/Σ u⁴ rows."""
     if not len(first):
         return np.zeros(0)
-    price = 0.5 * np.log1p(PRIOR_SNR**2 / np.maximum(((columns**2) ** 2).sum(axis=0), 1e-300))
+    price = 0.5 * np.log1p(limits.prior_snr**2 / np.maximum(((columns**2) ** 2).sum(axis=0), 1e-300))
     blocks: Floats = np.add.reduceat(price, first)
     return blocks
 
@@ -209,7 +206,7 @@ def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
     if not len(model):
         return np.zeros((len(problem.target), 0)), problem.target
     u, s, _ = np.linalg.svd(np.concatenate([problem.block(k) for k in model], axis=1), full_matrices=False)
-    basis = u[:, s > np.sqrt(_INDEPENDENT)]
+    basis = u[:, s > np.sqrt(limits.independent)]
     return basis, problem.target - basis @ (basis.T @ problem.target)
 
 

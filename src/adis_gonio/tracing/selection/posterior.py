@@ -3,7 +3,7 @@
 Scores are log evidences, so that models near the best have posterior odds. Models that predict the same in
 *this* session are one model: the representative is the simplest (fewest nameless terms, fewest columns,
 then the more common cause), the others are its equivalents and are reported beside it. A name stands
-where the models that hold it have `CERTAIN` of the posterior; else it is confounded with whatever takes
+where the models that hold it have most of the posterior; else it is confounded with whatever takes
 its place.
 """
 
@@ -17,18 +17,7 @@ import numpy as np
 
 from adis_gonio.tracing.selection.design import span
 from adis_gonio.tracing.selection.search import Model, Search
-
-CERTAIN = 0.55
-"""Posterior probability from which a name is called found."""
-WINDOW = 7.0
-"""Models are weighed down to exp(−7), a thousandth, of the best."""
-
-
-COMPARED = 100
-"""Models near the best that are compared with one another."""
-ALIKE = 0.3
-"""Models whose fitted predictions differ by less than this in χ² (half a standard uncertainty altogether)
-are indistinguishable in the session."""
+from adis_gonio.tracing.thresholds import limits
 
 Skeleton = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
 
@@ -61,8 +50,8 @@ class Verdict:
 def weigh(found: Search) -> Verdict:
     """Posterior of models, names and covariates."""
     terms = found.problem.terms
-    near = found.near(WINDOW)
-    same = _classes(found, sorted(near, key=lambda m: -near[m])[:COMPARED])
+    near = found.near(limits.weighed)
+    same = _classes(found, sorted(near, key=lambda m: -near[m])[: limits.compared])
     top = max(near.values())
     raw = {m: sum(math.exp(near[k] - top) for k in (m, *others)) for m, others in same.items()}
     total = sum(raw.values())
@@ -92,7 +81,7 @@ def weigh(found: Search) -> Verdict:
 
 
 def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:
-    """Models by what they predict: those whose predictions differ by less than `ALIKE` in χ² are one."""
+    """Models by what they predict: those whose predictions hardly differ are one."""
     problem, terms = found.problem, found.problem.terms
     left = np.array([span(problem, m)[1] for m in models])
     norm = (left**2).sum(axis=1)
@@ -107,7 +96,7 @@ def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:
     )
     for i in order:
         if not taken[i]:
-            members = np.flatnonzero((distance[i] < ALIKE * found.inflation) & ~taken)
+            members = np.flatnonzero((distance[i] < limits.same_prediction * found.inflation) & ~taken)
             taken[members] = True
             classes[models[i]] = [models[k] for k in members if k != i]
     return classes

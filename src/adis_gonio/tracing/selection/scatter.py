@@ -25,15 +25,9 @@ from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
 from adis_gonio.tracing.selection.select import Selection, select
+from adis_gonio.tracing.thresholds import limits
 
 Kind = Literal["reading_scatter", "fixture_scatter"]
-
-PRIOR = 0.05
-"""Prior probability of a variance component."""
-LEAST_RATIO = 0.5
-"""Least size in units of the measured uncertainty: less changes no reading's weight."""
-LEAST_CHECKS = 6
-"""Least degrees of freedom that base model and bias leave: a variance is then known to a third."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +73,7 @@ def with_scatter(
     plain = {term.name for term in selection.terms} <= {"bias"}
     checks = selection.base.dof - data.axes
     untouched = plain and selection.adequate
-    if not max_effects or not data.noise_known or checks < LEAST_CHECKS or untouched:
+    if not max_effects or not data.noise_known or checks < limits.scatter_checks or untouched:
         return selection, None
     at_most = _evidence(selection)
     best: tuple[float, Selection, Kind, float] | None = None
@@ -104,7 +98,7 @@ def _kinds(data: Readings) -> Iterator[Kind]:
 
 def _price(data: Readings) -> float:
     """Of one parameter that is set at its best, and of having thought of it."""
-    return -math.log(PRIOR) + 0.5 * math.log(max(data.mean_mg.size, 2))
+    return -math.log(limits.scatter_prior) + 0.5 * math.log(max(data.mean_mg.size, 2))
 
 
 def _evidence(selection: Selection) -> float:
@@ -123,7 +117,7 @@ def _settled(
     again: Selection | None = None
     for _ in range(2):
         fresh = _most_likely(kept, data, kind)
-        if fresh <= LEAST_RATIO * _measured(data, kind):
+        if fresh <= limits.scatter_ratio * _measured(data, kind):
             return 0.0, None
         if again is not None and abs(math.log(fresh / size)) < 0.1:
             break
@@ -202,7 +196,7 @@ def _stated(data: Readings, kind: Kind, size: float, chosen: Selection, log_odds
     none = _restricted(_fit_under(chosen.fit, data))
     ratio = 2 * max(height(0.0) - none, 0.0)
     # At the edge of what a variance can be, half of the distribution is zero.
-    p_value = min(1.0, 0.5 * float(chi2.sf(ratio, 1)) / PRIOR)
+    p_value = min(1.0, 0.5 * float(chi2.sf(ratio, 1)) / limits.scatter_prior)
     curvature = -(height(step) - 2 * height(0.0) + height(-step)) / step**2
     relative = 1 / math.sqrt(curvature) if curvature > 0 else 1.0
     factor: Callable[[float], float] = math.degrees if kind == "fixture_scatter" else float

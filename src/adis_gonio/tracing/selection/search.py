@@ -7,7 +7,7 @@ uncertainties on each amplitude, times its prior. A sum of such factors over all
 expectation 1 where there is no effect, so that it exceeds 100 in at most 1 % of sessions whatever the
 candidates are (Markov). That bound is far from sharp, since candidates are many and alike: over sessions
 of 12 to 48 readings the best score of pure noise is above 0 in 0.45 %, and its 99 % quantile is −0.7 (−1.4
-to −0.2 a session; scripts/trace_level.py), so that `ANOTHER` = 0 holds the family-wise error rate at 1 %.
+to −0.2 a session; scripts/trace_level.py), so that this prior holds the family-wise error rate at 1 %.
 
 Models are sets and every set is scored once, so that the search cannot go round in circles.
 """
@@ -23,17 +23,7 @@ from numpy.typing import NDArray
 from adis_gonio.estimation.terms import NamedTerm, Term
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.selection.design import LinearProblem, span
-
-ANOTHER = 0.0
-"""Price of one more cause, in nats: family-wise error rate of 1 % (see above)."""
-
-FULL = 6
-"""Models of each size that are extended by every term."""
-NAMES_ONLY = 3
-"""One model in so many of the beam has names only: a nameless function of many columns imitates any two of
-several causes better than any two of their names do."""
-ACTIVE = 250
-"""Nameless terms by which the other models of the beam are extended."""
+from adis_gonio.tracing.thresholds import limits
 
 Model = tuple[int, ...]
 
@@ -87,7 +77,7 @@ class Search:
 
 def price(problem: LinearProblem) -> Floats:
     """Price of each term (M,) in nats: its columns, its share of the prior, one more cause."""
-    priced: Floats = problem.column_price + problem.cost + ANOTHER
+    priced: Floats = problem.column_price + problem.cost
     return priced
 
 
@@ -129,20 +119,15 @@ def search(
     level: list[Model] = [()]
     for size in range(1, max_terms + 1):
         fresh: dict[Model, float] = {}
-        for model in level[:FULL]:
+        for model in level[: limits.widest]:
             fresh.update(_open(found, model, spare))
         active = _active(found)
         smaller = problem.only(active)
-        for model in level[FULL:]:
+        for model in level[limits.widest :]:
             fresh.update(_open(found, model, spare, smaller, active))
         if not fresh:
             break
-        wide = _widest(problem, fresh, 2 * beam if size == 1 else beam)
-        top = max(found.scores.values())
-        level = [m for m in wide if fresh[m] + found.hope(m) > top - 2.0]
-        if size > 2 and max(fresh.values()) < top - 2.0:
-            # One nameless surface may be ahead of two names that want a third beside them.
-            level = [m for m in level if _all_named(problem, m)]
+        level = _next_level(found, fresh, size, beam)
         if not level:
             break
     for model in start:
@@ -152,10 +137,21 @@ def search(
     return found
 
 
+def _next_level(found: Search, fresh: dict[Model, float], size: int, beam: int) -> list[Model]:
+    """Models of a size that are opened: the best of those that may still come near the best of all."""
+    top = max(found.scores.values())
+    wide = _widest(found.problem, fresh, 2 * beam if size == 1 else beam)
+    level = [m for m in wide if fresh[m] + found.hope(m) > top - 2.0]
+    if size > 2 and max(fresh.values()) < top - 2.0:
+        # One nameless surface may be ahead of two names that want a third beside them.
+        level = [m for m in level if _all_named(found.problem, m)]
+    return level
+
+
 def _active(found: Search) -> NDArray[np.intp]:
     """Terms (increasing numbers) that all models of the beam are extended by."""
     named = np.array([term.name is not None for term in found.problem.terms])
-    promising = np.argsort(-found.promise)[:ACTIVE]
+    promising = np.argsort(-found.promise)[: limits.active]
     return np.union1d(np.flatnonzero(named), promising)
 
 
@@ -164,7 +160,7 @@ def _widest(problem: LinearProblem, fresh: dict[Model, float], count: int) -> li
     ranked = sorted(fresh, key=lambda m: -fresh[m])
     kept = ranked[:count]
     named = [m for m in ranked[count:] if _all_named(problem, m)]
-    kept += named[: max(count // NAMES_ONLY - len([m for m in kept if _all_named(problem, m)]), 0)]
+    kept += named[: max(count // limits.names_only - len([m for m in kept if _all_named(problem, m)]), 0)]
     if ranked and len(ranked[0]) == 1:
         seen = {_face(problem.terms[m[0]]) for m in kept}
         for model in ranked[count:]:

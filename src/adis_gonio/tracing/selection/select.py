@@ -15,24 +15,8 @@ from adis_gonio.model.records import Floats
 from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, linearise, span
 from adis_gonio.tracing.selection.posterior import Verdict, weigh
 from adis_gonio.tracing.selection.search import Search, search
+from adis_gonio.tracing.thresholds import limits
 
-ADEQUATE = 0.01
-"""Level of the test of adequacy."""
-ROUNDS = 4
-MOSTLY = 0.97
-"""Share of the excess from which constants count as a bias of their own, not as part of another function:
-the constant is then more than five times what varies."""
-
-APART = 3.0
-"""Middle of what a term with a constant adds, in units of half its range, from which it holds a bias."""
-LARGEST = 0.1
-"""Most that a nameless term may add, in g or rad. Larger ones come from what the readings do not determine:
-a function and the base model that nearly cancel."""
-
-GROSS = np.deg2rad(7.0)
-LEAST_GROSS, MOST_GROSS = 6, 0.2
-"""Angle by which a dwell stands elsewhere beyond doubt; least dwells, and the largest share of them, of
-which that is said."""
 STEEPEST = {"temperature": ("temperature_c", "bias_temperature"), "supply": ("supply_v", "supply_bias")}
 """Covariates whose influence has a bound: rows of the conditions, and the effect whose first coefficient is
 bounded. A temperature that is constant but for its noise stands out in one dwell by chance."""
@@ -84,7 +68,7 @@ class Selection:
     def with_fit(self, fit: Fit) -> Selection:
         """The same with another fit in the place of the chosen one."""
         known = fit.data.noise_known
-        adequate = adequacy(fit.chi2, fit.dof, fit.data.noise_dof) >= ADEQUATE if known else True
+        adequate = adequacy(fit.chi2, fit.dof, fit.data.noise_dof) >= limits.adequate if known else True
         return replace(self, fit=fit, adequate=adequate)
 
 
@@ -111,7 +95,7 @@ def select(
     terms: Sequence[Term],
     max_terms: int,
     beam: int = 30,
-    rounds: int = ROUNDS,
+    rounds: int = limits.rounds,
 ) -> Selection:
     """Choose terms for these readings (all of them: `check` dwells are the caller's business)."""
     base = Fit.begin(data).refit()
@@ -158,15 +142,19 @@ def select(
         linear = problem.chi2 - 2 * inflation * found.explained(verdict.best)
         settled = abs(linear - fit.chi2) < 1.0 * inflation or labels == before
         about, before = fit, labels
-        if data.noise_known and inflation > 1 and adequacy(fit.chi2, fit.dof, data.noise_dof) >= ADEQUATE:
+        if (
+            data.noise_known
+            and inflation > 1
+            and adequacy(fit.chi2, fit.dof, data.noise_dof) >= limits.adequate
+        ):
             # What asked for more noise was the linear problem's error, not the model's.
             inflation, settled = 1.0, False
         if settled:
             break
     p = adequacy(fit.chi2, fit.dof, data.noise_dof) if data.noise_known else 1.0
-    if p < ADEQUATE:
+    if p < limits.adequate:
         inflation = max(inflation, fit.chi2 / fit.dof)  # uncertainties by what the final model leaves
-    return Selection(problem, found, verdict, base, fit, inflation, p >= ADEQUATE)
+    return Selection(problem, found, verdict, base, fit, inflation, p >= limits.adequate)
 
 
 def _with_constant(term: Term) -> bool:
@@ -174,14 +162,14 @@ def _with_constant(term: Term) -> bool:
 
 
 def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
-    """Dwells that stand elsewhere by more than `GROSS`: their term, and by how much in degrees.
+    """Dwells that stand elsewhere by a gross slip: their term, and by how much in degrees.
 
     So far the linear problem does not reach: 15° off, a reading is 34 mg shorter along its old direction
     than a slip says, and only an outlier of both axes explains it. About a state that has the slip it is
     exact.
     """
     theta = data.conditions.angle_rad
-    if not data.planar or theta is None or data.free or len(data) < LEAST_GROSS:
+    if not data.planar or theta is None or data.free or len(data) < limits.gross_dwells:
         return {}
     reading = data.mean_mg - _robust_bias(data, theta)
     shown = np.arctan2(reading[:, 1], reading[:, 0]) + theta
@@ -190,11 +178,12 @@ def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
     off = np.angle(np.exp(1j * (off - np.median(off))))
     typical = 1.4826 * float(np.median(np.abs(off)))
     length = np.linalg.norm(reading, axis=1) / data.gravity_mg
-    far = np.abs(off) > max(GROSS, 6 * typical)
+    far = np.degrees(np.abs(off)) > limits.gross_slip_deg
+    far &= np.abs(off) > limits.gross_spreads * typical
     if (
         not far.any()
-        or far.mean() > MOST_GROSS
-        or (np.abs(length[far] / np.median(length) - 1) > 0.2).any()
+        or far.mean() > limits.gross_share
+        or (np.abs(length[far] / np.median(length) - 1) > limits.gross_length).any()
     ):
         return {}
     of_dwell = {term.dwell: term for term in terms if term.name == "position_slip"}
@@ -258,7 +247,7 @@ def _fitted(problem: LinearProblem, verdict: Verdict, about: Fit, most: float) -
 def _impossible(data: Readings, problem: LinearProblem, chosen: Sequence[int]) -> str | None:
     """Label of the least common term of a model among those beyond their physical bounds, or None.
 
-    A nameless term has no bounds of its own, but no cause adds more than `LARGEST` of gravity, and none
+    A nameless term has no bounds of its own, but no cause adds more than a tenth of gravity, and none
     follows the temperature or the supply more steeply than the catalogue's coefficients may. Where a
     covariate hardly moves (a temperature that is constant but for its noise) a column is a constant with a
     little noise on it, which can fit better than the constant with an amplitude that no part has. The
@@ -273,7 +262,7 @@ def _impossible(data: Readings, problem: LinearProblem, chosen: Sequence[int]) -
         else:
             added = term.added(term.start(own), data.mean_mg, data.conditions)
             added = added * data.gravity_mg if term.enters_angle else added
-            beyond = bool(np.abs(added).max() > LARGEST * data.gravity_mg)
+            beyond = bool(np.abs(added).max() > limits.largest_g * data.gravity_mg)
             beyond |= bool(np.ptp(added, axis=0).max() > _steepest_mg(data, term))
         if beyond:
             out.append(term)
@@ -288,7 +277,7 @@ def _steepest_mg(data: Readings, term: Term) -> float:
             return np.inf
         rows, name = STEEPEST[covariate]
         bound = effect(name).parameters[0].high
-        total += bound * float(np.ptp(data.conditions.covariate(rows)))
+        total += limits.steepest * bound * float(np.ptp(data.conditions.covariate(rows)))
     return total if term.covariates else np.inf
 
 
@@ -300,7 +289,7 @@ def _constant_apart(data: Readings, problem: LinearProblem, chosen: Sequence[int
             continue
         added = term.added(term.start(own), data.mean_mg, data.conditions)[:, list(term.axes)]
         middle = (added.max(axis=0) + added.min(axis=0)) / 2
-        if (np.abs(middle) > APART * np.ptp(added, axis=0) / 2).any():
+        if (np.abs(middle) > limits.constant_apart * np.ptp(added, axis=0) / 2).any():
             return True
     return False
 
@@ -319,7 +308,7 @@ def _inflated(
         chi2, dof = float(residual @ residual), problem.dof - basis.shape[1]
         ratio = chi2 / max(dof, 1)
         if data.noise_known:
-            if dof <= 0 or adequacy(chi2 / inflation, dof, data.noise_dof) >= ADEQUATE:
+            if dof <= 0 or adequacy(chi2 / inflation, dof, data.noise_dof) >= limits.adequate:
                 return found, inflation
         elif abs(ratio / inflation - 1) < 0.05:
             return found, inflation
@@ -338,7 +327,7 @@ def _mostly_bias(problem: LinearProblem) -> int | None:
         return None
     left = float((span(problem, [widest])[1] ** 2).sum()) - problem.dof
     excess = problem.chi2 - problem.dof
-    return widest if excess > 0 and left < (1 - MOSTLY) * excess else None
+    return widest if excess > 0 and left < (1 - limits.mostly_bias) * excess else None
 
 
 def _mostly_bias_refitted(problem: LinearProblem, base: Fit) -> tuple[int | None, Fit | None]:
@@ -348,7 +337,7 @@ def _mostly_bias_refitted(problem: LinearProblem, base: Fit) -> tuple[int | None
         return None, None
     trial = fit_model(problem, [widest], base)
     excess = base.chi2 - base.dof
-    if excess <= 0 or trial.chi2 - trial.dof >= (1 - MOSTLY) * excess:
+    if excess <= 0 or trial.chi2 - trial.dof >= (1 - limits.mostly_bias) * excess:
         return None, None
     return widest, trial
 

@@ -20,16 +20,8 @@ from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.candidates.processes import Process, evidence, processes
 from adis_gonio.tracing.selection.design import span
-from adis_gonio.tracing.selection.select import LARGEST, Selection
-
-WINDOW = 6.0
-"""Formulas are averaged down to exp(−6) of the best."""
-LEAST_WEIGHT = 0.01
-VISIBLE = 0.05
-"""Least share of what a formula adds that the base model and the names could not have added as well: less
-comes from a polynomial and a gain of hundreds of mg that nearly cancel, and do not on other dwells."""
-PROMISING = 40
-"""Processes that are tried again inside a fold."""
+from adis_gonio.tracing.selection.select import Selection
+from adis_gonio.tracing.thresholds import limits
 
 Member = tuple[float, NamelessTerm, Floats]
 
@@ -136,16 +128,16 @@ def average(selection: Selection, candidates: Sequence[Process] | None = None) -
     left = target - beside @ (beside.T @ target)
     candidates = processes(data) if candidates is None else candidates
     smooth = evidence(selection.fit, beside, left, candidates, selection.inflation)
-    promising = tuple(candidates[k] for k in np.argsort(-smooth)[:PROMISING])
+    promising = tuple(candidates[k] for k in np.argsort(-smooth)[: limits.promising])
     pool: list[tuple[float, tuple[NamelessTerm, ...]]] = [
-        (float(smooth[k]), (candidates[k].term,)) for k in np.argsort(-smooth)[:PROMISING]
+        (float(smooth[k]), (candidates[k].term,)) for k in np.argsort(-smooth)[: limits.promising]
     ]
     if nameless:
         pool += _formulas(selection, named, candidates)
     else:
         pool.append((0.0, ()))
     weights = np.exp(np.array([score for score, _ in pool]) - max(score for score, _ in pool))
-    weights = np.where(weights >= LEAST_WEIGHT * weights.sum(), weights, 0.0)
+    weights = np.where(weights >= limits.counted * weights.sum(), weights, 0.0)
     weights /= weights.sum()
     if weights[-1] > 0.5 and not pool[-1][1]:
         return None
@@ -202,7 +194,7 @@ def _formulas(
         return explained - float(sum(found.prices[k] for k in model))
 
     covered = {(process.term.where, process.term.covariates) for process in candidates}
-    near = {m for m in found.near(WINDOW) if tuple(k for k in m if k in named) == named}
+    near = {m for m in found.near(limits.averaged) if tuple(k for k in m if k in named) == named}
     alone = score(named)
     pool = []
     for model in sorted({*near, tuple(selection.verdict.best)}):
@@ -228,7 +220,7 @@ def _fitted(
     likely = np.flatnonzero(weights).tolist()
     solutions = {k: _ridge(selection, fixed, target, pool[k][1]) for k in likely}
     seen = {
-        k: solution[3] >= VISIBLE and _possible(selection, pool[k][1], solution[0][fixed.shape[1] :])
+        k: solution[3] >= limits.visible and _possible(selection, pool[k][1], solution[0][fixed.shape[1] :])
         for k, solution in solutions.items()
     }
     if any(seen.values()):
@@ -251,12 +243,12 @@ def _fitted(
 
 
 def _possible(selection: Selection, terms: Sequence[NamelessTerm], values: Floats) -> bool:
-    """False where a term adds more than `LARGEST`: two of them, or one and the base, that nearly cancel."""
+    """False where a term adds more than a cause can: two, or one and the base, that nearly cancel."""
     at, data = 0, selection.data
     for term in terms:
         width = _width(selection.fit, term)
         added = term.added(values[at : at + width], selection.fit.ideal_mg, data.conditions)
-        if np.abs(added).max() > LARGEST * (1.0 if term.enters_angle else data.gravity_mg):
+        if np.abs(added).max() > limits.largest_g * (1.0 if term.enters_angle else data.gravity_mg):
             return False
         at += width
     return True

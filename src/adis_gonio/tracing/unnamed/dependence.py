@@ -12,11 +12,7 @@ from adis_gonio.model.records import Floats
 from adis_gonio.tracing.outcome.result import Unnamed
 from adis_gonio.tracing.selection.design import span
 from adis_gonio.tracing.selection.select import Selection
-
-PERMUTATIONS = 400
-LEAST_Z = 4.5
-"""Standard deviations of the permuted statistic; it is skew, so that this is about 1 in 1000 a
-covariate."""
+from adis_gonio.tracing.thresholds import limits
 
 
 def dependence(selection: Selection) -> Unnamed | None:
@@ -36,7 +32,7 @@ def dependence(selection: Selection) -> Unnamed | None:
     candidates: dict[tuple[str, ...], Floats] = {(name,): _kernel(u) for name, u in covariates.items()}
     for (one, u), (two, v) in itertools.combinations(covariates.items(), 2):
         candidates[(one, two)] = _kernel(u) * _kernel(v)
-    orders = np.array([rng.permutation(len(data)) for _ in range(PERMUTATIONS)])
+    orders = np.array([rng.permutation(len(data)) for _ in range(limits.permutations)])
     like = rows @ rows.T
     np.fill_diagonal(like, 0.0)
     scores = {}
@@ -48,8 +44,8 @@ def dependence(selection: Selection) -> Unnamed | None:
     # A pair is believed only where it does clearly better than each alone.
     best = max(scores, key=lambda names: scores[names][0] - 2.0 * (len(names) - 1))
     z, p = scores[best]
-    p = max(p, 1 / PERMUTATIONS)
-    if z < LEAST_Z or p > 1 / PERMUTATIONS:
+    p = max(p, 1 / limits.permutations)
+    if z < limits.dependence_z or p > 1 / limits.permutations:
         return None
     smooth = _kernel_share(candidates[best], rows)
     return Unnamed(

@@ -15,6 +15,7 @@ from adis_gonio.tracing.candidates.grammar import of_one_dwell
 from adis_gonio.tracing.outcome.result import ErrorFigures
 from adis_gonio.tracing.selection.design import span
 from adis_gonio.tracing.selection.select import Selection, select
+from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.unnamed.averaging import Averaged, average
 from adis_gonio.tracing.validation.leaving_out import (
     Chosen,
@@ -28,12 +29,6 @@ from adis_gonio.tracing.validation.leaving_out import (
     less_unknown,
     rms,
 )
-
-LEAST_CHOICE = 9
-"""Least dwells of which some are left out of the selection as well: of seven or eight the others often
-choose another name, which says nothing of the one that all of them show."""
-_ACTIVE = 150
-"""Candidates that are tried again inside a fold."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +55,9 @@ class Fold:
         """Candidates that showed promise anywhere, and the best of each name and axes."""
         promise, candidates = selection.found.promise, selection.problem.terms
         ranked = [candidates[k] for k in np.argsort(-promise)]
-        active = {term.label for term in ranked[:_ACTIVE]} | {term.label for term in selection.terms}
+        active = {term.label for term in ranked[: limits.fold_active]} | {
+            term.label for term in selection.terms
+        }
         seen = set()
         for term in ranked:
             if isinstance(term, NamedTerm) and (term.effect.name, term.effect.axes) not in seen:
@@ -164,7 +161,7 @@ def _parameters(fit: Fit) -> int:
 def _few(fit: Fit) -> bool:
     """True where no dwell can be left out of the selection: few, or the others do not fix the model."""
     rows = (len(fit.data) - 1) * (1 if fit.data.free else 2)
-    return len(fit.data) < LEAST_CHOICE or rows < _parameters(fit)
+    return len(fit.data) < limits.least_choice or rows < _parameters(fit)
 
 
 def _of_few(fits: Sequence[Fit]) -> tuple[list[list[Left]], str]:

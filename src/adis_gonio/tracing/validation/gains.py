@@ -18,19 +18,8 @@ from numpy.typing import NDArray
 
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.model.records import Floats
-from adis_gonio.tracing.validation.leaving_out import PREDICTED, folds
-
-ROBUST = 3.0
-"""Standard uncertainties from which the loss c² ln(1 + z²/c²) leaves the square."""
-CONTRADICTED = 1.0
-"""Spreads by which the gain has to be below zero. A gain is at most √folds spreads from zero, since the
-spread is taken about zero: 2 where there are four blocks."""
-CONFIRMED = 1.5
-"""Spreads above zero from which the folds confirm an effect."""
-LEAST_LOSS = 4.0
-"""Least pooled loss that counts against an effect."""
-SMALL_LOSS = 0.05
-"""Loss under one design that is nothing against the gain under another, in units of that gain."""
+from adis_gonio.tracing.thresholds import limits
+from adis_gonio.tracing.validation.leaving_out import folds
 
 
 @dataclass(frozen=True)
@@ -51,12 +40,12 @@ class HeldOutGain:
     @property
     def contradicted(self) -> bool:
         """True where the folds speak against the effect, not merely fail to confirm it."""
-        return self.gain < -max(LEAST_LOSS, CONTRADICTED * self.spread)
+        return self.gain < -max(limits.least_loss, limits.contradicted * self.spread)
 
     @property
     def confirmed(self) -> bool:
         """True where the folds together speak for the effect."""
-        return self.gain > CONFIRMED * self.spread
+        return self.gain > limits.confirmed * self.spread
 
 
 def contradicting(gains: Mapping[str, HeldOutGain]) -> dict[str, HeldOutGain]:
@@ -69,7 +58,7 @@ def contradicting(gains: Mapping[str, HeldOutGain]) -> dict[str, HeldOutGain]:
     return {
         design: held_out
         for design, held_out in gains.items()
-        if held_out.contradicted and -held_out.gain > SMALL_LOSS * most
+        if held_out.contradicted and -held_out.gain > limits.small_loss * most
     }
 
 
@@ -99,7 +88,7 @@ def held_out_gains(fit: Fit, members: Sequence[int], inflation: float = 1.0) -> 
 def _fold(whole: Floats, without: Floats, target: Floats, left: NDArray[np.bool_]) -> float:
     error, variance = _predicted(whole, target, left)
     values, directions = np.linalg.eigh(variance)
-    directions = directions[:, values < PREDICTED]
+    directions = directions[:, values < limits.predicted]
     if not directions.shape[1]:
         return 0.0
     other, other_variance = _predicted(without, target, left)
@@ -123,4 +112,4 @@ def _predicted(columns: Floats, target: Floats, left: NDArray[np.bool_]) -> tupl
 def _loss(error: Floats, variance: Floats, directions: Floats) -> float:
     scale = np.einsum("ik,ij,jk->k", directions, variance, directions)
     squares = (directions.T @ error) ** 2 / scale
-    return float((ROBUST**2 * np.log1p(squares / ROBUST**2)).sum())
+    return float((limits.robust**2 * np.log1p(squares / limits.robust**2)).sum())

@@ -18,21 +18,12 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
+from adis_gonio.tracing.thresholds import limits
 
-FOLDS = 5
-BLOCKS = 4
-REACH = 0.5
-"""Share of the range of what a term added, by which it may go beyond on other dwells."""
-SHORT = 16
-"""Up to so many dwells each is left out alone: a fifth less of them would be another session."""
-PREDICTED = 4.0
-"""Largest variance of a held-out prediction, in units of its noise, that still counts as a prediction."""
 BY_AXIS = "body axes"
 BLOCKS_OF_TIME = "blocks of time"
 RANGES = (BY_AXIS, BLOCKS_OF_TIME)
 """Designs that leave out whole ranges of angle or time."""
-REPEATED = np.deg2rad(2.0)
-"""Dwells nearer to one another than this are in one position."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +116,7 @@ class _Bounded(Term):
 def bounded(fit: Fit) -> tuple[Term, ...]:
     """Terms for dwells that took no part: what each adds is bounded by what it added to those of the fit.
 
-    The range of the fit is extended by `REACH` of itself at either end: a line reaches over the block of
+    The range of the fit is extended by half of itself at either end: a line reaches over the block of
     time that was left out, while a polynomial of high degree, or two terms that only together are
     determined, cannot explode. A term of a dwell that was left out adds nothing.
     """
@@ -134,7 +125,7 @@ def bounded(fit: Fit) -> tuple[Term, ...]:
         ideal = fit.data.mean_mg if term.enters_angle else fit.ideal_mg
         added = term.added(values, ideal, fit.data.conditions)
         low, high = added.min(axis=0), added.max(axis=0)
-        more = REACH * (high - low)
+        more = limits.reach * (high - low)
         terms.append(_Bounded(term.label, term.covariates, term.cost, term, low - more, high + more))
     return tuple(terms)
 
@@ -155,13 +146,13 @@ def rms(residual_mg: Floats, planar: bool) -> float:
 def folds(data: Readings) -> dict[str, list[NDArray[np.bool_]]]:
     """Fold designs that apply: name → masks (n,) of the dwells that are left out."""
     n = len(data)
-    count = min(FOLDS, n) if n > SHORT else n
+    count = min(limits.folds, n) if n > limits.alone else n
     order = np.arange(n)
     # A fixed shuffle, so that no fold holds every fifth angle of a turn only.
     shuffled = np.random.default_rng(5).permutation(n)
     designs = {"whole dwells": [shuffled % count == k for k in range(count)]}
-    blocks = [order * BLOCKS // n == k for k in range(BLOCKS)]
-    if n >= 2 * BLOCKS and _poses_repeat(data, blocks):
+    blocks = [order * limits.blocks // n == k for k in range(limits.blocks)]
+    if n >= 2 * limits.blocks and _poses_repeat(data, blocks):
         designs[BLOCKS_OF_TIME] = blocks
     by_axis = _about_axes(data)
     if by_axis and 3 * int(determined(data, by_axis).sum()) >= n:
@@ -180,7 +171,7 @@ def _about_axes(data: Readings) -> list[NDArray[np.bool_]]:
         if theta is None:
             return []
         apart = np.abs(np.mod(theta[:, None] - theta[None, :] + np.pi, 2 * np.pi) - np.pi)
-        if 2 * int(((apart < REPEATED).sum(axis=1) > 1).sum()) < len(data):
+        if 2 * int(((apart < np.deg2rad(limits.repeated_deg)).sum(axis=1) > 1).sum()) < len(data):
             return []
     size = np.abs(data.mean_mg)
     nearest = size.argmax(axis=1)
@@ -217,7 +208,7 @@ def determined(
     """Dwells (n,) that the dwells outside their fold predict by the base model with a bias on each axis.
 
     With X the whitened columns, the prediction of held-out rows has covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in
-    units of the noise. A dwell counts up to a variance of `PREDICTED`; beyond, its error is that of a fit
+    units of the noise. A dwell counts up to a variance of four; beyond, its error is that of a fit
     that has never seen the axis, not of the model.
 
     Parameters
@@ -231,7 +222,7 @@ def determined(
     columns = begun.white_by_dwell(np.concatenate([begun.base_columns, zero, *more], axis=2))
     out = np.zeros(len(data), dtype=bool)
     for mask in masks:
-        out[mask] = foreseen(columns[~mask].reshape(-1, columns.shape[2]), columns[mask], PREDICTED)
+        out[mask] = foreseen(columns[~mask].reshape(-1, columns.shape[2]), columns[mask], limits.predicted)
     return out
 
 
@@ -267,7 +258,7 @@ def cross_validate(
         for mask in masks:
             answer = fit(data.rows(~mask))
             if answer.by is not None and name in RANGES:
-                predicted[mask] = answer.by.foresees(data.rows(mask), PREDICTED)
+                predicted[mask] = answer.by.foresees(data.rows(mask), limits.predicted)
             left = leave(answer.fit, data.rows(mask), bounded(answer.fit))
             residual[mask] = left.residual_mg
             if left.angle_rad is not None:

@@ -7,27 +7,18 @@ from dataclasses import replace
 
 from adis_gonio.tracing.outcome.naming import Names
 from adis_gonio.tracing.outcome.sets import set_of
-from adis_gonio.tracing.selection.posterior import CERTAIN
 from adis_gonio.tracing.selection.select import Selection
+from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.validation.gains import contradicting, held_out_gains
-
-LEAST_CHECKS = 2
-"""Least degrees of freedom that a model has to leave for its names to stand."""
-LEAST_DWELLS = 5
-"""Least dwells of which some are left out to judge effects one by one."""
-PRESENT = 0.9
-"""Probability of any cause in a place from which it stays in the model, whatever its name."""
-WORSE = 1.05
-"""Largest held-out error of the final model in units of the base model's."""
 
 
 def checkable(names: Names, selection: Selection) -> Names:
-    """Names less those of a model that leaves fewer than `LEAST_CHECKS`: it would fit whatever was there.
+    """Names less those of a model that leaves too few: it would fit whatever was there.
 
     A bias stands: every sensor has one, and nothing need prove it against none at all.
     """
     dof = selection.fit.dof
-    if dof >= LEAST_CHECKS:
+    if dof >= limits.least_checks:
         return names
     open_ = [name for name in names.stand if name != "bias"]
     reasons = dict.fromkeys(open_, f"the model leaves {dof} readings to check it by: too few")
@@ -40,7 +31,7 @@ def surviving(selection: Selection, names: Names) -> tuple[Selection, Names, dic
     Uncertain names go as well where dwells do not confirm them.
     """
     reasons: dict[str, str] = {}
-    if len(selection.data) < LEAST_DWELLS:
+    if len(selection.data) < limits.least_dwells:
         return selection, names, reasons
     while selection.terms:
         worst: tuple[float, str, str] | None = None
@@ -64,10 +55,10 @@ def _confirmed(selection: Selection, names: Names) -> tuple[Selection, dict[str,
     """Take uncertain effects out of the model where neither the folds nor adequacy ask for them."""
     reasons: dict[str, str] = {}
     for name in names.open:
-        if selection.verdict.names.get(name, 0.0) >= CERTAIN or not selection.adequate:
+        if selection.verdict.names.get(name, 0.0) >= limits.certain or not selection.adequate:
             continue
         members = [k for k, term in enumerate(selection.terms) if term.name == name]
-        if not members or set_of(selection, name).present >= PRESENT:
+        if not members or set_of(selection, name).present >= limits.present:
             continue  # which name it has is open, that there is something is not
         gains = held_out_gains(selection.fit, members, selection.inflation)
         weak = [design for design, held_out in gains.items() if not held_out.confirmed]
@@ -89,7 +80,7 @@ def without(names: Names, reasons: dict[str, str]) -> Names:
 def never_worse(
     names: Names, steps: Sequence[str], errors: Sequence[float | None], reported: float | None
 ) -> tuple[int, Names, dict[str, str]]:
-    """Longest nested model whose held-out error is at most `WORSE` that of every shorter one.
+    """Longest nested model whose held-out error is hardly above that of any shorter one.
 
     Parameters
     ----------
@@ -110,7 +101,7 @@ def never_worse(
         return last, names, {}
     for count in range(last, -1, -1):
         figure = known[count] if count < last or reported is None else max(known[count], reported)
-        if figure <= WORSE * known[0] and known[count] <= WORSE * min(known[: count + 1]):
+        if figure <= limits.worse * known[0] and known[count] <= limits.worse * min(known[: count + 1]):
             break
     cut = set(steps) - set(steps[:count])
     after = max(known[last], reported or 0.0)

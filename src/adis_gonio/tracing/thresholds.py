@@ -1,0 +1,190 @@
+"""The tuned numbers of the trace, each with its origin, in one table.
+
+`limits` holds them. `python scripts/trace_ablation.py` switches off each one that is a rule, on blind
+sessions, and prints what changes; docs/thresholds.md is written from here and from its figures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+Origin = Literal["level", "derived", "physical", "measured", "chosen", "effort"]
+"""A level is what is promised (1 %, 95 %). Derived: from mathematics, as said. Physical: no part or bench
+is beyond. Measured: by a script. Chosen: judgement. Effort: more of it finds the same, slower."""
+
+
+def number(value: float, origin: Origin, why: str, off: float | None = None) -> Any:
+    """A field of the table; `off` is the value at which its rule never acts, none where it is no rule."""
+    return field(default=value, metadata={"origin": origin, "why": why, "off": off})
+
+
+INFINITE = float("inf")
+
+
+@dataclass
+class Limits:
+    """Every number of the trace that is not arithmetic; see the table's columns in docs/thresholds.md."""
+
+    # Prior
+    named_share: float = number(
+        0.7, "chosen", "prior share of the catalogue; nameless functions have the rest"
+    )
+    bias_weight: float = number(
+        6.0, "chosen", "prior weight of a bias against another effect: every sensor has one"
+    )
+    quadratic_weight: float = number(
+        1.5,
+        "chosen",
+        "the same of a curvature: of two names that cannot be told apart the more common stands",
+    )
+    family_weight: float = number(
+        0.7,
+        "chosen",
+        "prior weight of supply, approach, memory and products against angle, reading, time, temperature",
+    )
+    smooth_weight: float = number(0.25, "chosen", "part of a covariate's prior that its polynomials have")
+    pair_weight: float = number(0.3, "chosen", "prior weight of a process in two covariates against one")
+    prior_snr: float = number(4.0, "chosen", "prior standard deviation of an effect, in u of a reading")
+    scatter_prior: float = number(0.05, "chosen", "prior probability of a variance component", off=1e-30)
+
+    # What a session can show
+    observable: float = number(
+        0.02,
+        "derived",
+        "least part of a column beside the base model: below, terms of second order differ as much",
+        off=0.0,
+    )
+    independent: float = number(
+        1e-4, "derived", "least squared part of a column beside a model, above rounding"
+    )
+    same_prediction: float = number(
+        0.3, "derived", "models that differ by less in χ², half a u altogether, are one model", off=0.0
+    )
+    least_range_c: float = number(
+        0.5, "physical", "least range of temperature in a product: below it is noise", off=0.0
+    )
+    least_range_v: float = number(0.01, "physical", "the same of the supply", off=0.0)
+    bump_dwells: float = number(
+        1.9, "derived", "least dwells that a bump touches: one dwell is an outlier", off=0.0
+    )
+    most_cycles: int = number(72, "physical", "most cycles a turn that are looked for: a worm of 72 teeth")
+
+    # Physical bounds
+    largest_g: float = number(
+        0.1,
+        "physical",
+        "most that a nameless function adds, in g or rad: beyond, it and the base model cancel",
+        off=INFINITE,
+    )
+    gross_slip_deg: float = number(
+        7.0, "derived", "slip from which the linear problem errs by more than a reading's u", off=INFINITE
+    )
+    gross_spreads: float = number(6.0, "chosen", "the same in spreads of the dwells about their median")
+    gross_share: float = number(0.2, "chosen", "largest share of the dwells that slipped grossly")
+    gross_length: float = number(0.2, "chosen", "largest change of a reading's length in a gross slip")
+    gross_dwells: int = number(6, "chosen", "least dwells of which a gross slip is said")
+    steepest: float = number(
+        1.0, "physical", "slope in temperature or supply, of the catalogue's bound", off=INFINITE
+    )
+
+    # Choice
+    adequate: float = number(0.01, "level", "level of the test of adequacy")
+    significant: float = number(
+        0.01, "level", "largest p, over its share of the prior, of what is found", off=1.0
+    )
+    certain: float = number(0.55, "chosen", "posterior from which a name is called found", off=0.0)
+    told: float = number(
+        2.0, "level", "standard uncertainties by which a value differs from zero (95 %)", off=0.0
+    )
+    present: float = number(
+        0.9, "level", "probability that there is any cause, from which one stays in the model", off=0.0
+    )
+    mostly_bias: float = number(
+        0.97,
+        "chosen",
+        "share of the excess from which a bias is taken out first: five times what varies",
+        off=1.0,
+    )
+    constant_apart: float = number(
+        3.0, "chosen", "a function's constant over half its range, from which it holds a bias", off=INFINITE
+    )
+    scatter_ratio: float = number(
+        0.5, "chosen", "least scatter in u of a reading: less changes no weight", off=0.0
+    )
+    scatter_checks: float = number(
+        6, "derived", "least degrees of freedom: a variance is known to a third", off=1
+    )
+
+    # Left-out dwells
+    folds: int = number(5, "chosen", "folds of whole dwells")
+    blocks: int = number(4, "chosen", "blocks of time")
+    alone: int = number(
+        16, "chosen", "dwells up to which each is left out alone: a fifth less is another session"
+    )
+    repeated_deg: float = number(2.0, "physical", "dwells nearer than this are in one position")
+    predicted: float = number(
+        4.0, "chosen", "largest variance of a prediction, in noise, that is one", off=INFINITE
+    )
+    reach: float = number(
+        0.5,
+        "chosen",
+        "part of the range of what a term added, by which it may go beyond elsewhere",
+        off=1e6,
+    )
+    least_choice: int = number(9, "chosen", "least dwells for choosing anew without some of them", off=0)
+    least_dwells: int = number(5, "chosen", "least dwells for judging single effects by folds", off=0)
+    least_checks: int = number(2, "chosen", "least degrees of freedom left for any name but bias", off=0)
+    robust: float = number(3.0, "chosen", "u from which the folds' loss leaves the square", off=1e6)
+    contradicted: float = number(
+        1.0, "chosen", "spreads below zero from which folds contradict", off=INFINITE
+    )
+    least_loss: float = number(4.0, "derived", "least χ² that contradicts: one u of two columns", off=0.0)
+    small_loss: float = number(
+        0.05, "chosen", "loss under a design that is nothing against another's gain", off=0.0
+    )
+    confirmed: float = number(1.5, "chosen", "spreads above zero from which folds confirm", off=-INFINITE)
+    worse: float = number(1.05, "chosen", "largest growth of the left-out error by an effect", off=INFINITE)
+
+    # What is said
+    near: float = number(
+        0.15, "chosen", "share of the best model's posterior from which a rival is named", off=INFINITE
+    )
+    sure: float = number(0.9, "chosen", "posterior of a name above which a rival without it is not named")
+    set_level: float = number(0.95, "level", "probability of a credible set")
+    probable: float = number(
+        0.05, "level", "least posterior of a model that counts in uncertainties", off=INFINITE
+    )
+    open_level: float = number(
+        0.1, "level", "F-test of what could explain an inadequate model's rest", off=0.0
+    )
+    open_alike: float = number(10.0, "chosen", "likelihood ratio up to which other names are as good there")
+    visible: float = number(
+        0.05, "chosen", "least part of a formula beside base and names, for it to be averaged", off=0.0
+    )
+    dependence_z: float = number(
+        4.5, "measured", "permuted standard deviations of a dependence: 1 in 1000 a covariate", off=INFINITE
+    )
+
+    # Effort
+    rounds: int = number(4, "effort", "rounds of choosing and refitting")
+    widest: int = number(6, "effort", "models of each size that every term extends")
+    names_only: int = number(3, "effort", "one model in so many of the beam has names only", off=1000000)
+    active: int = number(250, "effort", "nameless terms that extend the rest of the beam")
+    compared: int = number(100, "effort", "models that are compared with one another")
+    weighed: float = number(7.0, "effort", "nats below the best down to which models are weighed")
+    averaged: float = number(6.0, "effort", "the same for formulas in the average")
+    counted: float = number(0.01, "effort", "least weight of a member of the average")
+    promising: int = number(40, "effort", "processes that are tried again inside a fold")
+    fold_active: int = number(150, "effort", "candidates that are tried again inside a fold")
+    permutations: int = number(400, "effort", "permutations of a dependence")
+    grid: int = number(9, "effort", "values of a time constant")
+
+    @property
+    def nameless_share(self) -> float:
+        """Prior share of all functions without a name."""
+        return 1 - self.named_share
+
+
+limits = Limits()
+"""The numbers in use."""
