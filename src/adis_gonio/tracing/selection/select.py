@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adis_gonio.budget import spent
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
@@ -149,7 +150,7 @@ def select(
         ):
             # What asked for more noise was the linear problem's error, not the model's.
             inflation, settled = 1.0, False
-        if settled:
+        if settled or spent():
             break
     p = adequacy(fit.chi2, fit.dof, data.noise_dof) if data.noise_known else 1.0
     if p < limits.adequate:

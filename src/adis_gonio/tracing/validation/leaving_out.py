@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.budget import check
 from adis_gonio.estimation.fit import Fit, foreseen
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
@@ -256,6 +257,7 @@ def cross_validate(
         turned = np.full(len(data), np.nan)
         predicted = np.ones(len(data), dtype=bool)
         for mask in masks:
+            check()
             answer = fit(data.rows(~mask))
             if answer.by is not None and name in RANGES:
                 predicted[mask] = answer.by.foresees(data.rows(mask), limits.predicted)
