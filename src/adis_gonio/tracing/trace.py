@@ -114,6 +114,7 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
     selection, scatter = attempt(
         "scatter from dwell to dwell as a cause", lambda: with_scatter(first, terms, max_effects), plain
     )
+    selection = selection.within_bounds()
     if scatter is not None:
         data = scatter.applied(data)
         checking = data.checking
