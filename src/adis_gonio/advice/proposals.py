@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adis_gonio.budget import check
 from adis_gonio.estimation.fit import Fit, Values
 from adis_gonio.estimation.readings import Readings, from_means
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
@@ -378,6 +379,7 @@ def _greedy(
         set_of = there.after(set_of)
     known = float(_information(weights, set_of, None)[0])
     while len(out) < most:
+        check()
         options = _options(data)
         predicted = _predict(data, inflation, hypotheses, options, places)
         gain = _information(weights, set_of, predicted) - known

@@ -37,7 +37,13 @@ def _twin(session: Session, traced: TraceResult) -> list[Section]:
     required=True,
     help="Where to write the page; a page that is there is replaced.",
 )
-def command(*, session: Path, output: Path) -> None:
+@click.option(
+    "--time-limit",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="End the trace after so long with the best model so far.",
+)
+def command(*, session: Path, output: Path, time_limit: float | None) -> None:
     """Write the calibration report: one HTML page that needs nothing else.
 
     The page holds the results of every method that the session supports, the trace with a figure for each
@@ -66,7 +72,7 @@ def command(*, session: Path, output: Path) -> None:
                 failures[method] = str(error)
         drawn = None
         try:
-            traced = trace(loaded)
+            traced = trace(loaded, time_limit=time_limit)
             drawn = views(loaded, traced)
         except AdisGonioError as error:
             page = build_page(loaded, fits, str(error), failures=failures)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,8 +33,14 @@ _WIDTH = 100
     show_default=True,
     help="Most effects that the model may take on.",
 )
+@click.option(
+    "--time-limit",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="End after so long with the best model so far; what was not validated is not called found.",
+)
 @json_option
-def command(*, session: Path, max_effects: int, as_json: bool) -> None:
+def command(*, session: Path, max_effects: int, time_limit: float | None, as_json: bool) -> None:
     """Trace what the residual says: find the effects that the seed paper's model lacks.
 
     Says what was found and how sure, the error before and after on data that took no part, what this
@@ -45,7 +51,7 @@ def command(*, session: Path, max_effects: int, as_json: bool) -> None:
 
     loaded = load_session(session)
     with working(f"tracing {len(loaded.dwells)} dwells of {session.name}"):
-        result = trace(loaded, max_effects=max_effects)
+        result = trace(loaded, max_effects=max_effects, time_limit=time_limit)
     if as_json:
         print_json(result.as_dict())
         return
@@ -54,7 +60,25 @@ def command(*, session: Path, max_effects: int, as_json: bool) -> None:
 
 @contextmanager
 def working(what: str) -> Iterator[None]:
-    """Tell on standard error what goes on, where it takes more than a second."""
+    """Tell on standard error what goes on; on a terminal with the stage and the time that has gone by."""
+    from adis_gonio.budget import Budget, within
+
+    with _told(what) as tell, within(Budget(tell=tell)):
+        yield
+
+
+@contextmanager
+def _told(what: str) -> Iterator[Callable[[str], None]]:
+    """Tell `what` after a second; gives what is called with each stage."""
+    screen = console(stderr=True)
+    if screen.is_terminal:
+        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+        with Progress(*columns, console=screen, transient=True) as progress:
+            task = progress.add_task(what)
+            yield lambda stage: progress.update(task, description=f"{what}: {stage}")
+        return
 
     def tell() -> None:
         print(f"{what} …", file=sys.stderr, flush=True)  # noqa: T201
@@ -63,7 +87,7 @@ def working(what: str) -> Iterator[None]:
     timer.daemon = True
     timer.start()
     try:
-        yield
+        yield lambda _stage: None
     finally:
         timer.cancel()
         timer.join()

@@ -20,11 +20,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.budget import attempt, check
 from adis_gonio.errors import FitError
 from adis_gonio.estimation.values import Detectable, Value
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect
@@ -134,7 +136,9 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     squares = [float(losses.sum())]
     history = [("base", _figures(problem, model))]
     while len(model) < max_effects:
-        chosen, better = _best_addition(problem, model, candidates, losses)
+        nothing: tuple[_Candidate | None, Floats] = (None, losses)
+        work = partial(_best_addition, problem, model, candidates, losses)
+        chosen, better = attempt("further effects", work, nothing)
         if chosen is None:
             break
         model, losses = (*model, chosen), better
@@ -157,7 +161,11 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
             for k in range(len(model))
         ),
         steps=tuple(Step(name, error) for name, error in history[1:]),
-        confounded=_confounded(problem, model, candidates, losses, one_way),
+        confounded=attempt(
+            "what cannot be told apart",
+            lambda: _confounded(problem, model, candidates, losses, one_way),
+            (),
+        ),
         unnamed=None,
         before=history[0][1],
         after=history[-1][1],
@@ -385,6 +393,7 @@ def _best_addition(
     for candidate in candidates:
         if candidate in model:
             continue
+        check()
         new = _held_out(problem, (*model, candidate))
         relative, p = _gain(losses, new)
         if p < LEVEL / len(candidates) and relative > best[0]:
@@ -413,6 +422,7 @@ def _confounded(
     for which, one in enumerate(model):
         others = []
         for other in candidates:
+            check()
             if other in model:
                 continue
             trial = tuple(other if k == which else m for k, m in enumerate(model))

@@ -133,7 +133,14 @@ def within(result: TraceResult) -> list[str]:
 
 
 def headline(result: TraceResult) -> str:
-    """The outcome in a few sentences."""
+    """The outcome in a few sentences; what a time limit left out first."""
+    if result.stopped is not None:
+        rest = f" {_outcome(result)}" if result.stopped.checked else ""
+        return result.stopped.sentence + rest
+    return _outcome(result)
+
+
+def _outcome(result: TraceResult) -> str:
     inside = inside_only(result)
     first = _of_readings(result, [finding for finding in ordered(result) if finding not in inside])
     if inside:

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from adis_gonio.errors import FitError
+from adis_gonio.budget import Budget, attempt, current, spent, within
+from adis_gonio.errors import FitError, UsageError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.estimation.terms import Term
@@ -26,20 +27,23 @@ from adis_gonio.tracing.outcome.findings import (
     told_from_zero,
     unnamed_of,
 )
-from adis_gonio.tracing.outcome.naming import judge
+from adis_gonio.tracing.outcome.naming import Names, judge
 from adis_gonio.tracing.outcome.openings import undecided
-from adis_gonio.tracing.outcome.result import ErrorFigures, Step, TraceResult
+from adis_gonio.tracing.outcome.result import ErrorFigures, Measurement, Step, Stopped, TraceResult
 from adis_gonio.tracing.outcome.sets import credible_sets
-from adis_gonio.tracing.selection.scatter import with_scatter
-from adis_gonio.tracing.selection.select import select
+from adis_gonio.tracing.selection.scatter import Scatter, with_scatter
+from adis_gonio.tracing.selection.select import Selection, select
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.unnamed.averaging import average
 from adis_gonio.tracing.validation.checked import unexpected
-from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order
+from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order, without_folds
 from adis_gonio.tracing.validation.survival import checkable, never_worse, surviving, without
 
+UNCHECKED = "the time limit ended the trace before this was checked"
+"""Reason of whatever is in a model that was not validated."""
 
-def trace(session: Session, max_effects: int = 6) -> TraceResult:
+
+def trace(session: Session, max_effects: int = 6, time_limit: float | None = None) -> TraceResult:
     """Trace the residual of a session to the effects that the seed paper's model lacks.
 
     Parameters
@@ -49,6 +53,9 @@ def trace(session: Session, max_effects: int = 6) -> TraceResult:
         sample (`adis_gonio.one_pose`).
     max_effects : int
         Most terms that the model may take on.
+    time_limit : float, optional
+        Seconds after which the trace ends at the next safe point with the best model so far
+        (`TraceResult.stopped`); by default none, so that the answer does not depend on the machine.
 
     Raises
     ------
@@ -56,11 +63,22 @@ def trace(session: Session, max_effects: int = 6) -> TraceResult:
         As `adis_gonio.estimation.readings_of`.
     FitError
         Fewer readings than base parameters.
+    UsageError
+        A time limit that is not positive.
     """
+    if time_limit is None:
+        return _trace(session, max_effects)
+    if not time_limit > 0:
+        raise UsageError(f"a time limit of {time_limit:g} s: give a positive number of seconds")
+    with within(Budget(time_limit, current().tell)):
+        return _trace(session, max_effects)
+
+
+def _trace(session: Session, max_effects: int) -> TraceResult:
     if len([dwell for dwell in session.dwells if len(dwell)]) == 1:
         from adis_gonio.one_pose.series import trace_series
 
-        return trace_series(session, max_effects)
+        return _stamped(trace_series(session, max_effects), checked=True)
     from adis_gonio.dwells.second_pass import with_second_pass
 
     data = readings_of(session)
@@ -68,7 +86,15 @@ def trace(session: Session, max_effects: int = 6) -> TraceResult:
         result = trace_readings(data, max_effects)
     except FitError as error:
         raise FitError(f"{session.source}: {error}" if session.source else str(error)) from error
-    return with_second_pass(session, data, result)
+    checked = result.stopped is None or result.stopped.checked
+    full = attempt("the samples inside the dwells", lambda: with_second_pass(session, data, result), result)
+    return _stamped(full, checked=checked)
+
+
+def _stamped(result: TraceResult, *, checked: bool) -> TraceResult:
+    """The result with what the time limit left out."""
+    budget = current()
+    return replace(result, stopped=Stopped.of(budget, checked=checked)) if budget.left_out else result
 
 
 def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
@@ -80,23 +106,49 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
     named, missing = named_terms(training)
     terms: list[Term] = [*named, *nameless_terms(training)]
     measured = training
-    selection, scatter = with_scatter(select(training, terms, max_effects), terms, max_effects)
+    current().tell("the search for effects")
+    first = select(training, terms, max_effects)
+    if spent():
+        current().leave_out("the end of the search for effects")
+    plain: tuple[Selection, Scatter | None] = (first, None)
+    selection, scatter = attempt(
+        "scatter from dwell to dwell as a cause", lambda: with_scatter(first, terms, max_effects), plain
+    )
+    selection = selection.within_bounds()
     if scatter is not None:
         data = scatter.applied(data)
         checking = data.checking
-    names = checkable(judge(selection), selection)
-    selection, names, dropped = surviving(selection, names)
+    chosen, judged = selection, checkable(judge(selection), selection)
+    unjudged: tuple[Selection, Names, dict[str, str]] = (chosen, judged, {})
+    selection, names, dropped = attempt(
+        "each effect on left-out dwells", lambda: surviving(chosen, judged), unjudged
+    )
     if scatter is not None or not selection.adequate:
         could = undecided(selection)
         if len(could) > 1:
             names = replace(names, confounded=(*names.confounded, could))
 
-    averaged = average(selection)
+    survived = selection
+    averaged = attempt("the average of functions without a name", lambda: average(survived), None)
     fold = Fold.of(selection, terms, averaged, max_effects)
     fits, steps = in_order(selection, averaged)
-    figures, design = error_figures(selection, measured, checking, fits, fold)
+    figures, design = attempt(
+        "the error on left-out dwells, effects chosen anew",
+        lambda: error_figures(survived, measured, checking, fits, fold),
+        without_folds(fits, measured, checking),
+    )
+    unguarded: list[float | None] = [None for _ in fits]
+    errors = attempt(
+        "the choice of the longest model that is never worse",
+        lambda: guarding(survived, fits, fold),
+        unguarded,
+    )
+    if current().left_out:
+        final = selection if averaged is None else selection.with_fit(averaged.fit)
+        open_ = [*steps, *([] if scatter is None else [scatter.kind])]
+        return _unfinished(final, fits, steps, figures, design, open_)
     reported = figures[-1].heldout_rms_mg if checking is None else None
-    count, names, cut = never_worse(names, steps, guarding(selection, fits, fold), reported)
+    count, names, cut = never_worse(names, steps, errors, reported)
     if count < len(steps):
         # Longer models have their figures already; those of the shorter one hold for it as they are.
         fits, steps, figures = fits[: count + 1], steps[:count], figures[: count + 1]
@@ -137,7 +189,10 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
     seen = tuple(finding for finding in findings if finding.effect not in weak)
     if scatter is not None:
         seen = (*seen, scatter_finding(scatter, _left_to_scatter(fits, figures)))
-    advice, measurements = advise(data, open_still, terms, names.confounded)
+    nothing: tuple[tuple[str, ...], tuple[Measurement, ...]] = ((), ())
+    advice, measurements = attempt(
+        "what to measure next", lambda: advise(data, open_still, terms, names.confounded), nothing
+    )
     return TraceResult(
         adequate=adequate,
         found=seen,
@@ -157,6 +212,35 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         heldout_design=design,
         fits=(*fits[:-1], final.fit),
         inflation=final.inflation,
+    )
+
+
+def _unfinished(
+    final: Selection,
+    fits: Sequence[Fit],
+    steps: Sequence[str],
+    figures: Sequence[ErrorFigures],
+    design: str,
+    open_: Sequence[str],
+) -> TraceResult:
+    """The best model so far of a trace that was not validated: its figures, and nothing found."""
+    return TraceResult(
+        adequate=False,
+        found=(),
+        steps=tuple(Step(label, error) for label, error in zip(steps, figures[1:], strict=True)),
+        confounded=(),
+        unnamed=None,
+        before=figures[0],
+        after=figures[-1],
+        detectable={},
+        advice=("trace again with more time, or without a limit",),
+        rivals=rivals_of(final),
+        base=base_of(final),
+        reasons=dict.fromkeys(open_, UNCHECKED),
+        heldout_design=design,
+        fits=(*fits[:-1], final.fit),
+        inflation=final.inflation,
+        stopped=Stopped.of(current(), checked=False),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from adis_gonio.budget import Budget
 from adis_gonio.dwells.finding import WithinFinding
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.values import Detectable, Value, finite_or_none
@@ -27,6 +28,9 @@ class ErrorFigures:
         None where the noise of a reading is not known or no degree of freedom is left.
     heldout_by_axis_mg : mapping of str to float or None
         The held-out error axis by axis, where one pose is traced sample by sample.
+    heldout_kept_mg : float or None
+        Of the final model, where `heldout_rms_mg` is that of effects chosen anew in each fold: the same
+        dwells left out with its effects kept and only their values fitted anew.
     """
 
     residual_rms_mg: float
@@ -34,6 +38,7 @@ class ErrorFigures:
     angle_rms_deg: float | None
     chi2_per_dof: float | None
     heldout_by_axis_mg: dict[str, float] | None = None
+    heldout_kept_mg: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The keys of `error.before`; errors by axis where there are any."""
@@ -44,6 +49,7 @@ class ErrorFigures:
             "angle_rms_deg": finite_or_none(self.angle_rms_deg),
             "chi2_per_dof": finite_or_none(self.chi2_per_dof),
             **({} if by_axis is None else {"heldout_by_axis_mg": dict(by_axis)}),
+            **({} if self.heldout_kept_mg is None else {"heldout_kept_mg": self.heldout_kept_mg}),
         }
 
 
@@ -206,6 +212,51 @@ class Measurement:
 
 
 @dataclass(frozen=True)
+class Stopped:
+    """What the time limit did to a trace.
+
+    Attributes
+    ----------
+    limit_s, elapsed_s : float
+        The limit, and the time after which the trace ended.
+    left_out : tuple of str
+        Stages that ended early or were not begun.
+    checked : bool
+        Whether validation was complete: what is called found then stands. Nothing is, where it was not.
+    """
+
+    limit_s: float
+    elapsed_s: float
+    left_out: tuple[str, ...]
+    checked: bool
+
+    @classmethod
+    def of(cls, budget: Budget, *, checked: bool) -> Stopped:
+        """What a budget has left out."""
+        return cls(budget.limit_s, budget.elapsed_s, tuple(budget.left_out), checked)
+
+    @property
+    def sentence(self) -> str:
+        """One sentence."""
+        if self.checked:
+            outcome = "what is called found was checked"
+        else:
+            outcome = "this is the best model so far, not validated, and nothing is called found"
+        limit = f"The time limit of {self.limit_s:g} s ended the trace"
+        return f"{limit}: {outcome}; left out: {', '.join(self.left_out)}."
+
+    def as_dict(self) -> dict[str, Any]:
+        """The value of `stopped`."""
+        return {
+            "limit_s": self.limit_s,
+            "elapsed_s": self.elapsed_s,
+            "left_out": list(self.left_out),
+            "checked": self.checked,
+            "sentence": self.sentence,
+        }
+
+
+@dataclass(frozen=True)
 class Rival:
     """A model near the best: its terms, and its posterior."""
 
@@ -254,6 +305,8 @@ class TraceResult:
         Empty where one pose is traced sample by sample.
     inflation : float
         Factor on the noise variance at which uncertainties are stated.
+    stopped : Stopped or None
+        What the time limit left out, where it ended the trace.
     """
 
     adequate: bool
@@ -275,6 +328,7 @@ class TraceResult:
     measurements: tuple[Measurement, ...] = ()
     fits: tuple[Fit, ...] = field(default=(), repr=False, compare=False)
     inflation: float = 1.0
+    stopped: Stopped | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `trace`."""
@@ -295,6 +349,7 @@ class TraceResult:
             "notes": list(self.notes),
             "within": [finding.as_dict() for finding in self.within],
             "heldout_design": self.heldout_design,
+            "stopped": None if self.stopped is None else self.stopped.as_dict(),
         }
 
 
@@ -304,6 +359,7 @@ __all__ = [
     "Finding",
     "Rival",
     "Step",
+    "Stopped",
     "TraceResult",
     "Unnamed",
     "Value",

@@ -16,7 +16,7 @@ import numpy as np
 
 from adis_gonio.estimation.terms import Term
 from adis_gonio.tracing.selection.design import span
-from adis_gonio.tracing.selection.select import Selection
+from adis_gonio.tracing.selection.select import Selection, beyond_bounds
 from adis_gonio.tracing.thresholds import limits
 
 
@@ -73,7 +73,8 @@ def set_of(selection: Selection, cause: str) -> CredibleSet:
         top = max(top, own)
         weight[cause] += float(np.exp(own - top))
     for k in np.flatnonzero(score > top - 12.0).tolist():
-        if problem.terms[k].name not in beside:
+        possible = k in members or beyond_bounds(selection.data, problem, [*rest, k]) is None
+        if problem.terms[k].name not in beside and possible:
             weight[_word(problem.terms[k])] += float(np.exp(score[k] - top))
     total = sum(weight.values())
     ranked = sorted(weight, key=lambda name: -weight[name])

@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from adis_gonio.estimation.terms import Term
 from adis_gonio.tracing.selection.design import span
 from adis_gonio.tracing.selection.search import Model, Search
 from adis_gonio.tracing.thresholds import limits
@@ -56,6 +58,35 @@ def weigh(found: Search) -> Verdict:
     raw = {m: sum(math.exp(near[k] - top) for k in (m, *others)) for m, others in same.items()}
     total = sum(raw.values())
     weights = {m: w / total for m, w in raw.items()}
+    names, covariates = _present(terms, weights)
+    # What is reported is names and covariates: the best of these first, then the best model that has them.
+    skeletons: dict[Skeleton, float] = defaultdict(float)
+    for model, weight in weights.items():
+        skeletons[skeleton(found, model)] += weight
+    likely = max(skeletons, key=lambda s: skeletons[s])
+    best = max((m for m in weights if skeleton(found, m) == likely), key=lambda m: weights[m])
+    return Verdict(best, weights, same, names, covariates)
+
+
+def without_models(verdict: Verdict, terms: Sequence[Term], impossible: Callable[[Model], bool]) -> Verdict:
+    """The same where models that are impossible have no share; a possible one of a class stands for it."""
+    weights: dict[Model, float] = {}
+    same: dict[Model, list[Model]] = {}
+    for model, weight in verdict.weights.items():
+        members = [model, *verdict.same[model]]
+        standing = next((m for m in members if m == verdict.best or not impossible(m)), None)
+        if standing is not None:
+            weights[standing] = weight
+            same[standing] = [m for m in members if m != standing]
+    total = sum(weights.values())
+    weights = {model: weight / total for model, weight in weights.items()}
+    return Verdict(verdict.best, weights, same, *_present(terms, weights))
+
+
+def _present(
+    terms: Sequence[Term], weights: Mapping[Model, float]
+) -> tuple[dict[str, float], dict[tuple[str, ...], float]]:
+    """Probability that each name, and a nameless term of each choice of covariates, is there."""
     names: dict[str, float] = defaultdict(float)
     covariates: dict[tuple[str, ...], float] = defaultdict(float)
     for model, weight in weights.items():
@@ -64,17 +95,8 @@ def weigh(found: Search) -> Verdict:
                 names[name] += weight
         for which in {terms[k].covariates for k in model if terms[k].name is None}:
             covariates[which] += weight
-    # What is reported is names and covariates: the best of these first, then the best model that has them.
-    skeletons: dict[Skeleton, float] = defaultdict(float)
-    for model, weight in weights.items():
-        skeletons[skeleton(found, model)] += weight
-    likely = max(skeletons, key=lambda s: skeletons[s])
-    best = max((m for m in weights if skeleton(found, m) == likely), key=lambda m: weights[m])
     # A sum of weights may end above 1 by rounding.
-    return Verdict(
-        best,
-        weights,
-        same,
+    return (
         {name: min(weight, 1.0) for name, weight in names.items()},
         {which: min(weight, 1.0) for which, weight in covariates.items()},
     )

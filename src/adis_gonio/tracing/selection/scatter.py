@@ -21,6 +21,7 @@ from typing import Literal
 
 import numpy as np
 
+from adis_gonio.budget import check
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
@@ -116,6 +117,7 @@ def _settled(
     size = 0.0
     again: Selection | None = None
     for _ in range(2):
+        check()
         fresh = _most_likely(kept, data, kind)
         if fresh <= limits.scatter_ratio * _measured(data, kind):
             return 0.0, None
@@ -123,6 +125,7 @@ def _settled(
             break
         size = fresh
         again = select(_with(data, kind, size), terms, max_effects, beam=12, rounds=2)
+        check()
         kept = again.fit
     return size, again
 

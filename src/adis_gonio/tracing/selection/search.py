@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.budget import spent
 from adis_gonio.estimation.terms import NamedTerm, Term
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.selection.design import LinearProblem, span
@@ -118,12 +119,16 @@ def search(
         return found
     level: list[Model] = [()]
     for size in range(1, max_terms + 1):
+        if size > 1 and spent():
+            return found
         fresh: dict[Model, float] = {}
         for model in level[: limits.widest]:
             fresh.update(_open(found, model, spare))
         active = _active(found)
         smaller = problem.only(active)
         for model in level[limits.widest :]:
+            if spent():
+                break
             fresh.update(_open(found, model, spare, smaller, active))
         if not fresh:
             break
@@ -232,6 +237,8 @@ def _exchange(found: Search, spare: int, max_terms: int) -> None:
     for _ in range(6):
         best = found.best
         for model in _different(found, 6):
+            if spent():
+                return
             for k in range(len(model)):
                 _open(found, (*model[:k], *model[k + 1 :]), spare)
             if len(model) < max_terms:

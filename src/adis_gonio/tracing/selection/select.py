@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adis_gonio.budget import spent
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import effect
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, linearise, span
-from adis_gonio.tracing.selection.posterior import Verdict, weigh
+from adis_gonio.tracing.selection.posterior import Verdict, weigh, without_models
 from adis_gonio.tracing.selection.search import Search, search
 from adis_gonio.tracing.thresholds import limits
 
@@ -56,6 +57,18 @@ class Selection:
     def terms(self) -> tuple[Term, ...]:
         """Terms of the chosen model."""
         return self.fit.terms
+
+    def within_bounds(self) -> Selection:
+        """The same where models with amplitudes that no part has take no share of the posterior.
+
+        A covariate that is constant but for its noise is a second bias to the linear problem, with an
+        amplitude that only its bound refuses.
+        """
+        data, problem = self.data, self.problem
+        verdict = without_models(
+            self.verdict, problem.terms, lambda model: beyond_bounds(data, problem, model) is not None
+        )
+        return replace(self, verdict=verdict)
 
     def with_model(self, chosen: Sequence[int]) -> Selection:
         """The same with another model of the linear problem, refitted in full."""
@@ -126,17 +139,16 @@ def select(
             found = search(problem, max_terms, assumed, beam)
             found, inflation = _inflated(data, problem, found, max_terms, beam, assumed)
             verdict = weigh(found)
-            impossible = _impossible(data, problem, verdict.best)
-            if impossible is not None:
-                dropped = {impossible}
-            elif _constant_apart(data, problem, verdict.best):
+            dropped = _impossible(data, problem, verdict)
+            if not dropped and _constant_apart(data, problem, verdict.best):
                 dropped = {t.label for t in terms if _with_constant(t)}
-            else:
+            if not dropped:
                 break
             terms = [term for term in terms if term.label not in dropped]
             problem = problem.only(
                 np.array([k for k, t in enumerate(problem.terms) if t.label not in dropped], np.intp)
             )
+            assumed = inflation  # what more candidates did not explain fewer do not either
         verdict, fit = _fitted(problem, verdict, about, base.chi2)
         labels = tuple(sorted(term.label for term in fit.terms))
         linear = problem.chi2 - 2 * inflation * found.explained(verdict.best)
@@ -149,7 +161,7 @@ def select(
         ):
             # What asked for more noise was the linear problem's error, not the model's.
             inflation, settled = 1.0, False
-        if settled:
+        if settled or spent():
             break
     p = adequacy(fit.chi2, fit.dof, data.noise_dof) if data.noise_known else 1.0
     if p < limits.adequate:
@@ -244,7 +256,17 @@ def _fitted(problem: LinearProblem, verdict: Verdict, about: Fit, most: float) -
     return verdict, fit_model(problem, verdict.best, about)
 
 
-def _impossible(data: Readings, problem: LinearProblem, chosen: Sequence[int]) -> str | None:
+def _impossible(data: Readings, problem: LinearProblem, verdict: Verdict) -> set[str]:
+    """Where the best model is impossible, a label each of it and of the impossible ones near it."""
+    worst = beyond_bounds(data, problem, verdict.best)
+    if worst is None:
+        return set()
+    # One at a time, each of a hundred look-alikes would cost a search.
+    near = (beyond_bounds(data, problem, model) for model in verdict.weights)
+    return {worst, *(label for label in near if label is not None)}
+
+
+def beyond_bounds(data: Readings, problem: LinearProblem, chosen: Sequence[int]) -> str | None:
     """Label of the least common term of a model among those beyond their physical bounds, or None.
 
     A nameless term has no bounds of its own, but no cause adds more than a tenth of gravity, and none

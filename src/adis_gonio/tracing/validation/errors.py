@@ -115,9 +115,9 @@ def error_figures(
     """
     data = selection.data
     if checking is not None:
-        lefts = [[leave(fit, checking, bounded(fit))] for fit in fits]
-        design = f"{len(checking)} check dwells"
-    elif _few(fits[-1]):
+        return without_folds(fits, measured, checking)
+    again: float | None = None
+    if _few(fits[-1]):
         lefts, design = _of_few(fits)
     else:
         designs = folds(data)
@@ -133,8 +133,21 @@ def error_figures(
             design += "; effects chosen anew in each fold"
             if fold.averaged is None:
                 parts = counted(cross_validate(data, designs, _keeping(fits[-1])), counts)
-                error = rms(np.concatenate([part.residual_mg for part in parts]), data.planar)
-                design += f", {error:.3g} mg with those found kept"
+                again = rms(np.concatenate([part.residual_mg for part in parts]), data.planar)
+                design += f", {again:.3g} mg with those found kept"
+    figures = [_figures(fit, measured, left) for fit, left in zip(fits, lefts, strict=True)]
+    return [*figures[:-1], replace(figures[-1], heldout_kept_mg=again)], design
+
+
+def without_folds(
+    fits: Sequence[Fit], measured: Readings, checking: Readings | None
+) -> tuple[list[ErrorFigures], str]:
+    """The same by check dwells alone: without any, and without time for folds, nothing is left out."""
+    lefts: list[list[Left]] = [[] for _ in fits]
+    design = "no dwell"
+    if checking is not None:
+        lefts = [[leave(fit, checking, bounded(fit))] for fit in fits]
+        design = f"{len(checking)} check dwells"
     return [_figures(fit, measured, left) for fit, left in zip(fits, lefts, strict=True)], design
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.budget import check
 from adis_gonio.estimation.fit import Fit, foreseen
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
@@ -22,8 +23,6 @@ from adis_gonio.tracing.thresholds import limits
 
 BY_AXIS = "body axes"
 BLOCKS_OF_TIME = "blocks of time"
-RANGES = (BY_AXIS, BLOCKS_OF_TIME)
-"""Designs that leave out whole ranges of angle or time."""
 
 
 @dataclass(frozen=True)
@@ -256,8 +255,9 @@ def cross_validate(
         turned = np.full(len(data), np.nan)
         predicted = np.ones(len(data), dtype=bool)
         for mask in masks:
+            check()
             answer = fit(data.rows(~mask))
-            if answer.by is not None and name in RANGES:
+            if answer.by is not None:
                 predicted[mask] = answer.by.foresees(data.rows(mask), limits.predicted)
             left = leave(answer.fit, data.rows(mask), bounded(answer.fit))
             residual[mask] = left.residual_mg
@@ -275,15 +275,15 @@ def counted(left: Mapping[str, Left], counts: Mapping[str, NDArray[np.bool_]]) -
 def less_unknown(
     counts: Mapping[str, NDArray[np.bool_]], anew: Mapping[str, Left]
 ) -> dict[str, NDArray[np.bool_]]:
-    """Dwells that count, less those that a model chosen without a whole range does not pretend to know.
+    """Dwells that count, less those that a model chosen without them does not pretend to know.
 
-    Without the quarter of a turn that shows it, another effect is chosen that fits the rest as well, and
-    whose parameters leave that quarter open by many mg: its covariance says so. Designs that have less than
-    a third of the dwells left do not apply.
+    Without the quarter of a turn that shows it, or a fifth of a few poses, another effect is chosen that
+    fits the rest as well, and whose parameters leave the missing dwells open by many mg: its covariance says
+    so. Designs that have less than a third of the dwells left do not apply, unless none does.
     """
     out = {}
     for name, own in counts.items():
         rest = own & anew[name].predicted
         if 3 * int(rest.sum()) >= len(rest):
             out[name] = rest
-    return out
+    return out or dict(counts)

@@ -1,0 +1,196 @@
+"""A time limit ends a trace in order: the best model so far, and nothing found that was not validated.
+
+The clocks count how often they are asked, so that nothing here depends on the speed of a machine.
+"""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adis_gonio import trace
+from adis_gonio.budget import Budget, attempt, check, current, spent, within
+from adis_gonio.cli import main
+from adis_gonio.errors import UsageError
+from adis_gonio.model.records import Dwell, Session
+from adis_gonio.report import words
+from adis_gonio.tracing.trace import UNCHECKED
+
+NEVER = 10**9
+
+
+class Ticks:
+    """A clock that goes on by one each time that it is read."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def __call__(self) -> float:
+        self.count += 1
+        return float(self.count)
+
+
+def turn(checks: int = 0, seed: int = 3) -> Session:
+    """A turn of 20 dwells with a bias and a curved axis of 3 mg/g²; the last ones for checking."""
+    rng = np.random.default_rng(seed)
+    angles = np.arange(0, 360, 18.0)
+    psi = np.radians(12.0 - angles)
+    readings = 1000 * np.stack([1.002 * np.cos(psi), np.sin(psi + 0.003)], axis=1) + [8.0, -5.0]
+    readings[:, 0] += 3.0 * np.cos(psi) ** 2
+    readings += 0.1 * rng.standard_normal(readings.shape)
+    dwells = [
+        Dwell(k, np.array([20.0 * k]), readings[k : k + 1], angle_deg=float(a))
+        for k, a in enumerate(angles)
+    ]
+    dwells[20 - checks :] = [replace(dwell, use="check") for dwell in dwells[20 - checks :]]
+    return Session(
+        tuple(dwells), accel_unit="mg", fixture_sigma_deg=0.003, reading_u_mg=0.1, sensor="generic"
+    )
+
+
+def one_pose(n: int = 2000) -> Session:
+    """One pose whose zero follows the temperature by 0.5 mg/°C."""
+    rng = np.random.default_rng(1)
+    time = np.arange(n) * 0.1
+    warm = 25 + 10 * np.sin(time / time[-1] * 6 * np.pi)
+    accel = np.column_stack([0.5 * warm, 3 + 0 * warm, 1000 + 0.3 * warm]) + rng.normal(0, 0.5, (n, 3))
+    return Session(
+        (Dwell(0, time, accel, temperature_c=warm),), accel_unit="mg", plane=None, sensor="generic"
+    )
+
+
+def limited(session: Session, ticks: float):
+    """Trace under a limit of so many looks at the clock."""
+    with within(Budget(ticks, clock=Ticks())):
+        return trace(session)
+
+
+def looks(session: Session) -> int:
+    """How often a whole trace looks at the clock."""
+    clock = Ticks()
+    with within(Budget(NEVER, clock=clock)):
+        trace(session)
+    return clock.count
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return trace(turn())
+
+
+def test_without_a_limit_nothing_is_stopped_and_a_limit_that_is_not_reached_changes_nothing(whole) -> None:
+    assert whole.stopped is None
+    assert whole.as_dict()["stopped"] is None
+    assert {finding.effect for finding in whole.found} == {"bias", "quadratic"}
+    assert limited(turn(), NEVER).as_dict() == whole.as_dict()
+
+
+def test_wherever_it_ends_what_was_not_validated_is_not_called_found(whole) -> None:
+    outcomes = set()
+    total = looks(turn())
+    for ticks in np.unique(np.geomspace(1, total - 2, 9).round()):
+        result = limited(turn(), ticks)
+        assert result.stopped is not None
+        assert result.stopped.left_out
+        outcomes.add(result.stopped.checked)
+        if result.stopped.checked:
+            assert [f.effect for f in result.found] == [f.effect for f in whole.found]
+            assert result.adequate == whole.adequate
+            assert result.after == whole.after
+        else:
+            assert result.found == ()
+            assert result.unnamed is None
+            assert not result.adequate
+            assert {step.effect for step in result.steps} <= set(result.reasons)
+            assert set(result.reasons.values()) <= {UNCHECKED}
+        assert np.isfinite(result.after.residual_rms_mg)
+        json.dumps(result.as_dict(), allow_nan=False)
+    assert outcomes == {True, False}  # ends before validation and after it were both tried
+
+
+def test_at_once_over_it_still_gives_a_model_and_says_what_was_left_out() -> None:
+    result = limited(turn(), 0.5)
+    assert result.steps
+    assert result.after.residual_rms_mg < 0.5 * result.before.residual_rms_mg
+    assert result.after.heldout_rms_mg is None
+    said = words.headline(result)
+    assert said.startswith("The time limit of 0.5 s ended the trace")
+    assert "nothing is called found" in said
+    assert "the error on left-out dwells" in said
+    assert result.as_dict()["stopped"]["sentence"] == said
+
+
+def test_check_dwells_need_no_folds_and_keep_their_error() -> None:
+    result = limited(turn(checks=4), 0.5)
+    assert result.stopped is not None
+    assert result.found == ()
+    assert result.heldout_design == "4 check dwells"
+    assert result.after.heldout_rms_mg is not None
+
+
+def test_one_pose_keeps_what_the_blocks_of_time_have_proved() -> None:
+    assert [finding.effect for finding in trace(one_pose()).found] == ["bias_temperature"]
+    early = limited(one_pose(), 0.5)
+    assert early.found == ()
+    assert early.stopped is not None
+    assert "further effects" in early.stopped.left_out
+    late = limited(one_pose(), looks(one_pose()) - 2)
+    assert [finding.effect for finding in late.found] == ["bias_temperature"]
+    assert late.stopped is not None
+
+
+def test_a_stage_that_runs_out_of_time_leaves_no_half_of_itself() -> None:
+    done = []
+
+    def work() -> str:
+        for part in range(10):
+            check()
+            done.append(part)
+        return "whole"
+
+    with within(Budget(5, clock=Ticks())) as budget:
+        assert attempt("the stage", work, "substitute") == "substitute"
+        assert spent()
+        assert attempt("the next", lambda: "whole", "none") == "none"
+    assert 0 < len(done) < 10
+    assert budget.left_out == ["the stage", "the next"]
+    assert attempt("without a budget", work, "substitute") == "whole"
+    assert current().left_out == []
+
+
+def test_stages_are_told_in_order() -> None:
+    told: list[str] = []
+    with within(Budget(tell=told.append)):
+        trace(turn(), time_limit=NEVER)
+    assert told[0] == "the search for effects"
+    folds = told.index("the error on left-out dwells, effects chosen anew")
+    assert folds < told.index("what to measure next")
+    assert told[-1] == "the samples inside the dwells"
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan")])
+def test_a_limit_that_is_not_positive_is_refused(seconds: float) -> None:
+    with pytest.raises(UsageError, match="give a positive number of seconds"):
+        trace(turn(), time_limit=seconds)
+
+
+def test_the_command_says_it_in_text_and_json(tmp_path, capsys) -> None:
+    head = (
+        "# sensor: generic\n# fixture_sigma_deg: 0.003\n# accel_unit: mg\ntime_s,position,angle_deg,ax,ay"
+    )
+    rows = [head]
+    rng = np.random.default_rng(1)
+    for k, dwell in enumerate(turn().dwells):
+        for i in range(4):
+            x, y = dwell.accel[0] + rng.normal(0, 0.2, 2)
+            rows.append(f"{20 * k + i},{k},{dwell.angle_deg},{x:.4f},{y:.4f}")
+    path = tmp_path / "turn.csv"
+    path.write_text("\n".join(rows) + "\n")
+    assert main(["trace", str(path), "--time-limit", "1e-9"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "The time limit of 1e-09 s ended the trace" in said
+    assert main(["trace", str(path), "--time-limit", "1e-9", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["stopped"]["limit_s"] == 1e-9
+    assert document["found"] == []
