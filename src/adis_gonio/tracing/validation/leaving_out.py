@@ -278,8 +278,8 @@ def less_unknown(
     """Dwells that count, less those that a model chosen without them does not pretend to know.
 
     Without the quarter of a turn that shows it, or a fifth of a few poses, another effect is chosen that
-    fits the rest as well, and whose parameters leave the missing dwells open by many mg: its covariance says
-    so. Designs that have less than a third of the dwells left do not apply, unless none does.
+    fits the rest as well, and whose parameters leave the missing dwells open by many mg: its covariance
+    says so. Designs that have less than a third of the dwells left do not apply, unless none does.
     """
     out = {}
     for name, own in counts.items():
