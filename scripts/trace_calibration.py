@@ -3,21 +3,22 @@
     python scripts/trace_calibration.py run records.jsonl --sessions 240 --space 100 --residual 300 --jobs 2
     python scripts/trace_calibration.py tables records.jsonl --picture docs/pictures/reliability.svg
 
-`run` writes sessions of all kinds (tests/tracing: `none`, `one`, `two`, `uncatalogued`, `beyond`, in one plane
-and in space; with `--residual` also those of benchmarks/blind_residual), traces each from its file and appends
-one JSON line a session; run again with the same arguments it goes on where it was broken off. `tables` prints
-Markdown and draws the reliability diagram.
+`run` writes sessions of all kinds (tests/tracing: `none`, `one`, `two`, `uncatalogued`, `beyond`, in one
+plane and in space; with `--residual` also those of benchmarks/blind_residual), traces each from its file
+and appends one JSON line a session; run again with the same arguments it goes on where it was broken off.
+`tables` prints Markdown and draws the reliability diagram.
 
 Statements, all read from the JSON of `trace`:
 
 * *a name is found*: `probability` of each entry of `found` that the session's means show;
 * *a name of a set*: `probability` × `present` of each name in `sets`;
-* *there is something*: 1 less the share of `rivals` that have no cause, or the greatest `probability` or `present` of
-  what was claimed, whichever is more; in sessions of blind_residual, which all have a bias, beside the bias;
+* *there is something*: 1 less the share of `rivals` that have no cause, or the greatest `probability` or
+  `present` of what was claimed, whichever is more; in sessions of blind_residual, which all have a bias,
+  beside the bias;
 * *intervals*: value ± 1.96 u. A stated u holds Student's factor already, so that this is the 95 % interval.
 
-A name is true where it was put in. Where it only stands for what was put in as well as this session can tell
-(tests/tracing/verdict.py: *innocent*), that is counted beside it.
+A name is true where it was put in. Where it only stands for what was put in as well as this session can
+tell (tests/tracing/verdict.py: *innocent*), that is counted beside it.
 """
 
 from __future__ import annotations
@@ -31,14 +32,14 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 from blind_residual import generator
 from tracing import blind as planar
@@ -48,7 +49,9 @@ from tracing.lens import Lens
 from tracing.named_truth import Term
 from tracing.rounds import crew, trace_file, write_session
 from tracing.space import SPACE
-from tracing.verdict import _innocent
+from tracing.verdict import innocent
+
+from trace_statistics import wilson
 
 RESIDUAL = "residual"
 NAMELESS = "unnamed: "
@@ -133,7 +136,7 @@ def _of_blind(answer: Mapping[str, Any], task: Task) -> Record:
         "nameless": blind.terms[0].name if blind.undeclared else None,
         "drivers": [c for term in blind.terms for c in (*term.covariates, *term.also)],
         "innocent": sorted(
-            name for name in said - blind.names if blind.terms and _innocent(name, blind, lens)
+            name for name in said - blind.names if blind.terms and innocent(name, blind, lens)
         ),
         "base_z": _zs(answer["base"], _base_of(blind, spatial)),
         "effect_z": _effect_zs(answer, named, spatial),
@@ -255,20 +258,12 @@ class Bin:
 Pairs = Sequence[tuple[float, bool]]
 
 
-def wilson(hits: float, n: int) -> tuple[float, float]:
-    """95 % interval of a rate."""
-    p = hits / n
-    centre = (p + Z95**2 / (2 * n)) / (1 + Z95**2 / n)
-    half = Z95 / (1 + Z95**2 / n) * math.sqrt(p * (1 - p) / n + Z95**2 / (4 * n**2))
-    return max(centre - half, 0.0), min(centre + half, 1.0)
-
-
 def bins_of(pairs: Pairs) -> list[Bin]:
     """Statements (probability, whether so) by stated probability; empty bins are left out."""
     out = []
     p = np.array([pair[0] for pair in pairs])
     so = np.array([pair[1] for pair in pairs], dtype=bool)
-    for k, (low, high) in enumerate(zip(EDGES[:-1], EDGES[1:], strict=True)):
+    for k, (low, high) in enumerate(pairwise(EDGES)):
         inside = (p >= low) & ((p < high) | (k == len(EDGES) - 2))
         if inside.any():
             out.append(Bin(low, high, int(inside.sum()), float(p[inside].mean()), int(so[inside].sum())))
