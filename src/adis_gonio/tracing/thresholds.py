@@ -152,9 +152,6 @@ class Limits:
     )
     sure: float = number(0.9, "chosen", "posterior of a name above which a rival without it is not named")
     set_level: float = number(0.95, "level", "probability of a credible set")
-    probable: float = number(
-        0.05, "level", "least posterior of a model that counts in uncertainties", off=INFINITE
-    )
     open_level: float = number(
         0.1, "level", "F-test of what could explain an inadequate model's rest", off=0.0
     )

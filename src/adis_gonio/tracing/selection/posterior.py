@@ -49,15 +49,24 @@ class Verdict:
     covariates: dict[tuple[str, ...], float]
 
 
+def posterior(found: Search) -> dict[Model, float]:
+    """Posterior of each model near the best by itself, however alike two of them are; sums to 1.
+
+    The most probable first.
+    """
+    near = found.near(limits.weighed)
+    ranked = sorted(near, key=lambda m: -near[m])[: limits.compared]
+    raw = {m: math.exp(near[m] - near[ranked[0]]) for m in ranked}
+    total = sum(raw.values())
+    return {m: w / total for m, w in raw.items()}
+
+
 def weigh(found: Search) -> Verdict:
     """Posterior of models, names and covariates."""
     terms = found.problem.terms
-    near = found.near(limits.weighed)
-    same = _classes(found, sorted(near, key=lambda m: -near[m])[: limits.compared])
-    top = max(near.values())
-    raw = {m: sum(math.exp(near[k] - top) for k in (m, *others)) for m, others in same.items()}
-    total = sum(raw.values())
-    weights = {m: w / total for m, w in raw.items()}
+    each = posterior(found)
+    same = _classes(found, list(each))
+    weights = {m: sum(each[k] for k in (m, *others)) for m, others in same.items()}
     names, covariates = _present(terms, weights)
     # What is reported is names and covariates: the best of these first, then the best model that has them.
     skeletons: dict[Skeleton, float] = defaultdict(float)
