@@ -82,7 +82,8 @@ class Selection:
         """The same with another fit in the place of the chosen one."""
         known = fit.data.noise_known
         adequate = adequacy(fit.chi2, fit.dof, fit.data.noise_dof) >= limits.adequate if known else True
-        return replace(self, fit=fit, adequate=adequate)
+        inflation = 1.0 if known and adequate else self.inflation
+        return replace(self, fit=fit, adequate=adequate, inflation=inflation)
 
 
 def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
