@@ -170,6 +170,7 @@ class Limits:
     active: int = number(250, "effort", "nameless terms that extend the rest of the beam")
     compared: int = number(100, "effort", "models that are compared with one another")
     weighed: float = number(7.0, "effort", "nats below the best down to which models are weighed")
+    voting: float = number(12.0, "effort", "the same for models that vote for the names of a set")
     averaged: float = number(6.0, "effort", "the same for formulas in the average")
     counted: float = number(0.01, "effort", "least weight of a member of the average")
     promising: int = number(40, "effort", "processes that are tried again inside a fold")

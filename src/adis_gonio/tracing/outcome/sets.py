@@ -1,22 +1,26 @@
 """Credible sets: for each cause of a model the names that could stand in its place.
 
-A cause is taken out of the model and every candidate put in alone; exp(score) weighs them (the score is the
-log Bayes factor with its price, `selection.search`). Variants of a name (axes, shapes, dwells) add up. The
-set is the smallest with 95 % of the probability, as SuSiE has it for correlated variables (Wang, Sarkar,
+Every scored model near the best votes with its posterior for what it has in the place of a cause: for the
+cause itself, or for what it has beyond the chosen model where it lacks that cause, or for none. So a
+surface that does the work of two names counts against both. Variants of a name (axes, shapes, dwells) add
+up. The set is the smallest with 95 % of the votes, as SuSiE has it for correlated variables (Wang, Sarkar,
 Carbonetto and Stephens, J. R. Stat. Soc. B 82, 2020); functions without a name compete on equal terms.
+
+A name beside a function without one of the same kind may be a piece of that unknown cause, and votes for
+it.
 """
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from adis_gonio.estimation.terms import Term
-from adis_gonio.tracing.selection.design import span
-from adis_gonio.tracing.selection.select import Selection, beyond_bounds
+from adis_gonio.tracing.outcome.naming import related
+from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.thresholds import limits
 
 
@@ -27,7 +31,7 @@ class CredibleSet:
     Attributes
     ----------
     cause : str
-        What the model has: a name, or a function without one.
+        What the model has: a name, or a function without one by its covariates.
     names : tuple of str
         The most probable first; a function without a name by its covariates.
     probability : tuple of float
@@ -52,42 +56,49 @@ class CredibleSet:
 
 def credible_sets(selection: Selection) -> tuple[CredibleSet, ...]:
     """A set for each cause of the chosen model, in the order of its terms."""
-    return tuple(set_of(selection, cause) for cause in dict.fromkeys(t.shown_as for t in selection.terms))
+    return tuple(set_of(selection, cause) for cause in dict.fromkeys(map(_word, selection.terms)))
 
 
 def set_of(selection: Selection, cause: str) -> CredibleSet:
-    """The set of one cause of the chosen model, by its name or formula."""
-    found, problem = selection.found, selection.problem
-    members = [k for k in selection.verdict.best if problem.terms[k].shown_as == cause]
-    rest = [k for k in selection.verdict.best if k not in members]
-    basis, residual = span(problem, rest)
-    score = 0.5 * problem.gains(basis, residual) / selection.inflation - found.prices
-    score[rest] = -np.inf
-    beside = {problem.terms[k].name for k in rest} - {None}
+    """The set of one cause of the chosen model: a name, or a function without one by its covariates."""
+    problem = selection.problem
+    near = selection.found.near(limits.voting)
+    top = max(near.values())
+    ours = {_word(problem.terms[k]) for k in selection.verdict.best}
     weight: dict[str, float] = defaultdict(float)
-    top = float(score.max())
-    if len(members) > 1:
-        left = float((span(problem, selection.verdict.best)[1] ** 2).sum())
-        own = 0.5 * (float(residual @ residual) - left) / selection.inflation
-        own -= float(sum(found.prices[k] for k in members))
-        top = max(top, own)
-        weight[cause] += float(np.exp(own - top))
-    for k in np.flatnonzero(score > top - 12.0).tolist():
-        possible = k in members or beyond_bounds(selection.data, problem, [*rest, k]) is None
-        if problem.terms[k].name not in beside and possible:
-            weight[_word(problem.terms[k])] += float(np.exp(score[k] - top))
+    none = 0.0
+    for model, score in near.items():
+        vote = math.exp(score - top)
+        choice = _choice([problem.terms[k] for k in model], cause, ours)
+        for word in choice:
+            weight[word] += vote / len(choice)
+        none += 0.0 if choice else vote
+    if not weight:
+        return CredibleSet(cause, (cause,), (1.0,), 0.0)
     total = sum(weight.values())
-    ranked = sorted(weight, key=lambda name: -weight[name])
-    names, probability, together = [], [], 0.0
-    for name in ranked:
+    names, probability = _smallest({word: w / total for word, w in weight.items()}, limits.set_level)
+    return CredibleSet(cause, names, probability, total / (total + none))
+
+
+def _choice(model: Sequence[Term], cause: str, ours: Iterable[str]) -> list[str]:
+    """What a model has in the place of a cause of the chosen one, which has `ours`."""
+    mine = [term for term in model if _word(term) == cause]
+    if not mine:
+        return list(dict.fromkeys(word for word in map(_word, model) if word not in ours))
+    unknown = [u for u in model if u.name is None and any(t.name and related(t, u) for t in mine)]
+    return list(dict.fromkeys(map(_word, unknown))) or [cause]
+
+
+def _smallest(share: dict[str, float], level: float) -> tuple[tuple[str, ...], tuple[float, ...]]:
+    """Names, the most probable first, until they have `level` together."""
+    names: list[str] = []
+    probability: list[float] = []
+    for name in sorted(share, key=lambda name: -share[name]):
         names.append(name)
-        probability.append(weight[name] / total)
-        together += probability[-1]
-        if together >= limits.set_level:
+        probability.append(share[name])
+        if sum(probability) >= level:
             break
-    # Against nothing, which has the score 0.
-    odds = total * float(np.exp(min(top, 700.0)))
-    return CredibleSet(cause, tuple(names), tuple(probability), odds / (1 + odds))
+    return tuple(names), tuple(probability)
 
 
 def _word(term: Term) -> str:
