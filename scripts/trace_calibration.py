@@ -42,6 +42,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 from blind_residual import generator
+from trace_statistics import wilson
 from tracing import blind as planar
 from tracing import space
 from tracing.blind import KINDS, Blind
@@ -50,8 +51,6 @@ from tracing.named_truth import Term
 from tracing.rounds import crew, trace_file, write_session
 from tracing.space import SPACE
 from tracing.verdict import innocent
-
-from trace_statistics import wilson
 
 RESIDUAL = "residual"
 NAMELESS = "unnamed: "
