@@ -1,10 +1,11 @@
 """Credible sets: for each cause of a model the names that could stand in its place.
 
 Every scored model near the best votes with its posterior for what it has in the place of a cause: for the
-cause itself, or for what it has beyond the chosen model where it lacks that cause, or for none. So a
-surface that does the work of two names counts against both. Variants of a name (axes, shapes, dwells) add
-up. The set is the smallest with 95 % of the votes, as SuSiE has it for correlated variables (Wang, Sarkar,
-Carbonetto and Stephens, J. R. Stat. Soc. B 82, 2020); functions without a name compete on equal terms.
+cause itself; or, where it lacks that cause, for what it has beyond the chosen model, as far as that can add
+what the cause adds; or for none. So a surface that does the work of two names counts against both. Variants
+of a name (axes, shapes, dwells) add up. The set is the smallest with 95 % of the votes, as SuSiE has it for
+correlated variables (Wang, Sarkar, Carbonetto and Stephens, J. R. Stat. Soc. B 82, 2020); functions without
+a name compete on equal terms.
 
 A name beside a function without one of the same kind may be a piece of that unknown cause, and votes for
 it.
@@ -14,12 +15,17 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from adis_gonio.estimation.terms import Term
+from adis_gonio.model.records import Floats
 from adis_gonio.tracing.outcome.naming import related
+from adis_gonio.tracing.selection.design import LinearProblem, span
+from adis_gonio.tracing.selection.search import Model
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.thresholds import limits
 
@@ -61,17 +67,16 @@ def credible_sets(selection: Selection) -> tuple[CredibleSet, ...]:
 
 def set_of(selection: Selection, cause: str) -> CredibleSet:
     """The set of one cause of the chosen model: a name, or a function without one by its covariates."""
-    problem = selection.problem
     near = selection.found.near(limits.voting)
     top = max(near.values())
-    ours = {_word(problem.terms[k]) for k in selection.verdict.best}
+    place = _Place.of(selection, cause)
     weight: dict[str, float] = defaultdict(float)
     none = 0.0
     for model, score in near.items():
         vote = math.exp(score - top)
-        choice = _choice([problem.terms[k] for k in model], cause, ours)
-        for word in choice:
-            weight[word] += vote / len(choice)
+        choice = place.choice(model)
+        for word, part in choice.items():
+            weight[word] += vote * part
         none += 0.0 if choice else vote
     if not weight:
         return CredibleSet(cause, (cause,), (1.0,), 0.0)
@@ -80,13 +85,47 @@ def set_of(selection: Selection, cause: str) -> CredibleSet:
     return CredibleSet(cause, names, probability, total / (total + none))
 
 
-def _choice(model: Sequence[Term], cause: str, ours: Iterable[str]) -> list[str]:
-    """What a model has in the place of a cause of the chosen one, which has `ours`."""
-    mine = [term for term in model if _word(term) == cause]
-    if not mine:
-        return list(dict.fromkeys(word for word in map(_word, model) if word not in ours))
-    unknown = [u for u in model if u.name is None and any(t.name and related(t, u) for t in mine)]
-    return list(dict.fromkeys(map(_word, unknown))) or [cause]
+@dataclass(frozen=True)
+class _Place:
+    """The place of a cause in the chosen model, which has the words `ours`.
+
+    `added` (rows,) is what the cause adds there, of unit length; zero where that model has no such cause.
+    """
+
+    problem: LinearProblem
+    cause: str
+    ours: frozenset[str]
+    added: Floats
+
+    @classmethod
+    def of(cls, selection: Selection, cause: str) -> _Place:
+        problem, best = selection.problem, selection.verdict.best
+        rest = [k for k in best if _word(problem.terms[k]) != cause]
+        added = span(problem, rest)[1] - span(problem, best)[1]
+        ours = frozenset(_word(problem.terms[k]) for k in best)
+        return cls(problem, cause, ours, added / max(float(np.linalg.norm(added)), 1e-300))
+
+    def choice(self, model: Model) -> dict[str, float]:
+        """What a model has in this place, with shares that sum to 1; empty where it has nothing."""
+        terms = [self.problem.terms[k] for k in model]
+        mine = [term for term in terms if _word(term) == self.cause]
+        if mine:
+            unknown = [u for u in terms if u.name is None and any(t.name and related(t, u) for t in mine)]
+            words = dict.fromkeys(map(_word, unknown)) or {self.cause: None}
+            return dict.fromkeys(words, 1 / len(words))
+        fresh = [k for k in model if _word(self.problem.terms[k]) not in self.ours]
+        lost = self.ours - set(map(_word, terms))
+        if not fresh or (len(lost) > 1 and self._explained(fresh) < limits.in_place):
+            return {}
+        part: dict[str, float] = defaultdict(float)
+        for k in fresh:
+            part[_word(self.problem.terms[k])] += self._explained([k]) + 1e-12
+        return {word: share / sum(part.values()) for word, share in part.items()}
+
+    def _explained(self, terms: Sequence[int]) -> float:
+        """Share of what the cause adds that the columns of some terms can add."""
+        basis, _ = span(self.problem, terms)
+        return float(((basis.T @ self.added) ** 2).sum())
 
 
 def _smallest(share: dict[str, float], level: float) -> tuple[tuple[str, ...], tuple[float, ...]]:
