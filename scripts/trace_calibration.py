@@ -11,7 +11,8 @@ and appends one JSON line a session; run again with the same arguments it goes o
 Statements, all read from the JSON of `trace`:
 
 * *a name is found*: `probability` of each entry of `found` that the session's means show;
-* *a name of a set*: `probability` × `present` of each name in `sets`;
+* *a name of a set*: `probability` × `present` of each name in `sets`; *the names of a set* is their sum
+  where a name leads it;
 * *there is something*: 1 less the share of `rivals` that have no cause, or the greatest `probability` or
   `present` of what was claimed, whichever is more; in sessions of blind_residual, which all have a bias,
   beside the bias;
@@ -107,7 +108,7 @@ def record_of(answer: Mapping[str, Any], task: Task) -> Record:
 
 def something(answer: Mapping[str, Any], apart: str | None = None) -> float:
     """Probability that there is a cause, but for the name `apart`."""
-    claimed = [f["probability"] for f in answer["found"] if f["effect"] not in (apart, *WITHIN)]
+    claimed = [f["probability"] for f in answer["found"] if f["effect"] != apart]
     claimed += [one["present"] for one in answer["sets"] if apart not in one["names"]]
     without = 0.0
     total = 0.0
@@ -297,13 +298,29 @@ def set_pairs(records: Iterable[Record], lenient: bool = False) -> list[tuple[fl
         for r in records
         for one in r["sets"]
         for name, p in zip(one["names"], one["probability"], strict=True)
-        if not name.startswith(NAMELESS)
+        if _is_name(name)
     ]
+
+
+def claim_pairs(records: Iterable[Record]) -> list[tuple[float, bool]]:
+    """Every set that a name leads: the probability of its names together, and whether one was put in."""
+    out = []
+    for record in records:
+        for one in record["sets"]:
+            named = {n: p for n, p in zip(one["names"], one["probability"], strict=True) if _is_name(n)}
+            if _is_name(one["names"][0]):
+                so = any(_true(record, name, False) for name in named)
+                out.append((sum(named.values()) * one["present"], so))
+    return out
 
 
 def something_pairs(records: Iterable[Record]) -> list[tuple[float, bool]]:
     """Every session's probability of something, and whether it hides anything."""
     return [(r["something"], r["hidden"]) for r in records]
+
+
+def _is_name(word: str) -> bool:
+    return not word.startswith(NAMELESS)
 
 
 def _true(record: Record, name: str, lenient: bool) -> bool:
@@ -314,7 +331,18 @@ def holds(record: Record, one: Mapping[str, Any], lenient: bool = False) -> bool
     """Whether a set holds a cause that is there: its name, or a function without one where one is."""
     if any(_true(record, name, lenient) for name in one["names"]):
         return True
-    return record["nameless"] is not None and any(name.startswith(NAMELESS) for name in one["names"])
+    return record["nameless"] is not None and not all(map(_is_name, one["names"]))
+
+
+STATEMENTS: dict[str, Callable[[Sequence[Record]], list[tuple[float, bool]]]] = {
+    "a name is found": found_pairs,
+    "the same, or innocent": partial(found_pairs, lenient=True),
+    "a name of a set": set_pairs,
+    "the names of a set": claim_pairs,
+    "there is something": something_pairs,
+}
+SHOWN = ("a name is found", "a name of a set", "there is something")
+"""Statements with a table of their own and a panel in the diagram."""
 
 
 # -- tables --------------------------------------------------------------------------------------------
@@ -343,26 +371,39 @@ def reliability_table(pairs: Pairs) -> str:
     return table(("stated", "statements", "mean", "so"), rows)
 
 
-def scores_table(statements: Mapping[str, Pairs]) -> str:
-    """One line a sort of statement."""
+def scores_table(records: Sequence[Record]) -> str:
+    """One line a sort of statement, of the kinds of tests/tracing, of blind_residual, and of all."""
+    worlds = {
+        "blind kinds": [r for r in records if not r["kind"].startswith(RESIDUAL)],
+        "blind_residual": [r for r in records if r["kind"].startswith(RESIDUAL)],
+        "all": list(records),
+    }
     rows = []
-    for what, pairs in statements.items():
-        if pairs:
-            mean = float(np.mean([p for p, _ in pairs]))
-            hits = sum(so for _, so in pairs)
-            rows.append(
-                (
-                    what,
-                    str(len(pairs)),
-                    f"{mean:.1%}",
-                    share(hits, len(pairs)),
-                    f"{calibration_error(bins_of(pairs)):.1%}",
-                    f"{brier(pairs):.4f}",
-                    f"{log_score(pairs):.4f}",
-                )
-            )
-    return table(
-        ("statement", "number", "mean stated", "so", "calibration error", "Brier", "log score"), rows
+    for world, chosen in worlds.items():
+        for what, pairs_of in STATEMENTS.items():
+            if pairs := pairs_of(chosen):
+                rows.append((world, what, *_scores(pairs)))
+    head = (
+        "sessions",
+        "statement",
+        "number",
+        "mean stated",
+        "so",
+        "calibration error",
+        "Brier",
+        "log score",
+    )
+    return table(head, rows)
+
+
+def _scores(pairs: Pairs) -> tuple[str, ...]:
+    return (
+        str(len(pairs)),
+        f"{np.mean([p for p, _ in pairs]):.1%}",
+        share(sum(so for _, so in pairs), len(pairs)),
+        f"{calibration_error(bins_of(pairs)):.1%}",
+        f"{brier(pairs):.4f}",
+        f"{log_score(pairs):.4f}",
     )
 
 
@@ -388,7 +429,7 @@ def sets_table(groups: Mapping[str, list[Record]]) -> str:
     """Coverage of the sets that claim a name, and their sizes."""
     rows = []
     for kind, records in groups.items():
-        sets = [(r, one) for r in records for one in r["sets"] if not one["names"][0].startswith(NAMELESS)]
+        sets = [(r, one) for r in records for one in r["sets"] if _is_name(one["names"][0])]
         if sets:
             level = float(np.mean([sum(one["probability"]) for _, one in sets]))
             sizes = [len(one["names"]) for _, one in sets]
@@ -459,24 +500,17 @@ def tables(options: argparse.Namespace) -> int:
     if not records:
         print(f"{options.records}: no session in it", file=sys.stderr)
         return 1
-    statements = {
-        "a name is found": found_pairs(records),
-        "the same, or innocent": found_pairs(records, lenient=True),
-        "a name of a set": set_pairs(records),
-        "the same, or innocent ": set_pairs(records, lenient=True),
-        "there is something": something_pairs(records),
-    }
     groups = groups_of(records)
     counts = ", ".join(f"{kind} {len(rs)}" for kind, rs in groups.items())
     print(f"Sessions: {counts}; seeds {', '.join(sorted({r['seed'] for r in records}))}.", end=" ")
-    print(f"`trace` raised in {len(every) - len(records)}.\n\n### Scores\n\n{scores_table(statements)}")
-    for what, pairs in statements.items():
-        if pairs and not what.startswith("the same"):
+    print(f"`trace` raised in {len(every) - len(records)}.\n\n### Scores\n\n{scores_table(records)}")
+    for what in SHOWN:
+        if pairs := STATEMENTS[what](records):
             print(f"\n### Reliability: {what}\n\n{reliability_table(pairs)}")
     print(f"\n### Sets\n\n{sets_table(groups)}\n\n### Intervals\n\n{coverage_table(groups)}")
     print(f"\n### Wrong names\n\n{wrong_table(groups)}")
     if options.picture:
-        draw(options.picture, {w: p for w, p in statements.items() if not w.startswith("the same") and p})
+        draw(options.picture, {what: pairs for what in SHOWN if (pairs := STATEMENTS[what](records))})
     return 0
 
 
