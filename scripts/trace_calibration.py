@@ -196,11 +196,11 @@ def _of_residual(answer: Mapping[str, Any], secret: str, number: int) -> Record:
         "kind": f"{RESIDUAL} {truth.family}",
         "what": truth.kind,
         "gain": truth.gain,
-        "truth": truth.names,
+        "truth": [*truth.names, *(sorted(SCATTER) if truth.scatter else ())],
         "hidden": truth.family not in ("nothing", "bias"),
         "nameless": truth.kind if truth.family in ("foreign", "stranger", "scatter") else None,
         "drivers": [word for group in truth.covariates for word in group],
-        "innocent": sorted(SCATTER) if truth.scatter else [],
+        "innocent": [],
         "base_z": _zs(
             answer["base"], {k: truth.base[k] for k in ("delta_k", "delta_phi") if k in truth.base}
         ),
@@ -518,59 +518,54 @@ COLOURS = ("#0b5cad", "#b8500c", "#2d7a2d")
 
 
 def draw(path: Path, statements: Mapping[str, Pairs]) -> None:
-    """Reliability diagram: stated against observed, and how often each was stated."""
+    """Reliability diagram: stated against observed, and below how often each was stated."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "reliability", "font.size": 10}):
-        figure, axes = plt.subplots(1, len(statements), figsize=(3.3 * len(statements), 3.7), sharey=True)
-        for ax, colour, (what, pairs) in zip(
-            np.atleast_1d(axes), COLOURS, statements.items(), strict=False
-        ):
-            _draw_one(ax, colour, what, pairs)
-        np.atleast_1d(axes)[0].set_ylabel("were so, %")
-        figure.tight_layout()
-        figure.savefig(path, metadata={"Date": None})
-        figure.savefig(path.with_suffix(".png"), dpi=110) if path.suffix == ".svg" else None
+    style = {"svg.fonttype": "none", "svg.hashsalt": "reliability", "font.size": 10, "axes.titlesize": 11}
+    with mpl.rc_context(style):
+        figure, axes = plt.subplots(
+            2,
+            len(statements),
+            figsize=(3.3 * len(statements), 4.6),
+            sharex=True,
+            sharey="row",
+            squeeze=False,
+            height_ratios=(4, 1),
+            layout="constrained",
+        )
+        for column, colour, (what, pairs) in zip(axes.T, COLOURS, statements.items(), strict=False):
+            _draw_one(column, colour, what, bins_of(pairs))
+        axes[0, 0].set_ylabel("were so, %")
+        axes[1, 0].set_ylabel("number")
+        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None, dpi=110)
         plt.close(figure)
 
 
-def _draw_one(ax: Any, colour: str, what: str, pairs: Pairs) -> None:
-    bins = bins_of(pairs)
+def _draw_one(axes: Sequence[Any], colour: str, what: str, bins: Sequence[Bin]) -> None:
+    shares, counts = axes
     stated = 100 * np.array([b.mean for b in bins])
     seen = 100 * np.array([b.hits / b.count for b in bins])
     low, high = 100 * np.array([wilson(b.hits, b.count) for b in bins]).T
-    ax.plot([0, 100], [0, 100], color="#6b6b6b", linewidth=1, linestyle=(0, (3.5, 2.7)))
-    ax.errorbar(
-        stated,
-        seen,
-        yerr=np.maximum([seen - low, high - seen], 0),
-        fmt="o",
-        color=colour,
-        markersize=5,
-        linewidth=1.2,
-        capsize=2,
+    off = np.maximum([seen - low, high - seen], 0)
+    shares.plot([0, 100], [0, 100], color="#6b6b6b", linewidth=1, linestyle=(0, (3.5, 2.7)))
+    shares.errorbar(stated, seen, off, fmt="o", color=colour, markersize=5, linewidth=1.2, capsize=2)
+    shares.set(
+        xlim=(-4, 104), ylim=(-4, 104), title=what, xticks=range(0, 101, 20), yticks=range(0, 101, 20)
     )
-    for b, x, y in zip(bins, stated, seen, strict=True):
-        ax.annotate(
-            str(b.count), (x, y), xytext=(5, -10), textcoords="offset points", fontsize=7, color="#444"
-        )
-    ax.set(xlim=(-4, 104), ylim=(-4, 104), xlabel="stated, %", title=what)
-    ax.set_aspect("equal")
-    ax.set_xticks(range(0, 101, 20))
-    ax.set_yticks(range(0, 101, 20))
-    ax.grid(color="#dddddd", linewidth=0.6)
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.text(
-        0.04,
-        0.95,
-        f"error {calibration_error(bins):.1%}\nBrier {brier(pairs):.3f}\n{len(pairs)} statements",
-        transform=ax.transAxes,
-        va="top",
-        fontsize=8,
+    error = f"calibration error {calibration_error(bins):.1%}"
+    shares.text(0.04, 0.95, error, transform=shares.transAxes, va="top", fontsize=9)
+    edges = 100 * np.array([[b.low, b.high] for b in bins])
+    counts.bar(
+        edges[:, 0], [b.count for b in bins], np.diff(edges)[:, 0], align="edge", color=colour, alpha=0.6
     )
+    counts.set(yscale="log", xlabel="stated, %")
+    for ax in axes:
+        ax.grid(color="#dddddd", linewidth=0.6)
+        ax.set_axisbelow(True)
+        ax.spines[["top", "right"]].set_visible(False)
 
 
 def main() -> int:

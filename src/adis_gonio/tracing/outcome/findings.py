@@ -11,8 +11,8 @@ from adis_gonio.estimation.values import Value
 from adis_gonio.tracing.outcome.between import bases, effects
 from adis_gonio.tracing.outcome.cycles import cycles_alike
 from adis_gonio.tracing.outcome.result import Finding, Rival, Unnamed
+from adis_gonio.tracing.outcome.sets import votes
 from adis_gonio.tracing.selection.design import span
-from adis_gonio.tracing.selection.posterior import posterior
 from adis_gonio.tracing.selection.scatter import Scatter
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.thresholds import limits
@@ -42,6 +42,7 @@ def finding_of(selection: Selection, name: str) -> Finding:
     axes: list[str] = []
     cause = ""
     amplitude_of, mixture = effects(selection, name)
+    share, present = votes(selection, name)
     student = students_factor(selection)
     fit = selection.fit
     for index, (term, values) in enumerate(zip(fit.terms, fit.values.terms, strict=True)):
@@ -75,16 +76,10 @@ def finding_of(selection: Selection, name: str) -> Finding:
         parameters=parameters,
         p_value=min(p, 1.0),
         explains=_explains(selection, gain),
-        probability=probability_of(selection, name),
+        probability=min(share.get(name, 0.0) * present, 1.0),
         equivalents=tuple(dict.fromkeys(same))[:5],
         cause=cause,
     )
-
-
-def probability_of(selection: Selection, name: str) -> float:
-    """Posterior of a name; of models that predict the same those without it count against it."""
-    terms, each = selection.problem.terms, posterior(selection.found)
-    return min(sum(w for model, w in each.items() if any(terms[k].name == name for k in model)), 1.0)
 
 
 def told_from_zero(finding: Finding) -> bool:

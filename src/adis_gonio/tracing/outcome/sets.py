@@ -67,6 +67,17 @@ def credible_sets(selection: Selection) -> tuple[CredibleSet, ...]:
 
 def set_of(selection: Selection, cause: str) -> CredibleSet:
     """The set of one cause of the chosen model: a name, or a function without one by its covariates."""
+    share, present = votes(selection, cause)
+    names: list[str] = []
+    for name in sorted(share, key=lambda name: -share[name]):
+        names.append(name)
+        if sum(share[name] for name in names) >= limits.set_level:
+            break
+    return CredibleSet(cause, tuple(names), tuple(share[name] for name in names), present)
+
+
+def votes(selection: Selection, cause: str) -> tuple[dict[str, float], float]:
+    """Share of each name in the place of a cause, and the probability that there is any cause."""
     near = selection.found.near(limits.voting)
     top = max(near.values())
     place = _Place.of(selection, cause)
@@ -78,11 +89,10 @@ def set_of(selection: Selection, cause: str) -> CredibleSet:
         for word, part in choice.items():
             weight[word] += vote * part
         none += 0.0 if choice else vote
-    if not weight:
-        return CredibleSet(cause, (cause,), (1.0,), 0.0)
     total = sum(weight.values())
-    names, probability = _smallest({word: w / total for word, w in weight.items()}, limits.set_level)
-    return CredibleSet(cause, names, probability, total / (total + none))
+    if not total > 0:
+        return {cause: 1.0}, 0.0
+    return {word: w / total for word, w in weight.items()}, total / (total + none)
 
 
 @dataclass(frozen=True)
@@ -126,18 +136,6 @@ class _Place:
         """Share of what the cause adds that the columns of some terms can add."""
         basis, _ = span(self.problem, terms)
         return float(((basis.T @ self.added) ** 2).sum())
-
-
-def _smallest(share: dict[str, float], level: float) -> tuple[tuple[str, ...], tuple[float, ...]]:
-    """Names, the most probable first, until they have `level` together."""
-    names: list[str] = []
-    probability: list[float] = []
-    for name in sorted(share, key=lambda name: -share[name]):
-        names.append(name)
-        probability.append(share[name])
-        if sum(probability) >= level:
-            break
-    return tuple(names), tuple(probability)
 
 
 def _word(term: Term) -> str:
