@@ -42,7 +42,7 @@ def finding_of(selection: Selection, name: str) -> Finding:
     axes: list[str] = []
     cause = ""
     amplitude_of, mixture = effects(selection, name)
-    share, present = votes(selection, name)
+    voted, present = votes(selection, name)
     student = students_factor(selection)
     fit = selection.fit
     for index, (term, values) in enumerate(zip(fit.terms, fit.values.terms, strict=True)):
@@ -76,7 +76,7 @@ def finding_of(selection: Selection, name: str) -> Finding:
         parameters=parameters,
         p_value=min(p, 1.0),
         explains=_explains(selection, gain),
-        probability=min(share.get(name, 0.0) * present, 1.0),
+        probability=min(voted.get(name, 0.0) * present, 1.0),
         equivalents=tuple(dict.fromkeys(same))[:5],
         cause=cause,
     )
