@@ -121,20 +121,24 @@ class _Place:
         mine = [term for term in terms if _word(term) == self.cause]
         if mine:
             unknown = [u for u in terms if u.name is None and any(t.name and related(t, u) for t in mine)]
-            words = dict.fromkeys(map(_word, unknown)) or {self.cause: None}
+            words = set(map(_word, unknown)) or {self.cause}
             return dict.fromkeys(words, 1 / len(words))
         fresh = [k for k in model if _word(self.problem.terms[k]) not in self.ours]
+        kept = [k for k in model if k not in fresh]
         lost = self.ours - set(map(_word, terms))
-        if not fresh or (len(lost) > 1 and self._explained(fresh) < limits.in_place):
+        if not fresh or (len(lost) > 1 and self._explained(fresh, kept) < limits.in_place):
             return {}
+        words = {_word(self.problem.terms[k]) for k in fresh}
+        if len(words) == 1:
+            return dict.fromkeys(words, 1.0)
         part: dict[str, float] = defaultdict(float)
         for k in fresh:
-            part[_word(self.problem.terms[k])] += self._explained([k]) + 1e-12
+            part[_word(self.problem.terms[k])] += self._explained([k], kept) + 1e-12
         return {word: share / sum(part.values()) for word, share in part.items()}
 
-    def _explained(self, terms: Sequence[int]) -> float:
-        """Share of what the cause adds that the columns of some terms can add."""
-        basis, _ = span(self.problem, terms)
+    def _explained(self, fresh: Sequence[int], kept: Sequence[int]) -> float:
+        """Share of what the cause adds that some terms can add beside those that stay."""
+        basis, _ = span(self.problem, [*fresh, *kept])
         return float(((basis.T @ self.added) ** 2).sum())
 
 
