@@ -82,11 +82,10 @@ def without_models(verdict: Verdict, terms: Sequence[Term], impossible: Callable
     weights: dict[Model, float] = {}
     same: dict[Model, list[Model]] = {}
     for model, weight in verdict.weights.items():
-        members = [model, *verdict.same[model]]
-        standing = next((m for m in members if m == verdict.best or not impossible(m)), None)
-        if standing is not None:
-            weights[standing] = weight
-            same[standing] = [m for m in members if m != standing]
+        possible = [m for m in (model, *verdict.same[model]) if m == verdict.best or not impossible(m)]
+        if possible:
+            weights[possible[0]] = weight
+            same[possible[0]] = possible[1:]
     total = sum(weights.values())
     weights = {model: weight / total for model, weight in weights.items()}
     return Verdict(verdict.best, weights, same, *_present(terms, weights))
