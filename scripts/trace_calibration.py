@@ -13,6 +13,7 @@ Statements, all read from the JSON of `trace`:
 * *a name is found*: `probability` of each entry of `found` that the session's means show;
 * *a name of a set*: `probability` × `present` of each name in `sets`; *the names of a set* is their sum
   where a name leads it;
+* *what has no name depends on*: `probability` of `unnamed`, for its covariates;
 * *there is something*: 1 less the share of `rivals` that have no cause, or the greatest `probability` or
   `present` of what was claimed, whichever is more; in sessions of blind_residual, which all have a bias,
   beside the bias;
@@ -51,7 +52,7 @@ from tracing.lens import Lens
 from tracing.named_truth import Term
 from tracing.rounds import crew, trace_file, write_session
 from tracing.space import SPACE
-from tracing.verdict import innocent
+from tracing.verdict import covariate, drives, innocent
 
 RESIDUAL = "residual"
 NAMELESS = "unnamed: "
@@ -134,13 +135,19 @@ def _of_blind(answer: Mapping[str, Any], task: Task) -> Record:
         "truth": sorted(blind.names),
         "hidden": bool(blind.terms),
         "nameless": blind.terms[0].name if blind.undeclared else None,
-        "drivers": [c for term in blind.terms for c in (*term.covariates, *term.also)],
+        "driven": blind.undeclared
+        and drives(blind.terms[0], [covariate(word) for word in _covariates(answer)], lens),
         "innocent": sorted(
             name for name in said - blind.names if blind.terms and innocent(name, blind, lens)
         ),
         "base_z": _zs(answer["base"], _base_of(blind, spatial)),
         "effect_z": _effect_zs(answer, named, spatial),
     }
+
+
+def _covariates(answer: Mapping[str, Any]) -> list[str]:
+    """What the trace says that the unnamed rest depends on."""
+    return [] if answer["unnamed"] is None else answer["unnamed"]["covariates"]
 
 
 def _base_of(blind: Blind, spatial: bool) -> dict[str, float]:
@@ -199,7 +206,8 @@ def _of_residual(answer: Mapping[str, Any], secret: str, number: int) -> Record:
         "truth": [*truth.names, *(sorted(SCATTER) if truth.scatter else ())],
         "hidden": truth.family not in ("nothing", "bias"),
         "nameless": truth.kind if truth.family in ("foreign", "stranger", "scatter") else None,
-        "drivers": [word for group in truth.covariates for word in group],
+        "driven": bool(truth.covariates)
+        and all(set(group) & set(_covariates(answer)) for group in truth.covariates),
         "innocent": [],
         "base_z": _zs(
             answer["base"], {k: truth.base[k] for k in ("delta_k", "delta_phi") if k in truth.base}
@@ -314,6 +322,12 @@ def claim_pairs(records: Iterable[Record]) -> list[tuple[float, bool]]:
     return out
 
 
+def driver_pairs(records: Iterable[Record]) -> list[tuple[float, bool]]:
+    """Every unnamed rest that states a probability, and whether what is hidden depends on what it says."""
+    stated = [(r["unnamed"], r["driven"]) for r in records if r["unnamed"]]
+    return [(unnamed["probability"], so) for unnamed, so in stated if unnamed["probability"] is not None]
+
+
 def something_pairs(records: Iterable[Record]) -> list[tuple[float, bool]]:
     """Every session's probability of something, and whether it hides anything."""
     return [(r["something"], r["hidden"]) for r in records]
@@ -339,6 +353,7 @@ STATEMENTS: dict[str, Callable[[Sequence[Record]], list[tuple[float, bool]]]] = 
     "the same, or innocent": partial(found_pairs, lenient=True),
     "a name of a set": set_pairs,
     "the names of a set": claim_pairs,
+    "what has no name depends on": driver_pairs,
     "there is something": something_pairs,
 }
 SHOWN = ("a name is found", "a name of a set", "there is something")

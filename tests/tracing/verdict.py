@@ -163,7 +163,7 @@ def judge(blind: Blind, result: Mapping[str, Any], seconds: float = 0.0) -> Verd
         wrong=wrong,
         unnamed=unnamed is not None,
         said="" if unnamed is None else f"{'+'.join(said)}: {form}",
-        covariate=bool(nameless) and _drives(nameless[0], said, lens),
+        covariate=bool(nameless) and drives(nameless[0], said, lens),
         form=bool(nameless) and re.search(nameless[0].form, form, re.IGNORECASE) is not None,
         heldout_ratio=np.nan if by_folds else ratio,
         fold_ratio=ratio if by_folds else np.nan,
@@ -217,7 +217,7 @@ def innocent(name: str, blind: Blind, lens: Lens) -> bool:
     return False
 
 
-def _drives(term: Term, said: list[str], lens: Lens) -> bool:
+def drives(term: Term, said: list[str], lens: Lens) -> bool:
     """Whether the covariates that were reported are those that drive the term, and no others."""
     if not said:
         return False
