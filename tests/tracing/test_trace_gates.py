@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from adis_gonio import trace
 from adis_gonio.estimation.fit import Fit
@@ -11,7 +12,7 @@ from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.outcome.findings import between_models
+from adis_gonio.tracing.outcome.between import effects
 from adis_gonio.tracing.outcome.naming import Names
 from adis_gonio.tracing.selection.design import amplitudes
 from adis_gonio.tracing.selection.select import select
@@ -226,15 +227,21 @@ def test_the_uncertainty_of_an_effect_holds_what_other_probable_models_say() -> 
     bias = number["bias[xy]"]
     both = tuple(sorted((bias, number["quadratic[xy]"])))
     one = tuple(sorted((bias, number["quadratic[x]"])))
-    weights = {both: 0.6, one: 0.4}
-    alone = replace(selection, verdict=replace(selection.verdict, best=both, weights={both: 1.0}))
-    open_ = replace(selection, verdict=replace(selection.verdict, best=both, weights=weights))
     values = dict(zip(both, amplitudes(selection.problem, both), strict=True))
     k2_x, k2_y = values[number["quadratic[xy]"]]
-    assert between_models(alone, "quadratic") == {"k2_x": 0.0, "k2_y": 0.0}
-    between = between_models(open_, "quadratic")
-    assert between["k2_y"] == pytest.approx(0.4 * k2_y**2)  # the other model says that there is none
     (other,) = (
         a for k, a in zip(one, amplitudes(selection.problem, one), strict=True) if terms[k].name != "bias"
     )
-    assert between["k2_x"] == pytest.approx(0.4 * (k2_x - other[0]) ** 2)
+    verdict = replace(selection.verdict, best=both)
+    alone = replace(selection, verdict=verdict, found=replace(selection.found, scores={both: 0.0}))
+    scores = {both: np.log(0.6), one: np.log(0.4)}
+    open_ = replace(selection, verdict=verdict, found=replace(selection.found, scores=scores))
+    assert effects(alone, "quadratic")[1].u(0.1, np.array([1.0, 0.0])) == pytest.approx(0.1)
+    names, mixture = effects(open_, "quadratic")
+    assert names == ["k2_x", "k2_y"]
+    for along, away in zip(
+        np.eye(2), (other[0] - k2_x, -k2_y), strict=True
+    ):  # none on y in the other model
+        half = 1.959964 * mixture.u(0.1, along)
+        inside = [norm.cdf((half - d) / 0.1) - norm.cdf((-half - d) / 0.1) for d in (0.0, away)]
+        assert 0.6 * inside[0] + 0.4 * inside[1] == pytest.approx(0.95, abs=1e-4)

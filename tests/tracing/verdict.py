@@ -137,7 +137,7 @@ def judge(blind: Blind, result: Mapping[str, Any], seconds: float = 0.0) -> Verd
     named = blind.terms[len(nameless) :]
     groups = [tuple(group) for group in result["confounded"]]
     found = all(_present(term, blind, lens, claimed, groups) for term in named)
-    wrong = tuple(name for name in claimed if not _innocent(name, blind, lens))
+    wrong = tuple(name for name in claimed if not innocent(name, blind, lens))
     if not blind.undeclared:
         told_apart = {name for group in groups if blind.names & set(group) for name in group}
         honest = found and len(blind.terms) == 1 and set(claimed) <= told_apart
@@ -163,7 +163,7 @@ def judge(blind: Blind, result: Mapping[str, Any], seconds: float = 0.0) -> Verd
         wrong=wrong,
         unnamed=unnamed is not None,
         said="" if unnamed is None else f"{'+'.join(said)}: {form}",
-        covariate=bool(nameless) and _drives(nameless[0], said, lens),
+        covariate=bool(nameless) and drives(nameless[0], said, lens),
         form=bool(nameless) and re.search(nameless[0].form, form, re.IGNORECASE) is not None,
         heldout_ratio=np.nan if by_folds else ratio,
         fold_ratio=ratio if by_folds else np.nan,
@@ -204,7 +204,8 @@ def _right_set(blind: Blind, lens: Lens, claimed: tuple[str, ...]) -> bool:
     return _explains(lens, total, list(claimed), [])
 
 
-def _innocent(name: str, blind: Blind, lens: Lens) -> bool:
+def innocent(name: str, blind: Blind, lens: Lens) -> bool:
+    """Whether a name was put in, or could stand for what was; see *Wrong names*."""
     if name in blind.names or any(name in term.leading for term in blind.terms):
         return True
     if name not in NAMES:
@@ -216,7 +217,7 @@ def _innocent(name: str, blind: Blind, lens: Lens) -> bool:
     return False
 
 
-def _drives(term: Term, said: list[str], lens: Lens) -> bool:
+def drives(term: Term, said: list[str], lens: Lens) -> bool:
     """Whether the covariates that were reported are those that drive the term, and no others."""
     if not said:
         return False

@@ -186,7 +186,8 @@ class Fit:
 
     def white(self, columns_mg: Floats) -> Floats:
         """Columns (n·rows, d), whitened, of what stands in readings (n, axes, d) in mg."""
-        flat: Floats = self.white_by_dwell(columns_mg).reshape(-1, columns_mg.shape[2])
+        whitened = self.white_by_dwell(columns_mg)
+        flat: Floats = whitened.reshape(whitened.shape[0] * whitened.shape[1], columns_mg.shape[2])
         if self._shared is None:
             return flat
         rows, middle = self._shared
@@ -322,6 +323,17 @@ class Fit:
         """Rows with one more for each prior."""
         precision, _ = self._prior
         return np.concatenate([rows, np.diag(precision)[precision > 0]])
+
+    def base_step(self, left: Floats) -> Floats:
+        """Steps (p, k) of the base parameters that fit whitened rows (rows, k) best, their priors kept."""
+        count = len(self.values.base)
+        held = self._prior[0][:count] > 0
+        rows = np.concatenate([self.jacobian[:, :count], np.diag(self._prior[0][:count])[held]])
+        right = np.concatenate([left, np.repeat(-self._away[:count, None][held], left.shape[1], axis=1)])
+        size = np.linalg.norm(rows, axis=0)
+        size[size == 0] = 1.0
+        steps: Floats = np.linalg.lstsq(rows / size, right, rcond=1e-9)[0] / size[:, None]
+        return steps
 
     # -- refitting ---------------------------------------------------------------------------------
 

@@ -152,8 +152,11 @@ class Limits:
     )
     sure: float = number(0.9, "chosen", "posterior of a name above which a rival without it is not named")
     set_level: float = number(0.95, "level", "probability of a credible set")
-    probable: float = number(
-        0.05, "level", "least posterior of a model that counts in uncertainties", off=INFINITE
+    in_place: float = number(
+        0.5,
+        "chosen",
+        "share of what a cause adds from which others stand in its place in a model without several causes",
+        off=0.0,
     )
     open_level: float = number(
         0.1, "level", "F-test of what could explain an inadequate model's rest", off=0.0
@@ -173,6 +176,7 @@ class Limits:
     active: int = number(250, "effort", "nameless terms that extend the rest of the beam")
     compared: int = number(100, "effort", "models that are compared with one another")
     weighed: float = number(7.0, "effort", "nats below the best down to which models are weighed")
+    voting: float = number(12.0, "effort", "the same for models that vote for the names of a set")
     averaged: float = number(6.0, "effort", "the same for formulas in the average")
     counted: float = number(0.01, "effort", "least weight of a member of the average")
     promising: int = number(40, "effort", "processes that are tried again inside a fold")

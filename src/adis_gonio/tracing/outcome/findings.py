@@ -6,14 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
+from adis_gonio.estimation.terms import NamedTerm, NamelessTerm
 from adis_gonio.estimation.values import Value
-from adis_gonio.model.records import Floats
+from adis_gonio.tracing.outcome.between import bases, effects
 from adis_gonio.tracing.outcome.cycles import cycles_alike
 from adis_gonio.tracing.outcome.result import Finding, Rival, Unnamed
-from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, span
+from adis_gonio.tracing.outcome.sets import votes
+from adis_gonio.tracing.selection.design import span
 from adis_gonio.tracing.selection.scatter import Scatter
-from adis_gonio.tracing.selection.select import Selection, fit_model
+from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.unnamed.averaging import Averaged
 from adis_gonio.tracing.unnamed.dependence import dependence
@@ -40,7 +41,8 @@ def finding_of(selection: Selection, name: str) -> Finding:
     parameters: dict[str, Value] = {}
     axes: list[str] = []
     cause = ""
-    between = between_models(selection, name)
+    amplitude_of, mixture = effects(selection, name)
+    voted, present = votes(selection, name)
     student = students_factor(selection)
     fit = selection.fit
     for index, (term, values) in enumerate(zip(fit.terms, fit.values.terms, strict=True)):
@@ -51,8 +53,9 @@ def finding_of(selection: Selection, name: str) -> Finding:
             seen = np.abs(fit.candidate(term)).max(axis=(0, 1)) > 0
             unseen = {k for k, shown in zip(term.amplitudes, seen, strict=True) if not shown}
             for k, parameter in enumerate(term.effect.parameters):
-                within = fit.covariance[at + k, at + k] * selection.inflation
-                u = student * float(np.sqrt(within + between.get(parameter.name, 0.0)))
+                u = student * float(np.sqrt(fit.covariance[at + k, at + k] * selection.inflation))
+                if parameter.name in amplitude_of:  # shapes are fitted: their spread is in the covariance
+                    u = mixture.u(u, np.array([float(other == parameter.name) for other in amplitude_of]))
                 undetermined = k in unseen
                 value = 0.0 if undetermined else float(values[k])
                 parameters[parameter.name] = Value(value, None if undetermined else u, parameter.unit)
@@ -73,45 +76,10 @@ def finding_of(selection: Selection, name: str) -> Finding:
         parameters=parameters,
         p_value=min(p, 1.0),
         explains=_explains(selection, gain),
-        probability=selection.verdict.names.get(name, 1.0),
+        probability=min(voted.get(name, 0.0) * present, 1.0),
         equivalents=tuple(dict.fromkeys(same))[:5],
         cause=cause,
     )
-
-
-def between_models(selection: Selection, name: str) -> dict[str, float]:
-    """Variance of an effect's amplitudes between the probable models that hold it, by parameter.
-
-    The covariance of one model takes for granted that it is the right one. In another that is as probable
-    the effect may act on one axis only (the amplitude of the other is then zero) or stand beside something
-    that shares its direction. Models whose shapes or dwells are others are left out: shapes are fitted, and
-    their spread is in the covariance.
-    """
-    problem, verdict = selection.problem, selection.verdict
-    kind = _kind(problem.terms, verdict.best, name)
-    own = _amplitudes_of(problem, verdict.best, name)
-    spread = dict.fromkeys(own, 0.0)
-    total = 0.0
-    for model, weight in verdict.weights.items():
-        if weight < limits.probable or _kind(problem.terms, model, name) != kind:
-            continue
-        values = _amplitudes_of(problem, model, name)
-        total += weight
-        for parameter in own:
-            spread[parameter] += weight * (values.get(parameter, 0.0) - own[parameter]) ** 2
-    return {parameter: value / total for parameter, value in spread.items()} if total else {}
-
-
-def _between_bases(selection: Selection) -> Floats:
-    """Covariance (p, p) of the base parameters between the probable models."""
-    own = selection.fit.values.base
-    total = np.zeros((len(own), len(own)))
-    weights = {m: w for m, w in selection.verdict.weights.items() if w >= limits.probable}
-    for model, weight in weights.items():
-        if model != selection.verdict.best:
-            away = fit_model(selection.problem, model, selection.base).values.base - own
-            total += weight * np.outer(away, away)
-    return total / max(sum(weights.values()), 1e-12)
 
 
 def told_from_zero(finding: Finding) -> bool:
@@ -131,27 +99,6 @@ def scatter_finding(scatter: Scatter, explains: float) -> Finding:
         probability=float(1 / (1 + np.exp(-scatter.log_odds))),
         cause="Readings scatter from dwell to dwell by more than the samples within them do.",
     )
-
-
-def _kind(terms: Sequence[Term], model: Sequence[int], name: str) -> tuple[object, ...]:
-    """Shapes and choices of an effect in a model; the empty tuple where it is not in it."""
-    mine = [terms[k] for k in model if terms[k].name == name]
-    return tuple(
-        (term.shapes, tuple(getattr(term.effect, choice) for choice in term.effect.choices()))
-        for term in mine
-        if isinstance(term, NamedTerm)
-    )
-
-
-def _amplitudes_of(problem: LinearProblem, model: Sequence[int], name: str) -> dict[str, float]:
-    """Amplitudes of an effect in a model of the linear problem, by parameter."""
-    out: dict[str, float] = {}
-    for k, own in zip(model, amplitudes(problem, model), strict=True):
-        term = problem.terms[k]
-        if isinstance(term, NamedTerm) and term.name == name:
-            for index, value in zip(term.amplitudes, own, strict=True):
-                out[term.effect.parameters[index].name] = float(value)
-    return out
 
 
 def _gain(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
@@ -216,18 +163,18 @@ def base_of(selection: Selection) -> dict[str, Value]:
     fit = selection.fit
     data, base = fit.data, fit.values.base
     p = len(base)
-    covariance = fit.covariance[:p, :p] * selection.inflation + _between_bases(selection)
-    covariance = covariance * students_factor(selection) ** 2
+    covariance = fit.covariance[:p, :p] * selection.inflation * students_factor(selection) ** 2
+    mixture = bases(selection)
     out = {}
     for k, parameter in enumerate(data.model.parameters):
-        u = float(np.sqrt(covariance[k, k])) * parameter.per_natural
+        u = mixture.u(float(np.sqrt(covariance[k, k])), np.eye(p)[k]) * parameter.per_natural
         value = parameter.stated(float(base[k]))
         out[parameter.name] = Value(value, u if data.visible[k] else None, parameter.unit)
     if data.planar:
         x, y = data.model.index("scale_x"), data.model.index("scale_y")
         slope = np.zeros(p)
         slope[x], slope[y] = 1 / base[y], -base[x] / base[y] ** 2
-        u = float(np.sqrt(slope @ covariance @ slope))
+        u = mixture.u(float(np.sqrt(slope @ covariance @ slope)), slope)
         out["delta_k"] = Value(float(base[x] / base[y] - 1), u, "1")
     return out
 

@@ -1,22 +1,32 @@
 """Credible sets: for each cause of a model the names that could stand in its place.
 
-A cause is taken out of the model and every candidate put in alone; exp(score) weighs them (the score is the
-log Bayes factor with its price, `selection.search`). Variants of a name (axes, shapes, dwells) add up. The
-set is the smallest with 95 % of the probability, as SuSiE has it for correlated variables (Wang, Sarkar,
-Carbonetto and Stephens, J. R. Stat. Soc. B 82, 2020); functions without a name compete on equal terms.
+Every scored model near the best votes with its posterior for what it has in the place of a cause: for the
+cause itself; or, where it lacks that cause, for what it has beyond the chosen model, as far as that can add
+what the cause adds; or for none. So a surface that does the work of two names counts against both. Variants
+of a name (axes, shapes, dwells) add up. The set is the smallest with 95 % of the votes, as SuSiE has it for
+correlated variables (Wang, Sarkar, Carbonetto and Stephens, J. R. Stat. Soc. B 82, 2020); functions without
+a name compete on equal terms.
+
+A name beside a function without one of the same kind may be a piece of that unknown cause, and votes for
+it.
 """
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from adis_gonio.estimation.terms import Term
-from adis_gonio.tracing.selection.design import span
-from adis_gonio.tracing.selection.select import Selection, beyond_bounds
+from adis_gonio.model.records import Floats
+from adis_gonio.tracing.outcome.naming import related
+from adis_gonio.tracing.selection.design import LinearProblem, span
+from adis_gonio.tracing.selection.search import Model
+from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.thresholds import limits
 
 
@@ -27,7 +37,7 @@ class CredibleSet:
     Attributes
     ----------
     cause : str
-        What the model has: a name, or a function without one.
+        What the model has: a name, or a function without one by its covariates.
     names : tuple of str
         The most probable first; a function without a name by its covariates.
     probability : tuple of float
@@ -52,42 +62,84 @@ class CredibleSet:
 
 def credible_sets(selection: Selection) -> tuple[CredibleSet, ...]:
     """A set for each cause of the chosen model, in the order of its terms."""
-    return tuple(set_of(selection, cause) for cause in dict.fromkeys(t.shown_as for t in selection.terms))
+    return tuple(set_of(selection, cause) for cause in dict.fromkeys(map(_word, selection.terms)))
 
 
 def set_of(selection: Selection, cause: str) -> CredibleSet:
-    """The set of one cause of the chosen model, by its name or formula."""
-    found, problem = selection.found, selection.problem
-    members = [k for k in selection.verdict.best if problem.terms[k].shown_as == cause]
-    rest = [k for k in selection.verdict.best if k not in members]
-    basis, residual = span(problem, rest)
-    score = 0.5 * problem.gains(basis, residual) / selection.inflation - found.prices
-    score[rest] = -np.inf
-    beside = {problem.terms[k].name for k in rest} - {None}
-    weight: dict[str, float] = defaultdict(float)
-    top = float(score.max())
-    if len(members) > 1:
-        left = float((span(problem, selection.verdict.best)[1] ** 2).sum())
-        own = 0.5 * (float(residual @ residual) - left) / selection.inflation
-        own -= float(sum(found.prices[k] for k in members))
-        top = max(top, own)
-        weight[cause] += float(np.exp(own - top))
-    for k in np.flatnonzero(score > top - 12.0).tolist():
-        possible = k in members or beyond_bounds(selection.data, problem, [*rest, k]) is None
-        if problem.terms[k].name not in beside and possible:
-            weight[_word(problem.terms[k])] += float(np.exp(score[k] - top))
-    total = sum(weight.values())
-    ranked = sorted(weight, key=lambda name: -weight[name])
-    names, probability, together = [], [], 0.0
-    for name in ranked:
+    """The set of one cause of the chosen model: a name, or a function without one by its covariates."""
+    share, present = votes(selection, cause)
+    names: list[str] = []
+    for name in sorted(share, key=lambda name: -share[name]):
         names.append(name)
-        probability.append(weight[name] / total)
-        together += probability[-1]
-        if together >= limits.set_level:
+        if sum(share[name] for name in names) >= limits.set_level:
             break
-    # Against nothing, which has the score 0.
-    odds = total * float(np.exp(min(top, 700.0)))
-    return CredibleSet(cause, tuple(names), tuple(probability), odds / (1 + odds))
+    return CredibleSet(cause, tuple(names), tuple(share[name] for name in names), present)
+
+
+def votes(selection: Selection, cause: str) -> tuple[dict[str, float], float]:
+    """Share of each name in the place of a cause, and the probability that there is any cause."""
+    near = selection.found.near(limits.voting)
+    top = max(near.values())
+    place = _Place.of(selection, cause)
+    weight: dict[str, float] = defaultdict(float)
+    none = 0.0
+    for model, score in near.items():
+        vote = math.exp(score - top)
+        choice = place.choice(model)
+        for word, part in choice.items():
+            weight[word] += vote * part
+        none += 0.0 if choice else vote
+    total = sum(weight.values())
+    if not total > 0:
+        return {cause: 1.0}, 0.0
+    return {word: w / total for word, w in weight.items()}, total / (total + none)
+
+
+@dataclass(frozen=True)
+class _Place:
+    """The place of a cause in the chosen model, which has the words `ours`.
+
+    `added` (rows,) is what the cause adds there, of unit length; zero where that model has no such cause.
+    """
+
+    problem: LinearProblem
+    cause: str
+    ours: frozenset[str]
+    added: Floats
+
+    @classmethod
+    def of(cls, selection: Selection, cause: str) -> _Place:
+        problem, best = selection.problem, selection.verdict.best
+        rest = [k for k in best if _word(problem.terms[k]) != cause]
+        added = span(problem, rest)[1] - span(problem, best)[1]
+        ours = frozenset(_word(problem.terms[k]) for k in best)
+        return cls(problem, cause, ours, added / max(float(np.linalg.norm(added)), 1e-300))
+
+    def choice(self, model: Model) -> dict[str, float]:
+        """What a model has in this place, with shares that sum to 1; empty where it has nothing."""
+        terms = [self.problem.terms[k] for k in model]
+        mine = [term for term in terms if _word(term) == self.cause]
+        if mine:
+            unknown = [u for u in terms if u.name is None and any(t.name and related(t, u) for t in mine)]
+            words = set(map(_word, unknown)) or {self.cause}
+            return dict.fromkeys(words, 1 / len(words))
+        fresh = [k for k in model if _word(self.problem.terms[k]) not in self.ours]
+        kept = [k for k in model if k not in fresh]
+        lost = self.ours - set(map(_word, terms))
+        if not fresh or (len(lost) > 1 and self._explained(fresh, kept) < limits.in_place):
+            return {}
+        words = {_word(self.problem.terms[k]) for k in fresh}
+        if len(words) == 1:
+            return dict.fromkeys(words, 1.0)
+        part: dict[str, float] = defaultdict(float)
+        for k in fresh:
+            part[_word(self.problem.terms[k])] += self._explained([k], kept) + 1e-12
+        return {word: share / sum(part.values()) for word, share in part.items()}
+
+    def _explained(self, fresh: Sequence[int], kept: Sequence[int]) -> float:
+        """Share of what the cause adds that some terms can add beside those that stay."""
+        basis, _ = span(self.problem, [*fresh, *kept])
+        return float(((basis.T @ self.added) ** 2).sum())
 
 
 def _word(term: Term) -> str:

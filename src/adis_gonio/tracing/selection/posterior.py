@@ -49,15 +49,24 @@ class Verdict:
     covariates: dict[tuple[str, ...], float]
 
 
+def posterior(found: Search) -> dict[Model, float]:
+    """Posterior of each model near the best by itself, however alike two of them are; sums to 1.
+
+    The most probable first.
+    """
+    near = found.near(limits.weighed)
+    ranked = sorted(near, key=lambda m: -near[m])[: limits.compared]
+    raw = {m: math.exp(near[m] - near[ranked[0]]) for m in ranked}
+    total = sum(raw.values())
+    return {m: w / total for m, w in raw.items()}
+
+
 def weigh(found: Search) -> Verdict:
     """Posterior of models, names and covariates."""
     terms = found.problem.terms
-    near = found.near(limits.weighed)
-    same = _classes(found, sorted(near, key=lambda m: -near[m])[: limits.compared])
-    top = max(near.values())
-    raw = {m: sum(math.exp(near[k] - top) for k in (m, *others)) for m, others in same.items()}
-    total = sum(raw.values())
-    weights = {m: w / total for m, w in raw.items()}
+    each = posterior(found)
+    same = _classes(found, list(each))
+    weights = {m: sum(each[k] for k in (m, *others)) for m, others in same.items()}
     names, covariates = _present(terms, weights)
     # What is reported is names and covariates: the best of these first, then the best model that has them.
     skeletons: dict[Skeleton, float] = defaultdict(float)
@@ -73,11 +82,10 @@ def without_models(verdict: Verdict, terms: Sequence[Term], impossible: Callable
     weights: dict[Model, float] = {}
     same: dict[Model, list[Model]] = {}
     for model, weight in verdict.weights.items():
-        members = [model, *verdict.same[model]]
-        standing = next((m for m in members if m == verdict.best or not impossible(m)), None)
-        if standing is not None:
-            weights[standing] = weight
-            same[standing] = [m for m in members if m != standing]
+        possible = [m for m in (model, *verdict.same[model]) if m == verdict.best or not impossible(m)]
+        if possible:
+            weights[possible[0]] = weight
+            same[possible[0]] = possible[1:]
     total = sum(weights.values())
     weights = {model: weight / total for model, weight in weights.items()}
     return Verdict(verdict.best, weights, same, *_present(terms, weights))

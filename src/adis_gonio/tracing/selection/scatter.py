@@ -5,7 +5,8 @@ readings without following anything. A variance component competes with every fu
 greatest restricted likelihood beside the base model and what was chosen, and the whole session is traced
 again under it. Of the two accounts the one of higher log evidence stands:
 
-* functions under the measured noise: L(0) of the best model less the price of its terms;
+* functions under the measured noise: L(0) of the best model less the price of its terms, or of its names
+  beside the best smooth function;
 * functions under the noise with the component: the same under s, less the price of s,
 
 L the log likelihood of the refitted model, restricted for its base parameters (Harville, J. Am. Stat.
@@ -25,6 +26,7 @@ from adis_gonio.budget import check
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
+from adis_gonio.tracing.candidates.processes import evidence, processes
 from adis_gonio.tracing.selection.select import Selection, select
 from adis_gonio.tracing.thresholds import limits
 
@@ -82,13 +84,15 @@ def with_scatter(
         size, again = _settled(data, kind, selection, terms, max_effects)
         if again is None:
             continue
-        evidence = _evidence(again) - _price(data)
-        if best is None or evidence > best[0]:
-            best = (evidence, again, kind, size)
+        score = _evidence(again) - _price(data)
+        if best is None or score > best[0]:
+            best = (score, again, kind, size)
+    if best is not None and best[0] > at_most:
+        at_most = max(at_most, _evidence_of_processes(selection))
     if best is None or best[0] <= at_most:
         return selection, None
-    evidence, chosen, kind, size = best
-    return chosen, _stated(data, kind, size, chosen, evidence - at_most)
+    score, chosen, kind, size = best
+    return chosen, _stated(data, kind, size, chosen, score - at_most)
 
 
 def _kinds(data: Readings) -> Iterator[Kind]:
@@ -106,6 +110,33 @@ def _evidence(selection: Selection) -> float:
     """Log evidence of the chosen model, but for constants."""
     prices = sum(float(selection.found.prices[k]) for k in selection.verdict.best)
     return _restricted(selection.fit, base_only=True) - prices
+
+
+def _evidence_of_processes(selection: Selection) -> float:
+    """The same of the best smooth function, where no formula need be right, beside names of the model.
+
+    Beside all of them, or none but a bias: names may have done a part of its work.
+    """
+    candidates = processes(selection.data)
+    if not candidates:
+        return -math.inf
+    named = tuple(term for term in selection.terms if term.name is not None)
+    plain = tuple(term for term in named if term.name == "bias")
+    best = -math.inf
+    for kept in dict.fromkeys((named, plain, ())):
+        fit = selection.fit.having(kept, [selection.fit.value_of(term) for term in kept]).refit()
+        rows = fit.jacobian / np.maximum(np.linalg.norm(fit.jacobian, axis=0), 1e-300)
+        u, s, _ = np.linalg.svd(rows, full_matrices=False)
+        beside = u[:, s > 1e-8 * s[0]]
+        left = fit.residual.ravel()
+        gained = evidence(fit, beside, left - beside @ (beside.T @ left), candidates)
+        prices = sum(
+            float(selection.found.prices[k])
+            for k in selection.verdict.best
+            if selection.problem.terms[k].label in {term.label for term in kept}
+        )
+        best = max(best, _restricted(fit, base_only=True) - prices + float(gained.max()))
+    return best
 
 
 def _settled(

@@ -64,11 +64,15 @@ class Selection:
         A covariate that is constant but for its noise is a second bias to the linear problem, with an
         amplitude that only its bound refuses.
         """
-        data, problem = self.data, self.problem
-        verdict = without_models(
-            self.verdict, problem.terms, lambda model: beyond_bounds(data, problem, model) is not None
-        )
-        return replace(self, verdict=verdict)
+        data, problem, found = self.data, self.problem, self.found
+        impossible = {
+            model
+            for model in found.near(limits.voting)
+            if model != self.verdict.best and beyond_bounds(data, problem, model) is not None
+        }
+        scores = {model: score for model, score in found.scores.items() if model not in impossible}
+        verdict = without_models(self.verdict, problem.terms, impossible.__contains__)
+        return replace(self, verdict=verdict, found=replace(found, scores=scores))
 
     def with_model(self, chosen: Sequence[int]) -> Selection:
         """The same with another model of the linear problem, refitted in full."""
@@ -82,7 +86,8 @@ class Selection:
         """The same with another fit in the place of the chosen one."""
         known = fit.data.noise_known
         adequate = adequacy(fit.chi2, fit.dof, fit.data.noise_dof) >= limits.adequate if known else True
-        return replace(self, fit=fit, adequate=adequate)
+        inflation = 1.0 if known and adequate else self.inflation
+        return replace(self, fit=fit, adequate=adequate, inflation=inflation)
 
 
 def adequacy(chi2: float, dof: float, noise_dof: float) -> float:

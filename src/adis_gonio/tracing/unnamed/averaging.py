@@ -10,7 +10,7 @@ place, are fitted; the mean of what they add, weighted by their evidence, is wha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -112,11 +112,23 @@ class Averaged:
 def average(selection: Selection, candidates: Sequence[Process] | None = None) -> Averaged | None:
     """Average over what may stand beside the named effects; None where nothing nameless is called for.
 
+    Where no formula is adequate a process may be: first all are weighed under the measured noise, and only
+    if their average is not adequate either under the noise that the best formula leaves. Under that noise a
+    formula that is wrong by many uncertainties would beat the process that is right.
+
     Parameters
     ----------
     candidates : sequence of Process, optional
         Processes to try; by default all.
     """
+    if selection.data.noise_known and selection.inflation > 1:
+        measured = _average(replace(selection, inflation=1.0), candidates)
+        if measured is not None and selection.with_fit(measured.fit).adequate:
+            return measured
+    return _average(selection, candidates)
+
+
+def _average(selection: Selection, candidates: Sequence[Process] | None) -> Averaged | None:
     data, terms, best = selection.data, selection.problem.terms, selection.verdict.best
     named = tuple(k for k in best if terms[k].name is not None)
     nameless = len(named) < len(best)

@@ -1,0 +1,86 @@
+"""Who votes for what in the place of a cause, on models whose scores are set by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adis_gonio import load_session
+from adis_gonio.estimation.readings import readings_of
+from adis_gonio.tracing.candidates.grammar import nameless_terms
+from adis_gonio.tracing.candidates.named import named_terms
+from adis_gonio.tracing.outcome.sets import set_of, votes
+from adis_gonio.tracing.selection.select import Selection, select
+from adis_gonio.tracing.unnamed.averaging import average
+from tracing.blind import draw, write
+from tracing.test_trace_gates import forth_and_back
+
+
+@pytest.fixture(scope="module")
+def selection() -> Selection:
+    data = readings_of(forth_and_back(k2_x=3.0))
+    return select(data, [*named_terms(data)[0], *nameless_terms(data)], 3)
+
+
+def believed(selection: Selection, weight: Mapping[tuple[str, ...], float]) -> Selection:
+    """The selection with nothing but models of these labels, the first of them chosen."""
+    number = {term.label: k for k, term in enumerate(selection.problem.terms)}
+    scores = {tuple(sorted(number[label] for label in m)): float(np.log(w)) for m, w in weight.items()}
+    verdict = replace(selection.verdict, best=next(iter(scores)))
+    return replace(selection, verdict=verdict, found=replace(selection.found, scores=scores))
+
+
+def test_a_cause_is_what_models_have_in_its_place_and_absent_where_they_have_nothing(
+    selection: Selection,
+) -> None:
+    weight = {
+        ("bias[xy]", "quadratic[x]"): 0.6,
+        ("bias[xy]", "cross_quadratic[x]"): 0.3,
+        ("bias[xy]",): 0.1,
+    }
+    share, present = votes(believed(selection, weight), "quadratic")
+    assert share == pytest.approx({"quadratic": 2 / 3, "cross_quadratic": 1 / 3})
+    assert present == pytest.approx(0.9)
+    assert set_of(believed(selection, weight), "quadratic").names == ("quadratic", "cross_quadratic")
+    assert votes(believed(selection, weight), "bias") == (pytest.approx({"bias": 1.0}), pytest.approx(1.0))
+
+
+def test_what_cannot_add_what_a_cause_adds_does_not_stand_for_it(selection: Selection) -> None:
+    dwell = next(t.label for t in selection.problem.terms if t.name == "outlier_dwell")
+    weight = {("bias[xy]", "quadratic[x]", dwell): 0.8, ("bias[xy]", "cross_quadratic[x]"): 0.2}
+    share, present = votes(believed(selection, weight), "outlier_dwell")
+    assert share == pytest.approx({"outlier_dwell": 1.0})
+    assert present == pytest.approx(0.8)
+    share, present = votes(believed(selection, weight), "quadratic")
+    assert share == pytest.approx({"quadratic": 0.8, "cross_quadratic": 0.2})
+    assert present == pytest.approx(1.0)
+
+
+def test_a_name_beside_an_unknown_function_of_its_kind_may_be_a_piece_of_that(selection: Selection) -> None:
+    unknown = next(
+        t
+        for t in selection.problem.terms
+        if t.name is None and t.covariates == ("angle",) and t.enters_angle
+    )
+    weight = {("bias[xy]", "quadratic[x]"): 0.7, ("bias[xy]", "quadratic[x]", unknown.label): 0.3}
+    share, _ = votes(believed(selection, weight), "quadratic")
+    assert share == pytest.approx({"quadratic": 0.7, "unnamed: angle": 0.3})
+
+
+def test_a_process_that_is_adequate_outweighs_formulas_that_are_not(tmp_path: Path) -> None:
+    # A smooth bias in time: the best formula, a bump, leaves 1.9 times the noise.
+    blind, samples = draw("beyond", 41, 2)
+    write(tmp_path / "session.csv", blind, samples)
+    data = readings_of(load_session(tmp_path / "session.csv")).training
+    chosen = select(data, [*named_terms(data)[0], *nameless_terms(data)], 6)
+    assert not chosen.adequate
+    averaged = average(chosen)
+    assert averaged is not None
+    final = chosen.with_fit(averaged.fit)
+    assert final.adequate
+    assert final.inflation == 1.0
+    assert averaged.smooth.covariates == ("time",)
