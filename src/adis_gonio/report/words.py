@@ -213,10 +213,13 @@ def gains(result: TraceResult) -> str:
         f"{times(before.residual_rms_mg, after.residual_rms_mg)}"
     ]
     if before.heldout_rms_mg is not None and after.heldout_rms_mg is not None:
+        left, kept = number(after.heldout_rms_mg), number(after.heldout_kept_mg)
         parts.append(
-            f"on data that took no part from {number(before.heldout_rms_mg)} to "
-            f"{number(after.heldout_rms_mg)} mg{times(before.heldout_rms_mg, after.heldout_rms_mg)}"
+            f"on data that took no part from {number(before.heldout_rms_mg)} to {left} mg"
+            f"{times(before.heldout_rms_mg, after.heldout_rms_mg)}"
         )
+        if after.heldout_kept_mg is not None and kept != left:
+            parts[-1] += f", effects chosen anew each time, or to {kept} mg with those of this model kept"
     else:
         parts.append(
             "there was too little data to leave any out, so that nothing proves this on other data"

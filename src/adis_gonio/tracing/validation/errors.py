@@ -164,7 +164,11 @@ def _figures(fit: Fit, measured: Readings, left: Sequence[Left]) -> ErrorFigures
 
 
 def _keeping(fit: Fit) -> Callable[[Readings], Chosen]:
-    return lambda rows: Chosen(fit.again(rows))
+    def kept(rows: Readings) -> Chosen:
+        again = fit.again(rows)
+        return Chosen(again, by=again)
+
+    return kept
 
 
 def _parameters(fit: Fit) -> int:
@@ -208,11 +212,11 @@ def guarding(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[floa
     designs = folds(data)
     counts = counting(data, designs, selection.terms)
     # A form that was found on all dwells knows those that are left out; an average more so.
-    anew = cross_validate(data, designs, fold.chosen_anew) if fold.averaged is not None else {}
-    counts = less_unknown(counts, anew) if anew else counts
-    for k, fit in enumerate(fits):
-        last = bool(anew) and k == len(fits) - 1
-        left = anew if last else cross_validate(data, designs, _keeping(fit))
+    final = _keeping(fits[-1]) if fold.averaged is None else fold.chosen_anew
+    every = [*(_keeping(fit) for fit in fits[:-1]), final]
+    lefts = [cross_validate(data, designs, answer) for answer in every]
+    counts = less_unknown(counts, lefts[-1])
+    for left in lefts:
         parts = counted(left, counts)
         out.append(rms(np.concatenate([part.residual_mg for part in parts]), data.planar))
     return out

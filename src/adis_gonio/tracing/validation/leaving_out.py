@@ -36,8 +36,7 @@ class Left:
     angle_rad : (n,) float or None
         Angle by the calibrated goniometer minus declared angle.
     predicted : (n,) bool
-        Dwells of which the model that was chosen without them knows where they lie; all where that is not
-        asked.
+        Dwells of which the model that was fitted without them knows where they lie.
     """
 
     residual_mg: Floats
@@ -60,13 +59,13 @@ class Chosen:
     ----------
     fit : Fit
         What predicts the dwells that are left out.
-    by : Fit or None
-        The choice by which is judged what it knows, where it was chosen anew: an average has no columns of
-        its own.
+    by : Fit
+        The one by which is judged what it knows: the choice behind an average, which has no columns of its
+        own; else the same.
     """
 
     fit: Fit
-    by: Fit | None = None
+    by: Fit
 
 
 @dataclass(frozen=True)
@@ -257,8 +256,7 @@ def cross_validate(
         for mask in masks:
             check()
             answer = fit(data.rows(~mask))
-            if answer.by is not None:
-                predicted[mask] = answer.by.foresees(data.rows(mask), limits.predicted)
+            predicted[mask] = answer.by.foresees(data.rows(mask), limits.predicted)
             left = leave(answer.fit, data.rows(mask), bounded(answer.fit))
             residual[mask] = left.residual_mg
             if left.angle_rad is not None:
@@ -278,8 +276,8 @@ def less_unknown(
     """Dwells that count, less those that a model chosen without them does not pretend to know.
 
     Without the quarter of a turn that shows it, or a fifth of a few poses, another effect is chosen that
-    fits the rest as well, and whose parameters leave the missing dwells open by many mg: its covariance
-    says so. Designs that have less than a third of the dwells left do not apply, unless none does.
+    fits the rest as well, and whose parameters leave what is missing open by many mg: its covariance says
+    so. Designs that have less than a third of the dwells left do not apply, unless none does.
     """
     out = {}
     for name, own in counts.items():
