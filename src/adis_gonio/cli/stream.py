@@ -111,10 +111,8 @@ def command(
         stack.callback(tell_the_sum)  # after a failure too: what came before it stands
         stream = stack.enter_context(open_stream(min(scans_a_line, 1024)))
         click.echo(f"{url}: {rate:.4g} samples/s, {stream.how}", err=True)
-        if stream.caveat:
-            click.echo(stream.caveat, err=True)
         begin: float | None = None
-        end = False
+        end = caveat_told = False
         try:
             for block in stream:
                 begin = float(block.time_s[0]) if begin is None else begin
@@ -122,6 +120,9 @@ def command(
                     block, end = _until(block, begin + seconds)
                 scans, lost = scans + len(block), lost + block.lost
                 dropped, alarms = dropped + block.dropped, alarms + count_alarms(block)
+                if stream.caveat and not caveat_told:  # how fast the bus is only its first block shows
+                    click.echo(stream.caveat, err=True)
+                    caveat_told = True
                 if recorder is not None:
                     if stream.caveat and not recorder.rows:
                         recorder.notes = [stream.caveat]
