@@ -38,10 +38,11 @@ SILENT_PERIODS = 20
 """Updates in a row that may fail to appear before the chip is called silent."""
 
 ALIGNABLE = 0.45
-"""Longest pass, in periods of the update, that leaves passes without news to align the columns by."""
+"""Longest pass, in periods of the update, that leaves a silence between two updates: as many reads without
+news as a pass has, behind as many with news, and a tenth to spare."""
 
 LEAST_PASSES = 4
-"""Passes in a batch: with three or more, one at least is without news."""
+"""Passes in a batch, and those that are kept for the next one: an update and its silence take three."""
 
 
 JUDGED_SCANS = 32
@@ -217,7 +218,7 @@ class PolledScans(ScanStream):
                 block = self._match(words, times)
             else:
                 self._may_mix = True
-                fresh = self._fresh(words)[:, 0]
+                fresh = (words[:, int(np.argmax(self._flags))] & ND).astype(bool)
                 block = self._counted(words[fresh], times[fresh, 0])
             if len(block):
                 self._accounted += len(block) + block.lost
@@ -262,7 +263,7 @@ class PolledScans(ScanStream):
         if not self._probed:  # a bridge may be far slower than its timing: look before a long batch
             passes, self._probed = LEAST_PASSES, True
         if self._bus.unbroken_frames is not None:
-            # A pause within a batch would hide updates from some columns and not from others.
+            # One burst a batch: the board keeps the timing within one only.
             passes = min(passes, max(1, (self._bus.unbroken_frames - 1) // len(self._frames)))
         frames = np.append(np.tile(self._frames, passes), np.uint16(IDLE))
         before, self._open = self._open, (self._open[0][:0], self._open[1][:0])
@@ -282,12 +283,6 @@ class PolledScans(ScanStream):
         times = begin_s + spare_s / 2 + took_s * np.arange(frames.size) / frames.size
         shape = (passes, len(self._frames))
         return replies[1:].reshape(shape), times[:-1].reshape(shape)
-
-    def _fresh(self, words: Words) -> NDArray[np.bool_]:
-        """Which words (passes, k) are new; a register without ND goes with the first that has it."""
-        fresh = (words & ND).astype(bool)
-        lead = fresh[:, int(np.argmax(self._flags))][:, np.newaxis]
-        return np.where(self._flags, fresh, lead)
 
     def _match(self, words: Words, times: Floats) -> ScanBlock:
         """Rows of one update each: the latest fresh words before as many reads without news as columns."""
