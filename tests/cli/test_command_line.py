@@ -281,6 +281,14 @@ def test_with_poll_data_ready_is_left_alone_by_stream_and_calibrate(capsys, tmp_
     assert facts["scanning"]["how"].startswith("data-ready is switched off for this session; polling;")
 
 
+def test_stream_says_once_and_in_the_file_that_rows_may_mix_updates(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("adis_gonio.sensor.scanning.ALIGNABLE", 0.0)  # as over a bridge that is too slow
+    out = tmp_path / "slow.csv"
+    assert main(["stream", f"{SIM}&stream=0", "--seconds", "0.5", "-o", str(out)]) == 0
+    assert capsys.readouterr().err.count("may stem from two or more neighbouring updates") == 1
+    assert "# note: scans were polled, too slowly" in out.read_text()
+
+
 def test_selftest_and_devices(capsys):
     assert main(["selftest", SIM]) == 0
     assert "passed" in capsys.readouterr().out

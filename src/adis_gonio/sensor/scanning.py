@@ -8,12 +8,12 @@ Two ways, behind one iterator of `ScanBlock`:
   count to the chip's own clock, which may differ from the nominal rate.
 
 Polling without tearing. An update may fall between two reads of one pass, so that the pass mixes two
-updates. Each *column*, however, sees every update once: ND is set by an update and cleared by the read of
-that very register. After a pass without any ND no column is ahead of another: the latest fresh words of
-all columns belong to the same update, and from there on so do the j-th ones. Columns are therefore queued
-and matched row by row; where the chip was not read for longer than an update, a batch's replies were lost,
-or a row's words are further apart in time than one, the alignment is made anew. A bus that needs more than
-a period for a pass cannot do this: there each pass is a scan, and what was missed follows from the time.
+updates. Each *column*, however, tells by ND whether an update came since it was read last: ND is set by an
+update and cleared by the read of that very register. Where as many reads in a row as there are columns find
+no news, the latest fresh words of all columns therefore belong to one update, whatever pauses lay between
+the reads before. That is a row; fresh words that are followed by others before such a silence are not
+used, and what was missed follows from the time. A bus that needs more than half a period for a pass cannot
+do this: there each pass is a scan.
 """
 
 from __future__ import annotations
@@ -38,10 +38,11 @@ SILENT_PERIODS = 20
 """Updates in a row that may fail to appear before the chip is called silent."""
 
 ALIGNABLE = 0.45
-"""Longest pass, in periods of the update, that leaves passes without news to align the columns by."""
+"""Longest pass, in periods of the update, that leaves a silence between two updates: as many reads without
+news as a pass has, behind as many with news, and a tenth to spare."""
 
 LEAST_PASSES = 4
-"""Passes in a batch: with three or more, one at least is without news."""
+"""Passes in a batch, and those that are kept for the next one: an update and its silence take three."""
 
 
 JUDGED_SCANS = 32
@@ -197,12 +198,11 @@ class PolledScans(ScanStream):
         self._flags = np.array([row.flags for row in layout.table])
         self._pass_s = len(self._frames) * bus.timing.frame_s
         self._block_scans = block_scans
-        self._aligned = False
-        self._queue_words: list[Words] = []
-        self._queue_times: list[Floats] = []
+        self._may_mix = self._late = False
+        self._open = (np.empty((0, len(self._frames)), np.uint16), np.empty((0, len(self._frames))))
         self._missed = 0.0
         self._in_bursts = bus.unbroken_frames is not None
-        self._polled_s = bus.now_s()
+        self._polled_s = -np.inf
         self._probed = False
         self._edges: int | None = 0 if counts_edges else None
         self._accounted = 0
@@ -214,12 +214,12 @@ class PolledScans(ScanStream):
         waited_from = self._bus.now_s()
         while True:
             words, times = self._poll()
-            fresh = self._fresh(words)
             if self._pass_s < ALIGNABLE * self._period_s:
-                block = self._match(words, times, fresh)
+                block = self._match(words, times)
             else:
-                self._aligned = False
-                block = self._counted(words[fresh[:, 0]], times[fresh[:, 0], 0])
+                self._may_mix = True
+                fresh = (words[:, int(np.argmax(self._flags))] & ND).astype(bool)
+                block = self._counted(words[fresh], times[fresh, 0])
             if len(block):
                 self._accounted += len(block) + block.lost
                 self._heed_counter()
@@ -232,8 +232,8 @@ class PolledScans(ScanStream):
 
     @property
     def caveat(self) -> str:
-        """That a row may hold words of two updates, where the passes are too slow to tell them apart."""
-        if self._pass_s < ALIGNABLE * self._period_s:
+        """That a row may hold words of two updates, once passes were too slow to tell them apart."""
+        if not self._may_mix:
             return ""
         return (
             "scans were polled, too slowly to tell the sensor's updates apart: the words of a row may stem"
@@ -263,13 +263,13 @@ class PolledScans(ScanStream):
         if not self._probed:  # a bridge may be far slower than its timing: look before a long batch
             passes, self._probed = LEAST_PASSES, True
         if self._bus.unbroken_frames is not None:
-            # A pause within a batch would hide updates from some columns and not from others.
+            # One burst a batch: the board keeps the timing within one only.
             passes = min(passes, max(1, (self._bus.unbroken_frames - 1) // len(self._frames)))
         frames = np.append(np.tile(self._frames, passes), np.uint16(IDLE))
-        # Replies that are lost take ND of their words with them.
-        aligned, self._aligned = self._aligned, False
+        before, self._open = self._open, (self._open[0][:0], self._open[1][:0])
         begin_s = self._bus.now_s()
-        replies = self._bus.exchange_array(frames)
+        replies = self._bus.exchange_array(frames)  # replies that are lost take ND of their words with them
+        self._open = before
         end_s = self._bus.now_s()
         took_s = end_s - begin_s
         if self._in_bursts:  # the board keeps the timing; when in the exchange the frames ran is not known
@@ -277,53 +277,37 @@ class PolledScans(ScanStream):
         else:
             self._pass_s = took_s / passes  # what the bus really took
         spare_s = end_s - begin_s - took_s
-        # Where the chip was not read for an update, columns may have missed different ones.
-        unread_s = begin_s + spare_s - self._polled_s
-        self._aligned = aligned and unread_s + self._pass_s <= self._period_s
-        self._polled_s = begin_s + took_s
+        # In bursts counts are right on the average only, and a late time does no harm.
+        self._late = not self._in_bursts and begin_s + self._pass_s - self._polled_s > self._period_s
+        self._polled_s = end_s
         times = begin_s + spare_s / 2 + took_s * np.arange(frames.size) / frames.size
         shape = (passes, len(self._frames))
         return replies[1:].reshape(shape), times[:-1].reshape(shape)
 
-    def _fresh(self, words: Words) -> NDArray[np.bool_]:
-        """Which words (passes, k) are new; a register without ND goes with the first that has it."""
-        fresh = (words & ND).astype(bool)
-        lead = fresh[:, int(np.argmax(self._flags))][:, np.newaxis]
-        return np.where(self._flags, fresh, lead)
-
-    def _match(self, words: Words, times: Floats, fresh: NDArray[np.bool_]) -> ScanBlock:
-        """Rows of the same update, by queueing each column's fresh words."""
-        count = len(self._frames)
-        start = 0
-        if not self._aligned:
-            quiet = np.flatnonzero(~fresh.any(axis=1))
-            start = int(quiet[0]) if quiet.size else len(words)
-            self._aligned = bool(quiet.size)
-            # What every column had last before a pass without news is one update's; a column that had
-            # nothing got that update in a batch before. It may be an update old, so that only a count on
-            # the average, that of bursts, bears its time.
-            had, last = fresh[:start], np.full(count, len(words))
-            if self._in_bursts and self._aligned and had.any(axis=0).all():
-                last = start - 1 - np.argmax(had[::-1], axis=0)
-            self._queue_words = [words[row : row + 1, k] for k, row in enumerate(last)]
-            self._queue_times = [times[row : row + 1, k] for k, row in enumerate(last)]
-        for k in range(count):
-            new = fresh[start:, k]
-            self._queue_words[k] = np.concatenate([self._queue_words[k], words[start:, k][new]])
-            self._queue_times[k] = np.concatenate([self._queue_times[k], times[start:, k][new]])
-        ready = min(len(queue) for queue in self._queue_words)
-        row_words = np.stack([queue[:ready] for queue in self._queue_words], axis=1)
-        row_times = np.stack([queue[:ready] for queue in self._queue_times], axis=1)
-        apart = np.flatnonzero(np.ptp(row_times, axis=1) >= self._period_s)
-        if apart.size:
-            # One column missed an update: what stands before is sound, the rest is aligned anew.
-            ready = int(apart[0])
-            self._aligned = False
-            row_words, row_times = row_words[:ready], row_times[:ready]
-        else:
-            self._queue_words = [queue[ready:] for queue in self._queue_words]
-            self._queue_times = [queue[ready:] for queue in self._queue_times]
-        return self._counted(row_words, row_times[:, 0])
+    def _match(self, words: Words, times: Floats) -> ScanBlock:
+        """Rows of one update each: the latest fresh words before as many reads without news as columns."""
+        held = len(self._open[0])
+        words, times = np.concatenate([self._open[0], words]), np.concatenate([self._open[1], times])
+        news = (words & ND).astype(bool)[:, self._flags]
+        width = news.shape[1]
+        at = np.flatnonzero(news)  # reads in their order
+        ends = np.flatnonzero(np.diff(at, append=news.size) > width)
+        # The latest fresh pass of each column up to each read with news, -1 before the first one.
+        latest = np.full((at.size, width), -1)
+        latest[np.arange(at.size), at % width] = at // width
+        latest = np.maximum.accumulate(latest, axis=0)[ends]
+        begins = np.append(0, ends[:-1] + 1)[: ends.size]
+        rows = latest[(latest >= (at[begins] // width)[:, np.newaxis]).all(axis=1)]
+        left = at[ends[-1] + 1 :] if ends.size else at
+        cut = max(left[0] // width, len(words) - LEAST_PASSES) if left.size else len(words)
+        self._open = (words[cut:], times[cut:])
+        if self._late:  # the first update was read late: by its time nothing can be counted
+            rows = rows[rows.min(axis=1, initial=len(words)) > held]
+        passes = np.empty((len(rows), len(self._frames)), np.int64)
+        passes[:, self._flags] = rows
+        passes[:, ~self._flags] = rows[:, :1]  # a register without ND goes with the first that has it
+        columns = np.arange(len(self._frames))
+        return self._counted(words[passes, columns], times[passes, columns][:, 0])
 
     def _counted(self, words: Words, time_s: Floats) -> ScanBlock:
         """Block with the updates that were missed, which the gaps in time tell."""

@@ -204,7 +204,8 @@ class Bench:
         if self._stream is not None:
             stream, self._stream = self._stream, None
             why = f"{self.why_polled}; " if self.why_polled else ""
-            self._scanning = {"how": f"{why}{stream.how}", "caveat": stream.caveat}
+            caveat = stream.caveat or (self._scanning or {}).get("caveat", "")
+            self._scanning = {"how": f"{why}{stream.how}", "caveat": caveat}
             stream.close()
 
     def move_to(self, position: Position) -> Move | None:
