@@ -87,13 +87,10 @@ def command(
             recorder = stack.enter_context(
                 SamplesRecorder(output, opened.part, gravity_mps2=gravity_mps2, title=f"stream {url}")
             )
-<<<<<<< HEAD
         show = _Show(max(1, round(every_s * opened.rate_hz)), recorder, lines=not as_json)
         stack.callback(show.tell_the_sum)  # after a failure too: what came before it stands
         stream = stack.enter_context(opened.stream(min(show.scans_a_line, 1024)))
         click.echo(f"{url}: {opened.rate_hz:.4g} samples/s, {stream.how}", err=True)
-        if stream.caveat:
-            click.echo(stream.caveat, err=True)
         with contextlib.suppress(KeyboardInterrupt):
             show.run(stream, seconds)
     if as_json:
@@ -167,48 +164,20 @@ class _Show:
         self._recorder = recorder
         self._lines = lines
         self._waiting: list[Block] = []
+        self._caveat_told = False
         self._scans = self._lost = self._dropped = self._alarms = 0
 
     def run(self, stream: SampleStream, seconds: float | None) -> None:
         """Take blocks until the time is over, the stream ends, or Ctrl-C."""
-=======
-        scans_a_line = max(1, round(every_s * rate))
-        waiting: list[Block] = []
-        scans = lost = dropped = alarms = 0
-
-        def tell_the_sum() -> None:
-            where = f", recorded in {output}" if output is not None else ""
-            besides = f", {dropped} left out without new data (ND)" if dropped else ""
-            besides += f", {alarms} with an error or alarm in STATUS (EA)" if alarms else ""
-            click.echo(f"{scans} scans, {lost} lost{besides}{where}", err=True)
-
-        stack.callback(tell_the_sum)  # after a failure too: what came before it stands
-        stream = stack.enter_context(open_stream(min(scans_a_line, 1024)))
-        click.echo(f"{url}: {rate:.4g} samples/s, {stream.how}", err=True)
->>>>>>> i10
         begin: float | None = None
-        end = caveat_told = False
+        end = False
         try:
             for block in stream:
                 begin = float(block.time_s[0]) if begin is None else begin
                 if seconds is not None:
                     block, end = _until(block, begin + seconds)
-<<<<<<< HEAD
                 self._add(block, stream.caveat)
                 held = sum(map(len, self._waiting))
-=======
-                scans, lost = scans + len(block), lost + block.lost
-                dropped, alarms = dropped + block.dropped, alarms + count_alarms(block)
-                if stream.caveat and not caveat_told:  # how fast the bus is only its first block shows
-                    click.echo(stream.caveat, err=True)
-                    caveat_told = True
-                if recorder is not None:
-                    if stream.caveat and not recorder.rows:
-                        recorder.notes = [stream.caveat]
-                    recorder.add(block)
-                waiting.append(block)
-                held = sum(map(len, waiting))
->>>>>>> i10
                 # A rest of a few scans would make a line that cannot be compared with the others.
                 full = held >= self.scans_a_line or (end and held > self.scans_a_line // 2)
                 if self._lines and full:
@@ -221,6 +190,9 @@ class _Show:
             raise
 
     def _add(self, block: Block, caveat: str) -> None:
+        if caveat and not self._caveat_told:  # how fast the bus is only its first block shows
+            click.echo(caveat, err=True)
+            self._caveat_told = True
         self._scans += len(block)
         self._lost += block.lost
         self._dropped += block.dropped
