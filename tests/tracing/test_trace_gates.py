@@ -207,6 +207,38 @@ def test_the_model_is_the_longest_that_is_not_worse_than_nothing(errors, count: 
     assert set(left.confounded) == {(name,) for name in names.stand[count:]}
 
 
+def test_stated_errors_are_compared_with_each_other_and_not_with_those_of_other_dwells() -> None:
+    names = Names(("bias", "quadratic"), {}, ())
+    errors = (2.0, 0.5, 0.1)
+    assert never_worse(names, names.stand, errors, (9.0, 4.0))[0] == 2
+    count, left, reasons = never_worse(names, names.stand, errors, (3.0, 4.0))
+    assert count == 1
+    assert left.stand == ("bias",)
+    assert reasons == {"quadratic": "the held-out error would go from 3 to 4 mg with it"}
+
+
+def test_models_with_amplitudes_that_no_part_has_take_no_share_of_the_posterior() -> None:
+    # The variance within the dwells is the same everywhere but for its own scatter: a second bias.
+    rng = np.random.default_rng(4)
+    angles = np.arange(0, 360, 15.0)
+    psi = np.radians(12.0 - angles)
+    readings = 1000 * np.stack([np.cos(psi), np.sin(psi)], axis=1) + [0.6, 0.0]
+    time = np.arange(400) * 0.01
+    dwells = tuple(
+        Dwell(k, 10.0 * k + time, readings[k] + rng.normal(0, 3.0, (400, 2)), angle_deg=float(angle))
+        for k, angle in enumerate(angles)
+    )
+    session = Session(dwells, accel_unit="mg", fixture_sigma_deg=0.003, sensor="generic")
+    data = readings_of(session).training
+    terms = [term for term in named_terms(data)[0] if term.name in {"bias", "vibration_rectification"}]
+    selection = select(data, terms, 2)
+    assert selection.verdict.names["vibration_rectification"] > 0.01
+    verdict = selection.within_bounds().verdict
+    assert "vibration_rectification" not in verdict.names
+    assert verdict.names["bias"] == pytest.approx(1.0)
+    assert sum(verdict.weights.values()) == pytest.approx(1.0)
+
+
 def test_fits_of_the_result_belong_to_its_steps_and_stay_out_of_the_json() -> None:
     result = trace(forth_and_back(k2_x=3.0))
     final = result.fits[-1]

@@ -15,7 +15,7 @@ from adis_gonio.tracing.candidates.grammar import nameless_terms, of_one_dwell
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.selection.select import select
 from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
-from adis_gonio.tracing.validation.leaving_out import counting, determined, folds
+from adis_gonio.tracing.validation.leaving_out import Left, counting, determined, folds, less_unknown
 from tracing.blind import draw, write
 from tracing.test_trace_gates import forth_and_back
 
@@ -126,3 +126,22 @@ def test_functions_with_and_without_a_constant_keep_their_own_columns() -> None:
         first = both[:, plain.axes[0], : width + 1]
         np.testing.assert_array_equal(first[:, 0], 1.0)
         np.testing.assert_array_equal(first[:, 1:], alone[:, plain.axes[0], :width])
+
+
+def test_a_dwell_that_the_model_chosen_without_it_leaves_open_counts_under_no_design() -> None:
+    known = np.array([True] * 8 + [False] * 4)
+    every = np.ones(12, dtype=bool)
+
+    def left(predicted: np.ndarray) -> Left:
+        return Left(np.zeros((12, 3)), None, predicted)
+
+    counts = {"whole dwells": every, "body axes": every}
+    rest = less_unknown(counts, {"whole dwells": left(known), "body axes": left(~known)})
+    assert set(rest) == {"whole dwells", "body axes"}
+    assert (rest["whole dwells"] == known).all()
+    few = np.arange(12) < 3
+    assert set(less_unknown(counts, {"whole dwells": left(known), "body axes": left(few)})) == {
+        "whole dwells"
+    }
+    # Where no design has a third of its dwells left, all count: an error is better than none.
+    assert less_unknown(counts, {"whole dwells": left(few), "body axes": left(few)}) == counts

@@ -147,7 +147,9 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         final = selection if averaged is None else selection.with_fit(averaged.fit)
         open_ = [*steps, *([] if scatter is None else [scatter.kind])]
         return _unfinished(final, fits, steps, figures, design, open_)
-    reported = figures[-1].heldout_rms_mg if checking is None else None
+    first_mg, last_mg = figures[0].heldout_rms_mg, figures[-1].heldout_rms_mg
+    folded = checking is None and first_mg is not None and last_mg is not None
+    reported = (first_mg or 0.0, last_mg or 0.0) if folded else None
     count, names, cut = never_worse(names, steps, errors, reported)
     if count < len(steps):
         # Longer models have their figures already; those of the shorter one hold for it as they are.

@@ -78,7 +78,10 @@ def without(names: Names, reasons: dict[str, str]) -> Names:
 
 
 def never_worse(
-    names: Names, steps: Sequence[str], errors: Sequence[float | None], reported: float | None
+    names: Names,
+    steps: Sequence[str],
+    errors: Sequence[float | None],
+    reported: tuple[float, float] | None,
 ) -> tuple[int, Names, dict[str, str]]:
     """Longest nested model whose held-out error is hardly above that of any shorter one.
 
@@ -88,8 +91,8 @@ def never_worse(
         What each model has beyond the one before.
     errors : sequence of float or None
         Held-out errors of the nested models, the base model first; effects are kept in the folds.
-    reported : float or None
-        The figure that stands in the result for the longest one.
+    reported : tuple of 2 float, optional
+        What stands in the result for the base model and for the longest one, which may be of other dwells.
 
     Returns
     -------
@@ -99,14 +102,15 @@ def never_worse(
     known = [error for error in errors if error is not None]
     if len(known) < len(errors):
         return last, names, {}
-    for count in range(last, -1, -1):
-        figure = known[count] if count < last or reported is None else max(known[count], reported)
-        if figure <= limits.worse * known[0] and known[count] <= limits.worse * min(known[: count + 1]):
-            break
+    stated_worse = reported is not None and reported[1] > limits.worse * reported[0]
+    count = last
+    while known[count] > limits.worse * min(known[: count + 1]) or (count == last > 0 and stated_worse):
+        count -= 1
     cut = set(steps) - set(steps[:count])
-    after = max(known[last], reported or 0.0)
+    before, after = min(known[: count + 1]), known[last]
+    if reported is not None and after <= limits.worse * before:
+        before, after = reported
     reasons = dict.fromkeys(
-        sorted(cut),
-        f"the held-out error would go from {min(known[: count + 1]):.3g} to {after:.3g} mg with it",
+        sorted(cut), f"the held-out error would go from {before:.3g} to {after:.3g} mg with it"
     )
     return count, without(names, reasons), reasons
