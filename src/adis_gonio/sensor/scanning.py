@@ -203,6 +203,7 @@ class PolledScans(ScanStream):
         self._missed = 0.0
         self._in_bursts = bus.unbroken_frames is not None
         self._polled_s = -np.inf
+        self._way_s = self._ask_s = np.inf
         self._probed = False
         self._edges: int | None = 0 if counts_edges else None
         self._accounted = 0
@@ -246,7 +247,10 @@ class PolledScans(ScanStream):
             return
         begin_s = self._bus.now_s()
         self._edges += self._bus.read_event_counter()
-        counted_s = (begin_s + self._bus.now_s()) / 2
+        end_s = self._bus.now_s()
+        # As late as it may have been read, where the request was repeated: see `_poll`.
+        self._ask_s = min(self._ask_s, end_s - begin_s)
+        counted_s = end_s - self._ask_s / 2
         since = (counted_s - self._last_s) / self._period_s
         ahead = self._edges - since - self._accounted - self._missed
         if self._ahead is None:
@@ -276,11 +280,13 @@ class PolledScans(ScanStream):
             took_s = min(took_s, frames.size * self._bus.timing.frame_s)
         else:
             self._pass_s = took_s / passes  # what the bus really took
-        spare_s = end_s - begin_s - took_s
+        # The least time that a frame spends on its way; what a repeated request adds does not tell when the
+        # frames ran. As early as they may have: so nothing is counted as lost before it was.
+        self._way_s = min(self._way_s, (end_s - begin_s - took_s) / frames.size)
         # In bursts counts are right on the average only, and a late time does no harm.
         self._late = not self._in_bursts and begin_s + self._pass_s - self._polled_s > self._period_s
         self._polled_s = end_s
-        times = begin_s + spare_s / 2 + took_s * np.arange(frames.size) / frames.size
+        times = begin_s + self._way_s * frames.size / 2 + took_s * np.arange(frames.size) / frames.size
         shape = (passes, len(self._frames))
         return replies[1:].reshape(shape), times[:-1].reshape(shape)
 
