@@ -58,8 +58,6 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = "src/adis_gonio"
-PRELOADED = ("numpy", "scipy.optimize", "scipy.stats")
-"""What every mutant's process would import anew."""
 
 
 @dataclass(frozen=True)
@@ -268,8 +266,8 @@ def copy_of(root: Path, into: Path) -> Path:
 class Watch:
     """Plugin of pytest that notes what each test costs and which lines of some files it runs."""
 
-    def __init__(self, files: frozenset[str]) -> None:
-        self.files = files
+    def __init__(self, names: dict[str, str]) -> None:
+        self.names = names  # of the files as the mutants have them, by their paths
         self.cost_s: dict[str, float] = defaultdict(float)
         self.lines: dict[str, set[Line]] = defaultdict(set)
         self._now: set[Line] = set()
@@ -277,7 +275,7 @@ class Watch:
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> Generator[None, None, None]:
         """What a fixture runs may be shared: it counts for every test of the file."""
-        return (yield from self._watch(item, str(item.path)))
+        return (yield from self._watch(item, _file_of(item)))
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item: pytest.Item) -> Generator[None, None, None]:
@@ -297,11 +295,15 @@ class Watch:
             self.cost_s[item.nodeid] += time.process_time() - began
 
     def _enter(self, frame: FrameType, event: str, argument: object) -> Any:
-        return self._line if frame.f_code.co_filename in self.files else None
+        return self._line if frame.f_code.co_filename in self.names else None
 
     def _line(self, frame: FrameType, event: str, argument: object) -> Any:
-        self._now.add((frame.f_code.co_filename, frame.f_lineno))
+        self._now.add((self.names[frame.f_code.co_filename], frame.f_lineno))
         return self._line
+
+
+def _file_of(item: pytest.Item) -> str:
+    return item.nodeid.partition("::")[0]
 
 
 class Choose:
@@ -318,7 +320,7 @@ class Choose:
         items[:] = [
             item
             for item in items
-            if everywhere or self.wanted & ran[item.nodeid] or self.wanted & ran[str(item.path)]
+            if everywhere or self.wanted & ran[item.nodeid] or self.wanted & ran[_file_of(item)]
         ]
         items.sort(key=lambda item: self.watch.cost_s[item.nodeid])
 
@@ -359,35 +361,48 @@ def in_a_child(work: Callable[[], int], limit_s: float, output: Path) -> int | N
 def pytest_in(room: Room, plugin: object) -> int:
     """Run the tests of a room in this process; hypothesis draws the same examples every time."""
     arguments = ["-xq", "--no-header", "--tb=line", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
-    return int(pytest.main([*arguments, *room.tests], plugins=[plugin]))
+    loaded = [
+        "-W",
+        "ignore::pytest.PytestAssertRewriteWarning",
+    ]  # libraries are imported before pytest begins
+    return int(pytest.main([*arguments, *loaded, *room.tests], plugins=[plugin]))
 
 
-def watched(copy: Path, room: Room) -> Watch:
-    """What the tests of a room cost and run on the code as it is; they have to pass."""
-    files = frozenset(
-        str(path) for folder in room.folders for path in (copy / SOURCE / folder).rglob("*.py")
-    )
-    notes, output = copy.parent / "notes.pickle", copy.parent / "output.txt"
+def watched(copy: Path, room: Room, notes: Path) -> Watch:
+    """What the tests of a room cost and run on the code as it is; they must pass. Once a session."""
+    paths = (path for folder in room.folders for path in (copy / SOURCE / folder).rglob("*.py"))
+    names = {str(path): str(path.relative_to(copy)) for path in paths}
+    output = copy.parent / "output.txt"
 
     def work() -> int:
         sys.dont_write_bytecode = False  # of the code as it is: a mutant's file is younger than this
-        watch = Watch(files)
+        watch = Watch(names)
         status = pytest_in(room, watch)
         import adis_gonio
 
         if not Path(adis_gonio.__file__).is_relative_to(copy):
             print(f"the tests ran on {adis_gonio.__file__}, not on the copy")
             return 1
-        notes.write_bytes(pickle.dumps((dict(watch.cost_s), dict(watch.lines))))
+        libraries = [name for name, module in sys.modules.items() if _outside(module, copy)]
+        notes.write_bytes(pickle.dumps((dict(watch.cost_s), dict(watch.lines), libraries)))
         return status
 
-    if in_a_child(work, 3600, output) != 0:
+    if not notes.exists() and in_a_child(work, 3600, output) != 0:
         raise SystemExit(f"the tests fail without any mutant:\n{output.read_text()[-3000:]}")
-    watch = Watch(files)
-    costs, lines = pickle.loads(notes.read_bytes())
+    watch = Watch(names)
+    costs, lines, libraries = pickle.loads(notes.read_bytes())
     watch.cost_s.update(costs)
     watch.lines.update(lines)
+    for library in libraries:  # once here, and not in the process of every mutant
+        with contextlib.suppress(ImportError):
+            importlib.import_module(library)
     return watch
+
+
+def _outside(module: object, copy: Path) -> bool:
+    """Whether a module is a library's."""
+    file = getattr(module, "__file__", None)
+    return bool(file) and "site-packages" in file and not Path(file).is_relative_to(copy)
 
 
 def tested(copy: Path, room: Room, watch: Watch, mutant: MutationSpec) -> WorkResult:
@@ -397,7 +412,7 @@ def tested(copy: Path, room: Room, watch: Watch, mutant: MutationSpec) -> WorkRe
     from cosmic_ray.work_item import TestOutcome, WorkerOutcome, WorkResult
 
     path, output = copy / mutant.module_path, copy.parent / "output.txt"
-    lines = {(str(path), line) for line in range(mutant.start_pos[0], mutant.end_pos[0] + 1)}
+    lines = {(str(mutant.module_path), line) for line in range(mutant.start_pos[0], mutant.end_pos[0] + 1)}
     limit_s = 20 + 3 * sum(watch.cost_s.values())
     with use_mutation(path, get_operator(mutant.operator_name)(), mutant.occurrence) as (before, after):
         status = in_a_child(lambda: pytest_in(room, Choose(watch, lines)), limit_s, output)
@@ -410,7 +425,9 @@ def tested(copy: Path, room: Room, watch: Watch, mutant: MutationSpec) -> WorkRe
     )
 
 
-def run(name: str, copy: Path, mutants: int, seed: int, session: Path) -> list[tuple[WorkItem, WorkResult]]:
+def run(
+    name: str, copy: Path, mutants: int, seed: int, session: Path, minutes: float
+) -> list[tuple[WorkItem, WorkResult]]:
     """Draw the mutants of a room, or take up those of a session, and run what has no result yet."""
     from cosmic_ray.work_db import WorkDB, use_db
     from cosmic_ray.work_item import WorkItem
@@ -421,8 +438,11 @@ def run(name: str, copy: Path, mutants: int, seed: int, session: Path) -> list[t
             drawn = draw(copy, room, mutants, random.Random(f"{seed} {name}"))
             base.add_work_items(WorkItem.single(uuid.uuid4().hex, mutant) for mutant in drawn)
         pending = list(base.pending_work_items)
-        watch = watched(copy, room) if pending else None
+        watch = watched(copy, room, session.with_suffix(".notes")) if pending else None
+        ends = time.monotonic() + 60 * minutes
         for item in pending:
+            if time.monotonic() > ends:
+                break
             assert watch is not None
             began = time.monotonic()
             result = tested(copy, room, watch, item.mutations[0])
@@ -434,7 +454,7 @@ def run(name: str, copy: Path, mutants: int, seed: int, session: Path) -> list[t
                 flush=True,
             )
         results = dict(base.results)
-        return [(item, results[item.job_id]) for item in base.work_items]
+        return [(item, results[item.job_id]) for item in base.work_items if item.job_id in results]
 
 
 def where_is(item: WorkItem) -> str:
@@ -463,6 +483,9 @@ def main() -> None:
     parser.add_argument("--room", choices=[*ROOMS, "all"], default="all")
     parser.add_argument("--mutants", type=int, default=60, help="sample of each room")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--minutes", type=float, default=math.inf, help="of each room; what was done by then is the sample"
+    )
     parser.add_argument("--session", type=Path, help="database to keep the results in, or to go on with")
     options = parser.parse_args()
     if options.mutants < 1:
@@ -480,16 +503,17 @@ def main() -> None:
         sys.path.insert(0, str(copy / "src"))
         os.environ["PYTHONPATH"] = str(copy / "src")  # for what tests start
         sys.dont_write_bytecode = True
-        for library in PRELOADED:
-            importlib.import_module(library)
         for name in names:
             place = session or Path(folder) / "session.sqlite"
-            done = run(name, copy, options.mutants, options.seed, place.with_stem(f"{place.stem}-{name}"))
+            place = place.with_stem(f"{place.stem}-{name}")
+            done = run(name, copy, options.mutants, options.seed, place, options.minutes)
             counts = dict.fromkeys(("killed", "timed out", "survived"), 0)
             for item, result in done:
                 counts[outcome(result)] += 1
                 if outcome(result) == "survived":
                     survivors.append((where_is(item), result.diff))
+            if not done:
+                continue
             caught = len(done) - counts["survived"]
             low, high = wilson(caught, len(done))
             tables.append(

@@ -107,7 +107,7 @@ def test_flicker_in_long_dwells_is_seen_and_bounded_where_absent():
 
 
 def one_over_f(rng, n, allan):
-    """Noise (n,) with this Allan deviation at every time: part of a longer series, so that it has no period."""
+    """Noise (n,) with this Allan deviation at every time: part of a longer series, so not periodic."""
     long = 4 * n
     frequency = np.arange(1, long // 2 + 1) / long
     lines = np.zeros(long // 2 + 1, dtype=complex)
