@@ -58,6 +58,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = "src/adis_gonio"
+UNNOTICED = {int(pytest.ExitCode.OK), int(pytest.ExitCode.NO_TESTS_COLLECTED)}
 
 
 @dataclass(frozen=True)
@@ -307,11 +308,15 @@ def _file_of(item: pytest.Item) -> str:
 
 
 class Choose:
-    """Plugin of pytest that keeps the tests that run one of some lines, the cheapest first."""
+    """Plugin of pytest that keeps the tests that run one of some lines, the cheapest first.
 
-    def __init__(self, watch: Watch, lines: set[Line]) -> None:
+    Where no test runs them, as at import, all are kept; never one that costs more than `longest_s`.
+    """
+
+    def __init__(self, watch: Watch, lines: set[Line], longest_s: float) -> None:
         self.watch = watch
         self.wanted = lines
+        self.longest_s = longest_s
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         """Choose and sort."""
@@ -320,7 +325,8 @@ class Choose:
         items[:] = [
             item
             for item in items
-            if everywhere or self.wanted & ran[item.nodeid] or self.wanted & ran[_file_of(item)]
+            if self.watch.cost_s[item.nodeid] <= self.longest_s
+            and (everywhere or self.wanted & ran[item.nodeid] or self.wanted & ran[_file_of(item)])
         ]
         items.sort(key=lambda item: self.watch.cost_s[item.nodeid])
 
@@ -405,7 +411,7 @@ def _outside(module: object, copy: Path) -> bool:
     return bool(file) and "site-packages" in file and not Path(file).is_relative_to(copy)
 
 
-def tested(copy: Path, room: Room, watch: Watch, mutant: MutationSpec) -> WorkResult:
+def tested(copy: Path, room: Room, watch: Watch, longest_s: float, mutant: MutationSpec) -> WorkResult:
     """Run the tests that run a mutant's lines on the mutant."""
     from cosmic_ray.mutating import use_mutation
     from cosmic_ray.plugins import get_operator
@@ -415,18 +421,18 @@ def tested(copy: Path, room: Room, watch: Watch, mutant: MutationSpec) -> WorkRe
     lines = {(str(mutant.module_path), line) for line in range(mutant.start_pos[0], mutant.end_pos[0] + 1)}
     limit_s = 20 + 3 * sum(watch.cost_s.values())
     with use_mutation(path, get_operator(mutant.operator_name)(), mutant.occurrence) as (before, after):
-        status = in_a_child(lambda: pytest_in(room, Choose(watch, lines)), limit_s, output)
+        status = in_a_child(lambda: pytest_in(room, Choose(watch, lines, longest_s)), limit_s, output)
     diff = "\n".join(difflib.unified_diff(before.splitlines(), after.splitlines(), lineterm="", n=0))
     return WorkResult(
         WorkerOutcome.NORMAL,
         output="timeout" if status is None else output.read_text(errors="replace"),
-        test_outcome=TestOutcome.SURVIVED if status == 0 else TestOutcome.KILLED,
+        test_outcome=TestOutcome.SURVIVED if status in UNNOTICED else TestOutcome.KILLED,
         diff=diff,
     )
 
 
 def run(
-    name: str, copy: Path, mutants: int, seed: int, session: Path, minutes: float
+    name: str, copy: Path, session: Path, options: argparse.Namespace
 ) -> list[tuple[WorkItem, WorkResult]]:
     """Draw the mutants of a room, or take up those of a session, and run what has no result yet."""
     from cosmic_ray.work_db import WorkDB, use_db
@@ -435,17 +441,17 @@ def run(
     room = ROOMS[name]
     with use_db(session, WorkDB.Mode.create) as base:
         if not base.num_work_items:
-            drawn = draw(copy, room, mutants, random.Random(f"{seed} {name}"))
+            drawn = draw(copy, room, options.mutants, random.Random(f"{options.seed} {name}"))
             base.add_work_items(WorkItem.single(uuid.uuid4().hex, mutant) for mutant in drawn)
         pending = list(base.pending_work_items)
         watch = watched(copy, room, session.with_suffix(".notes")) if pending else None
-        ends = time.monotonic() + 60 * minutes
+        ends = time.monotonic() + 60 * options.minutes
         for item in pending:
             if time.monotonic() > ends:
                 break
             assert watch is not None
             began = time.monotonic()
-            result = tested(copy, room, watch, item.mutations[0])
+            result = tested(copy, room, watch, options.longest, item.mutations[0])
             base.set_result(item.job_id, result)
             print(
                 f"{base.num_results}/{base.num_work_items} {where_is(item)} {outcome(result)}"
@@ -486,6 +492,13 @@ def main() -> None:
     parser.add_argument(
         "--minutes", type=float, default=math.inf, help="of each room; what was done by then is the sample"
     )
+    parser.add_argument(
+        "--longest",
+        type=float,
+        default=math.inf,
+        metavar="S",
+        help="leave out tests that cost more processor time: quicker, and the score a lower bound",
+    )
     parser.add_argument("--session", type=Path, help="database to keep the results in, or to go on with")
     options = parser.parse_args()
     if options.mutants < 1:
@@ -506,7 +519,7 @@ def main() -> None:
         for name in names:
             place = session or Path(folder) / "session.sqlite"
             place = place.with_stem(f"{place.stem}-{name}")
-            done = run(name, copy, options.mutants, options.seed, place, options.minutes)
+            done = run(name, copy, place, options)
             counts = dict.fromkeys(("killed", "timed out", "survived"), 0)
             for item, result in done:
                 counts[outcome(result)] += 1
