@@ -106,6 +106,46 @@ def test_flicker_in_long_dwells_is_seen_and_bounded_where_absent():
     assert (np.sqrt(without.flicker_limit) < 0.1).all()
 
 
+def one_over_f(rng, n, allan):
+    """Noise (n,) with this Allan deviation at every time: part of a longer series, so not periodic."""
+    long = 4 * n
+    frequency = np.arange(1, long // 2 + 1) / long
+    lines = np.zeros(long // 2 + 1, dtype=complex)
+    amplitude = np.sqrt(allan**2 / (4 * math.log(2)) / frequency * long / 2)
+    lines[1:] = amplitude * (rng.normal(size=long // 2) + 1j * rng.normal(size=long // 2))
+    return np.fft.irfft(lines, long)[:n]
+
+
+@pytest.mark.parametrize("n", [100, 256])
+def test_flicker_without_white_noise_is_not_taken_for_noise_that_averaging_lowers(n):
+    rng = np.random.default_rng(n)
+    found = [
+        noise_of_means([np.stack([one_over_f(rng, n, 0.5) for _ in range(2)], axis=1) for _ in range(12)])
+        for _ in range(12)
+    ]
+    shown = np.array([noise.flicker for noise in found]) / 0.5**2
+    # The three lowest ordinates of twelve dwells: each figure scatters by 1/6, their mean by 1/30.
+    # What is slower than a dwell leaks into them and adds a tenth or two.
+    assert 0.85 < shown.mean() < 1.35
+    assert shown.min() > 0.4
+    assert all((noise.flicker_limit >= noise.flicker).all() for noise in found)
+
+
+@pytest.mark.parametrize(
+    ("filter_m", "n", "too_short"),
+    [(0, 100, False), (3, 1200, False), (6, 4000, False), (4, 64, True), (5, 120, True), (6, 300, True)],
+)
+def test_a_filter_is_no_flicker_and_dwells_of_few_of_its_windows_say_that_they_are_too_short(
+    filter_m, n, too_short
+):
+    rng = np.random.default_rng(n)
+    for _ in range(8):
+        rows = [np.stack([filtered(rng, n, filter_m)[0] for _ in range(2)], axis=1) for _ in range(12)]
+        noise = noise_of_means(rows)
+        assert (noise.flicker == 0).all()
+        assert noise.too_short == too_short
+
+
 def test_the_figure_of_the_variant_is_the_floor_unless_the_dwells_exclude_it():
     rng = np.random.default_rng(6)
 

@@ -556,6 +556,29 @@ def test_an_alarm_shows_in_ea_and_status_in_words(sensor):
     assert str(sensor.status()) == "no fault, no alarm"
 
 
+@pytest.mark.parametrize("above", [True, False])
+@pytest.mark.parametrize("distance_mg", [-60.0, 60.0])
+def test_an_alarm_is_raised_on_its_own_side_of_the_threshold_only(sensor, above, distance_mg):
+    level = sensor.read_scans(100).accel_mg[:, 2].mean()
+    sensor.set_alarm(2, Alarm("ZACCL_OUT", level + distance_mg, above=above))
+    sensor.bus.sleep_s(0.1)
+    sensor.status()
+    sensor.bus.sleep_s(0.1)
+    flags = sensor.status().flags
+    assert flags["alarm2"] is (above == (distance_mg < 0))
+    assert not flags["alarm1"]
+
+
+def test_an_alarm_looks_at_up_to_255_samples_and_more_are_refused(sensor):
+    for samples in (1, 255):
+        sensor.set_alarm(1, Alarm("XACCL_OUT", 100.0, rate_samples=samples))
+        assert sensor.read("ALM_SMPL1") == samples
+    for samples in (-1, 256):
+        with pytest.raises(UsageError, match=f"rate_samples is {samples}: 0"):
+            sensor.set_alarm(1, Alarm("XACCL_OUT", 100.0, rate_samples=samples))
+    assert sensor.read("ALM_SMPL1") == 255
+
+
 def test_a_rate_alarm_stands_above_its_change_a_sample_however_many_samples_it_looks_at(sensor):
     lsb = sensor.variant.accel_mg_per_lsb
     world = sensor.bus.world

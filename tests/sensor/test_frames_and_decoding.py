@@ -67,6 +67,12 @@ def test_both_timings_keep_the_data_sheets_limits_with_their_own_clock():
         assert timing.frame_s * 1e6 - 16e6 / timing.clock_hz >= stall - 1e-9
 
 
+def test_a_bus_that_clocks_more_slowly_than_it_may_still_keeps_the_stall():
+    # Then the frame fills its period, and nothing but the stall that was asked for is left between frames.
+    for timing, stall_us in ((FAST, 9), (NORMAL, 75)):
+        assert timing.stall_us >= stall_us
+
+
 @given(st.lists(st.integers(0, 0xFFFF), min_size=len(OUTPUTS), max_size=len(OUTPUTS)))
 def test_the_vectorised_decoder_agrees_with_the_table_row_by_row(words):
     array = np.array([words], np.uint16)

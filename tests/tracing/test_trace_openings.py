@@ -1,0 +1,188 @@
+"""What an inadequate model leaves: names that could explain it, covariates that it follows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from adis_gonio.tracing.outcome.openings import undecided
+from adis_gonio.tracing.selection.design import LinearProblem
+from adis_gonio.tracing.unnamed.dependence import dependence
+from tracing.test_trace_engine import observations
+
+
+def left_by(target: np.ndarray, columns=(), names=(), best=(), data=None) -> SimpleNamespace:
+    """A selection whose candidates are single columns, and whose model leaves `target`."""
+    blocks = [np.asarray(column) / np.linalg.norm(column) for column in columns]
+    k = len(blocks)
+    problem = LinearProblem(
+        terms=tuple(
+            name if isinstance(name, SimpleNamespace) else SimpleNamespace(name=name, dwell=None)
+            for name in names
+        ),
+        columns=np.stack(blocks, axis=1) if blocks else np.zeros((len(target), 0)),
+        first=np.arange(k),
+        width=np.ones(k, dtype=np.intp),
+        target=target,
+        dof=len(target),
+        back=(),
+        hidden=(),
+        cost=np.zeros(k),
+        column_price=np.zeros(k),
+    )
+    return SimpleNamespace(problem=problem, verdict=SimpleNamespace(best=best), data=data)
+
+
+class TestNamesThatCouldExplainIt:
+    rows = 40
+
+    def draw(self, seed: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+        rng = np.random.default_rng(seed)
+        return rng.normal(size=self.rows), np.linalg.qr(rng.normal(size=(self.rows, columns)))[0].T
+
+    def test_the_one_that_does_is_said_and_those_that_do_not_are_not(self) -> None:
+        noise, columns = self.draw(1, 3)
+        target = noise + 12 * columns[1]
+        assert undecided(left_by(target, columns, ("bias", "cubic", "warm_up"))) == ("cubic",)
+
+    def test_names_of_one_column_are_both_said_and_a_far_less_likely_one_is_not(self) -> None:
+        noise, columns = self.draw(2, 2)
+        target = 0.3 * noise + 6 * columns[0] + 3 * columns[1]
+        chosen = [columns[1], columns[0], columns[0]]
+        p_of_the_worse = stats.pearsonr(columns[1], target).pvalue
+        assert p_of_the_worse < 0.05, "alone it would be said"
+        assert set(undecided(left_by(target, chosen, ("worse", "one", "other")))) == {"one", "other"}
+
+    def test_a_name_up_to_ten_times_less_likely_is_as_good(self) -> None:
+        # Orthogonal columns of χ² s² of 40 leave 40 − s²; a likelihood ratio is the ratio of what is left
+        # to the power of half the degrees of freedom.
+        columns = np.eye(self.rows)
+        for ratio, said in ((8.0, ("first", "second")), (12.5, ("first",))):
+            left = 24.0 * ratio ** (2 / self.rows)
+            target = np.full(self.rows, 0.0)
+            target[0], target[1] = np.sqrt(40 - 24.0), np.sqrt(40 - left)
+            rest = 40 - target @ target
+            target[2:] = np.sqrt(rest / (self.rows - 2))
+            assert undecided(left_by(target, columns[:2], ("first", "second"))) == said
+            assert undecided(left_by(target, columns[1::-1], ("second", "first"))) == said
+
+    def test_the_best_variant_of_a_name_counts_and_no_name_comes_twice(self) -> None:
+        noise, columns = self.draw(3, 3)
+        target = noise + 10 * columns[0]
+        variants = (columns[2], columns[0], columns[1])
+        assert undecided(left_by(target, variants, ("lag", "lag", "lag"))) == ("lag",)
+
+    def test_what_the_model_holds_what_has_no_name_and_single_dwells_are_not_said(self) -> None:
+        noise, columns = self.draw(4, 2)
+        target = noise + 12 * columns[0]
+        held = replace_model(left_by(target, [columns[1], columns[0]], ("quadratic", "quadratic")), (0,))
+        assert undecided(held) == ()
+        assert undecided(left_by(target, [columns[0]], (None,))) == ()
+        dwell = SimpleNamespace(name="outlier_dwell", dwell=3)
+        assert undecided(left_by(target, [columns[0]], (dwell,))) == ()
+
+    def test_no_more_names_than_asked_for_and_the_most_likely_first(self) -> None:
+        noise, columns = self.draw(5, 1)
+        target = noise + 12 * columns[0]
+        tilted = [columns[0] + 0.002 * k * noise / np.linalg.norm(noise) for k in (3, 1, 4, 0, 2, 6, 5)]
+        names = ("n3", "n1", "n4", "n0", "n2", "n6", "n5")
+        selection = left_by(target, tilted, names)
+        by_fit = sorted(
+            names, key=lambda name: -abs(target @ selection.problem.columns[:, names.index(name)])
+        )
+        assert undecided(selection) == tuple(by_fit[:5])
+        assert undecided(selection, 2) == tuple(by_fit[:2])
+
+    def test_in_noise_of_any_size_a_name_is_said_once_in_ten(self) -> None:
+        rng = np.random.default_rng(6)
+        column = np.zeros(8)
+        column[0] = 1.0
+        said = [
+            bool(undecided(left_by(10.0 ** rng.uniform(-3, 3) * rng.normal(size=8), [column], ("bias",))))
+            for _ in range(2000)
+        ]
+        assert np.mean(said) == pytest.approx(0.1, abs=3 * np.sqrt(0.09 / 2000))
+
+    def test_without_a_degree_of_freedom_to_judge_by_nothing_is_said(self) -> None:
+        assert undecided(left_by(np.array([5.0]), [np.ones(1)], ("bias",))) == ()
+        assert undecided(left_by(np.ones(4))) == ()
+
+
+def replace_model(selection: SimpleNamespace, best: tuple[int, ...]) -> SimpleNamespace:
+    return SimpleNamespace(
+        problem=selection.problem, verdict=SimpleNamespace(best=best), data=selection.data
+    )
+
+
+class TestCovariatesThatItFollows:
+    def residual(self, follows=None, n: int = 36, seed: int = 0, data=None) -> SimpleNamespace:
+        data = observations(n=n) if data is None else data
+        rows = np.random.default_rng(seed).normal(size=(len(data), 2))
+        if follows is not None:
+            rows = rows + follows(data.conditions)
+        return left_by(rows.ravel(), data=data)
+
+    @pytest.mark.parametrize(
+        ("name", "follows"),
+        [
+            ("temperature", lambda c: 4 * np.sin((c.temperature_c[:, None] - 30) / 2)),
+            ("supply", lambda c: 4 * np.tanh(15 * (c.supply_v[:, None] - 5))),
+            ("time", lambda c: 4 * np.sign(c.time_s[:, None] - 1000)),
+            ("angle", lambda c: 4 * np.cos(2 * c.angle_rad[:, None] + 1)),
+            ("previous_angle", lambda c: 4 * np.cos(c.previous_angle_rad[:, None] + 1)),
+            ("approach", lambda c: 3 * c.approach[:, None]),
+        ],
+    )
+    def test_the_one_it_follows_is_said_alone_with_the_share_that_it_explains(self, name, follows) -> None:
+        found = dependence(self.residual(follows))
+        assert found is not None
+        assert found.covariates == (name,)
+        assert name in found.form
+        assert found.probability is None
+        # One in 400 permutations, times six covariates and fifteen pairs of them.
+        assert found.p_value == pytest.approx(21 / 400)
+        assert 0.8 < found.explains <= 1
+
+    def test_a_function_of_two_is_said_with_both(self) -> None:
+        def saddle(c):
+            return 5 * np.sign((c.temperature_c - 30) * (c.supply_v - 5))[:, None]
+
+        found = dependence(self.residual(saddle, n=72))
+        assert found is not None
+        assert set(found.covariates) == {"temperature", "supply"}
+        assert " and " in found.form
+
+    def test_noise_follows_nothing(self) -> None:
+        said = [dependence(self.residual(seed=seed)) for seed in range(25)]
+        assert said == [None] * 25  # 21 covariates and pairs of them at about 1 in 1000 each
+
+    def test_a_scatter_of_single_dwells_follows_nothing(self) -> None:
+        # The two axes of a dwell agree, but dwells of like covariates do not.
+        scatter = np.random.default_rng(8).normal(0, 5, (36, 1))
+        assert dependence(self.residual(lambda c: scatter)) is None
+
+    def test_what_was_not_recorded_or_stood_still_is_not_said(self) -> None:
+        data = observations(n=36)
+        still = replace(
+            data,
+            conditions=replace(
+                data.conditions, temperature_c=np.full(36, 25.0), supply_v=None, approach=None,
+                previous_angle_rad=None,
+            ),
+        )  # fmt: skip
+        clock = data.conditions.temperature_c[:, None]
+        found = dependence(self.residual(lambda c: 4 * np.sin((clock - 30) / 2), data=still))
+        assert found is not None
+        assert found.covariates == ("time",)
+        assert found.p_value == pytest.approx(3 / 400)  # time, angle and the two of them
+
+    def test_seven_dwells_are_too_few_to_say_anything_by(self) -> None:
+        def halves(c):
+            return 40 * np.sign(c.time_s[:, None] - c.time_s.mean() - 1)
+
+        assert dependence(self.residual(halves, n=7)) is None
+        assert dependence(self.residual(halves, n=12)).covariates == ("time",)
