@@ -569,10 +569,13 @@ def test_an_alarm_is_raised_on_its_own_side_of_the_threshold_only(sensor, above,
     assert not flags["alarm1"]
 
 
-def test_an_alarm_looks_at_up_to_255_samples_and_more_are_refused(sensor):
+def test_an_alarm_looks_at_up_to_255_samples_filtered_if_asked_and_more_are_refused(sensor):
     for samples in (1, 255):
         sensor.set_alarm(1, Alarm("XACCL_OUT", 100.0, rate_samples=samples))
         assert sensor.read("ALM_SMPL1") == samples
+        assert not BY_NAME["ALM_CTRL"].field("filtered").of(sensor.read("ALM_CTRL")), "unless asked for"
+    sensor.set_alarm(1, Alarm("XACCL_OUT", 100.0, rate_samples=255, filtered=True))
+    assert BY_NAME["ALM_CTRL"].field("filtered").of(sensor.read("ALM_CTRL"))
     for samples in (-1, 256):
         with pytest.raises(UsageError, match=f"rate_samples is {samples}: 0"):
             sensor.set_alarm(1, Alarm("XACCL_OUT", 100.0, rate_samples=samples))
