@@ -90,9 +90,6 @@ class Limits:
 
     # Choice
     adequate: float = number(0.01, "level", "level of the test of adequacy")
-    significant: float = number(
-        0.01, "level", "largest p, over its share of the prior, of what is found", off=1.0
-    )
     certain: float = number(0.55, "chosen", "posterior from which a name is called found", off=0.0)
     told: float = number(
         2.0, "level", "standard uncertainties by which a value differs from zero (95 %)", off=0.0
@@ -105,9 +102,6 @@ class Limits:
         "chosen",
         "share of the excess from which a bias is taken out first: five times what varies",
         off=1.0,
-    )
-    constant_apart: float = number(
-        3.0, "chosen", "a function's constant over half its range, from which it holds a bias", off=INFINITE
     )
     scatter_ratio: float = number(
         0.5, "chosen", "least scatter in u of a reading: less changes no weight", off=0.0
@@ -133,17 +127,7 @@ class Limits:
         off=1e6,
     )
     least_choice: int = number(9, "chosen", "least dwells for choosing anew without some of them", off=0)
-    least_dwells: int = number(5, "chosen", "least dwells for judging single effects by folds", off=0)
     least_checks: int = number(2, "chosen", "least degrees of freedom left for any name but bias", off=0)
-    robust: float = number(3.0, "chosen", "u from which the folds' loss leaves the square", off=1e6)
-    contradicted: float = number(
-        1.0, "chosen", "spreads below zero from which folds contradict", off=INFINITE
-    )
-    least_loss: float = number(4.0, "derived", "least χ² that contradicts: one u of two columns", off=0.0)
-    small_loss: float = number(
-        0.05, "chosen", "loss under a design that is nothing against another's gain", off=0.0
-    )
-    confirmed: float = number(1.5, "chosen", "spreads above zero from which folds confirm", off=-INFINITE)
     worse: float = number(1.05, "chosen", "largest growth of the left-out error by an effect", off=INFINITE)
 
     # What is said

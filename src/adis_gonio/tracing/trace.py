@@ -27,7 +27,7 @@ from adis_gonio.tracing.outcome.findings import (
     told_from_zero,
     unnamed_of,
 )
-from adis_gonio.tracing.outcome.naming import Names, judge
+from adis_gonio.tracing.outcome.naming import judge
 from adis_gonio.tracing.outcome.openings import undecided
 from adis_gonio.tracing.outcome.result import ErrorFigures, Measurement, Step, Stopped, TraceResult
 from adis_gonio.tracing.outcome.sets import credible_sets
@@ -37,7 +37,7 @@ from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.unnamed.averaging import average
 from adis_gonio.tracing.validation.checked import unexpected
 from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order, without_folds
-from adis_gonio.tracing.validation.survival import checkable, never_worse, surviving, without
+from adis_gonio.tracing.validation.survival import checkable, never_worse, without
 
 UNCHECKED = "the time limit ended the trace before this was checked"
 """Reason of whatever is in a model that was not validated."""
@@ -118,29 +118,25 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
     if scatter is not None:
         data = scatter.applied(data)
         checking = data.checking
-    chosen, judged = selection, checkable(judge(selection), selection)
-    unjudged: tuple[Selection, Names, dict[str, str]] = (chosen, judged, {})
-    selection, names, dropped = attempt(
-        "each effect on left-out dwells", lambda: surviving(chosen, judged), unjudged
-    )
+    names = checkable(judge(selection), selection)
     if scatter is not None or not selection.adequate:
         could = undecided(selection)
         if len(could) > 1:
             names = replace(names, confounded=(*names.confounded, could))
 
-    survived = selection
-    averaged = attempt("the average of functions without a name", lambda: average(survived), None)
+    chosen = selection
+    averaged = attempt("the average of functions without a name", lambda: average(chosen), None)
     fold = Fold.of(selection, terms, averaged, max_effects)
     fits, steps = in_order(selection, averaged)
     figures, design = attempt(
         "the error on left-out dwells, effects chosen anew",
-        lambda: error_figures(survived, measured, checking, fits, fold),
+        lambda: error_figures(chosen, measured, checking, fits, fold),
         without_folds(fits, measured, checking),
     )
     unguarded: list[float | None] = [None for _ in fits]
     errors = attempt(
         "the choice of the longest model that is never worse",
-        lambda: guarding(survived, fits, fold),
+        lambda: guarding(chosen, fits, fold),
         unguarded,
     )
     if current().left_out:
@@ -156,16 +152,12 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         fits, steps, figures = fits[: count + 1], steps[:count], figures[: count + 1]
         kept = [k for k in selection.verdict.best if selection.problem.terms[k] in fits[-1].terms]
         selection = selection.with_model(kept)
-        dropped, averaged = {**dropped, **cut}, None
+        averaged = None
     final = selection if averaged is None else selection.with_fit(averaged.fit)
     findings = [finding_of(final, name) for name in names.stand]
-    weak = {
-        finding.effect: f"its own test beside the others is p = {finding.p_value:.2g}"
-        for finding in findings
-        if finding.p_value > limits.significant
-    }
+    weak: dict[str, str] = {}
     if figures[-1].heldout_rms_mg is None:
-        weak |= {
+        weak = {
             finding.effect: "no dwell could be left out to check it by"
             for finding in findings
             if finding.effect != "bias"
@@ -209,7 +201,7 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         measurements=measurements,
         rivals=rivals_of(selection),
         base=base_of(final),
-        reasons={**names.open, **dropped},
+        reasons={**names.open, **cut},
         notes=tuple(notes),
         heldout_design=design,
         fits=(*fits[:-1], final.fit),

@@ -145,8 +145,6 @@ def select(
             found, inflation = _inflated(data, problem, found, max_terms, beam, assumed)
             verdict = weigh(found)
             dropped = _impossible(data, problem, verdict)
-            if not dropped and _constant_apart(data, problem, verdict.best):
-                dropped = {t.label for t in terms if _with_constant(t)}
             if not dropped:
                 break
             terms = [term for term in terms if term.label not in dropped]
@@ -306,19 +304,6 @@ def _steepest_mg(data: Readings, term: Term) -> float:
         bound = effect(name).parameters[0].high
         total += limits.steepest * bound * float(np.ptp(data.conditions.covariate(rows)))
     return total if term.covariates else np.inf
-
-
-def _constant_apart(data: Readings, problem: LinearProblem, chosen: Sequence[int]) -> bool:
-    """True where a term's constant is far larger than what varies with it: it is then a bias beside it."""
-    for k, own in zip(chosen, amplitudes(problem, chosen), strict=True):
-        term = problem.terms[k]
-        if not isinstance(term, NamelessTerm) or not _with_constant(term):
-            continue
-        added = term.added(term.start(own), data.mean_mg, data.conditions)[:, list(term.axes)]
-        middle = (added.max(axis=0) + added.min(axis=0)) / 2
-        if (np.abs(middle) > limits.constant_apart * np.ptp(added, axis=0) / 2).any():
-            return True
-    return False
 
 
 def _inflated(

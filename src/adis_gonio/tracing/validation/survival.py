@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from adis_gonio.tracing.outcome.naming import Names
-from adis_gonio.tracing.outcome.sets import set_of
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.thresholds import limits
-from adis_gonio.tracing.validation.gains import contradicting, held_out_gains
 
 
 def checkable(names: Names, selection: Selection) -> Names:
@@ -23,51 +21,6 @@ def checkable(names: Names, selection: Selection) -> Names:
     open_ = [name for name in names.stand if name != "bias"]
     reasons = dict.fromkeys(open_, f"the model leaves {dof} readings to check it by: too few")
     return without(replace(names, open={**names.open, **reasons}), reasons)
-
-
-def surviving(selection: Selection, names: Names) -> tuple[Selection, Names, dict[str, str]]:
-    """Take away effects that held-out dwells contradict, the worst first, each judged beside the others.
-
-    Uncertain names go as well where dwells do not confirm them.
-    """
-    reasons: dict[str, str] = {}
-    if len(selection.data) < limits.least_dwells:
-        return selection, names, reasons
-    while selection.terms:
-        worst: tuple[float, str, str] | None = None
-        for name in dict.fromkeys(term.shown_as for term in selection.terms):
-            members = [k for k, term in enumerate(selection.terms) if term.shown_as == name]
-            gains = held_out_gains(selection.fit, members, selection.inflation)
-            for design, held_out in contradicting(gains).items():
-                if worst is None or held_out.gain < worst[0]:
-                    worst = (held_out.gain, name, design)
-        if worst is None:
-            break
-        gain, name, design = worst
-        reasons[name] = f"contradicted by dwells that took no part ({design}: χ² rises by {-gain:.1f})"
-        kept = [k for k in selection.verdict.best if selection.problem.terms[k].shown_as != name]
-        selection = selection.with_model(kept)
-    selection, unconfirmed = _confirmed(selection, names)
-    return selection, without(names, reasons), {**reasons, **unconfirmed}
-
-
-def _confirmed(selection: Selection, names: Names) -> tuple[Selection, dict[str, str]]:
-    """Take uncertain effects out of the model where neither the folds nor adequacy ask for them."""
-    reasons: dict[str, str] = {}
-    for name in names.open:
-        if selection.verdict.names.get(name, 0.0) >= limits.certain or not selection.adequate:
-            continue
-        members = [k for k, term in enumerate(selection.terms) if term.name == name]
-        if not members or set_of(selection, name).present >= limits.present:
-            continue  # which name it has is open, that there is something is not
-        gains = held_out_gains(selection.fit, members, selection.inflation)
-        weak = [design for design, held_out in gains.items() if not held_out.confirmed]
-        kept = [k for k in selection.verdict.best if selection.problem.terms[k].name != name]
-        trial = selection.with_model(kept) if weak else selection
-        if weak and trial.adequate:
-            selection = trial
-            reasons[name] = f"{names.open[name]}, and dwells that took no part do not confirm it"
-    return selection, reasons
 
 
 def without(names: Names, reasons: dict[str, str]) -> Names:
