@@ -152,9 +152,10 @@ def test_a_wavy_zero_is_unnamed_and_its_held_out_error_falls_towards_the_noise(s
     assert result.after.heldout_rms_mg < 0.5 * result.before.heldout_rms_mg
 
 
-def test_a_lean_that_follows_temperature_is_said_to_be_one() -> None:
+def test_a_lean_that_follows_temperature_by_no_line_is_said_to_be_one() -> None:
     def lean(c, ideal):
-        return np.column_stack([np.zeros(len(ideal)), 0.12 * (c.temperature_c - 25) * ideal[:, 0]])
+        # A line would be `misalignment_temperature`.
+        return np.column_stack([np.zeros(len(ideal)), 0.5 * np.sin(c.temperature_c - 25) * ideal[:, 0]])
 
     result = trace_readings(observations(added=lean, n=36))
     assert not result.found

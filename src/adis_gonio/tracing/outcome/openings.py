@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from collections import defaultdict
 
 from adis_gonio.tracing.selection.design import LinearProblem, span
 from adis_gonio.tracing.selection.select import Selection
@@ -13,8 +14,8 @@ def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
     """Names that, added alone, take a significant part of an inadequate model's residual (F-test at 10 %).
 
     The noise is then the residual itself, since what was measured within the dwells does not explain it.
-    Where one does, others count that are nearly as likely. The best variant of each
-    name counts; the most likely comes first. None of them is claimed.
+    Where one does, others count that are nearly as likely, all variants of a name together and each by its
+    share of the prior. The most likely comes first. None of them is claimed.
     """
     from scipy import stats
 
@@ -23,21 +24,20 @@ def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
     chi2 = float(residual @ residual)
     dof = problem.dof - basis.shape[1]
     gains = problem.gains(basis, residual)
-    best: dict[str, tuple[float, float]] = {}
+    likely: dict[str, float] = defaultdict(float)
+    least_p = 1.0
     inside = {problem.terms[k].name for k in selection.verdict.best}
     for k, term in enumerate(problem.terms):
         width = int(problem.width[k])
         if term.name is None or term.name in inside or term.dwell is not None or dof - width < 1:
             continue
-        left = max(chi2 - float(gains[k]), 1e-12)
+        left = max(chi2 - float(gains[k]), 1e-12 * chi2)
         p = float(stats.f.sf(float(gains[k]) / width / (left / (dof - width)), width, dof - width))
-        best[term.name] = min(best.get(term.name, (np.inf, np.inf)), (p, left))
-    if not best or min(best.values())[0] >= limits.open_level:
+        least_p = min(least_p, p)
+        price = float(problem.cost[k] + problem.column_price[k])
+        likely[term.name] += math.exp(-0.5 * dof * math.log(left / chi2) - price)
+    if least_p >= limits.open_level:
         return ()
-    least = min(left for _, left in best.values())
-    alike = {
-        name: p
-        for name, (p, left) in best.items()
-        if 0.5 * dof * np.log(left / least) < np.log(limits.open_alike)
-    }
-    return tuple(sorted(alike, key=lambda name: alike[name])[:count])
+    most = max(likely.values())
+    alike = [name for name, odds in likely.items() if odds * limits.open_alike > most]
+    return tuple(sorted(alike, key=lambda name: -likely[name])[:count])
