@@ -231,6 +231,17 @@ def table(rows: Iterable[str]) -> str:
     return "\n".join([head, "|" + "---|" * 9, *rows])
 
 
+def numbers() -> str:
+    """The numbers of the trace with their origins, as Markdown."""
+    rows = ["| number | value | off | origin | what it is |", "|---|---|---|---|---|"]
+    for field in dataclasses.fields(Limits):
+        off = field.metadata["off"]
+        shown = "" if off is None else _number(off).replace("inf", "∞")
+        words = f"{field.metadata['origin']} | {field.metadata['why']}"
+        rows.append(f"| `{field.name}` | {_number(field.default)} | {shown} | {words} |")
+    return "\n".join(rows)
+
+
 def main() -> int:
     """Run and print."""
     parser = argparse.ArgumentParser(
@@ -241,8 +252,12 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--rules", default="", help="names, by default every rule")
-    parser.add_argument("--work", type=Path, required=True, help="folder of sessions and answers")
+    parser.add_argument("--work", type=Path, default=Path("/tmp/ablation"), help="sessions and answers")
+    parser.add_argument("--numbers", action="store_true", help="only print the table of the numbers")
     options = parser.parse_args()
+    if options.numbers:
+        print(numbers())
+        return 0
     wanted = [rule for rule in options.rules.split(",") if rule] or list(RULES)
     unknown = [rule for rule in wanted if rule not in RULES]
     if unknown:

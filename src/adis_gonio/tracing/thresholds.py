@@ -95,7 +95,7 @@ class Limits:
         2.0, "level", "standard uncertainties by which a value differs from zero (95 %)", off=0.0
     )
     present: float = number(
-        0.9, "level", "probability that there is any cause, from which one stays in the model", off=0.0
+        0.9, "level", "probability that there is any cause, from which a set is shown", off=0.0
     )
     mostly_bias: float = number(
         0.97,
