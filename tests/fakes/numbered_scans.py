@@ -15,6 +15,7 @@ from adis_gonio.sim.sampling import OUTPUTS, Sampler, Updates
 
 WRAP = 1 << 14
 """Updates after which the words of a column come again: 20 s at the full rate."""
+RATE_HZ = 819.2
 DATA = WRAP - 1
 _FACTORS = {row.name: 4 * k + 5 for k, row in enumerate(OUTPUTS)}
 """Odd ones: each word alone tells its update, and words of one column in another tell a wrong one."""
@@ -79,23 +80,27 @@ class Judge:
     slack: int | None = 0
     found: Counter = field(default_factory=Counter)
     off: int = 0
-    _last: int | None = None
+    _last: tuple[int, float] | None = None
 
     def look(self, block: ScanBlock) -> None:
         """Take the next block."""
         inverse = [pow(_FACTORS[name], -1, WRAP) for name in self.names]
         told = (block.words & DATA).astype(np.int64) * np.array(inverse) & DATA
-        steps = np.diff(told[:, 0], prepend=told[0, 0] - 1 if self._last is None else self._last) & DATA
+        last, last_s = self._last or (int(told[0, 0]) - 1, block.time_s[0])
+        steps = np.diff(told[:, 0], prepend=last)
+        # Times tell how often the words came round meanwhile, as after some time-outs in a row.
+        expected = np.diff(block.time_s, prepend=last_s) * RATE_HZ
+        steps += WRAP * np.rint((expected - steps) / WRAP).astype(np.int64)
         self.found["scans"] += len(told)
         self.found["lost"] += block.lost
         self.found["mixed"] += int((told != told[:, :1]).any(axis=1).sum())
-        self.found["backwards"] += int(((steps == 0) | (steps > WRAP // 2)).sum())
+        self.found["backwards"] += int((steps <= 0).sum())
         if self._last is not None:  # what is lost before the first block its words cannot tell
             gone = int((steps - 1).sum())
             self.off += gone - block.lost - block.dropped
             self.found["wrong counts"] += self.slack is not None and abs(self.off) > self.slack
             self.found["gaps"] += gone > 0
-        self._last = int(told[-1, 0])
+        self._last = (int(told[-1, 0]), float(block.time_s[-1]))
 
     @property
     def sound(self) -> bool:
