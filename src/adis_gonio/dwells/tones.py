@@ -126,13 +126,8 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
     step = density.frequency[1] / period
     about = density.frequency[peak.at] / period
 
-    showing = list(zip(times, rows, weight, strict=True))
-    if peak.dwell is not None:
-        near = slice(peak.at - PADDING, peak.at + PADDING + 1)
-        height = density.power[:, near] / density.level[:, None, :] / density.bound[None, near]
-        shown = height.max(axis=(1, 2)) > -np.log(LEVEL / height.size)
-        shown[peak.dwell] = True
-        showing = [showing[k] for k in np.flatnonzero(shown).tolist()]
+    every = list(zip(times, rows, weight, strict=True))
+    showing = [every[k] for k in _showing(density, peak)]
 
     def power(frequency: float) -> float:
         total = 0.0
@@ -202,6 +197,17 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         view=_view(density, period, axes[0], samples.letters[axes[0]], frequency),
     )
     return finding, samples.with_values(values)
+
+
+def _showing(density: Density, peak: _Peak) -> list[int]:
+    """Numbers of the dwells that show a peak: all, where it was found in all of them together."""
+    if peak.dwell is None:
+        return list(range(len(density.dwells)))
+    near = slice(peak.at - PADDING, peak.at + PADDING + 1)
+    height = density.power[:, near] / density.level[:, None, :] / density.bound[None, near]
+    shown = height.max(axis=(1, 2)) > -np.log(LEVEL / height.size)
+    shown[peak.dwell] = True
+    return [int(k) for k in np.flatnonzero(shown)]
 
 
 def aliases_hz(frequency_hz: float, rate_hz: float) -> tuple[float, ...]:

@@ -29,7 +29,7 @@ from adis_gonio.tracing.outcome.findings import (
 )
 from adis_gonio.tracing.outcome.naming import judge
 from adis_gonio.tracing.outcome.openings import undecided
-from adis_gonio.tracing.outcome.result import ErrorFigures, Measurement, Step, Stopped, TraceResult
+from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, Measurement, Step, Stopped, TraceResult
 from adis_gonio.tracing.outcome.sets import credible_sets
 from adis_gonio.tracing.selection.scatter import Scatter, with_scatter
 from adis_gonio.tracing.selection.select import Selection, select
@@ -106,15 +106,7 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
     named, missing = named_terms(training)
     terms: list[Term] = [*named, *nameless_terms(training)]
     measured = training
-    current().tell("the search for effects")
-    first = select(training, terms, max_effects)
-    if spent():
-        current().leave_out("the end of the search for effects")
-    plain: tuple[Selection, Scatter | None] = (first, None)
-    selection, scatter = attempt(
-        "scatter from dwell to dwell as a cause", lambda: with_scatter(first, terms, max_effects), plain
-    )
-    selection = selection.within_bounds()
+    selection, scatter = _searched(training, terms, max_effects)
     if scatter is not None:
         data = scatter.applied(data)
         checking = data.checking
@@ -143,9 +135,7 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         final = selection if averaged is None else selection.with_fit(averaged.fit)
         open_ = [*steps, *([] if scatter is None else [scatter.kind])]
         return _unfinished(final, fits, steps, figures, design, open_)
-    first_mg, last_mg = figures[0].heldout_rms_mg, figures[-1].heldout_rms_mg
-    folded = checking is None and first_mg is not None and last_mg is not None
-    reported = (first_mg or 0.0, last_mg or 0.0) if folded else None
+    reported = _reported(figures) if checking is None else None
     count, names, cut = never_worse(names, steps, errors, reported)
     if count < len(steps):
         # Longer models have their figures already; those of the shorter one hold for it as they are.
@@ -155,29 +145,14 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         averaged = None
     final = selection if averaged is None else selection.with_fit(averaged.fit)
     findings = [finding_of(final, name) for name in names.stand]
-    weak: dict[str, str] = {}
-    if figures[-1].heldout_rms_mg is None:
-        weak = {
-            finding.effect: "no dwell could be left out to check it by"
-            for finding in findings
-            if finding.effect != "bias"
-        }
-    weak |= {
-        finding.effect: "its values are no larger than their own uncertainty"
-        for finding in findings
-        if finding.effect not in weak and not told_from_zero(finding)
-    }
+    weak = _weak(findings, figures[-1])
     names = without(replace(names, open={**names.open, **weak}), weak)
     notes = list(notes_of(selection, scatter))
     adequate = final.adequate and scatter is None and (final.fit.dof > 0 or not training.noise_known)
     if adequate and checking is not None and averaged is None and training.noise_known:
-        p = unexpected(final.fit, checking, final.inflation)
-        if p < limits.adequate:
-            adequate = False
-            notes.append(
-                f"the {len(checking)} check dwells do not agree with the model that explains the others "
-                f"(p = {p:.2g}): something is in them that the others do not show"
-            )
+        disagreement = _disagreement(final, checking)
+        notes += disagreement
+        adequate = not disagreement
     open_still = replace(selection, adequate=adequate)
     sets = tuple(one for one in credible_sets(selection) if one.present >= limits.present)
     seen = tuple(finding for finding in findings if finding.effect not in weak)
@@ -207,6 +182,49 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         fits=(*fits[:-1], final.fit),
         inflation=final.inflation,
     )
+
+
+def _searched(
+    training: Readings, terms: Sequence[Term], max_effects: int
+) -> tuple[Selection, Scatter | None]:
+    """The chosen model, under more noise where that is the better account."""
+    current().tell("the search for effects")
+    first = select(training, terms, max_effects)
+    if spent():
+        current().leave_out("the end of the search for effects")
+    plain: tuple[Selection, Scatter | None] = (first, None)
+    selection, scatter = attempt(
+        "scatter from dwell to dwell as a cause", lambda: with_scatter(first, terms, max_effects), plain
+    )
+    return selection.within_bounds(), scatter
+
+
+def _reported(figures: Sequence[ErrorFigures]) -> tuple[float, float] | None:
+    """Held-out errors that stand in the result for the base model and the final one."""
+    first, last = figures[0].heldout_rms_mg, figures[-1].heldout_rms_mg
+    return None if first is None or last is None else (first, last)
+
+
+def _weak(findings: Sequence[Finding], final: ErrorFigures) -> dict[str, str]:
+    """Names that do not stand after all, with the reason."""
+    weak = {}
+    for finding in findings:
+        if final.heldout_rms_mg is None and finding.effect != "bias":
+            weak[finding.effect] = "no dwell could be left out to check it by"
+        elif not told_from_zero(finding):
+            weak[finding.effect] = "its values are no larger than their own uncertainty"
+    return weak
+
+
+def _disagreement(final: Selection, checking: Readings) -> list[str]:
+    """What is to be said where dwells that took no part do not agree with the model of the others."""
+    p = unexpected(final.fit, checking, final.inflation)
+    if p >= limits.adequate:
+        return []
+    return [
+        f"the {len(checking)} check dwells do not agree with the model that explains the others "
+        f"(p = {p:.2g}): something is in them that the others do not show"
+    ]
 
 
 def _unfinished(

@@ -331,9 +331,9 @@ def _of_scalar(
         return lambda c: function((get(c) - middle) / half)
 
     covariates = (family,)
-    named: tuple[Where, ...] = ("bias", "gain")
-    if family == "temperature":
-        named = ("bias", "gain", "misalignment")
+    named: tuple[Where, ...] = (
+        ("bias", "gain", "misalignment") if family == "temperature" else ("bias", "gain")
+    )
     yield from _both(family, covariates, f"{d}", about(shapes.line), named)
     curves: dict[str, shapes.Shape] = {
         f"{d}²": shapes.power(2),

@@ -14,7 +14,6 @@ Models are sets and every set is scored once, so that the search cannot go round
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -87,7 +86,6 @@ def search(
     max_terms: int,
     inflation: float = 1.0,
     beam: int = 30,
-    start: Iterable[Model] = (),
     spare: int | None = None,
 ) -> Search:
     """Models of up to `max_terms` terms that explain the target.
@@ -101,8 +99,6 @@ def search(
         Factor on the noise variance (greater than 1 where no model is adequate).
     beam : int
         Models that are opened at each size; pairs are opened from twice as many terms.
-    start : iterable of models
-        Opened besides (those of an earlier round).
     spare : int
         Degrees of freedom that a model has to leave; by default half of those beside the base model,
         since a model with more columns than checks could not fail. One effect of the catalogue alone, of
@@ -135,9 +131,6 @@ def search(
         level = _next_level(found, fresh, size, beam)
         if not level:
             break
-    for model in start:
-        if len(model) < max_terms:
-            _open(found, model, spare)
     _exchange(found, spare, max_terms)
     return found
 

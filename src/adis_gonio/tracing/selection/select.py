@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -125,19 +125,14 @@ def select(
     before: tuple[str, ...] | None = None
     for _ in range(rounds):
         problem = linearise(about, terms)
-        constants = _mostly_bias(problem)
-        first = None
-        if constants is None and not about.terms:
-            constants, first = _mostly_bias_refitted(problem, base)
-        if constants is not None:
+        apart = _bias_apart(problem, base, about)
+        if apart is not None:
             # A constant that is far larger than what is left beside it is no part of a function's form.
-            terms = [
-                term for term in terms if not (isinstance(term, NamelessTerm) and term.basis.with_constant)
-            ]
+            terms = [term for term in terms if not _with_constant(term)]
             if not about.terms and max_terms:
                 # Its square, b²/2G, may be many times the noise: candidates are judged about the fit
                 # that has it, or they would be chosen for what the linear problem leaves of it.
-                about = first or fit_model(problem, [constants], about)
+                about = apart()
             problem = linearise(about, terms)
         assumed = inflation
         while True:
@@ -332,6 +327,15 @@ def _inflated(
     return found, inflation
 
 
+def _bias_apart(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[], Fit] | None:
+    """The fit with a bias, to be made where it is wanted; None where none explains nearly all."""
+    constants = _mostly_bias(problem)
+    if constants is not None:
+        return lambda: fit_model(problem, [constants], about)
+    refitted = None if about.terms else _mostly_bias_refitted(problem, base)
+    return None if refitted is None else lambda: refitted
+
+
 def _mostly_bias(problem: LinearProblem) -> int | None:
     """Number of the bias on most axes, where it alone explains nearly all of the base model's excess."""
     widest = _widest_bias(problem)
@@ -342,16 +346,16 @@ def _mostly_bias(problem: LinearProblem) -> int | None:
     return widest if excess > 0 and left < (1 - limits.mostly_bias) * excess else None
 
 
-def _mostly_bias_refitted(problem: LinearProblem, base: Fit) -> tuple[int | None, Fit | None]:
+def _mostly_bias_refitted(problem: LinearProblem, base: Fit) -> Fit | None:
     """The same by a full refit, which a bias may need that is far from what the base model took it for."""
     widest = _widest_bias(problem)
     if widest is None or problem.dof <= int(problem.width[widest]):
-        return None, None
+        return None
     trial = fit_model(problem, [widest], base)
     excess = base.chi2 - base.dof
     if excess <= 0 or trial.chi2 - trial.dof >= (1 - limits.mostly_bias) * excess:
-        return None, None
-    return widest, trial
+        return None
+    return trial
 
 
 def _widest_bias(problem: LinearProblem) -> int | None:
