@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
+from adis_gonio.cli.interrupt import Interrupt
 from adis_gonio.cli.show import no_check_option, poll_option, variant_option
 from adis_gonio.errors import UsageError
 from adis_gonio.sensor import DEFAULT_SCAN, Adis16354, open_sensor
@@ -91,8 +92,7 @@ def command(
         stack.callback(show.tell_the_sum)  # after a failure too: what came before it stands
         stream = stack.enter_context(opened.stream(min(show.scans_a_line, 1024)))
         click.echo(f"{url}: {opened.rate_hz:.4g} samples/s, {stream.how}", err=True)
-        with contextlib.suppress(KeyboardInterrupt):
-            show.run(stream, seconds)
+        show.run(stream, seconds)
     if as_json:
         show.tell_document()
 
@@ -171,8 +171,17 @@ class _Show:
         """Take blocks until the time is over, the stream ends, or Ctrl-C."""
         begin: float | None = None
         end = False
-        try:
-            for block in stream:
+        blocks = iter(stream)
+        with Interrupt() as interrupt:
+            while not end:
+                try:
+                    with interrupt.waiting():
+                        block = next(blocks)
+                except StopIteration:
+                    break
+                except KeyboardInterrupt:
+                    click.echo("", err=True)
+                    break
                 begin = float(block.time_s[0]) if begin is None else begin
                 if seconds is not None:
                     block, end = _until(block, begin + seconds)
@@ -183,11 +192,6 @@ class _Show:
                 if self._lines and full:
                     _line(self._waiting, first=self._scans == held, since_s=begin)
                     self._waiting.clear()
-                if end:
-                    break
-        except KeyboardInterrupt:
-            click.echo("", err=True)
-            raise
 
     def _add(self, block: Block, caveat: str) -> None:
         if caveat and not self._caveat_told:  # how fast the bus is only its first block shows

@@ -1,0 +1,37 @@
+"""Ctrl-C between two steps loses nothing, and while something is waited for it ends the wait at once."""
+
+import signal
+
+import pytest
+
+from adis_gonio.cli.interrupt import Interrupt
+
+
+def test_ctrl_c_within_a_step_lets_it_end_and_breaks_the_next_wait() -> None:
+    done = []
+    with Interrupt() as interrupt:
+        signal.raise_signal(signal.SIGINT)
+        done.append("step")
+        assert interrupt.asked
+        with pytest.raises(KeyboardInterrupt), interrupt.waiting():
+            done.append("wait")
+    assert done == ["step"]
+
+
+def test_ctrl_c_ends_a_wait_at_once() -> None:
+    with Interrupt() as interrupt, pytest.raises(KeyboardInterrupt), interrupt.waiting():
+        signal.raise_signal(signal.SIGINT)
+        pytest.fail("the wait went on")
+
+
+def test_a_second_ctrl_c_ends_a_step_that_hangs() -> None:
+    with Interrupt(), pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_afterwards_ctrl_c_is_as_before() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with Interrupt():
+        assert signal.getsignal(signal.SIGINT) is not before
+    assert signal.getsignal(signal.SIGINT) is before
