@@ -246,8 +246,10 @@ def test_findings_are_documents():
         "sentence",
         "places",
         "advice",
+        "aliases_hz",
     }
     assert text["parameters"]["frequency"]["unit"] == "Hz"
+    assert min(text["aliases_hz"]) > text["parameters"]["frequency"]["value"]
 
 
 @pytest.mark.parametrize("n", [2, 3, 6, 16, 33])
