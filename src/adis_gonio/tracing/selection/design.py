@@ -115,10 +115,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
         left = left + fit.added_mg(k)
     y = fit.white(left[:, :, None])[:, 0]
 
-    base = fit.white(fit.base_columns)
-    base = base / np.maximum(np.linalg.norm(base, axis=0), 1e-300)
-    u, s, _ = np.linalg.svd(base, full_matrices=False)
-    base = u[:, s > 1e-8 * s[0]]
+    base = orthonormal(fit.white(fit.base_columns))
     y = y - base @ (base.T @ y)
 
     raw = [fit.candidate(term) for term in terms]
@@ -199,6 +196,14 @@ def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
     price = 0.5 * np.log1p(limits.prior_snr**2 / np.maximum(((columns**2) ** 2).sum(axis=0), 1e-300))
     blocks: Floats = np.add.reduceat(price, first)
     return blocks
+
+
+def orthonormal(columns: Floats) -> Floats:
+    """Orthonormal basis (rows, k) of columns, whatever their sizes; those of rounding are left out."""
+    u, s, _ = np.linalg.svd(
+        columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False
+    )
+    return u[:, s > 1e-8 * s[0]]
 
 
 def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:

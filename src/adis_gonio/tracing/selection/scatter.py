@@ -27,6 +27,7 @@ from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
 from adis_gonio.tracing.candidates.processes import evidence, processes
+from adis_gonio.tracing.selection.design import orthonormal
 from adis_gonio.tracing.selection.select import Selection, select
 from adis_gonio.tracing.thresholds import limits
 
@@ -125,9 +126,7 @@ def _evidence_of_processes(selection: Selection) -> float:
     best = -math.inf
     for kept in dict.fromkeys((named, plain, ())):
         fit = selection.fit.having(kept, [selection.fit.value_of(term) for term in kept]).refit()
-        rows = fit.jacobian / np.maximum(np.linalg.norm(fit.jacobian, axis=0), 1e-300)
-        u, s, _ = np.linalg.svd(rows, full_matrices=False)
-        beside = u[:, s > 1e-8 * s[0]]
+        beside = orthonormal(fit.jacobian)
         left = fit.residual.ravel()
         gained = evidence(fit, beside, left - beside @ (beside.T @ left), candidates)
         prices = sum(

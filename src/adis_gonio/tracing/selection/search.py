@@ -76,7 +76,7 @@ class Search:
 
 
 def price(problem: LinearProblem) -> Floats:
-    """Price of each term (M,) in nats: its columns, its share of the prior, one more cause."""
+    """Price of each term (M,) in nats: its columns and its share of the prior."""
     priced: Floats = problem.column_price + problem.cost
     return priced
 

@@ -19,7 +19,7 @@ from adis_gonio.estimation.terms import Basis, NamelessTerm, Term, Where
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.candidates.processes import Process, evidence, processes
-from adis_gonio.tracing.selection.design import span
+from adis_gonio.tracing.selection.design import orthonormal, span
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.thresholds import limits
 
@@ -136,7 +136,7 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
         return None
     base, _, target = selection.fit.linear()
     fixed = np.concatenate([base, *_named_columns(selection.fit)], axis=1)
-    beside = _orthonormal(fixed)
+    beside = orthonormal(fixed)
     left = target - beside @ (beside.T @ target)
     candidates = processes(data) if candidates is None else candidates
     smooth = evidence(selection.fit, beside, left, candidates, selection.inflation)
@@ -178,12 +178,6 @@ def _named_columns(fit: Fit) -> list[Floats]:
         for index, term in enumerate(fit.terms)
         if term.name is not None
     ]
-
-
-def _orthonormal(columns: Floats) -> Floats:
-    size = np.linalg.norm(columns, axis=0)
-    u, s, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
-    return u[:, s > 1e-8 * s[0]]
 
 
 def _by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
@@ -296,7 +290,7 @@ def _ridge(
     added = columns[:, fixed.shape[1] :] @ solved[fixed.shape[1] :]
     visible = 1.0
     if all(term.shrinkage is None for term in terms) and added.any():
-        beside = _orthonormal(fixed)
+        beside = orthonormal(fixed)
         left = added - beside @ (beside.T @ added)
         visible = float(np.linalg.norm(left) / np.linalg.norm(added))
     return solved, half @ half.T, float(((columns @ half) ** 2).sum()), visible
