@@ -36,8 +36,9 @@ from numpy.typing import NDArray
 
 from adis_gonio.errors import DataError, FitError
 from adis_gonio.estimation.conic import conic_through
+from adis_gonio.estimation.converter import limits_of, steps_of
 from adis_gonio.estimation.flicker import covariance_of_means, modes, scatter_of_means, spans
-from adis_gonio.estimation.screening import clipped, refuse_dead_data
+from adis_gonio.estimation.screening import limits_in_words, refuse_dead_data
 from adis_gonio.estimation.spectrum import MeanNoise, noise_of_means
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, gains_and_skews
@@ -380,8 +381,14 @@ def reduced(session: Session) -> Readings:
     axes = 2 if session.plane == "xy" else 3
     if dwells[0].accel.shape[1] < axes:
         raise DataError(f"{source}: plane none needs three axes, there are two")
-    refuse_dead_data(session)
     scale = _mg_per_unit(session)
+    limits = limits_of([replace(dwell, accel=dwell.accel[:, :axes]) for dwell in dwells])
+    refuse_dead_data(session, limits, None if session.accel_unit == "counts" else scale)
+    if len(dwells) > 1:  # of one pose there is nothing else to look at
+        spoiled = {position for limit in limits for position in limit.spoiled}
+        dwells = [dwell for dwell in dwells if dwell.position not in spoiled]
+    if not dwells:
+        raise DataError(f"{source}: every dwell stands at a limit of the range; record with a wider one")
     n = len(dwells)
     mean = np.array([d.accel[0, :axes] if len(d) == 1 else d.accel[:, :axes].mean(axis=0) for d in dwells])
     mean = mean * scale
@@ -398,7 +405,7 @@ def reduced(session: Session) -> Readings:
     dof = np.full(n, np.inf)
     known = np.zeros(n, dtype=np.bool_)
     slow: Floats | None = None
-    notes = clipped(dwells)
+    notes = limits_in_words(limits, session.accel_unit)
     single = np.flatnonzero(samples == 1)
     if single.size:
         covariance[single] *= (1.0 if session.reading_u_mg is None else session.reading_u_mg) ** 2
@@ -407,9 +414,9 @@ def reduced(session: Session) -> Readings:
     if many.size:
         rows = [dwells[k].accel[:, :axes] * scale / unit.per_mg for k in many.tolist()]
         noise = noise_of_means(rows)
-        quantum = _quantum(session, rows, scale)
+        quantum = _quantum(session, [dwells[k].accel[:, :axes] for k in many.tolist()], scale) / unit.per_mg
         flicker = _flicker(session, noise)
-        covariance[many] = noise.covariance + _quantization(rows, quantum)[:, :, None] * np.eye(axes)
+        covariance[many] = noise.covariance + left_by_quantization(rows, quantum)[:, :, None] * np.eye(axes)
         own, slow = _of_flicker([dwells[k] for k in many.tolist()], flicker, many, n)
         covariance[many] += own[:, :, None] * np.eye(axes)
         dof[many] = noise.dof
@@ -535,23 +542,14 @@ def _mg_per_unit(session: Session) -> float:
     return {"mg": 1.0, "g": 1000.0, "mps2": MG_PER_MPS2, "counts": 1.0}[session.accel_unit]
 
 
-def _quantum(session: Session, rows: list[Floats], scale: float) -> Floats:
-    """Step of the converter on each axis (axes,): the LSB, else the smallest step between values seen."""
-    axes = rows[0].shape[1]
-    if session.accel_unit == "lsb":
-        return np.full(axes, scale)
-    steps = np.zeros(axes)
-    sample = np.concatenate([r[:2000] for r in rows[:20]])
-    for axis in range(axes):
-        values = np.unique(sample[:, axis])
-        gaps = np.diff(values)
-        gaps = gaps[gaps > 1e-9 * max(1.0, float(np.abs(values).max()))]
-        steps[axis] = gaps.min() if gaps.size else 0.0
-    return steps
+def _quantum(session: Session, rows: Sequence[Floats], scale: float) -> Floats:
+    """Step of the converter on each axis (axes,) in mg: what the samples show, of words one at least."""
+    steps = steps_of(rows) * scale
+    return np.maximum(steps, scale) if session.accel_unit == "lsb" else steps
 
 
-def _quantization(rows: list[Floats], quantum: Floats) -> Floats:
-    """Variance (dwells, axes) that quantization leaves on a mean."""
+def left_by_quantization(rows: Sequence[Floats], quantum: Floats) -> Floats:
+    """Variance (dwells, axes) that a converter's step (axes,) leaves on the means of dwells."""
     variance = np.array([r.var(axis=0) for r in rows])
     step = np.where(quantum > 0, quantum, 1.0)
     sigma2 = np.maximum(variance - quantum**2 / 12, 0.0) / step**2
