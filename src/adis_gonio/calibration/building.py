@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from adis_gonio.calibration.calibration import (
 from adis_gonio.errors import FitError, UsageError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.terms import NamedTerm, Term
-from adis_gonio.estimation.values import Value
 from adis_gonio.fitting.result import Estimate, FitResult
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.measurement import BaseParameter, FreeAttitude, PlanarTurn
@@ -101,8 +100,8 @@ def calibration_of_fit(result: FitResult) -> Calibration:
 def calibration_of_trace(result: TraceResult) -> Calibration:
     """Calibration by the final model of a trace: base parameters, and effects that can be corrected.
 
-    Uncertainties are those that the trace states, which hold what other probable models say; correlations
-    are those of the final model.
+    Covariance and u are those of the final model. Models that predict the same readings may share a bias
+    out in other ways, so that the trace states a larger u of single parameters; an angle has no part in that.
 
     Raises
     ------
@@ -127,10 +126,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     left = [_left_out(term, result) for term in fit.terms if term not in corrected and term.name != "bias"]
     if result.unnamed is not None and all(term.name is not None for term in fit.terms):
         left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS))
-    stated = dict(result.base)
-    for finding in result.found:
-        stated |= finding.parameters
-    parameters, matrix = columns.stated(stated, result.inflation)
+    parameters, matrix = columns.stated(result.inflation)
     names = [one.name for one in parameters if one.u is not None]
     return Calibration(
         method="trace",
@@ -208,21 +204,15 @@ class _Columns:
             names.append(name)
         return EffectTerm(term.effect, tuple(names))
 
-    def stated(self, told: Mapping[str, Value], inflation: float) -> tuple[tuple[Coefficient, ...], Floats]:
-        """Parameters with the uncertainties that the trace states, and their covariance (p, p)."""
+    def stated(self, inflation: float) -> tuple[tuple[Coefficient, ...], Floats]:
+        """Parameters, and their covariance (p, p)."""
         rows = np.stack(self.rows)
         matrix = rows @ self.fit.covariance @ rows.T * inflation
-        own = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-        factor = np.ones(len(own))
-        for k, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
-            value = told.get(name)
-            if value is not None and value.u is not None and value.unit == unit and own[k] > 0:
-                factor[k] = value.u / own[k]
-        parameters = tuple(
-            Coefficient(name, value, float(u) if u > 0 else None, unit)
-            for name, value, u, unit in zip(self.names, self.values, factor * own, self.units, strict=True)
-        )
-        return parameters, matrix * np.outer(factor, factor)
+        sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+        return tuple(
+            Coefficient(name, value, float(size) if size > 0 else None, unit)
+            for name, value, size, unit in zip(self.names, self.values, sizes, self.units, strict=True)
+        ), matrix
 
 
 def _known(where: Provenance | None) -> Provenance:

@@ -82,14 +82,13 @@ class AngleReading:
     u_deg: Floats
 
     def __repr__(self) -> str:
+        u_deg = np.atleast_1d(self.u_deg)
+        known = u_deg[np.isfinite(u_deg)]
+        told = f"{known.max():.4f}°" if known.size else "unknown"
         if np.ndim(self.angle_deg) == 0:
-            u = float(self.u_deg)
-            return (
-                f"AngleReading({float(self.angle_deg):.4f}°, u {'unknown' if np.isnan(u) else f'{u:.4f}°'})"
-            )
-        n, most = len(self.angle_deg), self.u_deg[np.isfinite(self.u_deg)]
-        u = f"u up to {most.max():.4f}°" if most.size else "u unknown"
-        return f"AngleReading({n} angle{'s' if n != 1 else ''}, {u})"
+            return f"AngleReading({float(self.angle_deg):.4f}°, u {told})"
+        n = len(self.angle_deg)
+        return f"AngleReading({n} angle{'s' if n != 1 else ''}, u up to {told})"
 
 
 @dataclass(frozen=True, eq=False)
