@@ -101,7 +101,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     """Calibration by the final model of a trace: base parameters, and effects that can be corrected.
 
     Covariance and u are those of the final model. Models that predict the same readings may share a bias
-    out in other ways, so that the trace states a larger u of single parameters; an angle has no part in that.
+    out in other ways, so that the trace states a larger u of single parameters; angles do not differ by it.
 
     Raises
     ------
