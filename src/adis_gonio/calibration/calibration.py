@@ -257,6 +257,18 @@ class Calibration:
         )
         return gravity[0] if single else gravity
 
+    def readings_of(
+        self, gravity: ArrayLike, temperature_c: float | None = None, *, supply_v: float | None = None
+    ) -> Floats:
+        """Readings (n, axes) in `unit` of gravity (n, axes) in units of local gravity: `apply` undone."""
+        gravity = np.asarray(gravity, dtype=float)
+        base, bias = self.natural(self.values)
+        matrix = self.measurement.calibrated(base, np.eye(self.axes))
+        ideal = np.asarray(gravity @ np.linalg.inv(matrix))
+        conditions = self._conditions(len(gravity), temperature_c, supply_v)
+        effects = [e.reading_mg(own, ideal, conditions) for e, own in self._terms(self.values)]
+        return np.asarray((ideal + bias + sum(effects, np.zeros(ideal.shape))) * self.per_mg)
+
     def angle(
         self,
         accel: ArrayLike,
@@ -375,12 +387,15 @@ class Calibration:
         base, bias = self.natural(values)
         free = readings / self.per_mg - bias
         ideal = free
-        names = [one.name for one in self.parameters]
-        terms = [(t.effect, values[[names.index(n) for n in t.parameters]]) for t in self.effects]
+        terms = self._terms(values)
         if terms:
             with np.errstate(over="ignore", invalid="ignore"):
                 ideal = _solved(free, terms, conditions)
         return self.measurement.calibrated(base, ideal)
+
+    def _terms(self, values: Floats) -> list[tuple[Effect, Floats]]:
+        names = [one.name for one in self.parameters]
+        return [(t.effect, values[[names.index(n) for n in t.parameters]]) for t in self.effects]
 
     def _conditions(
         self, n: int, temperature_c: ArrayLike | None, supply_v: ArrayLike | None

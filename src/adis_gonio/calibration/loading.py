@@ -26,14 +26,25 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     FitError
         The session does not determine a calibration.
     """
-    path = Path(path)
-    document = _json_of(path)
-    if document is not None:
-        return calibration_from(document, str(path))
+    made = calibration_in(path)
+    if made is not None:
+        return made
     from adis_gonio.fitting import fit
     from adis_gonio.session import load_session
 
     return fit(load_session(path), method=method).calibration()
+
+
+def calibration_in(path: str | Path) -> Calibration | None:
+    """Calibration of a JSON file; None where the file begins as no JSON does.
+
+    Raises
+    ------
+    DataError
+        It is JSON, but no calibration, or damaged.
+    """
+    document = _json_of(Path(path))
+    return None if document is None else calibration_from(document, str(path))
 
 
 def _json_of(path: Path) -> Any:

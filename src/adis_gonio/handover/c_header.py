@@ -25,7 +25,6 @@ from adis_gonio.handover.fixed import (
 from adis_gonio.handover.polynomial import PARTS, RANGE_G, Monomial, Polynomial, polynomial_of
 from adis_gonio.handover.single import ATAN, DEGREES, FLOAT_DEG, TAN_EIGHTH
 from adis_gonio.model.effects import AXES
-from adis_gonio.sensor.variants import VARIANTS
 
 DEFAULT_NAME = "adis_gonio"
 FIXED_UDEG = 12
@@ -72,7 +71,7 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
     needs = polynomial.needs
     where = calibration.provenance
     alpha = round(calibration["alpha"].value * 1e6) if "alpha" in calibration else None
-    u_udeg = _largest_u(calibration, polynomial)
+    u_udeg = _largest_u(calibration)
     inputs = [("t", "temperature"), ("v", "supply")]
     return {
         "c": _whole,
@@ -310,10 +309,10 @@ def _checks(polynomial: Polynomial, fixed: FixedPoint, plane: dict[str, Any]) ->
     return rows
 
 
-def _largest_u(calibration: Calibration, polynomial: Polynomial) -> int | None:
+def _largest_u(calibration: Calibration) -> int | None:
     """Largest u of an angle round the turn, in µ°; None where it is not known."""
-    part = None if calibration.provenance.counts else VARIANTS.get(calibration.provenance.sensor)
-    steps = _sweep(polynomial, 72) / PARTS
-    readings = steps if part is None else steps * part.accel_mg_per_lsb
-    u = calibration.angle(readings, plane="xy").u_deg
+    psi = np.radians(np.arange(0.0, 360.0, 5.0))
+    gravity = np.zeros((len(psi), calibration.axes))
+    gravity[:, 0], gravity[:, 1] = np.cos(psi), np.sin(psi)
+    u = calibration.angle(calibration.readings_of(gravity), plane="xy").u_deg
     return None if not np.isfinite(u).all() else int(np.ceil(u.max() * 1e6))
