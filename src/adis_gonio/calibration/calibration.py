@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +21,10 @@ from adis_gonio.model.effects import AXES, Conditions, Effect
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, wrap_rad
 from adis_gonio.model.provenance import Provenance
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
+from adis_gonio.showing import frame, html_table, parameter_rows, with_u
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
 STEP = 0.01
@@ -185,6 +189,13 @@ class Calibration:
         from adis_gonio.calibration.document import summary_of
 
         return summary_of(self)
+
+    def _repr_html_(self) -> str:
+        return html_table(repr(self), parameter_rows(self.as_dict()["parameters"]))
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Parameters as a data frame: parameter, value, u, unit (extra: pandas)."""
+        return frame(parameter_rows(self.as_dict()["parameters"]))
 
     # -- files -------------------------------------------------------------------------------------
 
@@ -482,6 +493,4 @@ def _directions(covariance: Floats) -> Floats:
 
 
 def _shown(one: Coefficient) -> str:
-    unit = "°" if one.unit == "deg" else ("" if one.unit == "1" else f" {one.unit}")
-    u = "unknown" if one.u is None else f"{one.u:.2g}{unit}"
-    return f"{one.name} {one.value:.6g}{unit} (u {u})"
+    return f"{one.name} {with_u(one.value, one.u, one.unit)}"

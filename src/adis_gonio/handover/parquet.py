@@ -11,7 +11,7 @@ import numpy as np
 
 from adis_gonio.errors import DataError, NotInstalledError
 from adis_gonio.model.effects import AXES
-from adis_gonio.model.records import Dwell, Session
+from adis_gonio.model.records import Session
 from adis_gonio.session.export import session_dict
 
 ROWS = 100_000
@@ -51,7 +51,8 @@ def write_parquet(session: Session, path: str | Path) -> None:
     )
     with pq.ParquetWriter(path, schema, compression="zstd") as writer:
         for columns in _groups(session, list(units)):
-            writer.write_table(pa.table(columns, schema=schema))
+            arrays = [pa.array(columns[name], _type(pa, name), from_pandas=True) for name in units]
+            writer.write_table(pa.table(arrays, schema=schema))
 
 
 def _type(pa: Any, name: str) -> Any:
@@ -61,23 +62,19 @@ def _type(pa: Any, name: str) -> Any:
 
 def _units(session: Session) -> dict[str, str]:
     """Columns that the first dwell has, with their units."""
-    first = session.dwells[0]
-    units = {"time_s": "s", "position": "", "angle_deg": "deg", "approach": "", "use": ""}
-    units |= {f"a{axis}": session.accel_unit for axis in AXES[: first.accel.shape[1]]}
-    if first.gyro is not None:
-        units |= {f"g{axis}": session.gyro_unit for axis in AXES[: first.gyro.shape[1]]}
-    if first.temperature_c is not None:
-        units["temp_c"] = "degC"
-    if first.supply_v is not None:
-        units["supply_v"] = "V"
-    return units
+    by_kind = {"a": session.accel_unit, "g": session.gyro_unit}
+    own = {"time_s": "s", "angle_deg": "deg", "temp_c": "degC", "supply_v": "V"}
+    return {
+        name: own.get(name, by_kind.get(name[0], "") if name[1:] in AXES else "")
+        for name in session.dwells[0].columns()
+    }
 
 
 def _groups(session: Session, names: list[str]) -> Iterator[dict[str, Any]]:
     waiting: list[dict[str, Any]] = []
     rows = 0
     for dwell in session.dwells:
-        columns = _columns(dwell)
+        columns = dwell.columns()
         if set(columns) != set(names):
             odd = sorted(set(columns) ^ set(names))[0]
             raise DataError(
@@ -92,30 +89,5 @@ def _groups(session: Session, names: list[str]) -> Iterator[dict[str, Any]]:
         yield _joined(waiting, names)
 
 
-def _columns(dwell: Dwell) -> dict[str, Any]:
-    n = len(dwell)
-    columns: dict[str, Any] = {
-        "time_s": dwell.time_s,
-        "position": np.full(n, dwell.position),
-        "angle_deg": [dwell.angle_deg] * n,
-        "approach": [dwell.approach or None] * n,
-        "use": [dwell.use] * n,
-    }
-    for letter, rows in (("a", dwell.accel), ("g", dwell.gyro)):
-        if rows is not None:
-            columns |= {f"{letter}{axis}": rows[:, k] for k, axis in enumerate(AXES[: rows.shape[1]])}
-    if dwell.temperature_c is not None:
-        columns["temp_c"] = dwell.temperature_c
-    if dwell.supply_v is not None:
-        columns["supply_v"] = dwell.supply_v
-    return columns
-
-
 def _joined(waiting: list[dict[str, Any]], names: list[str]) -> dict[str, Any]:
-    lists = ("angle_deg", "approach", "use")
-    return {
-        name: [value for columns in waiting for value in columns[name]]
-        if name in lists
-        else np.concatenate([columns[name] for columns in waiting])
-        for name in names
-    }
+    return {name: np.concatenate([columns[name] for columns in waiting]) for name in names}

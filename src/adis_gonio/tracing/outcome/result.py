@@ -10,9 +10,12 @@ from adis_gonio.dwells.finding import WithinFinding
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.values import Detectable, Value, finite_or_none
 from adis_gonio.model.provenance import Provenance
+from adis_gonio.showing import frame, html_table, lines_of
 from adis_gonio.tracing.outcome.sets import CredibleSet
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from adis_gonio.calibration import Calibration
 
 
@@ -336,6 +339,36 @@ class TraceResult:
     inflation: float = 1.0
     stopped: Stopped | None = None
     provenance: Provenance | None = field(default=None, repr=False, compare=False)
+
+    def __repr__(self) -> str:
+        found = ", ".join(finding.effect for finding in self.found) or "no effect"
+        state = "adequate" if self.adequate else "not adequate"
+        return f"TraceResult(found {found}; {state})"
+
+    def summary(self) -> str:
+        """What was found, with values and u, errors before and after, and advice, in lines of text."""
+        lines = [repr(self).removeprefix("TraceResult(").removesuffix(")")]
+        for finding in self.found:
+            lines.append(f"  {finding.effect}: {finding.cause}")
+            lines += [f"  {line}" for line in lines_of(finding.as_dict()["parameters"])]
+        for label, error in (("before", self.before), ("after", self.after)):
+            lines.append(f"  residual {label}: {error.residual_rms_mg:.3g} mg rms")
+        lines += [f"  cannot be told apart here: {', '.join(names)}" for names in self.confounded]
+        return "\n".join([*lines, *(f"  next: {advice}" for advice in self.advice)])
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return [
+            {"effect": finding.effect, "parameter": name, **value.as_dict()}
+            for finding in self.found
+            for name, value in finding.parameters.items()
+        ]
+
+    def _repr_html_(self) -> str:
+        return html_table(repr(self), self._rows())
+
+    def to_pandas(self) -> pd.DataFrame:
+        """What was found as a data frame: effect, parameter, value, u, unit (extra: pandas)."""
+        return frame(self._rows())
 
     def calibration(self) -> Calibration:
         """What turns readings into angles by the final model.
