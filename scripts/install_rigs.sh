@@ -5,7 +5,7 @@ export DEBIAN_FRONTEND=noninteractive
 apt-get update -qq
 apt-get install -y -qq --no-install-recommends \
   gcc g++ make cppcheck libelf-dev gcc-avr avr-libc binutils-avr simavr libsimavr-dev \
-  qemu-system-x86 busybox-static cpio kmod udev \
+  qemu-system-x86 qemu-system-arm busybox-static cpio kmod udev \
   libiio0 libiio-utils >/dev/null
 # The Raspberry Pi Pico's firmware: ARM compiler, its C library, and the emulator, which Node.js runs.
 apt-get install -y -qq --no-install-recommends \

@@ -2,48 +2,80 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
+import tempfile
 from pathlib import Path
 
 import click
 
 from adis_gonio.errors import UsageError
 
+STANDARD_OUTPUT = "-"
+
 
 @click.command("export")
 @click.argument("session", type=click.Path(path_type=Path))
-@click.option("--format", "kind", type=click.Choice(["csv", "json"]), required=True)
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="File to make; JSON may go to the screen."
+    "--format",
+    "kind",
+    type=click.Choice(["c-header", "json", "csv", "parquet", "dcc", "registers"]),
+    help="By default the ending of the file says it.",
 )
-@click.option("--method", help="JSON: method of the coefficients; the best one unless told.")
+@click.option("-o", "--output", help="File to make; - is standard output.")
+@click.option("--method", help="Method of the coefficients; the best one unless told.")
+@click.option("--trace", "traced", is_flag=True, help="Coefficients of the traced model.")
 @click.option("--samples", is_flag=True, help="JSON: every sample too.")
-def command(*, session: Path, kind: str, output: Path | None, method: str | None, samples: bool) -> None:
-    """Write a session's data and coefficients for other programs.
+@click.option("--name", help="C header: what every name in it begins with.  [default: adis_gonio]")
+@click.option("--force", is_flag=True, help="Replace a file that exists.")
+def command(
+    *,
+    session: Path,
+    kind: str | None,
+    output: str | None,
+    method: str | None,
+    traced: bool,
+    samples: bool,
+    name: str | None,
+    force: bool,
+) -> None:
+    r"""Hand a session's coefficients or data over to other programs.
 
-    csv is the samples CSV, which `adis-gonio fit` reads back. json holds the coefficients with their
-    covariance and what is known of the session; --samples adds the data.
+    \b
+    c-header   .h              gravity and angle in C, fixed point and float
+    json       .json           a calibration file, the fit or trace, what is known of the session
+    csv        .csv .csv.gz    samples, as adis-gonio fit reads them back
+    parquet    .parquet        samples (extra: parquet)
+    dcc        .xml            digital calibration certificate
+    registers  .txt            offsets, as adis-gonio registers takes them
+
+    SESSION may be a calibration file for c-header, dcc and registers.
     """
-    from adis_gonio.cli.show import json_text
-    from adis_gonio.session import export_csv, load_session
-    from adis_gonio.session.export import session_dict
+    from adis_gonio.handover.exporting import OF_SAMPLES, Source, format_of
+    from adis_gonio.output import check_output, replacing
 
-    loaded = load_session(session)
-    if kind == "csv":
-        if output is None:
-            raise UsageError("--format csv needs -o FILE.csv or FILE.csv.gz")
-        if method is not None or samples:
-            raise UsageError("--method and --samples go with --format json: a CSV holds the samples only")
-        export_csv(loaded, output)
+    if kind is None and output in (None, STANDARD_OUTPUT):
+        raise UsageError("what shall be made? Give -o FILE with an ending such as .h or .json, or --format")
+    kind = kind or format_of(str(output))
+    source = Source(session, method, traced, samples, **({} if name is None else {"name": name}))
+    source.check(kind)
+    if output is None and kind in OF_SAMPLES:
+        raise UsageError(f"--format {kind} needs -o FILE; -o - is standard output")
+    if output in (None, STANDARD_OUTPUT):
+        _to_standard_output(source, kind)
         return
-    from adis_gonio.fitting import fit
+    with replacing(check_output(Path(str(output)), force=force)) as beside:
+        source.write(kind, beside)
 
-    document = session_dict(loaded)
-    if not samples:
-        del document["dwells"]
-    document = {"coefficients": fit(loaded, method=method).as_dict(), "session": document}
-    if output is None:
-        click.echo(json_text(document))
-        return
-    if output.exists():
-        raise UsageError(f"{output}: exists already; choose another name")
-    output.write_text(json_text(document) + "\n", encoding="utf-8")
+
+def _to_standard_output(source: object, kind: str) -> None:
+    """Whole or not at all: what fails half-way has said nothing."""
+    from adis_gonio.handover.exporting import Source
+
+    assert isinstance(source, Source)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "export"
+        source.write(kind, path)
+        with path.open("rb") as file:
+            shutil.copyfileobj(file, sys.stdout.buffer)
+        sys.stdout.flush()

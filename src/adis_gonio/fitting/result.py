@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from adis_gonio.model.provenance import Provenance
 from adis_gonio.model.records import Floats
+from adis_gonio.showing import frame, html_table, lines_of, parameter_rows, with_u
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from adis_gonio.calibration import Calibration
 
 
 @dataclass(frozen=True)
@@ -51,6 +58,8 @@ class FitResult:
         Standard deviation per reading and axis beyond the measured noise, which the residual demanded.
     fixture_sigma_deg : float or None
         Standard uncertainty of a declared angle that was used; inf free; None in space.
+    provenance : Provenance or None
+        Where the readings come from; None where no session was given.
     """
 
     method: str
@@ -65,6 +74,7 @@ class FitResult:
     undetermined: tuple[str, ...] = ()
     extra_mg: float = 0.0
     fixture_sigma_deg: float | None = None
+    provenance: Provenance | None = field(default=None, repr=False, compare=False)
 
     def __getitem__(self, name: str) -> Estimate:
         """Estimate by name; `KeyError` where the session does not determine it."""
@@ -80,6 +90,42 @@ class FitResult:
     def residual_rms_mg(self) -> float:
         """Root mean square of the residuals in mg."""
         return float(np.sqrt(np.mean(self.residual_mg**2)))
+
+    def __repr__(self) -> str:
+        lead = [one for one in self.parameters if one.name in ("delta_k", "delta_phi")] or self.parameters[
+            :2
+        ]
+        told = ", ".join(f"{one.name} {with_u(one.value, one.u, one.unit)}" for one in lead)
+        return f"FitResult({self.method}, {len(self.positions)} dwells, {told})"
+
+    def summary(self) -> str:
+        """Method, parameters with u, residual and warnings in lines of text."""
+        document = self.as_dict()
+        lines = [f"{self.method}, {len(self.positions)} dwells", *lines_of(document["parameters"])]
+        lines.append(f"  residual {self.residual_rms_mg:.3g} mg rms; χ² {self.chi2:.4g} for {self.dof}")
+        lines += [f"  not determined: {name}" for name in self.undetermined]
+        return "\n".join([*lines, *(f"  {warning}" for warning in self.warnings)])
+
+    def _repr_html_(self) -> str:
+        return html_table(repr(self), parameter_rows(self.as_dict()["parameters"]))
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Parameters as a data frame: parameter, value, u, unit (extra: pandas)."""
+        return frame(parameter_rows(self.as_dict()["parameters"]))
+
+    def calibration(self) -> Calibration:
+        """What turns readings into angles by these parameters.
+
+        Raises
+        ------
+        UsageError
+            The result was made from readings, not from a session.
+        FitError
+            The session does not determine what an angle needs.
+        """
+        from adis_gonio.calibration.building import calibration_of_fit
+
+        return calibration_of_fit(self)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON document of `fit`."""

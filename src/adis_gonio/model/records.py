@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Floats = NDArray[np.float64]
 Plane = Literal["xy", "none"]
@@ -63,6 +66,29 @@ class Dwell:
     def __len__(self) -> int:
         return len(self.time_s)
 
+    def __repr__(self) -> str:
+        angle = "no angle" if self.angle_deg is None else f"{self.angle_deg:g}°"
+        return f"Dwell({self.position}: {angle}, {len(self)} samples)"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Columns (n,) of the samples CSV that the dwell has; an angle that is not known is NaN."""
+        n = len(self)
+        made: dict[str, NDArray[Any]] = {
+            "time_s": self.time_s,
+            "position": np.full(n, self.position),
+            "angle_deg": np.full(n, np.nan if self.angle_deg is None else self.angle_deg),
+            "approach": np.full(n, self.approach),
+            "use": np.full(n, self.use),
+        }
+        for letter, series in (("a", self.accel), ("g", self.gyro)):
+            if series is not None:
+                made |= {f"{letter}{axis}": series[:, k] for k, axis in enumerate("xyz"[: series.shape[1]])}
+        if self.temperature_c is not None:
+            made["temp_c"] = self.temperature_c
+        if self.supply_v is not None:
+            made["supply_v"] = self.supply_v
+        return made
+
 
 @dataclass(frozen=True)
 class Session:
@@ -107,6 +133,23 @@ class Session:
     notes: tuple[str, ...] = ()
     cut_by_stillness: bool = False
     facts: dict[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        name = self.title or self.source or "untitled"
+        samples = sum(len(dwell) for dwell in self.dwells)
+        return f"Session({name}: {len(self.dwells)} dwells, {samples} samples, {self.sensor})"
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Samples as a data frame with the columns of the samples CSV (extra: pandas)."""
+        from adis_gonio.showing import frame
+
+        columns: dict[str, list[Any]] = {}
+        for dwell in self.dwells:
+            for name, rows in dwell.columns().items():
+                columns.setdefault(name, []).append(rows)
+        return frame(
+            {name: np.concatenate(rows) for name, rows in columns.items() if len(rows) == len(self.dwells)}
+        )
 
     @property
     def free_attitudes(self) -> bool:

@@ -7,8 +7,9 @@ import math
 from pathlib import Path
 from typing import Any
 
-from adis_gonio.errors import DataError, SessionError
+from adis_gonio.errors import DataError, OutputError, SessionError
 from adis_gonio.model.records import Dwell, Floats, Session
+from adis_gonio.output import replacing
 from adis_gonio.session.samples_csv import write_samples_csv
 
 
@@ -26,9 +27,19 @@ def export_csv(session: Session, path: str | Path) -> None:
     """
     path = _new(path)
     try:
+        with replacing(path) as beside:
+            write_csv(session, beside)
+    except OutputError as error:
+        raise SessionError(str(error)) from None
+
+
+def write_csv(session: Session, path: Path) -> None:
+    """Write the samples CSV to a file that is still called otherwise; `DataError` names the session."""
+    try:
         write_samples_csv(session, path)
-    except OSError as error:
-        raise SessionError(f"{path}: cannot be written: {error.strerror or error}") from None
+    except DataError as error:
+        told = str(error).removeprefix(f"{path.name}: ")
+        raise DataError(f"{session.source or 'session'}: {told}") from None
 
 
 def export_json(session: Session, path: str | Path) -> None:
@@ -47,9 +58,10 @@ def export_json(session: Session, path: str | Path) -> None:
     except (TypeError, ValueError) as error:
         raise DataError(f"{session.source or 'session'}: has no JSON form: {error}") from None
     try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise SessionError(f"{path}: cannot be written: {error.strerror or error}") from None
+        with replacing(path) as beside:
+            beside.write_text(text + "\n", encoding="utf-8")
+    except OutputError as error:
+        raise SessionError(str(error)) from None
 
 
 def session_dict(session: Session) -> dict[str, Any]:

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from adis_gonio.budget import Budget
 from adis_gonio.dwells.finding import WithinFinding
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.values import Detectable, Value, finite_or_none
+from adis_gonio.model.provenance import Provenance
+from adis_gonio.showing import frame, html_table, lines_of
 from adis_gonio.tracing.outcome.sets import CredibleSet
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from adis_gonio.calibration import Calibration
 
 
 @dataclass(frozen=True)
@@ -307,6 +314,8 @@ class TraceResult:
         Factor on the noise variance at which uncertainties are stated.
     stopped : Stopped or None
         What the time limit left out, where it ended the trace.
+    provenance : Provenance or None
+        Where the readings come from; None where no session was given.
     """
 
     adequate: bool
@@ -329,6 +338,54 @@ class TraceResult:
     fits: tuple[Fit, ...] = field(default=(), repr=False, compare=False)
     inflation: float = 1.0
     stopped: Stopped | None = None
+    provenance: Provenance | None = field(default=None, repr=False, compare=False)
+
+    def __repr__(self) -> str:
+        found = ", ".join(finding.effect for finding in self.found) or "no effect"
+        state = "adequate" if self.adequate else "not adequate"
+        return f"TraceResult(found {found}; {state})"
+
+    def summary(self) -> str:
+        """What was found, with values and u, errors before and after, and advice, in lines of text."""
+        lines = [repr(self).removeprefix("TraceResult(").removesuffix(")")]
+        for finding in self.found:
+            lines.append(f"  {finding.effect}: {finding.cause}")
+            lines += [f"  {line}" for line in lines_of(finding.as_dict()["parameters"])]
+        for label, error in (("before", self.before), ("after", self.after)):
+            lines.append(f"  residual {label}: {error.residual_rms_mg:.3g} mg rms")
+        lines += [f"  cannot be told apart here: {', '.join(names)}" for names in self.confounded]
+        return "\n".join([*lines, *(f"  next: {advice}" for advice in self.advice)])
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return [
+            {"effect": finding.effect, "parameter": name, **value.as_dict()}
+            for finding in self.found
+            for name, value in finding.parameters.items()
+        ]
+
+    def _repr_html_(self) -> str:
+        return html_table(repr(self), self._rows())
+
+    def to_pandas(self) -> pd.DataFrame:
+        """What was found as a data frame: effect, parameter, value, u, unit (extra: pandas)."""
+        return frame(self._rows())
+
+    def calibration(self) -> Calibration:
+        """What turns readings into angles by the final model.
+
+        Effects that are functions of the reading, the temperature or the supply are corrected; what belongs
+        to the bench is listed as not corrected.
+
+        Raises
+        ------
+        UsageError
+            The result was made from readings, not from a session.
+        FitError
+            One pose only, or a trace that its time limit ended before it was checked.
+        """
+        from adis_gonio.calibration.building import calibration_of_trace
+
+        return calibration_of_trace(self)
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `trace`."""

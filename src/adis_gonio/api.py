@@ -1,0 +1,51 @@
+"""`adis_gonio.fit` and `adis_gonio.trace`: as in their packages, and a path will do for a session."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from adis_gonio.errors import UsageError
+from adis_gonio.fitting import FitResult
+from adis_gonio.fitting import fit as _fit
+from adis_gonio.model import Session
+from adis_gonio.session import load_session
+from adis_gonio.tracing import TraceResult
+from adis_gonio.tracing.trace import trace as _trace
+
+
+def fit(session: Session | str | Path, method: str | None = None) -> FitResult:
+    """`adis_gonio.fitting.fit` of a session, or of a file that holds one.
+
+    Raises
+    ------
+    UsageError
+        Neither a session nor a path; no such method.
+    DataError, FitError, SingularError
+        As `adis_gonio.fitting.fit`.
+    """
+    return _fit(session_of(session, "fit"), method=method)
+
+
+def trace(
+    session: Session | str | Path, max_effects: int = 6, time_limit: float | None = None
+) -> TraceResult:
+    """`adis_gonio.tracing.trace` of a session, or of a file that holds one.
+
+    Raises
+    ------
+    UsageError
+        Neither a session nor a path; a time limit that is not positive.
+    DataError, FitError
+        As `adis_gonio.tracing.trace`.
+    """
+    return _trace(session_of(session, "trace"), max_effects, time_limit)
+
+
+def session_of(given: Any, what: str) -> Session:
+    """The session itself, or that of a file; `UsageError` for anything else."""
+    if isinstance(given, Session):
+        return given
+    if isinstance(given, str | Path):
+        return load_session(given)
+    raise UsageError(f"{what} takes a Session or the path of a file, not {type(given).__name__}")

@@ -1,0 +1,259 @@
+"""Digital calibration certificate: the schema of PTB (https://ptb.de/dcc, version 3.2.1) with D-SI 2.1.0.
+
+Values are in SI units (D-SI's notation), with expanded uncertainties at 95 %. What nobody stated says so:
+the schema wants a laboratory, a customer and a country, and no program may invent them. It is not signed.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from datetime import date
+
+import numpy as np
+
+from adis_gonio.calibration.calibration import Calibration, Coefficient
+from adis_gonio.calibration.document import derived_delta_k
+from adis_gonio.errors import FitError
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+from adis_gonio.sensor.variants import VARIANTS
+
+VERSION = "3.2.1"
+DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
+XSI = "http://www.w3.org/2001/XMLSchema-instance"
+NOT_STATED = "not stated"
+NO_COUNTRY = "ZZ"
+"""ISO 3166-1 leaves it to users; here: nobody stated a country."""
+PROBABILITY = 0.95
+NORMAL = 1.959963984540054
+"""Quantile of the normal distribution at 97.5 %: the coverage factor where degrees of freedom are many."""
+
+_G = STANDARD_GRAVITY_MPS2
+_PER_S2 = r"\metre\second\tothe{-2}"
+# Unit of a result → unit of D-SI, and the factor.
+_UNITS: dict[str, tuple[str, float]] = {
+    "1": (r"\one", 1.0),
+    "deg": (r"\degree", 1.0),
+    "mg": (_PER_S2, _G / 1000),
+    "counts": (r"\one", 1.0),
+    "counts/(m/s²)": (r"\metre\tothe{-1}\second\tothe{2}", 1.0),
+    "mg/g": (r"\one", 1e-3),
+    "mg/g²": (r"\metre\tothe{-1}\second\tothe{2}", 1e-3 / _G),
+    "mg/g³": (r"\metre\tothe{-2}\second\tothe{4}", 1e-3 / _G**2),
+    "mg/°C": (_PER_S2 + r"\kelvin\tothe{-1}", _G / 1000),
+    "mg/°C²": (_PER_S2 + r"\kelvin\tothe{-2}", _G / 1000),
+    "mg/°C³": (_PER_S2 + r"\kelvin\tothe{-3}", _G / 1000),
+    "ppm/°C": (r"\kelvin\tothe{-1}", 1e-6),
+    "deg/°C": (r"\degree\kelvin\tothe{-1}", 1.0),
+    "mg/V": (_PER_S2 + r"\volt\tothe{-1}", _G / 1000),
+    "ppm/V": (r"\volt\tothe{-1}", 1e-6),
+}
+_NAMES = {
+    "delta_k": "Gain mismatch of the axes X and Y",
+    "delta_phi": "Misalignment of the axes X and Y",
+    "alpha": "Start angle of the stage",
+    "scale": "Relative sensitivity of axis",
+    "bias": "Bias of axis",
+    "skew": "Skew of the axes",
+}
+_TURN_DEG = tuple(range(0, 360, 30))
+
+
+def certificate_text(calibration: Calibration, issued: date | None = None) -> str:
+    """Certificate as XML.
+
+    Parameters
+    ----------
+    issued : date, optional
+        Stands for the date of the calibration where the session does not say it; by default today.
+
+    Raises
+    ------
+    FitError
+        A parameter has a unit that D-SI's notation has no word for here.
+    """
+    for prefix, space in (("dcc", DCC), ("si", SI), ("xsi", XSI)):
+        ET.register_namespace(prefix, space)
+    root = ET.Element(f"{{{DCC}}}digitalCalibrationCertificate", schemaVersion=VERSION)
+    root.set(f"{{{XSI}}}schemaLocation", f"{DCC} {DCC}/v{VERSION}/dcc.xsd")
+    _administrative(_add(root, "administrativeData"), calibration, issued)
+    _results(_add(_add(root, "measurementResults"), "measurementResult"), calibration)
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _add(parent: ET.Element, name: str, text: str | None = None, space: str = DCC) -> ET.Element:
+    child = ET.SubElement(parent, f"{{{space}}}{name}")
+    child.text = None if text is None else _clean(text)
+    return child
+
+
+def _clean(text: str) -> str:
+    """Words with one space between them, without the control characters that XML cannot hold."""
+    printable = "".join(c if c.isprintable() else " " for c in text)
+    return " ".join(printable.encode("utf-8", "replace").decode("utf-8").split()) or NOT_STATED
+
+
+def _named(parent: ET.Element, name: str, text: str, element: str = "name") -> ET.Element:
+    """A child that begins with a name (or another text) in one language."""
+    child = _add(parent, name)
+    _add(_add(child, element), "content", text)
+    return child
+
+
+def _software(parent: ET.Element, calibration: Calibration) -> None:
+    name, _, release = calibration.provenance.software.partition(" ")
+    software = _named(parent, "software", name or "adis-gonio")
+    _add(software, "release", release or NOT_STATED)
+    _add(software, "type", "application")
+
+
+def _administrative(parent: ET.Element, calibration: Calibration, issued: date | None) -> None:
+    where = calibration.provenance
+    _software(_add(parent, "dccSoftware"), calibration)
+    core = _add(parent, "coreData")
+    day = where.recorded_utc[:10] or (issued or date.today()).isoformat()
+    for name, text in (
+        ("countryCodeISO3166_1", NO_COUNTRY),
+        ("usedLangCodeISO639_1", "en"),
+        ("mandatoryLangCodeISO639_1", "en"),
+        ("uniqueIdentifier", f"adis-gonio-{where.sha256[:32]}-{calibration.method}"),
+        ("beginPerformanceDate", day),
+        ("endPerformanceDate", day),
+        ("performanceLocation", "other"),
+    ):
+        _add(core, name, text)
+    item = _named(_add(parent, "items"), "item", f"Accelerometers of an {where.sensor} in a goniometer")
+    if where.sensor in VARIANTS:
+        _named(item, "manufacturer", "Analog Devices")
+    _add(item, "model", where.sensor)
+    identifications = _add(item, "identifications")
+    for label, value in (("serial number", where.serial), ("SHA-256 of the samples", where.sha256)):
+        one = _add(identifications, "identification")
+        _add(one, "issuer", "other")
+        _add(one, "value", value or NOT_STATED)
+        _add(_add(one, "name"), "content", label)
+    _contact(_add(_add(parent, "calibrationLaboratory"), "contact"))
+    _named(_add(_add(parent, "respPersons"), "respPerson"), "person", where.operator or NOT_STATED)
+    _contact(_add(parent, "customer"))
+    statements = _add(parent, "statements")
+    for text in _statements(calibration):
+        _named(statements, "statement", text, "declaration")
+
+
+def _contact(parent: ET.Element) -> None:
+    _add(_add(parent, "name"), "content", NOT_STATED)
+    _add(_add(_add(parent, "location"), "further"), "content", NOT_STATED)
+
+
+def _statements(calibration: Calibration) -> list[str]:
+    texts = [
+        "Made by a program and not signed; laboratory, customer and country are not stated (code ZZ), "
+        "and no traceability is claimed beyond that of the stage's declared angles.",
+        "Readings are U = diag(K) D g + b: sensitivities relative to the nominal one, skews as 90° less "
+        "the angle between two axes, biases as readings where no acceleration acts.",
+    ]
+    if not calibration.provenance.recorded_utc:
+        texts.append("The date of recording is not stated; the dates are that of issue.")
+    texts += [f"{name} was not determined and is taken as nominal." for name in calibration.assumed]
+    texts += [f"Not corrected: {one.effect}: {one.reason}." for one in calibration.not_corrected]
+    if calibration.covariance is None:
+        texts.append("The noise of the readings is not known, so that no uncertainty is stated.")
+    return texts
+
+
+def _results(parent: ET.Element, calibration: Calibration) -> None:
+    where = calibration.provenance
+    _add(_add(parent, "name"), "content", where.title or "Calibration by gravity")
+    method = _named(_add(parent, "usedMethods"), "usedMethod", f"adis-gonio, method {calibration.method}")
+    _add(_add(method, "description"), "content", _model_of(calibration))
+    _software(_add(parent, "usedSoftware"), calibration)
+    equipment = _add(parent, "measuringEquipments")
+    _named(equipment, "measuringEquipment", where.stage or f"stage, {NOT_STATED}")
+    conditions = _add(parent, "influenceConditions")
+    _condition(conditions, "Local gravity", where.gravity_mps2, _PER_S2)
+    if where.temperature_c is not None:
+        _condition(conditions, "Temperature of the die, mean", where.temperature_c.mean, r"\degreecelsius")
+    if where.supply_v is not None:
+        _condition(conditions, "Supply voltage, mean", where.supply_v.mean, r"\volt")
+    results = _add(parent, "results")
+    data = _add(_named(results, "result", "Parameters"), "data")
+    ratio = derived_delta_k(calibration)
+    for one in (*([ratio] if ratio else []), *calibration.parameters):
+        quantity = _named(data, "quantity", _label(one.name))
+        _real(quantity, one)
+    _turn(results, calibration)
+
+
+def _model_of(calibration: Calibration) -> str:
+    effects = ", ".join(term.effect.name for term in calibration.effects)
+    base = (
+        "gains, misalignment and biases in the plane" if calibration.planar else "gains, skews and biases"
+    )
+    return f"{base}{f'; effects: {effects}' if effects else ''}"
+
+
+def _condition(parent: ET.Element, name: str, value: float, unit: str) -> None:
+    data = _add(_named(parent, "influenceCondition", name), "data")
+    real = _add(_named(data, "quantity", name), "real", space=SI)
+    _add(real, "value", repr(float(value)), SI)
+    _add(real, "unit", unit, SI)
+
+
+def _label(name: str) -> str:
+    """Words for a parameter, its name in brackets."""
+    stem, _, axes = name.partition("_")
+    words = _NAMES.get(name) or (f"{_NAMES[stem]} {axes.upper()}" if stem in _NAMES else "Coefficient")
+    return f"{words} ({name})"
+
+
+def _coverage(one: Coefficient) -> float:
+    if one.dof is None or math.isinf(one.dof):
+        return NORMAL
+    from scipy import stats
+
+    return float(stats.t.ppf(0.5 + PROBABILITY / 2, one.dof))
+
+
+def _real(parent: ET.Element, one: Coefficient) -> None:
+    if one.unit not in _UNITS:
+        raise FitError(f"{one.name} is in {one.unit}, which a certificate has no SI unit for")
+    unit, factor = _UNITS[one.unit]
+    real = _add(parent, "real", space=SI)
+    _add(real, "value", repr(one.value * factor), SI)
+    _add(real, "unit", unit, SI)
+    if one.u is None:
+        return
+    k = _coverage(one)
+    expanded = _add(real, "expandedUnc", space=SI)
+    _add(expanded, "uncertainty", repr(k * one.u * abs(factor)), SI)
+    _add(expanded, "coverageFactor", f"{k:.4f}", SI)
+    _add(expanded, "coverageProbability", f"{PROBABILITY}", SI)
+    _add(expanded, "distribution", "normal" if k == NORMAL else "t", SI)
+
+
+def _turn(parent: ET.Element, calibration: Calibration) -> None:
+    """What the calibration lends to angles of gravity in the plane of x and y."""
+    psi = np.radians(_TURN_DEG)
+    gravity = np.zeros((len(psi), calibration.axes))
+    gravity[:, 0], gravity[:, 1] = np.cos(psi), np.sin(psi)
+    u_deg = calibration.angle(calibration.readings_of(gravity), plane="xy").u_deg
+    if not np.isfinite(u_deg).all():
+        return
+    data = _add(
+        _named(parent, "result", "Angle of gravity in the plane of X and Y by the calibrated sensor"),
+        "data",
+    )
+    listed = _add(_named(data, "quantity", "Angle"), "realListXMLList", space=SI)
+    _add(listed, "valueXMLList", _spaced(_TURN_DEG), SI)
+    _add(listed, "unitXMLList", r"\degree", SI)
+    expanded = _add(listed, "expandedUncXMLList", space=SI)
+    _add(expanded, "uncertaintyXMLList", _spaced([NORMAL * float(u) for u in u_deg]), SI)
+    _add(expanded, "coverageFactorXMLList", f"{NORMAL:.4f}", SI)
+    _add(expanded, "coverageProbabilityXMLList", f"{PROBABILITY}", SI)
+    _add(expanded, "distributionXMLList", "normal", SI)
+
+
+def _spaced(values: Sequence[float]) -> str:
+    return " ".join(repr(value) for value in values)

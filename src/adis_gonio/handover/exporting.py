@@ -1,0 +1,166 @@
+"""What `export` writes: a format by name or by a file's ending, and the file's content."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from adis_gonio.calibration.calibration import Calibration
+from adis_gonio.calibration.document import finite, json_text
+from adis_gonio.calibration.loading import calibration_in
+from adis_gonio.errors import DataError, FitError, UsageError
+from adis_gonio.handover.c_header import DEFAULT_NAME
+from adis_gonio.model.records import Session
+from adis_gonio.session import load_session
+from adis_gonio.session.export import session_dict
+
+ENDINGS = {
+    ".h": "c-header",
+    ".hpp": "c-header",
+    ".json": "json",
+    ".csv": "csv",
+    ".csv.gz": "csv",
+    ".parquet": "parquet",
+    ".xml": "dcc",
+    ".txt": "registers",
+}
+FORMATS = tuple(dict.fromkeys(ENDINGS.values()))
+OF_SAMPLES = ("csv", "parquet")
+"""Formats that hold samples and no coefficients."""
+
+
+def format_of(name: str) -> str:
+    """Format by a file's ending; `UsageError` names the endings that are known."""
+    lower = name.lower()
+    for ending in sorted(ENDINGS, key=len, reverse=True):
+        if lower.endswith(ending):
+            return ENDINGS[ending]
+    raise UsageError(f"{name}: no format has this ending; use {', '.join(ENDINGS)}, or --format")
+
+
+@dataclass(frozen=True)
+class Source:
+    """What is exported: a session, with how its coefficients are found; or a calibration's file.
+
+    Attributes
+    ----------
+    path : Path
+    method : str or None
+        Of the fit; None: the best one.
+    traced : bool
+        True for the coefficients of the traced model.
+    samples : bool
+        True for every sample in JSON.
+    name : str
+        What every name in a C header begins with.
+    """
+
+    path: Path
+    method: str | None = None
+    traced: bool = False
+    samples: bool = False
+    name: str = DEFAULT_NAME
+
+    def check(self, kind: str) -> None:
+        """Refuse options that have no meaning for a format: `UsageError`."""
+        if kind in OF_SAMPLES and (self.method is not None or self.traced):
+            raise UsageError(f"--method and --trace go with coefficients: {kind} holds the samples only")
+        if self.samples and kind != "json":
+            raise UsageError("--samples goes with --format json")
+        if self.method is not None and self.traced:
+            raise UsageError("--method and --trace exclude each other: a trace has its own model")
+        if self.name != DEFAULT_NAME and kind != "c-header":
+            raise UsageError("--name goes with --format c-header")
+
+    def write(self, kind: str, path: Path) -> None:
+        """Write a format to a file that is not there yet, or is empty.
+
+        Raises
+        ------
+        UsageError, DataError, FitError, NotInstalledError, OSError
+            As its parts.
+        """
+        self.check(kind)
+        if kind in OF_SAMPLES:
+            _SAMPLES[kind](self._session(kind), path)
+            return
+        text = self._json() if kind == "json" else _TEXTS[kind](self._calibration(), self.name)
+        path.write_text(text, encoding="utf-8")
+
+    def _session(self, kind: str) -> Session:
+        if calibration_in(self.path) is not None:
+            raise DataError(f"{self.path}: is a calibration without samples: {kind} needs a session")
+        return load_session(self.path)
+
+    def _calibration(self) -> Calibration:
+        made = calibration_in(self.path)
+        if made is None:
+            calibration: Calibration = self._result(load_session(self.path)).calibration()
+            return calibration
+        if self.method is not None or self.traced:
+            raise UsageError(
+                f"{self.path}: is a calibration already: --method and --trace go with a session"
+            )
+        return made
+
+    def _result(self, session: Session) -> Any:
+        if self.traced:
+            from adis_gonio.tracing import trace
+
+            return trace(session)
+        from adis_gonio.fitting import fit
+
+        return fit(session, method=self.method)
+
+    def _json(self) -> str:
+        """The calibration, where the session determines one; the fit or trace; what is known of it."""
+        session = self._session("json")
+        about = session_dict(session)
+        if not self.samples:
+            del about["dwells"]
+        result = self._result(session)
+        document: dict[str, Any] = {"coefficients": result.as_dict(), "session": about}
+        with suppress(FitError):  # what is known of the parameters is in the coefficients then
+            document = {**result.calibration().as_dict(), **document}
+        return json_text(finite(document))
+
+
+def _header(calibration: Calibration, name: str) -> str:
+    from adis_gonio.handover.c_header import c_header
+
+    return c_header(calibration, name)
+
+
+def _registers(calibration: Calibration, name: str) -> str:
+    from adis_gonio.handover.offsets import registers_text
+
+    return registers_text(calibration)
+
+
+def _certificate(calibration: Calibration, name: str) -> str:
+    from adis_gonio.handover.certificate import certificate_text
+
+    return certificate_text(calibration)
+
+
+def _csv(session: Session, path: Path) -> None:
+    from adis_gonio.session.export import write_csv
+
+    write_csv(session, path)
+
+
+def _parquet(session: Session, path: Path) -> None:
+    from adis_gonio.handover.parquet import write_parquet
+
+    write_parquet(session, path)
+
+
+_TEXTS: dict[str, Callable[[Calibration, str], str]] = {
+    "c-header": _header,
+    "registers": _registers,
+    "dcc": _certificate,
+}
+_SAMPLES: dict[str, Callable[[Session, Path], None]] = {"csv": _csv, "parquet": _parquet}

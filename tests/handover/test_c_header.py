@@ -1,0 +1,217 @@
+"""The C header does what its reference does on every machine, and that is what the calibration says."""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adis_gonio.calibration import Calibration
+from adis_gonio.errors import FitError, UsageError
+from adis_gonio.handover.c_header import FIXED_UDEG, c_header
+from adis_gonio.handover.fixed import ONE, FixedPoint, atan2_udeg
+from adis_gonio.handover.polynomial import PARTS, polynomial_of
+from adis_gonio.handover.single import FLOAT_DEG, SinglePrecision, atan2_deg
+from handover.calibrations import CURVED, EVERY, PLANE, SPACE, calibration, of_counts
+from handover.machines import MACHINES, STRICT
+from handover.sweep import parsed, scans, ulps
+
+KINDS = {
+    "plain": lambda: calibration(PLANE),
+    "curved": lambda: calibration(PLANE, CURVED),
+    "every effect": lambda: calibration(PLANE, EVERY),
+    "space": lambda: calibration(
+        SPACE, {"quadratic": (6.1, -3.4, 2.0), "scale_temperature": (60.0, -45.0, 9.0)}
+    ),
+    "adis16350": lambda: calibration(PLANE, CURVED, sensor="adis16350"),
+    "mg": lambda: calibration(PLANE, EVERY, sensor="generic"),
+    "counts": of_counts,
+}
+SPAN = {"mg": 256 * 2600, "counts": 256 * 6000, "adis16350": 256 * 900}
+SCANS = 10_000
+OTHERS = 400
+
+
+def span_of(kind: str) -> int:
+    return SPAN.get(kind, 256 * 5400)
+
+
+def machine_named(name: str):
+    machine = next(one for one in MACHINES if one.name == name)
+    if reason := machine.missing():
+        pytest.skip(reason)
+    return machine
+
+
+@pytest.mark.parametrize("machine", [one.name for one in MACHINES])
+@pytest.mark.parametrize(
+    ("kind", "n"),
+    [("curved", SCANS), ("every effect", OTHERS), ("space", OTHERS), ("mg", OTHERS), ("counts", OTHERS)],
+)
+def test_fixed_point_is_bit_equal_and_float_within_two_ulp_on_every_machine(tmp_path, machine, kind, n):
+    own = KINDS[kind]()
+    polynomial = polynomial_of(own)
+    (tmp_path / "own.h").write_text(c_header(own))
+    angle = "_angle_##u" if own.planar else "_angle_xy_##u"
+    options = [
+        '-DHEADER="own.h"', "-DPREFIX=adis_gonio", f"-DSCANS={n}", f"-DSPAN={span_of(kind)}UL",
+        f"-DAXES={own.axes}", f"-DANGLE(u)={angle}", *(["-DWORDS"] if polynomial.words else []),
+    ]  # fmt: skip
+    got = parsed(machine_named(machine).run(tmp_path, *options), own.axes)
+    drawn = scans(n, span_of(kind), words=polynomial.words)
+    given = (drawn.numbers, drawn.temperature, drawn.supply)
+    fixed, single = FixedPoint.of(polynomial), SinglePrecision(polynomial)
+    assert got.self_check == 0
+    assert len(got.udeg) == n
+    assert np.array_equal(got.fixed, fixed.correct(*given))
+    assert np.array_equal(got.udeg, fixed.angle_udeg(*given))
+    assert ulps(got.single, single.correct(*given)).max() <= 2
+    assert ulps(got.deg, single.angle_deg(*given)).max() <= 2
+
+
+def shown_by(own: Calibration, drawn) -> tuple[np.ndarray, np.ndarray]:
+    """Gravity (n, axes) and angle (n,) in degrees by the calibration itself, in double precision."""
+    sensor = own.provenance.sensor
+    lsb = {"adis16354": 0.4672, "adis16350": 2.522}.get(sensor, 1.0)
+    numbers = drawn.numbers[:, : own.axes] / PARTS
+    if sensor == "generic":
+        temperature, supply = drawn.temperature / PARTS, drawn.supply / PARTS / 1000
+    else:
+        temperature, supply = 25 + 0.1453 * drawn.temperature / PARTS, 1.8315e-3 * drawn.supply / PARTS
+    conditions = {"temperature_c": temperature, "supply_v": supply}
+    inside = (np.abs(temperature - 25) < 128) & (np.abs(supply - 5) < 8)
+    gravity = own.apply(numbers * lsb, **conditions)
+    gravity[~inside] = np.nan
+    return gravity, np.degrees(np.arctan2(gravity[:, 1], gravity[:, 0]))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_both_arithmetics_give_the_calibration_s_angle_within_the_bounds_of_the_header(kind):
+    own = KINDS[kind]()
+    polynomial = polynomial_of(own)
+    drawn = scans(SCANS, span_of(kind), words=False)
+    gravity, angle = shown_by(own, drawn)
+    length = np.hypot(gravity[:, 0], gravity[:, 1])
+    with np.errstate(invalid="ignore"):
+        rows = np.isfinite(angle) & (length > 0.5) & (np.abs(gravity).max(axis=1) < 1.8)
+    assert rows.sum() > 1000
+    given = (drawn.numbers[rows], drawn.temperature[rows], drawn.supply[rows])
+    fixed, single = FixedPoint.of(polynomial), SinglePrecision(polynomial)
+
+    def off(shown_deg):
+        return np.abs((shown_deg - angle[rows] + 180) % 360 - 180)
+
+    assert off(fixed.angle_udeg(*given) * 1e-6).max() * 1e6 < FIXED_UDEG
+    assert off(single.angle_deg(*given).astype(float)).max() < FLOAT_DEG
+    at_half_g = 0.5 * np.radians(FIXED_UDEG * 1e-6)
+    assert np.abs(fixed.correct(*given) / ONE - gravity[rows]).max() < at_half_g
+    assert np.abs(single.correct(*given) - gravity[rows]).max() < 2e-6
+
+
+def test_the_angle_of_whole_numbers_is_right_in_every_octant_and_at_every_size():
+    rng = np.random.default_rng(1)
+    size = 2.0 ** rng.uniform(0, 30.9, 20_000)
+    psi = rng.uniform(-np.pi, np.pi, 20_000)
+    x, y = np.rint(size * np.cos(psi)).astype(np.int64), np.rint(size * np.sin(psi)).astype(np.int64)
+    off = atan2_udeg(y, x) - np.degrees(np.arctan2(y, x)) * 1e6
+    assert np.abs((off + 180e6) % 360e6 - 180e6).max() < 7
+    exact = {(0, 5): 0, (5, 0): 90, (0, -5): 180, (-5, 0): -90, (0, 0): 0, (7, 7): 45, (-7, -7): -135}
+    for (y1, x1), degrees in exact.items():
+        assert abs(int(atan2_udeg(np.array([y1]), np.array([x1]))[0]) - degrees * 10**6) <= 7
+
+
+def test_the_angle_in_float_is_right_in_every_octant_and_at_every_size():
+    rng = np.random.default_rng(2)
+    size, psi = 10.0 ** rng.uniform(-20, 20, 20_000), rng.uniform(-np.pi, np.pi, 20_000)
+    x, y = (size * np.cos(psi)).astype(np.float32), (size * np.sin(psi)).astype(np.float32)
+    exact = np.degrees(np.arctan2(y.astype(float), x.astype(float)))
+    assert ulps(atan2_deg(y, x), exact.astype(np.float32)).max() <= 4
+    null = np.zeros(1, dtype=np.float32)
+    assert atan2_deg(null, null)[0] == 0.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_two_headers_stand_in_one_program_and_two_of_one_name_are_refused(tmp_path, kind):
+    machine = machine_named("host")
+    (tmp_path / "one.h").write_text(c_header(KINDS[kind](), "one"))
+    (tmp_path / "two.h").write_text(c_header(calibration(PLANE), "two"))
+    main = "int main(void) { return one_self_check() + two_self_check(); }\n"
+    source = tmp_path / "both.c"
+    source.write_text('#include "one.h"\n#include "two.h"\n#include "one.h"\n' + main)
+    machine.run(tmp_path, "-Wconversion", "-Wshadow", "-Wundef", "-Wcast-qual", source=source)
+    (tmp_path / "again.h").write_text(c_header(calibration(PLANE, {"cubic": (1.0, 1.0)}), "one"))
+    source.write_text('#include "one.h"\n#include "again.h"\nint main(void) { return 0; }\n')
+    done = subprocess.run(
+        [*machine.compiler, *STRICT, str(source), "-o", str(tmp_path / "x")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode != 0
+    assert "two calibrations are called one" in done.stderr
+
+
+def test_the_self_check_notices_a_changed_number(tmp_path):
+    machine = machine_named("host")
+    text = c_header(calibration(PLANE, CURVED))
+    bias = FixedPoint.of(polynomial_of(calibration(PLANE, CURVED))).bias[0]
+    source = tmp_path / "check.c"
+    source.write_text('#include "own.h"\nint main(void) { return adis_gonio_self_check() == 1 ? 0 : 1; }\n')
+    assert f"- {bias}L" in text
+    (tmp_path / "own.h").write_text(text.replace(f"- {bias}L", f"- {bias + 100}L"))
+    machine.run(tmp_path, source=source)
+
+
+def test_words_of_an_author_stay_inside_the_comment(tmp_path):
+    machine = machine_named("c++")
+    hostile = calibration(PLANE, title="a */ int x; /* b ??/ é\n#error c \\", serial="\\")
+    (tmp_path / "own.h").write_text(c_header(hostile))
+    (tmp_path / "own.h").read_text("ascii")
+    source = tmp_path / "quiet.c"
+    source.write_text('#include "own.h"\nint main(void) { return adis_gonio_self_check(); }\n')
+    machine.run(tmp_path, source=source)
+    for line in (tmp_path / "own.h").read_text().splitlines():
+        assert not line.endswith("\\")
+
+
+@pytest.mark.parametrize("name", ["", "2x", "a-b", "a b", "_a", "é"])
+def test_names_that_c_cannot_have_are_refused(name):
+    with pytest.raises(UsageError, match="is no name for C"):
+        c_header(calibration(PLANE), name)
+
+
+def test_every_coefficient_stands_in_the_header_with_its_u_and_unit():
+    own = calibration(PLANE, EVERY, title="bench 3", operator="M. Muster")
+    text = c_header(own)
+    for one in own.parameters:
+        row = next(line for line in text.splitlines() if line.startswith(f" * {one.name} "))
+        value, unit, u = row.split()[2:5]
+        assert float(value) == pytest.approx(one.value, rel=1e-8)
+        assert float(u) == pytest.approx(one.u, rel=0.05)
+        assert unit == one.unit.translate(str.maketrans({"²": "2", "³": "3", "°": "d"})).replace(
+            "/dC", "/degC"
+        )
+    for piece in (
+        "bench 3",
+        "M. Muster",
+        "ab" * 32,
+        "ADIS_GONIO_ALPHA_UDEG 31250000L",
+        "ADIS_GONIO_U_UDEG",
+    ):
+        assert piece in text
+
+
+def test_what_a_firmware_cannot_solve_is_refused():
+    with pytest.raises(FitError, match="too large"):
+        c_header(calibration(PLANE, {"quadratic": (99.0, 99.0), "cubic": (99.0, 99.0)}))
+    with pytest.raises(FitError, match="gains are too far from 1"):
+        c_header(calibration({**PLANE, "scale_x": 0.3}))
+
+
+def test_without_noise_no_u_is_claimed():
+    bare = replace(calibration(PLANE), covariance=None)
+    text = c_header(bare)
+    assert "_U_UDEG" not in text
+    assert "is not known" in text

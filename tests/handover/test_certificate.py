@@ -1,0 +1,124 @@
+"""The certificate has the structure that PTB publishes, values in SI units, and nothing invented."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from datetime import date
+
+import pytest
+
+from adis_gonio.calibration import NotCorrected
+from adis_gonio.errors import FitError
+from adis_gonio.handover.certificate import certificate_text
+from adis_gonio.model.effects import effect
+from adis_gonio.model.effects.registry import BUILT_IN
+from handover.calibrations import CURVED, EVERY, PLANE, SPACE, calibration, of_counts
+from handover.dcc_structure import DCC, SI, judge
+
+KINDS = {
+    "plain": lambda: calibration(PLANE),
+    "every effect": lambda: calibration(PLANE, EVERY),
+    "space": lambda: calibration(SPACE),
+    "counts": of_counts,
+    "no noise": lambda: replace(calibration(PLANE), covariance=None),
+    "remarks": lambda: replace(
+        calibration(PLANE, title="T", serial="S 7", operator="M. Muster", stage="table 2"),
+        assumed=("bias_x",),
+        not_corrected=(NotCorrected("backlash", "belongs to the stage"),),
+    ),
+    "hostile": lambda: calibration(PLANE, title="<a> & \x00 \ud800 ]]>", serial="  ", operator="\n\t"),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_element_is_as_documented(kind):
+    judge(certificate_text(KINDS[kind](), date(2026, 5, 4)))
+
+
+def quantities(root):
+    found = {}
+    for quantity in root.iter(f"{DCC}quantity"):
+        name = quantity.find(f"{DCC}name/{DCC}content").text
+        real = quantity.find(f"{SI}real")
+        if real is not None:
+            found[re.sub(r".*\((\w+)\)", r"\1", name)] = {
+                one.tag[len(SI) :]: one.text for one in real.iter()
+            }
+    return found
+
+
+def test_values_are_in_si_units_with_expanded_uncertainties():
+    own = calibration(PLANE, CURVED)
+    found = quantities(judge(certificate_text(own)))
+    g = 9.80665
+    expected = {
+        "scale_x": (1.012, 1e-4, r"\one"),
+        "delta_phi": (0.41, 1e-4, r"\degree"),
+        "bias_x": (12.3e-3 * g, 1e-7 * g, r"\metre\second\tothe{-2}"),
+        "k2_x": (6.1e-3 * g / g**2, 1e-7 / g, r"\metre\tothe{-1}\second\tothe{2}"),
+        "tempco_x": (0.31e-3 * g, 1e-7 * g, r"\metre\second\tothe{-2}\kelvin\tothe{-1}"),
+    }
+    for name, (value, u, unit) in expected.items():
+        real = found[name]
+        assert float(real["value"]) == pytest.approx(value, rel=1e-12)
+        assert real["unit"] == unit
+        assert float(real["uncertainty"]) == pytest.approx(1.95996 * u, rel=1e-5)
+        assert float(real["coverageProbability"]) == 0.95
+    ratio = float(found["delta_k"]["value"])
+    assert ratio == pytest.approx(1.012 / 0.991 - 1, rel=1e-12)
+
+
+def test_few_degrees_of_freedom_widen_the_interval_by_student_s_quantile():
+    own = calibration(PLANE)
+    few = replace(own, parameters=tuple(replace(one, dof=4.0) for one in own.parameters))
+    real = quantities(judge(certificate_text(few)))["scale_x"]
+    assert real["coverageFactor"] == "2.7764"  # Student's table, 4 degrees of freedom, 95 %
+    assert float(real["uncertainty"]) == pytest.approx(2.7764e-4, rel=1e-4)
+    assert real["distribution"] == "t"
+
+
+def test_what_nobody_stated_is_not_invented():
+    text = certificate_text(calibration(PLANE), date(2026, 5, 4))
+    root = judge(text)
+    assert root.find(f".//{DCC}customer/{DCC}name/{DCC}content").text == "not stated"
+    assert root.find(f".//{DCC}respPerson/{DCC}person/{DCC}name/{DCC}content").text == "not stated"
+    assert root.find(f".//{DCC}countryCodeISO3166_1").text == "ZZ"
+    assert root.find(f".//{DCC}beginPerformanceDate").text == "2026-05-04"
+    assert "The date of recording is not stated" in text
+    assert "not signed" in text
+
+
+def test_what_the_session_states_is_in_its_place():
+    own = calibration(
+        PLANE, operator="M. Muster", serial="S 7", stage="table 2", recorded_utc="2026-03-01T10:00:00Z"
+    )
+    root = judge(certificate_text(own))
+    assert root.find(f".//{DCC}respPerson/{DCC}person/{DCC}name/{DCC}content").text == "M. Muster"
+    assert root.find(f".//{DCC}identification/{DCC}value").text == "S 7"
+    assert root.find(f".//{DCC}measuringEquipment/{DCC}name/{DCC}content").text == "table 2"
+    assert root.find(f".//{DCC}endPerformanceDate").text == "2026-03-01"
+
+
+def test_without_noise_there_is_no_uncertainty():
+    text = certificate_text(replace(calibration(PLANE), covariance=None, parameters=tuple(
+        replace(one, u=None) for one in calibration(PLANE).parameters
+    )))  # fmt: skip
+    assert "expandedUnc" not in text
+    assert "no uncertainty is stated" in text
+
+
+def test_every_unit_of_the_catalogue_has_one_of_si_or_is_refused():
+    from adis_gonio.calibration.building import CORRECTABLE
+    from adis_gonio.handover.certificate import _UNITS
+
+    units = {p.unit for name in CORRECTABLE for p in effect(name, **_most(name)).parameters}
+    assert units <= set(_UNITS)
+    own = calibration(PLANE)
+    odd = replace(own, parameters=(*own.parameters[:-1], replace(own.parameters[-1], unit="furlong")))
+    with pytest.raises(FitError, match="furlong"):
+        certificate_text(odd)
+
+
+def _most(name):
+    return {"degree": 3} if "degree" in BUILT_IN[name].choices() else {}

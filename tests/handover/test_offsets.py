@@ -1,0 +1,56 @@
+"""Offset words take the bias away: on the simulated chip, which adds what its registers hold."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adis_gonio import open_sensor
+from adis_gonio.cli import main
+from adis_gonio.errors import FitError
+from adis_gonio.handover.offsets import offset_words, registers_text
+from handover.calibrations import PLANE, calibration
+
+LSB = 0.4672
+
+
+def test_the_sign_is_against_the_bias_and_rounding_leaves_half_an_lsb():
+    words = offset_words(calibration(PLANE))
+    assert [(word.name, word.number) for word in words] == [("XACCL_OFF", -26), ("YACCL_OFF", 60)]
+    for word in words:
+        assert word.left_mg == pytest.approx(word.bias_mg + word.number * LSB)
+        assert abs(word.left_mg) <= LSB / 2
+
+
+def test_offsets_that_stood_already_are_kept_in_the_sum():
+    own = calibration(PLANE)
+    held = replace(own, provenance=replace(own.provenance, offsets_lsb=(5, -7, 0)))
+    assert [word.number for word in offset_words(held)] == [-26 + 5, 60 - 7]
+    assert "5 before" in registers_text(held)
+    assert "does not say what the registers held" in registers_text(own)
+
+
+def test_the_lines_are_what_the_registers_command_takes_and_the_bias_is_gone(capsys):
+    with open_sensor("sim:?seed=4") as sensor:
+        before = sensor.read_scans(400).accel_mg.mean(axis=0)
+        numbers = dict(re.findall(r"^(\w+)=(-?\d+)$", registers_text(calibration(PLANE)), re.MULTILINE))
+        for name, number in numbers.items():
+            sensor.write(name, int(number))
+        after = sensor.read_scans(400).accel_mg.mean(axis=0)
+    assert np.abs(after[:2] - before[:2] - [-26 * LSB, 60 * LSB]).max() < 1.0
+    words = [line for line in registers_text(calibration(PLANE)).splitlines() if not line.startswith("#")]
+    assert main(["registers", "sim:?seed=1", *words]) == 0
+    assert "-26" in capsys.readouterr().out
+
+
+def test_what_has_no_offset_registers_or_no_bias_is_refused():
+    with pytest.raises(FitError, match="belong to an ADIS16350"):
+        offset_words(calibration(PLANE, sensor="generic"))
+    without = replace(calibration(PLANE), parameters=calibration(PLANE).parameters[:-1])
+    with pytest.raises(FitError, match="does not determine bias_y"):
+        offset_words(without)
+    with pytest.raises(FitError, match="XACCL_OFF holds -2048 to 2047"):
+        offset_words(calibration({**PLANE, "bias_x": 970.0}))
