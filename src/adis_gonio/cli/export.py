@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from adis_gonio.cli.overrides import load, override_options
 from adis_gonio.errors import UsageError
+
+if TYPE_CHECKING:
+    from adis_gonio.session.overrides import Overrides
 
 
 @click.command("export")
@@ -17,17 +22,26 @@ from adis_gonio.errors import UsageError
 )
 @click.option("--method", help="JSON: method of the coefficients; the best one unless told.")
 @click.option("--samples", is_flag=True, help="JSON: every sample too.")
-def command(*, session: Path, kind: str, output: Path | None, method: str | None, samples: bool) -> None:
+@override_options
+def command(
+    *,
+    session: Path,
+    kind: str,
+    output: Path | None,
+    method: str | None,
+    samples: bool,
+    overrides: Overrides,
+) -> None:
     """Write a session's data and coefficients for other programs.
 
     csv is the samples CSV, which `adis-gonio fit` reads back. json holds the coefficients with their
     covariance and what is known of the session; --samples adds the data.
     """
     from adis_gonio.cli.show import json_text
-    from adis_gonio.session import export_csv, load_session
+    from adis_gonio.session import export_csv
     from adis_gonio.session.export import session_dict
 
-    loaded = load_session(session)
+    loaded = load(session, overrides)
     if kind == "csv":
         if output is None:
             raise UsageError("--format csv needs -o FILE.csv or FILE.csv.gz")

@@ -41,7 +41,7 @@ from adis_gonio.estimation.screening import clipped, refuse_dead_data
 from adis_gonio.estimation.spectrum import MeanNoise, noise_of_means
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, gains_and_skews
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Floats, Session
+from adis_gonio.model.records import ACCEL_UNITS, STANDARD_GRAVITY_MPS2, Dwell, Floats, Session
 from adis_gonio.sensor.variants import VARIANTS
 
 MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
@@ -326,7 +326,24 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
     raise DataError(
         f"{session.source or 'session'}: readings are {length:.3g} g long where 1 g acts: accel_unit "
         f"{session.accel_unit} cannot be right (lsb goes by the sensor, {session.sensor}); state the unit "
-        f"of the file, or counts where it is not known{also}"
+        f"of the file, or counts where it is not known{_as_another(session, length)}{also}"
+    )
+
+
+def _as_another(session: Session, length: float) -> str:
+    """The units in which readings `length` g long would be 1 g long, and how to say so."""
+    own = _mg_per_unit(session)
+    fits = [
+        unit
+        for unit in ACCEL_UNITS
+        if unit != "counts"
+        and (unit != "lsb" or session.sensor in VARIANTS)
+        and 1 / OFF_UNIT < length * _mg_per_unit(replace(session, accel_unit=unit)) / own < OFF_UNIT
+    ]
+    if not fits:
+        return ""
+    return (
+        f"; {' or '.join(fits)} would fit: add a line '# accel_unit: {fits[0]}', or give --unit {fits[0]}"
     )
 
 
@@ -349,7 +366,7 @@ def _refuse_reversed(session: Session, readings: Readings) -> None:
         return
     raise DataError(
         f"{session.source or 'session'}: the readings turn the other way than the declared angles: change "
-        "the sign of angle_deg, or of an axis, so that Y reads at 90° minus what X reads at 0°"
+        "the sign of angle_deg (--reverse), or of an axis, so that Y reads at 90° minus what X reads at 0°"
     )
 
 

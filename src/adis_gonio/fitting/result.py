@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -51,6 +51,8 @@ class FitResult:
         Standard deviation per reading and axis beyond the measured noise, which the residual demanded.
     fixture_sigma_deg : float or None
         Standard uncertainty of a declared angle that was used; inf free; None in space.
+    overrides : mapping
+        What was stated otherwise than in the session's file, old and new (`session.overrides`).
     """
 
     method: str
@@ -65,6 +67,7 @@ class FitResult:
     undetermined: tuple[str, ...] = ()
     extra_mg: float = 0.0
     fixture_sigma_deg: float | None = None
+    overrides: dict[str, Any] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Estimate:
         """Estimate by name; `KeyError` where the session does not determine it."""
@@ -106,4 +109,5 @@ class FitResult:
             "extra_reading_u_mg": self.extra_mg,
             "fixture_sigma_deg": "free" if sigma is not None and math.isinf(sigma) else sigma,
             "positions_used": len(self.positions),
+            "overrides": dict(self.overrides),
         }

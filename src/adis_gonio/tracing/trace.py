@@ -66,12 +66,13 @@ def trace(session: Session, max_effects: int = 6, time_limit: float | None = Non
     UsageError
         A time limit that is not positive.
     """
+    overrides = session.facts.get("overrides", {})
     if time_limit is None:
-        return _trace(session, max_effects)
+        return replace(_trace(session, max_effects), overrides=overrides)
     if not time_limit > 0:
         raise UsageError(f"a time limit of {time_limit:g} s: give a positive number of seconds")
     with within(Budget(time_limit, current().tell)):
-        return _trace(session, max_effects)
+        return replace(_trace(session, max_effects), overrides=overrides)
 
 
 def _trace(session: Session, max_effects: int) -> TraceResult:

@@ -307,6 +307,8 @@ class TraceResult:
         Factor on the noise variance at which uncertainties are stated.
     stopped : Stopped or None
         What the time limit left out, where it ended the trace.
+    overrides : mapping
+        What was stated otherwise than in the session's file, old and new (`session.overrides`).
     """
 
     adequate: bool
@@ -329,6 +331,7 @@ class TraceResult:
     fits: tuple[Fit, ...] = field(default=(), repr=False, compare=False)
     inflation: float = 1.0
     stopped: Stopped | None = None
+    overrides: dict[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `trace`."""
@@ -350,6 +353,7 @@ class TraceResult:
             "within": [finding.as_dict() for finding in self.within],
             "heldout_design": self.heldout_design,
             "stopped": None if self.stopped is None else self.stopped.as_dict(),
+            "overrides": dict(self.overrides),
         }
 
 
