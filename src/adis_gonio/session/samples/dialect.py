@@ -27,7 +27,7 @@ _FORMS = {
     )
     for mark, other in ((".", ","), (",", "."))
 }
-_UNDECIDED = {mark: re.compile(r"[+-]?[1-9]\d{0,2}" + re.escape(mark) + r"\d{3}") for mark in (".", ",")}
+_UNDECIDED = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
 _TOKENS = re.compile(r"\s+(?![\[(])")
 
 
@@ -104,11 +104,11 @@ def proof_of(cells: Iterable[str]) -> tuple[str, int] | None:
     """The mark that a cell proves to be decimal, and which cell that is; None where none does."""
     for place, cell in enumerate(cells):
         text = cell.strip()
-        if "." not in text and "," not in text:
+        if ("." not in text and "," not in text) or _UNDECIDED.fullmatch(text):
             continue
         for mark, other in ((".", ","), (",", ".")):
             plain, grouped = _FORMS[mark]
-            if mark in text and plain.fullmatch(text) and not _UNDECIDED[mark].fullmatch(text):
+            if mark in text and plain.fullmatch(text):
                 return mark, place
             # Two marks of a kind can only stand between thousands.
             if (mark in text or text.count(other) > 1) and grouped.fullmatch(text):

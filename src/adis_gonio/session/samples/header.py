@@ -15,6 +15,8 @@ from adis_gonio.session.samples.keys import Keys, keys_of
 from adis_gonio.session.samples.lines import chunks_of
 from adis_gonio.session.samples.names import AXES, COLUMNS, GYROS, Column
 
+_SEPARATORS = ("\t", ";", ",", "|", ":", "^", "~")
+"""What Excel's first line `sep=…` may state."""
 _EXPECTED = "time_s,position,angle_deg,ax,ay"
 
 
@@ -108,8 +110,8 @@ def _leading(path: Path) -> tuple[list[tuple[int, str]], int, str, str | None]:
     for chunk in chunks_of(path):
         for number, line in enumerate(chunk.lines, chunk.first):
             bare = line.strip()
-            if bare.lower().startswith("sep=") and len(line) > 4:
-                forced = {" ": SPACE}.get(line[4], line[4])
+            if bare.lower().startswith("sep="):
+                forced = line[4:5] if line[4:5] in _SEPARATORS else None
             elif bare.startswith(("#", '"#')):
                 comments.append((number, bare))
             elif bare.strip(';,\t" '):

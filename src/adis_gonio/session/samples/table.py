@@ -142,6 +142,8 @@ class _Reader:
         self.lines: list[tuple[int, int]] = []
         self.notes: list[str] = []
         self.n, self.latest_s = 0, -math.inf
+        self._joined = ""
+        """Note on marks between thousands, once there are any."""
         self._waiting: tuple[int, str, str] | None = None
         """Line that may only stand at the end: number, what is wrong with it elsewhere, note at the end."""
 
@@ -266,6 +268,8 @@ class _Reader:
         value = self.dialect.number(cell)
         if not math.isfinite(value):
             raise ValueError(cell)
+        if not self._joined and ("." if self.dialect.decimal == "," else ",") in cell:
+            self._joined = f"marks between thousands were left out, as in '{cell.strip()}' = {value:.12g}"
         return value
 
     def _numbers_one_by_one(self, name: str, cells: list[str]) -> Floats:
@@ -344,6 +348,7 @@ class _Reader:
             raise DataError(
                 f"{self.head.path.name}: the header in row {self.head.line} is followed by no sample"
             )
+        self.notes += [self._joined] if self._joined else []
         others = {name: growing.done() for name, growing in self.others.items()}
         table = Table(
             head=self.head,
