@@ -10,6 +10,7 @@ import click
 
 from adis_gonio.cli.overrides import load, override_options
 from adis_gonio.cli.show import console, json_option, print_json, with_uncertainty
+from adis_gonio.cli.trace import working
 
 if TYPE_CHECKING:
     from adis_gonio.session.overrides import Overrides
@@ -31,15 +32,19 @@ def command(*, session: Path, method: str | None, as_json: bool, overrides: Over
     from adis_gonio.fitting import fit, fit_every
 
     loaded = load(session, overrides)
+    what = f"fitting {len(loaded.dwells)} dwells of {session.name}"
     if as_json:
-        print_json(fit(loaded, method=method).as_dict())
+        with working(what):
+            result = fit(loaded, method=method)
+        print_json(result.as_dict())
         return
+    with working(what):
+        results, failures = ([fit(loaded, method=method)], {}) if method else fit_every(loaded)
     screen = console()
     title = f"{loaded.title}: " if loaded.title else ""
     screen.print(f"{title}{len(loaded.dwells)} dwells, {loaded.sensor}", style="bold", markup=False)
     for note in loaded.notes:
         screen.print(f"  {note}", markup=False)
-    results, failures = ([fit(loaded, method=method)], {}) if method else fit_every(loaded)
     print_results([result.as_dict() for result in results], shown=loaded.notes, failures=failures)
 
 

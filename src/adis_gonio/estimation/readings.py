@@ -34,6 +34,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.budget import current
 from adis_gonio.errors import DataError, FitError
 from adis_gonio.estimation.conic import conic_through
 from adis_gonio.estimation.flicker import covariance_of_means, modes, scatter_of_means, spans
@@ -422,11 +423,13 @@ def reduced(session: Session) -> Readings:
         known[single] = session.reading_u_mg is not None
     many = np.flatnonzero(samples > 1)
     if many.size:
-        rows = [dwells[k].accel[:, :axes] * scale / unit.per_mg for k in many.tolist()]
-        noise = noise_of_means(rows)
-        quantum = _quantum(session, rows, scale)
+        rows = [dwells[k].accel[:, :axes] for k in many.tolist()]
+        mg = scale / unit.per_mg
+        current().tell("noise of the readings")
+        noise = noise_of_means(rows, mg)
+        quantum = _quantum(session, rows, mg)
         flicker = _flicker(session, noise)
-        covariance[many] = noise.covariance + _quantization(rows, quantum)[:, :, None] * np.eye(axes)
+        covariance[many] = noise.covariance + _quantization(rows, mg, quantum)[:, :, None] * np.eye(axes)
         own, slow = _of_flicker([dwells[k] for k in many.tolist()], flicker, many, n)
         covariance[many] += own[:, :, None] * np.eye(axes)
         dof[many] = noise.dof
@@ -552,13 +555,13 @@ def _mg_per_unit(session: Session) -> float:
     return {"mg": 1.0, "g": 1000.0, "mps2": MG_PER_MPS2, "counts": 1.0}[session.accel_unit]
 
 
-def _quantum(session: Session, rows: list[Floats], scale: float) -> Floats:
-    """Step of the converter on each axis (axes,): the LSB, else the smallest step between values seen."""
+def _quantum(session: Session, rows: list[Floats], mg: Floats) -> Floats:
+    """Step of the converter on each axis (axes,) in mg: the LSB, else the smallest step between values."""
     axes = rows[0].shape[1]
     if session.accel_unit == "lsb":
-        return np.full(axes, scale)
+        return mg
     steps = np.zeros(axes)
-    sample = np.concatenate([r[:2000] for r in rows[:20]])
+    sample = np.concatenate([r[:2000] for r in rows[:20]]) * mg
     for axis in range(axes):
         values = np.unique(sample[:, axis])
         gaps = np.diff(values)
@@ -567,9 +570,9 @@ def _quantum(session: Session, rows: list[Floats], scale: float) -> Floats:
     return steps
 
 
-def _quantization(rows: list[Floats], quantum: Floats) -> Floats:
-    """Variance (dwells, axes) that quantization leaves on a mean."""
-    variance = np.array([r.var(axis=0) for r in rows])
+def _quantization(rows: list[Floats], mg: Floats, quantum: Floats) -> Floats:
+    """Variance (dwells, axes) that quantization leaves on a mean, in mg²."""
+    variance = np.array([r.var(axis=0) for r in rows]) * mg**2
     step = np.where(quantum > 0, quantum, 1.0)
     sigma2 = np.maximum(variance - quantum**2 / 12, 0.0) / step**2
     if float(sigma2.min(initial=np.inf)) > 1.0:

@@ -61,18 +61,45 @@ def clipped(dwells: Sequence[Dwell]) -> list[str]:
     """
     lines = []
     for axis in range(dwells[0].accel.shape[1]):
-        values, counts = np.unique(
-            np.concatenate([dwell.accel[:, axis] for dwell in dwells]), return_counts=True
-        )
-        for place, inside in ((-1, -2), (0, 1)):
-            if len(values) > _LEAST_VALUES and counts[place] >= max(_PILE, _STEEP * counts[inside]):
-                at = [d.position for d in dwells if (d.accel[:, axis] == values[place]).any()]
-                axis_at = f"{'xyz'[axis]} stand at the extreme value {values[place]:g} ({_positions(at)})"
+        columns = [dwell.accel[:, axis] for dwell in dwells]
+        for sign in (1.0, -1.0):
+            extreme, count, inside = _pile(columns, sign)
+            if count >= max(_PILE, _STEEP * inside) and _many_values(columns):
+                at = [
+                    d.position
+                    for d, column in zip(dwells, columns, strict=True)
+                    if (column == extreme).any()
+                ]
+                axis_at = f"{'xyz'[axis]} stand at the extreme value {extreme:g} ({_positions(at)})"
                 lines.append(
-                    f"{counts[place]} samples of {axis_at}: a limit was reached there, and their mean is "
+                    f"{count} samples of {axis_at}: a limit was reached there, and their mean is "
                     "not the reading"
                 )
     return lines
+
+
+def _pile(columns: Sequence[Floats], sign: float) -> tuple[float, int, int]:
+    """Largest value (smallest for −1), samples at it, and samples at the value next to it."""
+    most = max if sign > 0 else min
+    extreme = most(float(column.max() if sign > 0 else column.min()) for column in columns)
+    count = sum(int((column == extreme).sum()) for column in columns)
+    if count < _PILE:
+        return extreme, count, 0
+    rest = [column[column != extreme] for column in columns]
+    inner = [float(column.max() if sign > 0 else column.min()) for column in rest if column.size]
+    if not inner:
+        return extreme, count, 0
+    return extreme, count, sum(int((column == most(inner)).sum()) for column in rest)
+
+
+def _many_values(columns: Sequence[Floats]) -> bool:
+    """True where there are enough different values for an extreme one to say something."""
+    seen: Floats = np.empty(0)
+    for column in columns:
+        seen = np.union1d(seen, column)
+        if len(seen) > _LEAST_VALUES:
+            return True
+    return False
 
 
 def longest_runs(accel: Floats) -> Floats:

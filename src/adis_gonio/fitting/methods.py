@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from adis_gonio.budget import current
 from adis_gonio.errors import FitError, SingularError, UsageError
 from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.closed_form import LEAST_MMPM, fit_mmpm, fit_paper, fit_positions, rows_at
@@ -47,6 +48,7 @@ def fit(session: Session, method: str | None = None) -> FitResult:
     if method is not None and method not in METHODS:
         raise UsageError(f"no method is called '{method}'; known: {', '.join(METHODS)}")
     readings = readings_of(session)
+    current().tell(f"method {method}" if method else "the best method")
     try:
         result = fit_readings(readings.training, method)
     except FitError as error:
