@@ -23,6 +23,7 @@ COMMANDS = {
     "trace": ("adis_gonio.cli.trace", "Find the physical effects behind the residual of a session."),
     "report": ("adis_gonio.cli.report", "Write the calibration report as one HTML page."),
     "simulate": ("adis_gonio.cli.simulate", "Record a session from the simulated sensor."),
+    "template": ("adis_gonio.cli.template", "Make an empty samples CSV to fill in by hand."),
     "export": ("adis_gonio.cli.export", "Write a session's data and coefficients as CSV or JSON."),
     "stream": ("adis_gonio.cli.stream", "Show or record what the sensor measures."),
     "registers": ("adis_gonio.cli.registers", "List, read and write registers."),
