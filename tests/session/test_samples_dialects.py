@@ -211,7 +211,7 @@ def test_units_of_accelerations_in_the_header(tmp_path, unit, expected, style):
         ("time_s,position,acc_x,ay,accel_x", "--columns ax=accel_x"),
         ("a,b,c,d", "say which are which, such as --columns 'time=a,ax=b,ay=c'"),
         ("0,0,1,2", "the first row holds numbers"),
-        ("time_s,position,x,y", "--columns ax=x"),
+        ("time_s,position,x,y", "--columns 'ax=x,ay=y'"),
     ],
 )
 def test_a_header_that_does_not_say_it_is_refused_with_what_to_write(tmp_path, header, words):

@@ -226,13 +226,16 @@ class _Assignment:
         return chosen, notes
 
     def _refuse_missing(self, chosen: Mapping[str, Column]) -> None:
-        for name in ("time_s", "ax", "ay"):
-            if name in chosen:
-                continue
-            spare = [cell for cell in self.cells if cell and names.recognised(cell) is None]
-            like = difflib.get_close_matches(name, spare, n=1, cutoff=0.0)
-            hint = f"; if it is '{like[0]}', say --columns {name}={like[0]}" if like else ""
-            raise self._fail(f"column '{name}' is missing{hint}")
+        missing = [name for name in ("time_s", "ax", "ay") if name not in chosen]
+        if not missing:
+            return
+        spare = [cell for cell in self.cells if cell and names.recognised(cell) is None]
+        hint = ""
+        if spare:
+            likely = ",".join(f"{name}={_likely(name, spare)}" for name in missing)
+            shown = ", ".join(f"'{cell[:40]}'" for cell in spare[:12])
+            hint = f"; not known are {shown}: say which it is, such as --columns '{likely}'"
+        raise self._fail(f"column '{missing[0]}' is missing{hint}")
 
     def _unknown(self) -> DataError:
         cells = [cell for cell in self.cells if cell]
@@ -259,6 +262,15 @@ class _Assignment:
         return notes
 
 
+def _likely(name: str, spare: Sequence[str]) -> str:
+    """The unknown column that ends as an axis does, or begins as a time does; dots where there is none."""
+    for cell in spare:
+        text = names.without_unit(cell).lower()
+        if text.endswith(name[1]) if name in AXES else text.startswith(("t", "z")):
+            return cell
+    return "…"
+
+
 def _alike(cell: str, theirs: str) -> bool:
     return theirs.lower() in (cell.lower(), names.without_unit(cell).lower())
 
@@ -273,7 +285,7 @@ def _numeric(cell: str) -> bool:
 
 def _renamed(chosen: Mapping[str, Column]) -> list[str]:
     """What stands for what, where the file has names of its own."""
-    own = [column for column in chosen.values() if column.text != column.name]
+    own = [column for column in chosen.values() if column.text.strip().lower() != column.name]
     if not own:
         return []
     listed = ", ".join(f"{column.name} from '{column.text}'" for column in own)

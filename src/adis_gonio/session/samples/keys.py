@@ -73,7 +73,9 @@ def _bare(line: str, dialect: Dialect, columns: int) -> str:
             line = dialect.cells(line)[0]
         except (ValueError, IndexError):
             line = line.strip('"')
-    elif dialect.delimiter != SPACE and line.count(dialect.delimiter) == columns - 1:
+    elif dialect.delimiter != SPACE and (
+        line.endswith(2 * dialect.delimiter) or line.count(dialect.delimiter) == columns - 1
+    ):
         line = line.rstrip(dialect.delimiter)
     return line.lstrip("#")
 
