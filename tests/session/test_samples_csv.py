@@ -65,7 +65,7 @@ def test_every_key_and_column_is_read(tmp_path):
             "# accel_unit: counts",
             "# gyro_unit: radps",
             "# reading_u_mg: 0.25",
-            "# operator: nobody",
+            "# colour: red",
             "use,time_s,position,angle_deg,approach,ax,ay,az,gx,gy,gz,temp_c,supply_v",
             "fit,0,7,,+1,1,2,3,4,5,6,25,5",
             "check,1,8,-90.5,-1,1,2,3,4,5,6,26,5.1",
@@ -78,7 +78,7 @@ def test_every_key_and_column_is_read(tmp_path):
     assert session.free_attitudes
     assert (session.accel_unit, session.gyro_unit, session.reading_u_mg) == ("counts", "radps", 0.25)
     assert len(session.notes) == 1
-    assert "operator" in session.notes[0]
+    assert "colour" in session.notes[0]
     a, b, c = session.dwells
     assert (a.position, a.angle_deg, a.approach, a.use) == (7, None, 1, "fit")
     assert (b.position, b.angle_deg, b.approach, b.use) == (8, -90.5, -1, "check")
@@ -161,8 +161,9 @@ def test_space_needs_az_and_a_generic_sensor_a_unit(tmp_path):
     assert "accel_unit 'lsb'" in refused(write(tmp_path, "# sensor: generic", HEADER, *ROWS))
 
 
-def test_unknown_and_doubled_columns_are_named(tmp_path):
-    assert "unknown column 'colour'" in refused(write(tmp_path, HEADER + ",colour", "0,0,0,1,2,3"))
+def test_unknown_columns_are_ignored_by_name_and_doubled_ones_refused(tmp_path):
+    session = load_session(write(tmp_path, HEADER + ",colour", "0,0,0,1,2,red"))
+    assert session.notes == ("columns that were ignored: colour",)
     assert "'ax' stands there twice" in refused(write(tmp_path, HEADER + ",ax", "0,0,0,1,2,3"))
 
 

@@ -24,6 +24,7 @@ COMMANDS = {
     "report": ("adis_gonio.cli.report", "Write the calibration report as one HTML page."),
     "simulate": ("adis_gonio.cli.simulate", "Record a session from the simulated sensor."),
     "export": ("adis_gonio.cli.export", "Hand a session over: C header, JSON, CSV, certificate, …"),
+    "template": ("adis_gonio.cli.template", "Make an empty samples CSV to fill in by hand."),
     "stream": ("adis_gonio.cli.stream", "Show or record what the sensor measures."),
     "registers": ("adis_gonio.cli.registers", "List, read and write registers."),
     "selftest": ("adis_gonio.cli.selftest", "Run the sensor's internal self-test."),

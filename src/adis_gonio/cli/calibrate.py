@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from adis_gonio.cli.overrides import fixture, gravity
 from adis_gonio.cli.show import (
     console,
     json_option,
@@ -81,11 +82,11 @@ _WIDTH = 100
     "--range", "range_dps", type=int, default=300, show_default=True, help="Gyros: 300, 150, 75 °/s."
 )
 @poll_option
-@click.option("--gravity", "gravity_mps2", type=float, help="Local gravity in m/s² (default 9.80665).")
+@click.option("--gravity", "gravity_mps2", type=gravity, help="Local gravity in m/s² (default 9.80665).")
 @click.option("--latitude", type=float, help="Latitude in degrees: gravity of the ellipsoid there.")
 @click.option("--height", type=float, default=0.0, help="Height in m, with --latitude.")
 @click.option(
-    "--fixture", "fixture_deg", type=float, help="Standard uncertainty of a stage angle, degrees."
+    "--fixture", "fixture_deg", type=fixture, help="Standard uncertainty of a stage angle, degrees."
 )
 @click.option("--title", default="", help="Title to keep with the session.")
 @click.option("--note", default="", help="Note to keep with the session.")

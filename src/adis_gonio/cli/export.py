@@ -6,10 +6,15 @@ import shutil
 import sys
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from adis_gonio.cli.overrides import override_options
 from adis_gonio.errors import UsageError
+
+if TYPE_CHECKING:
+    from adis_gonio.session.overrides import Overrides
 
 STANDARD_OUTPUT = "-"
 
@@ -28,6 +33,7 @@ STANDARD_OUTPUT = "-"
 @click.option("--samples", is_flag=True, help="JSON: every sample too.")
 @click.option("--name", help="C header: what every name in it begins with.  [default: adis_gonio]")
 @click.option("--force", is_flag=True, help="Replace a file that exists.")
+@override_options
 def command(
     *,
     session: Path,
@@ -38,6 +44,7 @@ def command(
     samples: bool,
     name: str | None,
     force: bool,
+    overrides: Overrides,
 ) -> None:
     r"""Hand a session's coefficients or data over to other programs.
 
@@ -57,7 +64,8 @@ def command(
     if kind is None and output in (None, STANDARD_OUTPUT):
         raise UsageError("what shall be made? Give -o FILE with an ending such as .h or .json, or --format")
     kind = kind or format_of(str(output))
-    source = Source(session, method, traced, samples, **({} if name is None else {"name": name}))
+    named = {} if name is None else {"name": name}
+    source = Source(session, method, traced, samples, **named, overrides=overrides)
     source.check(kind)
     if output is None and kind in OF_SAMPLES:
         raise UsageError(f"--format {kind} needs -o FILE; -o - is standard output")

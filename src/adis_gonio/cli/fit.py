@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from adis_gonio.cli.overrides import load, override_options
 from adis_gonio.cli.show import console, json_option, print_json, with_uncertainty
+from adis_gonio.cli.trace import working
+
+if TYPE_CHECKING:
+    from adis_gonio.session.overrides import Overrides
 
 
 @click.command("fit")
@@ -17,25 +22,29 @@ from adis_gonio.cli.show import console, json_option, print_json, with_uncertain
     "--method",
     help="paper, two-position, four-position, mmpm or ml; without it the best that the session supports.",
 )
+@override_options
 @json_option
-def command(*, session: Path, method: str | None, as_json: bool) -> None:
+def command(*, session: Path, method: str | None, as_json: bool, overrides: Overrides) -> None:
     """Compute ΔK, Δφ and the other parameters of a recorded session, with standard uncertainties.
 
     Without --method the screen compares every method that the session supports; --json gives the best one.
     """
     from adis_gonio.fitting import fit, fit_every
-    from adis_gonio.session import load_session
 
-    loaded = load_session(session)
+    loaded = load(session, overrides)
+    what = f"fitting {len(loaded.dwells)} dwells of {session.name}"
     if as_json:
-        print_json(fit(loaded, method=method).as_dict())
+        with working(what):
+            result = fit(loaded, method=method)
+        print_json(result.as_dict())
         return
+    with working(what):
+        results, failures = ([fit(loaded, method=method)], {}) if method else fit_every(loaded)
     screen = console()
     title = f"{loaded.title}: " if loaded.title else ""
     screen.print(f"{title}{len(loaded.dwells)} dwells, {loaded.sensor}", style="bold", markup=False)
     for note in loaded.notes:
         screen.print(f"  {note}", markup=False)
-    results, failures = ([fit(loaded, method=method)], {}) if method else fit_every(loaded)
     print_results([result.as_dict() for result in results], shown=loaded.notes, failures=failures)
 
 

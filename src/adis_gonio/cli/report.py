@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 
 import click
 
+from adis_gonio.cli.overrides import load, override_options
 from adis_gonio.cli.trace import working
 
 if TYPE_CHECKING:
     from adis_gonio.model import Session
     from adis_gonio.report.parts import Section
+    from adis_gonio.session.overrides import Overrides
     from adis_gonio.tracing import TraceResult
 
 
@@ -43,7 +45,8 @@ def _twin(session: Session, traced: TraceResult) -> list[Section]:
     metavar="SECONDS",
     help="End the trace after so long with the best model so far.",
 )
-def command(*, session: Path, output: Path, time_limit: float | None) -> None:
+@override_options
+def command(*, session: Path, output: Path, time_limit: float | None, overrides: Overrides) -> None:
     """Write the calibration report: one HTML page that needs nothing else.
 
     The page holds the results of every method that the session supports, the trace with a figure for each
@@ -57,12 +60,11 @@ def command(*, session: Path, output: Path, time_limit: float | None) -> None:
     from adis_gonio.fitting import applicable_methods, fit
     from adis_gonio.report.page import build_page
     from adis_gonio.report.views import views
-    from adis_gonio.session import load_session
     from adis_gonio.tracing import trace
 
     if output.exists() and session.exists() and output.samefile(session):
         raise UsageError(f"{output}: is the session itself; name another file for the page")
-    loaded = load_session(session)
+    loaded = load(session, overrides)
     with working(f"tracing {len(loaded.dwells)} dwells of {session.name}"):
         fits, failures = [], {}
         for method in applicable_methods(loaded):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from adis_gonio.cli.overrides import load, override_options
 from adis_gonio.cli.show import console, json_option, print_json
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from adis_gonio.model.records import Session
+    from adis_gonio.session.overrides import Overrides
     from adis_gonio.tracing import TraceResult
 
 _WIDTH = 100
@@ -39,17 +41,19 @@ _WIDTH = 100
     metavar="SECONDS",
     help="End after so long with the best model so far; what was not validated is not called found.",
 )
+@override_options
 @json_option
-def command(*, session: Path, max_effects: int, time_limit: float | None, as_json: bool) -> None:
+def command(
+    *, session: Path, max_effects: int, time_limit: float | None, as_json: bool, overrides: Overrides
+) -> None:
     """Trace what the residual says: find the effects that the seed paper's model lacks.
 
     Says what was found and how sure, the error before and after on data that took no part, what this
     session cannot tell apart or could not have seen, and what to measure next.
     """
-    from adis_gonio.session import load_session
     from adis_gonio.tracing import trace
 
-    loaded = load_session(session)
+    loaded = load(session, overrides)
     with working(f"tracing {len(loaded.dwells)} dwells of {session.name}"):
         result = trace(loaded, max_effects=max_effects, time_limit=time_limit)
     if as_json:

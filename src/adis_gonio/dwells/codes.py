@@ -107,7 +107,7 @@ def _coarse(samples: Samples, axis: int, reach: int) -> float:
     variance = np.array([float(values.var()) for values in rows])
     worth = np.maximum(samples.counts / reach, 1.0)
     on_means = float(np.mean(np.maximum(variance - step**2 / 12, 0.0) / worth))
-    if float(np.mean(left_by_quantization(rows, np.array([step])))) <= on_means:
+    if float(np.mean(left_by_quantization(rows, np.ones(1), np.array([step])))) <= on_means:
         return 1.0
     k = np.arange(1, 50)
 

@@ -63,14 +63,38 @@ def limits_of(dwells: Sequence[Dwell]) -> tuple[Limit, ...]:
     steps = steps_of([dwell.accel for dwell in dwells])
     scatter = np.median([dwell.accel.std(axis=0) for dwell in dwells], axis=0)
     for axis in range(dwells[0].accel.shape[1]):
-        column = np.concatenate([dwell.accel[:, axis] for dwell in dwells])
-        values, counts = np.unique(column, return_counts=True)
-        if len(values) <= _LEAST_VALUES or scatter[axis] < _LIVELY * steps[axis]:
+        if scatter[axis] < _LIVELY * steps[axis]:
             continue
-        for place, inside in ((-1, -2), (0, 1)):
-            if counts[place] >= max(_PILE, _STEEP * counts[inside]):
-                found.append(_limit(dwells, axis, float(values[place]), int(counts[inside])))
+        columns = [dwell.accel[:, axis] for dwell in dwells]
+        for sign in (1.0, -1.0):
+            value, count, inside = _pile(columns, sign)
+            if count >= max(_PILE, _STEEP * inside) and _many_values(columns):
+                found.append(_limit(dwells, axis, value, inside))
     return tuple(found)
+
+
+def _pile(columns: Sequence[Floats], sign: float) -> tuple[float, int, int]:
+    """Largest value (smallest for −1), samples at it, and samples at the value next to it."""
+    most = max if sign > 0 else min
+    extreme = most(float(column.max() if sign > 0 else column.min()) for column in columns)
+    count = sum(int((column == extreme).sum()) for column in columns)
+    if count < _PILE:
+        return extreme, count, 0
+    rest = [column[column != extreme] for column in columns]
+    inner = [float(column.max() if sign > 0 else column.min()) for column in rest if column.size]
+    if not inner:
+        return extreme, count, 0
+    return extreme, count, sum(int((column == most(inner)).sum()) for column in rest)
+
+
+def _many_values(columns: Sequence[Floats]) -> bool:
+    """True where there are enough different values for an extreme one to say something."""
+    seen: Floats = np.empty(0)
+    for column in columns:
+        seen = np.union1d(seen, column)
+        if len(seen) > _LEAST_VALUES:
+            return True
+    return False
 
 
 def _limit(dwells: Sequence[Dwell], axis: int, value: float, inside: int) -> Limit:

@@ -34,6 +34,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.budget import current
 from adis_gonio.errors import DataError, FitError
 from adis_gonio.estimation.conic import conic_through
 from adis_gonio.estimation.converter import limits_of, steps_of
@@ -42,7 +43,7 @@ from adis_gonio.estimation.screening import limits_in_words, refuse_dead_data
 from adis_gonio.estimation.spectrum import MeanNoise, noise_of_means
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, gains_and_skews
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Floats, Session
+from adis_gonio.model.records import ACCEL_UNITS, STANDARD_GRAVITY_MPS2, Dwell, Floats, Session
 from adis_gonio.sensor.variants import VARIANTS
 
 MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
@@ -327,7 +328,24 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
     raise DataError(
         f"{session.source or 'session'}: readings are {length:.3g} g long where 1 g acts: accel_unit "
         f"{session.accel_unit} cannot be right (lsb goes by the sensor, {session.sensor}); state the unit "
-        f"of the file, or counts where it is not known{also}"
+        f"of the file, or counts where it is not known{_as_another(session, length)}{also}"
+    )
+
+
+def _as_another(session: Session, length: float) -> str:
+    """The units in which readings `length` g long would be 1 g long, and how to say so."""
+    own = _mg_per_unit(session)
+    fits = [
+        unit
+        for unit in ACCEL_UNITS
+        if unit != "counts"
+        and (unit != "lsb" or session.sensor in VARIANTS)
+        and 1 / OFF_UNIT < length * _mg_per_unit(replace(session, accel_unit=unit)) / own < OFF_UNIT
+    ]
+    if not fits:
+        return ""
+    return (
+        f"; {' or '.join(fits)} would fit: add a line '# accel_unit: {fits[0]}', or give --unit {fits[0]}"
     )
 
 
@@ -350,7 +368,7 @@ def _refuse_reversed(session: Session, readings: Readings) -> None:
         return
     raise DataError(
         f"{session.source or 'session'}: the readings turn the other way than the declared angles: change "
-        "the sign of angle_deg, or of an axis, so that Y reads at 90° minus what X reads at 0°"
+        "the sign of angle_deg (--reverse), or of an axis, so that Y reads at 90° minus what X reads at 0°"
     )
 
 
@@ -375,20 +393,9 @@ def readings_of(session: Session) -> Readings:
 def reduced(session: Session) -> Readings:
     """Readings of all dwells, whatever length they have; see `readings_of`."""
     source = session.source or "session"
-    dwells = [dwell for dwell in session.dwells if len(dwell)]
-    if not dwells:
-        raise DataError(f"{source}: no dwell to fit; every dwell is empty or for checking")
     axes = 2 if session.plane == "xy" else 3
-    if dwells[0].accel.shape[1] < axes:
-        raise DataError(f"{source}: plane none needs three axes, there are two")
+    dwells, notes = _usable(session, axes)
     scale = _mg_per_unit(session)
-    limits = limits_of([replace(dwell, accel=dwell.accel[:, :axes]) for dwell in dwells])
-    refuse_dead_data(session, limits, None if session.accel_unit == "counts" else scale)
-    if len(dwells) > 1:  # of one pose there is nothing else to look at
-        spoiled = {position for limit in limits for position in limit.spoiled}
-        dwells = [dwell for dwell in dwells if dwell.position not in spoiled]
-    if not dwells:
-        raise DataError(f"{source}: every dwell stands at a limit of the range; record with a wider one")
     n = len(dwells)
     mean = np.array([d.accel[0, :axes] if len(d) == 1 else d.accel[:, :axes].mean(axis=0) for d in dwells])
     mean = mean * scale
@@ -405,18 +412,20 @@ def reduced(session: Session) -> Readings:
     dof = np.full(n, np.inf)
     known = np.zeros(n, dtype=np.bool_)
     slow: Floats | None = None
-    notes = limits_in_words(limits, session.accel_unit)
     single = np.flatnonzero(samples == 1)
     if single.size:
         covariance[single] *= (1.0 if session.reading_u_mg is None else session.reading_u_mg) ** 2
         known[single] = session.reading_u_mg is not None
     many = np.flatnonzero(samples > 1)
     if many.size:
-        rows = [dwells[k].accel[:, :axes] * scale / unit.per_mg for k in many.tolist()]
-        noise = noise_of_means(rows)
-        quantum = _quantum(session, [dwells[k].accel[:, :axes] for k in many.tolist()], scale) / unit.per_mg
+        rows = [dwells[k].accel[:, :axes] for k in many.tolist()]
+        mg = scale / unit.per_mg
+        current().tell("noise of the readings")
+        noise = noise_of_means(rows, mg)
+        quantum = _quantum(session, rows, mg)
         flicker = _flicker(session, noise)
-        covariance[many] = noise.covariance + left_by_quantization(rows, quantum)[:, :, None] * np.eye(axes)
+        steps = left_by_quantization(rows, mg, quantum)
+        covariance[many] = noise.covariance + steps[:, :, None] * np.eye(axes)
         own, slow = _of_flicker([dwells[k] for k in many.tolist()], flicker, many, n)
         covariance[many] += own[:, :, None] * np.eye(axes)
         dof[many] = noise.dof
@@ -445,6 +454,24 @@ def reduced(session: Session) -> Readings:
         slow_mg=slow,
         notes=tuple(notes),
     )
+
+
+def _usable(session: Session, axes: int) -> tuple[list[Dwell], list[str]]:
+    """Dwells whose mean is a reading, and what is to be said of the others."""
+    source = session.source or "session"
+    dwells = [dwell for dwell in session.dwells if len(dwell)]
+    if not dwells:
+        raise DataError(f"{source}: no dwell to fit; every dwell is empty or for checking")
+    if dwells[0].accel.shape[1] < axes:
+        raise DataError(f"{source}: plane none needs three axes, there are two")
+    limits = limits_of([replace(dwell, accel=dwell.accel[:, :axes]) for dwell in dwells])
+    refuse_dead_data(session, limits, None if session.accel_unit == "counts" else _mg_per_unit(session))
+    if len(dwells) > 1:  # of one pose there is nothing else to look at
+        spoiled = {position for limit in limits for position in limit.spoiled}
+        dwells = [dwell for dwell in dwells if dwell.position not in spoiled]
+    if not dwells:
+        raise DataError(f"{source}: every dwell stands at a limit of the range; record with a wider one")
+    return dwells, limits_in_words(limits, session.accel_unit)
 
 
 def _of_flicker(
@@ -542,15 +569,15 @@ def _mg_per_unit(session: Session) -> float:
     return {"mg": 1.0, "g": 1000.0, "mps2": MG_PER_MPS2, "counts": 1.0}[session.accel_unit]
 
 
-def _quantum(session: Session, rows: Sequence[Floats], scale: float) -> Floats:
+def _quantum(session: Session, rows: Sequence[Floats], mg: Floats) -> Floats:
     """Step of the converter on each axis (axes,) in mg: what the samples show, of words one at least."""
-    steps = steps_of(rows) * scale
-    return np.maximum(steps, scale) if session.accel_unit == "lsb" else steps
+    steps = steps_of(rows)
+    return mg * (np.maximum(steps, 1.0) if session.accel_unit == "lsb" else steps)
 
 
-def left_by_quantization(rows: Sequence[Floats], quantum: Floats) -> Floats:
-    """Variance (dwells, axes) that a converter's step (axes,) leaves on the means of dwells."""
-    variance = np.array([r.var(axis=0) for r in rows])
+def left_by_quantization(rows: Sequence[Floats], mg: Floats, quantum: Floats) -> Floats:
+    """Variance (dwells, axes) in mg² that a converter's step leaves on the means of samples × `mg`."""
+    variance = np.array([r.var(axis=0) for r in rows]) * mg**2
     step = np.where(quantum > 0, quantum, 1.0)
     sigma2 = np.maximum(variance - quantum**2 / 12, 0.0) / step**2
     if float(sigma2.min(initial=np.inf)) > 1.0:

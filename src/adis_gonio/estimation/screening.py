@@ -28,7 +28,6 @@ from adis_gonio.model.records import Dwell, Floats, Session
 _LEAST_RUN = 32
 _CHIP_RUN = 512
 _LIVELY = 0.6
-_LEAST_VALUES = 20
 _MOST_GRAVITY = 1.1
 """Length of a reading at a limit in units of gravity: what is cut is longer, so that more is no limit. A
 tenth for gains and biases of any sensor."""

@@ -31,6 +31,10 @@ from adis_gonio.model.records import Floats
 
 _CELLS = 32
 _LOWEST = 3
+_ALONE = 64
+"""Lowest ordinates that are kept one by one: those that are looked at by themselves, and more."""
+_AT_ONCE = 1 << 17
+"""Samples whose spectrum is computed at a time."""
 _LEAST_WEIGHT = 6.0
 _GAINS = (1.323, 2.773)
 """Upper 25 % quantiles of χ² with one and two degrees of freedom: in doubt the narrower band."""
@@ -81,14 +85,23 @@ class MeanNoise:
 
 @dataclass(frozen=True)
 class _Ordinates:
-    """Periodograms of the dwells of one length."""
+    """Periodograms of the dwells of one length.
+
+    The lowest ordinates stand by themselves. The higher ones of a long dwell are joined into bins that no
+    band and no cell of `_cells` divides, so that sums over bands and cells are what they were.
+    """
 
     dwell: NDArray[np.intp]
     n: int
     frequency: Floats
+    """Lowest frequency of each bin (k,)."""
     weight: Floats
+    by_frequency: Floats
+    """Sum of weight times frequency (k,)."""
+    by_period: Floats
+    """Sum of weight over frequency (k,)."""
     cross: Floats
-    """(d, k, axes, axes): real part of the cross-periodograms."""
+    """(d, k, axes, axes): real part of the cross-periodograms, weighted means of the bins."""
 
 
 @dataclass(frozen=True)
@@ -118,15 +131,17 @@ class _Foot:
         return _basis(x, len(self.coefficients) - 1) @ self.coefficients - self.log_zero
 
 
-def noise_of_means(samples: Sequence[Floats]) -> MeanNoise:
+def noise_of_means(samples: Sequence[Floats], scale: Floats | float = 1.0) -> MeanNoise:
     """Noise of the mean of each dwell.
 
     Parameters
     ----------
     samples : d arrays (n, axes)
         Samples of each dwell, n at least 2; any unit.
+    scale : float or (axes,) float
+        By which they are multiplied.
     """
-    groups = _periodograms(samples)
+    groups = _periodograms(samples, scale)
     foot = _choose_foot(groups)
     d, axes = len(samples), samples[0].shape[1]
     level = np.zeros((d, axes, axes))
@@ -162,19 +177,46 @@ def noise_of_means(samples: Sequence[Floats]) -> MeanNoise:
     )
 
 
-def _periodograms(samples: Sequence[Floats]) -> list[_Ordinates]:
+def _periodograms(samples: Sequence[Floats], scale: Floats | float) -> list[_Ordinates]:
     lengths = np.array([len(rows) for rows in samples])
+    axes = samples[0].shape[1]
     groups = []
     for n in np.unique(lengths).tolist():
         dwell = np.flatnonzero(lengths == n)
-        rows = np.stack([samples[k] for k in dwell.tolist()])
-        lines = np.fft.rfft(rows - rows.mean(axis=1, keepdims=True), axis=1)[:, 1:]
-        weight = np.ones(lines.shape[1])
+        frequency = np.arange(1, n // 2 + 1) / n
+        weight = np.ones(len(frequency))
         if n % 2 == 0:
             weight[-1] = 0.5
-        cross = (lines[:, :, :, None] * lines[:, :, None, :].conj()).real / n
-        groups.append(_Ordinates(dwell, n, np.arange(1, len(weight) + 1) / n, weight, cross))
+        starts = _bins(frequency)
+        total = np.add.reduceat(weight, starts)
+        cross = np.empty((len(dwell), len(starts), axes, axes))
+        step = max(1, _AT_ONCE // n)
+        for at in range(0, len(dwell), step):
+            rows = np.stack([samples[k] for k in dwell[at : at + step].tolist()]) * scale
+            rows -= rows.mean(axis=1, keepdims=True)
+            lines = np.fft.rfft(rows, axis=1)[:, 1:]
+            for a in range(axes):
+                for b in range(a, axes):
+                    power = (lines[:, :, a] * lines[:, :, b].conj()).real / n * weight
+                    mean = np.add.reduceat(power, starts, axis=1) / total
+                    cross[at : at + step, :, a, b] = cross[at : at + step, :, b, a] = mean
+        by_frequency = np.add.reduceat(weight * frequency, starts)
+        by_period = np.add.reduceat(weight / frequency, starts)
+        groups.append(_Ordinates(dwell, n, frequency[starts], total, by_frequency, by_period, cross))
     return groups
+
+
+def _bins(frequency: Floats) -> NDArray[np.intp]:
+    """First ordinate of each bin.
+
+    Bands end at 0.5/2^j and have `_CELLS` cells each: an octave below the end of a band has half of them, a
+    band twice as wide has cells twice as wide. Only what lies on a band's end has a bin of its own.
+    """
+    mantissa, octave = np.frexp(2 * frequency)
+    cell = np.where(mantissa == 0.5, -1, np.floor(mantissa * _CELLS).astype(int))
+    new = (np.diff(octave, prepend=octave[0] - 1) != 0) | (np.diff(cell, prepend=-2) != 0)
+    new[:_ALONE] = True
+    return np.flatnonzero(new)
 
 
 def _basis(x: Floats, order: int) -> Floats:
@@ -366,8 +408,8 @@ def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Float
         count = float(alive.sum())
         total += np.bincount(cell, w * count, _CELLS)
         moment += np.bincount(cell, w * relative.sum(axis=(0, 2)), _CELLS)
-        first += np.bincount(cell, w * count * f / band, _CELLS)
-        inverse += np.bincount(cell, w * count * band / f, _CELLS)
+        first += np.bincount(cell, count / band * group.by_frequency[inside], _CELLS)
+        inverse += np.bincount(cell, count * band * group.by_period[inside], _CELLS)
     held = total > 0
     if not held.any():
         return None

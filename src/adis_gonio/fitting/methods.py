@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from adis_gonio.budget import current
 from adis_gonio.errors import FitError, SingularError, UsageError
 from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.closed_form import LEAST_MMPM, fit_mmpm, fit_paper, fit_positions, rows_at
@@ -19,7 +20,8 @@ METHODS = ("paper", "two-position", "four-position", "mmpm", "ml")
 """Names of the methods."""
 
 _FOUR = (0, 90, 180, 270)
-_TWO = (0, 90)
+_TWO, _TWO_REVERSED = (0, 90), (0, 270)
+"""The two positions, and what they are where the stage turned the other way than declared."""
 
 
 def fit(session: Session, method: str | None = None) -> FitResult:
@@ -47,14 +49,19 @@ def fit(session: Session, method: str | None = None) -> FitResult:
     if method is not None and method not in METHODS:
         raise UsageError(f"no method is called '{method}'; known: {', '.join(METHODS)}")
     readings = readings_of(session)
+    current().tell(f"method {method}" if method else "the best method")
     try:
         result = fit_readings(readings.training, method)
     except FitError as error:
         if not session.source:
             raise
         raise type(error)(f"{session.source}: {error}") from error
-    warnings = (*session.notes, *result.warnings)
-    return replace(result, warnings=warnings, provenance=provenance_of(session))
+    return replace(
+        result,
+        warnings=(*session.notes, *result.warnings),
+        overrides=session.facts.get("overrides", {}),
+        provenance=provenance_of(session),
+    )
 
 
 def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
@@ -74,18 +81,18 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
     if method is not None:
         return _BY_NAME[method](readings)
     if _only_two(readings):
-        return fit_positions(readings, "two-position", _TWO)
+        return fit_positions(readings, "two-position", _two(readings))
     try:
         return fit_ml(readings)
     except SingularError:
-        if not readings.free and all(len(rows) for rows in rows_at(readings, _TWO)):
-            return fit_positions(readings, "two-position", _TWO)
+        if not readings.free and all(len(rows) for rows in rows_at(readings, _two(readings))):
+            return fit_positions(readings, "two-position", _two(readings))
         raise
 
 
 _BY_NAME: dict[str, Callable[[Readings], FitResult]] = {
     "paper": fit_paper,
-    "two-position": lambda readings: fit_positions(readings, "two-position", _TWO),
+    "two-position": lambda readings: fit_positions(readings, "two-position", _two(readings)),
     "four-position": lambda readings: fit_positions(readings, "four-position", _FOUR),
     "mmpm": fit_mmpm,
     "ml": fit_ml,
@@ -107,6 +114,8 @@ def applicable_methods(session: Session) -> tuple[str, ...]:
     if not session.free_attitudes:
         if held[0] and held[1] and known_zero:
             methods += ["paper", "two-position"]
+        elif held[0] and held[3] and known_zero:
+            methods.append("two-position")
         if all(held):
             methods.append("four-position")
         if int(np.isfinite(angles).sum()) >= LEAST_MMPM:
@@ -139,8 +148,14 @@ def fit_every(session: Session) -> tuple[list[FitResult], dict[str, str]]:
     return results, failures
 
 
+def _two(readings: Readings) -> tuple[int, int]:
+    """Angles of the two positions: the closed form is exact for any pair a quarter turn apart."""
+    at_0, at_90, at_270 = map(len, rows_at(readings, (0, 90, 270)))
+    return _TWO_REVERSED if at_0 and at_270 and not at_90 else _TWO
+
+
 def _only_two(readings: Readings) -> bool:
-    rows = rows_at(readings, _TWO)
+    rows = rows_at(readings, _two(readings))
     return (
         not readings.free
         and readings.unit.known

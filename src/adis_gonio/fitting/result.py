@@ -60,6 +60,8 @@ class FitResult:
         Standard uncertainty of a declared angle that was used; inf free; None in space.
     provenance : Provenance or None
         Where the readings come from; None where no session was given.
+    overrides : mapping
+        What was stated otherwise than in the session's file, old and new (`session.overrides`).
     """
 
     method: str
@@ -75,6 +77,7 @@ class FitResult:
     extra_mg: float = 0.0
     fixture_sigma_deg: float | None = None
     provenance: Provenance | None = field(default=None, repr=False, compare=False)
+    overrides: dict[str, Any] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Estimate:
         """Estimate by name; `KeyError` where the session does not determine it."""
@@ -152,4 +155,5 @@ class FitResult:
             "extra_reading_u_mg": self.extra_mg,
             "fixture_sigma_deg": "free" if sigma is not None and math.isinf(sigma) else sigma,
             "positions_used": len(self.positions),
+            "overrides": dict(self.overrides),
         }

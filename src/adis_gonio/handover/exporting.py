@@ -16,6 +16,7 @@ from adis_gonio.handover.c_header import DEFAULT_NAME
 from adis_gonio.model.records import Session
 from adis_gonio.session import load_session
 from adis_gonio.session.export import session_dict
+from adis_gonio.session.overrides import Overrides
 
 ENDINGS = {
     ".h": "c-header",
@@ -56,6 +57,8 @@ class Source:
         True for every sample in JSON.
     name : str
         What every name in a C header begins with.
+    overrides : Overrides or None
+        What the session's file should have said.
     """
 
     path: Path
@@ -63,6 +66,7 @@ class Source:
     traced: bool = False
     samples: bool = False
     name: str = DEFAULT_NAME
+    overrides: Overrides | None = None
 
     def check(self, kind: str) -> None:
         """Refuse options that have no meaning for a format: `UsageError`."""
@@ -93,12 +97,12 @@ class Source:
     def _session(self, kind: str) -> Session:
         if calibration_in(self.path) is not None:
             raise DataError(f"{self.path}: is a calibration without samples: {kind} needs a session")
-        return load_session(self.path)
+        return load_session(self.path, self.overrides)
 
     def _calibration(self) -> Calibration:
         made = calibration_in(self.path)
         if made is None:
-            calibration: Calibration = self._result(load_session(self.path)).calibration()
+            calibration: Calibration = self._result(load_session(self.path, self.overrides)).calibration()
             return calibration
         if self.method is not None or self.traced:
             raise UsageError(

@@ -1,4 +1,4 @@
-"""Local gravity from latitude and height."""
+"""Local gravity: from latitude and height, and whether a stated one can be right."""
 
 from __future__ import annotations
 
@@ -14,6 +14,29 @@ _E2 = 0.00669437999014
 _A_M = 6378137.0
 _F = 1 / 298.257223563
 _M = 0.00344978650684
+
+ON_EARTH_MPS2 = (9.7, 9.9)
+"""What a stated gravity lies within: 9.764 (Huascarán) to 9.834 (Arctic Ocean), with room."""
+_SLIPS = {0.01: "cm/s² (Gal)", 1e-5: "mGal", 9.80665: "g", 9.80665e-3: "mg", 0.3048: "ft/s²"}
+
+
+def checked_gravity_mps2(value: float) -> float:
+    """A stated local gravity in m/s², if there is such a place on Earth.
+
+    Raises
+    ------
+    UsageError
+        It lies outside `ON_EARTH_MPS2`; the message names the unit in which it would be right.
+    """
+    low, high = ON_EARTH_MPS2
+    if low <= value <= high:
+        return value
+    slips = [f"; {value:g} {unit} are {value * k:.6g} m/s²" for k, unit in _SLIPS.items()]
+    fits = [text for k, text in zip(_SLIPS, slips, strict=True) if low <= value * k <= high]
+    raise UsageError(
+        f"gravity is {value:g}: give m/s², {low:g} to {high:g} on Earth{fits[0] if fits else ''}; "
+        f"for another place say so by writing the unit, {value:g}mps2"
+    )
 
 
 def normal_gravity_mps2(latitude_deg: float, height_m: float = 0.0) -> float:

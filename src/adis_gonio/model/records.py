@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,11 @@ Plane = Literal["xy", "none"]
 Use = Literal["fit", "check"]
 AccelUnit = Literal["lsb", "mg", "g", "mps2", "counts"]
 GyroUnit = Literal["dps", "radps", "counts"]
+
+SENSORS = ("adis16354", "adis16350", "adis16355", "generic")
+PLANES: tuple[Plane, ...] = get_args(Plane)
+ACCEL_UNITS: tuple[AccelUnit, ...] = get_args(AccelUnit)
+GYRO_UNITS: tuple[GyroUnit, ...] = get_args(GyroUnit)
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 
@@ -109,6 +114,8 @@ class Session:
         Plane of rotation, or none where attitudes are anywhere in space.
     reading_u_mg : float or None
         Standard uncertainty of a dwell that has one sample only.
+    operator, serial, stage : str
+        Who measured, the part's serial number, which stage; free text, empty where it is not stated.
     source : str
         File that it came from.
     notes : tuple of str
@@ -129,6 +136,9 @@ class Session:
     plane: Plane = "xy"
     reading_u_mg: float | None = None
     title: str = ""
+    operator: str = ""
+    serial: str = ""
+    stage: str = ""
     source: str = ""
     notes: tuple[str, ...] = ()
     cut_by_stillness: bool = False

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 _HOMES = {
     "Archive": "archive",
+    "Overrides": "overrides",
     "Plan": "plans",
     "Position": "plans",
     "SessionRunner": "runner",
@@ -23,6 +24,7 @@ _HOMES = {
 
 __all__ = [
     "Archive",
+    "Overrides",
     "Plan",
     "Position",
     "SessionRunner",
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
     from adis_gonio.session.export import export_csv as export_csv
     from adis_gonio.session.export import export_json as export_json
     from adis_gonio.session.loading import load_session as load_session
+    from adis_gonio.session.overrides import Overrides as Overrides
     from adis_gonio.session.plans import Plan as Plan
     from adis_gonio.session.plans import Position as Position
     from adis_gonio.session.plans import plan as plan

@@ -4,24 +4,33 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from adis_gonio.errors import DataError
+from adis_gonio.errors import DataError, UsageError
 from adis_gonio.model.records import Session
+from adis_gonio.session.overrides import Overrides
 
 _SQLITE_MAGIC = b"SQLite format 3\x00"
 
 
-def load_session(path: str | Path) -> Session:
+def load_session(path: str | Path, overrides: Overrides | None = None) -> Session:
     """Session of an archive (SQLite, written by `calibrate` or `simulate`) or of a samples CSV.
 
     The kind is told by the first bytes, not by the name.
+
+    Parameters
+    ----------
+    path : str or Path
+    overrides : Overrides, optional
+        What the file should have said.
 
     Raises
     ------
     DataError
         One line that names the file and, where there is one, the row: not there, another kind of file,
         truncated, or with content that cannot be used.
+    UsageError
+        An override that this file cannot take.
     """
-    path = Path(path)
+    path, overrides = Path(path), overrides or Overrides()
     if path.is_dir():
         raise DataError(f"{path}: is a folder; give a file written by calibrate or simulate, or a CSV")
     try:
@@ -34,7 +43,9 @@ def load_session(path: str | Path) -> Session:
     if head == _SQLITE_MAGIC:
         from adis_gonio.session.archive import read_session
 
-        return read_session(path)
+        if overrides.columns:
+            raise UsageError(f"{path}: columns are named for a CSV; this is a session of calibrate")
+        return overrides.apply(read_session(path))
     from adis_gonio.session.samples_csv import read_samples_csv
 
-    return read_samples_csv(path)
+    return read_samples_csv(path, overrides)

@@ -1,8 +1,8 @@
 """The samples CSV: a session as text, one row a sample.
 
-`read_samples_csv` reads `.csv` and `.csv.gz` (told apart by content, not by name) in bulk; only where the
-bulk conversion fails are the rows walked one by one, so that the message names the first bad one.
-`write_samples_csv` writes the same format; what it writes is read back without a change. A line
+`read_samples_csv` reads what people have (`adis_gonio.session.samples`: delimiters, decimal marks,
+encodings, names and units in the header), plain or gzipped, told apart by content and not by name.
+`write_samples_csv` writes the format itself; what it writes is read back without a change. A line
 `# note: text`, of which there may be several, becomes one of `Session.notes`.
 
 A file without the column `position` is one continuous recording: its dwells are found by stillness
@@ -13,114 +13,83 @@ from __future__ import annotations
 
 import gzip
 import math
-import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adis_gonio.errors import DataError
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Floats, Session, Use
+from adis_gonio.model.records import Dwell, Floats, Session, Use
+from adis_gonio.session.overrides import Overrides
+from adis_gonio.session.samples.names import AXES, GYROS
+from adis_gonio.session.samples.table import Table, table_of
 from adis_gonio.session.stillness import segment_with_notes
 
-SENSORS = ("adis16354", "adis16350", "adis16355", "generic")
-PLANES = ("xy", "none")
-ACCEL_UNITS = ("lsb", "mg", "g", "mps2", "counts")
-GYRO_UNITS = ("dps", "radps", "counts")
 
-AXES = ("ax", "ay", "az")
-GYROS = ("gx", "gy", "gz")
-COLUMNS = ("time_s", "position", "angle_deg", "approach", *AXES, *GYROS, "temp_c", "supply_v", "use")
-
-
-@dataclass(frozen=True)
-class _Table:
-    """Header of a file and its rows as lists of text, by column."""
-
-    path: Path
-    keys: dict[str, tuple[str, int]]
-    notes: tuple[str, ...]
-    columns: dict[str, list[str]]
-    first_line: int
-    """Number, counted from 1, of the line that holds the first row."""
-
-    def fail(self, row: int, message: str) -> DataError:
-        return DataError(f"{self.path.name}, row {self.first_line + row}: {message}")
-
-
-def read_samples_csv(path: str | Path) -> Session:
+def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Session:
     """Session of a samples CSV.
 
-    Rows are named by the number of their line in the file, counted from 1, comment lines included.
+    Rows are named by the number of their line in the file, counted from 1, comment lines included. What was
+    left out, and what the file calls otherwise than the format, stands in `Session.notes`.
 
     Raises
     ------
     DataError
-        In one line with file and row: not text, damaged gzip, empty, unknown value of a key, missing or
-        unknown column, text in a number, NaN or infinity, time that goes back, a position whose rows are
-        not contiguous, an angle, approach or use that changes within a dwell.
+        In one line with file and row: not text, damaged gzip, empty, unknown value of a key, missing
+        column, unit that is not known, text in a number, numbers that may be read in two ways, NaN or
+        infinity, time that goes back, a position whose rows are not contiguous, an angle, approach or use
+        that changes within a dwell.
+    UsageError
+        `overrides` names a column that is not there.
     """
-    path = Path(path)
-    table = _split(path, _text(path))
-    settings = _settings(table)
-    names = set(table.columns)
-    if settings["plane"] == "none" and "az" not in names:
+    path, overrides = Path(path), overrides or Overrides()
+    table = table_of(path, dict(overrides.columns))
+    settings = table.head.settings(unit_told=overrides.accel_unit is not None)
+    if settings.get("plane") == "none" and table.accel.shape[1] < 3:
         raise DataError(f"{path.name}: column 'az' is missing; plane 'none' needs ax, ay and az")
-    time = _numbers(table, "time_s")
-    backwards = np.flatnonzero(np.diff(time) < 0)
-    if backwards.size:
-        row = int(backwards[0]) + 1
-        raise table.fail(row, f"time_s goes back from {time[row - 1]:g} to {time[row]:g}; sort by time")
-    accel = np.stack([_numbers(table, name) for name in AXES if name in names], axis=1)
-    gyro = _gyro(table)
-    temperature = _numbers(table, "temp_c") if "temp_c" in names else None
-    supply = _numbers(table, "supply_v") if "supply_v" in names else None
-
-    if "position" in names:
+    by_position = "position" in table.runs
+    notes: tuple[str, ...] = ()
+    if by_position:
         numbers, slices = _dwells_by_position(table)
-        notes: tuple[str, ...] = ()
     else:
-        try:
-            slices, found = segment_with_notes(time, accel, gyro)
-        except DataError as error:
-            raise DataError(f"{path.name}: {error}") from error
-        numbers, notes = list(range(len(slices))), tuple(found)
-        if not slices:
-            raise DataError(
-                f"{path.name}: no dwell found: {'; '.join(found) or 'the sensor never rests'}; "
-                "add a column 'position' or record at least one second at rest in each position"
-            )
+        slices, notes = _dwells_by_stillness(table)
+        numbers = list(range(len(slices)))
 
-    angle = _constant(table, "angle_deg", slices, _angle)
+    angle = _constant(table, "angle_deg", slices, partial(_angle, table))
     approach = _constant(table, "approach", slices, _approach)
     use = _constant(table, "use", slices, _use)
     dwells = tuple(
         Dwell(
             position=number,
-            time_s=time[rows],
-            accel=accel[rows],
+            time_s=table.time_s[rows],
+            accel=table.accel[rows],
             angle_deg=angle[k],
             approach=approach[k] or 0,
             use=cast("Use", use[k] or "fit"),
-            gyro=None if gyro is None else gyro[rows],
-            temperature_c=None if temperature is None else temperature[rows],
-            supply_v=None if supply is None else supply[rows],
-            first_row=table.first_line + rows.start,
+            gyro=None if table.gyro is None else table.gyro[rows],
+            temperature_c=None if table.temperature_c is None else table.temperature_c[rows],
+            supply_v=None if table.supply_v is None else table.supply_v[rows],
+            first_row=table.line_of(rows.start),
         )
         for k, (number, rows) in enumerate(zip(numbers, slices, strict=True))
     )
-    return Session(
+    session = Session(
         dwells=dwells,
         source=str(path),
         notes=table.notes + notes,
-        cut_by_stillness="position" not in names,
+        cut_by_stillness=not by_position,
         **settings,
     )
+    session = overrides.apply(session)
+    if session.sensor == "generic" and session.accel_unit == "lsb":
+        raise DataError(
+            f"{path.name}: accel_unit 'lsb' needs a sensor whose LSB is known; for a generic one add a "
+            "line '# accel_unit: mg' (or g, mps2, counts), or give --unit"
+        )
+    return session
 
 
 def write_samples_csv(session: Session, path: str | Path) -> None:
@@ -150,6 +119,7 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     path.write_bytes(data)
 
 
+_TEXTS = ("title", "operator", "serial", "stage")
 _Column = Callable[[Dwell], list[str]]
 """Texts (n,) that a column of the file holds for a dwell of n samples."""
 
@@ -193,7 +163,8 @@ def _texts_by(get: Callable[[Dwell], Floats | None], dwell: Dwell) -> list[str]:
 
 
 def _keys_of(session: Session) -> dict[str, str]:
-    keys = {"title": " ".join(session.title.split())} if session.title.strip() else {}
+    texts = {name: " ".join(getattr(session, name).split()) for name in _TEXTS}
+    keys = {name: text for name, text in texts.items() if text}
     keys |= {
         "sensor": session.sensor,
         "accel_unit": session.accel_unit,
@@ -219,266 +190,82 @@ def _texts_of(values: Floats) -> list[str]:
     return [_text_of(number) for number in numbers]
 
 
-def _text(path: Path) -> str:
+def _dwells_by_stillness(table: Table) -> tuple[list[slice], tuple[str, ...]]:
+    """Dwells of a continuous recording, and what was found."""
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
-    if data[:2] == b"\x1f\x8b":
-        try:
-            data = gzip.decompress(data)
-        except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-            raise DataError(
-                f"{path.name}: damaged or truncated gzip file ({error}); copy it again"
-            ) from error
-    if not data.strip():
-        raise DataError(f"{path.name}: the file is empty")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
+        slices, found = segment_with_notes(table.time_s, table.accel, table.gyro)
+    except DataError as error:
+        raise DataError(f"{table.path.name}: {error}") from error
+    if not slices:
         raise DataError(
-            f"{path.name}: not a samples CSV: byte {error.start} is not UTF-8 text; give a .csv, a .csv.gz "
-            "or a file written by calibrate or simulate"
-        ) from error
-    if "\x00" in text:
-        raise DataError(f"{path.name}: not a samples CSV: it holds binary data")
-    return text
-
-
-def _split(path: Path, text: str) -> _Table:
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    while lines and not lines[-1].strip():
-        lines.pop()
-    keys, notes, start = _keys(path, lines)
-    if start == len(lines):
-        raise DataError(f"{path.name}: no header row; expected one like 'time_s,position,angle_deg,ax,ay'")
-    header = [name.strip() for name in lines[start].split(",")]
-    _check_header(path, header, start + 1)
-    rows = lines[start + 1 :]
-    if not rows:
-        raise DataError(f"{path.name}: the header in row {start + 1} is followed by no sample")
-    commas = len(header) - 1
-    for number, line in enumerate(rows):
-        if line.count(",") != commas:
-            what = f"{line.count(',') + 1} values where the header has {commas + 1}"
-            raise DataError(
-                f"{path.name}, row {start + 2 + number}: {what if line.strip() else 'empty row'}"
-            )
-    cells = ",".join(rows).split(",")
-    columns = {name: cells[k :: commas + 1] for k, name in enumerate(header)}
-    return _Table(path, keys, tuple(notes), columns, start + 2)
-
-
-def _keys(path: Path, lines: list[str]) -> tuple[dict[str, tuple[str, int]], list[str], int]:
-    """Keys with their rows, notes, and the line after them."""
-    keys: dict[str, tuple[str, int]] = {}
-    notes: list[str] = []
-    start = 0
-    while start < len(lines) and (lines[start].startswith("#") or not lines[start].strip()):
-        name, colon, value = lines[start].lstrip("#").partition(":")
-        name, start = name.strip().lower(), start + 1
-        if not colon:
-            continue
-        if name == "note":
-            notes.append(value.strip())
-            continue
-        if name in keys:
-            raise DataError(f"{path.name}, row {start}: key '{name}' stands there twice")
-        keys[name] = (value.strip(), start)
-        if name not in _KEYS:
-            notes.append(f"key '{name}' in row {start} is not known and was ignored")
-    return keys, notes, start
-
-
-def _check_header(path: Path, header: list[str], row: int) -> None:
-    known = [name for name in header if name in COLUMNS]
-    if not known:
-        raise DataError(
-            f"{path.name}, row {row}: not a samples CSV: no known column in the header; "
-            "expected time_s, ax, ay and others"
+            f"{table.path.name}: no dwell found: {'; '.join(found) or 'the sensor never rests'}; "
+            "add a column 'position' or record at least one second at rest in each position"
         )
-    for name in header:
-        if header.count(name) > 1:
-            raise DataError(f"{path.name}, row {row}: column '{name}' stands there twice")
-        if name not in COLUMNS:
-            raise DataError(f"{path.name}, row {row}: unknown column '{name}'; known: {', '.join(COLUMNS)}")
-    for name in ("time_s", "ax", "ay"):
-        if name not in header:
-            raise DataError(f"{path.name}, row {row}: column '{name}' is missing")
-    gyros = [name for name in GYROS if name in header]
-    if gyros and len(gyros) < 3:
-        missing = next(name for name in GYROS if name not in header)
-        raise DataError(f"{path.name}, row {row}: column '{missing}' is missing beside '{gyros[0]}'")
+    return slices, tuple(found)
 
 
-def _choice(allowed: Sequence[str]) -> Callable[[str], str]:
-    def parse(text: str) -> str:
-        if text.lower() not in allowed:
-            raise ValueError(f"expected one of {', '.join(allowed)}")
-        return text.lower()
-
-    return parse
-
-
-def _positive(text: str) -> float:
-    value = _float(text)
-    if not (math.isfinite(value) and value > 0):
-        raise ValueError("expected a number above zero")
-    return value
-
-
-def _sigma(text: str) -> float:
-    if text.lower() == "free":
-        return math.inf
-    value = _float(text)
-    if not (math.isfinite(value) and value >= 0):
-        raise ValueError("expected degrees, not negative, or 'free'")
-    return value
-
-
-_KEYS: dict[str, Callable[[str], Any]] = {
-    "sensor": _choice(SENSORS),
-    "gravity_mps2": _positive,
-    "fixture_sigma_deg": _sigma,
-    "plane": _choice(PLANES),
-    "accel_unit": _choice(ACCEL_UNITS),
-    "gyro_unit": _choice(GYRO_UNITS),
-    "reading_u_mg": _positive,
-    "title": str,
-}
-
-
-def _settings(table: _Table) -> dict[str, Any]:
-    settings: dict[str, Any] = {
-        "sensor": "adis16354",
-        "accel_unit": "lsb",
-        "gyro_unit": "dps",
-        "gravity_mps2": STANDARD_GRAVITY_MPS2,
-        "plane": "xy",
-    }
-    for name, (text, line) in table.keys.items():
-        if name not in _KEYS:
-            continue
-        try:
-            settings[name] = _KEYS[name](text)
-        except ValueError as error:
-            reason = str(error) if str(error).startswith("expected") else "expected a number"
-            raise DataError(
-                f"{table.path.name}, row {line}: {name} '{text}' is not known: {reason}"
-            ) from error
-    if settings["sensor"] == "generic" and settings["accel_unit"] == "lsb":
-        raise DataError(
-            f"{table.path.name}: accel_unit 'lsb' needs a sensor whose LSB is known; "
-            "for a generic one say mg, g, mps2 or counts"
-        )
-    return settings
-
-
-def _float(text: str) -> float:
-    # Python's float takes '1_000', which no instrument writes.
-    if "_" in text:
-        raise ValueError(text)
-    return float(text)
-
-
-def _numbers(table: _Table, name: str) -> Floats:
-    cells = table.columns[name]
-    try:
-        values = np.array(list(map(float, cells)))
-    except ValueError:
-        values = None
-    if values is not None and np.isfinite(values).all() and "_" not in "".join(cells):
-        return values
-    for row, cell in enumerate(cells):
-        try:
-            value = _float(cell)
-        except ValueError:
-            what = f"'{cell.strip()}' is not a number" if cell.strip() else "empty"
-            raise table.fail(row, f"column '{name}': {what}") from None
-        if not math.isfinite(value):
-            raise table.fail(
-                row, f"column '{name}': {cell.strip()} is not a finite number; leave such rows out"
-            )
-    raise AssertionError("unreachable: one of the cells is bad")  # pragma: no cover
-
-
-def _gyro(table: _Table) -> Floats | None:
-    if not all(name in table.columns for name in GYROS):
-        return None
-    return np.stack([_numbers(table, name) for name in GYROS], axis=1)
-
-
-def _dwells_by_position(table: _Table) -> tuple[list[int], list[slice]]:
-    cells = table.columns["position"]
-    code = _codes(cells)
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(code)) + 1])
-    ends = np.append(starts[1:], len(cells))
+def _dwells_by_position(table: Table) -> tuple[list[int], list[slice]]:
     numbers: list[int] = []
+    starts: list[int] = []
     seen: dict[int, int] = {}
-    for start in starts.tolist():
-        try:
-            number = int(cells[start])
-        except ValueError:
-            raise table.fail(start, f"column 'position': '{cells[start]}' is not an integer") from None
+    for row, text in table.runs["position"]:
+        number = _position(table, row, text)
+        if numbers and numbers[-1] == number:
+            continue
         if number in seen:
             raise table.fail(
-                start,
+                row,
                 f"position {number} comes back after another one (first in row {seen[number]}); "
                 "the rows of a dwell must be contiguous: give a second visit a number of its own",
             )
-        seen[number] = table.first_line + start
+        seen[number] = table.line_of(row)
         numbers.append(number)
-    return numbers, [slice(a, b) for a, b in zip(starts.tolist(), ends.tolist(), strict=True)]
+        starts.append(row)
+    ends = [*starts[1:], len(table.time_s)]
+    return numbers, [slice(a, b) for a, b in zip(starts, ends, strict=True)]
 
 
-def _codes(cells: list[str]) -> NDArray[np.intp]:
-    """Number of each distinct text, (n,) int."""
-    book: dict[str, int] = {}
-    return np.fromiter(
-        (book.setdefault(cell, len(book)) for cell in cells), dtype=np.intp, count=len(cells)
-    )
+def _position(table: Table, row: int, text: str) -> int:
+    try:
+        # A spreadsheet may write an integer as 3.0 or 3,0.
+        value = table.number("position", text)
+    except ValueError:
+        value = math.nan
+    if not value.is_integer():
+        raise table.fail(row, f"column 'position': '{text.strip()}' is not an integer")
+    return int(value)
 
 
-def _constant(table: _Table, name: str, slices: list[slice], parse: Callable[[str], Any]) -> list[Any]:
+def _constant(table: Table, name: str, slices: list[slice], parse: Callable[[str], Any]) -> list[Any]:
     """Value of a column that must not change within a dwell; None where it is empty or absent."""
-    if name not in table.columns:
+    if name not in table.runs:
         return [None] * len(slices)
-    cells = table.columns[name]
-    code = _codes(cells)
     values = []
     for rows in slices:
-        try:
-            value = parse(cells[rows.start].strip())
-        except ValueError as error:
-            raise table.fail(
-                rows.start, f"column '{name}': '{cells[rows.start].strip()}' {error}"
-            ) from None
-        for row in _firsts_of_other_texts(code, rows):
+        first: tuple[str, Any] | None = None
+        for row, text in table.texts(name, rows):
+            text = text.strip()
             try:
-                same = parse(cells[row].strip()) == value
+                value = parse(text)
             except ValueError as error:
-                raise table.fail(row, f"column '{name}': '{cells[row].strip()}' {error}") from None
-            if not same:
+                raise table.fail(row, f"column '{name}': '{text}' {error}") from None
+            if first is None:
+                first = text, value
+            elif value != first[1]:
                 raise table.fail(
                     row,
-                    f"{name} changes within a dwell from '{cells[rows.start].strip()}' to "
-                    f"'{cells[row].strip()}'; a new setting is a new position",
+                    f"{name} changes within a dwell from '{first[0]}' to '{text}'; a new setting is a new "
+                    "position",
                 )
-        values.append(value)
+        values.append(None if first is None else first[1])
     return values
 
 
-def _firsts_of_other_texts(code: NDArray[np.intp], rows: slice) -> list[int]:
-    other = np.flatnonzero(code[rows] != code[rows.start])
-    _, first = np.unique(code[rows][other], return_index=True)
-    return sorted((rows.start + other[first]).tolist())
-
-
-def _angle(text: str) -> float | None:
+def _angle(table: Table, text: str) -> float | None:
     if not text:
         return None
     try:
-        value = _float(text)
+        value = table.number("angle_deg", text)
     except ValueError:
         raise ValueError("is not an angle in degrees") from None
     if not math.isfinite(value):
@@ -489,9 +276,9 @@ def _angle(text: str) -> float | None:
 def _approach(text: str) -> Literal[1, -1] | None:
     if not text or text == "0":
         return None
-    if text in ("+1", "1", "+1.0", "1.0"):
+    if text.replace(",", ".") in ("+1", "1", "+1.0", "1.0"):
         return 1
-    if text in ("-1", "-1.0"):
+    if text.replace(",", ".").replace("−", "-") in ("-1", "-1.0"):
         return -1
     raise ValueError("is neither +1 nor -1")
 

@@ -35,6 +35,8 @@ _GYRO_UPPER = 10.0
 _OFTEN = 0.25
 """Share of windows with a constant word above which this is the converter's step and not a fault."""
 _LEAST_WINDOW = 8
+_BLOCK = 1 << 16
+"""Windows that are worked on at a time: a long recording is as large as memory allows already."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,8 @@ def segment_with_notes(
     steps = steps[steps > 0]
     if n < 2 * _LEAST_WINDOW or not steps.size:
         return [], [f"{n} samples are too few for a continuous recording"]
-    period = float(np.median(steps))
+    period = float(np.median(steps, overwrite_input=True))
+    del steps
     window = max(_LEAST_WINDOW, round(WINDOW_S / period))
     least = max(2 * window, round(LEAST_S / period))
     trim = max(1, round(TRIM_S / period))
@@ -131,11 +134,19 @@ def segment_with_notes(
         ]
     _refuse_constant(accel)
 
-    deviation = _window_deviation(accel, window)
-    noise = _own_noise(deviation)
-    limits = limits_from_noise(noise, window, _quantum(accel))
-    high = np.asarray((deviation > limits.upper).any(axis=1))
-    low = np.asarray((deviation < limits.lower).any(axis=1))
+    quantum = _quantum(accel)
+    noise, upper, lower = np.zeros((3, accel.shape[1]))
+    high = np.zeros(n - window + 1, dtype=np.bool_)
+    low = np.zeros_like(high)
+    for axis in range(accel.shape[1]):
+        deviation = _window_deviation(accel[:, axis], window)
+        noise[axis] = _own_noise(deviation)
+        own = limits_from_noise(noise[axis : axis + 1], window, quantum[axis : axis + 1])
+        upper[axis], lower[axis] = own.upper[0], own.lower[0]
+        high |= deviation > upper[axis]
+        low |= deviation < lower[axis]
+        del deviation
+    limits = StillnessLimits(window, lower, upper)
     if gyro is not None:
         high |= _turns(gyro, window, ~high & ~low)
     runs = _runs(~high & ~low, window)
@@ -163,38 +174,43 @@ def _refuse_constant(accel: Floats) -> None:
 
 
 def _window_deviation(samples: Floats, window: int) -> Floats:
-    """Standard deviation (n − window + 1, axes) in every window."""
-    centred = samples - samples.mean(axis=0)
-    zero = np.zeros((1, samples.shape[1]))
-    first = np.concatenate([zero, np.cumsum(centred, axis=0)])
-    second = np.concatenate([zero, np.cumsum(centred**2, axis=0)])
-    mean = (first[window:] - first[:-window]) / window
-    square = (second[window:] - second[:-window]) / window
-    variance = np.maximum(square - mean**2, 0.0)
+    """Standard deviation (n − window + 1,) of samples (n,) in every window."""
+    middle = float(samples.mean())
     # What is left of a constant window is rounding of the running sums.
-    variance[variance < 1e-12 * (centred**2).max(axis=0)] = 0.0
-    return np.asarray(np.sqrt(variance))
+    least = 1e-12 * max(float(samples.max()) - middle, middle - float(samples.min())) ** 2
+    deviation = np.empty(len(samples) - window + 1)
+    for start in range(0, len(deviation), _BLOCK):
+        stop = min(start + _BLOCK, len(deviation))
+        part = samples[start : stop + window - 1] - middle
+        first = np.concatenate([[0.0], np.cumsum(part)])
+        second = np.concatenate([[0.0], np.cumsum(part**2)])
+        mean = (first[window:] - first[:-window]) / window
+        variance = np.maximum((second[window:] - second[:-window]) / window - mean**2, 0.0)
+        variance[variance < least] = 0.0
+        deviation[start:stop] = np.sqrt(variance)
+    return deviation
 
 
 def _turns(gyro: Floats, window: int, still: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Windows (w,) in which a gyro moves more than it usually does where the accelerations are still."""
-    deviation = _window_deviation(gyro, window)
+    turns = np.zeros(len(still), dtype=np.bool_)
     if not still.any():
-        return np.zeros(len(deviation), dtype=np.bool_)
-    usual = np.median(deviation[still], axis=0)
-    limit = np.maximum(_GYRO_UPPER * usual, _UPPER * _quantum(gyro) / np.sqrt(12))
-    return np.asarray((deviation > limit).any(axis=1))
+        return turns
+    for axis, quantum in enumerate(_quantum(gyro).tolist()):
+        deviation = _window_deviation(gyro[:, axis], window)
+        usual = float(np.median(deviation[still], overwrite_input=True))
+        turns |= deviation > max(_GYRO_UPPER * usual, _UPPER * quantum / np.sqrt(12))
+        del deviation
+    return turns
 
 
-def _own_noise(deviation: Floats) -> Floats:
-    """Noise of each axis (axes,): typical deviation of its quiet windows; zero where words often repeat."""
-    noise = np.zeros(deviation.shape[1])
-    for axis in range(deviation.shape[1]):
-        alive = deviation[:, axis][deviation[:, axis] > 0]
-        if alive.size >= (1 - _OFTEN) * len(deviation):
-            lowest = np.quantile(alive, 0.05)
-            noise[axis] = np.median(alive[alive <= 2 * lowest])
-    return noise
+def _own_noise(deviation: Floats) -> float:
+    """Noise of an axis: typical deviation of its quiet windows (w,); zero where words often repeat."""
+    alive = deviation[deviation > 0]
+    if alive.size < (1 - _OFTEN) * len(deviation):
+        return 0.0
+    lowest = float(np.quantile(alive, 0.05, overwrite_input=True))
+    return float(np.median(alive[alive <= 2 * lowest], overwrite_input=True))
 
 
 def _quantum(samples: Floats) -> Floats:
@@ -220,18 +236,18 @@ def _split_at_steps(
     n = rows.stop - rows.start
     if n < 2 * least:
         return [rows]
-    part = accel[rows]
-    sums = np.concatenate([np.zeros((1, part.shape[1])), np.cumsum(part - part[0], axis=0)])
-    middle = np.arange(window, n - window + 1)
-    before = (sums[middle] - sums[middle - window]) / window
-    after = (sums[middle + window] - sums[middle]) / window
     # An axis that never changes has no limit and no step either.
     unit = np.maximum(limits.upper / _UPPER, 1e-300)
-    jump = (np.abs(after - before) / unit).max(axis=1)
+    jump = np.zeros(n - 2 * window + 1)
+    for axis in range(accel.shape[1]):
+        part = accel[rows, axis]
+        sums = np.concatenate([[0.0], np.cumsum(part - part[0])])
+        means = (sums[window:] - sums[:-window]) / window
+        np.maximum(jump, np.abs(means[window:] - means[:-window]) / unit[axis], out=jump)
     cuts = []
     while jump.size and jump.max() > _UPPER:
         k = int(jump.argmax())
-        cuts.append(int(middle[k]))
+        cuts.append(window + k)
         jump[max(0, k - window) : k + window] = 0.0
     edges = [0, *sorted(cuts), n]
     return [slice(rows.start + a, rows.start + b) for a, b in pairwise(edges) if b - a >= least]

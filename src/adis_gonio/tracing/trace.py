@@ -74,7 +74,8 @@ def trace(session: Session, max_effects: int = 6, time_limit: float | None = Non
     else:
         with within(Budget(time_limit, current().tell)):
             result = _trace(session, max_effects)
-    return replace(result, provenance=provenance_of(session))
+    overrides = session.facts.get("overrides", {})
+    return replace(result, provenance=provenance_of(session), overrides=overrides)
 
 
 def _trace(session: Session, max_effects: int) -> TraceResult:

@@ -316,6 +316,8 @@ class TraceResult:
         What the time limit left out, where it ended the trace.
     provenance : Provenance or None
         Where the readings come from; None where no session was given.
+    overrides : mapping
+        What was stated otherwise than in the session's file, old and new (`session.overrides`).
     """
 
     adequate: bool
@@ -339,6 +341,7 @@ class TraceResult:
     inflation: float = 1.0
     stopped: Stopped | None = None
     provenance: Provenance | None = field(default=None, repr=False, compare=False)
+    overrides: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         found = ", ".join(finding.effect for finding in self.found) or "no effect"
@@ -407,6 +410,7 @@ class TraceResult:
             "within": [finding.as_dict() for finding in self.within],
             "heldout_design": self.heldout_design,
             "stopped": None if self.stopped is None else self.stopped.as_dict(),
+            "overrides": dict(self.overrides),
         }
 
 

@@ -1,0 +1,130 @@
+"""What a file should have said: corrections that are given when it is read, and recorded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from adis_gonio.errors import UsageError
+from adis_gonio.model.gravity import checked_gravity_mps2
+from adis_gonio.model.records import ACCEL_UNITS, SENSORS, AccelUnit, Dwell, Session
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """Corrections to what a session's file states; None, False or empty leaves it as it is.
+
+    The samples stay as they are: `accel_unit` says in which unit they always were. What was changed, old
+    and new, stands in `Session.facts["overrides"]` and, in words, in `Session.notes`.
+
+    Attributes
+    ----------
+    gravity_mps2 : float or None
+        Local gravity; anywhere above zero (`adis_gonio.model.gravity.checked_gravity_mps2` says whether it
+        is on Earth).
+    fixture_sigma_deg : float or None
+        Standard uncertainty of a declared angle in degrees; `inf` where attitudes are free.
+    reverse : bool
+        The stage turned the other way than declared: angles change their sign, and with them the
+        directions from which they were reached.
+    accel_unit : str or None
+        Unit of the accelerations; goes before a unit in the file's header.
+    sensor : str or None
+    columns : mapping of str to str
+        Column of the format → column of the file's header, where a CSV calls them otherwise.
+
+    Raises
+    ------
+    UsageError
+        A value that no session can have.
+    """
+
+    gravity_mps2: float | None = None
+    fixture_sigma_deg: float | None = None
+    reverse: bool = False
+    accel_unit: AccelUnit | None = None
+    sensor: str | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.gravity_mps2 is not None and not 0 < self.gravity_mps2 < math.inf:
+            checked_gravity_mps2(self.gravity_mps2)
+        if self.fixture_sigma_deg is not None and not self.fixture_sigma_deg >= 0:
+            raise UsageError(f"fixture is {self.fixture_sigma_deg:g}: give degrees, 0 or more, or free")
+        for name, value, known in (
+            ("unit", self.accel_unit, ACCEL_UNITS),
+            ("sensor", self.sensor, SENSORS),
+        ):
+            if value is not None and value not in known:
+                raise UsageError(f"{name} is '{value}': known are {', '.join(known)}")
+
+    def __bool__(self) -> bool:
+        return self != Overrides()
+
+    def apply(self, session: Session) -> Session:
+        """The session as its file should have stated it.
+
+        Raises
+        ------
+        UsageError
+            An angle is to be reversed where none is declared.
+        """
+        changes: dict[str, dict[str, Any]] = {}
+        for name in ("gravity_mps2", "fixture_sigma_deg", "accel_unit", "sensor"):
+            new, old = getattr(self, name), getattr(session, name)
+            if new is not None and new != old:
+                changes[name] = {"old": old, "new": new}
+        settings = {name: change["new"] for name, change in changes.items()}
+        if self.reverse:
+            if all(dwell.angle_deg is None for dwell in session.dwells):
+                raise UsageError(f"{session.source}: no angle is declared, there is nothing to reverse")
+            changes["reverse"] = {"old": False, "new": True}
+            settings["dwells"] = tuple(map(_reversed, session.dwells))
+        if self.columns:
+            changes["columns"] = {"old": {}, "new": dict(self.columns)}
+        if not changes:
+            return session
+        document = {name: {k: _plain(v) for k, v in change.items()} for name, change in changes.items()}
+        return replace(
+            session,
+            notes=(*session.notes, _sentence(changes)),
+            facts={**session.facts, "overrides": document},
+            **settings,
+        )
+
+
+def _reversed(dwell: Dwell) -> Dwell:
+    # Adding zero makes no minus of it.
+    angle = None if dwell.angle_deg is None else -dwell.angle_deg + 0.0
+    return replace(dwell, angle_deg=angle, approach=-dwell.approach)
+
+
+def _plain(value: Any) -> Any:
+    return "free" if isinstance(value, float) and math.isinf(value) else value
+
+
+def _sentence(changes: Mapping[str, Mapping[str, Any]]) -> str:
+    return "overridden: " + "; ".join(_words(name, **change) for name, change in changes.items())
+
+
+def _words(name: str, old: Any, new: Any) -> str:
+    match name:
+        case "gravity_mps2":
+            return f"gravity {new:g} m/s² instead of {old:g}"
+        case "fixture_sigma_deg":
+            return f"uncertainty of a declared angle {_degrees(new)} instead of {_degrees(old)}"
+        case "accel_unit":
+            return f"accelerations are in {new}, not in {old}"
+        case "sensor":
+            return f"sensor {new} instead of {old}"
+        case "reverse":
+            return "the stage turned the other way: declared angles and approaches with the opposite sign"
+    return "columns " + ", ".join(f"{mine} = '{theirs}'" for mine, theirs in new.items())
+
+
+def _degrees(sigma: float | None) -> str:
+    if sigma is None:
+        return "not stated"
+    return "free" if math.isinf(sigma) else f"{sigma:g}°"
