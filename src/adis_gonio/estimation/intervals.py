@@ -1,7 +1,7 @@
 """From a standard uncertainty to an interval: effective degrees of freedom, coverage factor, expansion.
 
-JCGM 100:2008 (GUM), G.4.1 (Welch–Satterthwaite) and G.3.2 (Student's distribution). The one place where 95 % and
-its quantile are stated.
+JCGM 100:2008 (GUM), G.4.1 (Welch–Satterthwaite) and G.3.2 (Student's distribution). The one place where
+95 % and its quantile are stated.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ NORMAL_95 = 1.959963984540054
 
 
 def coverage_factor(dof: float) -> float:
-    """k of 95 %: Student's quantile at `dof`; below one degree of freedom that of one, the worst stated."""
+    """K of 95 %: Student's quantile at `dof`; below one degree of freedom that of one, the worst stated."""
     if math.isinf(dof):
         return NORMAL_95
     from scipy.special import stdtrit
@@ -25,7 +25,7 @@ def coverage_factor(dof: float) -> float:
 
 
 def effective_dof(parts: Sequence[tuple[float, float]]) -> float:
-    """Degrees of freedom of a sum of variances, each with its own: (Σ v)² / Σ (v²/ν); inf where unlimited."""
+    """Degrees of freedom of a sum of variances, each with its own: (Σ v)² / Σ (v²/ν); inf if unlimited."""
     total = sum(variance for variance, _ in parts)
     doubt = sum(variance**2 / dof for variance, dof in parts if math.isfinite(dof) and variance > 0)
     return total**2 / doubt if doubt > 1e-12 * total**2 else math.inf

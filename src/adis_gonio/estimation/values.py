@@ -11,7 +11,7 @@ from adis_gonio.estimation.intervals import expanded
 
 @dataclass(frozen=True)
 class Value:
-    """A value with its standard uncertainty (None: not determined), unit, and effective degrees of freedom."""
+    """A value, its standard uncertainty (None: not determined), unit and effective degrees of freedom."""
 
     value: float
     u: float | None

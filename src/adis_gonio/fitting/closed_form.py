@@ -302,7 +302,7 @@ def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
 
 
 def _sources(data: Readings, linear: _Linear, noise: Noise) -> Sources:
-    """Sources of the uncertainty of the natural parameters: noise, own and shared, and the fixture's tangent."""
+    """Sources of the uncertainty of the natural parameters, the fixture by its tangent."""
     fit = _fit(noise.applied(data), linear.beta, bias=linear.has_bias)
     held = () if linear.has_bias or not data.unit.known else (0, 1)
     return sources_of(data, noise, fit, linear.derivative / data.gravity_mg, held)

@@ -58,7 +58,9 @@ def fit(session: Session, method: str | None = None) -> FitResult:
         if not session.source:
             raise
         raise type(error)(f"{session.source}: {error}") from error
-    return replace(result, warnings=(*session.notes, *result.warnings), session=readings)
+    return replace(
+        result, warnings=(*session.notes, *result.warnings), session=readings, session_notes=session.notes
+    )
 
 
 def fit_readings(readings: Readings, method: str | None = None) -> FitResult:

@@ -20,7 +20,6 @@ import numpy as np
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.fitting.determination import Determination, determine, information
-from adis_gonio.model.records import Floats
 
 _EXCESS = 1e-3
 _LEAST_SCALE = 1e-5
@@ -134,8 +133,8 @@ def _unknown_readings(follow: _Follow, noise: Noise, dof: int, open_sigma: bool)
     scale = _equal_to_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, _LEAST_SCALE, 1e4)
     if scale <= _LEAST_SCALE:
         notes.append(
-            "nothing states the noise of a reading and the model passes through all of them: no uncertainty "
-            "can be given; state reading_u_mg, or keep the samples of each dwell"
+            "nothing states the noise of a reading and the model passes through all of them: no "
+            "uncertainty can be given; state reading_u_mg, or keep the samples of each dwell"
         )
         return replace(noise, known=False, notes=tuple(notes))
     known = "all readings" if not follow.readings.known.any() else "the readings without one"

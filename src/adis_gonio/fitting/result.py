@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter: value, standard uncertainty (None where nothing tells the noise), unit, degrees of freedom.
+    """A parameter: value, standard uncertainty (None: nothing tells the noise), unit, degrees of freedom.
 
-    `u` is the GUM's standard uncertainty, `dof` its effective degrees of freedom (inf where unlimited); what
-    covers 95 % is `U` = `k`·`u` with Student's quantile k.
+    `u` is the GUM's standard uncertainty, `dof` its effective degrees of freedom (inf where unlimited);
+    what covers 95 % is `U` = `k`·`u` with Student's quantile k.
     """
 
     name: str
@@ -111,6 +111,8 @@ class FitResult:
         What it was made of; no part of the JSON, nor of a comparison.
     session : Readings or None
         All readings of the session, on which methods are compared.
+    session_notes : tuple of str
+        What the reader of the file had to tell; the first of `warnings`.
     """
 
     method: str
@@ -127,6 +129,7 @@ class FitResult:
     fixture_sigma_deg: float | None = None
     origin: Origin | None = field(default=None, repr=False, compare=False)
     session: Readings | None = field(default=None, repr=False, compare=False)
+    session_notes: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Estimate:
         """Estimate by name; `KeyError` where the session does not determine it."""
@@ -160,7 +163,8 @@ class FitResult:
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
         """Uncertainty budget of `delta_k`, `delta_phi` and `angle`; empty in space or without a noise."""
-        from adis_gonio.fitting.uncertainty_budget import ShownAngle, budget_of
+        from adis_gonio.estimation.shown import ShownAngle
+        from adis_gonio.fitting.uncertainty_budget import budget_of
 
         made = self.origin
         if made is None or made.sources is None or not made.readings.planar:
@@ -170,18 +174,18 @@ class FitResult:
             for output in made.outputs
             if output.name in ("delta_k", "delta_phi")
         }
-        shown = ShownAngle.of(made.fit)
+        shown = ShownAngle.around(made.fit)
         return {**found, "angle": budget_of(made.sources, shown.gradient, shown.reading)}
 
     @cached_property
     def angle(self) -> Value | None:
         """Error of the angle after calibration (rms, deg) with the uncertainty of a shown angle.
 
-        The value is the root mean square over the dwells of the session, left out of the fit where they were
-        in it; NaN where none is declared or can be left out. The uncertainty is that of an angle shown for a
-        reading as long as the session's, the root mean square over a turn. None in space.
+        The value is the root mean square over the dwells of the session, left out of the fit where they
+        were in it; NaN where none is declared or can be left out. The uncertainty is that of an angle shown
+        for a reading as long as the session's, the root mean square over a turn. None in space.
         """
-        from adis_gonio.fitting.uncertainty_budget import ShownAngle
+        from adis_gonio.estimation.shown import ShownAngle
 
         made = self.origin
         if made is None or not made.readings.planar:
@@ -190,7 +194,9 @@ class FitResult:
         error = math.nan if score is None or score.angle_rms_deg is None else score.angle_rms_deg
         if made.sources is None:
             return Value(error, None, "deg")
-        return ShownAngle.of(made.fit).value(made.sources, error)
+        shown = ShownAngle.around(made.fit)
+        u, dof = made.sources.uncertainty(shown.gradient, shown.reading)
+        return Value(error, u, "deg", dof)
 
     def summary(self) -> str:
         """The headline in a few lines of plain text, as the command `fit` shows it."""
@@ -205,8 +211,7 @@ class FitResult:
         """The parameters as a table, for notebooks."""
         from adis_gonio.answer.frames import html_table
 
-        rows = [(e.name, e.stated) for e in self.parameters]
-        return html_table(f"fit by method {self.method}", rows)
+        return html_table(f"fit by method {self.method}", [(e.name, e.stated) for e in self.parameters])
 
     def to_pandas(self) -> DataFrame:
         """Parameters as a data frame with the columns value, u, dof, k, U and unit (extra: pandas)."""

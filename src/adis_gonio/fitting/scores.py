@@ -1,8 +1,8 @@
-"""How well each method predicts the same readings: every dwell of the session, left out where it was fitted.
+"""How well each method predicts the same readings: every dwell of the session, left out if it was fitted.
 
-A method that saw two readings of twenty-four has small residuals at those two; here it has to predict all of
-them, each without its own help. Where a closed form cannot do without a dwell it is run at the next place of
-the turn: 90° and 180° in the place of 0° and 90° are the same method with another start angle.
+A method that saw two readings of twenty-four has small residuals at those two; here it has to predict all
+of them, each without its own help. Where a closed form cannot do without a dwell it is run at the next
+place of the turn: 90° and 180° in the place of 0° and 90° are the same method with another start angle.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MOST_FOLDS = 40
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a model says of dwells: errors of the angle (n,) in rad and residuals (n, r) in mg; NaN unknown."""
+    """What a model says of dwells: errors of the angle (n,), rad, residuals (n, r), mg; NaN unknown."""
 
     angle_rad: Floats
     residual_mg: Floats
@@ -45,8 +45,8 @@ class Score:
     angle_rms_deg, angle_max_deg : float or None
         Angle computed by the calibrated goniometer minus declared angle; None without declared angles.
     residual_rms_mg, residual_max_mg : float or None
-        Reading minus model at the attitude that fits the dwell best within the fixture's tolerance; in space
-        the residual of the norm.
+        Reading minus model at the attitude that fits the dwell best within the fixture's tolerance; in
+        space the residual of the norm.
     dwells : int
         How many; with none the other figures are None.
     """

@@ -1,8 +1,8 @@
-"""Sources of uncertainty: what each moves the parameters by, so that their variances add up to the covariance.
+"""Sources of uncertainty: what each moves the parameters by; their variances add up to the covariance.
 
-A fit answers a small change of its readings by R = ∂parameter/∂reading. A source s of independent parts moves
-the readings by them, and so the parameters by the columns of F_s = R·parts; the covariance is Σ F_s F_sᵀ
-(JCGM 100:2008, 5.1.2 and 5.2). Each column carries the degrees of freedom of the estimate that it rests on,
+A fit answers a small change of its readings by R = ∂parameter/∂reading. A source s of independent parts
+moves the readings by them, and so the parameters by the columns of F_s = R·parts; the covariance is
+Σ F_s F_sᵀ (JCGM 100:2008, 5.1.2 and 5.2). Each column carries the degrees of freedom of the estimate that it rests on,
 and columns of one estimate count as one (G.4.1).
 """
 
@@ -49,7 +49,7 @@ class Source:
     distribution : str
         `normal`, `Student` or `rectangular`.
     u : float or None
-        Standard uncertainty of the source itself, the root mean square over dwells and axes; None: not known.
+        Standard uncertainty of the source itself, rms over dwells and axes; None: not known.
     unit : str
     moves : (p, k) float
         What each independent part, at one standard uncertainty, moves the parameters by; natural units.
@@ -63,6 +63,8 @@ class Source:
         What has to be said about it.
     by_definition : bool
         True where the parameters are stated relative to it: it moves them, and is no part of their u.
+    acts_mg : (n, axes, k) float or None
+        What inputs that act on all dwells do to the readings, at one standard uncertainty.
     """
 
     name: str
@@ -76,6 +78,7 @@ class Source:
     reading_mg2: Floats
     note: str = ""
     by_definition: bool = False
+    acts_mg: Floats | None = None
 
     def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
         """(estimate, degrees of freedom, variance) of each part of a quantity.
@@ -113,9 +116,13 @@ class Sources:
         moves = np.concatenate([source.moves for source in self._counted], axis=1)
         return np.asarray(moves @ moves.T)
 
+    def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
+        """Parts of the variance of a quantity; see `Source.parts`."""
+        return [part for source in self._counted for part in source.parts(gradient, reading)]
+
     def uncertainty(self, gradient: Floats, reading: Floats | None = None) -> tuple[float, float]:
         """Standard uncertainty and effective degrees of freedom of a quantity; see `Source.parts`."""
-        parts = [part for source in self._counted for part in source.parts(gradient, reading)]
+        parts = self.parts(gradient, reading)
         return math.sqrt(sum(part[2] for part in parts)), dof_of(parts)
 
 
@@ -141,7 +148,9 @@ def response_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats:
     return fit.by_reading((fit.jacobian * natural) @ covariance)
 
 
-def sources_of(data: Readings, noise: Noise, fit: Fit, response: Floats, held: Sequence[int] = ()) -> Sources:
+def sources_of(
+    data: Readings, noise: Noise, fit: Fit, response: Floats, held: Sequence[int] = ()
+) -> Sources:
     """Sources of the uncertainty of fitted parameters.
 
     Parameters
@@ -160,7 +169,7 @@ def sources_of(data: Readings, noise: Noise, fit: Fit, response: Floats, held: S
             _repeatability(data, noise, response),
             _flicker(data, response),
             _fixture(data, noise, fit, response),
-            _gravity(data, fit),
+            _gravity(data, fit, len(response)),
             _quantization(data, response),
             _temperature(data, fit, response),
             _model(data, noise, response, held),
@@ -192,29 +201,40 @@ def _unlimited(k: int) -> tuple[Floats, NDArray[np.intp]]:
     return np.full(k, np.inf), np.zeros(k, dtype=np.intp)
 
 
-def _repeatability(data: Readings, noise: Noise, response: Floats) -> Source:
-    n, axes = data.mean_mg.shape
+def _own(data: Readings, noise: Noise) -> Floats:
+    """Covariance (n, axes, axes) of the means by the noise that averaging lowers."""
     factor = np.where(data.known, 1.0, noise.scale**2)[:, None, None]
     own = data.own_covariance * factor
     for part in (data.quantization_mg2, data.flicker_mg2):
         own = own if part is None else own - _diagonal(part)
+    return np.asarray(own)
+
+
+def repeatability_of(data: Readings, noise: Noise) -> tuple[Floats, Floats, NDArray[np.intp]]:
+    """Roots (n, axes, axes) of that; degrees of freedom and numbers (n, axes) of the estimates behind."""
+    n, axes = data.mean_mg.shape
     first = np.full(n, _POOLED) if data.pooled else 3 * np.arange(n) + _EACH
     dof = np.where(data.known, data.dof, noise.dof)
     estimate = np.where(data.known[:, None], first[:, None] + np.arange(axes), _RESIDUAL)
     if noise.extra_mg > 0:
         # χ² settles measured and extra variance together: both rest on the residual.
         dof, estimate = np.minimum(dof, noise.dof), np.full((n, axes), _RESIDUAL)
+    return _root(_own(data, noise)), np.repeat(dof[:, None], axes, axis=1), estimate.astype(np.intp)
+
+
+def _repeatability(data: Readings, noise: Noise, response: Floats) -> Source:
+    roots, dof, estimate = repeatability_of(data, noise)
     stated = bool((data.known & np.isinf(data.dof)).all())
-    mean = own.mean(axis=0)
+    mean = _own(data, noise).mean(axis=0)
     return Source(
         REPEATABILITY,
         "B" if stated else "A",
         "normal" if stated else "Student",
-        float(np.sqrt(np.trace(mean) / axes)),
+        float(np.sqrt(np.trace(mean) / data.axes)),
         "mg",
-        _each(response, _root(own)),
-        np.repeat(dof, axes),
-        estimate.ravel().astype(np.intp),
+        _each(response, roots),
+        dof.ravel(),
+        estimate.ravel(),
         mean,
         "stated (reading_u_mg)" if stated else "",
     )
@@ -270,11 +290,11 @@ def _fixture(data: Readings, noise: Noise, fit: Fit, response: Floats) -> Source
     )
 
 
-def _gravity(data: Readings, fit: Fit) -> Source:
+def _gravity(data: Readings, fit: Fit, parameters: int) -> Source:
     """All gains change as 1/g, and nothing else does."""
     base = fit.values.base
     u = GRAVITY_HALF_MPS2 / math.sqrt(3)
-    moves = np.zeros((len(base) + data.axes, 1))
+    moves = np.zeros((parameters, 1))
     for k, name in enumerate(fit.data.model.names):
         if name.startswith("scale"):
             moves[k] = -float(base[k]) * u * 1000 / (data.gravity_mg * STANDARD_GRAVITY_MPS2)
@@ -311,11 +331,11 @@ def _quantization(data: Readings, response: Floats) -> Source:
 
 
 def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
-    """A coefficient of each bias that nobody knows, as large as the part's figure and the residual allow."""
+    """An unknown coefficient of each bias, as large as the part's figure and the residual allow."""
     axes = data.axes
     figure = VARIANTS[data.sensor].performance.bias_tempco_mg_per_c if data.sensor in VARIANTS else 0.0
     temperature = data.conditions.temperature_c
-    moves = np.zeros((len(response), axes))
+    moves, acts = np.zeros((len(response), axes)), None
     u, note = figure if figure else None, ""
     if temperature is None:
         note = "temperature not recorded"
@@ -328,7 +348,8 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
         left = left - fit.jacobian @ np.linalg.lstsq(fit.jacobian, left, rcond=1e-9)[0]
         # Prior of the part's figure, and what the residual of this session says of it.
         spread = 1 / np.sqrt(1 / figure**2 + (left**2).sum(axis=0))
-        moves = np.einsum("pna,nab->pb", response, columns) * spread
+        acts = columns * spread
+        moves = np.einsum("pna,nab->pb", response, acts)
         u = float(np.sqrt((spread**2).mean()))
         note = f"dwells from {temperature.min():.1f} to {temperature.max():.1f} °C"
     return Source(
@@ -341,6 +362,7 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
         *_unlimited(axes),
         np.zeros((axes, axes)),
         note,
+        acts_mg=acts,
     )
 
 
@@ -356,7 +378,11 @@ def _model(data: Readings, noise: Noise, response: Floats, held: Sequence[int]) 
         notes.append("scatter beyond the noise within the dwells")
     if held:
         letters = ", ".join("xyz"[axis] for axis in held)
-        size = f"{figure:g} mg, figure of the part" if figure else "of a size that nothing states: not included"
+        size = (
+            f"{figure:g} mg, figure of the part"
+            if figure
+            else "of a size that nothing states: not included"
+        )
         notes.append(f"bias {letters} taken as zero ({size})")
         u = math.hypot(u, figure)
     statistical = noise.extra_mg > 0 and not figure * len(held)
@@ -368,7 +394,10 @@ def _model(data: Readings, noise: Noise, response: Floats, held: Sequence[int]) 
         "mg",
         np.concatenate([extra, blind], axis=1),
         np.concatenate([np.full(extra.shape[1], noise.dof), np.full(len(held), np.inf)]),
-        np.concatenate([np.full(extra.shape[1], _RESIDUAL), np.zeros(len(held), dtype=np.intp)]).astype(np.intp),
+        np.concatenate([np.full(extra.shape[1], _RESIDUAL), np.zeros(len(held), dtype=np.intp)]).astype(
+            np.intp
+        ),
         noise.extra_mg**2 * np.eye(axes),
         "; ".join(notes) or "the residual shows no more than the noise",
+        acts_mg=np.tile(figure * np.eye(axes)[:, held], (len(data), 1, 1)) if held and figure else None,
     )

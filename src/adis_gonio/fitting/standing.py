@@ -14,8 +14,9 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.fitting.methods import applicable_to, default_method, fit_readings
 from adis_gonio.fitting.result import FitResult
 from adis_gonio.fitting.scores import Prediction, Score, predictions, scores_of
+from adis_gonio.model.records import Floats
 
-BEYOND = 2.0
+BEYOND = 3.0
 """Standard errors of the paired difference of squared errors beyond which one method predicts better."""
 ALIKE = 0.01
 """Relative difference of uncertainties below which they do not count."""
@@ -109,12 +110,11 @@ def recommend(
     """
     sighted = [result for result in results if "bias_x" in result]
     able = sighted or list(results)
-    errors = {result.method: _squares(found[result.method]) for result in able}
     scored = bool(scores) and all(scores[result.method].dwells for result in able)
     good = able
     if scored:
         first = min(able, key=lambda r: _rms(scores[r.method]))
-        good = [r for r in able if not _worse(errors[r.method], errors[first.method])]
+        good = [r for r in able if not surely_worse(found[r.method], found[first.method])]
     least = min(_doubt(result) for result in good)
     equal = [result for result in good if _doubt(result) <= least * (1 + ALIKE)]
     names = [result.method for result in equal]
@@ -123,25 +123,27 @@ def recommend(
     return Recommendation(chosen, _why(result, results, able, good, scores, scored))
 
 
-def _squares(prediction: Prediction) -> Any:
+def _squares(prediction: Prediction) -> Floats:
     """Squared error of each dwell, of the angle where it is declared."""
     if np.isfinite(prediction.angle_rad).any():
-        return prediction.angle_rad**2
-    return (prediction.residual_mg**2).mean(axis=1)
+        return np.asarray(prediction.angle_rad**2)
+    return np.asarray((prediction.residual_mg**2).mean(axis=1))
 
 
 def _rms(score: Score) -> float:
     return float(score.residual_rms_mg or 0.0) if score.angle_rms_deg is None else score.angle_rms_deg
 
 
-def _worse(errors: Any, best: Any) -> bool:
-    difference = errors - best
+def surely_worse(one: Prediction, best: Prediction) -> bool:
+    """True where the squared errors of `one` are larger by more than `BEYOND` standard errors."""
+    base = _squares(best)
+    difference = _squares(one) - base
     difference = difference[np.isfinite(difference)]
     if len(difference) < 3:
         return False
     scatter = float(difference.std(ddof=1)) / math.sqrt(len(difference))
     mean = float(difference.mean())
-    return mean > BEYOND * scatter and mean > 1e-3 * float(np.nanmean(best))
+    return mean > BEYOND * scatter and mean > 1e-3 * float(np.nanmean(base))
 
 
 def _doubt(result: FitResult) -> float:
@@ -171,7 +173,9 @@ def _why(
     if scored:
         own = scores[result.method]
         said = (
-            f"{own.angle_rms_deg:.2g}° rms" if own.angle_rms_deg is not None else f"{own.residual_rms_mg:.2g} mg rms"
+            f"{own.angle_rms_deg:.2g}° rms"
+            if own.angle_rms_deg is not None
+            else f"{own.residual_rms_mg:.2g} mg rms"
         )
         how = "as well as any" if len(good) > 1 else "best"
         reasons.append(f"it predicts the {own.dwells} dwells {how}, each left out of its fit ({said})")

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from adis_gonio.estimation.intervals import NORMAL_95
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm
 from adis_gonio.estimation.values import Value
 from adis_gonio.tracing.outcome.between import bases, effects
@@ -20,15 +21,13 @@ from adis_gonio.tracing.unnamed.averaging import Averaged
 from adis_gonio.tracing.unnamed.dependence import dependence
 
 
-def students_factor(selection: Selection) -> float:
-    """Factor by which value ± 1.96 u covers 95 % although few degrees of freedom show the noise."""
-    from scipy import stats
-
+def dof_of(selection: Selection) -> float:
+    """Degrees of freedom that show the noise at which uncertainties are stated; inf where it was stated."""
     data = selection.data
     dof = data.noise_dof if data.noise_known else np.inf
     if not data.noise_known or selection.inflation > 1:
         dof = min(dof, max(selection.fit.dof, 1.0))
-    return 1.0 if np.isinf(dof) else float(stats.t.ppf(0.975, max(dof, 1.0)) / stats.norm.ppf(0.975))
+    return float(dof)
 
 
 def finding_of(selection: Selection, name: str) -> Finding:
@@ -43,7 +42,7 @@ def finding_of(selection: Selection, name: str) -> Finding:
     cause = ""
     amplitude_of, mixture = effects(selection, name)
     voted, present = votes(selection, name)
-    student = students_factor(selection)
+    dof = dof_of(selection)
     fit = selection.fit
     for index, (term, values) in enumerate(zip(fit.terms, fit.values.terms, strict=True)):
         at = fit.slice_of(index).start
@@ -53,12 +52,12 @@ def finding_of(selection: Selection, name: str) -> Finding:
             seen = np.abs(fit.candidate(term)).max(axis=(0, 1)) > 0
             unseen = {k for k, shown in zip(term.amplitudes, seen, strict=True) if not shown}
             for k, parameter in enumerate(term.effect.parameters):
-                u = student * float(np.sqrt(fit.covariance[at + k, at + k] * selection.inflation))
+                u = float(np.sqrt(fit.covariance[at + k, at + k] * selection.inflation))
                 if parameter.name in amplitude_of:  # shapes are fitted: their spread is in the covariance
                     u = mixture.u(u, np.array([float(other == parameter.name) for other in amplitude_of]))
                 undetermined = k in unseen
                 value = 0.0 if undetermined else float(values[k])
-                parameters[parameter.name] = Value(value, None if undetermined else u, parameter.unit)
+                parameters[parameter.name] = Value(value, None if undetermined else u, parameter.unit, dof)
             for choice in term.effect.choices():
                 parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
     # The level is spent by the prior: a name has a far greater share of it than one of thousands of
@@ -84,8 +83,8 @@ def finding_of(selection: Selection, name: str) -> Finding:
 
 def told_from_zero(finding: Finding) -> bool:
     """True where a value differs from zero by more than its own uncertainty allows."""
-    values = [v for v in finding.parameters.values() if v.u is not None and v.u > 0]
-    return not values or any(abs(v.value) > limits.told * (v.u or 0.0) for v in values)
+    halves = [(abs(v.value), v.U) for v in finding.parameters.values() if v.u]
+    return not halves or any(size > limits.told * (half or 0.0) / NORMAL_95 for size, half in halves)
 
 
 def scatter_finding(scatter: Scatter, explains: float) -> Finding:
@@ -163,19 +162,20 @@ def base_of(selection: Selection) -> dict[str, Value]:
     fit = selection.fit
     data, base = fit.data, fit.values.base
     p = len(base)
-    covariance = fit.covariance[:p, :p] * selection.inflation * students_factor(selection) ** 2
+    covariance = fit.covariance[:p, :p] * selection.inflation
+    dof = dof_of(selection)
     mixture = bases(selection)
     out = {}
     for k, parameter in enumerate(data.model.parameters):
         u = mixture.u(float(np.sqrt(covariance[k, k])), np.eye(p)[k]) * parameter.per_natural
         value = parameter.stated(float(base[k]))
-        out[parameter.name] = Value(value, u if data.visible[k] else None, parameter.unit)
+        out[parameter.name] = Value(value, u if data.visible[k] else None, parameter.unit, dof)
     if data.planar:
         x, y = data.model.index("scale_x"), data.model.index("scale_y")
         slope = np.zeros(p)
         slope[x], slope[y] = 1 / base[y], -base[x] / base[y] ** 2
         u = mixture.u(float(np.sqrt(slope @ covariance @ slope)), slope)
-        out["delta_k"] = Value(float(base[x] / base[y] - 1), u, "1")
+        out["delta_k"] = Value(float(base[x] / base[y] - 1), u, "1", dof)
     return out
 
 
