@@ -81,10 +81,11 @@ class Answer:
         if reason is None:
             return replace(plain, scores=scores)
         names = tuple(dict.fromkeys(step.effect for step in trace.steps))
+        likely = next((r for r in standing.results if r.method == "ml"), standing.best)
         return replace(
             plain,
-            result=_with_notes(standing.best, result),
-            recommended=Recommendation("ml", reason, names),
+            result=_with_notes(likely, result),
+            recommended=Recommendation(likely.method, reason, names),
             scores=scores,
             traced=trace,
         )
@@ -120,14 +121,10 @@ class Answer:
     @property
     def title(self) -> str:
         """`ml with bias, quadratic`."""
-        if not self._is_recommended:
+        if self.traced is None and self.result.method != self.recommended.method:
             return f"{self.result.method} (recommended is {self.recommended.method})"
         effects = self.recommended.effects
         return self.recommended.method + (f" with {', '.join(effects)}" if effects else "")
-
-    @property
-    def _is_recommended(self) -> bool:
-        return self.result.method == self.recommended.method
 
     @property
     def why(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -178,25 +178,33 @@ class FitResult:
         return {**found, "angle": budget_of(made.sources, shown.gradient, shown.reading)}
 
     @cached_property
-    def angle(self) -> Value | None:
-        """Error of the angle after calibration (rms, deg) with the uncertainty of a shown angle.
+    def shown_angle(self) -> Value | None:
+        """An angle shown after calibration: no value, but its uncertainty; None in space.
 
-        The value is the root mean square over the dwells of the session, left out of the fit where they
-        were in it; NaN where none is declared or can be left out. The uncertainty is that of an angle shown
-        for a reading as long as the session's, the root mean square over a turn. None in space.
+        That of a reading as long as the session's dwells, the root mean square over a turn.
         """
         from adis_gonio.estimation.shown import ShownAngle
 
         made = self.origin
         if made is None or not made.readings.planar:
             return None
-        score = None if self.standing is None else self.standing.scores.get(self.method)
-        error = math.nan if score is None or score.angle_rms_deg is None else score.angle_rms_deg
         if made.sources is None:
-            return Value(error, None, "deg")
+            return Value(math.nan, None, "deg")
         shown = ShownAngle.around(made.fit)
         u, dof = made.sources.uncertainty(shown.gradient, shown.reading)
-        return Value(error, u, "deg", dof)
+        return Value(math.nan, u, "deg", dof)
+
+    @cached_property
+    def angle(self) -> Value | None:
+        """Error of the angle after calibration (rms, deg) with the uncertainty of `shown_angle`.
+
+        The value is the root mean square over the dwells of the session, left out of the fit where they
+        were in it; NaN where none is declared or can be left out.
+        """
+        score = None if self.standing is None else self.standing.scores.get(self.method)
+        if self.shown_angle is None or score is None or score.angle_rms_deg is None:
+            return self.shown_angle
+        return replace(self.shown_angle, value=score.angle_rms_deg)
 
     def summary(self) -> str:
         """The headline in a few lines of plain text, as the command `fit` shows it."""

@@ -2,8 +2,8 @@
 
 A fit answers a small change of its readings by R = ∂parameter/∂reading. A source s of independent parts
 moves the readings by them, and so the parameters by the columns of F_s = R·parts; the covariance is
-Σ F_s F_sᵀ (JCGM 100:2008, 5.1.2 and 5.2). Each column carries the degrees of freedom of the estimate that it rests on,
-and columns of one estimate count as one (G.4.1).
+Σ F_s F_sᵀ (JCGM 100:2008, 5.1.2 and 5.2). Each column carries the degrees of freedom of the estimate that
+it rests on, and columns of one estimate count as one (G.4.1).
 """
 
 from __future__ import annotations

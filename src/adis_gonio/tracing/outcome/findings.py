@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from adis_gonio.estimation.intervals import NORMAL_95
+from adis_gonio.estimation.readings import Unit
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm
 from adis_gonio.estimation.values import Value
+from adis_gonio.fitting.outputs import outputs_of
+from adis_gonio.model.effects import AXES
 from adis_gonio.tracing.outcome.between import bases, effects
 from adis_gonio.tracing.outcome.cycles import cycles_alike
 from adis_gonio.tracing.outcome.result import Finding, Rival, Unnamed
@@ -74,7 +78,7 @@ def finding_of(selection: Selection, name: str) -> Finding:
         axes=tuple(axes),
         parameters=parameters,
         p_value=min(p, 1.0),
-        explains=_explains(selection, gain),
+        explains=0.0,  # a share of the steps, which are not known here: see `shares`
         probability=min(voted.get(name, 0.0) * present, 1.0),
         equivalents=tuple(dict.fromkeys(same))[:5],
         cause=cause,
@@ -109,11 +113,6 @@ def _gain(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
     return without - with_all, int(sum(selection.problem.width[k] for k in members))
 
 
-def _explains(selection: Selection, gain: float) -> float:
-    excess = selection.problem.chi2 - selection.problem.dof * min(selection.inflation, 1.0)
-    return float(np.clip(gain / max(excess, 1e-12), 0.0, 1.0))
-
-
 def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | None:
     """Nameless terms of the model; else what the residual of an inadequate model depends on."""
     from scipy import stats
@@ -129,7 +128,7 @@ def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | Non
         return Unnamed(
             covariates=covariates,
             form="; ".join(forms),
-            explains=_explains(selection, gain),
+            explains=0.0,
             probability=min(verdict.covariates.get(term.covariates, 0.0) for term in terms),
             p_value=min(1.0, float(stats.chi2.sf(gain / selection.inflation, width)) / share),
         )
@@ -138,7 +137,7 @@ def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | Non
         return Unnamed(
             covariates=smooth.covariates,
             form=smooth.form,
-            explains=_explains(selection, selection.fit.chi2 - averaged.fit.chi2),
+            explains=0.0,
             probability=averaged.weight,
             p_value=min(1.0, 1 - averaged.weight),
         )
@@ -165,18 +164,31 @@ def base_of(selection: Selection) -> dict[str, Value]:
     covariance = fit.covariance[:p, :p] * selection.inflation
     dof = dof_of(selection)
     mixture = bases(selection)
+    # By the same function as `fit`, so that a name has one unit in both.
+    outputs = outputs_of(data, np.concatenate([base, np.zeros(data.axes)]))
+    hidden = {q.name for q, seen in zip(data.model.parameters, data.visible, strict=True) if not seen}
     out = {}
-    for k, parameter in enumerate(data.model.parameters):
-        u = mixture.u(float(np.sqrt(covariance[k, k])), np.eye(p)[k]) * parameter.per_natural
-        value = parameter.stated(float(base[k]))
-        out[parameter.name] = Value(value, u if data.visible[k] else None, parameter.unit, dof)
-    if data.planar:
-        x, y = data.model.index("scale_x"), data.model.index("scale_y")
-        slope = np.zeros(p)
-        slope[x], slope[y] = 1 / base[y], -base[x] / base[y] ** 2
+    for output in outputs:
+        if output.name.startswith("bias"):
+            continue
+        slope = output.gradient[:p]
         u = mixture.u(float(np.sqrt(slope @ covariance @ slope)), slope)
-        out["delta_k"] = Value(float(base[x] / base[y] - 1), u, "1", dof)
+        out[output.name] = Value(output.value, None if output.name in hidden else u, output.unit, dof)
     return out
+
+
+def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
+    """A bias as the file's reading at zero where that is not known beforehand (counts), as `fit` has it."""
+    if unit.known or finding.effect != "bias":
+        return finding
+    stated = {}
+    for name, value in finding.parameters.items():
+        axis = AXES.index(name[-1])
+        per_mg = float(unit.per_mg[axis])
+        u = None if value.u is None else value.u * per_mg
+        zero = float(unit.zero[axis])
+        stated[name] = Value(zero + value.value * per_mg, u, unit.name, value.dof)
+    return replace(finding, parameters=stated)
 
 
 def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
