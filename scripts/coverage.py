@@ -12,7 +12,8 @@ calibrated goniometer shows for a fresh reading somewhere on the turn, each with
     python scripts/coverage.py                 # 4000 sessions of a fresh seed
     python scripts/coverage.py --sessions 400 --seed 1
 
-Exits with 1 where the coverage of all kinds together, or of one by more than its own error, is not 94 to 96 %.
+Exits with 1 where the coverage of all kinds together is not 94 to 96 %, or that of one kind is off by more
+than its own error.
 """
 
 from __future__ import annotations

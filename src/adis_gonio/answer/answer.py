@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.answer.of_trace import budgets_of_trace, shown_angle_u_deg
+from adis_gonio.answer.of_trace import budgets_of_trace, shown_angle
 from adis_gonio.answer.tables import budget_table, parameter_row, score_table
 from adis_gonio.answer.wording import Line, lines_as_text, wrapped
 from adis_gonio.estimation.readings import Readings
@@ -108,8 +108,7 @@ class Answer:
         if traced is None or not traced.fits[-1].data.planar:
             return {}
         score = self.scores[TRACED].angle_rms_deg
-        u = shown_angle_u_deg(traced)
-        return {"angle": Value(math.nan if score is None else score, u, "deg", traced.dof)}
+        return {"angle": shown_angle(traced, math.nan if score is None else score)}
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.intervals import factor_over
 from adis_gonio.estimation.shown import ShownAngle
 from adis_gonio.estimation.values import Value
 from adis_gonio.fitting.noise import Noise
@@ -18,15 +19,17 @@ from adis_gonio.model.records import Floats
 from adis_gonio.tracing.outcome.result import TraceResult
 
 
-def shown_angle_u_deg(traced: TraceResult) -> float | None:
-    """Standard uncertainty of an angle by the traced model, rms over the session's dwells."""
+def shown_angle(traced: TraceResult, error_deg: float) -> Value:
+    """An error of the angle with the uncertainty of one shown by the traced model, rms over the dwells."""
     final = traced.fits[-1]
     covariance = _covariance(final)
     if covariance is None:
-        return None
+        return Value(error_deg, None, "deg")
     reading = final.data.covariance.mean(axis=0)
     shown = ShownAngle.at_dwells(final)
-    return shown.u(covariance * traced.inflation, reading * traced.inflation)
+    variances = traced.inflation * shown.variances(covariance, reading)
+    u = math.sqrt(float(variances.mean()))
+    return Value(error_deg, u, "deg", traced.dof, factor_over(variances, traced.dof))
 
 
 def budgets_of_trace(traced: TraceResult, values: Mapping[str, Value]) -> dict[str, tuple[BudgetRow, ...]]:

@@ -57,11 +57,11 @@ class ShownAngle:
         gradient = np.einsum("na,nap->np", slope, fit.columns)
         return cls(np.degrees(gradient), -np.degrees(slope))
 
-    def u(self, covariance: Floats, reading_mg2: Floats) -> float:
-        """Standard uncertainty in degrees, the root mean square over the places."""
+    def variances(self, covariance: Floats, reading_mg2: Floats) -> Floats:
+        """Variance (m,) in degrees² at each place."""
         by_parameters = np.einsum("mp,pq,mq->m", self.gradient, covariance, self.gradient)
         by_reading = np.einsum("ma,ab,mb->m", self.reading, reading_mg2, self.reading)
-        return float(np.sqrt((by_parameters + by_reading).mean()))
+        return np.asarray(by_parameters + by_reading)
 
 
 def _by_axis(psi: Floats, skew: float) -> tuple[Floats, Floats]:

@@ -17,20 +17,22 @@ class Value:
     u: float | None
     unit: str
     dof: float = math.inf
+    factor: float | None = None
+    """Coverage factor, where the distribution is not Student's with `dof`."""
 
     @property
     def k(self) -> float | None:
-        """Coverage factor of 95 %: Student's quantile at `dof`; None without an uncertainty."""
-        return expanded(self.u, self.dof)[0]
+        """Coverage factor of 95 %, by `dof` where `factor` is None; None without an uncertainty."""
+        return expanded(self.u, self.dof, self.factor)[0]
 
     @property
     def U(self) -> float | None:  # noqa: N802 (GUM)
         """Expanded uncertainty k·u: value ± U covers 95 %."""
-        return expanded(self.u, self.dof)[1]
+        return expanded(self.u, self.dof, self.factor)[1]
 
     def as_dict(self) -> dict[str, Any]:
         """`{"value", "u", "dof", "k", "U", "unit"}`; `dof` None where unlimited or unknown."""
-        k, expanded_u = expanded(self.u, self.dof)
+        k, expanded_u = expanded(self.u, self.dof, self.factor)
         return {
             "value": finite_or_none(self.value),
             "u": finite_or_none(self.u),

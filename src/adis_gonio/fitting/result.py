@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from adis_gonio.estimation.intervals import factor_over
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.records import Floats
 
@@ -192,7 +193,8 @@ class FitResult:
             return Value(math.nan, None, "deg")
         shown = ShownAngle.around(made.fit)
         u, dof = made.sources.uncertainty(shown.gradient, shown.reading)
-        return Value(math.nan, u, "deg", dof)
+        variances = made.sources.by_place(shown.gradient, shown.reading)
+        return Value(math.nan, u, "deg", dof, factor_over(variances, dof))
 
     @cached_property
     def angle(self) -> Value | None:

@@ -65,6 +65,8 @@ class Source:
         True where the parameters are stated relative to it: it moves them, and is no part of their u.
     acts_mg : (n, axes, k) float or None
         What inputs that act on all dwells do to the readings, at one standard uncertainty.
+    further_mg : (axes, k) float or None
+        What the parts do to a further reading, beside what they have done to the parameters.
     """
 
     name: str
@@ -79,6 +81,7 @@ class Source:
     note: str = ""
     by_definition: bool = False
     acts_mg: Floats | None = None
+    further_mg: Floats | None = None
 
     def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
         """(estimate, degrees of freedom, variance) of each part of a quantity.
@@ -91,13 +94,25 @@ class Source:
             The same by one further reading, per mg.
         """
         m = len(gradient)
-        variance = ((gradient @ self.moves) ** 2).sum(axis=0) / m
+        variance = (self._moved(gradient, reading) ** 2).sum(axis=0) / m
         found = list(zip(self.estimate.tolist(), self.dof.tolist(), variance.tolist(), strict=True))
         if reading is not None and self.reading_mg2.any():
             own = float(np.einsum("ma,ab,mb->", reading, self.reading_mg2, reading)) / m
             where = max(found, key=lambda part: part[2], default=(_POOLED, math.inf, 0.0))
             found.append((where[0], where[1], own))
         return found
+
+    def _moved(self, gradient: Floats, reading: Floats | None) -> Floats:
+        """What each part moves the m values by, (m, k)."""
+        moved = gradient @ self.moves
+        if reading is not None and self.further_mg is not None:
+            moved = moved + reading @ self.further_mg
+        return np.asarray(moved)
+
+    def by_place(self, gradient: Floats, reading: Floats) -> Floats:
+        """Variance of each of the m values, (m,)."""
+        own = np.einsum("ma,ab,mb->m", reading, self.reading_mg2, reading)
+        return np.asarray((self._moved(gradient, reading) ** 2).sum(axis=1) + own)
 
 
 @dataclass(frozen=True)
@@ -119,6 +134,10 @@ class Sources:
     def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
         """Parts of the variance of a quantity; see `Source.parts`."""
         return [part for source in self._counted for part in source.parts(gradient, reading)]
+
+    def by_place(self, gradient: Floats, reading: Floats) -> Floats:
+        """Variance (m,) of each of m values; see `Source.parts`."""
+        return np.asarray(sum(source.by_place(gradient, reading) for source in self._counted))
 
     def uncertainty(self, gradient: Floats, reading: Floats | None = None) -> tuple[float, float]:
         """Standard uncertainty and effective degrees of freedom of a quantity; see `Source.parts`."""
@@ -373,6 +392,7 @@ def _model(data: Readings, noise: Noise, response: Floats, held: Sequence[int]) 
     figure = VARIANTS[data.sensor].performance.initial_bias_mg if data.sensor in VARIANTS else 0.0
     held = list(held)
     blind = response[:, :, held].sum(axis=1) * figure
+    unseen = figure * np.eye(axes)[:, held]
     notes, u = [], noise.extra_mg
     if noise.extra_mg > 0:
         notes.append("scatter beyond the noise within the dwells")
@@ -399,5 +419,6 @@ def _model(data: Readings, noise: Noise, response: Floats, held: Sequence[int]) 
         ),
         noise.extra_mg**2 * np.eye(axes),
         "; ".join(notes) or "the residual shows no more than the noise",
-        acts_mg=np.tile(figure * np.eye(axes)[:, held], (len(data), 1, 1)) if held and figure else None,
+        acts_mg=np.tile(unseen, (len(data), 1, 1)) if held and figure else None,
+        further_mg=np.concatenate([np.zeros((axes, extra.shape[1])), unseen], axis=1),
     )
