@@ -105,11 +105,13 @@ def recommend(
     """Choose a method.
 
     1. Where a method determines the biases, those that take them as zero are out.
+       So is `paper` where another is left: its u leaves out the error of its own equation 5.
     2. Of the rest, those that predict the session's dwells as well as the best one.
     3. Of these, the one with the smallest uncertainty of ΔK and Δφ; among equals `preferred`.
     """
     sighted = [result for result in results if "bias_x" in result]
     able = sighted or list(results)
+    able = [result for result in able if result.method != "paper"] or able
     scored = bool(scores) and all(scores[result.method].dwells for result in able)
     good = able
     if scored:
