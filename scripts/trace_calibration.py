@@ -17,7 +17,7 @@ Statements, all read from the JSON of `trace`:
 * *there is something*: 1 less the share of `rivals` that have no cause, or the greatest `probability` or
   `present` of what was claimed, whichever is more; in sessions of blind_residual, which all have a bias,
   beside the bias;
-* *intervals*: value ± 1.96 u. A stated u holds Student's factor already, so that this is the 95 % interval.
+* *intervals*: value ± U, the 95 % interval; scores z are in units of U/1.96.
 
 A name is true where it was put in. Where it only stands for what was put in as well as this session can
 tell (tests/tracing/verdict.py: *innocent*), that is counted beside it.
@@ -43,6 +43,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
+from adis_gonio.estimation.intervals import NORMAL_95
 from blind_residual import generator
 from trace_statistics import wilson
 from tracing import blind as planar
@@ -172,7 +173,7 @@ def _base_of(blind: Blind, spatial: bool) -> dict[str, float]:
 def _zs(stated: Mapping[str, Any], truth: Mapping[str, float]) -> dict[str, float]:
     """Errors in stated uncertainties of the values that both have."""
     return {
-        name: float((stated[name]["value"] - value) / stated[name]["u"])
+        name: float((stated[name]["value"] - value) / (stated[name]["U"] / NORMAL_95))
         for name, value in truth.items()
         if name in stated and stated[name]["u"]
     }
@@ -482,7 +483,7 @@ def coverage_table(groups: Mapping[str, list[Record]]) -> str:
                 rows.append(
                     (kind, what, str(len(z)), share(inside, len(z)), f"{rms:.2f}", f"{np.abs(z).max():.1f}")
                 )
-    return table(("kind", "value", "number", "within 1.96 u", "rms of z", "largest"), rows)
+    return table(("kind", "value", "number", "within U", "rms of z", "largest"), rows)
 
 
 def _of(names: Sequence[str], record: Record) -> Iterator[float]:

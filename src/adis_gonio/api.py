@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from adis_gonio.tracing import TraceResult
 from adis_gonio.tracing.trace import trace as _trace
 
 
-def fit(session: Session | str | Path, method: str | None = None) -> FitResult:
+def fit(session: Session | str | PathLike[str], method: str | None = None) -> FitResult:
     """`adis_gonio.fitting.fit` of a session, or of a file that holds one.
 
     Raises
@@ -28,7 +29,7 @@ def fit(session: Session | str | Path, method: str | None = None) -> FitResult:
 
 
 def trace(
-    session: Session | str | Path, max_effects: int = 6, time_limit: float | None = None
+    session: Session | str | PathLike[str], max_effects: int = 6, time_limit: float | None = None
 ) -> TraceResult:
     """`adis_gonio.tracing.trace` of a session, or of a file that holds one.
 
@@ -46,6 +47,6 @@ def session_of(given: Any, what: str) -> Session:
     """The session itself, or that of a file; `UsageError` for anything else."""
     if isinstance(given, Session):
         return given
-    if isinstance(given, str | Path):
-        return load_session(given)
+    if isinstance(given, str | PathLike):
+        return load_session(Path(given))
     raise UsageError(f"{what} takes a Session or the path of a file, not {type(given).__name__}")

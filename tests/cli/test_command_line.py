@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import subprocess
 import sys
 
@@ -82,9 +83,11 @@ def test_calibrate_shows_truth_and_result_side_by_side_and_they_agree(capsys, tm
     rows = {line.split()[0]: line for line in out.splitlines() if line.strip()}
     for name in ("delta_k", "delta_phi", "bias_x", "bias_y"):
         cells = rows[name].split()
-        truth, value, u = float(cells[2]), float(cells[-3]), float(cells[-1])
+        truth, value, u = (float(cell.replace("−", "-")) for cell in (*cells[-6:-3], cells[-3])[:3])
         assert abs(value - truth) < 4.5 * u + 1e-12, rows[name]
-    assert "bias cannot be seen" in out
+    # The session has the opposite positions: what two of them cannot see is no news, and no advice.
+    assert "bias cannot be seen" not in out
+    assert "measure 180" not in out
 
 
 def test_calibrate_offers_dwells_with_a_fault_for_repetition_at_the_end_and_after_resuming(
@@ -140,7 +143,7 @@ def test_fit_gives_the_documents_of_the_format(capsys, recorded, method):
     } <= set(document)  # fmt: skip
     assert document["method"] == method
     for entry in document["parameters"].values():
-        assert set(entry) == {"value", "u", "unit"}
+        assert set(entry) == {"value", "u", "dof", "k", "U", "unit"}
     matrix = np.array(document["covariance"]["matrix"])
     names = document["covariance"]["names"]
     assert matrix.shape == (len(names), len(names))
@@ -148,10 +151,47 @@ def test_fit_gives_the_documents_of_the_format(capsys, recorded, method):
         assert np.sqrt(matrix[k, k]) == pytest.approx(document["parameters"][name]["u"], rel=1e-6)
 
 
-def test_fit_without_a_method_compares_all_that_apply(capsys, recorded):
+def test_fit_leads_with_one_answer_and_gives_the_others_a_line_each(capsys, recorded):
     assert main(["fit", str(recorded)]) == 0
-    head = next(line for line in capsys.readouterr().out.splitlines() if "unit" in line)
-    assert head.split() == ["unit", "paper", "two-position", "four-position", "ml"]
+    out = capsys.readouterr().out
+    lines = out.splitlines()
+    first = next(line for line in lines if line.startswith("Answer"))
+    assert first == "Answer by method ml"
+    head = lines.index(first) + 1
+    assert lines[head].split() == ["quantity", "unit", "value", "u", "U", "(95", "%)", "k"]
+    assert [line.split()[0] for line in lines[head + 1 : head + 4]] == ["ΔK", "Δφ", "angle"]
+    scores = lines.index(next(line for line in lines if line.startswith("method")))
+    assert [line.split()[0] for line in lines[scores + 1 : scores + 5]] == [
+        "ml", "paper", "two-position", "four-position",
+    ]  # fmt: skip
+    assert out.count("delta_phi") == 1
+
+
+def test_fit_all_shows_every_method_and_nothing_is_wider_than_80_columns(capsys, recorded, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr("adis_gonio.cli.show.Console.is_terminal", True)
+    assert main(["fit", str(recorded), "--all"]) == 0
+    out = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+    assert max(len(line.rstrip()) for line in out.splitlines()) <= 80
+    assert "…" not in out
+    for method in ("paper", "two-position", "four-position", "ml"):
+        assert f"{method}, ± u" in out
+    for line in out.splitlines():
+        if line.startswith("delta_phi"):
+            assert "°" in line or "deg" in line
+
+
+def test_fit_monte_carlo_stands_beside_the_linear_uncertainty(capsys, recorded):
+    call = ["fit", str(recorded), "--method", "four-position", "--monte-carlo", "400"]
+    assert main([*call, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    run = document["monte_carlo"]["parameters"]
+    assert run.keys() == document["parameters"].keys()
+    for name, entry in run.items():
+        assert entry["linear_u"] == document["parameters"][name]["u"]
+        assert entry["u"] == pytest.approx(entry["linear_u"], rel=0.15)
+    assert main(call) == 0
+    assert "Monte Carlo, 400 trials" in capsys.readouterr().out
 
 
 def test_export_csv_is_read_back_with_the_same_fit(capsys, recorded, tmp_path):

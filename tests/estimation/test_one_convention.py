@@ -72,7 +72,7 @@ def test_fit_trace_and_the_simulated_truth_agree_on_every_shared_name_in_fifty_s
             estimate, value = by_fit[name], traced[name]
             assert value.unit == estimate.unit, name
             if "bias" in {finding.effect for finding in result.found}:
-                assert value.value == pytest.approx(estimate.value, abs=0.5 * estimate.u + 1e-9), name
+                assert value.value == pytest.approx(estimate.value, abs=0.25 * estimate.U + 1e-9), name
             off.setdefault(name, []).append((estimate.value - truth[name]) / estimate.u)
     for name, z in off.items():
         assert np.mean(np.abs(z) < 1.96) > 0.8, name  # fifty intervals of 95 %

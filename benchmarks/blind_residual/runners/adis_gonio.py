@@ -55,11 +55,11 @@ def from_trace(trace: dict[str, Any]) -> dict[str, Any]:
     base = {k: v for k, v in trace.get("base", {}).items() if isinstance(v.get("u"), int | float)}
     for key in ("delta_k", "delta_phi"):
         if key in base:
-            out["base"][key] = {"value": base[key]["value"], "u": base[key]["u"]}
+            out["base"][key] = {"value": base[key]["value"], "u": _wide(base[key])}
     if "delta_k" not in base and "delta_phi" in base and {"scale_x", "scale_y"} <= set(base):
         x, y = base["scale_x"], base["scale_y"]
         ratio = x["value"] / y["value"]
-        u = ratio * math.hypot(x["u"] / x["value"], y["u"] / y["value"])
+        u = ratio * math.hypot(_wide(x) / x["value"], _wide(y) / y["value"])
         out["base"]["delta_k"] = {"value": ratio - 1, "u": u}
     out["notes"] = {
         "adequate": trace.get("adequate"),
@@ -103,11 +103,16 @@ def _something(trace: dict[str, Any]) -> float:
     return min(max(claimed, default=0.0), 1.0)
 
 
+def _wide(entry: dict[str, Any]) -> float:
+    """What 1.96 times covers 95 %: U/1.96, which holds Student's factor."""
+    return float(entry["u"] if entry.get("U") is None else entry["U"] / 1.959963984540054)
+
+
 def _values(found: dict[str, Any] | None) -> dict[str, Any]:
     """Values of a finding that have an uncertainty."""
     parameters = {} if found is None else found["parameters"]
     return {
-        key: {"value": p["value"], "u": p["u"]}
+        key: {"value": p["value"], "u": _wide(p)}
         for key, p in parameters.items()
         if p.get("u") is not None and math.isfinite(p["u"]) and isinstance(p["value"], int | float)
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -10,18 +11,25 @@ import numpy as np
 from adis_gonio.budget import current
 from adis_gonio.errors import FitError, SingularError, UsageError
 from adis_gonio.estimation.readings import Readings, readings_of
-from adis_gonio.fitting.closed_form import LEAST_MMPM, fit_mmpm, fit_paper, fit_positions, rows_at
+from adis_gonio.fitting.closed_form import (
+    FOUR,
+    LEAST_MMPM,
+    TWO,
+    fit_mmpm,
+    fit_paper,
+    fit_positions,
+    rows_at,
+)
 from adis_gonio.fitting.likelihood import fit_ml
 from adis_gonio.fitting.result import FitResult
 from adis_gonio.model.provenance import provenance_of
-from adis_gonio.model.records import Session
+from adis_gonio.model.records import Floats, Session
 
 METHODS = ("paper", "two-position", "four-position", "mmpm", "ml")
 """Names of the methods."""
 
-_FOUR = (0, 90, 180, 270)
-_TWO, _TWO_REVERSED = (0, 90), (0, 270)
-"""The two positions, and what they are where the stage turned the other way than declared."""
+_TWO_REVERSED = (0, 270)
+"""The two positions where the stage turned the other way than declared."""
 
 
 def fit(session: Session, method: str | None = None) -> FitResult:
@@ -59,6 +67,8 @@ def fit(session: Session, method: str | None = None) -> FitResult:
     return replace(
         result,
         warnings=(*session.notes, *result.warnings),
+        session=readings,
+        session_notes=session.notes,
         overrides=session.facts.get("overrides", {}),
         provenance=provenance_of(session),
     )
@@ -80,7 +90,7 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
         )
     if method is not None:
         return _BY_NAME[method](readings)
-    if _only_two(readings):
+    if default_method(readings) == "two-position":
         return fit_positions(readings, "two-position", _two(readings))
     try:
         return fit_ml(readings)
@@ -93,7 +103,7 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
 _BY_NAME: dict[str, Callable[[Readings], FitResult]] = {
     "paper": fit_paper,
     "two-position": lambda readings: fit_positions(readings, "two-position", _two(readings)),
-    "four-position": lambda readings: fit_positions(readings, "four-position", _FOUR),
+    "four-position": lambda readings: fit_positions(readings, "four-position", FOUR),
     "mmpm": fit_mmpm,
     "ml": fit_ml,
 }
@@ -103,15 +113,33 @@ def applicable_methods(session: Session) -> tuple[str, ...]:
     """Methods whose positions the session has; whether they are determined only a fit can tell."""
     session = session.used_for("fit")
     angles = np.array([np.nan if d.angle_deg is None else d.angle_deg for d in session.dwells])
-    if session.plane == "none":
+    return _applicable(
+        angles,
+        planar=session.plane != "none",
+        free=session.free_attitudes,
+        known_zero=session.accel_unit != "counts",
+    )
+
+
+def applicable_to(readings: Readings) -> tuple[str, ...]:
+    """The same of readings that may be fitted."""
+    return _applicable(
+        np.degrees(readings.angle_rad),
+        planar=readings.planar,
+        free=math.isinf(readings.fixture_rad),
+        known_zero=readings.unit.known,
+    )
+
+
+def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -> tuple[str, ...]:
+    if not planar:
         return ("ml",) if len(angles) > 3 else ()
     held = [
         bool((np.abs((angles - a + 180) % 360 - 180) <= 0.5).any()) if np.isfinite(angles).any() else False
-        for a in _FOUR
+        for a in FOUR
     ]
     methods = []
-    known_zero = session.accel_unit != "counts"
-    if not session.free_attitudes:
+    if not free:
         if held[0] and held[1] and known_zero:
             methods += ["paper", "two-position"]
         elif held[0] and held[3] and known_zero:
@@ -120,7 +148,7 @@ def applicable_methods(session: Session) -> tuple[str, ...]:
             methods.append("four-position")
         if int(np.isfinite(angles).sum()) >= LEAST_MMPM:
             methods.append("mmpm")
-    if len(angles) >= (2 if np.isfinite(angles).all() and not session.free_attitudes else 3):
+    if len(angles) >= (2 if np.isfinite(angles).all() and not free else 3):
         methods.append("ml")
     return tuple(methods)
 
@@ -151,7 +179,12 @@ def fit_every(session: Session) -> tuple[list[FitResult], dict[str, str]]:
 def _two(readings: Readings) -> tuple[int, int]:
     """Angles of the two positions: the closed form is exact for any pair a quarter turn apart."""
     at_0, at_90, at_270 = map(len, rows_at(readings, (0, 90, 270)))
-    return _TWO_REVERSED if at_0 and at_270 and not at_90 else _TWO
+    return _TWO_REVERSED if at_0 and at_270 and not at_90 else TWO
+
+
+def default_method(readings: Readings) -> str:
+    """What is used where nothing tells methods apart: `ml`, of nothing but 0° and 90° `two-position`."""
+    return "two-position" if readings.planar and _only_two(readings) else "ml"
 
 
 def _only_two(readings: Readings) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from adis_gonio import __version__
+from adis_gonio.answer import Answer
 from adis_gonio.fitting import FitResult
 from adis_gonio.model.records import Session
 from adis_gonio.report import sections as make
@@ -46,7 +47,13 @@ def build_page(
     """
     software = f"adis-gonio {__version__}"
     result = traced if isinstance(traced, TraceResult) else None
-    body = [make.summary(traced, fits, views), make.fitted(fits, failures or {})]
+    best = next((fit for fit in reversed(fits) if fit.session is not None), None)
+    given = None if best is None else Answer.of(best, result, own=False)
+    body = [make.answer(given)] if given is not None else []
+    body += [make.summary(traced, fits, views)]
+    if given is not None:
+        body += [make.budget(given), make.scores(given)]
+    body += [make.fitted(fits, failures or {})]
     if result is not None:
         body += [make.found(result), make.errors(result)]
         if views is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -10,13 +11,14 @@ from adis_gonio.dwells.finding import WithinFinding
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.values import Detectable, Value, finite_or_none
 from adis_gonio.model.provenance import Provenance
-from adis_gonio.showing import frame, html_table, lines_of
 from adis_gonio.tracing.outcome.sets import CredibleSet
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from adis_gonio.calibration import Calibration
+from adis_gonio.model.effects.environment import REFERENCE_C
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
 @dataclass(frozen=True)
@@ -348,31 +350,6 @@ class TraceResult:
         state = "adequate" if self.adequate else "not adequate"
         return f"TraceResult(found {found}; {state})"
 
-    def summary(self) -> str:
-        """What was found, with values and u, errors before and after, and advice, in lines of text."""
-        lines = [repr(self).removeprefix("TraceResult(").removesuffix(")")]
-        for finding in self.found:
-            lines.append(f"  {finding.effect}: {finding.cause}")
-            lines += [f"  {line}" for line in lines_of(finding.as_dict()["parameters"])]
-        for label, error in (("before", self.before), ("after", self.after)):
-            lines.append(f"  residual {label}: {error.residual_rms_mg:.3g} mg rms")
-        lines += [f"  cannot be told apart here: {', '.join(names)}" for names in self.confounded]
-        return "\n".join([*lines, *(f"  next: {advice}" for advice in self.advice)])
-
-    def _rows(self) -> list[dict[str, Any]]:
-        return [
-            {"effect": finding.effect, "parameter": name, **value.as_dict()}
-            for finding in self.found
-            for name, value in finding.parameters.items()
-        ]
-
-    def _repr_html_(self) -> str:
-        return html_table(repr(self), self._rows())
-
-    def to_pandas(self) -> pd.DataFrame:
-        """What was found as a data frame: effect, parameter, value, u, unit (extra: pandas)."""
-        return frame(self._rows())
-
     def calibration(self) -> Calibration:
         """What turns readings into angles by the final model.
 
@@ -389,6 +366,52 @@ class TraceResult:
         from adis_gonio.calibration.building import calibration_of_trace
 
         return calibration_of_trace(self)
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of the noise at which uncertainties are stated; inf where unlimited."""
+        return next((value.dof for value in self.base.values() if value.u is not None), math.inf)
+
+    @property
+    def reference_temperature_c(self) -> float | None:
+        """Temperature at which the parameters hold.
+
+        25 °C where an effect of the temperature is in the model, else the mean of the dwells; None where it
+        was not recorded.
+        """
+        if any("temperature" in c for fit in self.fits[-1:] for term in fit.terms for c in term.covariates):
+            return REFERENCE_C
+        recorded = self.fits[-1].data.conditions.temperature_c if self.fits else None
+        if recorded is None:
+            named = {finding.effect for finding in self.found}
+            return REFERENCE_C if {"bias_temperature", "thermal_lag"} & named else None
+        return float(recorded.mean())
+
+    def summary(self) -> str:
+        """What was found and what it brings, in plain text, as the command `trace` begins."""
+        from adis_gonio.report import words
+
+        return "\n".join([words.headline(self), words.gains(self)])
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    @property
+    def _rows(self) -> list[tuple[str, Value]]:
+        found = [pair for finding in self.found for pair in finding.parameters.items()]
+        return [*self.base.items(), *found]
+
+    def _repr_html_(self) -> str:
+        """Base parameters and those of the effects found as a table, for notebooks."""
+        from adis_gonio.answer.frames import html_table
+
+        return html_table(self.summary(), self._rows)
+
+    def to_pandas(self) -> DataFrame:
+        """The same as a data frame with the columns value, u, dof, k, U and unit (extra: pandas)."""
+        from adis_gonio.answer.frames import data_frame
+
+        return data_frame(self._rows)
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `trace`."""
@@ -409,6 +432,7 @@ class TraceResult:
             "notes": list(self.notes),
             "within": [finding.as_dict() for finding in self.within],
             "heldout_design": self.heldout_design,
+            "reference_temperature_c": self.reference_temperature_c,
             "stopped": None if self.stopped is None else self.stopped.as_dict(),
             "overrides": dict(self.overrides),
         }

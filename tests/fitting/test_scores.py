@@ -1,0 +1,119 @@
+"""Methods compared on the same readings, and the one that is recommended."""
+
+import numpy as np
+import pytest
+
+from adis_gonio.fitting import fit, fit_readings
+from adis_gonio.fitting.scores import Prediction, Score
+from adis_gonio.fitting.standing import recommend
+from fitting.test_uncertainty import FOUR, NINE, turn
+
+TUMBLE = (*range(0, 360, 30), *range(330, -30, -30))
+
+
+def test_every_method_is_scored_on_every_dwell():
+    for angles in (FOUR, NINE, TUMBLE):
+        standing = fit(turn(angles)).standing
+        assert {score.dwells for score in standing.scores.values()} == {len(angles)}
+
+
+def test_the_method_that_saw_least_has_no_advantage():
+    result = fit(turn(TUMBLE, bias=(20.0, -10.0)))
+    scores = result.standing.scores
+    own = fit(turn(TUMBLE, bias=(20.0, -10.0)), "two-position").as_dict()["angle_error_deg"]
+    # On its own readings it looks perfect; on all of them it is the worst.
+    assert own["rms"] < 0.05
+    assert scores["two-position"].angle_rms_deg > 1.0
+    assert scores["paper"].angle_rms_deg > 1.0
+    assert scores["ml"].angle_rms_deg < 0.05
+
+
+def test_a_prediction_never_saw_its_dwell():
+    session = turn(NINE)
+    spoiled = [dwell.accel + (300.0 if k == 4 else 0.0) for k, dwell in enumerate(session.dwells)]
+    dwells = tuple(
+        type(d)(d.position, d.time_s, a, d.angle_deg) for d, a in zip(session.dwells, spoiled, strict=True)
+    )
+    bad = type(session)(dwells, accel_unit="mg", sensor="generic", fixture_sigma_deg=0.02, reading_u_mg=0.1)
+    found = fit(bad, "ml").standing.predictions["mmpm"]
+    # Left out, the spoiled dwell is predicted by eight good ones and misses by all that was added.
+    assert np.linalg.norm(found.residual_mg[4]) == pytest.approx(300 * np.sqrt(2), rel=0.02)
+
+
+def test_mmpm_left_out_is_that_of_an_independent_least_squares():
+    session = turn(NINE, seed=4)
+    found = fit(session, "mmpm").standing.predictions["mmpm"].angle_rad
+    theta = np.radians(NINE)
+    readings = np.array([dwell.accel[0] for dwell in session.dwells])
+    for k in range(len(NINE)):
+        rest = np.arange(len(NINE)) != k
+        design = np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))])
+        (ax, ay), (bx, by), zero = np.linalg.lstsq(design[rest], readings[rest], rcond=None)[0]
+        # U − b = [a b] (cos θ, sin θ): the angle comes out of the inverse of that matrix.
+        c, s = np.linalg.solve(np.array([[ax, bx], [ay, by]]), readings[k] - zero)
+        error = (np.arctan2(s, c) - theta[k] + np.pi) % (2 * np.pi) - np.pi
+        assert abs(found[k]) == pytest.approx(abs(error), abs=1e-9)
+
+
+def test_two_positions_alone_cannot_be_scored_and_it_is_said():
+    result = fit(turn((0, 90)))
+    assert {score.dwells for score in result.standing.scores.values()} == {0}
+    recommended = result.standing.recommended
+    assert recommended.method == "two-position"
+    assert "no dwell can be left out" in recommended.why
+    assert result.as_dict()["scores"]["paper"]["angle_rms_deg"] is None
+
+
+def test_what_sees_the_bias_is_recommended_before_what_does_not():
+    standing = fit(turn(FOUR)).standing
+    assert standing.recommended.method == "ml"
+    assert "determines the biases" in standing.recommended.why
+
+
+def test_the_rule_follows_the_scores_and_is_not_a_fixed_name():
+    session = turn(TUMBLE)
+    results = [fit(session, method) for method in ("four-position", "mmpm", "ml")]
+    rng = np.random.default_rng(1)
+    errors = {r.method: np.abs(rng.normal(1e-4, 1e-5, 24)) for r in results}
+
+    def chosen(errors):
+        found = {name: Prediction(e, np.ones((24, 2))) for name, e in errors.items()}
+        scores = {
+            name: Score(float(np.sqrt((e**2).mean())), float(e.max()), 1.0, 1.0, 24)
+            for name, e in errors.items()
+        }
+        return recommend(results, found, scores, "ml").method
+
+    assert chosen(errors) == "ml"
+    assert chosen({**errors, "ml": 3 * errors["ml"]}) == "mmpm"
+    assert chosen({**errors, "ml": 3 * errors["ml"], "mmpm": 3 * errors["mmpm"]}) == "four-position"
+
+
+def test_the_document_names_the_recommended_method_and_why():
+    document = fit(turn(NINE), "mmpm").as_dict()
+    assert document["method"] == "mmpm"
+    assert document["recommended"]["method"] in ("ml", "mmpm")
+    assert document["recommended"]["why"]
+    assert set(document["scores"]) == {"mmpm", "ml"}
+    assert {"angle_rms_deg", "angle_max_deg"} <= set(document["scores"]["ml"])
+
+
+def test_in_space_the_residual_of_the_norm_is_scored():
+    rng = np.random.default_rng(2)
+    u = rng.normal(size=(16, 3))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    base = turn(FOUR)
+    dwells = tuple(
+        type(base.dwells[0])(k, np.array([float(k)]), 1000 * v[None] + rng.normal(0, 0.1, (1, 3)))
+        for k, v in enumerate(u)
+    )
+    session = type(base)(
+        dwells, accel_unit="mg", sensor="generic", plane="none", reading_u_mg=0.1, fixture_sigma_deg=np.inf
+    )
+    result = fit(session)
+    score = result.standing.scores["ml"]
+    assert score.angle_rms_deg is None
+    assert score.dwells == 16
+    assert 0.05 < score.residual_rms_mg < 0.5
+    assert result.budget == {}
+    assert fit_readings(result.session.training).method == "ml"
