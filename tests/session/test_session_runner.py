@@ -771,7 +771,9 @@ def test_settings_that_cannot_be_are_one_line(change, words):
         Settings(**change)
 
 
-@pytest.mark.parametrize("change", [{"gravity_mps2": 0.0}, {"fixture_sigma_deg": -0.1}])
+@pytest.mark.parametrize(
+    "change", [{"gravity_mps2": 0.0}, {"gravity_mps2": 980.7}, {"fixture_sigma_deg": -0.1}]
+)
 def test_circumstances_that_cannot_be_are_one_line(sensor, path, change):
     with pytest.raises(UsageError, match=next(iter(change))):
         SessionRunner.begin(sensor, path, plan(), SHORT, auto=True, **change)

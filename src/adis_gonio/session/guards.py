@@ -186,7 +186,7 @@ def judge_pose(
             x, y, z = (float(value) for value in accel_mg)
             message = (
                 f"the part is the other way up than asked: {off:.0f}° off (x {x:+.0f}, y {y:+.0f},"
-                f" z {z:+.0f} mg; an axis reads + where its arrow points down); any attitude that is new serves"
+                f" z {z:+.0f} mg; an axis reads + where its arrow points down); any new attitude serves"
             )
             values = {"off_deg": off, "x_mg": x, "y_mg": y, "z_mg": z}
             return Guard("upside_down", message, values, default="keep")

@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.errors import AdisGonioError, SessionError, UsageError
+from adis_gonio.model.gravity import require_gravity
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.session.answers import Answer, Operator
@@ -149,6 +150,9 @@ class SessionRunner(Operator):
         fixture_sigma_deg: float | None = None,
         title: str = "",
         note: str = "",
+        operator: str = "",
+        serial: str = "",
+        stage: str = "",
         advisor: Advisor | None = None,
     ) -> SessionRunner:
         """Begin a new session in a new file.
@@ -167,8 +171,8 @@ class SessionRunner(Operator):
             Local gravity in m/s².
         fixture_sigma_deg : float or None
             Standard uncertainty of a declared angle in degrees; None where it is not stated.
-        title, note : str
-            What the operator wants to keep with it.
+        title, note, operator, serial, stage : str
+            What the operator wants to keep with it: who measures, the part's serial number, the stage.
         advisor : Advisor or None
             Asked for further positions when the plan is done, until it has none.
 
@@ -179,8 +183,7 @@ class SessionRunner(Operator):
         SessionError
             The file exists, or cannot be made.
         """
-        if not (math.isfinite(gravity_mps2) and gravity_mps2 > 0):
-            raise UsageError(f"gravity_mps2 is {gravity_mps2}: take local gravity in m/s², about 9.81")
+        require_gravity(gravity_mps2)
         if fixture_sigma_deg is not None and not fixture_sigma_deg >= 0:
             raise UsageError(f"fixture_sigma_deg is {fixture_sigma_deg}: take 0° or more")
         settings = settings or Settings()
@@ -197,6 +200,9 @@ class SessionRunner(Operator):
             fixture_sigma_deg=math.inf if plan.plane == "none" else fixture_sigma_deg,
             title=title,
             note=note,
+            operator=operator.strip(),
+            serial=serial.strip(),
+            stage=stage.strip(),
             simulated=bench.simulated,
         )
         archive = Archive.create(path, header)
