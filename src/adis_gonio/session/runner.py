@@ -242,6 +242,16 @@ class SessionRunner(Operator):
             archive.close()
             raise
 
+    @property
+    def reversed(self) -> bool:
+        """True where the session is taken as turned the other way."""
+        return self._reversed
+
+    @property
+    def virtual_time(self) -> bool:
+        """True where the sensor's time stands still while nobody takes the next event."""
+        return self._bench.virtual_time
+
     # -- the machine ------------------------------------------------------------------------------
 
     def run(self) -> Iterator[Event]:
@@ -298,8 +308,10 @@ class SessionRunner(Operator):
         noise = archive.last("noise")
         if noise is None:
             noise = yield from self._measure_noise()
-        elif bench.simulated:
+        elif bench.virtual_time:
             bench.bring_world_to(archive, last)
+        elif bench.simulated:
+            bench.take_up(archive, last)
         if noise is not None:
             yield self._limit(noise)
 
