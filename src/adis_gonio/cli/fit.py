@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from adis_gonio.cli.overrides import load, override_options
-from adis_gonio.cli.show import console, json_option, print_json
+from adis_gonio.cli.show import console, counted, json_option, print_json
 from adis_gonio.cli.trace import working
 
 if TYPE_CHECKING:
@@ -59,6 +59,7 @@ def command(
     """
     from adis_gonio.answer import Answer
     from adis_gonio.fitting import fit
+    from adis_gonio.model.records import METADATA
 
     loaded = load(session, overrides)
     with working(f"fitting {len(loaded.dwells)} dwells of {session.name}"):
@@ -70,7 +71,12 @@ def command(
         return
     screen = _screen()
     title = f"{loaded.title}: " if loaded.title else ""
-    screen.print(f"{title}{len(loaded.dwells)} dwells, {loaded.sensor}", style="bold", markup=False)
+    screen.print(
+        f"{title}{counted(len(loaded.dwells), 'dwell')}, {loaded.sensor}", style="bold", markup=False
+    )
+    written = [f"{name} {getattr(loaded, name)}" for name in METADATA if getattr(loaded, name)]
+    if written:
+        screen.print(f"  {', '.join(written)}", markup=False)
     for note in loaded.notes:
         screen.print(f"  {note}", markup=False)
     print_answer(answer, shown=loaded.notes, everything=everything)

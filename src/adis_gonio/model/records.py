@@ -30,6 +30,9 @@ GYRO_UNITS: tuple[GyroUnit, ...] = get_args(GyroUnit)
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 
+METADATA = ("operator", "serial", "stage")
+"""Fields of a session that hold what the operator wrote down besides its title."""
+
 
 @dataclass(frozen=True)
 class Dwell:
@@ -114,8 +117,8 @@ class Session:
         Plane of rotation, or none where attitudes are anywhere in space.
     reading_u_mg : float or None
         Standard uncertainty of a dwell that has one sample only.
-    operator, serial, stage : str
-        Who measured, the part's serial number, which stage; free text, empty where it is not stated.
+    title, operator, serial, stage : str
+        What somebody wrote down: name of the session, who measured, the part's serial number, the stage.
     source : str
         File that it came from.
     notes : tuple of str

@@ -22,7 +22,7 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from adis_gonio.errors import DataError
-from adis_gonio.model.records import Dwell, Floats, Session, Use
+from adis_gonio.model.records import METADATA, Dwell, Floats, Session, Use
 from adis_gonio.session.overrides import Overrides
 from adis_gonio.session.samples.names import AXES, GYROS
 from adis_gonio.session.samples.table import Table, table_of
@@ -119,7 +119,6 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     path.write_bytes(data)
 
 
-_TEXTS = ("title", "operator", "serial", "stage")
 _Column = Callable[[Dwell], list[str]]
 """Texts (n,) that a column of the file holds for a dwell of n samples."""
 
@@ -163,7 +162,7 @@ def _texts_by(get: Callable[[Dwell], Floats | None], dwell: Dwell) -> list[str]:
 
 
 def _keys_of(session: Session) -> dict[str, str]:
-    texts = {name: " ".join(getattr(session, name).split()) for name in _TEXTS}
+    texts = {name: " ".join(getattr(session, name).split()) for name in ("title", *METADATA)}
     keys = {name: text for name, text in texts.items() if text}
     keys |= {
         "sensor": session.sensor,
