@@ -23,7 +23,8 @@ def read_session(path: str | Path) -> Session:
     and °/s, times in seconds since the session began. `facts` holds `configuration`, `registers` (before,
     configured, after), `plan`, `settings`, `url`, `note`, `runs`, `dwells` (times, lost and dropped scans,
     STATUS and alarms of each), `scanning` (how scans were got), `problems`, `advised` (what an advisor
-    asked for, round by round), `complete`, and for simulated sessions alone `truth`, which no fit may use.
+    asked for, round by round), `offset_writes` (what `adis_gonio.writeback` has written to the sensor
+    since, step by step), `complete`, and for simulated sessions alone `truth`, which no fit may use.
 
     Raises
     ------
@@ -58,6 +59,7 @@ def read_session(path: str | Path) -> Session:
             "complete": not pending,
             "skipped": sorted(skipped),
             "scanning": view.last("scanning"),
+            "offset_writes": [record.value | {"utc": record.utc} for record in view.records("offsets")],
             "dwells": [
                 _facts_of(a, scans, dropped.get(a.number, 0))
                 for a, scans in zip(stored, joined, strict=True)
