@@ -47,13 +47,13 @@ AFTER: dict[Step | None, tuple[Step, ...]] = {
     None: (Step.PLANNED,),
     Step.PLANNED: (Step.WRITTEN, Step.SET_BACK),
     Step.WRITTEN: (Step.VERIFIED, Step.SAVING, Step.DONE, Step.SET_BACK),
-    Step.VERIFIED: (Step.SAVING, Step.DONE, Step.SET_BACK),
+    Step.VERIFIED: (Step.SAVING, Step.SAVED, Step.DONE, Step.SET_BACK),
     Step.SAVING: (Step.SAVED, Step.SET_BACK),
     Step.SAVED: (Step.DONE,),
     Step.DONE: (),
     Step.SET_BACK: (),
 }
-"""Which steps may follow which."""
+"""Which steps may follow which; what is in flash already is `saved` without `saving`."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class Standing:
     registers : {"untouched", "old", "new", "half", "other"}
         `untouched` where the journal knows no write.
     saved : bool or None
-        True where the flash holds what the last operation wrote; None where that cannot be told.
+        True where the flash holds what the registers hold, as far as the journal knows; None not known.
     open : bool
         An operation was not brought to its end.
     axes : dict of str to str
@@ -193,17 +193,24 @@ def standing_of(known: Sequence[Operation], now: Numbers, endurance: int) -> Sta
     last = known[-1]
     axes = {name: _state(name, now[name], last.old[name], last.new[name]) for name in last.new}
     registers = _together(now, last, axes)
-    asked = "new" if last.op == "write" else "old"
-    saved = _saved(last, endurance, asked=registers == asked)
-    return Standing(registers, saved, last.open, axes, last, _words(registers, saved, axes, last))
+    flash = _in_flash(known, now, endurance)
+    saved = None if flash is None else all(flash.get(name) == now[name] for name in last.new)
+    if registers == "old" and flash == {}:
+        saved = None  # they were found there, in flash or not
+    return Standing(registers, saved, last.open, axes, last, _words(registers, flash, axes, last))
+
+
+def flash_untouched(known: Sequence[Operation], now: Numbers, endurance: int) -> bool:
+    """True where the flash certainly holds what it held before the first write."""
+    return not known or _in_flash(known, now, endurance) in ({}, known[-1].old)
 
 
 def _together(now: Numbers, last: Operation, axes: Mapping[str, RegisterState]) -> RegisterState:
     """One state for all registers; what an operation leaves as it was is both old and new."""
-    if all(now[name] == number for name, number in last.new.items()):
-        return "old" if last.new == last.old else "new"
-    if all(now[name] == number for name, number in last.old.items()):
-        return "old"
+    both: list[tuple[RegisterState, Numbers]] = [("new", last.new), ("old", last.old)]
+    for state, numbers in both if last.op == "write" else reversed(both):
+        if all(now[name] == number for name, number in numbers.items()):
+            return state
     return "other" if "other" in axes.values() else "half"
 
 
@@ -216,42 +223,46 @@ def _state(name: str, now: int, old: int, new: int) -> RegisterState:
     return "half" if row.word(now) in halves else "other"
 
 
-def _saved(last: Operation, endurance: int, *, asked: bool) -> bool | None:
-    """Whether the flash holds what was asked for; `asked` is True where the registers do."""
-    if last.saved:
-        return True
-    if Step.SAVING not in last.steps or last.endurance is None:
-        return False
-    written = (endurance - last.endurance) % ENDURANCE_WRAP
-    if written == 0:
-        return False
-    # A supply that dipped just before the flash was written may have put the others there.
-    return True if written == 1 and asked else None
+def _in_flash(known: Sequence[Operation], now: Numbers, endurance: int) -> dict[str, int] | None:
+    """Numbers that were put into flash; {} none, so that what was there is there still; None not known."""
+    flash: dict[str, int] | None = {}
+    for operation in known:
+        asked = operation.new if operation.op == "write" else operation.old
+        if operation.saved:
+            flash = asked
+        elif Step.SAVING in operation.steps and operation.endurance is not None:
+            written = (endurance - operation.endurance) % ENDURANCE_WRAP
+            if operation is known[-1] and written == 1 and all(now[k] == asked[k] for k in asked):
+                flash = asked
+            elif written:
+                # A supply that dipped just before the flash was written may have put the others there.
+                flash = None
+    return flash
 
 
-def _words(registers: str, saved: bool | None, axes: Mapping[str, RegisterState], last: Operation) -> str:
+def _words(
+    registers: str, flash: dict[str, int] | None, axes: Mapping[str, RegisterState], last: Operation
+) -> str:
     begun = f"; the {last.op} broke off after '{last.steps[-1]}'" if last.open else ""
     if registers in ("new", "old"):
-        return f"the sensor holds the {registers} offsets{_flash(registers, saved, last)}{begun}"
+        return f"the sensor holds the {registers} offsets{_flash(registers, flash, last)}{begun}"
     each = ", ".join(f"{name} {state}" for name, state in axes.items())
     if registers == "half":
         return f"the sensor holds half of it ({each}){begun}: write again to finish, --undo to set back"
     return f"the sensor holds neither the old nor the new offsets ({each}): changed since, or another part"
 
 
-def _flash(registers: str, saved: bool | None, last: Operation) -> str:
+def _flash(registers: str, flash: dict[str, int] | None, last: Operation) -> str:
     """What is known of the flash, as a part of a sentence."""
-    asked = "new" if last.op == "write" else "old"
-    if saved is None:
+    held, other = (last.new, last.old) if registers == "new" else (last.old, last.new)
+    if flash is None:
         return ", and whether these or the others are in flash is not known"
-    if saved:
-        return (
-            ", saved to flash"
-            if registers == asked
-            else f", changed since the {asked} ones were saved to flash"
-        )
-    if registers == "new" and last.op == "write":
+    if flash == held:
+        return ", saved to flash"
+    if flash == other:
+        return ", the others are in flash: they come back with the next power-on"
+    if registers == "new":
         return ", not saved: they are lost with the power"
-    if registers == "old" and last.op == "write" and not last.open and last.target == last.new:
+    if not last.open and last.target == last.new:
         return ": the new ones were not saved, and the power was off since"
     return ""

@@ -46,6 +46,7 @@ from adis_gonio.writeback.journal import (
     Operation,
     Standing,
     Step,
+    flash_untouched,
     operations_of,
     standing_of,
     to_undo,
@@ -56,6 +57,7 @@ from adis_gonio.writeback.rest import Rest, measure
 Tell = Callable[[str], None]
 
 _SILENT = (0x0000, 0xFFFF)
+"""What a dead line reads as; SENS_AVG never does, since its gyro range is one of three bits."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +228,8 @@ class OffsetWriter:
         if {name: now[name] for name in plan.now} != plan.now:
             raise SessionError("the offset registers have changed since the plan was made; plan again")
         standing = standing_of(self.known, now, endurance)
-        saves = self.settings.save and not (standing.registers == "new" and standing.saved is True)
+        in_flash = standing.registers == "new" and standing.saved is True
+        saves = self.settings.save and not in_flash
         if not plan.changes and not saves and not standing.open:
             self._tell("nothing is to be written: the registers hold it already")
             return Outcome(standing, endurance, endurance, tuple(self._checks))
@@ -241,7 +244,9 @@ class OffsetWriter:
                 if plan.changes:
                     bias = self._verify(plan)
                 journal.note(Step.VERIFIED, checks=[check.as_dict() for check in self._checks])
-                if saves:
+                if in_flash:
+                    journal.note(Step.SAVED, endurance=endurance, endurance_after=endurance)
+                elif saves:
                     self._save(journal, plan.new)
                 journal.note(Step.DONE)
             except BaseException as error:
@@ -266,7 +271,7 @@ class OffsetWriter:
         standing = standing_of(self.known, now, endurance)
         if standing.registers == "other":
             raise SessionError(f"{self.path}: {standing.text}; nothing was written")
-        saves = self.settings.save or standing_of((earlier,), now, endurance).saved is not False
+        saves = self.settings.save or not flash_untouched(self.known, now, endurance)
         if saves:
             self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
         with self._journal("undo", earlier.old, earlier.new, saves, {}) as journal:
@@ -340,9 +345,9 @@ class OffsetWriter:
             if Step.SAVING in journal.steps:
                 self.sensor.bus.sleep_s(FLASH_UPDATE_S)
                 now, endurance = self._read()
-                if standing_of((journal.operation,), now, endurance).saved and self._holds(
-                    journal.operation.new
-                ):
+                asked = journal.operation.new
+                written = endurance != journal.operation.endurance
+                if written and all(now[name] == number for name, number in asked.items()):
                     if Step.SAVED not in journal.steps:
                         journal.note(Step.SAVED, endurance_after=endurance)
                     journal.note(Step.DONE)
@@ -362,8 +367,9 @@ class OffsetWriter:
 
     def _outcome(self, endurance: int, bias: tuple[tuple[float, ...], tuple[float, ...]]) -> Outcome:
         self.session = load(self.path)
-        _, after = self._read()
-        return Outcome(self.standing(), endurance, after, tuple(self._checks), *bias)
+        now, after = self._read()
+        standing = standing_of(self.known, now, after)
+        return Outcome(standing, endurance, after, tuple(self._checks), *bias)
 
     def _told(self) -> str:
         """What the sensor holds now, as far as it still says so."""
@@ -393,10 +399,10 @@ class OffsetWriter:
         return rest
 
     def _read(self) -> tuple[dict[str, int], int]:
-        """Offset registers and ENDURANCE, in one batch with two more words that cannot all be alike."""
-        rows = registers((*ACCEL_OFF, "ENDURANCE", "SMPL_PRD", "SENS_AVG"))
+        """Offset registers and ENDURANCE; SENS_AVG behind them tells that the part answered to the end."""
+        rows = registers((*ACCEL_OFF, "ENDURANCE", "SENS_AVG"))
         words = self.sensor.read_words(rows)
-        if len(set(words)) == 1 and words[0] in _SILENT:
+        if words[-1] in _SILENT:
             raise SilentChipError(f"{self.sensor.bus.url}: nothing answers; check supply and wires")
         numbers = {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
         return {name: numbers[name] for name in ACCEL_OFF}, numbers["ENDURANCE"]
