@@ -56,6 +56,7 @@ from adis_gonio.writeback.rest import Rest, measure
 
 Tell = Callable[[str], None]
 
+_READINGS = 4
 _SILENT = (0x0000, 0xFFFF)
 """What a dead line reads as; SENS_AVG never does, since its gyro range is one of three bits."""
 
@@ -399,11 +400,20 @@ class OffsetWriter:
         return rest
 
     def _read(self) -> tuple[dict[str, int], int]:
-        """Offset registers and ENDURANCE; SENS_AVG behind them tells that the part answered to the end."""
+        """Offset registers and ENDURANCE, read until two readings agree: a supply that dips spoils one.
+
+        SENS_AVG behind them tells that the part answered to the end.
+        """
         rows = registers((*ACCEL_OFF, "ENDURANCE", "SENS_AVG"))
-        words = self.sensor.read_words(rows)
-        if words[-1] in _SILENT:
-            raise SilentChipError(f"{self.sensor.bus.url}: nothing answers; check supply and wires")
+        words: list[int] = []
+        for _ in range(_READINGS):
+            before, words = words, self.sensor.read_words(rows)
+            if words[-1] in _SILENT:
+                raise SilentChipError(f"{self.sensor.bus.url}: nothing answers; check supply and wires")
+            if words == before:
+                break
+        else:
+            raise VerifyError("the registers read otherwise each time; check supply and wires")
         numbers = {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
         return {name: numbers[name] for name in ACCEL_OFF}, numbers["ENDURANCE"]
 
