@@ -58,7 +58,7 @@ def command(
     """
     if sum((undo, status, dry_run)) > 1:
         raise UsageError("--undo, --status and --dry-run exclude each other")
-    if not (yes or status or dry_run or sys.stdin.isatty()):
+    if not (yes or status or dry_run or at_a_terminal()):
         raise UsageError(
             "write asks before it writes, and nobody is there to answer: add --yes or --dry-run"
         )
@@ -67,7 +67,7 @@ def command(
     from adis_gonio.writeback import OffsetWriter, WriteSettings
     from adis_gonio.writeback.writer import load
 
-    refuse_chip_options(url, {"write": True})
+    refuse_chip_options(url, {"write SESSION": True})
     settings = WriteSettings(
         save=options["save"],
         angle_deg=options["angle_deg"],
@@ -126,6 +126,11 @@ def _asked(writer: OffsetWriter, plan: WritePlan) -> str:
     if not plan.changes and not writer.settings.save:
         return "write"
     return "write" if _confirm(f"Write{flash}?") else "leave"
+
+
+def at_a_terminal() -> bool:
+    """True where somebody can answer a question."""
+    return sys.stdin.isatty()
 
 
 def _confirm(question: str) -> bool:
