@@ -1,4 +1,4 @@
-"""`adis-gonio write` as a shell user meets it: plan, question, exit status, JSON, a line for each mistake."""
+"""`adis-gonio write` as a shell user meets it: plan, question, exit status, JSON, one line a mistake."""
 
 import io
 import json

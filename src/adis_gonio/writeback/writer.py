@@ -322,10 +322,10 @@ class OffsetWriter:
         if self._angle_deg is None or self.session.plane != "xy" or "alpha" not in result:
             return (), ()
         value, u = bias_found(self.session, result, done, after, self._angle_deg)
-        x, y = (f"{v:+.2f} mg (u {s:.2g})" for v, s in zip(value, u, strict=True))
-        self._tell(
-            f"bias that the dwell shows by itself: X {x}, Y {y}; an LSB is {plan.axes[0].lsb_mg:.4g} mg"
-        )
+        x, y = (f"{v:+.2f} mg (u {s:.2g} mg)" for v, s in zip(value, u, strict=True))
+        lsb = plan.axes[0].lsb_mg
+        near = "zero" if (abs(value) <= lsb + 2 * u).all() else "not zero"
+        self._tell(f"bias by this dwell alone: X {x}, Y {y}: {near} within an LSB ({lsb:.4g} mg) and 2 u")
         return tuple(value.tolist()), tuple(u.tolist())
 
     def _save(self, journal: Journal, numbers: dict[str, int]) -> None:
@@ -342,27 +342,36 @@ class OffsetWriter:
 
     def _break_off(self, journal: Journal, error: BaseException) -> None:
         """After an error or a Ctrl-C: keep what is in flash, else set the old offsets back; say which."""
+        # Twice suppressed: a second Ctrl-C in the first part must not keep the second from setting back.
         with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
-            if Step.SAVING in journal.steps:
-                self.sensor.bus.sleep_s(FLASH_UPDATE_S)
-                now, endurance = self._read()
-                asked = journal.operation.new
-                written = endurance != journal.operation.endurance
-                if written and all(now[name] == number for name, number in asked.items()):
-                    if Step.SAVED not in journal.steps:
-                        journal.note(Step.SAVED, endurance_after=endurance)
-                    journal.note(Step.DONE)
+            self._keep_what_is_saved(journal)
+        with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
             if journal.operation.open:
-                old = journal.operation.old
-                back = Undo(self.sensor, registers(old), _words(old))
-                with contextlib.suppress(KeyboardInterrupt):
-                    back.put_back()
-                if not back.left and self._holds(old):
-                    journal.note(Step.SET_BACK, why=str(error) or type(error).__name__)
+                self._set_back(journal, str(error) or type(error).__name__)
         told = self._told()
         if isinstance(error, AdisGonioError):
             raise type(error)(f"{error}; {told}") from error
         self._tell(told)
+
+    def _keep_what_is_saved(self, journal: Journal) -> None:
+        """Bring the journal to its end where flash and registers hold the new offsets already."""
+        if Step.SAVING not in journal.steps:
+            return
+        self.sensor.bus.sleep_s(FLASH_UPDATE_S)
+        now, endurance = self._read()
+        new = journal.operation.new
+        if endurance != journal.operation.endurance and all(now[name] == new[name] for name in new):
+            if Step.SAVED not in journal.steps:
+                journal.note(Step.SAVED, endurance_after=endurance)
+            journal.note(Step.DONE)
+
+    def _set_back(self, journal: Journal, why: str) -> None:
+        old = journal.operation.old
+        back = Undo(self.sensor, registers(old), _words(old))
+        with contextlib.suppress(KeyboardInterrupt):
+            back.put_back()
+        if not back.left and self._holds(old):
+            journal.note(Step.SET_BACK, why=why)
 
     # -- inside ---------------------------------------------------------------------------------------
 
@@ -491,7 +500,7 @@ def load(path: Path) -> Session:
     Raises
     ------
     SessionError
-        Another kind of file: a journal of what is written needs an archive.
+        Another kind of file (a journal of what is written needs an archive), or not from the chip.
     DataError
         As `read_session`.
     """
@@ -499,7 +508,9 @@ def load(path: Path) -> Session:
         raise SessionError(
             f"{path}: is no session file of calibrate, where the undo of a write is kept: calibrate first"
         )
-    return read_session(path)
+    session = read_session(path)
+    recorded_offsets(session)
+    return session
 
 
 def _words(numbers: dict[str, int]) -> dict[str, int]:
