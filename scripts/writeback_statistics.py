@@ -27,10 +27,14 @@ from adis_gonio.writeback import OffsetWriter, WriteSettings
 
 @dataclass
 class Part:
-    """One part: true biases (2,) in LSB before and after, what the dwell after showed, flash writes."""
+    """One part: true biases (2,) in LSB before and after, what the dwell after showed, flash writes.
+
+    `u` is that of the fit and of what wanders between the session and now, in LSB.
+    """
 
     before: np.ndarray
     after: np.ndarray
+    u: np.ndarray
     off: np.ndarray
     endurance: int
 
@@ -51,7 +55,9 @@ def write_back(seed: int, folder: Path, variant: str, plan_name: str, dwell_s: f
     left = bias + lsb * np.array([axis.new for axis in made.axes])
     path.unlink()
     off = (np.array(outcome.bias_mg) - left) / np.array(outcome.bias_u_mg)
-    return Part(bias / lsb, left / lsb, off, outcome.endurance_after)
+    wander = np.sqrt(2) * sensor.variant.performance.bias_instability_mg
+    u = np.hypot([axis.u_mg for axis in made.axes], wander)
+    return Part(bias / lsb, left / lsb, u / lsb, off, outcome.endurance_after)
 
 
 def main() -> None:
@@ -80,6 +86,8 @@ def main() -> None:
             f"| {name} | {np.median(values):.2f} | {np.quantile(values, 0.95):.2f} | {values.max():.2f}"
             f" | {rms:.2f} | {100 * share:.1f} % |"
         )
+    near = np.mean(after <= 1 + 2 * np.array([p.u for p in parts]))
+    print(f"after, within 1 LSB and 2 u of fit and wander: {100 * near:.1f} %")
     off = np.array([p.off for p in parts])
     inside = np.mean(np.abs(off) <= 1.96)
     print(f"bias by the dwell after, less the truth, over its u: rms {np.sqrt(np.mean(off**2)):.2f};")

@@ -382,6 +382,34 @@ def test_undo_without_a_write_is_refused(path):
         writer(new_bus(3), path).undo()
 
 
+def test_other_offsets_of_the_same_session_are_refused_until_the_first_are_undone(path):
+    bus = new_bus(3)
+    wrote(bus, path)
+    other = writer(bus, path)
+    result = other._fit()
+    more = [replace(e, value=e.value + 5.0) if e.name == "bias_x" else e for e in result.parameters]
+    other._result = replace(result, parameters=tuple(more))
+    with pytest.raises(SessionError, match="--undo them first"):
+        other.plan()
+    assert numbers(bus) == NEW
+
+
+def test_a_save_that_fails_leaves_what_the_write_before_had_left(path):
+    bus = new_bus(3)
+    wrote(bus, path)
+    made = writer(bus, path, SAVE)
+    made.plan()
+    exchange = bus._exchange
+    bus._exchange = lambda frames: exchange(np.where(frames == 0xBE08, 0, frames).astype(np.uint16))
+    with pytest.raises(VerifyError, match=r"ENDURANCE was 0 and is 0.*new offsets, not saved"):
+        made.write()
+    bus._exchange = exchange
+    assert (numbers(bus), flash(bus)) == (NEW, OLD)
+    assert offsets_in_force(load_session(path)) == pytest.approx(np.array(NEW) * LSB)
+    assert writer(bus, path).undo().standing.registers == "old"
+    assert (numbers(bus), bus.chip.memory["ENDURANCE"]) == (OLD, 0)
+
+
 # -- Ctrl-C and a kill -------------------------------------------------------------------------------------
 
 

@@ -67,6 +67,9 @@ class Operation:
     op : {"write", "undo"}
     old, new : dict of str to int
         Numbers before the write and those that it writes; an undo has those of the write that it undoes.
+    found : dict of str to int
+        Numbers at its start, or the old ones where these were neither old nor new; a write that breaks off
+        goes back to them.
     save : bool
         Flash was asked for.
     steps : tuple of Step
@@ -83,6 +86,7 @@ class Operation:
     op: Op
     old: dict[str, int]
     new: dict[str, int]
+    found: dict[str, int]
     save: bool
     steps: tuple[Step, ...]
     endurance: int | None = None
@@ -102,8 +106,9 @@ class Operation:
     @property
     def target(self) -> dict[str, int]:
         """Numbers that stand after it."""
-        written = self.op == "write" and self.steps[-1] is not Step.SET_BACK
-        return self.new if written else self.old
+        if self.steps[-1] is Step.SET_BACK:
+            return self.found
+        return self.new if self.op == "write" else self.old
 
 
 def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
@@ -117,6 +122,7 @@ def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
             before.op if before else entry["op"],
             before.old if before else dict(entry["old"]),
             before.new if before else dict(entry["new"]),
+            before.found if before else dict(entry["found"]),
             before.save if before else bool(entry["save"]),
             (*(before.steps if before else ()), step),
             entry.get("endurance", before.endurance if before else None),
@@ -134,9 +140,9 @@ def operations_of(session: Session) -> tuple[Operation, ...]:
 def to_undo(known: Sequence[Operation]) -> Operation | None:
     """The write that an undo takes back: the last one that is not taken back already."""
     for operation in reversed(known):
-        if operation.op == "write":
-            return operation if operation.open or operation.target == operation.new else None
-        if not operation.open:
+        if operation.op == "write" and operation.steps[-1] is not Step.SET_BACK:
+            return operation
+        if operation.op == "undo" and not operation.open:
             return None
     return None
 

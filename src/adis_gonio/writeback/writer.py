@@ -5,7 +5,7 @@
     writer.write()            # or writer.undo()
 
 Every step stands in the archive's journal (see `journal`) before or after it is done. Whatever breaks a
-write off (an error, a Ctrl-C, a check that fails) sets the old offsets back where the sensor still answers,
+write off (an error, a Ctrl-C, a check that fails) sets back what was there where the sensor still answers,
 and says what it holds.
 """
 
@@ -42,7 +42,6 @@ from adis_gonio.writeback.checks import Comparison, against_session, bias_found,
 from adis_gonio.writeback.journal import (
     AFTER,
     KIND,
-    Op,
     Operation,
     Standing,
     Step,
@@ -192,6 +191,12 @@ class OffsetWriter:
                 f"{self.path}: the fit is no sound base ({'; '.join(plan.doubts)}); see `adis-gonio trace`,"
                 " or write all the same with --even-if-inadequate"
             )
+        earlier = to_undo(self.known)
+        if earlier is not None and earlier.new != plan.new:
+            raise SessionError(
+                f"{self.path}: other offsets of this session were written before ({_listed(earlier.new)};"
+                f" now {_listed(plan.new)}); --undo them first"
+            )
         self._require_explained(now)
         if self.settings.save and endurance >= FLASH_LIFE:
             raise ChipError(f"ENDURANCE is {endurance}: the flash is made for {FLASH_LIFE} writes")
@@ -235,9 +240,12 @@ class OffsetWriter:
             self._tell("nothing is to be written: the registers hold it already")
             return Outcome(standing, endurance, endurance, tuple(self._checks))
         earlier = to_undo(self.known)
-        old = {name: earlier.old[name] if earlier else now[name] for name in plan.new}
+        held = {name: now[name] for name in plan.new}
+        old = earlier.old if earlier else held
+        found = old if standing.registers == "half" else held
         bias: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
-        with self._journal("write", old, plan.new, saves, plan.as_dict()) as journal:
+        operation = Operation(0, "write", old, plan.new, found, saves, ())
+        with self._journal(operation, plan=plan.as_dict()) as journal:
             try:
                 if plan.changes:
                     self._put(plan)
@@ -275,7 +283,8 @@ class OffsetWriter:
         saves = self.settings.save or not flash_untouched(self.known, now, endurance)
         if saves:
             self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
-        with self._journal("undo", earlier.old, earlier.new, saves, {}) as journal:
+        operation = Operation(0, "undo", earlier.old, earlier.new, earlier.old, saves, ())
+        with self._journal(operation) as journal:
             try:
                 back = Undo(self.sensor, registers(earlier.old), _words(earlier.old))
                 back.put_back()
@@ -366,11 +375,11 @@ class OffsetWriter:
             journal.note(Step.DONE)
 
     def _set_back(self, journal: Journal, why: str) -> None:
-        old = journal.operation.old
-        back = Undo(self.sensor, registers(old), _words(old))
+        found = journal.operation.found
+        back = Undo(self.sensor, registers(found), _words(found))
         with contextlib.suppress(KeyboardInterrupt):
             back.put_back()
-        if not back.left and self._holds(old):
+        if not back.left and self._holds(found):
             journal.note(Step.SET_BACK, why=why)
 
     # -- inside ---------------------------------------------------------------------------------------
@@ -449,18 +458,22 @@ class OffsetWriter:
             raise ChipError(f"the supply is {supply_v:.2f} V, the part needs {low} to {high} V")
 
     @contextlib.contextmanager
-    def _journal(
-        self, op: Op, old: dict[str, int], new: dict[str, int], save: bool, plan: dict[str, Any]
-    ) -> Iterator[Journal]:
-        number = self.known[-1].number + 1 if self.known else 1
-        operation = Operation(number, op, old, new, save, ())
+    def _journal(self, planned: Operation, **facts: Any) -> Iterator[Journal]:
+        operation = replace(planned, number=self.known[-1].number + 1 if self.known else 1)
         with Archive.open_existing(self.path) as archive:
             now_s = self.sensor.bus.now_s()
             last = max((attempt.number for attempt in archive.dwells()), default=0)
             archive.begin_run(now_s, self._bench.clock_offset(archive, now_s), last)
             journal = Journal(archive, operation, self.sensor.bus.now_s)
             journal.note(
-                Step.PLANNED, op=op, old=old, new=new, save=save, url=self.sensor.bus.url, plan=plan
+                Step.PLANNED,
+                op=operation.op,
+                old=operation.old,
+                new=operation.new,
+                found=operation.found,
+                save=operation.save,
+                url=self.sensor.bus.url,
+                **facts,
             )
             yield journal
 
