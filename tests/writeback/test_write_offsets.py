@@ -538,3 +538,25 @@ def test_a_resumed_session_refuses_a_part_with_other_offsets(path):
     wrote(bus, path)
     with Adis16354(bus) as sensor, pytest.raises(SessionError, match="XACCL_OFF was 0 and is -32"):
         list(SessionRunner.resume(sensor, path, auto=True).run())
+
+
+def test_an_unfinished_session_goes_on_as_if_nothing_had_been_once_it_is_undone(tmp_path):
+    from adis_gonio.session import SessionRunner, Settings, plan
+    from adis_gonio.session.events import DwellDone
+
+    whole = record(tmp_path / "whole.session", new_bus(3))
+    path = tmp_path / "part.session"
+    settings = Settings(dwell_s=1.0, settle_s=0.1)
+    runner = SessionRunner.begin(Adis16354(new_bus(3)), path, plan("four-position"), settings, auto=True)
+    done = 0
+    for event in runner.run():
+        done += isinstance(event, DwellDone)
+        if done == 3:
+            runner.stop()
+    bus = new_bus(3)
+    wrote(bus, path, WriteSettings(dwell_s=0.5, doubtful=True))
+    writer(bus, path).undo()
+    list(SessionRunner.resume(Adis16354(new_bus(3)), path, auto=True).run())
+    for a, b in zip(load_session(whole).dwells, load_session(path).dwells, strict=True):
+        assert np.array_equal(a.accel, b.accel)
+        assert np.array_equal(a.time_s, b.time_s)
