@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from adis_gonio import __version__
-from adis_gonio.bringup.bench import Bench, Effect, Step, not_measured
+from adis_gonio.bringup.bench import Bench, Effect, Step, not_measured, writable
 from adis_gonio.bringup.ceiling import ClockCeiling
 from adis_gonio.bringup.health import Health, WhichPart
 from adis_gonio.bringup.limits import Budget
@@ -17,13 +17,13 @@ from adis_gonio.bringup.link import BitErrors, Link, Timing
 from adis_gonio.bringup.noise import FilterSteps, Noise
 from adis_gonio.bringup.questions import QUESTIONS
 from adis_gonio.bringup.result import Answer, Bringup, Outcome, Row, StepResult, Verdict
-from adis_gonio.bringup.undo import Undo
 from adis_gonio.bringup.updates import DataReady, Rate, SamplePeriods
 from adis_gonio.bringup.writes import FlashCount, Offset, SelfTests, StatusBits
 from adis_gonio.bus import SpiBus
 from adis_gonio.errors import AdisGonioError
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.sensor.frames import NORMAL
+from adis_gonio.sensor.undo import Undo
 from adis_gonio.sensor.variants import Variant
 
 STEPS: tuple[Step, ...] = (
@@ -158,7 +158,7 @@ class _Run:
             return _attempt(bench, step)
         if self._undo is None:
             try:
-                self._undo = Undo(bench)
+                self._undo = Undo(bench.sensor, writable())
             except AdisGonioError as error:
                 return StepResult(Verdict.FAULT, f"could not be done: {error}")
         try:

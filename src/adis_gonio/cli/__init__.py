@@ -27,6 +27,7 @@ COMMANDS = {
     "template": ("adis_gonio.cli.template", "Make an empty samples CSV to fill in by hand."),
     "stream": ("adis_gonio.cli.stream", "Show or record what the sensor measures."),
     "registers": ("adis_gonio.cli.registers", "List, read and write registers."),
+    "write": ("adis_gonio.cli.write", "Write a session's biases into the sensor's offset registers."),
     "selftest": ("adis_gonio.cli.selftest", "Run the sensor's internal self-test."),
     "bringup": ("adis_gonio.cli.bringup", "Check a new board step by step, and what it says of the part."),
     "serve": ("adis_gonio.cli.serve", "Serve the sensor as an IIO device over the network."),

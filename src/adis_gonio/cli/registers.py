@@ -39,8 +39,9 @@ def command(
 
     Without URL the table of registers is shown; with a URL also what they hold. NAME reads one, NAME=VALUE
     writes it and reads it back. VALUE is the register's number (decimal or 0x…) or a quantity with its
-    unit, such as XACCL_OFF=57.3mg. Listing all registers leaves STATUS alone, because a read clears it;
-    name it to read it.
+    unit, such as XACCL_OFF=-57.3mg, which takes 57.3 mg off: the part adds its offset registers to its
+    outputs (`write` puts a session's biases there). Listing all registers leaves STATUS alone, because a
+    read clears it; name it to read it.
     """
     if url is None:
         _show([(row, None) for row in REGISTERS], fields=fields, as_json=as_json)
@@ -73,7 +74,7 @@ def _number(sensor: Adis16354, row: Register, text: str) -> int:
     """Number for a register from `0x…`, a decimal, or a quantity with its unit."""
     match = _VALUE.fullmatch(text.strip())
     if not match:
-        raise UsageError(f"{row.name}={text}: write a number, 0x…, or a quantity such as 57.3mg")
+        raise UsageError(f"{row.name}={text}: write a number, 0x…, or a quantity such as -57.3mg")
     number, unit = match["number"], match["unit"]
     if not unit:
         try:

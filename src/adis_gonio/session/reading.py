@@ -24,8 +24,9 @@ def read_session(path: str | Path) -> Session:
     configured, after), `plan`, `settings`, `url`, `note`, `runs`, `dwells` (times, lost and dropped scans,
     STATUS and alarms of each), `reversed` (True where the stage's angles were taken with the other sign),
     `doubts` (why the result cannot be right: what was kept against a guard), `remarks` (the operator's),
-    `scanning` (how scans were got), `problems`, `advised` (what an advisor
-    asked for, round by round), `complete`, and for simulated sessions alone `truth`, which no fit may use.
+    `scanning` (how scans were got), `problems`, `advised` (what an advisor asked for, round by round),
+    `offset_writes` (what `adis_gonio.writeback` has written to the sensor since, step by step),
+    `complete`, and for simulated sessions alone `truth`, which no fit may use.
 
     Raises
     ------
@@ -63,6 +64,7 @@ def read_session(path: str | Path) -> Session:
             "complete": not pending,
             "skipped": sorted(skipped),
             "scanning": view.last("scanning"),
+            "offset_writes": [record.value | {"utc": record.utc} for record in view.records("offsets")],
             "dwells": [
                 _facts_of(a, scans, dropped.get(a.number, 0))
                 for a, scans in zip(stored, joined, strict=True)

@@ -1,9 +1,11 @@
-"""Every write is undone and verified, also after an error or an interruption."""
+"""Registers are put back and verified, also after an error or an interruption."""
 
 from __future__ import annotations
 
-from adis_gonio.bringup.bench import Bench, writable
+from collections.abc import Mapping, Sequence
+
 from adis_gonio.errors import AdisGonioError
+from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.sensor.frames import NORMAL, write_frames
 from adis_gonio.sensor.registers import Register
 
@@ -12,12 +14,33 @@ _TRIES = 4
 
 
 class Undo:
-    """Notes the writable registers; `put_back` restores what differs and reads it back."""
+    """Notes registers; `put_back` restores what differs and reads it back.
 
-    def __init__(self, bench: Bench) -> None:
-        self._bench = bench
-        self.rows = writable()
-        self.before = self._read()
+    Parameters
+    ----------
+    sensor : Adis16354
+        Open.
+    rows : sequence of Register
+        Writable registers.
+    before : mapping of str to int or None
+        Words by name to go back to; None notes those that are there now.
+
+    Attributes
+    ----------
+    before : dict of str to int
+        Words, as far as a write can change them.
+    left : tuple of str
+        Registers that `put_back` could not restore.
+    """
+
+    def __init__(
+        self, sensor: Adis16354, rows: Sequence[Register], before: Mapping[str, int] | None = None
+    ) -> None:
+        self._sensor = sensor
+        self.rows = tuple(rows)
+        self.before = (
+            self._read() if before is None else {r.name: before[r.name] & r.write_mask for r in rows}
+        )
         self.left: tuple[str, ...] = ()
 
     def put_back(self) -> None:
@@ -44,7 +67,7 @@ class Undo:
 
     def _restore(self) -> list[Register]:
         """One try; rows that still differ."""
-        bus = self._bench.bus
+        bus = self._sensor.bus
         bus.configure(NORMAL)  # keeps the limits of both modes
         now = self._read()
         for row in self.rows:
@@ -52,9 +75,9 @@ class Undo:
                 bus.exchange_array(write_frames(row, self.before[row.name]))
         now = self._read()
         left = [row for row in self.rows if now[row.name] != self.before[row.name]]
-        self._bench.refresh()
+        self._sensor._follow()
         return left
 
     def _read(self) -> dict[str, int]:
-        words = self._bench.sensor.read_words(self.rows)
+        words = self._sensor.read_words(self.rows)
         return {row.name: word & row.write_mask for row, word in zip(self.rows, words, strict=True)}

@@ -1,0 +1,53 @@
+"""A session's biases into the sensor's offset registers: planned, written, verified, saved, undone.
+
+The part adds an offset register to its output (DS, A), so the register takes the bias with its sign turned:
+new = the number at which the session was recorded − bias / LSB. Names are imported when first used, so that
+whoever only asks for `offsets_in_force` loads no driver.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+_HOMES = {
+    "OffsetWriter": "writer",
+    "WritePlan": "plan",
+    "WriteSettings": "writer",
+    "bias_left_mg": "inforce",
+    "offsets_in_force": "inforce",
+    "offsets_recorded": "inforce",
+    "plan_offsets": "plan",
+    "standing_of": "journal",
+}
+
+__all__ = [
+    "OffsetWriter",
+    "WritePlan",
+    "WriteSettings",
+    "bias_left_mg",
+    "offsets_in_force",
+    "offsets_recorded",
+    "plan_offsets",
+    "standing_of",
+]
+
+if TYPE_CHECKING:
+    from adis_gonio.writeback.inforce import bias_left_mg as bias_left_mg
+    from adis_gonio.writeback.inforce import offsets_in_force as offsets_in_force
+    from adis_gonio.writeback.inforce import offsets_recorded as offsets_recorded
+    from adis_gonio.writeback.journal import standing_of as standing_of
+    from adis_gonio.writeback.plan import WritePlan as WritePlan
+    from adis_gonio.writeback.plan import plan_offsets as plan_offsets
+    from adis_gonio.writeback.writer import OffsetWriter as OffsetWriter
+    from adis_gonio.writeback.writer import WriteSettings as WriteSettings
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its home when it is first asked for (PEP 562)."""
+    if name in _HOMES:
+        import importlib
+
+        value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
