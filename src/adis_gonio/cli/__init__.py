@@ -25,6 +25,7 @@ COMMANDS = {
     "simulate": ("adis_gonio.cli.simulate", "Record a session from the simulated sensor."),
     "export": ("adis_gonio.cli.export", "Write a session's data and coefficients as CSV or JSON."),
     "stream": ("adis_gonio.cli.stream", "Show or record what the sensor measures."),
+    "angle": ("adis_gonio.cli.angle", "Show the live angle, raw and corrected, with its uncertainty."),
     "registers": ("adis_gonio.cli.registers", "List, read and write registers."),
     "selftest": ("adis_gonio.cli.selftest", "Run the sensor's internal self-test."),
     "bringup": ("adis_gonio.cli.bringup", "Check a new board step by step, and what it says of the part."),
