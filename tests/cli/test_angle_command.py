@@ -11,7 +11,7 @@ import pytest
 
 from adis_gonio.cli import main
 from adis_gonio.cli.angle import angle_text
-from adis_gonio.session.live import LiveAngle
+from adis_gonio.session.angle import LiveAngle
 
 URL = "sim:?seed=1"
 PROGRAM = [sys.executable, "-m", "adis_gonio", "angle"]

@@ -10,7 +10,7 @@ from adis_gonio.sensor import open_sensor
 from adis_gonio.sensor.registers import ACCEL_OUT
 from adis_gonio.sensor.settings import Configuration
 from adis_gonio.session.blocks import ValueBlock
-from adis_gonio.session.live import AngleMeter, LiveAngle, open_live, raw_angle_deg, wrapped_deg
+from adis_gonio.session.angle import AngleMeter, LiveAngle, open_live, raw_angle_deg, wrapped_deg
 
 PERFECT = "delta_k=0&delta_phi_deg=0&bias_x_mg=0&bias_y_mg=0&fixture_sigma_deg=0"
 

@@ -13,7 +13,7 @@ import click
 from adis_gonio.cli.interrupt import Interrupt
 from adis_gonio.cli.show import no_check_option, poll_option, variant_option
 from adis_gonio.errors import UsageError
-from adis_gonio.session.live import AngleMeter, LiveAngle, LiveSource, open_live
+from adis_gonio.session.angle import AngleMeter, LiveAngle, LiveSource, open_live
 
 INTERRUPTED = 130
 
