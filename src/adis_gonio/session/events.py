@@ -12,6 +12,21 @@ from adis_gonio.session.plans import Blindness, Plan, Position
 
 Vector = tuple[float, float, float]
 
+GuardKind = Literal[
+    "not_moved",
+    "reversed",
+    "wrong_axis",
+    "wrong_angle",
+    "upside_down",
+    "shock",
+    "drift",
+    "stuck",
+    "supply",
+    "temperature",
+    "over_range",
+]
+"""What a guard can stop at."""
+
 
 @dataclass(frozen=True)
 class Event:
@@ -81,7 +96,7 @@ class NoiseMeasured(Event):
 
 @dataclass(frozen=True)
 class PositionAsked(Event):
-    """The part has to be brought to a position. Answers: confirm, skip, repeat, stop.
+    """The part has to be brought to a position. Answers: confirm, skip, repeat, undo, stop.
 
     Attributes
     ----------
@@ -89,6 +104,10 @@ class PositionAsked(Event):
         Which one of how many, from 1.
     can_repeat : bool
         True where there is a dwell before it that can be repeated.
+    time_left_s : float
+        Estimate of how long the rest takes, from how long the dwells so far took.
+    can_undo : bool
+        True where there is a dwell that can be withdrawn.
     """
 
     place: int
@@ -96,6 +115,8 @@ class PositionAsked(Event):
     number: int
     total: int
     can_repeat: bool
+    time_left_s: float = 0.0
+    can_undo: bool = False
 
 
 @dataclass(frozen=True)
@@ -115,11 +136,29 @@ class Watching(Event):
         `idle` while a question stands, `measuring` the noise, `moving`, or `settling` once still.
     spread_mg : Vector
         Standard deviation within the newest window.
+    angle_deg : float or None
+        Live angle by gravity, as the stage counts; None with free attitudes.
+    target_deg : float or None
+        Angle that was asked for; None where none is.
+    limit_mg : Vector or None
+        What `spread_mg` has to stay below; None until the noise is known.
+    waits_for : str
+        What is waited for, in words; empty where nothing is.
+    temperature_c : float or None
+        Of the newest scan; None where it is not in the scan.
+    lost : int
+        Scans lost since the session was opened.
     """
 
     state: Literal["idle", "measuring", "moving", "settling"]
     accel_mg: Vector
     spread_mg: Vector
+    angle_deg: float | None = None
+    target_deg: float | None = None
+    limit_mg: Vector | None = None
+    waits_for: str = ""
+    temperature_c: float | None = None
+    lost: int = 0
 
 
 @dataclass(frozen=True)
@@ -128,8 +167,12 @@ class DwellProgress(Event):
 
     Attributes
     ----------
+    lost : int
+        Scans lost within this dwell.
     accel_mg : Vector
         Mean of the newest window.
+    spread_mg, angle_deg, target_deg, limit_mg, waits_for, temperature_c
+        As in `Watching`.
     """
 
     place: int
@@ -138,6 +181,12 @@ class DwellProgress(Event):
     samples: int
     lost: int
     accel_mg: Vector
+    spread_mg: Vector | None = None
+    angle_deg: float | None = None
+    target_deg: float | None = None
+    limit_mg: Vector | None = None
+    waits_for: str = ""
+    temperature_c: float | None = None
 
 
 @dataclass(frozen=True)
@@ -180,12 +229,106 @@ class Problem(Event):
 
     Attributes
     ----------
-    kind : {"status", "alarm", "supply", "lost", "dropped", "stillness"}
+    kind : {"status", "alarm", "supply", "lost", "dropped", "stillness"} or GuardKind
+        With a kind of a guard: what a guard would have asked, where nobody is there to answer.
     """
 
-    kind: Literal["status", "alarm", "supply", "lost", "dropped", "stillness"]
+    kind: Literal["status", "alarm", "supply", "lost", "dropped", "stillness"] | GuardKind
     message: str
     place: int
+
+
+@dataclass(frozen=True)
+class GuardRaised(Event):
+    """Something cannot be right, or not be wanted. Answers: those of `answers`, and stop.
+
+    `retake` asks for the position again, `keep` goes on with it as it is, `reverse` takes the whole
+    session as turned the other way.
+
+    Attributes
+    ----------
+    values : dict of str to float
+        The numbers behind the message, by names that end in their unit.
+    answers : tuple of str
+        Names of `Answer`; `runner.answer(name)` gives one.
+    default : str
+        The one of them that is safe.
+    """
+
+    kind: GuardKind
+    message: str
+    place: int
+    position: Position
+    values: dict[str, float]
+    answers: tuple[str, ...]
+    default: str
+
+
+@dataclass(frozen=True)
+class TurnMeasured(Event):
+    """How far the part was turned since the position before.
+
+    Attributes
+    ----------
+    asked_deg : float or None
+        Turn that the plan asks for, as the stage counts; None with free attitudes.
+    gyro_deg, gyro_u_deg : float or None
+        Integral of the gyro about the axis of rotation, and its standard uncertainty; None where the turn
+        was not watched (the program moved the stage, or there is no gyro).
+    gravity_deg : float or None
+        The same by gravity, within ±180°; with free attitudes the angle between the two directions.
+    """
+
+    place: int
+    asked_deg: float | None
+    gyro_deg: float | None
+    gyro_u_deg: float | None
+    gravity_deg: float | None
+
+
+@dataclass(frozen=True)
+class Running(Event):
+    """What the dwells so far give.
+
+    Attributes
+    ----------
+    parameters : dict
+        As in the JSON form of a fit: name to value, u and unit.
+    """
+
+    parameters: dict[str, dict[str, Any]]
+    method: str
+    dwells: int
+
+
+@dataclass(frozen=True)
+class Paused(Event):
+    """The stream is closed and nothing is judged until the operator goes on."""
+
+    place: int | None
+
+
+@dataclass(frozen=True)
+class Unpaused(Event):
+    """The session goes on: the question is put again."""
+
+    place: int | None
+
+
+@dataclass(frozen=True)
+class Noted(Event):
+    """A remark of the operator is in the archive."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Withdrawn(Event):
+    """A dwell does not count any more; it stays in the archive, marked."""
+
+    place: int
+    position: Position
+    attempt: int
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-import queue
-import threading
 from collections.abc import Generator, Iterator
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal
 
@@ -36,6 +33,7 @@ import numpy as np
 from adis_gonio.errors import AdisGonioError, SessionError, UsageError
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
 from adis_gonio.sensor.driver import Adis16354
+from adis_gonio.session.answers import Answer, Operator
 from adis_gonio.session.archive import Archive, Header, read_session, utc_now
 from adis_gonio.session.bench import Bench
 from adis_gonio.session.blocks import count_alarms
@@ -46,21 +44,25 @@ from adis_gonio.session.events import (
     Configured,
     DwellDone,
     DwellInterrupted,
-    DwellProgress,
     Event,
     ExtensionOffered,
     Finished,
+    GuardRaised,
     NoiseMeasured,
+    Noted,
+    Paused,
     PositionAsked,
     Problem,
     RepetitionOffered,
     StageMoved,
     Started,
-    Vector,
+    Unpaused,
     Waiting,
     Watching,
+    Withdrawn,
 )
 from adis_gonio.session.faults import problems
+from adis_gonio.session.live import LiveView, vector
 from adis_gonio.session.plans import Plan, Position, blindness, extended, extension
 from adis_gonio.session.recording import Recording
 from adis_gonio.session.settings import Settings
@@ -77,22 +79,14 @@ WINDOWS_TO_STILLNESS = 4
 WARMING_S = 600.0
 """Wait for another temperature, where the program sets it."""
 
+PAUSE_STEP_S = 0.1
+"""Between two looks for remarks during a pause, on the wall clock."""
+
 WAIT_STEP_S = 1.0
 """Between two looks at the clock and the operator during a wait."""
 
 
-class Answer(StrEnum):
-    """Answers to a question."""
-
-    CONFIRM = "confirm"
-    SKIP = "skip"
-    REPEAT = "repeat"
-    ACCEPT = "accept"
-    DECLINE = "decline"
-    STOP = "stop"
-
-
-class SessionRunner:
+class SessionRunner(Operator):
     """Runs a session; made by `begin` or `resume`.
 
     Answers may be given from another thread than the one that iterates over `run()`.
@@ -108,6 +102,7 @@ class SessionRunner:
         resumed: bool,
         advisor: Advisor | None = None,
     ) -> None:
+        super().__init__()
         self._bench = bench
         self._archive = archive
         self._header = archive.header()
@@ -122,10 +117,10 @@ class SessionRunner:
         self._last_place = max(self._done, key=self._done.__getitem__, default=None)
         self._limits: StillnessLimits | None = None
         self._noise_mg: Floats = np.zeros(3)
-        self._answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
-        self._allowed: frozenset[Answer] = frozenset()
-        self._stopping = threading.Event()
         self._ran = False
+        self._view = LiveView()
+        self._began_s = 0.0
+        self._taken = 0
         self._scanning: dict[str, Any] = archive.last("scanning") or {}
 
     @classmethod
@@ -229,38 +224,6 @@ class SessionRunner:
             archive.close()
             raise
 
-    # -- answers ----------------------------------------------------------------------------------
-
-    def confirm(self) -> None:
-        """The part is (or the stage may go) where it was asked to be."""
-        self._answer(Answer.CONFIRM)
-
-    def skip(self) -> None:
-        """Leave this position out."""
-        self._answer(Answer.SKIP)
-
-    def repeat(self) -> None:
-        """Do the last dwell again; the new one takes its place, the old one stays in the archive."""
-        self._answer(Answer.REPEAT)
-
-    def accept(self) -> None:
-        """Go on with the extension that was offered."""
-        self._answer(Answer.ACCEPT)
-
-    def decline(self) -> None:
-        """End with the plan as it was."""
-        self._answer(Answer.DECLINE)
-
-    def stop(self) -> None:
-        """End the session now; a dwell in hand is archived as interrupted. It can be resumed."""
-        self._stopping.set()
-
-    def _answer(self, answer: Answer) -> None:
-        if answer not in self._allowed:
-            asked = ", ".join(sorted(self._allowed)) or "nothing"
-            raise UsageError(f"'{answer}' answers no question that stands (open: {asked})")
-        self._answers.put(answer)
-
     # -- the machine ------------------------------------------------------------------------------
 
     def run(self) -> Iterator[Event]:
@@ -295,7 +258,7 @@ class SessionRunner:
 
     def _prepare(self) -> Iterator[Event]:
         bench, archive = self._bench, self._archive
-        began_s = bench.now_s
+        self._began_s = began_s = bench.now_s
         yield Started(
             str(archive.path),
             bench.source.url,
@@ -324,20 +287,10 @@ class SessionRunner:
 
     def _measure_noise(self) -> Generator[Event, None, list[float] | None]:
         bench = self._bench
-        expected = bench.source.expected_noise_mg(bench.configuration)
-        meter = NoiseMeter(bench.window, expected)
-        deadline = bench.now_s + bench.settings.still_timeout_s + meter.least_samples * bench.period_s
         noise: Floats | None = None
-        for block in bench.scans():
-            noise = meter.feed(block.accel_mg)
-            yield Watching("measuring", _vector(meter.mean_mg), _vector(meter.spread_mg))
-            if noise is not None or self._stopping.is_set():
-                break
-            if bench.now_s > deadline:
-                raise SessionError(
-                    f"the sensor does not come to rest: a sample varies by {max(meter.spread_mg):.3g} mg,"
-                    f" its noise should be about {expected:.2g} mg; put it on a quiet support and resume"
-                )
+        while noise is None and not self._stopping.is_set():
+            yield from self._heed(None)
+            noise = yield from self._meter_noise()
         bench.close_stream()
         self._tell_scanning()
         if noise is None:
@@ -347,85 +300,169 @@ class SessionRunner:
         self._note("noise", measured)
         return measured
 
+    def _meter_noise(self) -> Generator[Event, None, Floats | None]:
+        """The noise at rest; None where the operator stops or pauses, or has to be told what is wrong."""
+        bench = self._bench
+        expected = bench.source.expected_noise_mg(bench.configuration)
+        meter = NoiseMeter(bench.window, expected)
+        deadline = bench.now_s + bench.settings.still_timeout_s + meter.least_samples * bench.period_s
+        for block in bench.scans():
+            noise = meter.feed(block.accel_mg)
+            self._view.see(block)
+            yield self._view.watching(
+                "measuring", meter.mean_mg, meter.spread_mg, None, "the part to lie still"
+            )
+            if noise is not None or self._stopping.is_set() or self._pausing.is_set():
+                return noise
+            if bench.now_s > deadline:
+                message = (
+                    f"the sensor does not come to rest: a sample varies by {max(meter.spread_mg):.3g} mg,"
+                    f" its noise should be about {expected:.2g} mg; put it on a quiet support"
+                )
+                if self._auto:
+                    raise SessionError(f"{message} and resume")
+                yield self._problem(Problem("stillness", message, self._next_place() or 0))
+                return None
+        return None
+
     def _limit(self, noise: list[float]) -> NoiseMeasured:
         bench = self._bench
         quantum = bench.source.part.step_mg
         limits = limits_from_noise(np.array(noise), bench.window, quantum)
         self._limits = limits
+        self._view.limit_mg = vector(limits.upper)
         self._noise_mg = np.maximum(noise, quantum / math.sqrt(12))
         return NoiseMeasured(
-            _vector(noise), _vector(limits.upper), _vector(limits.lower), bench.window * bench.period_s
+            vector(noise), vector(limits.upper), vector(limits.lower), bench.window * bench.period_s
         )
 
     def _visit(self) -> Iterator[Event]:
         while not self._stopping.is_set():
             place = self._next_place()
+            yield from self._heed(place)
             if place is None and self._faulty:
-                yield from self._offer_repetition()
-                continue
-            if place is None:
+                answer = yield from self._offer_repetition()
+            elif place is None:
                 answer = yield from self._offer_extension()
             else:
-                answer = yield from self._ask(
-                    PositionAsked(
-                        place,
-                        self._plan.positions[place],
-                        len(self._done) + len(self._skipped) + 1,
-                        len(self._plan),
-                        self._last_place is not None,
-                    ),
-                    {Answer.CONFIRM, Answer.SKIP},
-                    Answer.CONFIRM,
-                )
-            if answer is Answer.REPEAT and self._last_place is not None:
-                yield from self._dwell(self._last_place)
-            elif answer is Answer.CONFIRM and place is not None:
-                yield from self._dwell(place)
-            elif answer is Answer.SKIP and place is not None:
-                self._note("skipped", place)
-                self._skipped.add(place)
-            elif answer is not Answer.ACCEPT:
+                answer = yield from self._ask_position(place)
+            if not (yield from self._carry_out(answer, place)):
                 return
+
+    def _carry_out(self, answer: Answer, place: int | None) -> Generator[Event, None, bool]:
+        """Do what was answered; False where that ends the session."""
+        if answer is Answer.REPEAT and self._last_place is not None:
+            yield from self._dwell(self._last_place)
+        elif answer is Answer.UNDO and self._last_place is not None:
+            yield self._withdraw(self._last_place)
+        elif answer is Answer.CONFIRM and place is not None:
+            yield from self._dwell(place)
+        elif answer is Answer.SKIP and place is not None:
+            self._skip(place)
+        else:
+            return answer is Answer.ACCEPT
+        return True
+
+    def _ask_position(self, place: int) -> Generator[Event, None, Answer]:
+        position = self._plan.positions[place]
+        asked = PositionAsked(
+            place,
+            position,
+            len(self._done) + len(self._skipped) + 1,
+            len(self._plan),
+            self._last_place is not None,
+            self._time_left_s(),
+            self._last_place is not None,
+        )
+        self._view.target = position
+        return (yield from self._ask(asked, {Answer.CONFIRM, Answer.SKIP}, Answer.CONFIRM, place))
+
+    def _skip(self, place: int) -> None:
+        self._note("skipped", place)
+        self._skipped.add(place)
+
+    def _withdraw(self, place: int) -> Withdrawn:
+        """Take a dwell out of the session: it stays in the archive, marked."""
+        number = self._done.pop(place)
+        self._note("withdrawn", number)
+        self._faulty.discard(place)
+        self._last_place = max(self._done, key=self._done.__getitem__, default=None)
+        return Withdrawn(place, self._plan.positions[place], number)
+
+    def _time_left_s(self) -> float:
+        """How long the positions that are left take, by how long those of this run took."""
+        bench, left = self._bench, len(self._plan) - len(self._done) - len(self._skipped)
+        each = bench.settle_s + bench.settings.dwell_s
+        if self._taken:
+            each = max(each, (bench.now_s - self._began_s) / self._taken)
+        open_places = (k for k in range(len(self._plan)) if k not in self._done and k not in self._skipped)
+        return left * each + sum(self._plan.positions[k].wait_s for k in open_places)
 
     def _next_place(self) -> int | None:
         places = range(len(self._plan))
         return next((k for k in places if k not in self._done and k not in self._skipped), None)
 
     def _ask(
-        self, question: Event, answers: set[Answer], default: Answer
+        self, question: Event, answers: set[Answer], default: Answer, place: int | None = None
     ) -> Generator[Event, None, Answer]:
-        self._allowed = frozenset(answers if self._last_place is None else answers | {Answer.REPEAT})
+        """Put a question until it is answered; after a pause it is put again."""
+        if self._last_place is not None and not isinstance(question, GuardRaised):
+            answers = answers | {Answer.REPEAT, Answer.UNDO}
         idle: _Idle | None = None
         try:
-            yield question
             while not self._stopping.is_set():
-                try:
-                    return self._answers.get_nowait()
-                except queue.Empty:
+                self._open(frozenset(answers))
+                yield question
+                while not (self._stopping.is_set() or self._pausing.is_set()):
+                    if (answer := self._given()) is not None:
+                        return answer
                     if self._auto:
                         return default
-                idle = idle or _Idle(self._bench)
-                yield idle.look()
+                    yield from self._keep_remarks(place)
+                    idle = idle or _Idle(self._bench, self._view)
+                    yield idle.look()
+                idle = None
+                yield from self._heed(place)
             return Answer.STOP
         finally:
-            self._allowed = frozenset()
+            self._open(frozenset())
             self._bench.close_stream()
 
-    def _offer_repetition(self) -> Iterator[Event]:
+    def _heed(self, place: int | None) -> Iterator[Event]:
+        """Keep what the operator has remarked, and pause where that was asked for."""
+        yield from self._keep_remarks(place)
+        if not self._pausing.is_set():
+            return
+        self._open(frozenset())
+        self._bench.close_stream()
+        self._note("paused", place)
+        yield Paused(place)
+        while self._pausing.is_set() and not self._stopping.is_set():
+            yield from self._keep_remarks(place)
+            self._going_on.wait(PAUSE_STEP_S)
+        self._note("unpaused", {"place": place})
+        yield Unpaused(place)
+
+    def _keep_remarks(self, place: int | None) -> Iterator[Event]:
+        for remark in self._said():
+            self._note("remark", {"text": remark.text, "utc": remark.utc, "place": place})
+            yield Noted(remark.text)
+
+    def _offer_repetition(self) -> Generator[Event, None, Answer]:
         """Ask about dwells with a fault: repeat them, or keep them as they are, which is recorded."""
         places = sorted(self._faulty)
         where = tuple(self._plan.positions[place] for place in places)
         offer = RepetitionOffered(tuple(places), where)
         answer = yield from self._ask(offer, {Answer.ACCEPT, Answer.DECLINE}, Answer.DECLINE)
-        if answer is Answer.REPEAT and self._last_place is not None:
-            places = [self._last_place]
-        elif answer is Answer.DECLINE:
+        if answer is Answer.DECLINE:
             self._note("kept", [self._done[place] for place in places])
             self._faulty.clear()
-        if answer in (Answer.ACCEPT, Answer.REPEAT):
+            return Answer.ACCEPT
+        if answer is Answer.ACCEPT:
             for place in places:
                 if not self._stopping.is_set():
                     yield from self._dwell(place)
+        return answer
 
     def _offer_extension(self) -> Generator[Event, None, Answer]:
         longer = extension(self._plan, len(self._done))
@@ -497,7 +534,7 @@ class SessionRunner:
             yield StageMoved(position)
         if (yield from self._wait(place, position.wait_s)):
             # An attempt without scans keeps the move, which a resumed simulation has to live through.
-            yield self._interrupted(recording, "stopped by the operator")
+            yield self._interrupted(recording, self._why_ended())
             return
         for _ in range(MOST_RESTARTS):
             reason = yield from self._record_or_keep(recording)
@@ -505,7 +542,7 @@ class SessionRunner:
                 yield from self._complete(recording)
                 return
             yield self._interrupted(recording, reason)
-            if self._stopping.is_set():
+            if self._stopping.is_set() or self._pausing.is_set():
                 return
             if recording.timed_out:
                 break
@@ -517,14 +554,18 @@ class SessionRunner:
         yield self._problem(Problem("stillness", message, place))
 
     def _wait(self, place: int, length_s: float) -> Generator[Event, None, bool]:
-        """Wait before a dwell; True where the operator stopped it."""
+        """Wait before a dwell; True where the operator stopped or paused it."""
         end_s = self._bench.now_s + length_s
         while length_s > 0 and (left := end_s - self._bench.now_s) > 0:
-            if self._stopping.is_set():
+            if self._stopping.is_set() or self._pausing.is_set():
                 return True
+            yield from self._keep_remarks(place)
             yield Waiting(place, length_s - left, length_s)
             self._bench.source.sleep_s(min(left, WAIT_STEP_S))
         return False
+
+    def _why_ended(self) -> str:
+        return f"{'stopped' if self._stopping.is_set() else 'paused'} by the operator"
 
     def _new_recording(self, place: int) -> Recording:
         bench = self._bench
@@ -555,30 +596,30 @@ class SessionRunner:
         look: Look | None = None
         for block in self._bench.scans():
             recording.add(block)
+            self._view.see(block)
             for look in watch.feed(block.accel_mg):
                 disturbed = _disturbance(recording, look)
                 if disturbed is not None:
                     return disturbed
             if recording.try_begin():
                 watch.anchor(recording.begin)
-            if self._stopping.is_set():
-                return "stopped by the operator"
+            if self._stopping.is_set() or self._pausing.is_set():
+                return self._why_ended()
+            yield from self._keep_remarks(recording.place)
             if look is None:
                 continue
             if recording.begun:
                 if recording.complete(look.end):
                     return None
-                yield DwellProgress(
-                    recording.place,
-                    recording.elapsed_s,
-                    self._bench.settings.dwell_s,
-                    recording.samples,
-                    recording.lost,
-                    _vector(look.mean_mg),
+                yield self._view.progress(
+                    recording, look.mean_mg, look.spread_mg, self._bench.settings.dwell_s
                 )
                 continue
             state: Literal["settling", "moving"] = "settling" if recording.is_still else "moving"
-            yield Watching(state, _vector(look.mean_mg), _vector(look.spread_mg))
+            waits_for = "the part to settle" if recording.is_still else f"rest: {recording.why_moving}"
+            yield self._view.watching(
+                state, look.mean_mg, look.spread_mg, recording.position.angle_deg, waits_for
+            )
             if recording.waited_s > patience_s:
                 recording.timed_out = True
                 return f"not still within {recording.waited_s:.0f} s ({recording.why_moving})"
@@ -609,9 +650,10 @@ class SessionRunner:
         if attempt.status or alarms:
             self._faulty.add(place)
         self._done[place] = number
+        self._taken += 1
         self._skipped.discard(place)
         self._last_place = place
-        mean = _vector(scans.accel_mg.mean(axis=0))
+        mean = vector(scans.accel_mg.mean(axis=0))
         yield DwellDone(place, recording.position, number, len(scans), scans.lost, mean, alarms)
         for problem in found:
             yield self._problem(problem)
@@ -634,6 +676,8 @@ class SessionRunner:
 
     def _finish(self) -> Finished:
         complete = self._next_place() is None
+        for _ in self._keep_remarks(None):
+            pass
         self._bench.close()  # what was changed for the scans alone is set back first
         self._note("registers-after", self._bench.source.registers())
         self._note("truth", self._bench.truth(self._archive.dwells()))
@@ -646,22 +690,26 @@ class SessionRunner:
 class _Idle:
     """The newest samples while a question stands."""
 
-    def __init__(self, bench: Bench) -> None:
+    def __init__(self, bench: Bench, view: LiveView) -> None:
         self._stream = bench.scans()
         self._window = bench.window
+        self._view = view
         self._kept = np.empty((0, 3))
 
     def look(self) -> Watching:
         for block in self._stream:
+            self._view.see(block)
             self._kept = np.concatenate([self._kept, block.accel_mg])[-self._window :]
             if len(self._kept) > 1:
                 break
-        return Watching("idle", _vector(self._kept.mean(axis=0)), _vector(self._kept.std(axis=0, ddof=1)))
-
-
-def _vector(values: Any) -> Vector:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
+        target = self._view.target
+        return self._view.watching(
+            "idle",
+            self._kept.mean(axis=0),
+            self._kept.std(axis=0, ddof=1),
+            None if target is None else target.angle_deg,
+            "an answer",
+        )
 
 
 def _disturbance(recording: Recording, look: Look) -> str | None:

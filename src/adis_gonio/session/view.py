@@ -105,9 +105,17 @@ class ArchiveView:
         ]  # fmt: skip
 
     def dwells(self) -> list[StoredAttempt]:
-        """Complete dwells in the order in which they were recorded; of a repeated one the last."""
+        """Complete dwells in the order in which they were recorded; of a repeated one the last.
+
+        A place whose last dwell was withdrawn has none: it is to be done again.
+        """
         latest = {a.place: a.number for a in self.attempts() if a.outcome == "complete"}
-        return [a for a in self.attempts() if latest.get(a.place) == a.number and a.outcome == "complete"]
+        counted = set(latest.values()) - self.withdrawn()
+        return [a for a in self.attempts() if a.number in counted]
+
+    def withdrawn(self) -> set[int]:
+        """Numbers of the complete attempts that the operator took back."""
+        return {record.value for record in self.records("withdrawn")}
 
     def faulty(self) -> list[StoredAttempt]:
         """Dwells with a fault or alarm (STATUS after them, EA within) that nobody chose to keep."""

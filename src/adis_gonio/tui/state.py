@@ -13,9 +13,7 @@ from adis_gonio.session.plans import Plan, Position
 
 MOST_MESSAGES = 100
 
-Question = (
-    events.PositionAsked | events.GuardRaised | events.RepetitionOffered | events.ExtensionOffered
-)
+Question = events.PositionAsked | events.GuardRaised | events.RepetitionOffered | events.ExtensionOffered
 
 
 class Mark(Enum):
@@ -134,7 +132,7 @@ class BenchState:
 
     @property
     def more_deg(self) -> float | None:
-        """How far the part has to be turned on, positive as the stage counts; None where that is unknown."""
+        """How far the part has to be turned on, positive as the stage counts; None where unknown."""
         if self.angle_deg is None or self.target_deg is None:
             return None
         return self.target_deg - self.angle_deg
@@ -210,6 +208,7 @@ class BenchState:
 
     def _ask(self, question: Question) -> None:
         self.question, self.span, self.paused = question, None, False
+        self.waits_for = "your answer"
 
     @take.register
     def _(self, event: events.StageMoved) -> None:
@@ -279,7 +278,8 @@ class BenchState:
         x, y, z = event.accel_mg
         lost = f", {event.lost} lost" if event.lost else ""
         lost += f", {event.alarms} with an error or alarm" if event.alarms else ""
-        self.say(f"✓ {event.position}: x {x:+.2f}, y {y:+.2f}, z {z:+.2f} mg{lost}")
+        mean = f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} mg".replace("-", "−")
+        self.say(f"✓ {event.position}: {mean}{lost}")
 
     @take.register
     def _(self, event: events.DwellInterrupted) -> None:

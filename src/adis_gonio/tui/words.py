@@ -5,19 +5,23 @@ from __future__ import annotations
 from adis_gonio.report.numbers import uncertain, with_unit
 from adis_gonio.session import events
 from adis_gonio.session.plans import Position, attitude
-from adis_gonio.tui.state import BenchState
+from adis_gonio.tui.state import BenchState, Mark
 
 ON_TARGET_DEG = 0.05
 """Below this nothing is said of a turn: it would read 0.0°."""
 
 
+_SETTLED = (Mark.DONE, Mark.FAULTY, Mark.SKIPPED)
+
+
 def title(state: BenchState) -> str:
-    """First line: plan, how far, where it is recorded."""
+    """First line: plan, how far, how much longer, where it is recorded."""
     if state.plan is None:
         return "adis-gonio"
     total = len(state.plan)
-    settled = sum(place not in (None, state.place) for place in state.marks)
-    return f"{state.plan.name}: {settled} of {total} positions · {state.variant} · {state.path}"
+    settled = sum(state.mark(place) in _SETTLED for place in range(total))
+    left = "" if state.time_left_s is None else f", about {duration(state.time_left_s)} left"
+    return f"{state.plan.name}: {settled} of {total} done{left} · {state.variant} · {state.path}"
 
 
 def place_name(position: Position) -> str:
@@ -26,7 +30,11 @@ def place_name(position: Position) -> str:
         where = "attitude" if position.direction is None else _axes(position)
     else:
         where = f"{position.angle_deg:g}°"
-    return where + {-1: " from above"}.get(position.approach, "") + (" check" if position.use == "check" else "")
+    return (
+        where
+        + {-1: " from above"}.get(position.approach, "")
+        + (" check" if position.use == "check" else "")
+    )
 
 
 def _axes(position: Position) -> str:
@@ -64,6 +72,8 @@ def task(state: BenchState) -> str:
         return question.message
     if state.span is not None and state.span.what == "dwell":
         return f"{state.position}: hands off, recording" if state.position else "recording"
+    if state.position is not None:
+        return f"{state.position}: {state.doing}"
     return state.doing[:1].upper() + state.doing[1:]
 
 
@@ -136,15 +146,18 @@ def bar(share: float, width: int) -> str:
     return "█" * filled + "░" * (width - filled)
 
 
-def facts(state: BenchState) -> list[tuple[str, str]]:
-    """Rows of name and value below the angle."""
+def facts(state: BenchState, silence_s: float = 0.0) -> list[tuple[str, str]]:
+    """Rows of name and value below the angle; `silence_s` is how long nothing has come from the sensor."""
+    link = "–"
+    if state.rate_hz is not None:
+        link = f"{state.lost} scans lost of {state.rate_hz:.4g}/s {state.link}, {state.url}"
+    if silence_s:
+        link = f"NO NEWS for {duration(silence_s)}; {link}"
     return [
         ("last turn", _turn(state.turn)),
         ("result", _running(state.running)),
-        ("time left", _time_left(state)),
         ("part", _temperature(state)),
-        ("scans", f"{state.lost} lost" + (f", {state.rate_hz:.4g}/s" if state.rate_hz else "")),
-        ("link", f"{state.url} {state.link}".strip() or "–"),
+        ("link", link),
     ]
 
 
@@ -175,13 +188,7 @@ def _running(running: events.Running | None) -> str:
             said.append(f"{symbol} {with_unit(uncertain(entry['value'], entry['u']), entry['unit'])}")
     if not said:
         return f"{running.dwells} dwells, by {running.method}"
-    return "   ".join(said) + f"   ({running.method}, {running.dwells} dwells)"
-
-
-def _time_left(state: BenchState) -> str:
-    if state.time_left_s is None:
-        return "–"
-    return f"about {duration(state.time_left_s)} from the last position on"
+    return "\n".join(said) + f"   ({running.method}, {running.dwells} dwells)"
 
 
 def duration(seconds: float) -> str:
@@ -205,3 +212,50 @@ def _signed(value: float, digits: int) -> str:
 
 def _signless(value: float) -> str:
     return f"{value:g}".replace("-", "−")
+
+
+_UNITS = {
+    "deg": "°", "mg": " mg", "c": " °C", "v": " V", "s": " s", "dps": " °/s", "k": " K", "percent": " %",
+}  # fmt: skip
+
+
+def measured(name: str, value: float) -> tuple[str, str]:
+    """A number by a name that ends in its unit, such as `gyro_deg`, as words."""
+    stem, _, unit = name.rpartition("_")
+    if not stem or unit not in _UNITS:
+        return name.replace("_", " "), f"{value:.4g}".replace("-", "−")
+    return stem.replace("_", " "), f"{value:.4g}".replace("-", "−") + _UNITS[unit]
+
+
+def keys(state: BenchState) -> list[tuple[str, str]]:
+    """Keys that do something now, with their words."""
+    asked = state.question if isinstance(state.question, events.PositionAsked) else None
+    shown = [("Enter", "take")] if asked is not None else []
+    if asked is not None and asked.can_repeat:
+        shown.append(("t", "retake"))
+    if asked is not None:
+        shown.append(("s", "skip"))
+    if asked is not None and asked.can_undo:
+        shown.append(("u", "undo"))
+    return [
+        *shown,
+        ("p", "go on" if state.paused else "pause"),
+        ("n", "note"),
+        ("q", "quit"),
+        ("?", "help"),
+    ]
+
+
+HELP = """\
+Enter  take: the part is at the position that is asked for
+t      take the last dwell again; the old one stays in the file
+s      skip this position
+u      undo: withdraw the last dwell, its position is asked again
+p      pause, and go on; nothing is measured meanwhile
+n      a note, kept with the session
+q      quit; all that is recorded stays, --resume goes on with it
+Ctrl-C quit at once
+
+▶ now   ✓ done   – skipped   ! fault   ↶ again   · to do
+The angle is positive for the stage's positive turn. No question has a
+time limit."""

@@ -1,0 +1,146 @@
+"""What an operator says to a running session: answers, notes, pause and stop, from any thread."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from dataclasses import dataclass
+from enum import StrEnum
+
+from adis_gonio.errors import UsageError
+from adis_gonio.session.rows import utc_now
+
+
+class Answer(StrEnum):
+    """Answers to a question."""
+
+    CONFIRM = "confirm"
+    SKIP = "skip"
+    REPEAT = "repeat"
+    UNDO = "undo"
+    KEEP = "keep"
+    RETAKE = "retake"
+    REVERSE = "reverse"
+    ACCEPT = "accept"
+    DECLINE = "decline"
+    STOP = "stop"
+
+
+@dataclass(frozen=True)
+class Remark:
+    """A note of the operator.
+
+    Attributes
+    ----------
+    utc : str
+        Wall clock at which it was given.
+    """
+
+    text: str
+    utc: str
+
+
+class Operator:
+    """The operator's side of a session; every method may be called from any thread."""
+
+    def __init__(self) -> None:
+        self._answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+        self._remarks: queue.SimpleQueue[Remark] = queue.SimpleQueue()
+        self._allowed: frozenset[Answer] = frozenset()
+        self._stopping = threading.Event()
+        self._pausing = threading.Event()
+        self._going_on = threading.Event()
+
+    def answer(self, answer: Answer | str) -> None:
+        """Answer the question that stands, by the answer's name; one of `GuardRaised.answers`, say.
+
+        Raises
+        ------
+        UsageError
+            It is no answer to a question that stands.
+        """
+        answer = Answer(answer)
+        if answer is Answer.STOP:
+            self.stop()
+            return
+        if answer not in self._allowed:
+            asked = ", ".join(sorted(self._allowed)) or "nothing"
+            raise UsageError(f"'{answer}' answers no question that stands (open: {asked})")
+        self._answers.put(answer)
+
+    def confirm(self) -> None:
+        """The part is (or the stage may go) where it was asked to be."""
+        self.answer(Answer.CONFIRM)
+
+    def skip(self) -> None:
+        """Leave this position out."""
+        self.answer(Answer.SKIP)
+
+    def repeat(self) -> None:
+        """Do the last dwell again; the new one takes its place, the old one stays in the archive."""
+        self.answer(Answer.REPEAT)
+
+    def undo(self) -> None:
+        """Withdraw the newest dwell: it stays in the archive, marked, and its position is asked again."""
+        self.answer(Answer.UNDO)
+
+    def keep(self) -> None:
+        """Keep what a guard stopped at, as it is; what cannot be right is told at the end."""
+        self.answer(Answer.KEEP)
+
+    def retake(self) -> None:
+        """Go back to the position that a guard stopped at: it is asked for again."""
+        self.answer(Answer.RETAKE)
+
+    def reverse(self) -> None:
+        """The stage's angles count the other way: take the whole session so."""
+        self.answer(Answer.REVERSE)
+
+    def accept(self) -> None:
+        """Go on with what was offered."""
+        self.answer(Answer.ACCEPT)
+
+    def decline(self) -> None:
+        """Leave what was offered."""
+        self.answer(Answer.DECLINE)
+
+    def stop(self) -> None:
+        """End the session now; a dwell in hand is archived as interrupted. It can be resumed."""
+        self._stopping.set()
+
+    def pause(self) -> None:
+        """Close the stream and judge nothing until `unpause`; a dwell in hand is archived as broken off."""
+        self._going_on.clear()
+        self._pausing.set()
+
+    def unpause(self) -> None:
+        """Go on after a pause: the question is put again."""
+        self._pausing.clear()
+        self._going_on.set()
+
+    def note(self, text: str) -> None:
+        """Keep a remark with the session, with its time and place."""
+        if text.strip():
+            self._remarks.put(Remark(text.strip(), utc_now()))
+
+    def _open(self, answers: frozenset[Answer]) -> None:
+        """Let a question stand: what was said to another one is forgotten."""
+        while not self._answers.empty():
+            self._answers.get_nowait()
+        self._allowed = answers
+
+    def _given(self) -> Answer | None:
+        """The answer to the question that stands; None while there is none."""
+        try:
+            answer = self._answers.get_nowait()
+        except queue.Empty:
+            return None
+        self._allowed = frozenset()
+        return answer
+
+    def _said(self) -> list[Remark]:
+        """Remarks that have not been archived yet."""
+        remarks = []
+        while not self._remarks.empty():
+            remarks.append(self._remarks.get_nowait())
+        return remarks

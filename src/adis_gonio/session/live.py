@@ -1,0 +1,97 @@
+"""What a front end sees of the sensor between events: angle, spread, temperature, losses."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+import numpy as np
+
+from adis_gonio.model.records import Floats
+from adis_gonio.session.blocks import Block, session_columns
+from adis_gonio.session.events import DwellProgress, Vector, Watching
+from adis_gonio.session.plans import Position
+from adis_gonio.session.recording import Recording
+
+
+class LiveView:
+    """Makes the events that tell of the sensor from what has been seen of it so far.
+
+    Attributes
+    ----------
+    limit_mg : Vector or None
+        Standard deviation below which a window is still.
+    target : Position or None
+        Where the part is asked to be.
+    planar : bool
+        False where attitudes are free, so that there is no angle.
+    """
+
+    def __init__(self, *, planar: bool = True) -> None:
+        self.limit_mg: Vector | None = None
+        self.target: Position | None = None
+        self.planar = planar
+        self._temperature_c: float | None = None
+        self._lost = 0
+
+    def see(self, block: Block) -> None:
+        """Take scans."""
+        self._lost += block.lost
+        columns = session_columns(block)
+        if "temp_c" in columns and len(block):
+            self._temperature_c = float(columns["temp_c"][-1])
+
+    def angle_deg(self, accel_mg: Floats, target_deg: float | None) -> float | None:
+        """Angle by gravity as the stage counts, on the turn that is nearest to the target."""
+        if not self.planar:
+            return None
+        angle = -math.degrees(math.atan2(accel_mg[1], accel_mg[0]))
+        near = 0.0 if target_deg is None else target_deg
+        return near + (angle - near + 180.0) % 360.0 - 180.0
+
+    def watching(
+        self,
+        state: Literal["idle", "measuring", "moving", "settling"],
+        accel_mg: Floats,
+        spread_mg: Floats,
+        target_deg: float | None,
+        waits_for: str,
+    ) -> Watching:
+        """The event of a look outside a dwell."""
+        return Watching(
+            state,
+            vector(accel_mg),
+            vector(spread_mg),
+            self.angle_deg(accel_mg, target_deg),
+            target_deg,
+            self.limit_mg,
+            waits_for,
+            self._temperature_c,
+            self._lost,
+        )
+
+    def progress(
+        self, recording: Recording, accel_mg: Floats, spread_mg: Floats, length_s: float
+    ) -> DwellProgress:
+        """The event of a look within a dwell."""
+        target_deg = recording.position.angle_deg
+        return DwellProgress(
+            recording.place,
+            recording.elapsed_s,
+            length_s,
+            recording.samples,
+            recording.lost,
+            vector(accel_mg),
+            vector(spread_mg),
+            self.angle_deg(accel_mg, target_deg),
+            target_deg,
+            self.limit_mg,
+            "the dwell to end",
+            self._temperature_c,
+        )
+
+
+def vector(values: Any) -> Vector:
+    """Three numbers as floats."""
+    x, y, z = (float(value) for value in np.asarray(values))
+    return x, y, z
