@@ -21,6 +21,7 @@ _HOMES = {
     "FitResult": "adis_gonio.fitting",
     "trace": "adis_gonio.tracing",
     "TraceResult": "adis_gonio.tracing",
+    "Calibration": "adis_gonio.calibration",
     "AdisGonioError": "adis_gonio.errors",
 }
 
@@ -28,6 +29,7 @@ __all__ = ["__version__", *sorted(_HOMES)]  # noqa: PLE0604 (all are strings)
 
 if TYPE_CHECKING:
     from adis_gonio.bus import open_bus as open_bus
+    from adis_gonio.calibration import Calibration as Calibration
     from adis_gonio.errors import AdisGonioError as AdisGonioError
     from adis_gonio.fitting import FitResult as FitResult
     from adis_gonio.fitting import fit as fit
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
     from adis_gonio.sensor import open_sensor as open_sensor
     from adis_gonio.session import load_session as load_session
     from adis_gonio.tracing import TraceResult as TraceResult
-    from adis_gonio.tracing import trace as trace
+    from adis_gonio.tracing.trace import trace as trace
 
 
 def __getattr__(name: str) -> Any:

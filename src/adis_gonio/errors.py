@@ -17,6 +17,7 @@ error                  who acts
 `ChipError` and below  the sensor, its wiring or its supply
 `FitError` and below   the plan of the session: the data do not determine what was asked
 `SessionError`         the operator or the archive
+`OutputError`          whoever owns the disk: a file cannot be written
 =====================  =================================================================
 """
 
@@ -97,3 +98,7 @@ class SingularError(FitError):
 
 class SessionError(AdisGonioError):
     """A session cannot go on, or its archive cannot be read or written."""
+
+
+class OutputError(AdisGonioError):
+    """A file that was asked for cannot be written; what was there before is as it was."""

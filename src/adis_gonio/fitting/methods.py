@@ -12,6 +12,7 @@ from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.closed_form import LEAST_MMPM, fit_mmpm, fit_paper, fit_positions, rows_at
 from adis_gonio.fitting.likelihood import fit_ml
 from adis_gonio.fitting.result import FitResult
+from adis_gonio.model.provenance import provenance_of
 from adis_gonio.model.records import Session
 
 METHODS = ("paper", "two-position", "four-position", "mmpm", "ml")
@@ -52,7 +53,8 @@ def fit(session: Session, method: str | None = None) -> FitResult:
         if not session.source:
             raise
         raise type(error)(f"{session.source}: {error}") from error
-    return replace(result, warnings=(*session.notes, *result.warnings))
+    warnings = (*session.notes, *result.warnings)
+    return replace(result, warnings=warnings, provenance=provenance_of(session))
 
 
 def fit_readings(readings: Readings, method: str | None = None) -> FitResult:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from adis_gonio.model.provenance import Provenance
 from adis_gonio.model.records import Floats
+
+if TYPE_CHECKING:
+    from adis_gonio.calibration import Calibration
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,8 @@ class FitResult:
         Standard deviation per reading and axis beyond the measured noise, which the residual demanded.
     fixture_sigma_deg : float or None
         Standard uncertainty of a declared angle that was used; inf free; None in space.
+    provenance : Provenance or None
+        Where the readings come from; None where no session was given.
     """
 
     method: str
@@ -65,6 +71,7 @@ class FitResult:
     undetermined: tuple[str, ...] = ()
     extra_mg: float = 0.0
     fixture_sigma_deg: float | None = None
+    provenance: Provenance | None = field(default=None, repr=False, compare=False)
 
     def __getitem__(self, name: str) -> Estimate:
         """Estimate by name; `KeyError` where the session does not determine it."""
@@ -80,6 +87,20 @@ class FitResult:
     def residual_rms_mg(self) -> float:
         """Root mean square of the residuals in mg."""
         return float(np.sqrt(np.mean(self.residual_mg**2)))
+
+    def calibration(self) -> Calibration:
+        """What turns readings into angles by these parameters.
+
+        Raises
+        ------
+        UsageError
+            The result was made from readings, not from a session.
+        FitError
+            The session does not determine what an angle needs.
+        """
+        from adis_gonio.calibration.building import calibration_of_fit
+
+        return calibration_of_fit(self)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON document of `fit`."""

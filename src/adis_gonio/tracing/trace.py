@@ -14,6 +14,7 @@ from adis_gonio.errors import FitError, UsageError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.estimation.terms import Term
+from adis_gonio.model.provenance import provenance_of
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
@@ -67,11 +68,13 @@ def trace(session: Session, max_effects: int = 6, time_limit: float | None = Non
         A time limit that is not positive.
     """
     if time_limit is None:
-        return _trace(session, max_effects)
-    if not time_limit > 0:
+        result = _trace(session, max_effects)
+    elif not time_limit > 0:
         raise UsageError(f"a time limit of {time_limit:g} s: give a positive number of seconds")
-    with within(Budget(time_limit, current().tell)):
-        return _trace(session, max_effects)
+    else:
+        with within(Budget(time_limit, current().tell)):
+            result = _trace(session, max_effects)
+    return replace(result, provenance=provenance_of(session))
 
 
 def _trace(session: Session, max_effects: int) -> TraceResult:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from adis_gonio.budget import Budget
 from adis_gonio.dwells.finding import WithinFinding
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.values import Detectable, Value, finite_or_none
+from adis_gonio.model.provenance import Provenance
 from adis_gonio.tracing.outcome.sets import CredibleSet
+
+if TYPE_CHECKING:
+    from adis_gonio.calibration import Calibration
 
 
 @dataclass(frozen=True)
@@ -307,6 +311,8 @@ class TraceResult:
         Factor on the noise variance at which uncertainties are stated.
     stopped : Stopped or None
         What the time limit left out, where it ended the trace.
+    provenance : Provenance or None
+        Where the readings come from; None where no session was given.
     """
 
     adequate: bool
@@ -329,6 +335,24 @@ class TraceResult:
     fits: tuple[Fit, ...] = field(default=(), repr=False, compare=False)
     inflation: float = 1.0
     stopped: Stopped | None = None
+    provenance: Provenance | None = field(default=None, repr=False, compare=False)
+
+    def calibration(self) -> Calibration:
+        """What turns readings into angles by the final model.
+
+        Effects that are functions of the reading, the temperature or the supply are corrected; what belongs
+        to the bench is listed as not corrected.
+
+        Raises
+        ------
+        UsageError
+            The result was made from readings, not from a session.
+        FitError
+            One pose only, or a trace that its time limit ended before it was checked.
+        """
+        from adis_gonio.calibration.building import calibration_of_trace
+
+        return calibration_of_trace(self)
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `trace`."""

@@ -1,0 +1,49 @@
+"""`load_calibration`: from a JSON file, or from a session that is fitted."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from adis_gonio.calibration.calibration import Calibration
+from adis_gonio.calibration.document import calibration_from
+from adis_gonio.errors import DataError
+
+
+def load_calibration(path: str | Path, method: str | None = None) -> Calibration:
+    """Calibration of a JSON file, or of a session by `fit`; told apart by the first character.
+
+    Parameters
+    ----------
+    method : str, optional
+        Of the fit, where the file is a session.
+
+    Raises
+    ------
+    DataError
+        The file is neither, or is damaged.
+    FitError
+        The session does not determine a calibration.
+    """
+    path = Path(path)
+    document = _json_of(path)
+    if document is not None:
+        return calibration_from(document, str(path))
+    from adis_gonio.fitting import fit
+    from adis_gonio.session import load_session
+
+    return fit(load_session(path), method=method).calibration()
+
+
+def _json_of(path: Path) -> Any:
+    """Document of a file that begins as JSON does; None for others, which `load_session` judges."""
+    try:
+        with path.open("rb") as file:
+            if file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")[:1] not in (b"{", b"["):
+                return None
+        return json.loads(path.read_text("utf-8-sig"))
+    except (OSError, IsADirectoryError):
+        return None
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise DataError(f"{path}: is no JSON: {error}") from None

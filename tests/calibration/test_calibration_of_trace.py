@@ -1,0 +1,96 @@
+"""A traced calibration corrects what belongs to the sensor, and says what it leaves alone and why."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import adis_gonio
+from adis_gonio.errors import FitError
+from adis_gonio.estimation.terms import NamedTerm
+from adis_gonio.model.effects import effect
+from adis_gonio.tracing.outcome.result import Stopped
+from calibration.sessions import planar_session, plane_axes, read_mg, turn
+
+PSI = np.linspace(-179.0, 179.0, 91)
+TRUTH = {"gains": (1.01, 0.99), "axes": plane_axes(0.4), "bias": (12.0, -7.0), "k2": (9.0, -6.0)}
+
+
+@pytest.fixture(scope="module")
+def session():
+    """A turn of a curved sensor on a stage that holds 1 arc minute."""
+    return planar_session(np.random.default_rng(21), k2=TRUTH["k2"])
+
+
+@pytest.fixture(scope="module")
+def traced(session):
+    return adis_gonio.trace(session)
+
+
+def error_deg(calibration, accel):
+    return (np.asarray(calibration.angle(accel).angle_deg - PSI) + 180) % 360 - 180
+
+
+def test_what_the_trace_found_is_corrected_at_angles_that_were_not_measured(session, traced):
+    accel = read_mg(turn(PSI), **TRUTH)
+    plain = error_deg(adis_gonio.fit(session, method="ml").calibration(), accel)
+    calibration = traced.calibration()
+    assert [term.effect.name for term in calibration.effects] == ["quadratic"]
+    better = error_deg(calibration, accel)
+    assert np.abs(plain).max() > 0.2
+    assert np.abs(better).max() < 0.01
+    # Its u holds its error, though the trace leaves open whether a bias or a K_pp shares in it.
+    assert np.sqrt(np.mean((better / calibration.angle(accel).u_deg) ** 2)) < 2.0
+    assert (calibration.angle(accel).u_deg < 0.02).all()
+
+
+def with_effect(traced, kind, value):
+    fit = traced.fits[-1]
+    term = NamedTerm("one more", (), 0.0, kind)
+    both = fit.having((*fit.terms, term), (*fit.values.terms, np.full(len(kind.parameters), value)))
+    return replace(traced, fits=(*traced.fits[:-1], both))
+
+
+@pytest.mark.parametrize(
+    ("kind", "why"),
+    [
+        (effect("stage_ellipticity"), "belongs to the stage"),
+        (effect("bias_drift", ["x"]), "follows the clock of the session"),
+        (effect("outlier_dwell", ["x"], dwell=3), "belongs to a dwell"),
+    ],
+)
+def test_what_belongs_to_the_bench_is_left_alone_and_named(traced, kind, why):
+    calibration = with_effect(traced, kind, 0.02).calibration()
+    reasons = {one.effect: one.reason for one in calibration.not_corrected}
+    assert why in reasons[kind.name]
+    assert [term.effect.name for term in calibration.effects] == ["quadratic"]
+    accel = read_mg(turn(PSI), **TRUTH)
+    assert np.array_equal(calibration.angle(accel).angle_deg, traced.calibration().angle(accel).angle_deg)
+
+
+def test_an_effect_that_may_be_the_stage_s_is_not_corrected(traced):
+    calibration = replace(traced, found=(), confounded=(("quadratic", "stage_eccentricity"),)).calibration()
+    assert calibration.effects == ()
+    assert "quadratic" in {one.effect for one in calibration.not_corrected}
+    like = replace(traced, found=(), confounded=(("quadratic", "cross_quadratic"),))
+    assert [term.effect.name for term in like.calibration().effects] == ["quadratic"]
+
+
+def test_an_unfinished_trace_gives_no_calibration(traced):
+    stopped = Stopped(1.0, 1.2, ("everything",), checked=False)
+    with pytest.raises(FitError, match="before its model was checked"):
+        replace(traced, stopped=stopped).calibration()
+    with pytest.raises(FitError, match="one pose"):
+        replace(traced, fits=()).calibration()
+
+
+def test_a_traced_calibration_survives_its_file_bit_by_bit(traced, tmp_path):
+    calibration = traced.calibration()
+    calibration.save(tmp_path / "c.json")
+    back = adis_gonio.Calibration.load(tmp_path / "c.json")
+    accel = read_mg(turn(PSI), **TRUTH)
+    assert back == calibration
+    assert np.array_equal(back.angle(accel).angle_deg, calibration.angle(accel).angle_deg)
+    assert np.array_equal(back.angle(accel).u_deg, calibration.angle(accel).u_deg)
