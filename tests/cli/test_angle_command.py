@@ -105,3 +105,21 @@ def test_a_line_fits_and_keeps_the_angle_first(width):
 
 def test_all_is_said_where_there_is_room():
     assert angle_text(READING) == " -170.123 ± 0.012°   raw  -170.500°   still  (2.2 mg)   24.5 °C   3 lost"
+
+
+def test_a_session_corrects_what_is_shown(tmp_path, capsys):
+    path = tmp_path / "a.session"
+    assert (
+        main(["calibrate", URL, "--plan", "four-position", "--dwell", "1", "--auto", "-o", str(path)]) == 0
+    )
+    capsys.readouterr()
+    assert main(["angle", URL, "--cal", str(path), "--seconds", "0.3", "--json"]) == 0
+    readings = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert all(abs(reading["corrected_deg"]) < 0.5 for reading in readings), "the stage stands at 0°"
+    assert all(abs(reading["angle_deg"]) > 1.0 for reading in readings)
+    assert all(0 < reading["u_deg"] < 0.5 for reading in readings)
+
+
+def test_a_calibration_that_is_not_there_is_one_line(capsys):
+    assert main(["angle", URL, "--cal", "nothing.json"]) == 1
+    assert capsys.readouterr().err == "adis-gonio: nothing.json: there is no such file\n"

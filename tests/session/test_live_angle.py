@@ -6,11 +6,24 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from adis_gonio.calibration import Calibration, load_calibration
+from adis_gonio.errors import UsageError
 from adis_gonio.sensor import open_sensor
 from adis_gonio.sensor.registers import ACCEL_OUT
 from adis_gonio.sensor.settings import Configuration
+from adis_gonio.session.angle import (
+    AngleMeter,
+    LiveAngle,
+    LiveSource,
+    calibration_for,
+    open_live,
+    raw_angle_deg,
+    wrapped_deg,
+)
 from adis_gonio.session.blocks import ValueBlock
-from adis_gonio.session.angle import AngleMeter, LiveAngle, open_live, raw_angle_deg, wrapped_deg
+from adis_gonio.session.plans import plan
+from adis_gonio.session.runner import SessionRunner
+from adis_gonio.session.settings import Settings
 
 PERFECT = "delta_k=0&delta_phi_deg=0&bias_x_mg=0&bias_y_mg=0&fixture_sigma_deg=0"
 
@@ -26,22 +39,6 @@ class Rate:
 
     def as_dict(self) -> dict[str, float]:
         return {}
-
-
-@dataclass(frozen=True)
-class Shifted:
-    """A calibration that turns every angle by a degree, with 0.3° of uncertainty (or an unknown one)."""
-
-    u: float | None
-
-    @dataclass(frozen=True)
-    class Angles:
-        angle_deg: np.ndarray
-        u_deg: np.ndarray | None
-
-    def angle(self, accel_mg):
-        angles = np.degrees(np.arctan2(-accel_mg[:, 1], accel_mg[:, 0])) + 1.0
-        return self.Angles(angles, None if self.u is None else np.full(len(angles), self.u))
 
 
 def readings(meter: AngleMeter, accel_mg: np.ndarray, block: int = 5, lost: int = 0) -> list[LiveAngle]:
@@ -94,17 +91,67 @@ def test_u_without_a_filter_is_the_standard_error():
     assert np.std([reading.angle_deg for reading in shown]) == pytest.approx(expected, rel=0.15)
 
 
-def test_a_calibration_corrects_and_adds_its_uncertainty():
-    rng = np.random.default_rng(2)
-    accel = at_rest(20.0, 100, 2.0, rng)
-    plain = readings(AngleMeter(Rate(100.0), 2.0, 0.0), accel)
-    corrected = readings(AngleMeter(Rate(100.0), 2.0, 0.0, Shifted(0.3)), accel)
-    unknown = readings(AngleMeter(Rate(100.0), 2.0, 0.0, Shifted(None)), accel)
-    for a, b, c in zip(plain, corrected, unknown, strict=True):
-        assert b.angle_deg == a.angle_deg
-        assert b.corrected_deg == pytest.approx(a.angle_deg + 1)
-        assert b.u_deg == pytest.approx(math.sqrt(a.u_deg**2 + 0.09))
-        assert c.u_deg is None, "noise alone is not the uncertainty of a corrected angle"
+HIDDEN = "sim:?seed=9&delta_k=0.02&delta_phi_deg=1.5&bias_x_mg=30&bias_y_mg=-20&fixture_sigma_deg=0"
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory) -> Calibration:
+    path = tmp_path_factory.mktemp("cal") / "a.session"
+    settings = Settings(dwell_s=1.0, settle_s=0.1)
+    with open_sensor(HIDDEN) as sensor:
+        runner = SessionRunner.begin(sensor, path, plan("mmpm"), settings, auto=True, fixture_sigma_deg=0.0)
+        list(runner.run())
+    return load_calibration(path)
+
+
+def live(
+    calibration: Calibration | None, angle_deg: float, bias_lsb: int = 0, url: str = HIDDEN
+) -> LiveAngle:
+    """The mean reading of a few seconds at an angle of the simulated stage."""
+    with open_sensor(url) as sensor:
+        if bias_lsb:
+            sensor.write("XACCL_OFF", bias_lsb)
+        sensor.bus.stage.move_to(angle_deg)
+        sensor.bus.sleep_s(5.0)
+        offsets = tuple(sensor.read(name) for name in ("XACCL_OFF", "YACCL_OFF", "ZACCL_OFF"))
+        if calibration is not None:
+            source = LiveSource(sensor.configuration(), None, 2.0, 0.4672, "adis16354", offsets)
+            calibration = calibration_for(calibration, source)
+        meter = AngleMeter(sensor.configuration(), 2.0, 0.4672, calibration, every_s=4.0)
+        with sensor.stream(("XACCL_OUT", "YACCL_OUT", "ZACCL_OUT", "XTEMP_OUT")) as stream:
+            while (reading := meter.feed(next(stream))) is None:
+                pass
+    return reading
+
+
+@pytest.mark.parametrize("angle_deg", [37.5, 200.0, -75.0])
+def test_a_calibration_gives_the_stages_angle_where_the_raw_one_is_off(calibration, angle_deg):
+    reading = live(calibration, angle_deg)
+    assert abs(wrapped_deg(reading.corrected_deg - angle_deg)) < 4 * reading.u_deg
+    assert reading.u_deg < 0.1
+    assert abs(wrapped_deg(reading.angle_deg - angle_deg)) > 5 * reading.u_deg
+    assert live(None, angle_deg).u_deg < reading.u_deg, "the calibration adds its uncertainty"
+
+
+def test_what_the_chip_corrects_by_now_is_not_corrected_again(calibration):
+    plain, offset = live(calibration, 75.0), live(calibration, 75.0, bias_lsb=-64)
+    assert abs(wrapped_deg(offset.angle_deg - plain.angle_deg)) > 0.5
+    assert wrapped_deg(offset.corrected_deg - plain.corrected_deg) == pytest.approx(0, abs=0.02)
+
+
+def test_another_parts_calibration_is_refused(calibration):
+    with (
+        open_live("sim:?seed=1&variant=adis16350", variant="adis16350") as source,
+        pytest.raises(UsageError, match="of an adis16354, this is an adis16350"),
+    ):
+        calibration_for(calibration, source)
+
+
+def test_gravity_across_the_plane_has_no_corrected_angle(calibration):
+    rng = np.random.default_rng(9)
+    flat = np.array([8.0, -5.0, 1000.0]) + 0.5 * rng.standard_normal((40, 3))
+    shown = readings(AngleMeter(Rate(100.0), 2.0, 0.0, calibration), flat)
+    assert all(reading.corrected_deg is None and reading.u_deg is None for reading in shown)
 
 
 def test_still_is_said_once_it_can_be_told_and_a_push_ends_it():

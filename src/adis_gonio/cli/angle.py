@@ -7,13 +7,14 @@ import math
 import shutil
 import sys
 import time
+from pathlib import Path
 
 import click
 
 from adis_gonio.cli.interrupt import Interrupt
 from adis_gonio.cli.show import no_check_option, poll_option, variant_option
 from adis_gonio.errors import UsageError
-from adis_gonio.session.angle import AngleMeter, LiveAngle, LiveSource, open_live
+from adis_gonio.session.angle import AngleMeter, LiveAngle, LiveSource, calibration_for, open_live
 
 INTERRUPTED = 130
 
@@ -21,26 +22,49 @@ INTERRUPTED = 130
 @click.command("angle")
 @click.argument("url")
 @click.option("--seconds", type=float, help="Stop after so long; without it, at Ctrl-C.")
+@click.option(
+    "--cal",
+    "calibration_path",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Correct by this: a calibration (export, JSON), or a session, which is fitted.",
+)
 @poll_option
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line, ten a second.")
 @variant_option
 @no_check_option
 def command(
-    *, url: str, seconds: float | None, poll: bool, as_json: bool, variant: str, no_check: bool
+    *,
+    url: str,
+    calibration_path: Path | None,
+    seconds: float | None,
+    poll: bool,
+    as_json: bool,
+    variant: str,
+    no_check: bool,
 ) -> int:
     """Show the live angle about gravity, ten times a second.
 
-    The angle is positive for the stage's positive turn, within ±180°; raw, it is 0 where X reads +1 g. The
-    uncertainty u is that of the noise within the newest samples.
+    The angle is positive for the stage's positive turn, within ±180°. Without --cal it is 0 where X reads
+    +1 g, and its uncertainty u is that of the noise within the newest samples alone. With --cal the
+    corrected angle comes first, as the calibrated stage counts, with u of noise and calibration together;
+    the raw one follows.
 
     The sensor's settings stay as they are; data-ready is borrowed as `stream` borrows it.
     """
     if seconds is not None and not seconds > 0:
         raise UsageError(f"--seconds is {seconds:g}: take a time above 0")
+    calibration = None
+    if calibration_path is not None:  # before the sensor is opened: a fit takes a moment
+        from adis_gonio.calibration import load_calibration
+
+        calibration = load_calibration(calibration_path)
     with open_live(url, variant=variant, check=not no_check, data_ready=False if poll else None) as source:
         rate = f"{source.measuring.sample_rate_hz:.4g} samples/s"
         click.echo(f"{url}: {rate}, {source.stream.how}", err=True)
-        meter = AngleMeter(source.measuring, source.noise_mg, source.step_mg)
+        if calibration is not None:
+            calibration = calibration_for(calibration, source)
+        meter = AngleMeter(source.measuring, source.noise_mg, source.step_mg, calibration)
         line = _Line(as_json=as_json)
         try:
             ended = _run(source, meter, line, seconds)

@@ -1,7 +1,8 @@
 """The angle as it is now, from samples that come in: raw, corrected, and how surely.
 
 The angle is positive for the stage's positive turn. Raw, it is taken from the readings as they come, as if
-gains were equal, axes square and biases zero, and it is 0 where X reads +1 g.
+gains were equal, axes square and biases zero. It is 0 at the stage's zero where a calibration knows that,
+else where X reads +1 g.
 """
 
 from __future__ import annotations
@@ -10,12 +11,13 @@ import math
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from adis_gonio.errors import UsageError
 from adis_gonio.model.records import Floats
-from adis_gonio.sensor.registers import ACCEL_OUT, TEMP_OUT
+from adis_gonio.sensor.registers import ACCEL_OFF, ACCEL_OUT, TEMP_OUT
 from adis_gonio.sensor.settings import Configuration
 from adis_gonio.session.blocks import Block, session_columns
 from adis_gonio.session.settings import Settings
@@ -23,27 +25,11 @@ from adis_gonio.session.source import ChipSource, Measuring, SampleStream, open_
 from adis_gonio.session.stillness import limits_from_noise
 from adis_gonio.session.watch import white_noise_gain, window_samples
 
+if TYPE_CHECKING:
+    from adis_gonio.calibration import Calibration
+
 EVERY_S = 0.1
 """Between two readings of the angle: what a person can follow."""
-
-
-class Corrected(Protocol):
-    """Angles that a calibration gives."""
-
-    @property
-    def angle_deg(self) -> Floats:
-        """Angles (n,) in degrees."""
-
-    @property
-    def u_deg(self) -> Floats | None:
-        """Their standard uncertainties (n,), without the reading's noise; None unknown."""
-
-
-class AngleCalibration(Protocol):
-    """What the live angle asks of a calibration; `adis_gonio.calibration.Calibration` is one."""
-
-    def angle(self, accel_mg: Floats) -> Corrected:
-        """Angles of readings (n, 3) in mg."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +43,11 @@ class LiveAngle:
     angle_deg : float
         From the readings as they come, within ±180°.
     corrected_deg : float or None
-        By the calibration; None without one.
+        By the calibration; None without one, and where gravity stands across the plane.
     u_deg : float or None
-        Standard uncertainty: of the noise within the newest samples, and of the calibration where there is
-        one. None while there is but one sample.
+        Standard uncertainty of the corrected angle: of the noise within the newest samples, and of the
+        calibration. Without one that of the noise alone. None where it is not known, and while there is but
+        one sample.
     still : bool or None
         True where no axis varies by more than it would at rest; None until there are
         samples enough to tell.
@@ -108,7 +95,8 @@ class AngleMeter:
         How the sensor measures.
     noise_mg, step_mg : float
         Noise that a sample has at rest, and step of the converter: what varies more is moving.
-    calibration : AngleCalibration or None
+    calibration : Calibration or None
+        As `calibration_for` gives it.
     every_s : float
         Least length of a span.
     """
@@ -118,7 +106,7 @@ class AngleMeter:
         measuring: Measuring,
         noise_mg: float,
         step_mg: float,
-        calibration: AngleCalibration | None = None,
+        calibration: Calibration | None = None,
         every_s: float = EVERY_S,
     ) -> None:
         self._calibration = calibration
@@ -149,13 +137,12 @@ class AngleMeter:
     def _reading(self, blocks: list[Block], first_s: float) -> LiveAngle:
         accel = np.concatenate([block.accel_mg for block in blocks])
         self._kept = np.concatenate([self._kept, accel])[-max(self._window, len(accel)) :]
-        mean = accel.mean(axis=0, keepdims=True)
-        noise_deg = self._noise_deg(len(accel))
-        corrected, u_deg = None, noise_deg
+        mean = accel.mean(axis=0)
+        temperature_c = _temperature_c(blocks)
+        raw_deg, u_deg = self._raw(mean, len(accel))
+        corrected_deg = None
         if self._calibration is not None:
-            by = self._calibration.angle(mean)
-            corrected = float(by.angle_deg[0])
-            u_deg = _joined(noise_deg, None if by.u_deg is None else float(by.u_deg[0]))
+            corrected_deg, u_deg = self._corrected(mean, len(accel), temperature_c)
         spread_mg = self._kept.std(axis=0, ddof=1) if len(self._kept) > 1 else None
         still = None
         if spread_mg is not None and len(self._kept) >= self._window:
@@ -163,30 +150,51 @@ class AngleMeter:
             still = bool((spread_mg <= self._limits.upper).all())
         return LiveAngle(
             float(blocks[-1].time_s[-1]) - first_s,
-            float(raw_angle_deg(mean)[0]),
-            corrected,
+            raw_deg,
+            corrected_deg,
             u_deg,
             still,
             None if spread_mg is None else float(spread_mg.max()),
-            _temperature_c(blocks),
+            temperature_c,
             self._lost,
         )
 
-    def _noise_deg(self, count: int) -> float | None:
-        """Standard uncertainty of a mean of so many samples, from the scatter of the newest ones."""
+    def _u_mg(self, count: int) -> Floats | None:
+        """Standard uncertainty (3,) of a mean of so many samples, from the scatter of the newest ones."""
         if len(self._kept) < 2:
             return None
-        angles = np.radians(raw_angle_deg(self._kept))
-        centre = np.angle(np.exp(1j * angles).mean())
-        scatter = np.angle(np.exp(1j * (angles - centre))).std(ddof=1)
-        return math.degrees(scatter / math.sqrt(max(1.0, count * self._independent)))
+        u: Floats = self._kept.std(axis=0, ddof=1) / math.sqrt(max(1.0, count * self._independent))
+        return u
 
+    def _raw(self, mean_mg: Floats, count: int) -> tuple[float, float | None]:
+        x, y = float(mean_mg[0]), float(mean_mg[1])
+        zero_deg = 0.0
+        if self._calibration is not None and "alpha" in self._calibration:
+            zero_deg = self._calibration["alpha"].value
+        u_mg = self._u_mg(count)
+        u_deg = None
+        if u_mg is not None and (x or y):
+            u_deg = math.degrees(math.hypot(y * u_mg[0], x * u_mg[1]) / (x * x + y * y))
+        return wrapped_deg(zero_deg + float(raw_angle_deg(mean_mg))), u_deg
 
-def _joined(noise_deg: float | None, calibration_deg: float | None) -> float | None:
-    """Two independent standard uncertainties as one; None where one of them is not known."""
-    if noise_deg is None or calibration_deg is None:
-        return None
-    return math.hypot(noise_deg, calibration_deg)
+    def _corrected(
+        self, mean_mg: Floats, count: int, temperature_c: float | None
+    ) -> tuple[float | None, float | None]:
+        calibration, u_mg = self._calibration, self._u_mg(count)
+        if calibration is None:
+            return None, None
+        reading_u = None if u_mg is None else [float(u) for u in u_mg[: calibration.axes]]
+        try:
+            if "alpha" in calibration:
+                by = calibration.stage_angle(mean_mg, temperature_c, reading_u=reading_u)
+                angle_deg = float(by.angle_deg)
+            else:
+                by = calibration.angle(mean_mg, temperature_c, reading_u=reading_u, plane="xy")
+                angle_deg = -float(by.angle_deg)
+        except UsageError:  # a reading too short to have an angle, or far too long
+            return None, None
+        u_deg = float(by.u_deg)
+        return angle_deg, u_deg if u_mg is not None and math.isfinite(u_deg) else None
 
 
 def _temperature_c(blocks: list[Block]) -> float | None:
@@ -204,12 +212,36 @@ class LiveSource:
     stream : SampleStream
     noise_mg, step_mg : float
         As `AngleMeter` takes them.
+    part : str
+        Its variant.
+    offsets_lsb : tuple of int or None
+        Numbers in XACCL_OFF, YACCL_OFF, ZACCL_OFF; None where there are no registers.
     """
 
     measuring: Measuring
     stream: SampleStream
     noise_mg: float
     step_mg: float
+    part: str
+    offsets_lsb: tuple[int, ...] | None
+
+
+def calibration_for(calibration: Calibration, source: LiveSource) -> Calibration:
+    """The calibration as it holds for a sensor, whose registers may correct another offset by now.
+
+    Raises
+    ------
+    UsageError
+        It is another part's, or takes readings in counts.
+    """
+    where = calibration.provenance
+    if where.counts:
+        raise UsageError("the calibration takes readings in counts of unknown scale; a sensor gives mg")
+    if where.sensor != source.part:
+        raise UsageError(f"the calibration is of an {where.sensor}, this is an {source.part}")
+    if source.offsets_lsb is None or where.offsets_lsb is None:
+        return calibration
+    return calibration.with_offsets(source.offsets_lsb)
 
 
 @contextmanager
@@ -230,7 +262,9 @@ def open_live(
     """
     with ExitStack() as stack:
         source = stack.enter_context(open_source(url, variant=variant, check=check))
+        offsets_lsb: tuple[int, ...] | None = None
         if isinstance(source, ChipSource):
+            offsets_lsb = tuple(source.sensor.read(name) for name in ACCEL_OFF)
             measuring: Measuring = source.sensor.configuration()
             count = _block_samples(measuring)
             names = (*ACCEL_OUT, TEMP_OUT[0])
@@ -239,7 +273,8 @@ def open_live(
             measuring = source.configure(Settings())
             stream = source.samples(Settings(), _block_samples(measuring))
         stack.enter_context(stream)
-        yield LiveSource(measuring, stream, source.expected_noise_mg(measuring), source.part.step_mg)
+        noise_mg = source.expected_noise_mg(measuring)
+        yield LiveSource(measuring, stream, noise_mg, source.part.step_mg, source.part.name, offsets_lsb)
 
 
 def _block_samples(measuring: Measuring) -> int:
