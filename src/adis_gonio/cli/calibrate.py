@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import signal
 import sys
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from adis_gonio.cli.face import choose_face
 from adis_gonio.cli.show import (
     console,
     json_option,
@@ -66,6 +68,7 @@ _WIDTH = 100
     type=click.IntRange(0, 1000),
     help="With --trace: most positions beyond the plan (default 24).",
 )
+@click.option("--plain", is_flag=True, help="Plain prompts, line by line, on any terminal.")
 @click.option("--resume", is_flag=True, help="Go on with the session in the file.")
 @click.option(
     "--dwell", "dwell_s", type=float, default=10.0, show_default=True, help="Length of a dwell in s."
@@ -99,6 +102,7 @@ def command(
     resume: bool,
     as_json: bool,
     closing: bool,
+    plain: bool,
     max_extra: int | None,
     **options: Any,
 ) -> int:
@@ -109,6 +113,9 @@ def command(
 
     Scans start at the sensor's data-ready edges where the bridge can use them and the line is wired; else,
     or with --poll, they are polled.
+
+    In a terminal of 80 × 24 or more the session is shown on a screen with the live angle (extra: bench);
+    --plain, a log or a smaller terminal gets prompts line by line.
 
     With --trace the session then says which further positions would decide what is still open, and goes on
     with them until the model is adequate or no position is expected to show more.
@@ -130,7 +137,10 @@ def command(
     else:
         with open_source(url, variant=options["variant"], check=not options["no_check"]) as sensor:
             runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
-            complete = Bench(runner, auto=options["auto"]).run()
+            prompts = Bench(runner, auto=options["auto"])
+            resume_by = shlex.join(["adis-gonio", "calibrate", url, "--resume", "-o", str(output)])
+            face = choose_face(runner, prompts, plain=plain or options["auto"], resume_by=resume_by)
+            complete = face.run()
     session = load_session(output)
     truth = session.facts.get("truth")
     traced = _traced(session, advisor) if advisor is not None else None
