@@ -65,7 +65,7 @@ def test_every_key_and_column_is_read(tmp_path):
             "# accel_unit: counts",
             "# gyro_unit: radps",
             "# reading_u_mg: 0.25",
-            "# operator: nobody",
+            "# weather: fair",
             "use,time_s,position,angle_deg,approach,ax,ay,az,gx,gy,gz,temp_c,supply_v",
             "fit,0,7,,+1,1,2,3,4,5,6,25,5",
             "check,1,8,-90.5,-1,1,2,3,4,5,6,26,5.1",
@@ -78,7 +78,7 @@ def test_every_key_and_column_is_read(tmp_path):
     assert session.free_attitudes
     assert (session.accel_unit, session.gyro_unit, session.reading_u_mg) == ("counts", "radps", 0.25)
     assert len(session.notes) == 1
-    assert "operator" in session.notes[0]
+    assert "weather" in session.notes[0]
     a, b, c = session.dwells
     assert (a.position, a.angle_deg, a.approach, a.use) == (7, None, 1, "fit")
     assert (b.position, b.angle_deg, b.approach, b.use) == (8, -90.5, -1, "check")

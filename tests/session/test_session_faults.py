@@ -13,6 +13,7 @@ from adis_gonio.sensor import Adis16354, open_sensor
 from adis_gonio.sensor.decoding import ScanBlock
 from adis_gonio.sensor.registers import ACCEL_OUT, EA, ND
 from adis_gonio.session import export_csv, load_session, plan
+from adis_gonio.session.answers import Answer
 from adis_gonio.session.archive import ArchiveView, read_session
 from adis_gonio.session.events import (
     DwellDone,
@@ -20,10 +21,12 @@ from adis_gonio.session.events import (
     Event,
     ExtensionOffered,
     Finished,
+    GuardRaised,
     PositionAsked,
     Problem,
     RepetitionOffered,
     StageMoved,
+    Withdrawn,
 )
 from adis_gonio.session.export import session_dict
 from adis_gonio.session.faults import alarms_of
@@ -71,6 +74,8 @@ def answer(runner: SessionRunner, event: Event, *, repeat: bool = False) -> None
         runner.confirm()
     elif isinstance(event, ExtensionOffered):
         runner.decline()
+    elif isinstance(event, GuardRaised):
+        runner.answer(Answer.RETAKE if repeat else Answer.KEEP)
     elif isinstance(event, RepetitionOffered):
         (runner.accept if repeat else runner.decline)()
 
@@ -130,11 +135,14 @@ def test_the_fault_is_in_the_session_s_notes_facts_report_text_and_exports(senso
     assert load_session(tmp_path / "a.csv").notes == (note,)
 
 
-def test_the_faulty_dwell_is_offered_for_repetition_and_a_sound_one_takes_its_place(sensor, path):
+def test_the_faulty_dwell_is_asked_about_at_once_and_a_sound_one_takes_its_place(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan(), SETTINGS)
     events = visit(runner, sensor, repeat=True)
-    (offer,) = of(events, RepetitionOffered)
-    assert offer.places == (1,)
+    (raised,) = of(events, GuardRaised)
+    assert (raised.kind, raised.place, raised.default) == ("over_range", 1, "retake")
+    assert raised.values["scans"] in (24, 25)
+    assert [withdrawn.place for withdrawn in of(events, Withdrawn)] == [1]
+    assert not of(events, RepetitionOffered)
     assert [done.place for done in of(events, DwellDone)] == [0, 1, 1]
     assert isinstance(events[-1], Finished)
     session = read_session(path)
@@ -144,14 +152,15 @@ def test_the_faulty_dwell_is_offered_for_repetition_and_a_sound_one_takes_its_pl
 
 def test_a_faulty_dwell_that_is_kept_is_not_asked_about_again(sensor, path):
     events = visit(SessionRunner.begin(sensor, path, plan(), SETTINGS), sensor)
-    assert len(of(events, RepetitionOffered)) == 1
+    assert len(of(events, GuardRaised)) == 1
+    assert not of(events, RepetitionOffered)
     with open_sensor(URL) as again:
         events = visit(SessionRunner.resume(again, path), again, glitch_at=None)
     assert not of(events, RepetitionOffered)
     assert len(read_session(path).notes) == 1
 
 
-@pytest.mark.parametrize("stop", [Problem, RepetitionOffered])
+@pytest.mark.parametrize("stop", [Problem, GuardRaised])
 def test_a_fault_survives_a_break_and_is_offered_after_resuming(sensor, path, stop):
     visit(SessionRunner.begin(sensor, path, plan(), SETTINGS), sensor, stop=stop)
     assert "dwell 1 (90°" in read_session(path).notes[-1]

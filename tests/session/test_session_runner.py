@@ -23,6 +23,7 @@ from adis_gonio.session.events import (
     Event,
     ExtensionOffered,
     Finished,
+    GuardRaised,
     NoiseMeasured,
     PositionAsked,
     Problem,
@@ -721,6 +722,9 @@ def test_an_operator_may_hold_the_part_in_any_pose(path):
             if isinstance(event, PositionAsked):
                 opened.bus.inner.stage.orient(rng.standard_normal(3))
                 runner.confirm()
+            if isinstance(event, GuardRaised):
+                assert event.kind == "upside_down"
+                runner.answer(event.default)
     norms = [np.linalg.norm(dwell.accel.mean(axis=0) * 0.4672) for dwell in read_session(path).dwells]
     assert norms == pytest.approx([1000.0] * 9, abs=60)
 
@@ -767,7 +771,9 @@ def test_settings_that_cannot_be_are_one_line(change, words):
         Settings(**change)
 
 
-@pytest.mark.parametrize("change", [{"gravity_mps2": 0.0}, {"fixture_sigma_deg": -0.1}])
+@pytest.mark.parametrize(
+    "change", [{"gravity_mps2": 0.0}, {"gravity_mps2": 980.7}, {"fixture_sigma_deg": -0.1}]
+)
 def test_circumstances_that_cannot_be_are_one_line(sensor, path, change):
     with pytest.raises(UsageError, match=next(iter(change))):
         SessionRunner.begin(sensor, path, plan(), SHORT, auto=True, **change)

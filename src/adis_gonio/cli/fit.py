@@ -24,6 +24,7 @@ def command(*, session: Path, method: str | None, as_json: bool) -> None:
     Without --method the screen compares every method that the session supports; --json gives the best one.
     """
     from adis_gonio.fitting import fit, fit_every
+    from adis_gonio.model.records import METADATA
     from adis_gonio.session import load_session
 
     loaded = load_session(session)
@@ -33,6 +34,9 @@ def command(*, session: Path, method: str | None, as_json: bool) -> None:
     screen = console()
     title = f"{loaded.title}: " if loaded.title else ""
     screen.print(f"{title}{len(loaded.dwells)} dwells, {loaded.sensor}", style="bold", markup=False)
+    written = [f"{name} {getattr(loaded, name)}" for name in METADATA if getattr(loaded, name)]
+    if written:
+        screen.print(f"  {', '.join(written)}", markup=False)
     for note in loaded.notes:
         screen.print(f"  {note}", markup=False)
     results, failures = ([fit(loaded, method=method)], {}) if method else fit_every(loaded)

@@ -35,3 +35,21 @@ def normal_gravity_mps2(latitude_deg: float, height_m: float = 0.0) -> float:
     surface = _EQUATOR_MPS2 * (1 + _K * s2) / math.sqrt(1 - _E2 * s2)
     h = height_m / _A_M
     return surface * (1 - 2 * (1 + _F + _M - 2 * _F * s2) * h + 3 * h * h)
+
+
+EARTH_MPS2 = (9.75, 9.84)
+"""Gravity on Earth: `normal_gravity_mps2` from the equator at 9000 m to a pole at -500 m, outwards."""
+
+_OTHER_UNITS = {"g": 9.80665, "cm/s² (Gal)": 0.01, "mGal": 1e-5, "mg": 9.80665e-3, "ft/s²": 0.3048}
+
+
+def require_gravity(gravity_mps2: float) -> None:
+    """Raise `UsageError` where local gravity is none of the Earth's, with the unit that was meant."""
+    low, high = EARTH_MPS2
+    if low <= gravity_mps2 <= high:
+        return
+    meant = [unit for unit, size in _OTHER_UNITS.items() if low <= size * gravity_mps2 <= high]
+    hint = f"; {gravity_mps2:g} looks like {meant[0]}" if meant else ""
+    raise UsageError(
+        f"gravity_mps2 is {gravity_mps2:g}: local gravity in m/s² is {low} to {high} on Earth{hint}"
+    )

@@ -22,6 +22,9 @@ GyroUnit = Literal["dps", "radps", "counts"]
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 
+METADATA = ("operator", "serial", "stage")
+"""Fields of a session that hold what the operator wrote down besides its title."""
+
 
 @dataclass(frozen=True)
 class Dwell:
@@ -83,6 +86,8 @@ class Session:
         Plane of rotation, or none where attitudes are anywhere in space.
     reading_u_mg : float or None
         Standard uncertainty of a dwell that has one sample only.
+    title, operator, serial, stage : str
+        What somebody wrote down: name of the session, who measured, the part's serial number, the stage.
     source : str
         File that it came from.
     notes : tuple of str
@@ -103,6 +108,9 @@ class Session:
     plane: Plane = "xy"
     reading_u_mg: float | None = None
     title: str = ""
+    operator: str = ""
+    serial: str = ""
+    stage: str = ""
     source: str = ""
     notes: tuple[str, ...] = ()
     cut_by_stillness: bool = False

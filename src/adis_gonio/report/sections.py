@@ -340,6 +340,9 @@ def _facts(session: Session, observed: Readings | None, software: str) -> list[t
     start, end = float(dwells[0].time_s[0]), float(dwells[-1].time_s[-1])
     return [
         ("title", session.title),
+        ("operator", session.operator),
+        ("serial number of the part", session.serial),
+        ("stage", session.stage),
         ("file", Path(session.source).name),
         ("SHA-256 of the file", _digest(session.source)),
         ("sensor", session.sensor + (" (simulated)" if facts.get("simulated") else "")),

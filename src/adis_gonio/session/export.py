@@ -58,6 +58,9 @@ def session_dict(session: Session) -> dict[str, Any]:
     return {
         "sensor": session.sensor,
         "title": session.title,
+        "operator": session.operator,
+        "serial": session.serial,
+        "stage": session.stage,
         "source": session.source,
         "accel_unit": session.accel_unit,
         "gyro_unit": session.gyro_unit,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, Literal
 
 import numpy as np
@@ -10,6 +9,8 @@ import numpy as np
 from adis_gonio.model.records import Floats
 from adis_gonio.session.blocks import Block, session_columns
 from adis_gonio.session.events import DwellProgress, Vector, Watching
+from adis_gonio.session.expectation import wrapped_deg
+from adis_gonio.session.judge import Judge
 from adis_gonio.session.plans import Position
 from adis_gonio.session.recording import Recording
 
@@ -23,14 +24,14 @@ class LiveView:
         Standard deviation below which a window is still.
     target : Position or None
         Where the part is asked to be.
-    planar : bool
-        False where attitudes are free, so that there is no angle.
+    judge : Judge or None
+        Who knows the angle by gravity; None before the noise is known.
     """
 
-    def __init__(self, *, planar: bool = True) -> None:
+    def __init__(self) -> None:
         self.limit_mg: Vector | None = None
         self.target: Position | None = None
-        self.planar = planar
+        self.judge: Judge | None = None
         self._temperature_c: float | None = None
         self._lost = 0
 
@@ -43,11 +44,10 @@ class LiveView:
 
     def angle_deg(self, accel_mg: Floats, target_deg: float | None) -> float | None:
         """Angle by gravity as the stage counts, on the turn that is nearest to the target."""
-        if not self.planar:
-            return None
-        angle = -math.degrees(math.atan2(accel_mg[1], accel_mg[0]))
-        near = 0.0 if target_deg is None else target_deg
-        return near + (angle - near + 180.0) % 360.0 - 180.0
+        angle = None if self.judge is None else self.judge.angle_deg(accel_mg)
+        if angle is None or target_deg is None:
+            return angle
+        return target_deg + wrapped_deg(angle - target_deg)
 
     def watching(
         self,
@@ -70,7 +70,17 @@ class LiveView:
             self._lost,
         )
 
-    def progress(
+    def dwell(
+        self, recording: Recording, accel_mg: Floats, spread_mg: Floats, length_s: float
+    ) -> Watching | DwellProgress:
+        """The event of a look while a dwell is waited for, or under way."""
+        if recording.begun:
+            return self._progress(recording, accel_mg, spread_mg, length_s)
+        state: Literal["settling", "moving"] = "settling" if recording.is_still else "moving"
+        waits_for = "the part to settle" if recording.is_still else f"rest: {recording.why_moving}"
+        return self.watching(state, accel_mg, spread_mg, recording.position.angle_deg, waits_for)
+
+    def _progress(
         self, recording: Recording, accel_mg: Floats, spread_mg: Floats, length_s: float
     ) -> DwellProgress:
         """The event of a look within a dwell."""

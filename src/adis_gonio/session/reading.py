@@ -22,7 +22,9 @@ def read_session(path: str | Path) -> Session:
     A session may be read while another program records it. Samples are in LSB (of a generic sensor in mg)
     and °/s, times in seconds since the session began. `facts` holds `configuration`, `registers` (before,
     configured, after), `plan`, `settings`, `url`, `note`, `runs`, `dwells` (times, lost and dropped scans,
-    STATUS and alarms of each), `scanning` (how scans were got), `problems`, `advised` (what an advisor
+    STATUS and alarms of each), `reversed` (True where the stage's angles were taken with the other sign),
+    `doubts` (why the result cannot be right: what was kept against a guard), `remarks` (the operator's),
+    `scanning` (how scans were got), `problems`, `advised` (what an advisor
     asked for, round by round), `complete`, and for simulated sessions alone `truth`, which no fit may use.
 
     Raises
@@ -55,6 +57,9 @@ def read_session(path: str | Path) -> Session:
             "runs": view.runs(),
             "problems": [record.value for record in view.records("problem")],
             "advised": [record.value for record in view.records("advised")],
+            "reversed": bool(view.last("reversed")),
+            "doubts": view.doubts(),
+            "remarks": [record.value for record in view.records("remark")],
             "complete": not pending,
             "skipped": sorted(skipped),
             "scanning": view.last("scanning"),
@@ -66,7 +71,8 @@ def read_session(path: str | Path) -> Session:
         truth = view.last("truth")
     if header.simulated and truth is not None:
         facts["truth"] = truth
-    dwells = tuple(_dwell(k, *pair) for k, pair in enumerate(zip(stored, joined, strict=True)))
+    sign = -1 if facts["reversed"] else 1
+    dwells = tuple(_dwell(k, *pair, sign) for k, pair in enumerate(zip(stored, joined, strict=True)))
     return Session(
         dwells,
         sensor=header.variant,
@@ -75,20 +81,23 @@ def read_session(path: str | Path) -> Session:
         fixture_sigma_deg=header.fixture_sigma_deg,
         plane=plan.plane,
         title=header.title,
+        operator=header.operator,
+        serial=header.serial,
+        stage=header.stage,
         source=str(path),
         notes=_notes(plan, pending, skipped, facts),
         facts=facts,
     )
 
 
-def _dwell(number: int, attempt: StoredAttempt, scans: Block) -> Dwell:
+def _dwell(number: int, attempt: StoredAttempt, scans: Block, sign: int) -> Dwell:
     columns = session_columns(scans)
     return Dwell(
         number,
         scans.time_s + attempt.offset_s,
         np.column_stack([columns[name] for name in ("ax", "ay", "az")]),
-        angle_deg=attempt.position.angle_deg,
-        approach=attempt.position.approach,
+        angle_deg=None if attempt.position.angle_deg is None else sign * attempt.position.angle_deg,
+        approach=sign * attempt.position.approach,
         use=attempt.position.use,
         gyro=np.column_stack([columns[name] for name in ("gx", "gy", "gz")]) if "gx" in columns else None,
         temperature_c=columns.get("temp_c"),
@@ -117,6 +126,9 @@ def _notes(plan: Plan, pending: Sequence[int], skipped: set[int], facts: JsonDic
         notes.append(
             f"unfinished session: {len(dwells)} of {len(plan)} positions of plan '{plan.name}' are done"
         )
+    if facts["reversed"]:
+        notes.append("turned the other way: every angle of the plan was taken with the other sign")
+    notes += [f"attempt {doubt['attempt']} was kept: {doubt['message']}" for doubt in facts["doubts"]]
     if skipped:
         notes.append(f"skipped: {', '.join(str(plan.positions[place]) for place in sorted(skipped))}")
     lost = sum(dwell["lost"] for dwell in dwells)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from adis_gonio.model.records import Floats
 from adis_gonio.session.blocks import Block, cut, join
 from adis_gonio.session.plans import Position
 from adis_gonio.session.rows import Attempt, Move, Outcome, Phase
@@ -17,6 +18,11 @@ class Recording:
     ----------
     dwell_s, settle_s, period_s : float
         Length of the dwell, wait before it, period of the samples, in s.
+
+    Attributes
+    ----------
+    rested_mg : (3,) float or None
+        Where the part rested when the dwell began.
     """
 
     def __init__(
@@ -35,6 +41,7 @@ class Recording:
         self.begin: int | None = None
         self.timed_out = False
         self.why_moving = "no data"
+        self.rested_mg: Floats | None = None
         self._started_utc = started_utc
         self._started_bus_s = started_bus_s
         self._dwell_s = dwell_s

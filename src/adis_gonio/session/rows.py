@@ -126,6 +126,8 @@ class Header:
         The plan to begin with; an extension is a record.
     settings : mapping
         JSON form of the runner's settings.
+    title, note, operator, serial, stage : str
+        What the operator wrote down; a session of older programs has the last three empty.
     simulated : bool
         True where the bus has a world whose truth is known.
     """
@@ -138,6 +140,9 @@ class Header:
     fixture_sigma_deg: float | None
     title: str = ""
     note: str = ""
+    operator: str = ""
+    serial: str = ""
+    stage: str = ""
     simulated: bool = False
     created_utc: str = ""
     software: str = field(default=f"adis-gonio {__version__}")

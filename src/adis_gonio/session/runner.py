@@ -23,20 +23,21 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Generator, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from adis_gonio.errors import AdisGonioError, SessionError, UsageError
+from adis_gonio.model.gravity import require_gravity
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.session.answers import Answer, Operator
 from adis_gonio.session.archive import Archive, Header, read_session, utc_now
 from adis_gonio.session.bench import Bench
-from adis_gonio.session.blocks import count_alarms
+from adis_gonio.session.blocks import Block, count_alarms, join
 from adis_gonio.session.closing import Advisor
 from adis_gonio.session.events import (
     Advised,
@@ -61,20 +62,27 @@ from adis_gonio.session.events import (
     Watching,
     Withdrawn,
 )
+from adis_gonio.session.expectation import Spread
 from adis_gonio.session.faults import problems
+from adis_gonio.session.guards import Guard, drift_guard, judge_dwell, judge_shift, shock_guard, stuck_guard
+from adis_gonio.session.judge import Judge
 from adis_gonio.session.live import LiveView, vector
 from adis_gonio.session.plans import Plan, Position, blindness, extended, extension
 from adis_gonio.session.recording import Recording
+from adis_gonio.session.running import RunningFit
 from adis_gonio.session.settings import Settings
 from adis_gonio.session.source import SampleSource
 from adis_gonio.session.stillness import StillnessLimits, limits_from_noise
-from adis_gonio.session.watch import Look, NoiseMeter, StillnessWatch
+from adis_gonio.session.watch import SETTLINGS_PER_WINDOW, Look, NoiseMeter, StillnessWatch
 
 MOST_RESTARTS = 5
 """Interruptions of one dwell after which somebody has to look."""
 
 WINDOWS_TO_STILLNESS = 4
 """Windows that the watch needs before it can say anything; waited for besides the time-out."""
+
+LEAST_BIAS_MG = 10.0
+"""Spread of a bias of which a source knows nothing: the ADIS16354's estimate (CHIP, D)."""
 
 WARMING_S = 600.0
 """Wait for another temperature, where the program sets it."""
@@ -119,6 +127,11 @@ class SessionRunner(Operator):
         self._noise_mg: Floats = np.zeros(3)
         self._ran = False
         self._view = LiveView()
+        self._running = RunningFit(self._header)
+        self._judge: Judge | None = None
+        self._reversed = bool(archive.last("reversed"))
+        self._asked_kinds: set[str] = set()
+        self._doubts: list[Guard] = []
         self._began_s = 0.0
         self._taken = 0
         self._scanning: dict[str, Any] = archive.last("scanning") or {}
@@ -137,6 +150,9 @@ class SessionRunner(Operator):
         fixture_sigma_deg: float | None = None,
         title: str = "",
         note: str = "",
+        operator: str = "",
+        serial: str = "",
+        stage: str = "",
         advisor: Advisor | None = None,
     ) -> SessionRunner:
         """Begin a new session in a new file.
@@ -155,8 +171,8 @@ class SessionRunner(Operator):
             Local gravity in m/s².
         fixture_sigma_deg : float or None
             Standard uncertainty of a declared angle in degrees; None where it is not stated.
-        title, note : str
-            What the operator wants to keep with it.
+        title, note, operator, serial, stage : str
+            What the operator wants to keep with it: who measures, the part's serial number, the stage.
         advisor : Advisor or None
             Asked for further positions when the plan is done, until it has none.
 
@@ -167,8 +183,7 @@ class SessionRunner(Operator):
         SessionError
             The file exists, or cannot be made.
         """
-        if not (math.isfinite(gravity_mps2) and gravity_mps2 > 0):
-            raise UsageError(f"gravity_mps2 is {gravity_mps2}: take local gravity in m/s², about 9.81")
+        require_gravity(gravity_mps2)
         if fixture_sigma_deg is not None and not fixture_sigma_deg >= 0:
             raise UsageError(f"fixture_sigma_deg is {fixture_sigma_deg}: take 0° or more")
         settings = settings or Settings()
@@ -185,6 +200,9 @@ class SessionRunner(Operator):
             fixture_sigma_deg=math.inf if plan.plane == "none" else fixture_sigma_deg,
             title=title,
             note=note,
+            operator=operator.strip(),
+            serial=serial.strip(),
+            stage=stage.strip(),
             simulated=bench.simulated,
         )
         archive = Archive.create(path, header)
@@ -332,9 +350,33 @@ class SessionRunner(Operator):
         self._limits = limits
         self._view.limit_mg = vector(limits.upper)
         self._noise_mg = np.maximum(noise, quantum / math.sqrt(12))
+        self._judge = self._view.judge = self._new_judge(float(self._noise_mg.max()))
         return NoiseMeasured(
             vector(noise), vector(limits.upper), vector(limits.lower), bench.window * bench.period_s
         )
+
+    def _new_judge(self, noise_mg: float) -> Judge | None:
+        """Who judges where the part is, with the dwells of a resumed session; None with a loose fixture."""
+        bench, header = self._bench, self._header
+        planar = self._plan.plane != "none"
+        fixture = header.fixture_sigma_deg
+        if planar and fixture is not None and math.isinf(fixture):
+            return None
+        spread = Spread(
+            max(bench.source.part.initial_bias_mg, LEAST_BIAS_MG),
+            noise_mg / math.sqrt(SETTLINGS_PER_WINDOW),
+            fixture,
+            1000.0 * header.gravity_mps2 / STANDARD_GRAVITY_MPS2,
+        )
+        gap_s = bench.window * bench.period_s
+        judge = Judge(spread, planar=planar, sense=-1 if self._reversed else 1, longest_gap_s=gap_s)
+        doubted = {doubt["attempt"] for doubt in self._archive.doubts()}
+        for attempt in self._archive.dwells():
+            scans = join(self._archive.blocks(attempt, "dwell"))
+            judge.done(attempt.place, attempt.position, scans, doubted=attempt.number in doubted)
+            self._running.add(attempt.place, attempt.position, scans)
+        judge.forget_turn()
+        return judge
 
     def _visit(self) -> Iterator[Event]:
         while not self._stopping.is_set():
@@ -386,6 +428,9 @@ class SessionRunner(Operator):
         number = self._done.pop(place)
         self._note("withdrawn", number)
         self._faulty.discard(place)
+        self._running.withdraw(place)
+        if self._judge is not None:
+            self._judge.withdraw(place)
         self._last_place = max(self._done, key=self._done.__getitem__, default=None)
         return Withdrawn(place, self._plan.positions[place], number)
 
@@ -419,7 +464,7 @@ class SessionRunner(Operator):
                     if self._auto:
                         return default
                     yield from self._keep_remarks(place)
-                    idle = idle or _Idle(self._bench, self._view)
+                    idle = idle or _Idle(self._bench, self._view, self._see)
                     yield idle.look()
                 idle = None
                 yield from self._heed(place)
@@ -427,6 +472,39 @@ class SessionRunner(Operator):
         finally:
             self._open(frozenset())
             self._bench.close_stream()
+
+    def _ask_guard(self, guard: Guard, place: int) -> Generator[Event, None, bool]:
+        """Put what a guard stopped at to the operator; True where the dwell is to go on or to stay."""
+        raised = GuardRaised(
+            guard.kind,
+            guard.message,
+            place,
+            self._plan.positions[place],
+            guard.values,
+            guard.answers,
+            guard.default,
+        )
+        allowed = {Answer(name) for name in guard.answers}
+        answer = yield from self._ask(raised, allowed, Answer(guard.default), place)
+        self._note(
+            "guard", {"place": place, "kind": guard.kind, "message": guard.message, "answer": answer}
+        )
+        if answer is Answer.KEEP:
+            self._asked_kinds.add(guard.kind)
+            if guard.spoils:
+                self._doubts.append(guard)
+        elif answer is Answer.REVERSE:
+            self._reverse()
+        elif answer is Answer.SKIP:
+            self._skip(place)
+        return answer in (Answer.KEEP, Answer.REVERSE)
+
+    def _reverse(self) -> None:
+        """Take the session as turned the other way: all angles count backwards from here on."""
+        self._reversed = not self._reversed
+        self._note("reversed", self._reversed)
+        if self._judge is not None:
+            self._judge.reverse()
 
     def _heed(self, place: int | None) -> Iterator[Event]:
         """Keep what the operator has remarked, and pause where that was asked for."""
@@ -519,15 +597,56 @@ class SessionRunner(Operator):
     # -- a dwell ----------------------------------------------------------------------------------
 
     def _dwell(self, place: int) -> Iterator[Event]:
-        position = self._plan.positions[place]
         recording = self._new_recording(place)
+        self._asked_kinds, self._doubts = set(), []
+        if not (yield from self._go_to(recording)):
+            return
+        restarts, rested_mg = 0, None
+        while (broken := (yield from self._record_or_keep(recording, rested_mg))) is not None:
+            yield self._interrupted(recording, broken.reason)
+            if self._stopping.is_set() or self._pausing.is_set():
+                return
+            guard, restarts = broken.guard, restarts + 1
+            rested_mg = recording.rested_mg if rested_mg is None else rested_mg
+            if guard is None and (recording.timed_out or restarts == MOST_RESTARTS):
+                self._bench.close_stream()
+                guard = self._gave_up(recording, broken.reason, restarts)
+                if guard is None:
+                    message = f"{recording.position}: {broken.reason}; no dwell was possible"
+                    yield self._problem(Problem("stillness", message, place))
+                    return
+            if guard is not None:
+                if not (yield from self._ask_guard(guard, place)):
+                    return
+                restarts, rested_mg = 0, None
+            recording = self._new_recording(place)
+        yield from self._complete(recording)
+
+    def _gave_up(self, recording: Recording, reason: str, restarts: int) -> Guard | None:
+        """What to ask after so many disturbances; None where the part never came to rest.
+
+        Raises
+        ------
+        SessionError
+            Nobody is there to ask.
+        """
+        if self._auto:
+            raise SessionError(
+                f"{recording.position}: {reason}; no dwell was possible;"
+                " find what moves the part and resume the session"
+            )
+        return None if recording.timed_out else shock_guard(reason, restarts)
+
+    def _go_to(self, recording: Recording) -> Generator[Event, None, bool]:
+        """Bring about what the position asks for, as far as the program can; False where it was stopped."""
+        place, position = recording.place, recording.position
         if self._bench.sets_conditions and self._bench.wants_conditions(position):
             wanted = {"temperature_c": position.temperature_c, "supply_v": position.supply_v}
             # The record's time is the one at which the change begins: nothing may come between.
             self._note("conditions", wanted)
             self._bench.set_conditions(**wanted)
             if position.temperature_c is not None and (yield from self._wait(place, WARMING_S)):
-                return
+                return False
         move = self._bench.move_to(position)
         if move is not None:
             recording.moves.append(move)
@@ -535,23 +654,8 @@ class SessionRunner(Operator):
         if (yield from self._wait(place, position.wait_s)):
             # An attempt without scans keeps the move, which a resumed simulation has to live through.
             yield self._interrupted(recording, self._why_ended())
-            return
-        for _ in range(MOST_RESTARTS):
-            reason = yield from self._record_or_keep(recording)
-            if reason is None:
-                yield from self._complete(recording)
-                return
-            yield self._interrupted(recording, reason)
-            if self._stopping.is_set() or self._pausing.is_set():
-                return
-            if recording.timed_out:
-                break
-            recording = self._new_recording(place)
-        self._bench.close_stream()
-        message = f"{position}: {reason}; no dwell was possible"
-        if self._auto:
-            raise SessionError(f"{message}; find what moves the part and resume the session")
-        yield self._problem(Problem("stillness", message, place))
+            return False
+        return True
 
     def _wait(self, place: int, length_s: float) -> Generator[Event, None, bool]:
         """Wait before a dwell; True where the operator stopped or paused it."""
@@ -579,16 +683,20 @@ class SessionRunner(Operator):
             bench.period_s,
         )
 
-    def _record_or_keep(self, recording: Recording) -> Generator[Event, None, str | None]:
+    def _record_or_keep(
+        self, recording: Recording, rested_mg: Floats | None
+    ) -> Generator[Event, None, _Broken | None]:
         """Record; where that breaks off with an error, keep what there is."""
         try:
-            return (yield from self._record(recording))
+            return (yield from self._record(recording, rested_mg))
         except BaseException as error:
             why = str(error) if isinstance(error, AdisGonioError) else "the program ended"
             self._interrupted(recording, why)
             raise
 
-    def _record(self, recording: Recording) -> Generator[Event, None, str | None]:
+    def _record(
+        self, recording: Recording, rested_mg: Floats | None
+    ) -> Generator[Event, None, _Broken | None]:
         """Wait for stillness, then record; return None when complete, else what interrupted it."""
         watch = self._watch()
         window_s = self._bench.window * self._bench.period_s
@@ -596,34 +704,72 @@ class SessionRunner(Operator):
         look: Look | None = None
         for block in self._bench.scans():
             recording.add(block)
-            self._view.see(block)
+            self._see(block)
             for look in watch.feed(block.accel_mg):
-                disturbed = _disturbance(recording, look)
+                disturbed = self._disturbance(recording, look)
                 if disturbed is not None:
                     return disturbed
-            if recording.try_begin():
+            if recording.try_begin() and look is not None:
                 watch.anchor(recording.begin)
+                broken = yield from self._judge_place(recording, look.mean_mg, rested_mg)
+                if broken is not None:
+                    return broken
             if self._stopping.is_set() or self._pausing.is_set():
-                return self._why_ended()
+                return _Broken(self._why_ended())
             yield from self._keep_remarks(recording.place)
             if look is None:
                 continue
-            if recording.begun:
-                if recording.complete(look.end):
-                    return None
-                yield self._view.progress(
-                    recording, look.mean_mg, look.spread_mg, self._bench.settings.dwell_s
-                )
-                continue
-            state: Literal["settling", "moving"] = "settling" if recording.is_still else "moving"
-            waits_for = "the part to settle" if recording.is_still else f"rest: {recording.why_moving}"
-            yield self._view.watching(
-                state, look.mean_mg, look.spread_mg, recording.position.angle_deg, waits_for
-            )
-            if recording.waited_s > patience_s:
+            if recording.complete(look.end):
+                return None
+            yield self._view.dwell(recording, look.mean_mg, look.spread_mg, self._bench.settings.dwell_s)
+            if not recording.begun and recording.waited_s > patience_s:
                 recording.timed_out = True
-                return f"not still within {recording.waited_s:.0f} s ({recording.why_moving})"
-        return "the stream of scans ended"
+                return _Broken(f"not still within {recording.waited_s:.0f} s ({recording.why_moving})")
+        return _Broken("the stream of scans ended")
+
+    def _see(self, block: Block) -> None:
+        self._view.see(block)
+        if self._judge is not None:
+            self._judge.turning.see(block)
+
+    def _disturbance(self, recording: Recording, look: Look) -> _Broken | None:
+        """Tell the recording what was seen of the part; return what disturbed a dwell that had begun."""
+        if look.state == "stuck":
+            if self._auto:
+                raise SessionError(look.why)
+            return _Broken(look.why, stuck_guard(look.why))
+        if look.state == "still":
+            recording.still(look.end)
+        elif recording.begun:
+            moved_on = look.shifted and not self._auto and "drift" not in self._asked_kinds
+            return _Broken(look.why, drift_guard(look.why) if moved_on else None)
+        else:
+            recording.moving(look.why)
+        return None
+
+    def _judge_place(
+        self, recording: Recording, mean_mg: Floats, rested_mg: Floats | None
+    ) -> Generator[Event, None, _Broken | None]:
+        """Whether the part may be where it has come to rest; with nobody to ask a problem is told."""
+        judge, place, limits = self._judge, recording.place, self._limits
+        recording.rested_mg = mean_mg
+        if judge is None or limits is None:
+            return None
+        turned = judge.turned(place, recording.position, mean_mg)
+        if turned is not None:
+            yield turned
+        guard = judge.settled(recording.position, mean_mg)
+        if guard is None and rested_mg is not None and not self._auto:
+            guard = judge_shift(mean_mg, rested_mg, limits.upper)
+        if guard is None or guard.kind in self._asked_kinds:
+            return None
+        if not self._auto:
+            return _Broken(guard.message, guard)
+        self._asked_kinds.add(guard.kind)
+        if guard.spoils:
+            self._doubts.append(guard)
+        yield self._problem(Problem(guard.kind, f"{recording.position}: {guard.message}", place))
+        return None
 
     def _watch(self) -> StillnessWatch:
         if self._limits is None:
@@ -644,19 +790,57 @@ class SessionRunner(Operator):
         attempt = recording.attempt("complete", bench.now_s, status=None if status is None else status.word)
         number = self._archive.add_attempt(attempt)
         place, scans = recording.place, recording.scans()
-        found = problems(place, scans, status)
         self._faulty.discard(place)
         alarms = count_alarms(scans)
         if attempt.status or alarms:
             self._faulty.add(place)
+        self._learn(recording, scans, number)
+        mean = vector(scans.accel_mg.mean(axis=0))
+        yield DwellDone(place, recording.position, number, len(scans), scans.lost, mean, alarms)
+        found = problems(place, scans, status)
+        for problem in found:
+            yield self._problem(problem)
+        yield from self._judge_dwell(recording, scans, found)
+        running = self._running.result(self._plan, reverse=self._reversed)
+        if running is not None and self._done.get(place) == number:
+            yield running
+
+    def _learn(self, recording: Recording, scans: Block, number: int) -> None:
+        """Count a complete dwell, with what was doubted of it and kept."""
+        place = recording.place
+        for guard in self._doubts:
+            self._note("doubt", {"attempt": number, "kind": guard.kind, "message": guard.message})
         self._done[place] = number
         self._taken += 1
         self._skipped.discard(place)
         self._last_place = place
-        mean = vector(scans.accel_mg.mean(axis=0))
-        yield DwellDone(place, recording.position, number, len(scans), scans.lost, mean, alarms)
-        for problem in found:
-            yield self._problem(problem)
+        self._running.add(place, recording.position, scans)
+        if self._judge is not None:
+            self._judge.done(place, recording.position, scans, doubted=bool(self._doubts))
+
+    def _judge_dwell(self, recording: Recording, scans: Block, found: list[Problem]) -> Iterator[Event]:
+        """Ask about what happened within a dwell; with nobody to ask a problem is told."""
+        place = recording.place
+        told = {problem.kind for problem in found}
+        for guard in judge_dwell(scans, found):
+            if self._auto:
+                if guard.kind not in told and not (guard.kind == "over_range" and "alarm" in told):
+                    yield self._problem(
+                        Problem(guard.kind, f"{recording.position}: {guard.message}", place)
+                    )
+                continue
+            stays = yield from self._ask_guard(guard, place)
+            if self._stopping.is_set():
+                return
+            if not stays:
+                skipped = place in self._skipped
+                yield self._withdraw(place)
+                if skipped:
+                    self._skipped.add(place)
+                return
+            if place in self._faulty:
+                self._note("kept", [self._done[place]])
+                self._faulty.discard(place)
 
     def _tell_scanning(self) -> None:
         """Record how scans are got, where that is new."""
@@ -687,18 +871,27 @@ class SessionRunner(Operator):
         )
 
 
+@dataclass(frozen=True)
+class _Broken:
+    """Why a dwell was broken off, and what has to be asked about it."""
+
+    reason: str
+    guard: Guard | None = None
+
+
 class _Idle:
     """The newest samples while a question stands."""
 
-    def __init__(self, bench: Bench, view: LiveView) -> None:
+    def __init__(self, bench: Bench, view: LiveView, see: Callable[[Block], None]) -> None:
         self._stream = bench.scans()
         self._window = bench.window
         self._view = view
+        self._see = see
         self._kept = np.empty((0, 3))
 
     def look(self) -> Watching:
         for block in self._stream:
-            self._view.see(block)
+            self._see(block)
             self._kept = np.concatenate([self._kept, block.accel_mg])[-self._window :]
             if len(self._kept) > 1:
                 break
@@ -710,19 +903,6 @@ class _Idle:
             None if target is None else target.angle_deg,
             "an answer",
         )
-
-
-def _disturbance(recording: Recording, look: Look) -> str | None:
-    """Tell the recording what was seen of the part; return what disturbed a dwell that had begun."""
-    if look.state == "stuck":
-        raise SessionError(look.why)
-    if look.state == "still":
-        recording.still(look.end)
-    elif recording.begun:
-        return look.why
-    else:
-        recording.moving(look.why)
-    return None
 
 
 __all__ = ["Answer", "SessionRunner"]

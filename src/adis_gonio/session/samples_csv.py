@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.errors import DataError
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Floats, Session, Use
+from adis_gonio.model.records import METADATA, STANDARD_GRAVITY_MPS2, Dwell, Floats, Session, Use
 from adis_gonio.session.stillness import segment_with_notes
 
 SENSORS = ("adis16354", "adis16350", "adis16355", "generic")
@@ -193,7 +193,8 @@ def _texts_by(get: Callable[[Dwell], Floats | None], dwell: Dwell) -> list[str]:
 
 
 def _keys_of(session: Session) -> dict[str, str]:
-    keys = {"title": " ".join(session.title.split())} if session.title.strip() else {}
+    written = {name: " ".join(getattr(session, name).split()) for name in ("title", *METADATA)}
+    keys = {name: text for name, text in written.items() if text}
     keys |= {
         "sensor": session.sensor,
         "accel_unit": session.accel_unit,
@@ -345,6 +346,7 @@ _KEYS: dict[str, Callable[[str], Any]] = {
     "gyro_unit": _choice(GYRO_UNITS),
     "reading_u_mg": _positive,
     "title": str,
+    **dict.fromkeys(METADATA, str),
 }
 
 

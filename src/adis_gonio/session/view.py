@@ -113,6 +113,11 @@ class ArchiveView:
         counted = set(latest.values()) - self.withdrawn()
         return [a for a in self.attempts() if a.number in counted]
 
+    def doubts(self) -> list[JsonDict]:
+        """Why a result cannot be right: what a guard stopped at in dwells that count, and that was kept."""
+        counted = {attempt.number for attempt in self.dwells()}
+        return [record.value for record in self.records("doubt") if record.value["attempt"] in counted]
+
     def withdrawn(self) -> set[int]:
         """Numbers of the complete attempts that the operator took back."""
         return {record.value for record in self.records("withdrawn")}

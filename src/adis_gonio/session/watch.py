@@ -67,6 +67,8 @@ class Look:
         What moves or is stuck, with numbers; empty where it is still.
     mean_mg, spread_mg : (3,) float
         Mean and standard deviation of the window.
+    shifted : bool
+        True where the window itself is quiet, but its mean is not where the dwell began.
     """
 
     end: int
@@ -74,6 +76,7 @@ class Look:
     why: str
     mean_mg: Floats
     spread_mg: Floats
+    shifted: bool = False
 
 
 class _Windows:
@@ -205,7 +208,7 @@ class StillnessWatch:
             if (shift > allowed).any():
                 k = int(np.argmax(shift / allowed))
                 why = f"{AXES[k]} has shifted by {shift[k]:.3g} mg since the dwell began"
-                return Look(end, "moving", why, mean, spread)
+                return Look(end, "moving", why, mean, spread, shifted=True)
         return Look(end, "still", "", mean, spread)
 
 

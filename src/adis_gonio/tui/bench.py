@@ -31,8 +31,6 @@ LARGE_SIZE = (120, 40)
 LOOK_S = 0.05
 """Least time between two looks at the sensor while a question stands: a simulated one has no other."""
 TICK_S = 0.1
-SILENT_S = 5.0
-"""Time without news from the runner after which the screen says so."""
 
 _STYLES = {
     "open": "",
@@ -195,6 +193,7 @@ class BenchApp(App[None]):
         room = base.query_one("#right").content_size.width
         large = base.has_class("large")
         rows = base.query_one("#plan").content_size.height
+        silence_s = time.monotonic() - self._news_s
         plan = Text(no_wrap=True, overflow="ellipsis")
         for line, style in words.plan_rows(state, rows):
             plan.append(f"{line}\n", style=_STYLES[style])
@@ -208,7 +207,7 @@ class BenchApp(App[None]):
             "angle": Text("\n".join(glyphs.large(glyphs.angle(state.angle_deg), 2 if large else 1))),
             "target": Text(words.target(state), no_wrap=True),
             "still": Text(words.stillness(state, room), no_wrap=True, style=_still_style(state)),
-            "waits": Text(words.waiting(state)),
+            "waits": Text(words.waiting(state, silence_s)),
             "progress": Text(words.progress(state, room), no_wrap=True),
             "messages": _messages(state),
             "keys": _keys(state),
@@ -216,14 +215,9 @@ class BenchApp(App[None]):
         for name, text in texts.items():
             base.query_one(f"#{name}", Static).update(text)
         facts = Table.grid(padding=(0, 2, 0, 0))
-        for name, value in words.facts(state, self._silence_s()):
+        for name, value in words.facts(state, silence_s):
             facts.add_row(Text(name, style="dim"), Text(value))
         base.query_one("#facts", Static).update(facts)
-
-    def _silence_s(self) -> float:
-        """Time without news, where some should come; else 0."""
-        silence_s = time.monotonic() - self._news_s
-        return 0.0 if self.state.paused or silence_s < SILENT_S else silence_s
 
     # -- asking -------------------------------------------------------------------------------------
 

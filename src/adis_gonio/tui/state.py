@@ -94,6 +94,10 @@ class BenchState:
     time_left_s : float or None
         As it was at the last position that was asked for.
     paused : bool
+    quiet : bool
+        True where nothing is to be heard of the sensor: in a pause, while a trace runs, after the end.
+    zero_known : bool
+        True once a dwell has shown where the stage's zero is.
     messages : list of Message
         The newest last.
     finished : Finished or None
@@ -122,6 +126,8 @@ class BenchState:
         self.link = ""
         self.time_left_s: float | None = None
         self.paused = False
+        self.quiet = False
+        self.zero_known = False
         self.messages: list[Message] = []
         self.finished: events.Finished | None = None
 
@@ -143,6 +149,7 @@ class BenchState:
 
     def remember(self, done: Collection[int], skipped: Collection[int], faulty: Collection[int]) -> None:
         """Places that an earlier run of the session has settled."""
+        self.zero_known = bool(done)
         self.marks |= dict.fromkeys(done, Mark.DONE)
         self.marks |= dict.fromkeys(skipped, Mark.SKIPPED)
         self.marks |= dict.fromkeys(faulty, Mark.FAULTY)
@@ -207,7 +214,7 @@ class BenchState:
         self.doing = "waiting for you"
 
     def _ask(self, question: Question) -> None:
-        self.question, self.span, self.paused = question, None, False
+        self.question, self.span, self.paused, self.quiet = question, None, False, False
         self.waits_for = "your answer"
 
     @take.register
@@ -249,7 +256,7 @@ class BenchState:
         self.spread_mg, self.limit_mg = max(pairs, key=lambda pair: pair[0] / pair[1])
 
     def _goes_on(self) -> None:
-        self.question, self.span, self.paused = None, None, False
+        self.question, self.span, self.paused, self.quiet = None, None, False, False
 
     @take.register
     def _(self, event: events.Waiting) -> None:
@@ -262,6 +269,8 @@ class BenchState:
     def _(self, event: events.Advising) -> None:
         self._goes_on()
         self.place = None
+        self.quiet = True
+        self.waits_for = ""
         self.doing = f"tracing {event.dwells} dwells"
 
     @take.register
@@ -273,6 +282,7 @@ class BenchState:
     def _(self, event: events.DwellDone) -> None:
         self._goes_on()
         self.marks[event.place] = Mark.FAULTY if event.alarms else Mark.DONE
+        self.zero_known |= event.position.angle_deg is not None
         self.place = None
         self.doing = f"{event.position} is done"
         x, y, z = event.accel_mg
@@ -302,7 +312,8 @@ class BenchState:
 
     @take.register
     def _(self, event: events.Paused) -> None:
-        self.question, self.span, self.paused = None, None, True
+        self.question, self.span, self.paused, self.quiet = None, None, True, True
+        self.angle_deg = self.spread_mg = None
         self.doing = "paused"
 
     @take.register
@@ -323,5 +334,6 @@ class BenchState:
     def _(self, event: events.Finished) -> None:
         self._goes_on()
         self.place = None
+        self.quiet = True
         self.finished = event
         self.doing = "complete" if event.complete else "not complete"

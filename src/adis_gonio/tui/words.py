@@ -7,6 +7,8 @@ from adis_gonio.session import events
 from adis_gonio.session.plans import Position, attitude
 from adis_gonio.tui.state import BenchState, Mark
 
+SILENT_S = 5.0
+"""Time without news of the sensor after which that is said."""
 ON_TARGET_DEG = 0.05
 """Below this nothing is said of a turn: it would read 0.0°."""
 
@@ -98,6 +100,8 @@ def target(state: BenchState) -> str:
         return "free attitude: no angle to reach" if _is_free(state) else ""
     more = state.more_deg
     goal = f"target {_signless(state.target_deg)}°"
+    if not state.zero_known:
+        return f"{goal}   this position sets the zero"
     if more is None:
         return goal
     if abs(more) < ON_TARGET_DEG:
@@ -121,10 +125,12 @@ def stillness(state: BenchState, width: int) -> str:
     return text + bar(state.spread_mg / state.limit_mg, width - len(text))
 
 
-def waiting(state: BenchState) -> str:
-    """What the session waits for."""
+def waiting(state: BenchState, silence_s: float = 0.0) -> str:
+    """What the session waits for; `silence_s` is how long nothing has come, which a trace is timed by."""
     if state.paused:
         return "paused"
+    if state.quiet and silence_s >= 1:
+        return f"for {duration(silence_s)} so far"
     return f"waits for {state.waits_for}" if state.waits_for else state.doing
 
 
@@ -151,7 +157,7 @@ def facts(state: BenchState, silence_s: float = 0.0) -> list[tuple[str, str]]:
     link = "–"
     if state.rate_hz is not None:
         link = f"{state.lost} scans lost of {state.rate_hz:.4g}/s {state.link}, {state.url}"
-    if silence_s:
+    if silence_s >= SILENT_S and not state.quiet:
         link = f"NO NEWS for {duration(silence_s)}; {link}"
     return [
         ("last turn", _turn(state.turn)),
@@ -257,5 +263,5 @@ q      quit; all that is recorded stays, --resume goes on with it
 Ctrl-C quit at once
 
 ▶ now   ✓ done   – skipped   ! fault   ↶ again   · to do
-The angle is positive for the stage's positive turn. No question has a
-time limit."""
+The angle is positive for the stage's positive turn.
+No question has a time limit."""

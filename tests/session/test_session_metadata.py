@@ -1,0 +1,74 @@
+"""What the operator writes down goes from the bench into every file and page that leaves it."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+
+import pytest
+
+from adis_gonio.errors import UsageError
+from adis_gonio.fitting import fit_every
+from adis_gonio.model.gravity import EARTH_MPS2, normal_gravity_mps2, require_gravity
+from adis_gonio.report.page import build_page
+from adis_gonio.sensor import open_sensor
+from adis_gonio.session import SessionRunner, Settings, export_csv, export_json, load_session, plan
+
+WRITTEN = {"operator": "A. Müller", "serial": "SN 0815", "stage": "dividing head, 40:1"}
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    made = tmp_path_factory.mktemp("metadata") / "a.session"
+    with open_sensor("sim:?seed=3") as sensor:
+        runner = SessionRunner.begin(
+            sensor, made, plan("four-position"), Settings(dwell_s=0.5), auto=True, **WRITTEN
+        )
+        list(runner.run())
+    return made
+
+
+def test_operator_serial_and_stage_survive_archive_csv_and_json(path, tmp_path):
+    session = load_session(path)
+    assert {name: getattr(session, name) for name in WRITTEN} == WRITTEN
+    export_csv(session, tmp_path / "a.csv")
+    back = load_session(tmp_path / "a.csv")
+    assert {name: getattr(back, name) for name in WRITTEN} == WRITTEN
+    export_json(session, tmp_path / "a.json")
+    document = json.loads((tmp_path / "a.json").read_text("utf-8"))
+    assert {name: document[name] for name in WRITTEN} == WRITTEN
+
+
+def test_the_report_shows_who_measured_which_part_on_which_stage(path):
+    session = load_session(path)
+    html = build_page(session, fit_every(session)[0], "not traced here")
+    assert all(text in html for text in WRITTEN.values())
+
+
+def test_a_session_file_of_an_older_program_loads_with_empty_metadata(path, tmp_path):
+    old = tmp_path / "old.session"
+    old.write_bytes(path.read_bytes())
+    with sqlite3.connect(old) as connection:
+        for (name,) in connection.execute(
+            "SELECT name FROM sqlite_master WHERE type = 'trigger'"
+        ).fetchall():
+            connection.execute(f"DROP TRIGGER {name}")
+        connection.execute("DELETE FROM meta WHERE key IN ('operator', 'serial', 'stage')")
+    connection.close()
+    session = load_session(old)
+    assert (session.operator, session.serial, session.stage) == ("", "", "")
+
+
+@pytest.mark.parametrize(
+    ("value", "unit"), [(980.665, "Gal"), (1.0, "g"), (980665.0, "mGal"), (32.174, "ft/s²"), (9.81e3, "")]
+)
+def test_gravity_out_of_range_is_refused_with_the_unit_that_was_meant(value, unit):
+    with pytest.raises(UsageError, match=r"m/s² is 9\.75 to 9\.84") as caught:
+        require_gravity(value)
+    assert (f"looks like {unit}" in str(caught.value)) if unit == "g" else (unit in str(caught.value))
+
+
+def test_all_of_the_earth_is_in_range():
+    low, high = EARTH_MPS2
+    assert low <= normal_gravity_mps2(0.0, 9000.0)
+    assert normal_gravity_mps2(90.0, -500.0) <= high
