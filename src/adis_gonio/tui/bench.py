@@ -81,7 +81,9 @@ class BenchApp(App[None]):
     Screen { layout: vertical; overflow: hidden; }
     #title { height: 1; background: $primary; color: $text; text-style: bold; padding: 0 1; }
     #body { height: 1fr; }
-    #plan { width: 30; height: 100%; padding: 0 1; border-right: solid $secondary; }
+    #side { width: 30; height: 100%; border-right: solid $secondary; }
+    #plan { height: 1fr; padding: 0 1; }
+    #link { height: auto; max-height: 7; padding: 0 1; border-top: solid $secondary; }
     #right { width: 1fr; padding: 0 1; }
     #task { height: auto; max-height: 3; text-style: bold; color: $warning; }
     #angle { height: auto; margin: 1 0 0 0; }
@@ -94,7 +96,7 @@ class BenchApp(App[None]):
     #small { display: none; padding: 1; }
     .small #small { display: block; }
     .small #body { display: none; }
-    .large #plan { width: 40; }
+    .large #side { width: 40; }
     ModalScreen { align: center middle; }
     #box { width: 74; height: auto; max-height: 22; border: thick $warning; background: $surface;
            padding: 0 2; }
@@ -151,7 +153,9 @@ class BenchApp(App[None]):
         yield Static(id="title")
         yield Static(id="small")
         with Horizontal(id="body"):
-            yield Static(id="plan")
+            with Vertical(id="side"):
+                yield Static(id="plan")
+                yield Static(id="link")
             with Vertical(id="right"):
                 for name in ("task", "angle", "target", "still", "waits", "progress", "facts", "messages"):
                     yield Static(id=name)
@@ -192,7 +196,7 @@ class BenchApp(App[None]):
         base, state = self.screen_stack[0], self.state
         room = base.query_one("#right").content_size.width
         large = base.has_class("large")
-        rows = base.query_one("#plan").content_size.height
+        rows, side = base.query_one("#plan").content_size.height, base.query_one("#link").content_size.width
         silence_s = time.monotonic() - self._news_s
         plan = Text(no_wrap=True, overflow="ellipsis")
         for line, style in words.plan_rows(state, rows):
@@ -203,6 +207,7 @@ class BenchApp(App[None]):
             "title": Text(words.title(state), no_wrap=True, overflow="ellipsis"),
             "small": Text(f"{small} The session goes on: make it larger, or press q to quit."),
             "plan": plan,
+            "link": Text("\n".join(words.surroundings(state, side, silence_s))),
             "task": Text(words.task(state)),
             "angle": Text("\n".join(glyphs.large(glyphs.angle(state.angle_deg), 2 if large else 1))),
             "target": Text(words.target(state), no_wrap=True),
@@ -215,7 +220,7 @@ class BenchApp(App[None]):
         for name, text in texts.items():
             base.query_one(f"#{name}", Static).update(text)
         facts = Table.grid(padding=(0, 2, 0, 0))
-        for name, value in words.facts(state, silence_s):
+        for name, value in words.facts(state):
             facts.add_row(Text(name, style="dim"), Text(value))
         base.query_one("#facts", Static).update(facts)
 

@@ -152,19 +152,20 @@ def bar(share: float, width: int) -> str:
     return "█" * filled + "░" * (width - filled)
 
 
-def facts(state: BenchState, silence_s: float = 0.0) -> list[tuple[str, str]]:
-    """Rows of name and value below the angle; `silence_s` is how long nothing has come from the sensor."""
-    link = "–"
-    if state.rate_hz is not None:
-        link = f"{state.lost} scans lost of {state.rate_hz:.4g}/s {state.link}, {state.url}"
+def facts(state: BenchState) -> list[tuple[str, str]]:
+    """Rows of name and value below the angle."""
+    return [("last turn", _turn(state.turn)), ("result", _running(state.running))]
+
+
+def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[str]:
+    """Temperature and link, in lines; `silence_s` is how long nothing has come from the sensor."""
+    lines = [_temperature(state)]
     if silence_s >= SILENT_S and not state.quiet:
-        link = f"NO NEWS for {duration(silence_s)}; {link}"
-    return [
-        ("last turn", _turn(state.turn)),
-        ("result", _running(state.running)),
-        ("part", _temperature(state)),
-        ("link", link),
-    ]
+        lines.append(f"NO NEWS for {duration(silence_s)}")
+    if state.rate_hz is not None:
+        lines += [f"{state.lost} scans lost, {state.rate_hz:.4g}/s", state.link]
+    url = state.url
+    return [*lines, url if len(url) <= width else f"{url[: max(0, width - 1)]}…"]
 
 
 def _turn(turn: events.TurnMeasured | None) -> str:
@@ -209,7 +210,7 @@ def _temperature(state: BenchState) -> str:
     if state.temperature_c is None or state.began_c is None:
         return "temperature not measured"
     drift = state.temperature_c - state.began_c
-    return f"{state.temperature_c:.1f} °C, {_signed(drift, 1)} K since the start"
+    return f"{state.temperature_c:.1f} °C, {_signed(drift, 1)} K since begin"
 
 
 def _signed(value: float, digits: int) -> str:
