@@ -87,27 +87,27 @@ def test_calibrate_shows_truth_and_result_side_by_side_and_they_agree(capsys, tm
     assert "bias cannot be seen" in out
 
 
-def test_calibrate_offers_dwells_with_a_fault_for_repetition_at_the_end_and_after_resuming(
+def test_calibrate_asks_about_a_fault_at_once_and_after_resuming_until_it_is_answered(
     capsys, tmp_path, monkeypatch
 ):
     path = tmp_path / "s.session"
     url = "sim:?seed=7&supply_v=4.6"
     call = ["calibrate", url, "--dwell", "0.5", "-o", str(path)]
-    monkeypatch.setattr("sys.stdin", io.StringIO("\n\nq\n"))  # both positions, then away
-    main(call)
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n"))  # the first position, then away from the question
+    assert main(call) == 1
     told = capsys.readouterr().err
     assert "with an error or alarm" in told
-    assert "an error or alarm stood at" in told
-    assert "repeat?" in told
-    monkeypatch.setattr("sys.stdin", io.StringIO("\nn\nn\n"))  # repeat both, keep them, no extension
+    assert "take the position again" in told
+    monkeypatch.setattr("sys.stdin", io.StringIO("\nk\nn\nn\n"))  # keep both, no extension
     assert main([*call, "--resume"]) == 0
     told = capsys.readouterr().err
-    assert told.count("repeat?") == 2
-    assert told.count("with an error or alarm") == 2
+    assert "an error or alarm stood at 0°: repeat?" in told
     assert len([note for note in load_session(path).notes if "error or alarm" in note]) == 2
     monkeypatch.setattr("sys.stdin", io.StringIO("n\n"))
     assert main([*call, "--resume"]) == 0
-    assert "repeat?" not in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "repeat?" not in told
+    assert "take the position again" not in told
 
 
 def test_calibrate_json_is_one_document_with_the_truth(capsys, tmp_path):

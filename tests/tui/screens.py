@@ -29,6 +29,8 @@ class PlayedRunner:
         True where the run ends with the script.
     """
 
+    reversed = False
+
     def __init__(self, script: Sequence[events.Event | BaseException], *, ends: bool = False) -> None:
         self._script = script
         self._ends = ends

@@ -51,7 +51,7 @@ def test_within_a_dwell_nothing_is_answered(key):
 
 @pytest.mark.parametrize(("key", "said"), [("t", "to take again"), ("u", "to withdraw")])
 def test_at_the_first_position_there_is_nothing_to_take_back(key, said):
-    text, _, runner = shown([*OPEN, asked(0)], keys=[key])
+    text, _, runner = shown([*OPEN, asked(0)], keys=["x", key])
     assert runner.told == []
     assert said in text
 
@@ -153,6 +153,16 @@ def test_any_key_closes_the_help():
     text, _, runner = shown(ASKED, keys=["question_mark", "s"])
     assert runner.told == []
     assert "Keys and signs" not in text
+
+
+def test_the_first_position_shows_how_the_part_is_held_and_any_key_goes_on():
+    text, _, runner = shown([*OPEN, asked(0)])
+    assert "How the part is held" in text
+    assert "Positive is counter-clockwise" in text
+    assert shown([*OPEN, asked(0)], keys=["enter"])[2].told == []
+    assert shown([*OPEN, asked(0)], keys=["enter", "enter"])[2].told == ["confirm"]
+    assert "How the part is held" not in shown(ASKED)[0]
+    assert "How the part is held" in shown(ASKED, keys=["d"])[0]
 
 
 # -- what holds in every state --------------------------------------------------------------------------

@@ -61,9 +61,16 @@ class Operator:
         with ArchiveView(self.session) as view:
             return sum(attempt.outcome == "complete" for attempt in view.attempts())
 
+    def is_asked(self, number: int, angle_deg: float) -> None:
+        self.sees(rf"{number} of \d+: (turn|leave) the part")
+        self.sees(rf"▶ now +{angle_deg:g}°")
+
     def take(self, number: int, angle_deg: float) -> None:
         """Turn to the position that is asked for, see the angle there, take it."""
-        self.sees(rf"{number} of \d+: turn the part to {angle_deg:g}°")
+        if number == 1:
+            self.sees("How the part is held")
+            self.terminal.press("Enter")
+        self.is_asked(number, angle_deg)
         self.turn(angle_deg)
         if number > 1:
             self.sees(r"target .*(● there|turn [+−]0\.[0-4]°)")
@@ -90,12 +97,12 @@ def test_from_start_to_result_with_wrong_moves_a_retake_a_quit_and_a_resume(oper
     operator.start(*OPTIONS)
     operator.take(1, 0)
     # Forgotten to turn.
-    operator.sees("2 of 4: turn the part to 90°")
+    operator.is_asked(2, 90)
     terminal.press("Enter")
     operator.sees(r"▶ t  go back: ask for the position again \(default\)")
     terminal.press("Enter")
     # Turned the wrong way.
-    operator.sees("2 of 4: turn the part to 90°")
+    operator.is_asked(2, 90)
     operator.turn(-90)
     operator.sees("turn [+−]1[78]")
     terminal.press("Enter")
@@ -103,10 +110,10 @@ def test_from_start_to_result_with_wrong_moves_a_retake_a_quit_and_a_resume(oper
     terminal.press("t")
     operator.take(2, 90)
     # Taken again.
-    operator.sees("3 of 4: turn the part to 180°")
+    operator.is_asked(3, 180)
     terminal.press("t")
     operator.has_recorded(3)
-    operator.sees("3 of 4: turn the part to 180°")
+    operator.is_asked(3, 180)
     terminal.press("q")
     operator.sees("--resume -o")
     terminal.press("q")
@@ -138,7 +145,7 @@ def test_a_cable_that_is_pulled_leaves_the_terminal_as_it_was_and_can_be_resumed
     terminal = operator.terminal
     operator.start(*OPTIONS)
     operator.take(1, 0)
-    operator.sees("2 of 4: turn the part to 90°")
+    operator.is_asked(2, 90)
     operator.unplug()
     assert terminal.status() == 1
     told = terminal.screen(history=True)
@@ -149,7 +156,7 @@ def test_a_cable_that_is_pulled_leaves_the_terminal_as_it_was_and_can_be_resumed
     terminal.run(["echo", "still here"])
     operator.sees("^still here")
     operator.start("--resume")
-    operator.sees("2 of 4: turn the part to 90°")
+    operator.is_asked(2, 90)
     terminal.press("C-c")
     assert terminal.status() == 1
 
@@ -159,7 +166,7 @@ def test_an_end_from_outside_keeps_all_and_leaves_the_terminal_as_it_was(operato
     terminal = operator.terminal
     operator.start(*OPTIONS)
     operator.take(1, 0)
-    operator.sees("2 of 4: turn the part to 90°")
+    operator.is_asked(2, 90)
     if how == "TERM":
         terminal.kill_program()
         assert terminal.status() == 130
@@ -176,11 +183,11 @@ def test_an_end_from_outside_keeps_all_and_leaves_the_terminal_as_it_was(operato
 def test_the_screen_follows_the_terminals_size(operator):
     terminal = operator.terminal
     operator.start(*OPTIONS)
-    operator.sees("1 of 4: turn the part to 0°")
+    operator.is_asked(1, 0)
     terminal.resize(60, 20)
     operator.sees("needs 80 × 24, the")
     terminal.resize(120, 40)
-    operator.sees("1 of 4: turn the part to 0°")
+    operator.is_asked(1, 0)
     terminal.press("q")
     operator.sees("Quit the session")
     terminal.press("q")

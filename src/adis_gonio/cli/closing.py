@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from adis_gonio.cli.show import console
+from adis_gonio.cli.show import console, counted
 
 if TYPE_CHECKING:
     from adis_gonio.model.records import Session
@@ -25,9 +25,9 @@ def standing(summary: Mapping[str, Any]) -> list[str]:
     """Where a session stands, in at most two lines."""
     if not summary:
         return []
-    first = f"With {summary['dwells']} dwells: the model is {_adequate(summary)}"
+    first = f"With {counted(summary['dwells'], 'dwell')}: the model is {_adequate(summary)}"
     if not summary["tested"]:
-        first = f"With {summary['dwells']} dwells: no readings are left over to test the model"
+        first = f"With {counted(summary['dwells'], 'dwell')}: no readings are left over to test the model"
     lines = [f"{first}; found: {_listed(summary['found'])}"]
     if summary["uncertain"]:
         lines.append(f"Not certain: {_listed(summary['uncertain'])}")

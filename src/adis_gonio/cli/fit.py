@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from adis_gonio.cli.show import console, json_option, print_json, with_uncertainty
+from adis_gonio.cli.show import console, counted, json_option, print_json, with_uncertainty
 
 
 @click.command("fit")
@@ -33,7 +33,9 @@ def command(*, session: Path, method: str | None, as_json: bool) -> None:
         return
     screen = console()
     title = f"{loaded.title}: " if loaded.title else ""
-    screen.print(f"{title}{len(loaded.dwells)} dwells, {loaded.sensor}", style="bold", markup=False)
+    screen.print(
+        f"{title}{counted(len(loaded.dwells), 'dwell')}, {loaded.sensor}", style="bold", markup=False
+    )
     written = [f"{name} {getattr(loaded, name)}" for name in METADATA if getattr(loaded, name)]
     if written:
         screen.print(f"  {', '.join(written)}", markup=False)

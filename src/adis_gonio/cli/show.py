@@ -31,6 +31,11 @@ def console(*, stderr: bool = False) -> Console:
     return screen if screen.is_terminal else Console(stderr=stderr, highlight=False, width=200)
 
 
+def counted(number: int, name: str) -> str:
+    """Number and name with its plural, such as `1 dwell` and `2 dwells`."""
+    return f"{number} {name}" if number == 1 else f"{number} {name}s"
+
+
 def json_text(document: Any) -> str:
     """One JSON document as text; what is not finite becomes null."""
     return json.dumps(_plain(document), ensure_ascii=False, indent=2, allow_nan=False)

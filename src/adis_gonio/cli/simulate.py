@@ -68,7 +68,8 @@ def command(*, output: Path, **options: Any) -> int:
 
     The session is measured through the driver, frame by frame, as a real one would be.
     """
-    from adis_gonio.cli.calibrate import Bench
+    from adis_gonio.cli.bench.plain import PlainBench
+    from adis_gonio.cli.show import counted
     from adis_gonio.sensor import open_sensor
     from adis_gonio.sensor.settings import smpl_prd_for
     from adis_gonio.session import SessionRunner, Settings, export_csv, load_session, plan
@@ -102,10 +103,10 @@ def command(*, output: Path, **options: Any) -> int:
             fixture_sigma_deg=world.settings.fixture_sigma_deg,
             title=options["title"],
         )
-        complete = Bench(runner, auto=True).run()
+        complete = PlainBench(runner, auto=True).run()
         if as_csv:
             export_csv(load_session(archive), output)
-    click.echo(f"{output}: {len(positions)} dwells", err=True)
+    click.echo(f"{output}: {counted(len(positions), 'dwell')}", err=True)
     return 0 if complete else 1
 
 

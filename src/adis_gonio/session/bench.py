@@ -88,6 +88,12 @@ class Bench:
         return self.world is not None
 
     @property
+    def virtual_time(self) -> bool:
+        """True where time runs only as far as something is asked of the sensor: a simulated one."""
+        sensor = getattr(self.source, "sensor", None)
+        return bool(getattr(getattr(sensor, "bus", None), "virtual_time", False))
+
+    @property
     def now_s(self) -> float:
         """Clock of the source."""
         return self.source.now_s()
@@ -233,7 +239,7 @@ class Bench:
         runs = archive.runs()
         if not runs:
             return -bus_s
-        if self.simulated:
+        if self.virtual_time:
             return float(runs[0]["clock_offset_s"])
         # Clocks of two runs have nothing in common but the wall clock, which may have been set back.
         since = datetime.now(UTC) - datetime.fromisoformat(archive.header().created_utc)
@@ -268,6 +274,14 @@ class Bench:
             self._wait_until(end_s - CHECKPOINT_S / 2)
             self.source.status()
         self._wait_until(end_s)
+
+    def take_up(self, archive: ArchiveView, attempt: int) -> None:
+        """Let a simulated part that follows the wall clock lie where an attempt left it.
+
+        Unlike `bring_world_to` this is another power-on at another time, as with a real bench.
+        """
+        for move in archive.moves_before(attempt)[-1:]:
+            self._carry_out(move)
 
     def _wait_until(self, bus_s: float) -> None:
         source = self.source

@@ -273,17 +273,14 @@ def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
 
 
 def greatest_step(time_s: Floats, values: Floats) -> float:
-    """Greatest difference between the means of neighbouring seconds; 0 in less than two of them.
-
-    A shorter dwell is compared half with half.
-    """
-    length_s = float(time_s[-1] - time_s[0])
-    width_s = min(STEP_WINDOW_S, length_s / 2)
+    """Greatest change within a second, by means of half a second; a shorter dwell is taken in quarters."""
+    width_s = min(STEP_WINDOW_S / 2, float(time_s[-1] - time_s[0]) / 4)
     if width_s <= 0:
         return 0.0
     slot = ((time_s - time_s[0]) / width_s).astype(int)
-    means = [float(values[slot == k].mean()) for k in np.unique(slot) if (slot == k).sum() > 1]
-    return float(np.abs(np.diff(means)).max()) if len(means) > 1 else 0.0
+    means = np.array([values[slot == k].mean() for k in np.unique(slot) if (slot == k).sum() > 1])
+    # From a window to the one after next: a step falls within the one between, at worst.
+    return float(np.abs(means[2:] - means[:-2]).max()) if len(means) > 2 else 0.0
 
 
 __all__ = ["GUARD_KINDS", "Guard", "Reading", "judge_dwell", "judge_level", "judge_pose", "judge_turn"]

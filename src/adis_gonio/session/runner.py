@@ -90,6 +90,9 @@ WARMING_S = 600.0
 PAUSE_STEP_S = 0.1
 """Between two looks for remarks during a pause, on the wall clock."""
 
+TURN_S = 10.0
+"""Estimate of a turn by hand, for the time that is left, until one has been timed."""
+
 WAIT_STEP_S = 1.0
 """Between two looks at the clock and the operator during a wait."""
 
@@ -132,7 +135,7 @@ class SessionRunner(Operator):
         self._reversed = bool(archive.last("reversed"))
         self._asked_kinds: set[str] = set()
         self._doubts: list[Guard] = []
-        self._began_s = 0.0
+        self._first_asked_s: float | None = None
         self._taken = 0
         self._scanning: dict[str, Any] = archive.last("scanning") or {}
 
@@ -242,6 +245,16 @@ class SessionRunner(Operator):
             archive.close()
             raise
 
+    @property
+    def reversed(self) -> bool:
+        """True where the session is taken as turned the other way."""
+        return self._reversed
+
+    @property
+    def virtual_time(self) -> bool:
+        """True where the sensor's time stands still while nobody takes the next event."""
+        return self._bench.virtual_time
+
     # -- the machine ------------------------------------------------------------------------------
 
     def run(self) -> Iterator[Event]:
@@ -276,7 +289,7 @@ class SessionRunner(Operator):
 
     def _prepare(self) -> Iterator[Event]:
         bench, archive = self._bench, self._archive
-        self._began_s = began_s = bench.now_s
+        began_s = bench.now_s
         yield Started(
             str(archive.path),
             bench.source.url,
@@ -298,8 +311,10 @@ class SessionRunner(Operator):
         noise = archive.last("noise")
         if noise is None:
             noise = yield from self._measure_noise()
-        elif bench.simulated:
+        elif bench.virtual_time:
             bench.bring_world_to(archive, last)
+        elif bench.simulated:
+            bench.take_up(archive, last)
         if noise is not None:
             yield self._limit(noise)
 
@@ -437,9 +452,11 @@ class SessionRunner(Operator):
     def _time_left_s(self) -> float:
         """How long the positions that are left take, by how long those of this run took."""
         bench, left = self._bench, len(self._plan) - len(self._done) - len(self._skipped)
-        each = bench.settle_s + bench.settings.dwell_s
+        if self._first_asked_s is None:
+            self._first_asked_s = bench.now_s
+        each = TURN_S + bench.settle_s + bench.settings.dwell_s
         if self._taken:
-            each = max(each, (bench.now_s - self._began_s) / self._taken)
+            each = (bench.now_s - self._first_asked_s) / self._taken
         open_places = (k for k in range(len(self._plan)) if k not in self._done and k not in self._skipped)
         return left * each + sum(self._plan.positions[k].wait_s for k in open_places)
 

@@ -104,6 +104,11 @@ class SimBus(SpiBus):
         self._stream: SimStream | None = None
         self._counted = 0
 
+    @property
+    def virtual_time(self) -> bool:
+        """True where the clock is set forward by what is done; False where it is the wall's."""
+        return self._wall_s is None
+
     # -- time -----------------------------------------------------------------------------------
 
     def now_s(self) -> float:

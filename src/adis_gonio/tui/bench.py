@@ -19,6 +19,7 @@ from textual.widgets import Static
 
 from adis_gonio.errors import UsageError
 from adis_gonio.session import events
+from adis_gonio.session.guidance import drawing
 from adis_gonio.session.runner import SessionRunner
 from adis_gonio.tui import dialogs, glyphs, words
 from adis_gonio.tui.state import BenchState
@@ -74,6 +75,7 @@ class BenchApp(App[None]):
         Binding("p", "pause", show=False),
         Binding("n", "note", show=False),
         Binding("q", "ask_to_quit", show=False),
+        Binding("d", "draw", show=False),
         Binding("question_mark,f1,h", "explain", show=False),
         Binding("ctrl+c,ctrl+q", "stop_now", show=False, priority=True),
     ]
@@ -98,7 +100,7 @@ class BenchApp(App[None]):
     .small #body { display: none; }
     .large #side { width: 40; }
     ModalScreen { align: center middle; }
-    #box { width: 74; height: auto; max-height: 22; border: thick $warning; background: $surface;
+    #box { width: 78; height: auto; max-height: 24; border: thick $warning; background: $surface;
            padding: 0 2; }
     #box > Static { height: auto; margin: 0 0 1 0; }
     #box > Static:last-of-type { margin: 0; }
@@ -121,7 +123,7 @@ class BenchApp(App[None]):
         self._events: queue.SimpleQueue[events.Event] = queue.SimpleQueue()
         self._worker = threading.Thread(target=self._work, name="session", daemon=True)
         self._ended = threading.Event()
-        self._stopping = False
+        self._stopping = self._drawn = False
         self._news_s = time.monotonic()
         self._asked: events.Event | None = None
         self._open_question: dialogs.Dialog | None = None
@@ -183,6 +185,7 @@ class BenchApp(App[None]):
             self.state.take(event)
             if isinstance(event, events.Started) and event.resumed:
                 self._remember(self.state)
+        self.state.reversed = self._runner.reversed
         self.show()
         if ended:
             self.exit()
@@ -245,6 +248,8 @@ class BenchApp(App[None]):
             case events.ExtensionOffered():
                 planned = 0 if self.state.plan is None else len(self.state.plan)
                 dialog = dialogs.extension_dialog(question, planned)
+            case events.PositionAsked() if not (self.state.zero_known or self._drawn):
+                self.action_draw()
             case _:
                 pass
         self._asked = question
@@ -320,7 +325,14 @@ class BenchApp(App[None]):
 
     def action_explain(self) -> None:
         """Show the help."""
-        self._open(dialogs.HelpDialog(words.HELP), lambda _: None)
+        self._open(dialogs.HelpDialog("Keys and signs", words.HELP), lambda _: None)
+
+    def action_draw(self) -> None:
+        """Show how the part is held."""
+        if self.state.plan is not None:
+            self._drawn = True
+            text = "\n".join(drawing(self.state.plan))
+            self._open(dialogs.HelpDialog("How the part is held", text), lambda _: None)
 
     def action_ask_to_quit(self) -> None:
         """Ask whether the session ends here."""

@@ -150,20 +150,20 @@ class NoteDialog(ModalScreen[str]):
 
 
 class HelpDialog(ModalScreen[None]):
-    """What the keys do and what the signs mean; any key closes it."""
+    """Something to read: keys and signs, or how the part is held; any key closes it."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True),
     ]
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, heading: str, text: str) -> None:
         super().__init__()
-        self._text = text
+        self._heading, self._text = heading, text
 
     def compose(self) -> ComposeResult:
         """The box with its text."""
         with Vertical(id="box"):
-            yield Static(Text("Keys and signs", style="bold"), id="heading")
+            yield Static(Text(self._heading, style="bold"), id="heading")
             yield Static(Text(self._text), id="text")
             yield Static(Text("any key closes this", style="dim"))
 

@@ -98,6 +98,10 @@ class BenchState:
         True where nothing is to be heard of the sensor: in a pause, while a trace runs, after the end.
     zero_known : bool
         True once a dwell has shown where the stage's zero is.
+    here : Position or None
+        Where the part was when it was measured last.
+    reversed : bool
+        True in a session that is taken as turned the other way.
     messages : list of Message
         The newest last.
     finished : Finished or None
@@ -128,6 +132,8 @@ class BenchState:
         self.paused = False
         self.quiet = False
         self.zero_known = False
+        self.here: Position | None = None
+        self.reversed = False
         self.messages: list[Message] = []
         self.finished: events.Finished | None = None
 
@@ -282,6 +288,7 @@ class BenchState:
     def _(self, event: events.DwellDone) -> None:
         self._goes_on()
         self.marks[event.place] = Mark.FAULTY if event.alarms else Mark.DONE
+        self.here = event.position
         self.zero_known |= event.position.angle_deg is not None
         self.place = None
         self.doing = f"{event.position} is done"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from adis_gonio.report.numbers import uncertain, with_unit
 from adis_gonio.session import events
+from adis_gonio.session.guidance import to_do
 from adis_gonio.session.plans import Position, attitude
 from adis_gonio.tui.state import BenchState, Mark
 
@@ -69,7 +70,8 @@ def task(state: BenchState) -> str:
         return "PAUSED. Nothing is measured; p goes on."
     question = state.question
     if isinstance(question, events.PositionAsked):
-        return f"{question.number} of {question.total}: {_to_do(question.position)}, then press Enter"
+        todo = to_do(question.position, state.here, reverse=state.reversed)
+        return f"{question.number} of {question.total}: {todo}, then press Enter"
     if isinstance(question, events.GuardRaised):
         return question.message
     if state.span is not None and state.span.what == "dwell":
@@ -77,21 +79,6 @@ def task(state: BenchState) -> str:
     if state.position is not None:
         return f"{state.position}: {state.doing}"
     return state.doing[:1].upper() + state.doing[1:]
-
-
-def _to_do(position: Position) -> str:
-    first = []
-    if position.temperature_c is not None:
-        first.append(f"bring the part to {position.temperature_c:.0f} °C")
-    if position.supply_v is not None:
-        first.append(f"set the supply to {position.supply_v:.2f} V")
-    if position.angle_deg is not None:
-        first.append(f"turn the part to {position}")
-    elif position.direction is not None:
-        first.append(f"hold the part in {position}, {attitude(position.direction)}")
-    else:
-        first.append(f"hold the part in {position}")
-    return ", ".join(first)
 
 
 def target(state: BenchState) -> str:
@@ -260,6 +247,7 @@ s      skip this position
 u      undo: withdraw the last dwell, its position is asked again
 p      pause, and go on; nothing is measured meanwhile
 n      a note, kept with the session
+d      the drawing: how the part is held, which way is positive
 q      quit; all that is recorded stays, --resume goes on with it
 Ctrl-C quit at once
 

@@ -1,0 +1,94 @@
+"""What an operator is told: which way is positive, which axis points where, and what to do next.
+
+The conventions are those of the plane (U_x = G cos(α − θ), U_y = G sin(α − θ + Δφ)) and of the part's
+arrows: an axis reads +1 g where its drawn arrow points down (lying level with Z up, Z reads −1 g).
+"""
+
+from __future__ import annotations
+
+from adis_gonio.session.guards import angle_between_deg
+from adis_gonio.session.plans import Plan, Position
+
+PLANE = (
+    "Start, 0°, seen with the Z arrow towards you:       At +90°:",
+    "",
+    "        +--------+                                      Y",
+    "        | part   |---> Y                                ^",
+    "        |   (.)Z |                                 +----|---+",
+    "        +---|----+                                 | (.)Z   |---> X",
+    "            v                                      | part   |",
+    "            X                                      +--------+",
+    "",
+    "  X arrow down (reads +1 g), Y level (0).          X level (0), Y arrow up (reads -1 g).",
+    "  Z is the axis of rotation and lies level: it reads about 0 throughout.",
+    "  Positive is counter-clockwise, seen with Z towards you: after +90° X points where Y did.",
+)
+SPACE = (
+    "An axis reads + where its arrow points down, - where it points up, about 0 where it lies level.",
+    "Lying flat with Z up:",
+    "",
+    "           Z  (reads -1 g)",
+    "           ^",
+    "        +--|--+",
+    "        |part |---> X  (0)",
+    "        +-----+",
+    "       /",
+    "      Y  (0)",
+)
+
+
+def drawing(plan: Plan) -> tuple[str, ...]:
+    """How to hold the part at the first position, as lines of text (ASCII but for the degree sign)."""
+    return SPACE if plan.plane == "none" else PLANE
+
+
+def to_do(position: Position, before: Position | None = None, *, reverse: bool = False) -> str:
+    """What to do next, in one line such as `turn the part +90° (counter-clockwise) to 90°`.
+
+    Parameters
+    ----------
+    before : Position or None
+        Where the part is.
+    reverse : bool
+        True in a session that is taken as turned the other way.
+    """
+    first = []
+    if position.temperature_c is not None:
+        first.append(f"bring the part to {position.temperature_c:.0f} °C")
+    if position.supply_v is not None:
+        first.append(f"set the supply to {position.supply_v:.2f} V")
+    here = _hold(position) if position.angle_deg is None else _turn(position, before, reverse=reverse)
+    return ", ".join([*first, here])
+
+
+def _turn(position: Position, before: Position | None, *, reverse: bool) -> str:
+    if before is None or before.angle_deg is None:
+        return f"turn the part to {position}"
+    by = (position.angle_deg or 0.0) - before.angle_deg
+    if by == 0:
+        if before.approach != position.approach:
+            return f"turn the part past it and back to {position}"
+        return f"leave the part at {position}"
+    way = "counter-clockwise" if (by > 0) is not reverse else "clockwise"
+    return f"turn the part {by:+g}° ({way}) to {position}"
+
+
+def _hold(position: Position) -> str:
+    if position.direction is None:
+        return f"hold the part in {position}"
+    arrows = []
+    for axis, part in zip("XYZ", position.direction, strict=True):
+        if abs(part) > _MUCH:
+            tilt = angle_between_deg(position.direction, [part if axis == name else 0.0 for name in "XYZ"])
+            way = "down" if part > 0 else "up"
+            arrows.append(f"{axis} arrow {way}" + (f" ({tilt:.0f}° off)" if tilt >= _ROUND_DEG else ""))
+    check = " (check)" if position.use == "check" else ""
+    return f"hold the part with its {', '.join(arrows)}, still, near enough{check}"
+
+
+_MUCH = 0.3
+_ROUND_DEG = 10.0
+"""Nearer to the vertical than this an arrow just points up or down."""
+
+
+__all__ = ["drawing", "to_do"]
