@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Installs what the rigs need beyond pip (see docs/testing.md): AVR compiler, simavr, C tools, QEMU. For Debian, as root.
+# Installs what the rigs need beyond pip (see docs/testing.md): AVR compiler, simavr, C tools, QEMU, tmux. For Debian, as root.
 set -euo pipefail
 export DEBIAN_FRONTEND=noninteractive
 apt-get update -qq
 apt-get install -y -qq --no-install-recommends \
   gcc g++ make cppcheck libelf-dev gcc-avr avr-libc binutils-avr simavr libsimavr-dev \
-  qemu-system-x86 qemu-system-arm busybox-static cpio kmod udev \
+  qemu-system-x86 qemu-system-arm busybox-static cpio kmod udev tmux \
   libiio0 libiio-utils >/dev/null
 # The Raspberry Pi Pico's firmware: ARM compiler, its C library, and the emulator, which Node.js runs.
 apt-get install -y -qq --no-install-recommends \

@@ -26,6 +26,7 @@ COMMANDS = {
     "export": ("adis_gonio.cli.export", "Hand a session over: C header, JSON, CSV, certificate, …"),
     "template": ("adis_gonio.cli.template", "Make an empty samples CSV to fill in by hand."),
     "stream": ("adis_gonio.cli.stream", "Show or record what the sensor measures."),
+    "angle": ("adis_gonio.cli.angle", "Show the live angle, raw and corrected, with its uncertainty."),
     "registers": ("adis_gonio.cli.registers", "List, read and write registers."),
     "write": ("adis_gonio.cli.write", "Write a session's biases into the sensor's offset registers."),
     "selftest": ("adis_gonio.cli.selftest", "Run the sensor's internal self-test."),

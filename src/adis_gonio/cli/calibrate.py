@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from adis_gonio.cli.face import choose_face
 from adis_gonio.cli.overrides import fixture, gravity
 from adis_gonio.cli.show import (
     counted,
@@ -93,6 +95,7 @@ def command(
     resume: bool,
     as_json: bool,
     closing: bool,
+    plain: bool,
     max_extra: int | None,
     **options: Any,
 ) -> int:
@@ -106,6 +109,9 @@ def command(
 
     Scans start at the sensor's data-ready edges where the bridge can use them and the line is wired; else,
     or with --poll, they are polled.
+
+    In a terminal of 80 × 24 or more the session is shown on a screen with the live angle (extra: bench);
+    --plain, a log or a smaller terminal gets prompts line by line.
 
     With --trace the session then says which further positions would decide what is still open, and goes on
     with them until the model is adequate or no position is expected to show more.
@@ -129,7 +135,10 @@ def command(
 
         with open_source(url, variant=options["variant"], check=not options["no_check"]) as sensor:
             runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
-            complete = PlainBench(runner, auto=options["auto"]).run()
+            prompts = PlainBench(runner, auto=options["auto"])
+            resume_by = shlex.join(["adis-gonio", "calibrate", url, "--resume", "-o", str(output)])
+            face = choose_face(runner, prompts, plain=plain or options["auto"], resume_by=resume_by)
+            complete = face.run()
     session = load_session(output)
     truth = session.facts.get("truth")
     traced = _traced(session, advisor) if advisor is not None else None

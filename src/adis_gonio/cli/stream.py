@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
+from adis_gonio.cli.columns import Columns, screen_width
 from adis_gonio.cli.interrupt import Interrupt
 from adis_gonio.cli.show import no_check_option, poll_option, variant_option
 from adis_gonio.errors import UsageError
@@ -164,6 +165,7 @@ class _Show:
         self._recorder = recorder
         self._lines = lines
         self._waiting: list[Block] = []
+        self._columns: Columns | None = None
         self._caveat_told = False
         self._scans = self._lost = self._dropped = self._alarms = 0
 
@@ -182,15 +184,16 @@ class _Show:
                 except KeyboardInterrupt:
                     click.echo("", err=True)
                     break
-                begin = float(block.time_s[0]) if begin is None else begin
-                if seconds is not None:
+                if begin is None and len(block):
+                    begin = float(block.time_s[0])
+                if seconds is not None and begin is not None:
                     block, end = _until(block, begin + seconds)
                 self._add(block, stream.caveat)
                 held = sum(map(len, self._waiting))
                 # A rest of a few scans would make a line that cannot be compared with the others.
                 full = held >= self.scans_a_line or (end and held > self.scans_a_line // 2)
-                if self._lines and full:
-                    _line(self._waiting, first=self._scans == held, since_s=begin)
+                if self._lines and full and begin is not None:
+                    self._line(begin)
                     self._waiting.clear()
 
     def _add(self, block: Block, caveat: str) -> None:
@@ -205,7 +208,17 @@ class _Show:
             if caveat and not self._recorder.rows:
                 self._recorder.notes = [caveat]
             self._recorder.add(block)
-        self._waiting.append(block)
+        if len(block):  # all of a block may be left out, or lie beyond the end
+            self._waiting.append(block)
+
+    def _line(self, since_s: float) -> None:
+        if self._columns is None:
+            first = self._waiting[0]
+            self._columns = Columns.fitting(first.registers, first.units, screen_width())
+            if self._columns.note:
+                click.echo(self._columns.note, err=True)
+            click.echo("\n".join(self._columns.heads))
+        click.echo(self._columns.line(self._waiting, since_s))
 
     def tell_the_sum(self) -> None:
         """What came, what was lost, where it was recorded."""
@@ -232,22 +245,6 @@ def _until(block: Block, end_s: float) -> tuple[Block, bool]:
     """The part of a block before a time, and whether it was reached."""
     keep = int(np.searchsorted(block.time_s, end_s))
     return block.first(keep), keep < len(block)
-
-
-def _line(blocks: list[Block], *, first: bool, since_s: float) -> None:
-    values = np.concatenate([block.values() for block in blocks])
-    if not len(values):
-        return
-    if first:
-        heads = [
-            f"{name.removesuffix('_OUT')}/{unit or '1'}"
-            for name, unit in zip(blocks[0].registers, blocks[0].units, strict=True)
-        ]
-        click.echo(f"{'time/s':>9}" + "".join(f"{head:>19}" for head in heads))
-    time_s = float(blocks[-1].time_s[-1]) - since_s
-    spread = values.std(axis=0)
-    cells = [f"{mean:.2f} ± {sd:.2f}" for mean, sd in zip(values.mean(axis=0), spread, strict=True)]
-    click.echo(f"{time_s:9.2f}" + "".join(f"{cell:>19}" for cell in cells))
 
 
 def _alarms(blocks: list[Block]) -> list[bool] | None:

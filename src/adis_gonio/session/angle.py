@@ -1,0 +1,281 @@
+"""The angle as it is now, from samples that come in: raw, corrected, and how surely.
+
+The angle is positive for the stage's positive turn. Raw, it is taken from the readings as they come, as if
+gains were equal, axes square and biases zero. It is 0 at the stage's zero where a calibration knows that,
+else where X reads +1 g.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from adis_gonio.errors import UsageError
+from adis_gonio.model.records import Floats
+from adis_gonio.sensor.registers import ACCEL_OFF, ACCEL_OUT, TEMP_OUT
+from adis_gonio.sensor.settings import Configuration
+from adis_gonio.session.blocks import Block, session_columns
+from adis_gonio.session.settings import Settings
+from adis_gonio.session.source import ChipSource, Measuring, SampleStream, open_source
+from adis_gonio.session.stillness import limits_from_noise
+from adis_gonio.session.watch import white_noise_gain, window_samples
+
+if TYPE_CHECKING:
+    from adis_gonio.calibration import Calibration
+
+EVERY_S = 0.1
+"""Between two readings of the angle: what a person can follow."""
+
+
+@dataclass(frozen=True)
+class LiveAngle:
+    """The angle over one short span of samples.
+
+    Attributes
+    ----------
+    time_s : float
+        End of the span, since the first sample.
+    angle_deg : float
+        From the readings as they come, within ±180°.
+    corrected_deg : float or None
+        By the calibration; None without one, and where gravity stands across the plane.
+    u_deg : float or None
+        Standard uncertainty of the corrected angle: of the noise within the newest samples, and of the
+        calibration. Without one that of the noise alone. None where it is not known, and while there is but
+        one sample.
+    still : bool or None
+        True where no axis varies by more than it would at rest; None until there are
+        samples enough to tell.
+    spread_mg : float or None
+        Largest standard deviation of an axis over the newest samples.
+    temperature_c : float or None
+        Mean over the span; None where the sensor does not tell.
+    lost : int
+        Samples missed since the first.
+    """
+
+    time_s: float
+    angle_deg: float
+    corrected_deg: float | None
+    u_deg: float | None
+    still: bool | None
+    spread_mg: float | None
+    temperature_c: float | None
+    lost: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return asdict(self)
+
+
+def raw_angle_deg(accel_mg: Floats) -> Floats:
+    """Angles (n,) within ±180° of readings (n, 2 or more) in any unit; 0 where X reads +1 g.
+
+    From U_x = G cos(−θ), U_y = G sin(−θ): the convention of `model.measurement` with α = 0.
+    """
+    return np.asarray(np.degrees(np.arctan2(-accel_mg[..., 1], accel_mg[..., 0])))
+
+
+def wrapped_deg(angle_deg: float) -> float:
+    """The same direction within −180° (inclusive) and 180°."""
+    return (angle_deg + 180.0) % 360.0 - 180.0
+
+
+class AngleMeter:
+    """Turns blocks of samples into readings of the angle.
+
+    Parameters
+    ----------
+    measuring : Measuring
+        How the sensor measures.
+    noise_mg, step_mg : float
+        Noise that a sample has at rest, and step of the converter: what varies more is moving.
+    calibration : Calibration or None
+        As `calibration_for` gives it.
+    every_s : float
+        Least length of a span.
+    """
+
+    def __init__(
+        self,
+        measuring: Measuring,
+        noise_mg: float,
+        step_mg: float,
+        calibration: Calibration | None = None,
+        every_s: float = EVERY_S,
+    ) -> None:
+        self._calibration = calibration
+        self._window = window_samples(measuring)
+        self._limits = limits_from_noise(np.full(3, noise_mg), self._window, step_mg)
+        self._least = max(1, round(every_s * measuring.sample_rate_hz))
+        # Samples behind the filter lean on one another: as many independent ones have its white noise.
+        filter_m = measuring.filter_m if isinstance(measuring, Configuration) else 0
+        self._independent = white_noise_gain(filter_m) ** 2 if filter_m else 1.0
+        self._waiting: list[Block] = []
+        self._kept = np.empty((0, 3))
+        self._first_s: float | None = None
+        self._lost = 0
+
+    def feed(self, block: Block) -> LiveAngle | None:
+        """Take samples; return a reading once a span is full."""
+        self._lost += block.lost
+        if not len(block):
+            return None
+        if self._first_s is None:
+            self._first_s = float(block.time_s[0])
+        self._waiting.append(block)
+        if sum(map(len, self._waiting)) < self._least:
+            return None
+        blocks, self._waiting = self._waiting, []
+        return self._reading(blocks, self._first_s)
+
+    def _reading(self, blocks: list[Block], first_s: float) -> LiveAngle:
+        accel = np.concatenate([block.accel_mg for block in blocks])
+        self._kept = np.concatenate([self._kept, accel])[-max(self._window, len(accel)) :]
+        mean = accel.mean(axis=0)
+        temperature_c = _temperature_c(blocks)
+        raw_deg, u_deg = self._raw(mean, len(accel))
+        corrected_deg = None
+        if self._calibration is not None:
+            corrected_deg, u_deg = self._corrected(mean, len(accel), temperature_c)
+        spread_mg = self._kept.std(axis=0, ddof=1) if len(self._kept) > 1 else None
+        still = None
+        if spread_mg is not None and len(self._kept) >= self._window:
+            # The upper limit alone: a stuck axis is a matter for `bringup`.
+            still = bool((spread_mg <= self._limits.upper).all())
+        return LiveAngle(
+            float(blocks[-1].time_s[-1]) - first_s,
+            raw_deg,
+            corrected_deg,
+            u_deg,
+            still,
+            None if spread_mg is None else float(spread_mg.max()),
+            temperature_c,
+            self._lost,
+        )
+
+    def _u_mg(self, count: int) -> Floats | None:
+        """Standard uncertainty (3,) of a mean of so many samples, from the scatter of the newest ones."""
+        if len(self._kept) < 2:
+            return None
+        u: Floats = self._kept.std(axis=0, ddof=1) / math.sqrt(max(1.0, count * self._independent))
+        return u
+
+    def _raw(self, mean_mg: Floats, count: int) -> tuple[float, float | None]:
+        x, y = float(mean_mg[0]), float(mean_mg[1])
+        zero_deg = 0.0
+        if self._calibration is not None and "alpha" in self._calibration:
+            zero_deg = self._calibration["alpha"].value
+        u_mg = self._u_mg(count)
+        u_deg = None
+        if u_mg is not None and (x or y):
+            u_deg = math.degrees(math.hypot(y * u_mg[0], x * u_mg[1]) / (x * x + y * y))
+        return wrapped_deg(zero_deg + float(raw_angle_deg(mean_mg))), u_deg
+
+    def _corrected(
+        self, mean_mg: Floats, count: int, temperature_c: float | None
+    ) -> tuple[float | None, float | None]:
+        calibration, u_mg = self._calibration, self._u_mg(count)
+        if calibration is None:
+            return None, None
+        reading_u = None if u_mg is None else [float(u) for u in u_mg[: calibration.axes]]
+        try:
+            if "alpha" in calibration:
+                by = calibration.stage_angle(mean_mg, temperature_c, reading_u=reading_u)
+                angle_deg = float(by.angle_deg)
+            else:
+                by = calibration.angle(mean_mg, temperature_c, reading_u=reading_u, plane="xy")
+                angle_deg = -float(by.angle_deg)
+        except UsageError:  # a reading too short to have an angle, or far too long
+            return None, None
+        u_deg = float(by.u_deg)
+        return angle_deg, u_deg if u_mg is not None and math.isfinite(u_deg) else None
+
+
+def _temperature_c(blocks: list[Block]) -> float | None:
+    told = [columns["temp_c"] for block in blocks if "temp_c" in (columns := session_columns(block))]
+    return float(np.concatenate(told).mean()) if told else None
+
+
+@dataclass(frozen=True)
+class LiveSource:
+    """An open sensor whose samples run.
+
+    Attributes
+    ----------
+    measuring : Measuring
+    stream : SampleStream
+    noise_mg, step_mg : float
+        As `AngleMeter` takes them.
+    part : str
+        Its variant.
+    offsets_lsb : tuple of int or None
+        Numbers in XACCL_OFF, YACCL_OFF, ZACCL_OFF; None where there are no registers.
+    """
+
+    measuring: Measuring
+    stream: SampleStream
+    noise_mg: float
+    step_mg: float
+    part: str
+    offsets_lsb: tuple[int, ...] | None
+
+
+def calibration_for(calibration: Calibration, source: LiveSource) -> Calibration:
+    """The calibration as it holds for a sensor, whose registers may correct another offset by now.
+
+    Raises
+    ------
+    UsageError
+        It is another part's, or takes readings in counts.
+    """
+    where = calibration.provenance
+    if where.counts:
+        raise UsageError("the calibration takes readings in counts of unknown scale; a sensor gives mg")
+    if where.sensor != source.part:
+        raise UsageError(f"the calibration is of an {where.sensor}, this is an {source.part}")
+    if source.offsets_lsb is None or where.offsets_lsb is None:
+        return calibration
+    return calibration.with_offsets(source.offsets_lsb)
+
+
+@contextmanager
+def open_live(
+    url: str, *, variant: str = "adis16354", check: bool = True, data_ready: bool | None = None
+) -> Iterator[LiveSource]:
+    """Open a sensor and let its samples run, a span in two blocks; its settings stay as they are.
+
+    Parameters
+    ----------
+    data_ready : bool or None
+        None where scans start at data-ready edges if they can; False polls.
+
+    Raises
+    ------
+    UsageError, CannotOpenError, BusError, ChipError
+        As `open_source` and the sensor's stream.
+    """
+    with ExitStack() as stack:
+        source = stack.enter_context(open_source(url, variant=variant, check=check))
+        offsets_lsb: tuple[int, ...] | None = None
+        if isinstance(source, ChipSource):
+            offsets_lsb = tuple(source.sensor.read(name) for name in ACCEL_OFF)
+            measuring: Measuring = source.sensor.configuration()
+            count = _block_samples(measuring)
+            names = (*ACCEL_OUT, TEMP_OUT[0])
+            stream: SampleStream = source.sensor.stream(names, block_scans=count, data_ready=data_ready)
+        else:
+            measuring = source.configure(Settings())
+            stream = source.samples(Settings(), _block_samples(measuring))
+        stack.enter_context(stream)
+        noise_mg = source.expected_noise_mg(measuring)
+        yield LiveSource(measuring, stream, noise_mg, source.part.step_mg, source.part.name, offsets_lsb)
+
+
+def _block_samples(measuring: Measuring) -> int:
+    return max(1, round(EVERY_S * measuring.sample_rate_hz / 2))

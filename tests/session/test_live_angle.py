@@ -1,0 +1,201 @@
+"""The live angle against what the simulation knows of itself."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from adis_gonio.calibration import Calibration, load_calibration
+from adis_gonio.errors import UsageError
+from adis_gonio.sensor import open_sensor
+from adis_gonio.sensor.registers import ACCEL_OUT
+from adis_gonio.sensor.settings import Configuration
+from adis_gonio.session.angle import (
+    AngleMeter,
+    LiveAngle,
+    LiveSource,
+    calibration_for,
+    open_live,
+    raw_angle_deg,
+    wrapped_deg,
+)
+from adis_gonio.session.blocks import ValueBlock
+from adis_gonio.session.plans import plan
+from adis_gonio.session.runner import SessionRunner
+from adis_gonio.session.settings import Settings
+
+PERFECT = "delta_k=0&delta_phi_deg=0&bias_x_mg=0&bias_y_mg=0&fixture_sigma_deg=0"
+
+
+@dataclass(frozen=True)
+class Rate:
+    sample_rate_hz: float
+    settling_s: float = 0.0
+
+    @property
+    def sample_period_s(self) -> float:
+        return 1 / self.sample_rate_hz
+
+    def as_dict(self) -> dict[str, float]:
+        return {}
+
+
+def readings(meter: AngleMeter, accel_mg: np.ndarray, block: int = 5, lost: int = 0) -> list[LiveAngle]:
+    told = []
+    for start in range(0, len(accel_mg), block):
+        rows = accel_mg[start : start + block]
+        times = 0.01 * np.arange(start, start + len(rows))
+        told.append(meter.feed(ValueBlock(("ax", "ay", "az"), rows, times, lost)))
+    return [reading for reading in told if reading is not None]
+
+
+def at_rest(angle_deg: float, count: int, noise_mg: float, rng: np.random.Generator) -> np.ndarray:
+    psi = math.radians(-angle_deg)
+    return 1000 * np.array([math.cos(psi), math.sin(psi), 0.0]) + noise_mg * rng.standard_normal((count, 3))
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 37.5, 90.0, -90.0, 179.9, -133.0])
+def test_the_raw_angle_of_a_perfect_sensor_is_the_stages(angle_deg):
+    with open_sensor(f"sim:?seed=4&alpha_deg=0&noise_mg=0.1&{PERFECT}") as sensor:
+        sensor.bus.stage.move_to(angle_deg)
+        sensor.bus.sleep_s(30.0)
+        meter = AngleMeter(sensor.configuration(), 2.0, 0.4672)
+        with sensor.stream(ACCEL_OUT, block_scans=41) as stream:
+            shown = [reading for _ in range(12) if (reading := meter.feed(next(stream))) is not None]
+    assert len(shown) == 6
+    for reading in shown:
+        # An LSB of an axis is 0.027°, and so little noise does not average it away.
+        assert wrapped_deg(reading.angle_deg - angle_deg) == pytest.approx(0, abs=0.03)
+        assert reading.corrected_deg is None
+
+
+def test_u_is_the_scatter_of_the_readings_behind_the_chips_filter():
+    with open_sensor(f"sim:?seed=5&{PERFECT}") as sensor:
+        sensor.configure(filter_m=4)
+        meter = AngleMeter(sensor.configuration(), 2.0, 0.4672)
+        with sensor.stream(ACCEL_OUT, block_scans=82) as stream:
+            shown = [reading for _ in range(400) if (reading := meter.feed(next(stream))) is not None]
+    # Of neighbours, so that the flicker of minutes stays out of it.
+    scatter = np.diff([reading.angle_deg for reading in shown]).std() / math.sqrt(2)
+    typical = math.sqrt(np.mean([reading.u_deg**2 for reading in shown]))
+    assert typical == pytest.approx(scatter, rel=0.25)
+
+
+def test_u_without_a_filter_is_the_standard_error():
+    rng = np.random.default_rng(1)
+    shown = readings(AngleMeter(Rate(100.0), 2.0, 0.0), at_rest(20.0, 4000, 2.0, rng), block=10)
+    assert len(shown) == 400
+    expected = math.degrees(2e-3 / math.sqrt(10))
+    assert np.mean([reading.u_deg for reading in shown]) == pytest.approx(expected, rel=0.05)
+    assert np.std([reading.angle_deg for reading in shown]) == pytest.approx(expected, rel=0.15)
+
+
+HIDDEN = "sim:?seed=9&delta_k=0.02&delta_phi_deg=1.5&bias_x_mg=30&bias_y_mg=-20&fixture_sigma_deg=0"
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory) -> Calibration:
+    path = tmp_path_factory.mktemp("cal") / "a.session"
+    settings = Settings(dwell_s=1.0, settle_s=0.1)
+    with open_sensor(HIDDEN) as sensor:
+        runner = SessionRunner.begin(sensor, path, plan("mmpm"), settings, auto=True, fixture_sigma_deg=0.0)
+        list(runner.run())
+    return load_calibration(path)
+
+
+def live(
+    calibration: Calibration | None, angle_deg: float, bias_lsb: int = 0, url: str = HIDDEN
+) -> LiveAngle:
+    """The mean reading of a few seconds at an angle of the simulated stage."""
+    with open_sensor(url) as sensor:
+        if bias_lsb:
+            sensor.write("XACCL_OFF", bias_lsb)
+        sensor.bus.stage.move_to(angle_deg)
+        sensor.bus.sleep_s(5.0)
+        offsets = tuple(sensor.read(name) for name in ("XACCL_OFF", "YACCL_OFF", "ZACCL_OFF"))
+        if calibration is not None:
+            source = LiveSource(sensor.configuration(), None, 2.0, 0.4672, "adis16354", offsets)
+            calibration = calibration_for(calibration, source)
+        meter = AngleMeter(sensor.configuration(), 2.0, 0.4672, calibration, every_s=4.0)
+        with sensor.stream(("XACCL_OUT", "YACCL_OUT", "ZACCL_OUT", "XTEMP_OUT")) as stream:
+            while (reading := meter.feed(next(stream))) is None:
+                pass
+    return reading
+
+
+@pytest.mark.parametrize("angle_deg", [37.5, 200.0, -75.0])
+def test_a_calibration_gives_the_stages_angle_where_the_raw_one_is_off(calibration, angle_deg):
+    reading = live(calibration, angle_deg)
+    assert abs(wrapped_deg(reading.corrected_deg - angle_deg)) < 4 * reading.u_deg
+    assert reading.u_deg < 0.1
+    assert abs(wrapped_deg(reading.angle_deg - angle_deg)) > 5 * reading.u_deg
+    assert live(None, angle_deg).u_deg < reading.u_deg, "the calibration adds its uncertainty"
+
+
+def test_what_the_chip_corrects_by_now_is_not_corrected_again(calibration):
+    plain, offset = live(calibration, 75.0), live(calibration, 75.0, bias_lsb=-64)
+    assert abs(wrapped_deg(offset.angle_deg - plain.angle_deg)) > 0.5
+    assert wrapped_deg(offset.corrected_deg - plain.corrected_deg) == pytest.approx(0, abs=0.02)
+
+
+def test_another_parts_calibration_is_refused(calibration):
+    with (
+        open_live("sim:?seed=1&variant=adis16350", variant="adis16350") as source,
+        pytest.raises(UsageError, match="of an adis16354, this is an adis16350"),
+    ):
+        calibration_for(calibration, source)
+
+
+def test_gravity_across_the_plane_has_no_corrected_angle(calibration):
+    rng = np.random.default_rng(9)
+    flat = np.array([8.0, -5.0, 1000.0]) + 0.5 * rng.standard_normal((40, 3))
+    shown = readings(AngleMeter(Rate(100.0), 2.0, 0.0, calibration), flat)
+    assert all(reading.corrected_deg is None and reading.u_deg is None for reading in shown)
+
+
+def test_still_is_said_once_it_can_be_told_and_a_push_ends_it():
+    rng = np.random.default_rng(3)
+    accel = at_rest(20.0, 400, 2.0, rng)
+    accel[200:230, 0] += 50 * np.sin(np.arange(30))
+    shown = readings(AngleMeter(Rate(100.0), 2.0, 0.0), accel)
+    assert [reading.still for reading in shown[:4]] == [None, None, None, True]
+    moving = [reading.time_s for reading in shown if reading.still is False]
+    assert moving
+    assert min(moving) == pytest.approx(2.09)
+    assert shown[-1].still
+
+
+def test_noise_about_180_degrees_is_small():
+    rng = np.random.default_rng(6)
+    shown = readings(AngleMeter(Rate(100.0), 2.0, 0.0), at_rest(180.0, 400, 2.0, rng))
+    assert max(reading.u_deg for reading in shown) < 0.1
+    assert all(abs(abs(reading.angle_deg) - 180) < 0.2 for reading in shown)
+
+
+def test_one_sample_a_span_says_no_u_until_a_second_has_come():
+    rng = np.random.default_rng(7)
+    shown = readings(AngleMeter(Rate(0.5), 2.0, 0.0), at_rest(20.0, 3, 2.0, rng), block=1, lost=2)
+    assert [reading.u_deg is None for reading in shown] == [True, False, False]
+    assert [reading.lost for reading in shown] == [2, 4, 6]
+
+
+def test_blocks_without_a_sample_are_none():
+    meter = AngleMeter(Rate(100.0), 2.0, 0.0)
+    assert meter.feed(ValueBlock(("ax", "ay", "az"), np.empty((0, 3)), np.empty(0), 3)) is None
+    rng = np.random.default_rng(8)
+    (reading,) = readings(meter, at_rest(1.0, 10, 1.0, rng), block=10)
+    assert reading.lost == 3
+
+
+def test_the_sensors_settings_stay_as_they_are():
+    with open_live("sim:?seed=1") as source:
+        assert isinstance(source.measuring, Configuration)
+        block = next(source.stream)
+        assert block.registers[:3] == ACCEL_OUT
+        assert len(block) == 41
+
+
+def test_directions_of_the_axes():
+    four = 1000.0 * np.array([[1, 0], [0, -1], [-1, 0], [0, 1]])
+    assert raw_angle_deg(four) % 360 == pytest.approx([0, 90, 180, 270])
