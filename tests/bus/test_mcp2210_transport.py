@@ -626,7 +626,7 @@ def test_closing_never_frees_a_device_under_a_write(monkeypatch, patience_s):
     timed.close()
     assert device.closed.wait(30)
     assert device.closed_while_writing is False
-    later.join()
+    later.join(60)
 
 
 def test_a_device_that_takes_no_report_is_a_time_out_and_nothing_more_is_sent_to_it():

@@ -125,7 +125,7 @@ class PtyBoard:
     def unplug(self) -> None:
         """The port goes away."""
         self._stop.set()
-        self._thread.join()
+        self._thread.join(60)
         with contextlib.suppress(OSError):
             os.close(self._slave)
         with contextlib.suppress(OSError):

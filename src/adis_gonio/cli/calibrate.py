@@ -19,6 +19,7 @@ from adis_gonio.cli.show import (
     print_json,
     variant_option,
 )
+from adis_gonio.counting import counted
 from adis_gonio.errors import FitError, SessionError, UsageError
 
 if TYPE_CHECKING:
@@ -172,7 +173,7 @@ def _traced(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
     if advisor.result is not None and advisor.dwells == len(session.dwells):
         return advisor.result
     try:
-        with working(f"tracing {len(session.dwells)} dwells"):
+        with working(f"tracing {counted(len(session.dwells), 'dwell')}"):
             return trace(session, advisor.max_effects)
     except FitError as error:
         click.echo(f"not traced: {error}", err=True)
@@ -313,8 +314,8 @@ class Bench:
                 self._show_time("waiting", event.elapsed_s, event.length_s)
             case events.Advising():
                 if not self._screen.is_terminal:
-                    self._say(f"tracing {event.dwells} dwells …")
-                self._show("tracing", f"{event.dwells} dwells", None, None)
+                    self._say(f"tracing {counted(event.dwells, 'dwell')} …")
+                self._show("tracing", counted(event.dwells, "dwell"), None, None)
             case events.PositionAsked() | events.RepetitionOffered() | events.ExtensionOffered():
                 self._answer(event)
             case events.Finished():
@@ -367,9 +368,12 @@ class Bench:
 
     def _started(self, event: Started) -> None:
         what = "resumed" if event.resumed else "begun"
-        self._say(f"{event.plan.name} {what}, {len(event.plan)} positions, {event.variant} on {event.url}")
+        self._say(
+            f"{event.plan.name} {what}, {counted(len(event.plan), 'position')},"
+            f" {event.variant} on {event.url}"
+        )
         if event.resumed:
-            self._say(f"  {event.done} positions are done")
+            self._say(f"  done: {counted(event.done, 'position')}")
 
     def _configured(self, event: Configured) -> None:
         rate = event.configuration["sample_rate_hz"]
@@ -387,7 +391,7 @@ class Bench:
         self._hide()
         self._say(
             f"  {event.position!s:>16}   x {x:+9.2f}   y {y:+9.2f}   z {z:+9.2f} mg"
-            f"   {event.samples} samples{lost}"
+            f"   {counted(event.samples, 'sample')}{lost}"
         )
 
     def _show_time(self, what: str, elapsed_s: float, length_s: float) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from adis_gonio.cli.show import console, json_option, print_json, with_uncertainty
+from adis_gonio.counting import counted
 
 
 @click.command("fit")
@@ -32,7 +33,9 @@ def command(*, session: Path, method: str | None, as_json: bool) -> None:
         return
     screen = console()
     title = f"{loaded.title}: " if loaded.title else ""
-    screen.print(f"{title}{len(loaded.dwells)} dwells, {loaded.sensor}", style="bold", markup=False)
+    screen.print(
+        f"{title}{counted(len(loaded.dwells), 'dwell')}, {loaded.sensor}", style="bold", markup=False
+    )
     for note in loaded.notes:
         screen.print(f"  {note}", markup=False)
     results, failures = ([fit(loaded, method=method)], {}) if method else fit_every(loaded)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from adis_gonio.cli.trace import working
+from adis_gonio.counting import counted
 
 if TYPE_CHECKING:
     from adis_gonio.model import Session
@@ -63,7 +64,7 @@ def command(*, session: Path, output: Path, time_limit: float | None) -> None:
     if output.exists() and session.exists() and output.samefile(session):
         raise UsageError(f"{output}: is the session itself; name another file for the page")
     loaded = load_session(session)
-    with working(f"tracing {len(loaded.dwells)} dwells of {session.name}"):
+    with working(f"tracing {counted(len(loaded.dwells), 'dwell')} of {session.name}"):
         fits, failures = [], {}
         for method in applicable_methods(loaded):
             try:

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.counting import counted
 from adis_gonio.errors import DataError
 from adis_gonio.model.records import Dwell, Floats, Session
 
@@ -69,8 +70,8 @@ def clipped(dwells: Sequence[Dwell]) -> list[str]:
                 at = [d.position for d in dwells if (d.accel[:, axis] == values[place]).any()]
                 axis_at = f"{'xyz'[axis]} stand at the extreme value {values[place]:g} ({_positions(at)})"
                 lines.append(
-                    f"{counts[place]} samples of {axis_at}: a limit was reached there, and their mean is "
-                    "not the reading"
+                    f"{counted(counts[place], 'sample')} of {axis_at}: a limit was reached there, and their"
+                    " mean is not the reading"
                 )
     return lines
 
