@@ -116,8 +116,8 @@ def _notes(plan: Plan, pending: Sequence[int], skipped: set[int], facts: JsonDic
     notes, dwells = [], facts["dwells"]
     if pending:
         notes.append(
-            f"unfinished session: of plan '{plan.name}', {len(dwells)} of {counted(len(plan), 'position')}"
-            " done"
+            f"unfinished session: {len(dwells)} of {counted(len(plan), 'position')} of plan"
+            f" '{plan.name}' done"
         )
     if skipped:
         notes.append(f"skipped: {', '.join(str(plan.positions[place]) for place in sorted(skipped))}")
