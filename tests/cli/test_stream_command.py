@@ -12,10 +12,10 @@ import pytest
 
 from adis_gonio.cli import main
 from adis_gonio.sim import SimulatedChip, World
-from fakes.clock import WorkClock
-from fakes.firmware import FakeFirmware
-from fakes.pins import ChipPins
-from fakes.serial_port import PtyBoard
+from adis_gonio.testing.board import SimulatedBoard
+from adis_gonio.testing.clocks import WorkClock
+from adis_gonio.testing.firmware import SimulatedFirmware
+from adis_gonio.testing.pins import ChipPins
 from programs import running
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a pty needs POSIX")
@@ -29,11 +29,11 @@ SLOW = 0x05
 def board():
     chip = SimulatedChip(World(seed=3), start_s=-0.5)
     chip.frame(0xB600 | SLOW, start_s=0.0, clock_hz=1e6)
-    with PtyBoard(FakeFirmware(ChipPins(chip, WorkClock()))) as board:
+    with SimulatedBoard(SimulatedFirmware(ChipPins(chip, WorkClock()))) as board:
         yield board
 
 
-def registers_of(board: PtyBoard) -> int:
+def registers_of(board: SimulatedBoard) -> int:
     return board.firmware.pins.chip.memory["MSC_CTRL"]
 
 
