@@ -36,4 +36,4 @@ def test_it_sees_the_part_turn(board, simulated_board):
 @pytest.mark.adis_gonio(transport="tcp", line_faults=Faults(seed=1, flip=1.0))
 def test_a_noisy_line_never_gives_a_wrong_word(simulated_board):
     with pytest.raises(OSError):  # noqa: PT011 (a checksum, a time-out or a refusal)
-        Board(simulated_board.host, simulated_board.port).read_register(SENS_AVG)
+        Board(simulated_board.host, simulated_board.port, timeout_s=2).read_register(SENS_AVG)

@@ -16,10 +16,14 @@ VERSION = 1
 class Board:
     """A board that is reached by TCP."""
 
-    def __init__(self, host: str, port: int) -> None:
-        self._line = socket.create_connection((host, port), timeout=30)
+    def __init__(self, host: str, port: int, timeout_s: float = 30.0) -> None:
+        self._line = socket.create_connection((host, port), timeout=timeout_s)
         self._id = 0
-        self._ask(HELLO, struct.pack("<BI", VERSION, 12345))
+        try:
+            self._ask(HELLO, struct.pack("<BI", VERSION, 12345))
+        except OSError:
+            self.close()
+            raise
 
     def read_register(self, address: int) -> int:
         """Word of a register: the reply to a read comes with the next frame."""
