@@ -39,15 +39,15 @@ from adis_gonio.errors import BusError, CannotOpenError
 from adis_gonio.sensor import Adis16354
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.sampling import OUTPUTS
-from fakes.clock import VirtualClock
+from adis_gonio.testing.clocks import VirtualClock
+from adis_gonio.testing.faults import Faults
+from adis_gonio.testing.firmware import SimulatedFirmware
+from adis_gonio.testing.pins import ChipPins
 from fakes.cp2130_device import Cp2130Device
 from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
-from fakes.faults import Faults
-from fakes.firmware import FakeFirmware
 from fakes.mcp2210_device import Mcp2210Device
 from fakes.mcp2210_hid import FakeHid, HidBoard
 from fakes.numbered_scans import Judge, NumberedChip
-from fakes.pins import ChipPins
 from fakes.serial_port import FakePort
 from fakes.spidev_kernel import FakeSpidevKernel
 
@@ -88,7 +88,7 @@ class SerialRig(Rig):
 
     def __init__(self, seed: int) -> None:
         super().__init__(seed)
-        self.firmware = FakeFirmware(self.pins)
+        self.firmware = SimulatedFirmware(self.pins)
         self.port = FakePort(self.firmware)
 
     def open(self) -> SpiBus:  # noqa: D102
@@ -271,7 +271,7 @@ class ScanRig(SerialRig):
         super().__init__(seed)
         self.chip = NumberedChip(start_s=-0.5)
         self.pins = ChipPins(self.chip, self.clock)
-        self.firmware = FakeFirmware(self.pins, capabilities=way.capabilities)
+        self.firmware = SimulatedFirmware(self.pins, capabilities=way.capabilities)
         self.port = FakePort(self.firmware)
 
     @property

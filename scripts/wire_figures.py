@@ -38,9 +38,9 @@ from adis_gonio.sensor.decoding import decode_numbers
 from adis_gonio.sensor.registers import registers
 from adis_gonio.sensor.scanning import ScanLayout, StreamedScans
 from adis_gonio.sim import SimulatedChip, World
-from fakes.clock import VirtualClock
-from fakes.firmware import FakeFirmware
-from fakes.pins import ChipPins
+from adis_gonio.testing.clocks import VirtualClock
+from adis_gonio.testing.firmware import SimulatedFirmware
+from adis_gonio.testing.pins import ChipPins
 from fakes.serial_port import FakePort
 
 NAMES = ("XGYRO_OUT", "YGYRO_OUT", "ZGYRO_OUT", "XACCL_OUT", "YACCL_OUT", "ZACCL_OUT", "XTEMP_OUT")
@@ -67,7 +67,7 @@ def record(seconds: float) -> tuple[list[tuple[float, bytes]], int]:
     """Packets of a stream with their times, and the number of scans in them."""
     clock = VirtualClock()
     chip = SimulatedChip(World(seed=1), start_s=-0.5)
-    firmware = FakeFirmware(ChipPins(chip, clock))
+    firmware = SimulatedFirmware(ChipPins(chip, clock))
     port = FakePort(firmware)
     packets: list[tuple[float, bytes]] = []
     put = firmware._put
@@ -140,7 +140,7 @@ def host_cpu(packets: list[tuple[float, bytes]]) -> tuple[float, int, int]:
 
 
 def _unstuffed(data: bytes) -> bytes:
-    from fakes.firmware import unstuff
+    from adis_gonio.testing.firmware import unstuff
 
     raw = unstuff(data.rstrip(b"\0"))
     assert raw is not None

@@ -6,13 +6,13 @@ from adis_gonio.bringup import STEPS, Verdict, bring_up
 from adis_gonio.bus import BusUrl, cp2130, mcp2210, serial, spidev
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.chip import State
-from fakes.clock import VirtualClock
+from adis_gonio.testing.clocks import VirtualClock
+from adis_gonio.testing.firmware import SimulatedFirmware
+from adis_gonio.testing.pins import ChipPins
 from fakes.cp2130_device import Cp2130Device
 from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
-from fakes.firmware import FakeFirmware
 from fakes.mcp2210_device import Mcp2210Device
 from fakes.mcp2210_hid import FakeHid, HidBoard
-from fakes.pins import ChipPins
 from fakes.serial_port import FakePort
 from fakes.spidev_kernel import FakeSpidevKernel
 
@@ -37,7 +37,7 @@ def opened(kind, options=""):
             url, system=FakeSpidevKernel({"/dev/spidev0.0": pins}), clock=clock
         ), chip
     url = BusUrl.parse(f"serial:x{options}")
-    return serial.open_from_url(url, port=FakePort(FakeFirmware(pins)), clock=clock), chip
+    return serial.open_from_url(url, port=FakePort(SimulatedFirmware(pins)), clock=clock), chip
 
 
 def done(kind, options="", names=NAMES):

@@ -12,14 +12,15 @@ from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.sensor.scanning import PolledScans, StreamedScans
 from adis_gonio.sim import SimulatedChip, World, rules
 from adis_gonio.sim.chip import State
-from fakes.clock import VirtualClock, WorkClock
+from adis_gonio.testing.board import SimulatedBoard
+from adis_gonio.testing.clocks import VirtualClock, WorkClock
+from adis_gonio.testing.firmware import SimulatedFirmware
+from adis_gonio.testing.pins import ChipPins
 from fakes.cp2130_device import Cp2130Device
 from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
-from fakes.firmware import FakeFirmware
 from fakes.mcp2210_device import Mcp2210Device
 from fakes.mcp2210_hid import FakeHid, HidBoard
-from fakes.pins import ChipPins
-from fakes.serial_port import FakePort, PtyBoard
+from fakes.serial_port import FakePort
 from fakes.spidev_kernel import FakeSpidevKernel
 
 SEED = 4
@@ -41,7 +42,7 @@ def make(kind, options=""):
         kernel = FakeSpidevKernel({"/dev/spidev0.0": pins})
         url = BusUrl.parse("spidev:/dev/spidev0.0")
         return spidev.open_from_url(url, system=kernel, clock=clock), chip
-    port = FakePort(FakeFirmware(pins))
+    port = FakePort(SimulatedFirmware(pins))
     return serial.open_from_url(BusUrl.parse(f"serial:x{options}"), port=port, clock=clock), chip
 
 
@@ -197,7 +198,7 @@ def test_the_event_counter_counts_by_the_chips_own_clock(monkeypatch, options, e
 def test_a_stream_over_a_real_tty_loses_nothing():
     chip = SimulatedChip(World(seed=SEED), start_s=-0.5)
     with (
-        PtyBoard(FakeFirmware(ChipPins(chip, WorkClock()))) as board,
+        SimulatedBoard(SimulatedFirmware(ChipPins(chip, WorkClock()))) as board,
         Adis16354(open_bus(f"serial:{board.path}")) as sensor,
     ):
         sensor.configure(data_ready=True, sample_rate_hz=163.8)

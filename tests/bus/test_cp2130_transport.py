@@ -21,11 +21,11 @@ from adis_gonio.errors import (
     UsageError,
 )
 from adis_gonio.sim import SimulatedChip, World
-from contract.bus_contract import BusContract, Rig, WatchedChip
-from fakes.clock import VirtualClock
+from adis_gonio.testing.bus_contract import BusContract, Rig, WatchedChip
+from adis_gonio.testing.clocks import VirtualClock
+from adis_gonio.testing.faults import Faults
+from adis_gonio.testing.pins import ChipPins
 from fakes.cp2130_device import OPEN_DRAIN, PUSH_PULL, READ_FIRST, Cp2130Device
-from fakes.faults import Faults
-from fakes.pins import ChipPins
 
 FakeUsbBackend = pytest.importorskip("fakes.cp2130_usb", reason="pyusb is not installed").FakeUsbBackend
 UsbBoard = pytest.importorskip("fakes.cp2130_usb").UsbBoard

@@ -20,12 +20,12 @@ from adis_gonio.errors import (
     UsageError,
 )
 from adis_gonio.sim import SimulatedChip, World
-from contract.bus_contract import BusContract, Rig, WatchedChip
-from fakes.clock import VirtualClock
-from fakes.faults import Faults
+from adis_gonio.testing.bus_contract import BusContract, Rig, WatchedChip
+from adis_gonio.testing.clocks import VirtualClock
+from adis_gonio.testing.faults import Faults
+from adis_gonio.testing.pins import ChipPins
 from fakes.mcp2210_device import Mcp2210Device
 from fakes.mcp2210_hid import FakeHid, HidBoard
-from fakes.pins import ChipPins
 
 SEED = 5
 
@@ -626,7 +626,7 @@ def test_closing_never_frees_a_device_under_a_write(monkeypatch, patience_s):
     timed.close()
     assert device.closed.wait(30)
     assert device.closed_while_writing is False
-    later.join()
+    later.join(60)
 
 
 def test_a_device_that_takes_no_report_is_a_time_out_and_nothing_more_is_sent_to_it():

@@ -30,14 +30,15 @@ from adis_gonio.sensor.decoding import ScanBlock
 from adis_gonio.sensor.registers import ND
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.sampling import OUTPUTS
-from contract.bus_contract import DATA_READY_ON, BusContract, Rig, WatchedChip
+from adis_gonio.testing.board import SimulatedBoard
+from adis_gonio.testing.bus_contract import DATA_READY_ON, BusContract, Rig, WatchedChip
+from adis_gonio.testing.clocks import VirtualClock, WorkClock
+from adis_gonio.testing.faults import Faults
+from adis_gonio.testing.firmware import SimulatedFirmware
+from adis_gonio.testing.pins import ChipPins
 from fakes.boot_loader import BootingBoard, BootLoader
-from fakes.clock import VirtualClock, WorkClock
-from fakes.faults import Faults
-from fakes.firmware import FakeFirmware
 from fakes.numbered_scans import Judge, NumberedChip, words_of
-from fakes.pins import ChipPins
-from fakes.serial_port import FakePort, PtyBoard
+from fakes.serial_port import FakePort
 
 SEED = 8
 FAST = SpiTiming(1e6, 9.0, 40.0)
@@ -51,7 +52,7 @@ class Bench:
         self.clock = VirtualClock()
         kind = WatchedChip if watched else SimulatedChip
         self.chip = kind(World(seed=SEED), start_s=-0.5)
-        self.firmware = FakeFirmware(ChipPins(self.chip, self.clock), **board)
+        self.firmware = SimulatedFirmware(ChipPins(self.chip, self.clock), **board)
         self.port = FakePort(self.firmware, faults)
 
     def open(self, options=""):
@@ -87,7 +88,7 @@ class TestSerialOverAPty(BusContract):
     def rig(self):
         clock = WorkClock()
         chip = WatchedChip(World(seed=SEED), start_s=-0.5)
-        with PtyBoard(FakeFirmware(ChipPins(chip, clock))) as board:
+        with SimulatedBoard(SimulatedFirmware(ChipPins(chip, clock))) as board:
             bus = open_bus(f"serial:{board.path}")
             try:
                 yield Rig(bus, chip, SimulatedChip(World(seed=SEED), start_s=-0.5), slowest_hz=125_000)
@@ -626,7 +627,7 @@ def test_the_map_of_clocks_never_runs_backwards(steps):
 
 @needs_pty
 def test_a_port_is_opened_for_one_program_alone():
-    with PtyBoard(FakeFirmware(ChipPins(SimulatedChip(World(seed=1)), WorkClock()))) as board:
+    with SimulatedBoard(SimulatedFirmware(ChipPins(SimulatedChip(World(seed=1)), WorkClock()))) as board:
         bus = open_bus(f"serial:{board.path}")
         with pytest.raises(CannotOpenError, match="busy"):
             open_bus(f"serial:{board.path}")
@@ -636,7 +637,7 @@ def test_a_port_is_opened_for_one_program_alone():
 
 @needs_pty
 def test_unplugging_a_real_tty_is_a_clear_error():
-    with PtyBoard(FakeFirmware(ChipPins(SimulatedChip(World(seed=1)), WorkClock()))) as board:
+    with SimulatedBoard(SimulatedFirmware(ChipPins(SimulatedChip(World(seed=1)), WorkClock()))) as board:
         bus = open_bus(f"serial:{board.path}")
         board.unplug()
         before = time.monotonic()

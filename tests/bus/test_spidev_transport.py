@@ -11,10 +11,10 @@ from adis_gonio.bus.spidev import find_devices, open_from_url
 from adis_gonio.bus.spidev import kernel as k
 from adis_gonio.errors import BusError, BusTimeoutError, CannotOpenError, ProtocolError, UsageError
 from adis_gonio.sim import SimulatedChip, World
-from contract.bus_contract import BusContract, Rig, WatchedChip, assert_timing
-from fakes.clock import VirtualClock
-from fakes.faults import Faults
-from fakes.pins import ChipPins
+from adis_gonio.testing.bus_contract import BusContract, Rig, WatchedChip, assert_timing
+from adis_gonio.testing.clocks import VirtualClock
+from adis_gonio.testing.faults import Faults
+from adis_gonio.testing.pins import ChipPins
 from fakes.spidev_kernel import (
     CPHA,
     CS_HIGH,

@@ -13,7 +13,7 @@ import pytest
 
 from adis_gonio.cli import main
 from adis_gonio.cli.bench.lines import Lines
-from adis_gonio.cli.show import counted
+from adis_gonio.counting import counted
 from adis_gonio.session import load_session, plan
 from adis_gonio.session.guidance import PLANE, drawing, to_do
 from adis_gonio.session.plans import Position

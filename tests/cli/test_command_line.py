@@ -44,7 +44,9 @@ def test_help_answers_without_numpy_scipy_or_matplotlib():
         "heavy = {'numpy', 'scipy', 'matplotlib', 'rich'} & set(sys.modules)\n"
         "print('heavy:', sorted(heavy), file=sys.stderr)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=600
+    )
     assert all(name in done.stdout for name in COMMANDS)
     assert done.stderr.strip() == "heavy: []"
 

@@ -12,10 +12,11 @@ import pytest
 
 from adis_gonio.cli import main
 from adis_gonio.sim import SimulatedChip, World
-from fakes.clock import WorkClock
-from fakes.firmware import FakeFirmware
-from fakes.pins import ChipPins
-from fakes.serial_port import PtyBoard
+from adis_gonio.testing.board import SimulatedBoard
+from adis_gonio.testing.clocks import WorkClock
+from adis_gonio.testing.firmware import SimulatedFirmware
+from adis_gonio.testing.pins import ChipPins
+from programs import running
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a pty needs POSIX")
 
@@ -28,11 +29,11 @@ SLOW = 0x05
 def board():
     chip = SimulatedChip(World(seed=3), start_s=-0.5)
     chip.frame(0xB600 | SLOW, start_s=0.0, clock_hz=1e6)
-    with PtyBoard(FakeFirmware(ChipPins(chip, WorkClock()))) as board:
+    with SimulatedBoard(SimulatedFirmware(ChipPins(chip, WorkClock()))) as board:
         yield board
 
 
-def registers_of(board: PtyBoard) -> int:
+def registers_of(board: SimulatedBoard) -> int:
     return board.firmware.pins.chip.memory["MSC_CTRL"]
 
 
@@ -90,7 +91,7 @@ def test_ctrl_c_ends_it_with_the_register_set_back(board, tmp_path, piped):
     if not piped:
         # A terminal takes what is written; one that nobody reads would stop the program when it is full.
         threading.Thread(target=read_all, args=(inner, shown), daemon=True).start()
-    with subprocess.Popen(command, stdout=outer, stderr=subprocess.PIPE, text=True) as program:
+    with running(command, stdout=outer, stderr=subprocess.PIPE) as program:
         wait_until(lambda: out.exists() and out.read_text().count("\n") > 100)
         assert registers_of(board) == 4
         program.send_signal(signal.SIGINT)
@@ -120,7 +121,7 @@ def test_unplugging_is_one_line_and_what_came_before_it_is_kept(board, capsys, t
     thread = threading.Thread(target=unplug)
     thread.start()
     assert main(["stream", f"serial:{board.path}", *ACCEL, "-o", str(out)]) == 1
-    thread.join()
+    thread.join(600)
     told = capsys.readouterr().err.splitlines()
     assert len(told) == 3, told
     assert told[2].startswith(f"adis-gonio: serial:{board.path}: ")
@@ -131,7 +132,7 @@ def test_unplugging_is_one_line_and_what_came_before_it_is_kept(board, capsys, t
 
 def test_a_reader_that_goes_away_ends_it_cleanly(board):
     command = [sys.executable, "-m", "adis_gonio", "stream", f"serial:{board.path}", *ACCEL]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
+    with running(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as program:
         assert "XACCL/mg" in program.stdout.readline()
         program.stdout.close()
         told = program.stderr.read()

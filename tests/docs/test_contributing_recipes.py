@@ -37,7 +37,7 @@ def bench(tmp_path_factory):
         done = subprocess.run(
             [sys.executable, "-m", *arguments],
             cwd=folder,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT / "tests")])},
+            env={**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT / "src")])},
             capture_output=True,
             text=True,
             timeout=1800,

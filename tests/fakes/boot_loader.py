@@ -11,7 +11,7 @@ import math
 from collections import deque
 from collections.abc import Generator
 
-from fakes.firmware import FakeFirmware
+from adis_gonio.testing.firmware import SimulatedFirmware
 
 BIT_S = 8 * 17 / 16e6
 """115 200 baud of a 16 MHz AVR: 117 647."""
@@ -142,7 +142,7 @@ class BootLoader:
             gives_up = (yield False) != BLANK
 
 
-class BootingBoard(FakeFirmware):
+class BootingBoard(SimulatedFirmware):
     """The firmware behind a boot loader; `open` on its port resets it, as does `restart`."""
 
     def __init__(self, pins, *, baud: int = 500_000, **loader) -> None:

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import usb.backend
 import usb.core
 
+from adis_gonio.testing.faults import Faults
 from fakes.cp2130_device import (
     PACKET,
     PRODUCT_ID,
@@ -18,7 +19,6 @@ from fakes.cp2130_device import (
     Cp2130Device,
     StallError,
 )
-from fakes.faults import Faults
 
 STRINGS = ("", "Silicon Laboratories", "CP2130 USB-to-SPI Bridge")
 

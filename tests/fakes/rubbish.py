@@ -20,13 +20,13 @@ from adis_gonio.bus.cp2130 import requests as cp2130_requests
 from adis_gonio.bus.mcp2210 import reports as mcp2210_reports
 from adis_gonio.bus.wire import protocol as wire
 from adis_gonio.errors import BusError, ProtocolError
-from fakes.clock import VirtualClock
+from adis_gonio.testing.clocks import VirtualClock
+from adis_gonio.testing.firmware import SimulatedFirmware
+from adis_gonio.testing.pins import ChipPins
 from fakes.cp2130_device import Cp2130Device
 from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
-from fakes.firmware import FakeFirmware
 from fakes.mcp2210_device import Mcp2210Device
 from fakes.mcp2210_hid import FakeHid, HidBoard
-from fakes.pins import ChipPins
 from fakes.spidev_kernel import MESSAGE, RD_MODE32, TRANSFER, FakeSpidevKernel
 
 FAST = SpiTiming(1e6, 9.0, 40.0)
@@ -232,7 +232,7 @@ def fuzz_spidev(count: int, seed: int) -> Counter:
 class QuickPort:
     """A port without times: what the firmware sends is there at once."""
 
-    def __init__(self, firmware: FakeFirmware) -> None:
+    def __init__(self, firmware: SimulatedFirmware) -> None:
         self._firmware = firmware
         self._clock = firmware.pins.clock
         firmware.out.clear()
@@ -255,8 +255,8 @@ def fuzz_link(count: int, seed: int) -> Counter:
     """The firmware's packets: rubbish with a right CRC, which nothing else guards, and broken ones."""
     bench = _Bench(seed)
     rubbish = bench.rubbish
-    firmware = FakeFirmware(bench.pins)
-    packed = FakeFirmware._packed
+    firmware = SimulatedFirmware(bench.pins)
+    packed = SimulatedFirmware._packed
 
     def spoilt(kind: int, number: int, body: bytes) -> bytes:
         right = packed(kind, number, body)

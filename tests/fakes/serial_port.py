@@ -1,16 +1,10 @@
-"""Serial ports to a fake firmware: one in virtual time, and a pty for the real pyserial."""
+"""A serial port to the simulated firmware in virtual time."""
 
 from __future__ import annotations
 
-import contextlib
-import os
-import select
-import threading
-import tty
-
 from adis_gonio.errors import CannotOpenError
-from fakes.faults import Faults, FaultyStream
-from fakes.firmware import FakeFirmware
+from adis_gonio.testing.faults import Faults, FaultyStream
+from adis_gonio.testing.firmware import SimulatedFirmware
 
 BUFFER = 65536
 
@@ -21,7 +15,7 @@ class FakePort:
     Time-outs cost nothing, so that a hundred thousand requests over a bad line take a minute.
     """
 
-    def __init__(self, firmware: FakeFirmware, faults: Faults | None = None) -> None:
+    def __init__(self, firmware: SimulatedFirmware, faults: Faults | None = None) -> None:
         self.firmware = firmware
         self.clock = firmware.pins.clock
         self.closed = False
@@ -78,61 +72,3 @@ class FakePort:
         while firmware.out:
             ready_s, packet = firmware.out.popleft()
             self._back.put(packet, max(ready_s, clock.now_s()))
-
-
-class PtyBoard:
-    """The firmware, on a `WorkClock`, behind a pty and pumped by a thread; `path` opens with pyserial.
-
-    A pty has no modem lines, so that RTS and DTR fail as they do on such ports.
-    """
-
-    def __init__(self, firmware: FakeFirmware, faults: Faults | None = None) -> None:
-        self.firmware = firmware
-        self.faults = faults or Faults()
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        self.path = os.ttyname(self._slave)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._pump, daemon=True)
-        self._thread.start()
-
-    def _pump(self) -> None:
-        there, back = FaultyStream(self.faults), FaultyStream(self.faults)
-        clock, firmware = self.firmware.pins.clock, self.firmware
-        while not self._stop.is_set():
-            now = clock.wall_s()
-            times = [t for t in (there.next_s(), back.next_s(), firmware.next_event_s()) if t is not None]
-            wait = min([0.05, *(max(0.0, t - now) for t in times)])
-            try:
-                if select.select([self._master], [], [], wait)[0]:
-                    there.put(os.read(self._master, 4096), clock.wall_s())
-                now = clock.wall_s()
-                firmware.run(now)
-                data = there.take(now, BUFFER)
-                if data and not self.faults.hangs(now):
-                    firmware.feed(data)
-                elif firmware.next_event_s() is None:
-                    firmware.pins.data_ready_edges()  # so that a request never finds a chip far behind
-                while firmware.out:
-                    ready_s, packet = firmware.out.popleft()
-                    back.put(packet, max(ready_s, now))
-                data = back.take(clock.wall_s(), BUFFER)
-                if data:
-                    os.write(self._master, data)
-            except OSError:
-                return
-
-    def unplug(self) -> None:
-        """The port goes away."""
-        self._stop.set()
-        self._thread.join()
-        with contextlib.suppress(OSError):
-            os.close(self._slave)
-        with contextlib.suppress(OSError):
-            os.close(self._master)
-
-    def __enter__(self) -> PtyBoard:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.unplug()

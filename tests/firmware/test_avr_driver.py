@@ -13,8 +13,8 @@ from adis_gonio.session.plans import plan
 from adis_gonio.session.runner import SessionRunner
 from adis_gonio.session.settings import Settings
 from adis_gonio.sim import SimulatedChip, World, WorldSettings
-from contract.bus_contract import BusContract, WatchedChip
-from contract.bus_contract import Rig as ContractRig
+from adis_gonio.testing.bus_contract import BusContract, WatchedChip
+from adis_gonio.testing.bus_contract import Rig as ContractRig
 from firmware.board_tests import SEVEN, DriverTests, open_serial
 
 SEED = 11

@@ -115,7 +115,9 @@ def test_flash_and_ram_are_within_their_limits_and_the_stack_within_its_reserve(
     told = avr_build.make(avr_elf().parent, "size")
     assert "of 16384 bytes" in told
     reserve = int(told.split(" stack")[0].rsplit(" ", 1)[1])
-    symbols = subprocess.run(["avr-nm", str(avr_elf())], capture_output=True, text=True, check=True).stdout
+    symbols = subprocess.run(
+        ["avr-nm", str(avr_elf())], capture_output=True, text=True, check=True, timeout=60
+    ).stdout
     end = next(int(line.split()[0], 16) for line in symbols.splitlines() if line.endswith(" _end")) & 0xFFFF
     rig, client = connect(make_rig)
     rig.paint_stack(end)

@@ -10,8 +10,8 @@ from adis_gonio.bus import BusUrl, find_devices
 from adis_gonio.bus.serial import SerialBus, open_from_url, ports
 from adis_gonio.errors import BusError, CannotOpenError, VariantError
 from adis_gonio.sensor import Adis16354
-from contract.bus_contract import BusContract, WireFrame
-from contract.bus_contract import Rig as ContractRig
+from adis_gonio.testing.bus_contract import BusContract, WireFrame
+from adis_gonio.testing.bus_contract import Rig as ContractRig
 from firmware.board_tests import SEVEN, DriverTests, open_serial
 from firmware.pico_rig import PicoRig, PtyCable
 from firmware.soak import soak

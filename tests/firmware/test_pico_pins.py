@@ -156,7 +156,11 @@ def test_flash_and_ram_are_within_their_limits_and_the_stack_is_far_from_its_own
         with pytest.raises(RuntimeError, match="of 5000 bytes"):
             pico_build.make(image.parent, "size", f"{limit}=5000")
     symbols = subprocess.run(
-        ["arm-none-eabi-nm", str(image.with_suffix(".elf"))], capture_output=True, text=True, check=True
+        ["arm-none-eabi-nm", str(image.with_suffix(".elf"))],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
     ).stdout
     end = next(int(line.split()[0], 16) for line in symbols.splitlines() if line.endswith(" __bss_end"))
     rig = make_pico(seed=3)

@@ -205,7 +205,7 @@ def test_ml_with_three_positions_has_everything_and_nothing_to_spare():
 def test_opposite_positions_alone_determine_no_angle():
     with pytest.raises(SingularError) as caught:
         fit(planar((0, 180)), "ml")
-    assert "do not determine delta_k or delta_phi" in str(caught.value)
+    assert "cannot determine delta_k or delta_phi" in str(caught.value)
     assert "0°, 90°, 180°, 270°" in str(caught.value)
 
 

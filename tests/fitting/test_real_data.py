@@ -66,7 +66,7 @@ def test_fourteen_poses():
 def test_xsens_dwells_and_scale_are_found():
     session = load("xsens_mti_recording")
     assert 36 <= len(session.dwells) <= 40
-    assert any("dwells were found by stillness" in note for note in session.notes)
+    assert any("dwells found by stillness" in note for note in session.notes)
     result = fit(session)
     # The published gains are along squared-up axes (an upper triangular matrix), ours along the axes' own.
     gains = [result[f"scale_{axis}"].value for axis in "xyz"]

@@ -135,4 +135,9 @@ def node(serial: str, subsystem: str) -> Path:
 
 def settle() -> None:
     """Wait for udevd."""
-    subprocess.run(["udevadm", "settle", f"--timeout={SETTLE_S}"], check=True, env=dict(os.environ))
+    subprocess.run(
+        ["udevadm", "settle", f"--timeout={SETTLE_S}"],
+        check=True,
+        env=dict(os.environ),
+        timeout=2 * SETTLE_S,
+    )

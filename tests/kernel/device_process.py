@@ -44,19 +44,19 @@ def _cp2130(serial: str) -> Made:
 
 
 def _serial(serial: str) -> Made:
-    from fakes.firmware import FakeFirmware
+    from adis_gonio.testing.firmware import SimulatedFirmware
     from kernel.firmware_model import FirmwareModel
 
     pins = _pins()
-    board = SerialBoard(FirmwareModel(FakeFirmware(pins)), serial)
+    board = SerialBoard(FirmwareModel(SimulatedFirmware(pins)), serial)
     return board, lambda: {"frames": pins.transfers}
 
 
 def _pins() -> Any:
     """A simulated chip at rest; imported late, because the guest takes seconds for numpy."""
     from adis_gonio.sim import SimulatedChip, World
-    from fakes.clock import DeviceClock
-    from fakes.pins import ChipPins
+    from adis_gonio.testing.clocks import DeviceClock
+    from adis_gonio.testing.pins import ChipPins
 
     world = World(seed=1)
     pins = ChipPins(SimulatedChip(world, world.variant, start_s=-0.5), DeviceClock())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from fakes.firmware import FakeFirmware
+from adis_gonio.testing.firmware import SimulatedFirmware
 
 IDLE_S = 0.05
 
@@ -13,7 +13,7 @@ IDLE_S = 0.05
 class FirmwareModel:
     """Lets the firmware live in a thread: bytes in from the line, packets out to it."""
 
-    def __init__(self, firmware: FakeFirmware) -> None:
+    def __init__(self, firmware: SimulatedFirmware) -> None:
         self._firmware = firmware
         self._arrived = bytearray()
         self._news = threading.Condition()

@@ -77,7 +77,7 @@ class HidAccelerometer:
         """Pull it out; may be called twice."""
         if not self._stop.is_set():
             self._stop.set()
-            self._thread.join()
+            self._thread.join(60)
             os.write(self._handle, struct.pack("<I", DESTROY))
             os.close(self._handle)
 

@@ -39,6 +39,8 @@ MODULES = (
     # an IIO accelerometer without its hardware: a HID sensor that user space makes
     *("uhid", "hid_sensor_accel_3d"),
 )
+LONGEST_S = 900
+"""Of a step that builds the image; a download may be slow."""
 XZ_MAGIC = b"\xfd7zXZ\x00"
 ELF_MAGIC = b"\x7fELF"
 
@@ -120,8 +122,13 @@ def _build(package: str, release: str, folder: Path) -> None:
         raise RigMissingError(f"apt-get could not download {package}: run apt-get update")
     unpack = folder / "unpacked"
     unpack.mkdir()
-    with subprocess.Popen(["dpkg", "--fsys-tarfile", str(packages[0])], stdout=subprocess.PIPE) as tar:
-        subprocess.run(["tar", "-x", "-C", str(unpack), "./boot", "./lib"], stdin=tar.stdout, check=True)
+    archive = folder / "files.tar"
+    with archive.open("wb") as output:
+        subprocess.run(
+            ["dpkg", "--fsys-tarfile", str(packages[0])], stdout=output, check=True, timeout=LONGEST_S
+        )
+    _run("tar", "-x", "-f", str(archive), "-C", str(unpack), "./boot", "./lib")
+    archive.unlink()
     _unpack_vmlinux(unpack / "boot" / f"vmlinuz-{release}", ready / "vmlinux")
     _run("depmod", "-b", str(unpack), release)
     _build_initramfs(unpack, release, ready / "initramfs.cpio")
@@ -167,12 +174,15 @@ def _build_initramfs(unpack: Path, release: str, target: Path) -> None:
             input=listing.encode(),
             stdout=output,
             check=True,
+            timeout=LONGEST_S,
         )
 
 
 def _run(*command: str, cwd: Path | None = None, may_fail: bool = False) -> str:
     environment = {**os.environ, "LC_ALL": "C", "PATH": os.environ.get("PATH", "") + ":/usr/sbin:/sbin"}
-    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=cwd, env=environment, capture_output=True, text=True, check=False, timeout=LONGEST_S
+    )
     if done.returncode and not may_fail:
         raise RigMissingError(f"{command[0]} failed: {done.stderr.strip().splitlines()[-1:]}")
     return done.stdout

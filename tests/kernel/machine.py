@@ -88,7 +88,7 @@ def run_in_guest(
             machine.wait(timeout=job_time_s + 60)
         except subprocess.TimeoutExpired:
             machine.kill()
-            machine.wait()
+            machine.wait(60)
     status = share / "rc"
     return GuestRun(
         status=int(status.read_text()) if status.exists() and status.read_text().strip() else None,

@@ -103,7 +103,7 @@ def firmware(folder: Path) -> Iterator[list[str]]:
             assert process.returncode == 0, "the firmware's frames broke a limit of the chip, see above"
         finally:
             process.kill()
-            process.wait()
+            process.wait(60)
             process.stdout.close()
 
 

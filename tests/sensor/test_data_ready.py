@@ -18,9 +18,9 @@ from adis_gonio.session.archive import read_session
 from adis_gonio.session.events import Configured, Problem
 from adis_gonio.session.runner import SessionRunner
 from adis_gonio.sim import SimBus, SimulatedChip, World
-from fakes.clock import VirtualClock
-from fakes.firmware import FakeFirmware
-from fakes.pins import ChipPins
+from adis_gonio.testing.clocks import VirtualClock
+from adis_gonio.testing.firmware import SimulatedFirmware
+from adis_gonio.testing.pins import ChipPins
 from fakes.serial_port import FakePort
 
 SEED = 4
@@ -37,7 +37,7 @@ class Board:
         pins = ChipPins(self.chip, self.clock)
         if not wired:
             monkeypatch.setattr(pins, "data_ready_edges", lambda: int(noise_hz * self.clock.now_s()))
-        port = FakePort(FakeFirmware(pins))
+        port = FakePort(SimulatedFirmware(pins))
         self.bus = serial.open_from_url(BusUrl.parse(f"serial:x{options}"), port=port, clock=self.clock)
         self.chip.run_to(self.clock.now_s())
 
@@ -254,4 +254,4 @@ def test_dropped_scans_are_told_and_kept_in_the_session(monkeypatch, tmp_path):
     session = read_session(tmp_path / "a.session")
     counts = [dwell["dropped"] for dwell in session.facts["dwells"]]
     assert all(2 <= count <= 8 for count in counts)
-    assert session.notes[0].startswith(f"{sum(counts)} scans within the dwells were left out")
+    assert session.notes[0].startswith(f"{sum(counts)} scans within the dwells left out")

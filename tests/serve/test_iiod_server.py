@@ -19,6 +19,7 @@ from adis_gonio.serve.client import MOST_PENDING
 from adis_gonio.serve.server import SEND_BUFFER
 from adis_gonio.sim.bus import SimBus
 from fakes.counting_bus import CountingBus
+from programs import running
 from serve.raw_client import WAIT_S, RawClient, served
 
 PERIOD_NS = 1_220_700
@@ -282,7 +283,7 @@ def test_a_sensor_that_fails_is_an_error_for_every_client_and_the_servers_end():
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_command_in_order_with_a_client_in_the_middle(number):
     command = [sys.executable, "-m", "adis_gonio", "serve", "sim:?seed=1", "--iio", "0"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as program:
+    with running(command, stderr=subprocess.PIPE) as program:
         line = program.stderr.readline()
         assert "read-only" in line, line
         port = int(line.split("ip:127.0.0.1:")[1].partition(",")[0])

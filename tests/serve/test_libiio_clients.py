@@ -107,7 +107,7 @@ print(imu._get_iio_attr("accel_z", "calibbias", False))
 def test_pyadi_iio_reads_the_scans_that_the_sensor_made(tmp_path):
     # In processes of its own: it loads libiio.so, and warns of much.
     probe = subprocess.run(
-        [sys.executable, "-c", "import adi"], capture_output=True, text=True, check=False
+        [sys.executable, "-c", "import adi"], capture_output=True, text=True, check=False, timeout=600
     )
     if probe.returncode:
         pytest.skip(f"pyadi-iio or libiio0 is missing: {probe.stderr.strip().splitlines()[-1]}")

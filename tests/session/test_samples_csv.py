@@ -286,7 +286,7 @@ def test_a_continuous_file_becomes_dwells_with_a_note(tmp_path):
     lines = [f"{a:.2f},{x:.3f},{y:.3f}" for a, (x, y) in zip(t, accel, strict=True)]
     session = read_samples_csv(write(tmp_path, "# accel_unit: mg", "time_s,ax,ay", *lines))
     assert len(session.dwells) == 3
-    assert "3 dwells were found by stillness" in session.notes[0]
+    assert "3 dwells found by stillness" in session.notes[0]
     assert session.dwells[0].angle_deg is None
     assert session.dwells[1].first_row == 3 + round(100 * session.dwells[1].time_s[0])
 

@@ -404,7 +404,7 @@ def test_a_session_is_read_while_it_is_written(tmp_path):
         for place in range(1, 40):
             archive.add_attempt(Attempt(**(vars(attempt(0)) | {"place": place})))
         done.set()
-        reader.join()
+        reader.join(600)
     assert counts == sorted(counts)
     assert len(read_session(path).dwells) == 40
 

@@ -404,7 +404,7 @@ def test_a_loop_that_is_killed_in_its_extension_resumes_to_the_same_session(tmp_
     whole, broken = tmp_path / "whole.session", tmp_path / "broken.session"
     command = [sys.executable, "-m", "adis_gonio", "calibrate", url, "--auto", "--trace", "--dwell", "2"]
     first = [*command, "--plan", "four-position", "-o"]
-    done = subprocess.run([*first, str(whole)], capture_output=True, text=True, check=True)
+    done = subprocess.run([*first, str(whole)], capture_output=True, text=True, check=True, timeout=1800)
     assert "Closing the loop" in done.stdout
     process = subprocess.Popen(
         [*first, str(broken)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
@@ -416,8 +416,9 @@ def test_a_loop_that_is_killed_in_its_extension_resumes_to_the_same_session(tmp_
         if dwells == 5:
             process.send_signal(signal.SIGKILL)
             break
-    process.wait()
+    process.wait(60)
     process.stderr.close()
-    subprocess.run([*command, "--resume", "-o", str(broken)], capture_output=True, check=True)
+    resumed = [*command, "--resume", "-o", str(broken)]
+    subprocess.run(resumed, capture_output=True, check=True, timeout=1800)
     assert len(words(whole)) > 5
     assert words(broken) == words(whole)

@@ -110,5 +110,7 @@ def test_the_package_itself_imports_without_scipy():
         "import sys, adis_gonio.session as s; s.SessionRunner; s.read_session; s.plan; s.events; "
         "print('scipy' in sys.modules)"
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=600
+    )
     assert result.stdout.strip() == "False"

@@ -388,7 +388,7 @@ def test_answers_may_come_from_another_thread(sensor, path):
             asked.append(event)
             thread = threading.Thread(target=answer)
             thread.start()
-            thread.join()
+            thread.join(600)
     assert len(asked) == 3
     assert isinstance(event, Finished)
 

@@ -110,4 +110,4 @@ def test_a_sensor_without_words_of_status_is_judged_by_its_losses_alone():
     data = np.tile([0.0, 0.0, 1000.0, 3.3], (40, 1))
     block = ValueBlock(("ax", "ay", "az", "supply_v"), data, np.arange(40) / 100, lost=10)
     assert count_alarms(block) == 0
-    assert problems(2, block, None) == [Problem("lost", "10 scans (20 %) were lost on the bus", 2)]
+    assert problems(2, block, None) == [Problem("lost", "10 scans (20 %) lost on the bus", 2)]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from adis_gonio.bus.wire import Body, Packet, Receiver, crc32, encode, load_cobs
 from adis_gonio.bus.wire import protocol as wire
 from adis_gonio.errors import NotInstalledError, ProtocolError
-from fakes.firmware import stuff, unstuff
+from adis_gonio.testing.firmware import stuff, unstuff
 
 VECTORS = Path(__file__).parents[2] / "firmware_proto" / "vectors.txt"
 BYTES = st.binary(max_size=700) | st.lists(st.sampled_from([0, 1, 254, 255]), max_size=700).map(bytes)

@@ -108,7 +108,7 @@ class SpiBus(ABC):
 
     A subclass implements `_exchange`, `_configure` and `_close`, sets `url`, and overrides
     `capabilities` with the methods of the capabilities that it has. See the module's text for what it
-    promises; `tests/contract` holds the test class that proves it.
+    promises; `adis_gonio.testing.BusContract` is the test class that proves it.
     """
 
     url: str = ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from urllib.parse import parse_qsl
 
 from adis_gonio.bus.contract import SpiBus
@@ -118,16 +118,34 @@ class Device:
 def find_devices() -> list[Device]:
     """Devices of every installed bus (entry points of group `adis_gonio.devices`), one row each.
 
-    A bus whose library is not installed is listed with the extra that it needs, not left out.
+    A bus whose library is not installed is listed with the extra that it needs, and one whose finder
+    fails with the function that did: one package's mistake does not hide what the others have found.
     """
     devices: list[Device] = []
     for point in sorted(entry_points(group=DEVICE_GROUP), key=lambda point: point.name):
         try:
-            finder: Callable[[], list[Device]] = point.load()
-            devices += finder()
+            devices += _found(point)
         except ImportError as error:
             need = f"not usable: {error.name or error} is missing; pip install 'adis-gonio[{point.name}]'"
             devices.append(Device(f"{point.name}:", need))
         except (BusError, NotInstalledError) as error:
             devices.append(Device(f"{point.name}:", f"not usable: {error}"))
+        except Exception as error:  # whatever a package of somebody else's may raise
+            devices.append(Device(f"{point.name}:", f"not usable: {_blamed(point, error)}"))
     return devices
+
+
+def _found(point: EntryPoint) -> list[Device]:
+    finder: Callable[[], list[Device]] = point.load()
+    devices = list(finder())
+    for device in devices:
+        if not isinstance(device, Device):
+            raise TypeError(f"it returned {device!r}, which is no adis_gonio.bus.Device")
+    return devices
+
+
+def _blamed(point: EntryPoint, error: Exception) -> str:
+    """Whose function failed and how, in one line."""
+    package = f" of package '{point.dist.name}'" if point.dist is not None else ""
+    what = " ".join(str(error).split())
+    return f"{point.value}{package} failed: {type(error).__name__}{': ' if what else ''}{what}"

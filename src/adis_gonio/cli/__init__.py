@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import click
 
 from adis_gonio import __version__
+from adis_gonio.cli.characters import make_readable
 from adis_gonio.cli.lazy import LazyGroup
 from adis_gonio.errors import AdisGonioError
 
@@ -79,4 +80,5 @@ def _fail(message: str, status: int) -> int:
 
 def run() -> None:
     """Entry point of the `adis-gonio` program."""
+    make_readable()
     sys.exit(main())

@@ -11,14 +11,8 @@ import click
 
 from adis_gonio.cli.face import choose_face
 from adis_gonio.cli.overrides import fixture, gravity
-from adis_gonio.cli.show import (
-    counted,
-    json_option,
-    no_check_option,
-    poll_option,
-    print_json,
-    variant_option,
-)
+from adis_gonio.cli.show import json_option, no_check_option, poll_option, print_json, variant_option
+from adis_gonio.counting import counted
 from adis_gonio.errors import FitError, SessionError, UsageError
 
 if TYPE_CHECKING:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from adis_gonio.cli.show import console, counted
+from adis_gonio.cli.show import console
+from adis_gonio.counting import counted
 
 if TYPE_CHECKING:
     from adis_gonio.model.records import Session
@@ -36,7 +37,6 @@ def standing(summary: Mapping[str, Any]) -> list[str]:
 
 def print_loop(session: Session, result: TraceResult) -> None:
     """Show what the further positions changed, and why the loop ended; nothing where there was no round."""
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
@@ -46,9 +46,7 @@ def print_loop(session: Session, result: TraceResult) -> None:
     rounds = session.facts.get("advised", [])
     if not rounds or not rounds[0]["summary"]:
         return
-    screen = console()
-    if screen.width > _WIDTH:
-        screen = Console(highlight=False, width=_WIDTH)
+    screen = console(most=_WIDTH)
     planned = len(session.facts["plan"]["positions"])
     extra = planned - rounds[0]["planned"]
     before, after = rounds[0]["summary"], where_it_stands(result, len(session.dwells))

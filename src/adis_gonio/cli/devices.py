@@ -15,6 +15,8 @@ from adis_gonio.cli.show import console, json_option, print_json
 def command(*, udev: bool, as_json: bool) -> None:
     """List the buses and the devices that are connected, with the URL that opens each.
 
+    A bus that cannot be looked for is a row that says why; the exit status is 0 then too.
+
     Linux wants a rule before a user may open them: adis-gonio devices --udev | sudo tee
     /etc/udev/rules.d/70-adis-gonio.rules, then plug the device in again.
     """

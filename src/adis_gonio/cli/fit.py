@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import click
 
 from adis_gonio.cli.overrides import load, override_options
-from adis_gonio.cli.show import console, counted, json_option, print_json
+from adis_gonio.cli.show import console, json_option, print_json
 from adis_gonio.cli.trace import working
+from adis_gonio.counting import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -62,7 +63,7 @@ def command(
     from adis_gonio.model.records import METADATA
 
     loaded = load(session, overrides)
-    with working(f"fitting {len(loaded.dwells)} dwells of {session.name}"):
+    with working(f"fitting {counted(len(loaded.dwells), 'dwell')} of {session.name}"):
         answer = Answer.of(fit(loaded, method=method), own=method is not None)
         document = answer.as_dict()
     run = _monte_carlo(answer.result, trials, seed)

@@ -9,6 +9,7 @@ import click
 
 from adis_gonio.cli.overrides import load, override_options
 from adis_gonio.cli.trace import working
+from adis_gonio.counting import counted
 
 if TYPE_CHECKING:
     from adis_gonio.model import Session
@@ -65,7 +66,7 @@ def command(*, session: Path, output: Path, time_limit: float | None, overrides:
     if output.exists() and session.exists() and output.samefile(session):
         raise UsageError(f"{output}: is the session itself; name another file for the page")
     loaded = load(session, overrides)
-    with working(f"tracing {len(loaded.dwells)} dwells of {session.name}"):
+    with working(f"tracing {counted(len(loaded.dwells), 'dwell')} of {session.name}"):
         fits, failures = [], {}
         for method in applicable_methods(loaded):
             try:

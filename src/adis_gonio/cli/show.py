@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -25,25 +26,31 @@ no_check_option = click.option(
 )
 
 
-def console(*, stderr: bool = False) -> Console:
-    """Console without automatic colours; wide where a program reads it, so that no row is folded."""
-    screen = Console(stderr=stderr, highlight=False)
-    return screen if screen.is_terminal else Console(stderr=stderr, highlight=False, width=200)
+def console(*, stderr: bool = False, most: int = 0) -> Console:
+    """Console without automatic colours; wide where a program reads it, so that no row is folded.
+
+    Text is shown as it stands: brackets and colons in it are no markup. With `most` it is at most so wide.
+    """
+
+    def made(width: int | None = None) -> Console:
+        return Console(stderr=stderr, highlight=False, markup=False, emoji=False, width=width)
+
+    screen = made()
+    width = screen.width if screen.is_terminal else 200
+    if most:
+        width = min(width, most)
+    return screen if screen.width == width else made(width)
 
 
-def counted(number: int, name: str) -> str:
-    """Number and name with its plural, such as `1 dwell` and `2 dwells`."""
-    return f"{number} {name}" if number == 1 else f"{number} {name}s"
-
-
-def json_text(document: Any) -> str:
+def json_text(document: Any, *, ascii_only: bool = False) -> str:
     """One JSON document as text; what is not finite becomes null."""
-    return json.dumps(_plain(document), ensure_ascii=False, indent=2, allow_nan=False)
+    return json.dumps(_plain(document), ensure_ascii=ascii_only, indent=2, allow_nan=False)
 
 
 def print_json(document: Any) -> None:
-    """Write one JSON document to standard output."""
-    click.echo(json_text(document))
+    """Write one JSON document to standard output, in pure ASCII where that is not UTF."""
+    unicode = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
+    click.echo(json_text(document, ascii_only=not unicode))
 
 
 def _plain(value: Any) -> Any:

@@ -10,6 +10,7 @@ from urllib.parse import quote
 import click
 import numpy as np
 
+from adis_gonio.counting import counted
 from adis_gonio.errors import DataError, SessionError, UsageError
 
 
@@ -69,10 +70,11 @@ def command(*, output: Path, **options: Any) -> int:
     The session is measured through the driver, frame by frame, as a real one would be.
     """
     from adis_gonio.cli.bench.plain import PlainBench
-    from adis_gonio.cli.show import counted
+    from adis_gonio.counting import counted
     from adis_gonio.sensor import open_sensor
     from adis_gonio.sensor.settings import smpl_prd_for
     from adis_gonio.session import SessionRunner, Settings, export_csv, load_session, plan
+    from adis_gonio.session.archive import ArchiveView
 
     if output.exists():
         raise SessionError(f"{output}: exists already; choose another name")
@@ -104,9 +106,14 @@ def command(*, output: Path, **options: Any) -> int:
             title=options["title"],
         )
         complete = PlainBench(runner, auto=True).run()
+        with ArchiveView(archive) as view:
+            done = len(view.dwells())
+        if as_csv and not done:
+            raise SessionError(f"{output}: not written: the session ended before a dwell was complete")
         if as_csv:
             export_csv(load_session(archive), output)
-    click.echo(f"{output}: {counted(len(positions), 'dwell')}", err=True)
+    of = "" if complete else f"{done} of "
+    click.echo(f"{output}: {of}{counted(len(positions), 'dwell')}", err=True)
     return 0 if complete else 1
 
 
@@ -123,7 +130,7 @@ def _twin(path: Path, output: Path, seed: int) -> int:
     if not traced.fits:
         raise DataError(f"{path}: one pose has no model of positions to simulate")
     export_csv(simulate_like(session, traced.fits[-1], seed=seed), output)
-    click.echo(f"{output}: {len(session.dwells)} dwells like those of {path}", err=True)
+    click.echo(f"{output}: {counted(len(session.dwells), 'dwell')} like those of {path}", err=True)
     return 0
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from adis_gonio.cli.columns import Columns, screen_width
 from adis_gonio.cli.interrupt import Interrupt
 from adis_gonio.cli.show import no_check_option, poll_option, variant_option
+from adis_gonio.counting import counted
 from adis_gonio.errors import UsageError
 from adis_gonio.sensor import DEFAULT_SCAN, Adis16354, open_sensor
 from adis_gonio.sensor.registers import registers as rows_of
@@ -225,7 +226,7 @@ class _Show:
         where = f", recorded in {self._recorder.path}" if self._recorder is not None else ""
         besides = f", {self._dropped} left out without new data (ND)" if self._dropped else ""
         besides += f", {self._alarms} with an error or alarm in STATUS (EA)" if self._alarms else ""
-        click.echo(f"{self._scans} scans, {self._lost} lost{besides}{where}", err=True)
+        click.echo(f"{counted(self._scans, 'scan')}, {self._lost} lost{besides}{where}", err=True)
 
     def tell_document(self) -> None:
         """Every scan as one JSON document."""

@@ -13,6 +13,7 @@ import click
 
 from adis_gonio.cli.overrides import load, override_options
 from adis_gonio.cli.show import console, json_option, print_json
+from adis_gonio.counting import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -54,7 +55,7 @@ def command(
     from adis_gonio.tracing import trace
 
     loaded = load(session, overrides)
-    with working(f"tracing {len(loaded.dwells)} dwells of {session.name}"):
+    with working(f"tracing {counted(len(loaded.dwells), 'dwell')} of {session.name}"):
         result = trace(loaded, max_effects=max_effects, time_limit=time_limit)
     if as_json:
         print_json(result.as_dict())
@@ -99,13 +100,9 @@ def _told(what: str) -> Iterator[Callable[[str], None]]:
 
 def print_trace(session: Session, result: TraceResult) -> None:
     """Show a trace on the terminal."""
-    from rich.console import Console
-
     from adis_gonio.report import words
 
-    screen = console()
-    if screen.width > _WIDTH:
-        screen = Console(highlight=False, width=_WIDTH)
+    screen = console(most=_WIDTH)
     screen.print(f"{words.title(session)}: {words.shape(session)}", markup=False)
     screen.print()
     screen.print(words.headline(result), style="bold", markup=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from adis_gonio.counting import counted
 from adis_gonio.errors import FitError
 from adis_gonio.model.records import Floats
 
@@ -23,7 +24,9 @@ def conic_through(points: Floats) -> tuple[Floats, Floats]:
     middle = points.mean(axis=0)
     size = float(np.abs(points - middle).max())
     if size <= 0 or n < d + 1:
-        raise FitError(f"{n} positions do not show an unknown scale and zero; measure at least {2 * d + 3}")
+        raise FitError(
+            f"{counted(n, 'position')} cannot show an unknown scale and zero; measure at least {2 * d + 3}"
+        )
     p = (points - middle) / size
     pairs = [(i, j) for i in range(d) for j in range(i + 1, d)]
     mixed = [2 * p[:, i] * p[:, j] for i, j in pairs]

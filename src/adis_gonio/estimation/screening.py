@@ -21,6 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.counting import counted
 from adis_gonio.errors import DataError
 from adis_gonio.estimation.converter import Limit, steps_of
 from adis_gonio.model.records import Dwell, Floats, Session
@@ -75,7 +76,8 @@ def limits_in_words(limits: Sequence[Limit], unit: str) -> list[str]:
     lines = []
     for limit in limits:
         where = f"the extreme value {limit.value:g} {unit} ({_positions(limit.positions)})"
-        line = f"{limit.samples} samples of {'xyz'[limit.axis]} stand at {where}: a limit was reached there"
+        samples = f"{counted(limit.samples, 'sample')} of {'xyz'[limit.axis]}"
+        line = f"{samples} stand at {where}: a limit was reached there"
         if limit.spoiled:
             word = "takes" if len(limit.spoiled) == 1 else "take"
             line += (

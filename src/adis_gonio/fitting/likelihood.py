@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from adis_gonio.counting import counted
 from adis_gonio.errors import SingularError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings
@@ -46,7 +47,7 @@ def fit_ml(readings: Readings) -> FitResult:
     if not any(o.name in wanted for o in reported):
         directions = "; ".join(in_words(null, names))
         raise SingularError(
-            f"{len(readings)} positions do not determine {' or '.join(wanted[:2])}: without "
+            f"{counted(len(readings), 'position')} cannot determine {' or '.join(wanted[:2])}: without "
             f"information is {directions}; {_advice(lost)}"
         )
     warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]

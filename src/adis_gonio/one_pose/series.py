@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.budget import attempt, check
+from adis_gonio.counting import counted
 from adis_gonio.errors import FitError
 from adis_gonio.estimation.values import Detectable, Value
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect
@@ -121,13 +122,13 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     where = f"{session.source}: " if session.source else ""
     if len(dwell) < LEAST_ROWS:
         raise FitError(
-            f"{where}one position with {len(dwell)} samples shows nothing to trace; measure at least two "
-            f"positions, or at least {LEAST_ROWS} samples while the temperature changes"
+            f"{where}one position with {counted(len(dwell), 'sample')} shows nothing to trace; measure at"
+            f" least two positions, or at least {LEAST_ROWS} samples while the temperature changes"
         )
     if dwell.temperature_c is None:
         raise FitError(
-            f"{where}one position only and no temperature: nothing that the readings could follow; measure "
-            "at least two positions"
+            f"{where}one position only and no temperature: nothing that the readings could follow; record"
+            " the temperature beside the samples (temp_c), or measure at least two positions"
         )
     conditions = series_conditions(dwell)
     problem, candidates = _problem(dwell.accel * mg_per_unit(session, dwell), conditions)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from adis_gonio.counting import counted
 from adis_gonio.errors import AdisGonioError
 from adis_gonio.estimation.values import Detectable, Value
 from adis_gonio.model.effects import catalogue, effect
@@ -53,9 +54,9 @@ def shape(session: Session) -> str:
     """What kind of session it is, such as `24 dwells, adis16354, one plane`."""
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     if len(dwells) == 1:
-        kind = f"one pose, {len(dwells[0])} samples"
+        kind = f"one pose, {counted(len(dwells[0]), 'sample')}"
     else:
-        kind = f"{len(dwells)} dwells" + (
+        kind = f"{counted(len(dwells), 'dwell')}" + (
             ", one plane" if session.plane == "xy" else ", attitudes in space"
         )
     checks = sum(dwell.use == "check" for dwell in dwells)
@@ -181,6 +182,12 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
         return (
             f"{what} The model has as many parameters as there are readings: nothing is left to test it "
             "by. Measure more positions."
+        )
+    if result.before.heldout_by_axis_mg is not None:
+        return (
+            f"{what or 'Nothing was found that the readings follow.'} One pose shows what they follow, not"
+            " whether zero or gain does. Whether anything is left cannot be tested: the noise of"
+            " neighbouring samples is not independent."
         )
     if result.adequate or not tested:
         ending = "Whether anything is left cannot be tested: " + (

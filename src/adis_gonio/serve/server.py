@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from adis_gonio import __version__
+from adis_gonio.counting import counted
 from adis_gonio.errors import CannotOpenError
 from adis_gonio.sensor import DEFAULT_SCAN, Adis16354
 from adis_gonio.serve.client import ClientSession
@@ -171,7 +172,7 @@ class IioServer:
             if client.sent or client.lost:
                 self._tell(
                     f"{name}: left after {time.monotonic() - begin_s:.1f} s,"
-                    f" {client.sent} scans sent, {client.lost} lost because it was slow"
+                    f" {counted(client.sent, 'scan')} sent, {client.lost} lost because it was slow"
                 )
 
     # -- from the sampler's thread ------------------------------------------------------------------

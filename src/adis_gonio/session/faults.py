@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adis_gonio.counting import counted
 from adis_gonio.sensor.decoding import ScanBlock
 from adis_gonio.sensor.settings import Status
 from adis_gonio.session.blocks import Block
@@ -52,8 +53,8 @@ class Alarms:
     def __str__(self) -> str:
         times = "once" if self.times == 1 else f"{self.times} times"
         return (
-            f"an error or alarm stood in {self.scans} scans ({times}, at most {self.longest_s:.3g} s,"
-            f" first {self.first_s:.3g} s into the dwell)"
+            f"an error or alarm stood in {counted(self.scans, 'scan')} ({times}, at most"
+            f" {self.longest_s:.3g} s, first {self.first_s:.3g} s into the dwell)"
         )
 
 
@@ -96,9 +97,11 @@ def problems(place: int, scans: Block, status: Status | None) -> list[Problem]:
             )
     if scans.lost:
         share = 100.0 * scans.lost / (len(scans) + scans.lost)
-        found.append(Problem("lost", f"{scans.lost} scans ({share:.2g} %) were lost on the bus", place))
+        found.append(
+            Problem("lost", f"{counted(scans.lost, 'scan')} ({share:.2g} %) lost on the bus", place)
+        )
     if scans.dropped:
         share = 100.0 * scans.dropped / (len(scans) + scans.dropped)
-        text = f"{scans.dropped} scans ({share:.2g} %) were left out: {WITHOUT_NEWS}"
+        text = f"{counted(scans.dropped, 'scan')} ({share:.2g} %) left out: {WITHOUT_NEWS}"
         found.append(Problem("dropped", text, place))
     return found

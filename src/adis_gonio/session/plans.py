@@ -27,6 +27,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from adis_gonio.counting import counted
 from adis_gonio.errors import UsageError
 from adis_gonio.model.records import Plane, Use
 
@@ -182,7 +183,7 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
     count = kind.default if positions is None else positions
     if kind.fixed and count != kind.default:
         raise UsageError(
-            f"plan '{name}' has {kind.default} positions, not {count}; mmpm and tumble take any"
+            f"plan '{name}' has {counted(kind.default, 'position')}, not {count}; mmpm and tumble take any"
         )
     if not kind.least <= count <= MOST_POSITIONS:
         raise UsageError(f"plan '{name}' takes {kind.least} to {MOST_POSITIONS} positions, not {count}")
@@ -285,7 +286,7 @@ def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindne
         bias_mg,
         relative,
         degrees,
-        f"{len(angles)} positions cannot see a bias: {bias_mg:g} mg on each axis would put"
+        f"{counted(len(angles), 'position')} cannot see a bias: {bias_mg:g} mg on each axis would put"
         f" {degrees:.2f}° into delta_phi and {relative:.4f} into delta_k; the opposite positions cancel it",
     )
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from adis_gonio.counting import counted
 from adis_gonio.errors import DataError
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.session.blocks import GENERIC, Block, join, session_columns
@@ -126,7 +127,8 @@ def _notes(plan: Plan, pending: Sequence[int], skipped: set[int], facts: JsonDic
     notes, dwells = [], facts["dwells"]
     if pending:
         notes.append(
-            f"unfinished session: {len(dwells)} of {len(plan)} positions of plan '{plan.name}' are done"
+            f"unfinished session: {len(dwells)} of {counted(len(plan), 'position')} of plan"
+            f" '{plan.name}' done"
         )
     if facts["reversed"]:
         notes.append("turned the other way: every angle of the plan was taken with the other sign")
@@ -135,10 +137,10 @@ def _notes(plan: Plan, pending: Sequence[int], skipped: set[int], facts: JsonDic
         notes.append(f"skipped: {', '.join(str(plan.positions[place]) for place in sorted(skipped))}")
     lost = sum(dwell["lost"] for dwell in dwells)
     if lost:
-        notes.append(f"{lost} scans were lost on the bus within the dwells")
+        notes.append(f"{counted(lost, 'scan')} lost on the bus within the dwells")
     dropped = sum(dwell["dropped"] for dwell in dwells)
     if dropped:
-        notes.append(f"{dropped} scans within the dwells were left out: {WITHOUT_NEWS}")
+        notes.append(f"{counted(dropped, 'scan')} within the dwells left out: {WITHOUT_NEWS}")
     if facts["scanning"] and facts["scanning"]["caveat"]:
         notes.append(facts["scanning"]["caveat"])
     for number, dwell in enumerate(dwells):

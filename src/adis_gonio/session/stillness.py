@@ -22,6 +22,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.counting import counted
 from adis_gonio.errors import DataError
 from adis_gonio.model.records import Floats
 
@@ -122,7 +123,7 @@ def segment_with_notes(
     steps = np.diff(time_s)
     steps = steps[steps > 0]
     if n < 2 * _LEAST_WINDOW or not steps.size:
-        return [], [f"{n} samples are too few for a continuous recording"]
+        return [], [f"{counted(n, 'sample')}: too few for a continuous recording"]
     period = float(np.median(steps, overwrite_input=True))
     del steps
     window = max(_LEAST_WINDOW, round(WINDOW_S / period))
@@ -154,8 +155,8 @@ def segment_with_notes(
     slices = [part for rows in slices for part in _split_at_steps(accel, rows, window, least, limits)]
     scatter = ", ".join(f"{value:.3g}" for value in noise)
     notes = [
-        f"{len(slices)} dwells were found by stillness (window {window * period:.3g} s, noise of the "
-        f"accelerations {scatter} in the file's unit, limit four times that)"
+        f"{counted(len(slices), 'dwell')} found by stillness (window {window * period:.3g} s, noise of the"
+        f" accelerations {scatter} in the file's unit, limit four times that)"
     ]
     stuck = _runs(low, window)
     if stuck:

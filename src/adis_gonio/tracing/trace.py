@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from adis_gonio.budget import Budget, attempt, current, spent, within
+from adis_gonio.counting import counted
 from adis_gonio.errors import FitError, UsageError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings, readings_of
@@ -276,6 +277,6 @@ def _enough(data: Readings) -> None:
     rows = len(data) * (1 if data.free else 2)
     if rows < base:
         raise FitError(
-            f"{len(data)} positions give {rows} equations for {base} base parameters; measure at least "
-            f"{-(-base // max(rows // len(data), 1))} positions"
+            f"{counted(len(data), 'position')}: {rows} equations for {base} base parameters; measure at"
+            f" least {counted(-(-base // max(rows // len(data), 1)), 'position')}"
         )

@@ -56,10 +56,10 @@ def plug_all(bench: Bench) -> list[str]:
 def no_rules(bench: Bench) -> Iterator[None]:
     """A machine on which the rules are not installed, nor afterwards."""
     RULES.unlink(missing_ok=True)
-    subprocess.run(["udevadm", "control", "--reload"], check=True)
+    subprocess.run(["udevadm", "control", "--reload"], check=True, timeout=60)
     yield
     RULES.unlink(missing_ok=True)
-    subprocess.run(["udevadm", "control", "--reload"], check=True)
+    subprocess.run(["udevadm", "control", "--reload"], check=True, timeout=60)
 
 
 def test_devices_lists_what_is_connected(bench: Bench) -> None:
@@ -88,7 +88,7 @@ def test_without_the_rules_a_user_is_refused_and_told_the_rule_with_them_it_work
         assert words in row["message"]
 
     RULES.write_text(command("devices", "--udev"))
-    subprocess.run(["udevadm", "control", "--reload"], check=True)
+    subprocess.run(["udevadm", "control", "--reload"], check=True, timeout=60)
     bench.clear()
     plug_all(bench)
     settle()

@@ -14,6 +14,7 @@ from adis_gonio.errors import BusError, BusTimeoutError, NotInstalledError, Prot
 SLICE_S = 0.05
 """Longest single wait in a read. It never changes: pyserial would set up the whole port anew each time."""
 WRITE_S = 1.0
+BUFFER = 65536
 PRODUCT = "adis-gonio"
 """A firmware that is a USB device itself begins its product's name so, whatever its VID:PID."""
 
@@ -51,6 +52,8 @@ class SerialPort:
         self._serial = serial
         self._port = port
         self._url = url
+        # pyserial's socket tells of one byte at most that waits, and byte by byte no stream gets through.
+        self._whole = not type(port).__module__.endswith(".protocol_socket")
 
     def receive(self, wait_s: float, /) -> bytes:
         """Whatever has arrived; waits for the first byte for at most `wait_s`."""
@@ -60,10 +63,19 @@ class SerialPort:
                 waiting = self._port.in_waiting
                 data: bytes = self._port.read(waiting or 1)
                 if data or time.monotonic() >= end_s:
-                    return data
+                    return data if self._whole or not data else data + self._rest()
         except (OSError, TypeError, AttributeError) as error:
             # pyserial fails with TypeError where another thread closes the port under a read.
             raise gone(self._url) from error
+
+    def _rest(self) -> bytes:
+        """What else has arrived at a socket, for which another time-out costs nothing."""
+        self._port.timeout = 0
+        try:
+            rest: bytes = self._port.read(BUFFER)
+        finally:
+            self._port.timeout = SLICE_S
+        return rest
 
     def send(self, data: bytes, /) -> None:
         """Send all bytes."""

@@ -20,7 +20,8 @@ from adis_gonio.cli.bench.words import (
     turned,
     watched,
 )
-from adis_gonio.cli.show import console, counted
+from adis_gonio.cli.show import console
+from adis_gonio.counting import counted
 
 if TYPE_CHECKING:
     from adis_gonio.session import SessionRunner

@@ -1,17 +1,35 @@
 """The four SPI wires and RST between a bridge and a simulated chip."""
 
-from adis_gonio.sim import SimulatedChip
+from __future__ import annotations
+
+from typing import Protocol
+
+from adis_gonio.sim.chip import SimulatedChip
 
 RIGHT_MODE = 3
+
+
+class PinClock(Protocol):
+    """A clock on which work takes its time (see `adis_gonio.testing.clocks`)."""
+
+    def now_s(self) -> float:
+        """Time in s."""
+
+    def advance_to(self, time_s: float) -> None:
+        """Work goes on until a time."""
 
 
 class ChipPins:
     """A chip on a bridge's pins; the bridge says what it does with them, the chip punishes what is wrong.
 
-    `clock` is a `VirtualClock` or a `DeviceClock`; work on the wires takes its time on it.
+    Parameters
+    ----------
+    chip : SimulatedChip
+    clock : PinClock
+        Work on the wires takes its time on it.
     """
 
-    def __init__(self, chip: SimulatedChip, clock) -> None:
+    def __init__(self, chip: SimulatedChip, clock: PinClock) -> None:
         self.chip = chip
         self.clock = clock
         self.free_s = clock.now_s()

@@ -1,9 +1,11 @@
 """Seeded faults between a host and a device: what a cable, a hub or a firmware may do.
 
-`Faults` decides, `FaultyStream` applies them to bytes (serial), the fakes of USB apply them to packets.
+`Faults` decides, `FaultyStream` applies them to the bytes of a serial line; a model of USB packets asks
+`Faults` for each. What may happen to SPI frames themselves stands in `adis_gonio.testing.faulty_bus`.
+
 Rates are probabilities: of `drop`, `duplicate`, `flip`, `delay` and `chunk` a byte of a stream or a packet
 of USB, of `hang`, `busy`, `progress` (the device says that it is at work), `stuck`, `short` and `unplug` a
-packet.
+packet. A serial line knows `drop`, `duplicate`, `flip`, `delay`, `chunk` and `hang`.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ class Faults:
     short: float = 0.0
     delay_s: float = 0.05
     hang_s: float = 0.6
-    seen: Counter = field(default_factory=Counter)
+    seen: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
         self.dice = random.Random(self.seed)

@@ -1,4 +1,6 @@
-"""Clocks of the fakes: one that stands still unless somebody waits or works, and the wall's."""
+"""Clocks of device models: one that stands still unless somebody waits or works, and the wall's."""
+
+from __future__ import annotations
 
 import time
 
@@ -10,9 +12,11 @@ class VirtualClock:
         self._now_s = now_s
 
     def now_s(self) -> float:
+        """Time in s."""
         return self._now_s
 
     def sleep_s(self, seconds: float) -> None:
+        """Let time pass."""
         if seconds > 0:
             self._now_s += seconds
 
@@ -28,9 +32,11 @@ class DeviceClock:
         self._zero_s = time.monotonic()
 
     def now_s(self) -> float:
+        """Time since it was made, in s."""
         return time.monotonic() - self._zero_s
 
     def sleep_s(self, seconds: float) -> None:
+        """Wait."""
         time.sleep(max(0.0, seconds))
 
     def advance_to(self, time_s: float) -> None:
@@ -54,7 +60,9 @@ class WorkClock(DeviceClock):
         return super().now_s()
 
     def now_s(self) -> float:
+        """The wall's time, or that up to which work is done where it is ahead."""
         return max(self.wall_s(), self._done_s)
 
     def advance_to(self, time_s: float) -> None:
+        """Work is done until a time."""
         self._done_s = max(self._done_s, time_s)

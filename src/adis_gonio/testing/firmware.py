@@ -12,7 +12,7 @@ import struct
 import zlib
 from collections import deque
 
-from fakes.pins import ChipPins
+from adis_gonio.testing.pins import ChipPins
 
 VERSION = 1
 NO_SESSION, UNKNOWN, BAD_LENGTH, BUSY, BAD_FRAME, WRITE_COUNT, BAD_VALUE, ID_REUSED, OTHER_VERSION = range(
@@ -58,7 +58,7 @@ def unstuff(data: bytes) -> bytes | None:
     return bytes(out)
 
 
-class FakeFirmware:
+class SimulatedFirmware:
     """The board's firmware with a chip on its pins.
 
     Parameters
@@ -83,7 +83,7 @@ class FakeFirmware:
         drift: float = 0.0,
         start_us: int = 0,
         boot_s: float = 0.0,
-        board: str = "fake F1",
+        board: str = "simulated F1",
         capabilities: int = 7,
         version: int = VERSION,
     ) -> None:
@@ -369,7 +369,17 @@ class FakeFirmware:
 class _Stream:
     """A running stream; scans are made when the firmware is run past their trigger."""
 
-    def __init__(self, firmware, request_id, trigger, scans, decimation, period_us, frames, now_s):
+    def __init__(
+        self,
+        firmware: SimulatedFirmware,
+        request_id: int,
+        trigger: int,
+        scans: int,
+        decimation: int,
+        period_us: int,
+        frames: tuple[int, ...],
+        now_s: float,
+    ) -> None:
         self.firmware = firmware
         self.id = request_id
         self.scans = scans

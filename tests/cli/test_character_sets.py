@@ -1,0 +1,122 @@
+"""Every command writes in every character set: what it lacks is said in readable letters."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from adis_gonio.cli import COMMANDS, main
+from adis_gonio.cli.characters import READABLE, readable
+
+SETS = {
+    "cp1252": {"PYTHONIOENCODING": "cp1252"},
+    "ascii": {"PYTHONIOENCODING": "ascii"},
+    "the C locale": {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"},
+}
+
+
+def written(variables: dict[str, str], *arguments: str) -> tuple[str, str, int]:
+    """Standard output and error, as bytes of the character set decode, and the status."""
+    plain = {k: v for k, v in os.environ.items() if k not in ("PYTHONIOENCODING", "PYTHONUTF8", "LC_ALL")}
+    done = subprocess.run(
+        [sys.executable, "-m", "adis_gonio", *arguments],
+        env={**plain, **variables}, capture_output=True, timeout=600, check=False,
+    )  # fmt: skip
+    encoding = variables.get("PYTHONIOENCODING", "ascii")
+    return done.stdout.decode(encoding), done.stderr.decode(encoding), done.returncode
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    path = tmp_path_factory.mktemp("sets") / "two.session"
+    title = "Sch\u00f6n \u2014 [usb] \U0001f600"
+    assert (
+        main(["simulate", "--plan", "four-position", "--dwell", "1", "--title", title, "-o", str(path)])
+        == 0
+    )
+    return path
+
+
+@pytest.mark.parametrize("name", SETS)
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_of_every_command_comes_in_every_set(name, command):
+    out, err, status = written(SETS[name], command, "--help")
+    assert (status, err) == (0, "")
+    assert f"Usage: adis-gonio {command}" in out
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_greek_letters_are_said_by_their_names(name):
+    out, _, status = written(SETS[name], "--help")
+    assert status == 0
+    assert "Compute dK, dphi and the other parameters" in out
+
+
+@pytest.mark.parametrize("name", ["cp1252", "ascii"])
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (["devices"], "simulated ADIS16354"),
+        (["registers", "sim:?seed=1"], "reads -1 g"),
+        (["selftest", "sim:?seed=1"], "supply"),
+        (["stream", "sim:?seed=1", "--seconds", "1"], "XACCL/mg"),
+        (["simulate", "--list-effects"], "bias_drift"),
+        (["simulate", "--list-settings"], "delta_k"),
+        (["fit", "SESSION"], "+-"),
+        (["export", "SESSION", "--format", "json"], "delta_phi"),
+        (["bringup", "sim:?seed=1"], "No fault was found"),
+        (["calibrate", "sim:?seed=1", "--auto", "--dwell", "1", "-o", "OUT"], "delta_phi"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_what_commands_show_comes_in_every_set(name, call, says, session, tmp_path):
+    places = {"SESSION": str(session), "OUT": str(tmp_path / "out.session")}
+    out, err, status = written(SETS[name], *[places.get(word, word) for word in call])
+    assert "Traceback" not in err
+    assert "UnicodeEncodeError" not in err
+    assert "\\u" not in out + err
+    assert status == 0
+    assert says in out or (name == "cp1252" and says.replace("+-", "\u00b1") in out)
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_json_holds_every_letter_whatever_the_set(name, session):
+    out, _, status = written(SETS[name], "fit", str(session), "--json")
+    assert status == 0
+    if name == "ascii":
+        assert out.isascii()
+    json.loads(out)
+
+
+def test_a_title_survives_in_the_file_and_gives_way_on_the_screen(session):
+    out, _, _ = written(SETS["ascii"], "fit", str(session))
+    assert "Schon - [usb] ?: 4 dwells" in out
+    out, _, _ = written(SETS["cp1252"], "fit", str(session))
+    assert "Sch\u00f6n \u2014 [usb] ?: 4 dwells" in out
+
+
+def test_an_error_is_one_line_in_every_set(tmp_path):
+    _, err, status = written(SETS["ascii"], "registers", "sim:?seed=1", "XACCL_OFF=5\u00b5")
+    assert status == 2
+    assert err.count("\n") == 1
+    assert "XACCL_OFF=5u" in err
+
+
+def test_files_are_utf8_whatever_the_set(tmp_path):
+    path = tmp_path / "a.csv"
+    _, _, status = written(
+        {**SETS["the C locale"], "LC_ALL": "C.UTF-8", "PYTHONIOENCODING": "ascii"},
+        "simulate", "--plan", "two-position", "--dwell", "0.5", "--title", "\u0394\u03c6", "-o", str(path),
+    )  # fmt: skip
+    assert status == 0
+    assert "\u0394\u03c6" in path.read_bytes().decode("utf-8")
+
+
+def test_what_stands_for_a_letter_is_ascii_and_ends_no_string_of_json():
+    for letter, text in READABLE.items():
+        assert text.isascii(), letter
+        assert not set('"\\\n') & set(text), letter
+    assert readable("\u00e9") == "e"
+    assert readable("\u4e2d") == "?"
