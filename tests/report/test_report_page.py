@@ -116,7 +116,7 @@ def test_the_page_answers_every_question(page):
 
 def test_results_by_method_begin_with_delta_k_and_delta_phi(page):
     body = page[page.index("Results by method") :]
-    assert body.index("<td>ΔK</td>") < body.index("<td>Δφ</td>") < body.index("<td>α</td>")
+    assert body.index(">ΔK</th>") < body.index(">Δφ</th>") < body.index(">α</th>")
 
 
 def test_every_step_has_a_figure(page, curved):

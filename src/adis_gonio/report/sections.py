@@ -17,7 +17,7 @@ from adis_gonio.fitting import FitResult
 from adis_gonio.model.records import Session
 from adis_gonio.report import words
 from adis_gonio.report.numbers import number, p_text, percent, uncertain, with_unit
-from adis_gonio.report.parts import Figure, Section, Table
+from adis_gonio.report.parts import Figure, KeyFigure, Section, Table
 from adis_gonio.report.svg import Role, Series, Style, plot
 from adis_gonio.tracing.outcome.figures import Panel, Views
 from adis_gonio.tracing.outcome.result import TraceResult, Value, WithinFinding
@@ -52,13 +52,15 @@ _ORDER = ("delta_k", "delta_phi")
 def summary(traced: TraceResult | str, fits: Sequence[FitResult], views: Views | None) -> Section:
     """The outcome in words."""
     best = fits[-1] if fits else None
-    by_method = ""
+    by_method, pair = "", {}
     if best is not None:
         pair = {e.name: Value(e.value, e.u, e.unit) for e in best.parameters if e.name in _ORDER}
         by_method = _pair(pair)
     if isinstance(traced, str):
         lines = [f"By method {best.method}: {by_method}."] if best is not None and by_method else []
-        return Section("Summary", words=[*lines, f"The session could not be traced: {traced}"])
+        return Section(
+            "Summary", words=[*lines, f"The session could not be traced: {traced}"], key=_key(pair, best)
+        )
     lines = [words.headline(traced), words.gains(traced)]
     final = {name: value for name, value in traced.base.items() if name in _ORDER}
     if final:
@@ -67,7 +69,15 @@ def summary(traced: TraceResult | str, fits: Sequence[FitResult], views: Views |
         lines.append(f"{_capital(names)}: {_pair(final)}{beside if traced.steps else ''}.")
     if traced.confounded:
         lines.append(f"This session cannot tell apart: {'; '.join(words.confounded(traced))}.")
-    return Section("Summary", words=lines)
+    return Section("Summary", words=lines, key=_key(final or pair, None if final else best))
+
+
+def _key(values: Mapping[str, Value], best: FitResult | None) -> list[KeyFigure]:
+    """ΔK and Δφ in large numerals, by a method or by the traced model."""
+    note = "by the traced model" if best is None else f"by method {best.method}"
+    return [
+        KeyFigure(_NAMES[name], words.value_text(values[name]), note) for name in _ORDER if name in values
+    ]
 
 
 def _pair(values: Mapping[str, Value]) -> str:
@@ -279,7 +289,7 @@ def rivals(traced: TraceResult) -> Section:
     tables = (
         [Table(["model", "probability"], rows, caption=caption, numeric=(1,), strong=(0,))] if rows else []
     )
-    return Section("Rivals", tables=tables, notes=same)
+    return Section("Rivals", tables=tables, notes=same, folded=True)
 
 
 def sight(traced: TraceResult) -> Section:
@@ -303,7 +313,7 @@ def sight(traced: TraceResult) -> Section:
         numeric=(1, 2),
         caption="Smallest amplitude that this session would have shown with 90 % power.",
     )
-    return Section("What could not be seen", tables=[table] if rows else [])
+    return Section("What could not be seen", tables=[table] if rows else [], folded=True)
 
 
 def advice(traced: TraceResult) -> Section:
@@ -317,7 +327,7 @@ def data(session: Session, traced: TraceResult | None, software: str) -> Section
     rows = [[name, text] for name, text in _facts(session, observed, software) if text]
     parts = []
     if observed is not None and len(observed) > 1:
-        parts.append(Section("Readings", tables=[_readings(session, observed)]))
+        parts.append(Section("Readings", tables=[_readings(session, observed)], folded=True))
     notes = [*session.notes, *(traced.notes if traced is not None else ())]
     problems = [str(problem) for problem in session.facts.get("problems", ())]
     return Section(
