@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from adis_gonio.cli.show import console, json_option, print_json, with_uncertainty
+from adis_gonio.cli.working import working
 
 
 @click.command("fit")
@@ -26,16 +27,19 @@ def command(*, session: Path, method: str | None, as_json: bool) -> None:
     from adis_gonio.fitting import fit, fit_every
     from adis_gonio.session import load_session
 
-    loaded = load_session(session)
+    with working(f"reading {session.name}"):
+        loaded = load_session(session)
+    with working(f"fitting {len(loaded.dwells)} dwells of {session.name}"):
+        every = fit_every(loaded) if method is None and not as_json else ([fit(loaded, method=method)], {})
+    results, failures = every
     if as_json:
-        print_json(fit(loaded, method=method).as_dict())
+        print_json(results[0].as_dict())
         return
     screen = console()
     title = f"{loaded.title}: " if loaded.title else ""
     screen.print(f"{title}{len(loaded.dwells)} dwells, {loaded.sensor}", style="bold", markup=False)
     for note in loaded.notes:
         screen.print(f"  {note}", markup=False)
-    results, failures = ([fit(loaded, method=method)], {}) if method else fit_every(loaded)
     print_results([result.as_dict() for result in results], shown=loaded.notes, failures=failures)
 
 

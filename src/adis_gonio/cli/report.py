@@ -7,25 +7,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adis_gonio.cli.trace import working
+from adis_gonio.cli.working import working
 
 if TYPE_CHECKING:
     from adis_gonio.model import Session
     from adis_gonio.report.parts import Section
     from adis_gonio.tracing import TraceResult
-
-
-def _twin(session: Session, traced: TraceResult) -> list[Section]:
-    """The twin's section, where the session can have one."""
-    from adis_gonio.errors import AdisGonioError
-    from adis_gonio.report.parts import Section
-    from adis_gonio.report.twin import twin_section
-
-    try:
-        section = twin_section(session, traced)
-    except AdisGonioError as error:
-        return [Section("The digital twin against the measured data", words=(f"There is none: {error}.",))]
-    return [] if section is None else [section]
 
 
 @click.command("report")
@@ -50,35 +37,60 @@ def command(*, session: Path, output: Path, time_limit: float | None) -> None:
     step, what could not be seen, what to measure next, and the data. It is made from the session's file
     alone, so that an older page of the same name is replaced.
     """
+    from adis_gonio.errors import UsageError
+    from adis_gonio.output import check_output, replacing
     from adis_gonio.report.svg import require_matplotlib
-
-    require_matplotlib()
-    from adis_gonio.errors import AdisGonioError, UsageError
-    from adis_gonio.fitting import applicable_methods, fit
-    from adis_gonio.report.page import build_page
-    from adis_gonio.report.views import views
     from adis_gonio.session import load_session
-    from adis_gonio.tracing import trace
 
     if output.exists() and session.exists() and output.samefile(session):
         raise UsageError(f"{output}: is the session itself; name another file for the page")
-    loaded = load_session(session)
-    with working(f"tracing {len(loaded.dwells)} dwells of {session.name}"):
-        fits, failures = [], {}
-        for method in applicable_methods(loaded):
-            try:
-                fits.append(fit(loaded, method=method))
-            except AdisGonioError as error:
-                failures[method] = str(error)
-        drawn = None
-        try:
-            traced = trace(loaded, time_limit=time_limit)
-            drawn = views(loaded, traced)
-        except AdisGonioError as error:
-            page = build_page(loaded, fits, str(error), failures=failures)
-        else:
-            page = build_page(
-                loaded, fits, traced, drawn, sections=_twin(loaded, traced), failures=failures
-            )
-    output.write_text(page, encoding="utf-8")
+    check_output(output, force=True)
+    require_matplotlib()
+    with working(f"reading {session.name}"):
+        loaded = load_session(session)
+    with working(f"report of {len(loaded.dwells)} dwells of {session.name}"):
+        page = _page(loaded, time_limit)
+    with replacing(output) as beside:
+        beside.write_text(page, encoding="utf-8")
     click.echo(f"{output}: {len(page.encode()) // 1024 + 1} kB", err=True)
+
+
+def _page(session: Session, time_limit: float | None) -> str:
+    """Every result on one page."""
+    from adis_gonio.budget import current, told
+    from adis_gonio.errors import AdisGonioError
+    from adis_gonio.fitting import applicable_methods, fit
+    from adis_gonio.report.page import build_page
+    from adis_gonio.report.views import views
+    from adis_gonio.tracing import trace
+
+    tell = current().tell
+    tell("every method")
+    fits, failures = [], {}
+    for method in told(applicable_methods(session)):
+        try:
+            fits.append(fit(session, method=method))
+        except AdisGonioError as error:
+            failures[method] = str(error)
+    try:
+        traced = trace(session, time_limit=time_limit)
+        drawn = views(session, traced)
+    except AdisGonioError as error:
+        return build_page(session, fits, str(error), failures=failures)
+    tell("its digital twin")
+    twin = _twin(session, traced)
+    tell("its figures")
+    return build_page(session, fits, traced, drawn, sections=twin, failures=failures)
+
+
+def _twin(session: Session, traced: TraceResult) -> list[Section]:
+    """The twin's section, where the session can have one."""
+    from adis_gonio.errors import AdisGonioError
+    from adis_gonio.report.parts import Section
+    from adis_gonio.report.twin import twin_section
+
+    try:
+        section = twin_section(session, traced)
+    except AdisGonioError as error:
+        return [Section("The digital twin against the measured data", words=(f"There is none: {error}.",))]
+    return [] if section is None else [section]

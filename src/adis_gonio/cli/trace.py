@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from adis_gonio.cli.show import console, json_option, print_json
+from adis_gonio.cli.working import working
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -49,48 +47,14 @@ def command(*, session: Path, max_effects: int, time_limit: float | None, as_jso
     from adis_gonio.session import load_session
     from adis_gonio.tracing import trace
 
-    loaded = load_session(session)
+    with working(f"reading {session.name}"):
+        loaded = load_session(session)
     with working(f"tracing {len(loaded.dwells)} dwells of {session.name}"):
         result = trace(loaded, max_effects=max_effects, time_limit=time_limit)
     if as_json:
         print_json(result.as_dict())
         return
     print_trace(loaded, result)
-
-
-@contextmanager
-def working(what: str) -> Iterator[None]:
-    """Tell on standard error what goes on; on a terminal with the stage and the time that has gone by."""
-    from adis_gonio.budget import Budget, within
-
-    with _told(what) as tell, within(Budget(tell=tell)):
-        yield
-
-
-@contextmanager
-def _told(what: str) -> Iterator[Callable[[str], None]]:
-    """Tell `what` after a second; gives what is called with each stage."""
-    screen = console(stderr=True)
-    if screen.is_terminal:
-        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-        columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
-        with Progress(*columns, console=screen, transient=True) as progress:
-            task = progress.add_task(what)
-            yield lambda stage: progress.update(task, description=f"{what}: {stage}")
-        return
-
-    def tell() -> None:
-        print(f"{what} …", file=sys.stderr, flush=True)  # noqa: T201
-
-    timer = threading.Timer(1.0, tell)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield lambda _stage: None
-    finally:
-        timer.cancel()
-        timer.join()
 
 
 def print_trace(session: Session, result: TraceResult) -> None:
