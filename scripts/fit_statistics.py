@@ -5,7 +5,7 @@ errors; its samples are white noise of 4.7 mg through the chip's Bartlett filter
 go the whole way: dwell, reading with noise from its own correlation, fit. For each method and parameter:
 
 * bias: mean error in standard uncertainties (target: below 0.1);
-* coverage of value ± 1.96 u (target: 94 to 96 %);
+* coverage of value ± U, the expanded uncertainty (target: 94 to 96 %);
 * variance over the Cramér-Rao bound of that session (target, for `ml` and `two-position`: within 3 %). The
   bound is the inverse information at the truth with the true noise, fixture angles as nuisance. That of
   `two-position` is of its own model: two positions and no bias.
@@ -238,11 +238,11 @@ def spatial_trial(rng: np.random.Generator, setup: Setup) -> tuple[Session, Floa
 
 
 def run(setup: Setup, sessions: int, seed: int) -> Floats:
-    """Errors, uncertainties and bounds, (sessions, 3, parameters)."""
+    """Errors, standard and expanded uncertainties, bounds, (sessions, 4, parameters)."""
     rng = np.random.default_rng([seed, sum(setup.name.encode())])
     names = PLANAR if setup.angles_deg else SPATIAL
     index = [names.index(name) for name in setup.parameters]
-    rows = np.empty((sessions, 3, len(index)))
+    rows = np.empty((sessions, 4, len(index)))
     for k in range(sessions):
         trial = planar_trial if setup.angles_deg else spatial_trial
         session, truth, bound = trial(rng, setup)
@@ -252,7 +252,8 @@ def run(setup: Setup, sessions: int, seed: int) -> Floats:
         if "alpha" in setup.parameters:
             turn = setup.parameters.index("alpha")
             error[turn] = (error[turn] + 180) % 360 - 180
-        rows[k] = error, [result[name].u for name in setup.parameters], bound[index]
+        found = [result[name] for name in setup.parameters]
+        rows[k] = error, [e.u for e in found], [e.U for e in found], bound[index]
     return rows
 
 
@@ -272,9 +273,9 @@ def judge(setup: Setup, rows: Floats, *, slack: float = 0.0) -> list[Line]:
     n = len(rows)
     lines = []
     for k, name in enumerate(setup.parameters):
-        error, u, bound = rows[:, 0, k], rows[:, 1, k], rows[:, 2, k]
+        error, u, expanded, bound = rows[:, :, k].T
         bias = float(np.mean(error / u))
-        coverage = float(np.mean(np.abs(error) <= 1.959964 * u))
+        coverage = float(np.mean(np.abs(error) <= expanded))
         variance = float(np.mean((error / bound) ** 2))
         missed = []
         if abs(bias) > 0.1 + slack / math.sqrt(n):

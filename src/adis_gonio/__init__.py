@@ -17,9 +17,9 @@ _HOMES = {
     "load_session": "adis_gonio.session",
     "Session": "adis_gonio.model",
     "Dwell": "adis_gonio.model",
-    "fit": "adis_gonio.fitting",
+    "fit": "adis_gonio.api",
     "FitResult": "adis_gonio.fitting",
-    "trace": "adis_gonio.tracing",
+    "trace": "adis_gonio.api",
     "TraceResult": "adis_gonio.tracing",
     "AdisGonioError": "adis_gonio.errors",
 }
@@ -27,17 +27,17 @@ _HOMES = {
 __all__ = ["__version__", *sorted(_HOMES)]  # noqa: PLE0604 (all are strings)
 
 if TYPE_CHECKING:
+    from adis_gonio.api import fit as fit
+    from adis_gonio.api import trace as trace
     from adis_gonio.bus import open_bus as open_bus
     from adis_gonio.errors import AdisGonioError as AdisGonioError
     from adis_gonio.fitting import FitResult as FitResult
-    from adis_gonio.fitting import fit as fit
     from adis_gonio.model import Dwell as Dwell
     from adis_gonio.model import Session as Session
     from adis_gonio.sensor import Adis16354 as Adis16354
     from adis_gonio.sensor import open_sensor as open_sensor
     from adis_gonio.session import load_session as load_session
     from adis_gonio.tracing import TraceResult as TraceResult
-    from adis_gonio.tracing import trace as trace
 
 
 def __getattr__(name: str) -> Any:

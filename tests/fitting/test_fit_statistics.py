@@ -27,13 +27,14 @@ def test_the_judge_sees_what_is_wrong():
     setup = statistics.SETUPS["ml"]
     rng = np.random.default_rng(1)
     n, p = 4000, len(setup.parameters)
-    good = np.stack([rng.normal(size=(n, p)), np.ones((n, p)), np.ones((n, p))], axis=1)
+    ones = np.ones((n, p))
+    good = np.stack([rng.normal(size=(n, p)), ones, 1.959964 * ones, ones], axis=1)
     assert not any(line.missed for line in statistics.judge(setup, good, slack=3.5))
-    biased = good + np.array([0.2, 0, 0])[None, :, None]
+    biased = good + np.array([0.2, 0, 0, 0])[None, :, None]
     assert all("bias" in line.missed for line in statistics.judge(setup, biased))
-    narrow = good * np.array([1, 0.9, 1])[None, :, None]
+    narrow = good * np.array([1, 0.9, 0.9, 1])[None, :, None]
     assert all("coverage" in line.missed for line in statistics.judge(setup, narrow))
-    poor = good * np.array([1.1, 1.1, 1])[None, :, None]
+    poor = good * np.array([1.1, 1.1, 1.1, 1])[None, :, None]
     assert all("variance" in line.missed for line in statistics.judge(setup, poor))
 
 

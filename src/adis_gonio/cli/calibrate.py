@@ -134,19 +134,20 @@ def command(
     session = load_session(output)
     truth = session.facts.get("truth")
     traced = _traced(session, advisor) if advisor is not None else None
-    from adis_gonio.fitting import fit, fit_every
+    from adis_gonio.answer import Answer
+    from adis_gonio.fitting import fit
 
+    answer = Answer.of(fit(session), traced, own=False)
     if as_json:
-        document = fit(session).as_dict()
+        document = answer.as_dict()
         document |= {"session": str(output), "complete": complete, "truth": truth}
         if traced is not None:
             document |= {"trace": traced.as_dict(), "rounds": session.facts["advised"]}
         print_json(document)
         return 0 if complete else 1
-    from adis_gonio.cli.fit import print_results
+    from adis_gonio.cli.fit import print_answer
 
-    results, failures = fit_every(session)
-    print_results([result.as_dict() for result in results], truth, failures=failures)
+    print_answer(answer, truth)
     if traced is not None:
         from adis_gonio.cli.closing import print_loop
         from adis_gonio.cli.trace import print_trace

@@ -2,115 +2,210 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
-from adis_gonio.cli.show import console, json_option, print_json, with_uncertainty
+from adis_gonio.cli.show import console, json_option, print_json
 from adis_gonio.cli.working import working
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from adis_gonio.answer import Answer
+    from adis_gonio.fitting import FitResult
+    from adis_gonio.fitting.monte_carlo import MonteCarlo
+
+_WIDTH = 100
+"""Widest text: longer lines are hard to read."""
 
 
 @click.command("fit")
 @click.argument("session", type=click.Path(path_type=Path))
 @click.option(
     "--method",
-    help="paper, two-position, four-position, mmpm or ml; without it the best that the session supports.",
+    help="paper, two-position, four-position, mmpm or ml; without it the one that is recommended.",
 )
+@click.option("--all", "everything", is_flag=True, help="Every method in full, beside each other.")
+@click.option(
+    "--monte-carlo",
+    "trials",
+    type=click.IntRange(min=100),
+    metavar="N",
+    help="Propagate the input distributions by N trials too (GUM Supplement 1).",
+)
+@click.option("--seed", type=int, default=1, show_default=True, help="Of the trials' random numbers.")
 @json_option
-def command(*, session: Path, method: str | None, as_json: bool) -> None:
-    """Compute ΔK, Δφ and the other parameters of a recorded session, with standard uncertainties.
+def command(
+    *, session: Path, method: str | None, everything: bool, trials: int | None, seed: int, as_json: bool
+) -> None:
+    """Compute ΔK, Δφ and the other parameters of a recorded session, with their uncertainties.
 
-    Without --method the screen compares every method that the session supports; --json gives the best one.
+    Shows the recommended method in full and the others by their score on the same readings: every dwell of
+    the session, left out of the fit where it was in it.
     """
-    from adis_gonio.fitting import fit, fit_every
+    from adis_gonio.answer import Answer
+    from adis_gonio.fitting import fit
     from adis_gonio.session import load_session
 
     with working(f"reading {session.name}"):
         loaded = load_session(session)
     with working(f"fitting {len(loaded.dwells)} dwells of {session.name}"):
-        every = fit_every(loaded) if method is None and not as_json else ([fit(loaded, method=method)], {})
-    results, failures = every
+        answer = Answer.of(fit(loaded, method=method), own=method is not None)
+        run = _monte_carlo(answer.result, trials, seed)
     if as_json:
-        print_json(results[0].as_dict())
+        document = answer.as_dict()
+        print_json(document if run is None else {**document, "monte_carlo": run.as_dict()})
         return
-    screen = console()
+    screen = _screen()
     title = f"{loaded.title}: " if loaded.title else ""
     screen.print(f"{title}{len(loaded.dwells)} dwells, {loaded.sensor}", style="bold", markup=False)
     for note in loaded.notes:
         screen.print(f"  {note}", markup=False)
-    print_results([result.as_dict() for result in results], shown=loaded.notes, failures=failures)
+    print_answer(answer, shown=loaded.notes, everything=everything)
+    if run is not None:
+        _print_monte_carlo(screen, run)
 
 
-def print_results(
-    documents: list[dict[str, Any]],
+def print_answer(
+    answer: Answer,
     truth: Mapping[str, float] | None = None,
     shown: Collection[str] = (),
-    failures: Mapping[str, str] | None = None,
+    *,
+    everything: bool = False,
 ) -> None:
-    """Show fits side by side, a column a method, with the truth of a simulation where there is one.
+    """Show the one answer, its parameters in full and the other methods by a line each.
 
-    `shown` are lines that were printed already and need not come again as warnings; `failures` says why
-    other methods give nothing.
+    Parameters
+    ----------
+    truth : mapping of str to float, optional
+        Of a simulation, shown beside the parameters.
+    shown : collection of str
+        Warnings that were printed already.
+    everything : bool
+        All methods in full.
     """
-    from rich.table import Table
+    screen = _screen()
+    screen.print()
+    for line in answer.text(min(screen.width, _WIDTH)).splitlines():
+        screen.print(line, markup=False, style="bold" if line.startswith("Answer") else None)
+    screen.print()
+    screen.print(_parameters(answer, truth))
+    for line in answer.facts():
+        screen.print(f"  {line}", markup=False)
+    _budget(screen, answer)
+    _others(screen, answer)
+    if everything:
+        _print_all(screen, answer.standing.results)
+    for text in answer.warnings(everything=everything):
+        if text not in shown:
+            screen.print(text, markup=False)
+
+
+def _screen() -> Console:
+    from rich.console import Console
 
     screen = console()
+    return Console(highlight=False, width=_WIDTH) if screen.width > _WIDTH else screen
+
+
+def _parameters(answer: Answer, truth: Mapping[str, float] | None) -> Table:
+    from rich.table import Table
+
     table = Table(box=None, padding=(0, 2, 0, 0))
-    table.add_column("")
-    table.add_column("unit")
-    if truth is not None:
-        table.add_column("truth", justify="right")
-    for document in documents:
-        table.add_column(document["method"], justify="right")
-    names = list(dict.fromkeys(name for document in documents for name in document["parameters"]))
-    for name in names:
-        entries = [document["parameters"].get(name) for document in documents]
-        first = next(entry for entry in entries if entry is not None)
-        row = [name, first["unit"]]
-        if truth is not None:
-            row.append(f"{truth[name]:.6g}" if name in truth else "")
-        for entry in entries:
-            row.append("" if entry is None else with_uncertainty(entry["value"], entry["u"]))
-        table.add_row(*row, style="bold" if name in ("delta_k", "delta_phi") else None)
-    table.add_section()
-    empty = [""] if truth is not None else []
-    for label, unit, cell in _SUMMARY:
-        table.add_row(label, unit, *empty, *(cell(document) for document in documents))
+    head = [
+        "parameter",
+        "unit",
+        *(["truth"] if truth is not None else []),
+        "value",
+        "u",
+        "U (95 %)",
+        "k",
+        "ν",
+    ]
+    for name in head:
+        table.add_column(name, justify="left" if name in ("parameter", "unit") else "right")
+    for name, unit, *cells in answer.parameter_rows():
+        true = [] if truth is None else [f"{truth[name]:.6g}" if name in truth else ""]
+        table.add_row(name, unit, *true, *cells, style="bold" if name in ("delta_k", "delta_phi") else None)
+    return table
+
+
+def _budget(screen: Console, answer: Answer) -> None:
+    from rich.table import Table
+
+    head, rows = answer.budget_rows()
+    if not rows:
+        return
+    screen.print()
+    screen.print("Uncertainty budget: shares of the variance", markup=False)
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for k, name in enumerate(head):
+        table.add_column(name, justify="right" if k > 3 else "left")
+    for row in rows:
+        table.add_row(*row)
     screen.print(table)
-    for warning, methods in _warnings(documents).items():
-        if warning not in shown:
-            screen.print(f"{', '.join(methods)}: {warning}", markup=False)
-    for method, reason in (failures or {}).items():
+
+
+def _others(screen: Console, answer: Answer) -> None:
+    from rich.table import Table
+
+    head, rows = answer.score_rows()
+    if len(rows) < 2 and not answer.standing.failures:
+        return
+    screen.print()
+    screen.print(answer.scored_on, markup=False)
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for k, name in enumerate(head):
+        table.add_column(name, justify="right" if k else "left")
+    for k, row in enumerate(rows):
+        table.add_row(*row, style=None if k else "bold")
+    screen.print(table)
+    for method, reason in answer.standing.failures.items():
         screen.print(f"no result by {method}: {reason}", markup=False)
 
 
-def _warnings(documents: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """Each warning with the methods that give it."""
-    said: dict[str, list[str]] = {}
-    for document in documents:
-        for warning in document["warnings"]:
-            said.setdefault(warning, []).append(document["method"])
-    return said
+def _print_all(screen: Console, results: Sequence[FitResult]) -> None:
+    """Every method in full, as many beside each other as the screen is wide."""
+    from adis_gonio.answer.tables import blocks
+
+    for head, rows in blocks(results, screen.width):
+        from rich.table import Table
+
+        screen.print()
+        table = Table(box=None, padding=(0, 2, 0, 0))
+        for k, name in enumerate(head):
+            table.add_column(name, justify="left" if k < 2 else "right", no_wrap=True)
+        for row in rows:
+            table.add_row(*row)
+        screen.print(table)
 
 
-def _number(value: float | None, spec: str) -> str:
-    return "–" if value is None else format(value, spec)
+def _monte_carlo(result: FitResult, trials: int | None, seed: int) -> MonteCarlo | None:
+    if trials is None:
+        return None
+    import numpy as np
+
+    from adis_gonio.fitting.monte_carlo import monte_carlo
+
+    with working(f"{trials} Monte Carlo trials"):
+        return monte_carlo(result, trials, np.random.default_rng(seed))
 
 
-def _chi2(document: dict[str, Any]) -> str:
-    return (
-        f"{_number(document['chi2'], '.1f')} / {document['dof']}" if document["dof"] else "no freedom left"
-    )
+def _print_monte_carlo(screen: Console, run: MonteCarlo) -> None:
+    from rich.table import Table
 
-
-_SUMMARY: tuple[tuple[str, str, Callable[[dict[str, Any]], str]], ...] = (
-    ("residual, rms", "mg", lambda document: _number(document["residual_rms_mg"], ".3f")),
-    ("χ² / dof", "", _chi2),
-    (
-        "error of the angle, rms",
-        "°",
-        lambda document: _number((document["angle_error_deg"] or {}).get("rms"), ".4f"),
-    ),
-)
+    screen.print()
+    screen.print(f"Monte Carlo, {run.trials} trials (GUM Supplement 1)", style="bold")
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    head, rows = run.rows()
+    for k, name in enumerate(head):
+        table.add_column(name, justify="right" if k > 1 else "left")
+    for row in rows:
+        table.add_row(*row)
+    screen.print(table)
+    for line in run.remarks:
+        screen.print(f"  {line}", markup=False)

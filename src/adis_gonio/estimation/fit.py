@@ -198,6 +198,14 @@ class Fit:
         whitened: Floats = self.whitener @ columns_mg
         return whitened
 
+    def by_reading(self, slope: Floats) -> Floats:
+        """∂(slopeᵀ · whitened readings)/∂reading, (d, n, axes) per mg, of `slope` (n·rows, d)."""
+        if self._shared is not None:
+            rows, middle = self._shared
+            slope = slope - rows @ (middle @ (rows.T @ slope))
+        by_dwell = slope.reshape(len(self.data), -1, slope.shape[1])
+        return np.asarray(np.einsum("nrd,nra->dna", by_dwell, self.whitener))
+
     @cached_property
     def residual(self) -> Floats:
         """Whitened residual (n, rows)."""

@@ -30,6 +30,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,6 +128,14 @@ class Readings:
     slow_mg : (n, axes, k) float or None
         What each of k independent modes of unit variance adds to the readings: the noise that dwells share
         (1/f noise). Modes of different axes are independent. None where there is none.
+    quantization_mg2, flicker_mg2 : (n, axes) float or None
+        Parts of `own_covariance` that quantization and 1/f noise have; None where there is none.
+    flicker_shown : bool
+        True where the dwells show the 1/f noise, False where it is the variant's figure.
+    pooled : bool
+        True where the dwells' noise is one estimate, so that `dof` counts once and not for each.
+    sensor : str
+        Variant by name, for what its figures say that a session cannot show.
     notes : tuple of str
         What has to be said about the noise.
     fitted : (p,) bool or None
@@ -149,6 +158,11 @@ class Readings:
     samples: NDArray[np.intp]
     unit: Unit
     slow_mg: Floats | None = None
+    quantization_mg2: Floats | None = None
+    flicker_mg2: Floats | None = None
+    flicker_shown: bool = False
+    pooled: bool = True
+    sensor: str = "generic"
     notes: tuple[str, ...] = ()
     fitted: NDArray[np.bool_] | None = None
     measurement: Measurement | None = None
@@ -233,13 +247,14 @@ class Readings:
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Readings:
         """Some of the dwells."""
-        by_dwell = (
+        by_dwell = [
             "mean_mg", "own_covariance", "dof", "known", "angle_rad", "check", "position", "samples",
-        )  # fmt: skip
+        ]  # fmt: skip
+        parts = ("slow_mg", "quantization_mg2", "flicker_mg2")
+        by_dwell += [name for name in parts if getattr(self, name) is not None]
         return replace(
             self,
             conditions=self.conditions.rows(index),
-            slow_mg=None if self.slow_mg is None else self.slow_mg[index],
             **{name: getattr(self, name)[index] for name in by_dwell},
         )
 
@@ -398,6 +413,7 @@ def reduced(session: Session) -> Readings:
     dof = np.full(n, np.inf)
     known = np.zeros(n, dtype=np.bool_)
     slow: Floats | None = None
+    parts: dict[str, Any] = {}
     notes = clipped(dwells)
     single = np.flatnonzero(samples == 1)
     if single.size:
@@ -409,9 +425,16 @@ def reduced(session: Session) -> Readings:
         noise = noise_of_means(rows)
         quantum = _quantum(session, rows, scale)
         flicker = _flicker(session, noise)
-        covariance[many] = noise.covariance + _quantization(rows, quantum)[:, :, None] * np.eye(axes)
         own, slow = _of_flicker([dwells[k] for k in many.tolist()], flicker, many, n)
-        covariance[many] += own[:, :, None] * np.eye(axes)
+        rounding, level = np.zeros((n, axes)), np.zeros((n, axes))
+        rounding[many], level[many] = _quantization(rows, quantum), own
+        covariance[many] = noise.covariance + (rounding + level)[many, :, None] * np.eye(axes)
+        parts = {
+            "quantization_mg2": rounding,
+            "flicker_mg2": level,
+            "flicker_shown": bool((noise.flicker > 0).any()),
+            "pooled": noise.pooled,
+        }
         dof[many] = noise.dof
         known[many] = True
         if noise.too_short:
@@ -436,7 +459,9 @@ def reduced(session: Session) -> Readings:
         samples=samples,
         unit=unit,
         slow_mg=slow,
+        sensor=session.sensor,
         notes=tuple(notes),
+        **parts,
     )
 
 

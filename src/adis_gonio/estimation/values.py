@@ -6,18 +6,39 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from adis_gonio.estimation.intervals import expanded
+
 
 @dataclass(frozen=True)
 class Value:
-    """A value with its standard uncertainty (None: not determined) and unit."""
+    """A value, its standard uncertainty (None: not determined), unit and effective degrees of freedom."""
 
     value: float
     u: float | None
     unit: str
+    dof: float = math.inf
+
+    @property
+    def k(self) -> float | None:
+        """Coverage factor of 95 %: Student's quantile at `dof`; None without an uncertainty."""
+        return expanded(self.u, self.dof)[0]
+
+    @property
+    def U(self) -> float | None:  # noqa: N802 (GUM)
+        """Expanded uncertainty k·u: value ± U covers 95 %."""
+        return expanded(self.u, self.dof)[1]
 
     def as_dict(self) -> dict[str, Any]:
-        """`{"value", "u", "unit"}`."""
-        return {"value": finite_or_none(self.value), "u": finite_or_none(self.u), "unit": self.unit}
+        """`{"value", "u", "dof", "k", "U", "unit"}`; `dof` None where unlimited or unknown."""
+        k, expanded_u = expanded(self.u, self.dof)
+        return {
+            "value": finite_or_none(self.value),
+            "u": finite_or_none(self.u),
+            "dof": finite_or_none(self.dof) if k is not None else None,
+            "k": k,
+            "U": expanded_u,
+            "unit": self.unit,
+        }
 
 
 def finite_or_none(value: float | None) -> float | None:

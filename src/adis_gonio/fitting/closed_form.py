@@ -23,16 +23,21 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm
 from adis_gonio.fitting.likelihood import angle_errors
 from adis_gonio.fitting.noise import Noise, settle
-from adis_gonio.fitting.outputs import outputs_of, standard_uncertainty, variances
-from adis_gonio.fitting.result import Estimate, FitResult
+from adis_gonio.fitting.outputs import estimates, outputs_of, variances
+from adis_gonio.fitting.result import FitResult, Origin
+from adis_gonio.fitting.sources import Sources, sources_of
 from adis_gonio.model.effects import effect
 from adis_gonio.model.records import Floats
+from adis_gonio.sensor.variants import VARIANTS
 
 ALPHA, SCALE_X, SCALE_Y, DELTA_PHI, BIAS_X, BIAS_Y = range(6)
 """Parameters in the order of `determination.names_of`, in natural units: a bias in local gravity."""
 
 TOLERANCE_DEG = 0.5
 """Declared angles this near to 0, 90, 180 or 270° (modulo 360°) count as that position."""
+
+TWO, FOUR = (0, 90), (0, 90, 180, 270)
+"""Declared angles of the closed forms."""
 
 LEAST_MMPM = 9
 """Positions that `mmpm` asks for: its definition."""
@@ -72,7 +77,7 @@ def fit_positions(readings: Readings, method: str, angles_deg: tuple[int, ...]) 
     """
     chosen, weights = _grouped(readings, method, angles_deg)
     linear = _linear(chosen, weights, bias=len(angles_deg) > 2)
-    warnings = [] if linear.has_bias else _blind_to_bias(chosen, linear)
+    warnings = [] if linear.has_bias else _blind_to_bias(readings, chosen, linear)
     return _finish(chosen, method, linear, _noise(readings, chosen), warnings)
 
 
@@ -97,6 +102,35 @@ def fit_mmpm(readings: Readings) -> FitResult:
     return _finish(chosen, "mmpm", linear, _noise(readings, chosen), [])
 
 
+def model_without(method: str, rest: Readings, noise: Noise) -> Fit:
+    """Model of a closed form from dwells that are left, at the first place of the turn where it can be had.
+
+    Raises
+    ------
+    FitError
+        They do not hold the positions that the method needs, at any quarter of the turn.
+    """
+    data = noise.applied(rest)
+    if method == "mmpm":
+        chosen = rest.rows(np.flatnonzero(np.isfinite(rest.angle_rad)))
+        return _fit(data, _linear(chosen, np.eye(len(chosen)), bias=True).beta, bias=True)
+    if method == "four-position":
+        present = tuple(a for a, rows in zip(FOUR, rows_at(rest, FOUR), strict=True) if len(rows))
+        chosen, weights = _grouped(rest, method, present)
+        return _fit(data, _linear(chosen, weights, bias=True).beta, bias=True)
+    for quarter in range(4):
+        turned = replace(rest, angle_rad=rest.angle_rad - quarter * math.pi / 2)
+        if all(len(rows) for rows in rows_at(turned, TWO)):
+            chosen, weights = _grouped(turned, method, TWO)
+            linear = _linear(chosen, weights, bias=False)
+            if method == "paper":
+                linear = _by_paper(chosen, weights, linear)[0]
+            beta = linear.beta.copy()
+            beta[ALPHA] += quarter * math.pi / 2
+            return _fit(data, beta, bias=False)
+    raise FitError(f"no two positions 90° apart are left for method {method}")
+
+
 def fit_paper(readings: Readings) -> FitResult:
     """`paper`: equations 5 to 12 as printed, Y's gain divided out by ΔK first.
 
@@ -115,7 +149,7 @@ def fit_paper(readings: Readings) -> FitResult:
     exact = _linear(chosen, weights, bias=False)
     natural = chosen.mean_mg / chosen.gravity_mg
     noise = _noise(readings, chosen)
-    spread = _covariance(chosen, exact, noise)
+    spread = _sources(replace(chosen, sensor="generic"), exact, noise).covariance
     alpha, phi = float(exact.beta[ALPHA]), float(exact.beta[DELTA_PHI])
     at = 2 * alpha + phi
     gradient = np.zeros(6)
@@ -135,6 +169,21 @@ def fit_paper(readings: Readings) -> FitResult:
             f"12 to {_a_plus_b(first, second):.2g}, so that noise and delta_phi itself appear {times} "
             "enlarged against alpha = 0°; use method two-position, or start at another angle"
         )
+    linear, values = _by_paper(chosen, weights, exact)
+    warnings = _blind_to_bias(readings, chosen, linear)
+    exact_k = float(exact.beta[SCALE_X] / exact.beta[SCALE_Y]) - 1
+    off_k, off_phi = values[0] - exact_k, math.degrees(values[1] - phi)
+    warnings.append(
+        f"equation 5 is exact at alpha = 0° only: at {math.degrees(alpha):.2f}° this result is off by "
+        f"{off_k:+.2g} in delta_k and {off_phi:+.2g}° in delta_phi from method two-position on the same "
+        "readings, which its uncertainty does not hold"
+    )
+    return _finish(chosen, "paper", linear, noise, warnings, ("delta_k", "delta_phi", "alpha"))
+
+
+def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linear, Floats]:
+    """Equations 5 to 12 beside the start angle and gain of X of the closed form; (ΔK, Δφ)."""
+    first, second = weights @ (chosen.mean_mg / chosen.gravity_mg)
     values, derivative = _paper(first, second, weights)
     beta = exact.beta.copy()
     beta[DELTA_PHI] = values[1]
@@ -144,16 +193,7 @@ def fit_paper(readings: Readings) -> FitResult:
     derivatives[SCALE_Y] = (
         exact.derivative[SCALE_X] / (1 + values[0]) - beta[SCALE_X] * derivative[0] / (1 + values[0]) ** 2
     )
-    linear = _Linear(beta, derivatives, has_bias=False)
-    warnings = _blind_to_bias(chosen, linear)
-    exact_k = float(exact.beta[SCALE_X] / exact.beta[SCALE_Y]) - 1
-    off_k, off_phi = values[0] - exact_k, math.degrees(values[1] - phi)
-    warnings.append(
-        f"equation 5 is exact at alpha = 0° only: at {math.degrees(alpha):.2f}° this result is off by "
-        f"{off_k:+.2g} in delta_k and {off_phi:+.2g}° in delta_phi from method two-position on the same "
-        "readings, which its uncertainty does not hold"
-    )
-    return _finish(chosen, "paper", linear, noise, warnings, ("delta_k", "delta_phi", "alpha"))
+    return _Linear(beta, derivatives, has_bias=False), values
 
 
 def _a_plus_b(first: Floats, second: Floats) -> float:
@@ -261,30 +301,33 @@ def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
     return replace(fit, values=values).having(terms, own)
 
 
-def _covariance(chosen: Readings, linear: _Linear, noise: Noise) -> Floats:
-    """Covariance (6, 6) of the natural parameters: noise, own and shared, and the fixture's tangent."""
-    wide = noise.for_intervals(chosen)
-    derivative = linear.derivative / chosen.gravity_mg
-    tangent = _fit(wide, linear.beta, bias=linear.has_bias).tangent_mg[:, :, 0]
-    each = wide.own_covariance + wide.fixture_rad**2 * tangent[:, :, None] * tangent[:, None, :]
-    total = np.einsum("pna,nab,qnb->pq", derivative, each, derivative)
-    if wide.slow_mg is not None:
-        carried = np.einsum("pna,nak->pk", derivative, wide.slow_mg)
-        total = total + carried @ carried.T
-    return np.asarray(total)
+def _sources(data: Readings, linear: _Linear, noise: Noise) -> Sources:
+    """Sources of the uncertainty of the natural parameters, the fixture by its tangent."""
+    fit = _fit(noise.applied(data), linear.beta, bias=linear.has_bias)
+    held = () if linear.has_bias or not data.unit.known else (0, 1)
+    return sources_of(data, noise, fit, linear.derivative / data.gravity_mg, held)
 
 
-def _blind_to_bias(chosen: Readings, linear: _Linear) -> list[str]:
+def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> list[str]:
+    """What a bias does to two positions, and what to do about it where the session has not done so."""
     moved = linear.derivative.sum(axis=1) / chosen.gravity_mg
     phi = np.degrees(moved[DELTA_PHI])
     k = (
         moved[SCALE_X] / linear.beta[SCALE_Y]
         - moved[SCALE_Y] * linear.beta[SCALE_X] / linear.beta[SCALE_Y] ** 2
     )
+    held = chosen.sensor in VARIANTS
+    stated = "the uncertainty holds the part's figure for it" if held else "no uncertainty here holds that"
+    seen = all(len(rows) for rows in rows_at(readings, FOUR)) or len(readings) >= LEAST_MMPM
+    remedy = (
+        "methods four-position and ml see it in this session"
+        if seen
+        else "measure 180° and 270° too and use method four-position"
+    )
     return [
         "a bias cannot be seen in two positions: 1 mg of it on X moves delta_phi by "
-        f"{phi[0]:+.2g}° and delta_k by {k[0]:+.2g}, on Y by {phi[1]:+.2g}° and {k[1]:+.2g}, and no "
-        "uncertainty here holds that; measure 180° and 270° too and use method four-position"
+        f"{phi[0]:+.2g}° and delta_k by {k[0]:+.2g}, on Y by {phi[1]:+.2g}° and {k[1]:+.2g}, and {stated}; "
+        f"{remedy}"
     ]
 
 
@@ -301,18 +344,15 @@ def _finish(
         for output in outputs_of(chosen, linear.beta * np.array([1, 1, 1, 1, *[chosen.gravity_mg] * 2]))
         if (linear.has_bias or not output.name.startswith("bias")) and (only is None or output.name in only)
     ]
-    matrix = variances(outputs, _covariance(chosen, linear, noise)) if noise.known else None
+    sources = _sources(chosen, linear, noise) if noise.known else None
     assumed = Noise(scale=noise.scale, sigma_rad=noise.sigma_rad).applied(chosen)
     fit = _fit(assumed, linear.beta, bias=linear.has_bias)
     dof = 2 * len(chosen) - (6 if linear.has_bias else 4)
     lost = () if linear.has_bias else ("bias_x", "bias_y")
     return FitResult(
         method=method,
-        parameters=tuple(
-            Estimate(output.name, output.value, standard_uncertainty(matrix, k), output.unit)
-            for k, output in enumerate(outputs)
-        ),
-        covariance=matrix,
+        parameters=estimates(outputs, sources),
+        covariance=None if sources is None else variances(outputs, sources.covariance),
         # An unweighted fit leaves residuals that are not χ² distributed; the least χ² of the same model is.
         chi2=fit.refit(200, 1e-12).chi2 if dof else 0.0,
         dof=dof,
@@ -323,4 +363,5 @@ def _finish(
         undetermined=lost,
         extra_mg=noise.extra_mg,
         fixture_sigma_deg=math.degrees(noise.sigma_rad),
+        origin=Origin(chosen, noise, fit, tuple(outputs), sources),
     )

@@ -66,6 +66,10 @@ class Determination:
         """The same values under other noise."""
         return replace(self, fit=replace(self.fit, data=data))
 
+    def determined_by(self, fit: Fit) -> bool:
+        """True where the readings of `fit` determine as much as those that were looked at."""
+        return bool(_null_space(information(fit), self.free).shape[1] <= self.null.shape[1])
+
     def refitted(self, data: Readings) -> Fit:
         """Fit of the same free parameters under other noise, from these values."""
         fit = replace(self.fit, data=data)

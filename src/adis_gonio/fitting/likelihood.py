@@ -14,11 +14,13 @@ from adis_gonio.fitting.determination import (
     covariance,
     in_words,
     is_determined,
+    natural_units,
     shift_by_held,
 )
 from adis_gonio.fitting.noise import Settled, settle
-from adis_gonio.fitting.outputs import Output, outputs_of, standard_uncertainty, variances
-from adis_gonio.fitting.result import Estimate, FitResult
+from adis_gonio.fitting.outputs import Output, estimates, outputs_of, variances
+from adis_gonio.fitting.result import FitResult, Origin
+from adis_gonio.fitting.sources import Sources, response_of, sources_of
 from adis_gonio.model.measurement import PlanarTurn, wrap_rad
 from adis_gonio.model.records import Floats
 
@@ -48,15 +50,12 @@ def fit_ml(readings: Readings) -> FitResult:
             f"information is {directions}; {_advice(lost)}"
         )
     warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]
-    matrix = _covariance(readings, settled, reported)
+    sources = _sources(readings, settled)
     norm = np.linalg.norm(_calibrated(fit), axis=1)[:, None] - 1
     return FitResult(
         method="ml",
-        parameters=tuple(
-            Estimate(o.name, o.value, standard_uncertainty(matrix, k), o.unit)
-            for k, o in enumerate(reported)
-        ),
-        covariance=matrix,
+        parameters=estimates(reported, sources),
+        covariance=None if sources is None else variances(reported, sources.covariance),
         chi2=settled.chi2,
         dof=settled.dof,
         residual_mg=fit.residual_mg if readings.planar else norm * readings.gravity_mg,
@@ -66,6 +65,7 @@ def fit_ml(readings: Readings) -> FitResult:
         undetermined=(*unseen, *held, *lost),
         extra_mg=noise.extra_mg,
         fixture_sigma_deg=math.degrees(noise.sigma_rad) if readings.planar else None,
+        origin=Origin(readings, noise, fit, tuple(reported), sources, determination),
     )
 
 
@@ -91,12 +91,16 @@ def angle_errors(fit: Fit) -> Floats | None:
     return -wrap_rad(shown - zero)
 
 
-def _covariance(readings: Readings, settled: Settled, reported: list[Output]) -> Floats | None:
+def _sources(readings: Readings, settled: Settled) -> Sources | None:
+    """Sources of the uncertainty; None where nothing tells the noise of a reading."""
     if not settled.noise.known:
         return None
-    wide = settled.determination.on(settled.noise.for_intervals(readings))
-    natural = covariance(wide.fisher, wide.free, wide.null)
-    return variances(reported, natural)
+    found = settled.determination
+    inverse = covariance(found.fisher, found.free, found.null)
+    response = response_of(found.fit, inverse, natural_units(found.fit.data))
+    first = len(found.fit.data.model.parameters)
+    held = [k - first for k in found.held if k >= first]
+    return sources_of(readings, settled.noise, found.fit, response, held)
 
 
 def _warnings(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -9,16 +10,21 @@ import numpy as np
 
 from adis_gonio.errors import FitError, SingularError, UsageError
 from adis_gonio.estimation.readings import Readings, readings_of
-from adis_gonio.fitting.closed_form import LEAST_MMPM, fit_mmpm, fit_paper, fit_positions, rows_at
+from adis_gonio.fitting.closed_form import (
+    FOUR,
+    LEAST_MMPM,
+    TWO,
+    fit_mmpm,
+    fit_paper,
+    fit_positions,
+    rows_at,
+)
 from adis_gonio.fitting.likelihood import fit_ml
 from adis_gonio.fitting.result import FitResult
-from adis_gonio.model.records import Session
+from adis_gonio.model.records import Floats, Session
 
 METHODS = ("paper", "two-position", "four-position", "mmpm", "ml")
 """Names of the methods."""
-
-_FOUR = (0, 90, 180, 270)
-_TWO = (0, 90)
 
 
 def fit(session: Session, method: str | None = None) -> FitResult:
@@ -52,7 +58,9 @@ def fit(session: Session, method: str | None = None) -> FitResult:
         if not session.source:
             raise
         raise type(error)(f"{session.source}: {error}") from error
-    return replace(result, warnings=(*session.notes, *result.warnings))
+    return replace(
+        result, warnings=(*session.notes, *result.warnings), session=readings, session_notes=session.notes
+    )
 
 
 def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
@@ -71,20 +79,20 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
         )
     if method is not None:
         return _BY_NAME[method](readings)
-    if _only_two(readings):
-        return fit_positions(readings, "two-position", _TWO)
+    if default_method(readings) == "two-position":
+        return fit_positions(readings, "two-position", TWO)
     try:
         return fit_ml(readings)
     except SingularError:
-        if not readings.free and all(len(rows) for rows in rows_at(readings, _TWO)):
-            return fit_positions(readings, "two-position", _TWO)
+        if not readings.free and all(len(rows) for rows in rows_at(readings, TWO)):
+            return fit_positions(readings, "two-position", TWO)
         raise
 
 
 _BY_NAME: dict[str, Callable[[Readings], FitResult]] = {
     "paper": fit_paper,
-    "two-position": lambda readings: fit_positions(readings, "two-position", _TWO),
-    "four-position": lambda readings: fit_positions(readings, "four-position", _FOUR),
+    "two-position": lambda readings: fit_positions(readings, "two-position", TWO),
+    "four-position": lambda readings: fit_positions(readings, "four-position", FOUR),
     "mmpm": fit_mmpm,
     "ml": fit_ml,
 }
@@ -94,22 +102,40 @@ def applicable_methods(session: Session) -> tuple[str, ...]:
     """Methods whose positions the session has; whether they are determined only a fit can tell."""
     session = session.used_for("fit")
     angles = np.array([np.nan if d.angle_deg is None else d.angle_deg for d in session.dwells])
-    if session.plane == "none":
+    return _applicable(
+        angles,
+        planar=session.plane != "none",
+        free=session.free_attitudes,
+        known_zero=session.accel_unit != "counts",
+    )
+
+
+def applicable_to(readings: Readings) -> tuple[str, ...]:
+    """The same of readings that may be fitted."""
+    return _applicable(
+        np.degrees(readings.angle_rad),
+        planar=readings.planar,
+        free=math.isinf(readings.fixture_rad),
+        known_zero=readings.unit.known,
+    )
+
+
+def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -> tuple[str, ...]:
+    if not planar:
         return ("ml",) if len(angles) > 3 else ()
     held = [
         bool((np.abs((angles - a + 180) % 360 - 180) <= 0.5).any()) if np.isfinite(angles).any() else False
-        for a in _FOUR
+        for a in FOUR
     ]
     methods = []
-    known_zero = session.accel_unit != "counts"
-    if not session.free_attitudes:
+    if not free:
         if held[0] and held[1] and known_zero:
             methods += ["paper", "two-position"]
         if all(held):
             methods.append("four-position")
         if int(np.isfinite(angles).sum()) >= LEAST_MMPM:
             methods.append("mmpm")
-    if len(angles) >= (2 if np.isfinite(angles).all() and not session.free_attitudes else 3):
+    if len(angles) >= (2 if np.isfinite(angles).all() and not free else 3):
         methods.append("ml")
     return tuple(methods)
 
@@ -137,8 +163,13 @@ def fit_every(session: Session) -> tuple[list[FitResult], dict[str, str]]:
     return results, failures
 
 
+def default_method(readings: Readings) -> str:
+    """What is used where nothing tells methods apart: `ml`, of nothing but 0° and 90° `two-position`."""
+    return "two-position" if readings.planar and _only_two(readings) else "ml"
+
+
 def _only_two(readings: Readings) -> bool:
-    rows = rows_at(readings, _TWO)
+    rows = rows_at(readings, TWO)
     return (
         not readings.free
         and readings.unit.known

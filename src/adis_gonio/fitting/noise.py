@@ -20,10 +20,10 @@ import numpy as np
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.fitting.determination import Determination, determine, information
-from adis_gonio.model.records import Floats
 
-_NORMAL_95 = 1.959963984540054
 _EXCESS = 1e-3
+_LEAST_SCALE = 1e-5
+"""Residual in mg below which averaged readings show no noise but the rounding of a computation."""
 _LARGEST_SIGMA_RAD = 0.2
 
 
@@ -62,23 +62,6 @@ class Noise:
         factor = np.where(readings.known, 1.0, self.scale**2)[:, None, None]
         covariance = readings.own_covariance * factor + self.extra_mg**2 * np.eye(readings.axes)
         return replace(readings, own_covariance=covariance, fixture_rad=self.sigma_rad)
-
-    def for_intervals(self, readings: Readings) -> Readings:
-        """The same, wider, so that ± 1.96 u covers 95 % in spite of few degrees of freedom."""
-        applied = self.applied(readings)
-        factor = _student(np.minimum(readings.dof, self.dof)) ** 2
-        sigma = self.sigma_rad * float(_student(np.array([self.sigma_dof]))[0])
-        return replace(
-            applied, own_covariance=applied.own_covariance * factor[:, None, None], fixture_rad=sigma
-        )
-
-
-def _student(dof: Floats) -> Floats:
-    from scipy.special import stdtrit
-
-    # Below one degree of freedom no interval exists; one is the worst that is stated.
-    factor = stdtrit(np.clip(dof, 1.0, 1e9), 0.975) / _NORMAL_95
-    return np.where(np.isinf(dof), 1.0, factor)
 
 
 @dataclass(frozen=True)
@@ -147,7 +130,13 @@ def _unknown_readings(follow: _Follow, noise: Noise, dof: int, open_sigma: bool)
             "can be given; state reading_u_mg, keep the samples of each dwell, or measure more positions"
         )
         return replace(noise, known=False, notes=tuple(notes))
-    scale = _equal_to_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, 1e-5, 1e4)
+    scale = _equal_to_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, _LEAST_SCALE, 1e4)
+    if scale <= _LEAST_SCALE:
+        notes.append(
+            "nothing states the noise of a reading and the model passes through all of them: no "
+            "uncertainty can be given; state reading_u_mg, or keep the samples of each dwell"
+        )
+        return replace(noise, known=False, notes=tuple(notes))
     known = "all readings" if not follow.readings.known.any() else "the readings without one"
     notes.append(
         f"reading_u_mg is not stated: {known} were given {scale:.3g} mg, estimated from the residual "

@@ -10,6 +10,8 @@ import numpy as np
 
 from adis_gonio.estimation.readings import MG_PER_MPS2, Readings
 from adis_gonio.fitting.determination import names_of
+from adis_gonio.fitting.result import Estimate
+from adis_gonio.fitting.sources import Sources
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.records import Floats
 
@@ -66,6 +68,10 @@ def variances(outputs: Sequence[Output], natural: Floats) -> Floats:
     return np.asarray(gradients @ natural @ gradients.T)
 
 
-def standard_uncertainty(matrix: Floats | None, k: int) -> float | None:
-    """Root of a diagonal entry; None where there is no covariance."""
-    return None if matrix is None else math.sqrt(max(float(matrix[k, k]), 0.0))
+def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estimate, ...]:
+    """Outputs with their uncertainty; None for it where nothing tells the noise."""
+    found = []
+    for output in outputs:
+        u, dof = (None, math.inf) if sources is None else sources.uncertainty(output.gradient[None])
+        found.append(Estimate(output.name, output.value, u, output.unit, dof))
+    return tuple(found)

@@ -3,26 +3,82 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from adis_gonio.estimation.values import Value
 from adis_gonio.model.records import Floats
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from adis_gonio.estimation.fit import Fit
+    from adis_gonio.estimation.readings import Readings
+    from adis_gonio.fitting.determination import Determination
+    from adis_gonio.fitting.noise import Noise
+    from adis_gonio.fitting.outputs import Output
+    from adis_gonio.fitting.sources import Sources
+    from adis_gonio.fitting.standing import Standing
+    from adis_gonio.fitting.uncertainty_budget import BudgetRow
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter: value, standard uncertainty (None where nothing states the noise), unit.
+    """A parameter: value, standard uncertainty (None: nothing tells the noise), unit, degrees of freedom.
 
-    The uncertainty is such that value ± 1.96 u covers 95 %: where it rests on few degrees of freedom it is
-    enlarged by Student's quantile over 1.96.
+    `u` is the GUM's standard uncertainty, `dof` its effective degrees of freedom (inf where unlimited);
+    what covers 95 % is `U` = `k`·`u` with Student's quantile k.
     """
 
     name: str
     value: float
     u: float | None
     unit: str
+    dof: float = math.inf
+
+    @property
+    def stated(self) -> Value:
+        """The same without its name."""
+        return Value(self.value, self.u, self.unit, self.dof)
+
+    @property
+    def k(self) -> float | None:
+        """Coverage factor of 95 % at `dof`; None without an uncertainty."""
+        return self.stated.k
+
+    @property
+    def U(self) -> float | None:  # noqa: N802 (GUM)
+        """Expanded uncertainty, 95 %."""
+        return self.stated.U
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What a fit was made of, for all that follows from it.
+
+    Attributes
+    ----------
+    readings : Readings
+        That were fitted, before `noise` was settled.
+    fit : Fit
+        At the method's own parameters, on the readings with that noise.
+    outputs : tuple of Output
+        Gradients of the parameters, in their order.
+    sources : Sources or None
+        None where nothing tells the noise of a reading.
+    determination : Determination or None
+        Of `ml`: what was free.
+    """
+
+    readings: Readings
+    noise: Noise
+    fit: Fit
+    outputs: tuple[Output, ...]
+    sources: Sources | None
+    determination: Determination | None = None
 
 
 @dataclass(frozen=True)
@@ -51,6 +107,12 @@ class FitResult:
         Standard deviation per reading and axis beyond the measured noise, which the residual demanded.
     fixture_sigma_deg : float or None
         Standard uncertainty of a declared angle that was used; inf free; None in space.
+    origin : Origin or None
+        What it was made of; no part of the JSON, nor of a comparison.
+    session : Readings or None
+        All readings of the session, on which methods are compared.
+    session_notes : tuple of str
+        What the reader of the file had to tell; the first of `warnings`.
     """
 
     method: str
@@ -65,6 +127,9 @@ class FitResult:
     undetermined: tuple[str, ...] = ()
     extra_mg: float = 0.0
     fixture_sigma_deg: float | None = None
+    origin: Origin | None = field(default=None, repr=False, compare=False)
+    session: Readings | None = field(default=None, repr=False, compare=False)
+    session_notes: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Estimate:
         """Estimate by name; `KeyError` where the session does not determine it."""
@@ -81,29 +146,116 @@ class FitResult:
         """Root mean square of the residuals in mg."""
         return float(np.sqrt(np.mean(self.residual_mg**2)))
 
+    @property
+    def reference_temperature_c(self) -> float | None:
+        """Mean temperature of the dwells used, at which the parameters hold; None where not recorded."""
+        if self.origin is None or self.origin.readings.conditions.temperature_c is None:
+            return None
+        return float(self.origin.readings.conditions.temperature_c.mean())
+
+    @cached_property
+    def standing(self) -> Standing | None:
+        """Every method of the session scored on the same readings, and which is recommended."""
+        from adis_gonio.fitting.standing import standing_of
+
+        return None if self.session is None else standing_of(self.session)
+
+    @cached_property
+    def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
+        """Uncertainty budget of `delta_k`, `delta_phi` and `angle`; empty in space or without a noise."""
+        from adis_gonio.estimation.shown import ShownAngle
+        from adis_gonio.fitting.uncertainty_budget import budget_of
+
+        made = self.origin
+        if made is None or made.sources is None or not made.readings.planar:
+            return {}
+        found = {
+            output.name: budget_of(made.sources, output.gradient[None])
+            for output in made.outputs
+            if output.name in ("delta_k", "delta_phi")
+        }
+        shown = ShownAngle.around(made.fit)
+        return {**found, "angle": budget_of(made.sources, shown.gradient, shown.reading)}
+
+    @cached_property
+    def shown_angle(self) -> Value | None:
+        """An angle shown after calibration: no value, but its uncertainty; None in space.
+
+        That of a reading as long as the session's dwells, the root mean square over a turn.
+        """
+        from adis_gonio.estimation.shown import ShownAngle
+
+        made = self.origin
+        if made is None or not made.readings.planar:
+            return None
+        if made.sources is None:
+            return Value(math.nan, None, "deg")
+        shown = ShownAngle.around(made.fit)
+        u, dof = made.sources.uncertainty(shown.gradient, shown.reading)
+        return Value(math.nan, u, "deg", dof)
+
+    @cached_property
+    def angle(self) -> Value | None:
+        """Error of the angle after calibration (rms, deg) with the uncertainty of `shown_angle`.
+
+        The value is the root mean square over the dwells of the session, left out of the fit where they
+        were in it; NaN where none is declared or can be left out.
+        """
+        score = None if self.standing is None else self.standing.scores.get(self.method)
+        if self.shown_angle is None or score is None or score.angle_rms_deg is None:
+            return self.shown_angle
+        return replace(self.shown_angle, value=score.angle_rms_deg)
+
+    def summary(self) -> str:
+        """The headline in a few lines of plain text, as the command `fit` shows it."""
+        from adis_gonio.answer import Answer
+
+        return Answer.of(self).text()
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        """The parameters as a table, for notebooks."""
+        from adis_gonio.answer.frames import html_table
+
+        return html_table(f"fit by method {self.method}", [(e.name, e.stated) for e in self.parameters])
+
+    def to_pandas(self) -> DataFrame:
+        """Parameters as a data frame with the columns value, u, dof, k, U and unit (extra: pandas)."""
+        from adis_gonio.answer.frames import data_frame
+
+        return data_frame([(e.name, e.stated) for e in self.parameters])
+
     def as_dict(self) -> dict[str, Any]:
         """JSON document of `fit`."""
         names = [e.name for e in self.parameters] if self.covariance is not None else []
         matrix = [] if self.covariance is None else self.covariance.tolist()
-        angle = None
+        errors = None
         if self.angle_error_rad is not None and self.angle_error_rad.size:
             degrees = np.degrees(self.angle_error_rad)
-            angle = {
+            errors = {
                 "rms": float(np.sqrt(np.mean(degrees**2))),
                 "max": float(np.abs(degrees).max()),
             }
         sigma = self.fixture_sigma_deg
+        angle, standing = self.angle, self.standing
         return {
             "method": self.method,
-            "parameters": {e.name: {"value": e.value, "u": e.u, "unit": e.unit} for e in self.parameters},
+            "recommended": None if standing is None else standing.recommended.as_dict(),
+            "parameters": {e.name: e.stated.as_dict() for e in self.parameters},
+            "angle": None if angle is None else angle.as_dict(),
             "covariance": {"names": names, "matrix": matrix},
+            "budget": {name: [row.as_dict() for row in rows] for name, rows in self.budget.items()},
+            "scores": {} if standing is None else {n: s.as_dict() for n, s in standing.scores.items()},
             "chi2": self.chi2,
             "dof": self.dof,
             "residual_rms_mg": self.residual_rms_mg,
-            "angle_error_deg": angle,
+            "angle_error_deg": errors,
             "warnings": list(self.warnings),
             "undetermined": list(self.undetermined),
             "extra_reading_u_mg": self.extra_mg,
             "fixture_sigma_deg": "free" if sigma is not None and math.isinf(sigma) else sigma,
+            "reference_temperature_c": self.reference_temperature_c,
             "positions_used": len(self.positions),
         }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from adis_gonio import __version__
+from adis_gonio.answer import Answer
 from adis_gonio.fitting import FitResult
 from adis_gonio.model.records import Session
 from adis_gonio.report import sections as make
@@ -46,18 +47,27 @@ def build_page(
     """
     software = f"adis-gonio {__version__}"
     result = traced if isinstance(traced, TraceResult) else None
-    body = [make.summary(traced, fits, views), make.fitted(fits, failures or {})]
+    best = next((fit for fit in reversed(fits) if fit.session is not None), None)
+    given = None if best is None else Answer.of(best, result, own=False)
+    body = [make.answer(given)] if given is not None else []
+    body += [make.summary(traced, fits, views)]
+    if given is not None:
+        body += [make.budget(given), make.scores(given)]
+    body += [make.fitted(fits, failures or {})]
     if result is not None:
         body += [make.found(result), make.errors(result)]
         if views is not None:
             body += [make.steps(result, views), make.left(views)]
         body += [make.within(result)]
         body += [make.rivals(result), make.sight(result), make.advice(result)]
-    body += [*sections, make.data(session, result, software)]
+    reference_c = None if given is None else given.reference_temperature_c
+    if reference_c is None and result is not None:
+        reference_c = result.reference_temperature_c
+    body += [*sections, make.data(session, result, software, reference_c)]
     return render(
         "Calibration report",
         words.title(session),
-        shape=words.shape(session),
+        shape=" · ".join([words.shape(session), *map(" ".join, words.written_down(session).items())]),
         simulated=bool(session.facts.get("simulated")),
         begun=str(session.facts.get("started_utc", "")),
         software=software,

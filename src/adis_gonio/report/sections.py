@@ -5,18 +5,22 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from adis_gonio.answer import Answer
+from adis_gonio.answer.tables import share
+from adis_gonio.answer.wording import HEAD, NAMES, UNKNOWN
 from adis_gonio.dwells import Place
 from adis_gonio.errors import AdisGonioError
 from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.fitting import FitResult
 from adis_gonio.model.records import Session
 from adis_gonio.report import words
-from adis_gonio.report.numbers import number, p_text, percent, uncertain, with_unit
+from adis_gonio.report.numbers import SPACE, number, p_text, percent, uncertain, with_unit
 from adis_gonio.report.parts import Figure, KeyFigure, Section, Table
 from adis_gonio.report.svg import Role, Series, Style, plot
 from adis_gonio.tracing.outcome.figures import Panel, Views
@@ -38,29 +42,19 @@ _ROLES: tuple[Role, Role] = ("before", "after")
 _MOST_PLACES = 24
 """Lines of the table of single dwells that one finding may take."""
 _SIDES = {-1.0: "from above", 1.0: "from below"}
-_NAMES = {
-    "delta_k": "ΔK",
-    "delta_phi": "Δφ",
-    "alpha": "α",
-    "scale_x": "K_x",
-    "scale_y": "K_y",
-    "scale_z": "K_z",
-}
 _ORDER = ("delta_k", "delta_phi")
 
 
 def summary(traced: TraceResult | str, fits: Sequence[FitResult], views: Views | None) -> Section:
     """The outcome in words."""
     best = fits[-1] if fits else None
-    by_method, pair = "", {}
+    by_method = ""
     if best is not None:
         pair = {e.name: Value(e.value, e.u, e.unit) for e in best.parameters if e.name in _ORDER}
         by_method = _pair(pair)
     if isinstance(traced, str):
         lines = [f"By method {best.method}: {by_method}."] if best is not None and by_method else []
-        return Section(
-            "Summary", words=[*lines, f"The session could not be traced: {traced}"], key=_key(pair, best)
-        )
+        return Section("Summary", words=[*lines, f"The session could not be traced: {traced}"])
     lines = [words.headline(traced), words.gains(traced)]
     final = {name: value for name, value in traced.base.items() if name in _ORDER}
     if final:
@@ -69,20 +63,78 @@ def summary(traced: TraceResult | str, fits: Sequence[FitResult], views: Views |
         lines.append(f"{_capital(names)}: {_pair(final)}{beside if traced.steps else ''}.")
     if traced.confounded:
         lines.append(f"This session cannot tell apart: {'; '.join(words.confounded(traced))}.")
-    return Section("Summary", words=lines, key=_key(final or pair, None if final else best))
+    return Section("Summary", words=lines)
 
 
-def _key(values: Mapping[str, Value], best: FitResult | None) -> list[KeyFigure]:
-    """ΔK and Δφ in large numerals, by a method or by the traced model."""
-    note = "by the traced model" if best is None else f"by method {best.method}"
-    return [
-        KeyFigure(_NAMES[name], words.value_text(values[name]), note) for name in _ORDER if name in values
-    ]
+def answer(given: Answer) -> Section:
+    """The one answer, before everything else: values with u, U and k, why, budget, scores."""
+    table = Table(
+        HEAD,
+        [line.cells for line in given.lines],
+        numeric=(2, 3, 4, 5),
+        caption="u: standard uncertainty; U = k·u covers 95 %. The error of the angle is the root mean "
+        "square over dwells left out; its u is that of any angle shown.",
+    )
+    said = [f"By method {given.title}.", given.why, *given.remarks]
+    return Section("Answer", words=said, tables=[table], key=_key(given.values))
+
+
+def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
+    """ΔK, Δφ and the angle's error in large numerals; nothing of a session in space."""
+    wanted = [name for name in (*_ORDER, "angle") if name in values]
+    return [_large(name, values[name]) for name in wanted if len(wanted) > 1]
+
+
+def _large(name: str, value: Value) -> KeyFigure:
+    """Value with U; the error of the angle is a figure of its own, which U of an angle does not bound."""
+    if value.k is None:
+        return KeyFigure(NAMES[name], words.value_text(value), UNKNOWN)
+    factor = f"k{SPACE}={SPACE}{value.k:.2f}"
+    if name == "angle":
+        of_angle = f"U of an angle shown: {with_unit(number(value.U, 2), value.unit)} ({factor})"
+        return KeyFigure(NAMES[name], with_unit(number(value.value, 2), value.unit), of_angle)
+    return KeyFigure(
+        NAMES[name], words.value_text(replace(value, u=value.U)), f"± U = k·u covers 95 % ({factor})"
+    )
+
+
+def budget(given: Answer) -> Section:
+    """What each source contributes to ΔK, Δφ and the angle."""
+    tables = []
+    for name, rows in given.budget.items():
+        cells = [
+            [
+                row.source,
+                row.kind,
+                row.distribution,
+                "–" if row.u is None else with_unit(number(row.u, 2), row.unit),
+                "–" if row.sensitivity is None else number(row.sensitivity, 3),
+                number(row.contribution, 2),
+                share(row.share),
+            ]
+            for row in rows
+        ]
+        value = given.values.get(name)
+        unit = "" if value is None or value.unit == "1" else f" / {with_unit('', value.unit).strip()}"
+        head = ["source", "type", "distribution", "u of it", "sensitivity", f"contribution{unit}", "share"]
+        dof = "∞" if value is None or math.isinf(value.dof) else f"{value.dof:.0f}"
+        caption = f"{NAMES.get(name, name)}: effective degrees of freedom {dof}."
+        tables.append(Table(head, cells, caption=caption, numeric=(3, 4, 5, 6)))
+    first = next(iter(given.budget.values()), ())
+    notes = [f"{row.source}: {row.note}" for row in first if row.note]
+    return Section("Uncertainty budget", tables=tables, notes=notes if tables else [], folded=True)
+
+
+def scores(given: Answer) -> Section:
+    """Every method on the same readings."""
+    head, rows = given.score_rows()
+    table = Table(head, rows, numeric=tuple(range(1, len(head))), strong=(0,))
+    return Section("Methods on the same readings", words=[given.scored_on], tables=[table] if rows else [])
 
 
 def _pair(values: Mapping[str, Value]) -> str:
     return ", ".join(
-        f"{_NAMES[name]} = {words.value_text(values[name])}" for name in _ORDER if name in values
+        f"{NAMES[name]} = {words.value_text(values[name])}" for name in _ORDER if name in values
     )
 
 
@@ -90,50 +142,53 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
+_BESIDE = 3
+"""Methods beside each other in one table: more would be wider than the page."""
+
+
 def fitted(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Section:
-    """Parameters by method, ΔK and Δφ first."""
-    names = list(dict.fromkeys(e.name for fit in fits for e in fit.parameters))
-    names.sort(key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER))
-    rows = []
-    for name in names:
-        entries = [next((e for e in fit.parameters if e.name == name), None) for fit in fits]
-        unit = next(e.unit for e in entries if e is not None)
-        cells = ["" if e is None else uncertain(e.value, e.u) for e in entries]
-        rows.append([_NAMES.get(name, name), {"deg": "°"}.get(unit, unit), *cells])
-    rows.append(["residual, rms", "mg", *(number(fit.residual_rms_mg) for fit in fits)])
-    rows.append(
-        ["χ² / degrees of freedom", "", *(f"{number(f.chi2)} / {f.dof}" if f.dof else "–" for f in fits)]
-    )
-    angles = [fit.angle_error_rad for fit in fits]
-    rows.append(
-        [
-            "error of the angle, rms",
-            "°",
-            *(
-                "–" if a is None or not a.size else number(float(np.degrees(np.sqrt((a**2).mean()))))
-                for a in angles
-            ),
-        ]
-    )
+    """Parameters by method, ΔK and Δφ first; a table for every few methods."""
     said: dict[str, list[str]] = {}
     for fit in fits:
         for warning in fit.warnings:
             said.setdefault(warning, []).append(fit.method)
     notes = [f"{', '.join(methods)}: {warning}" for warning, methods in said.items()]
     notes += [f"{method}: {reason}" for method, reason in failures.items()]
-    table = Table(
-        ["parameter", "unit", *(fit.method for fit in fits)],
-        rows,
-        numeric=tuple(range(2, 2 + len(fits))),
-        strong=tuple(k for k, name in enumerate(names) if name in _ORDER),
-        caption="± one standard uncertainty; value ± 1.96 u covers 95 %.",
-    )
     none = (
         []
         if fits or failures
         else ["The session supports none of the methods: it has one pose or too few."]
     )
-    return Section("Results by method", words=none, tables=[table] if fits else [], notes=notes)
+    # The best stands last among the fits, and is read first.
+    order = list(reversed(fits))
+    tables = [_by_method(order[k : k + _BESIDE]) for k in range(0, len(order), _BESIDE)]
+    return Section("Results by method", words=none, tables=tables, notes=notes, folded=bool(tables))
+
+
+def _by_method(fits: Sequence[FitResult]) -> Table:
+    names = list(dict.fromkeys(e.name for fit in fits for e in fit.parameters))
+    names.sort(key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER))
+    rows = []
+    for name in names:
+        entries = [next((e for e in fit.parameters if e.name == name), None) for fit in fits]
+        unit = next(e.unit for e in entries if e is not None)
+        cells = ["" if e is None else _with_u(e.value, e.u) for e in entries]
+        rows.append([NAMES.get(name, name), {"deg": "°"}.get(unit, unit), *cells])
+    rows.append(["residual, rms", "mg", *(number(fit.residual_rms_mg) for fit in fits)])
+    rows.append(
+        ["χ² / degrees of freedom", "", *(f"{number(f.chi2)} / {f.dof}" if f.dof else "–" for f in fits)]
+    )
+    return Table(
+        ["parameter", "unit", *(fit.method for fit in fits)],
+        rows,
+        numeric=tuple(range(2, 2 + len(fits))),
+        strong=tuple(k for k, name in enumerate(names) if name in _ORDER),
+        caption="± one standard uncertainty; ± k times that covers 95 % (k in the answer's table).",
+    )
+
+
+def _with_u(value: float, u: float | None) -> str:
+    return f"{number(value, 4)}, {UNKNOWN}" if u is None else uncertain(value, u)
 
 
 def found(traced: TraceResult) -> Section:
@@ -219,7 +274,7 @@ def _place(finding: WithinFinding, place: Place) -> list[str]:
 def errors(traced: TraceResult) -> Section:
     """Error before and after, step by step."""
     head, rows = words.error_rows(traced)
-    base = [[_NAMES.get(name, name), words.value_text(value)] for name, value in traced.base.items()]
+    base = [[NAMES.get(name, name), words.value_text(value)] for name, value in traced.base.items()]
     table = Table(
         head,
         rows,
@@ -321,10 +376,12 @@ def advice(traced: TraceResult) -> Section:
     return Section("What to measure next", points=words.advice(traced))
 
 
-def data(session: Session, traced: TraceResult | None, software: str) -> Section:
-    """Data and configuration."""
+def data(
+    session: Session, traced: TraceResult | None, software: str, reference_c: float | None = None
+) -> Section:
+    """Data and configuration; `reference_c` is the temperature at which the parameters hold."""
     observed = _observed(session)
-    rows = [[name, text] for name, text in _facts(session, observed, software) if text]
+    rows = [[name, text] for name, text in _facts(session, observed, software, reference_c) if text]
     parts = []
     if observed is not None and len(observed) > 1:
         parts.append(Section("Readings", tables=[_readings(session, observed)], folded=True))
@@ -342,7 +399,9 @@ def _observed(session: Session) -> Readings | None:
         return None
 
 
-def _facts(session: Session, observed: Readings | None, software: str) -> list[tuple[str, str]]:
+def _facts(
+    session: Session, observed: Readings | None, software: str, reference_c: float | None
+) -> list[tuple[str, str]]:
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     samples = [len(dwell) for dwell in dwells]
     facts: dict[str, Any] = session.facts
@@ -353,8 +412,10 @@ def _facts(session: Session, observed: Readings | None, software: str) -> list[t
         ("file", Path(session.source).name),
         ("SHA-256 of the file", _digest(session.source)),
         ("sensor", session.sensor + (" (simulated)" if facts.get("simulated") else "")),
+        *words.written_down(session).items(),
         ("bus", str(facts.get("url", ""))),
         ("note", str(facts.get("note", ""))),
+        ("overridden", "\n".join(words.overridden(session))),
         ("begun (UTC)", str(facts.get("started_utc", ""))),
         ("recorded by", str(facts.get("software", ""))),
         ("this page by", software),
@@ -370,9 +431,14 @@ def _facts(session: Session, observed: Readings | None, software: str) -> list[t
         ("standard uncertainty of a declared angle", _fixture(session.fixture_sigma_deg)),
         ("local gravity", f"{session.gravity_mps2:.5f} m/s²"),
         ("standard uncertainty of a reading", _noise(observed)),
+        ("reference temperature of the parameters", _reference(reference_c)),
         ("temperature", _span([d.temperature_c for d in dwells], "°C")),
         ("supply", _span([d.supply_v for d in dwells], "V")),
     ]
+
+
+def _reference(reference_c: float | None) -> str:
+    return "" if reference_c is None else f"{reference_c:.1f} °C"
 
 
 def _fixture(sigma: float | None) -> str:

@@ -21,6 +21,7 @@ from adis_gonio.tracing.outcome.detect import detectable
 from adis_gonio.tracing.outcome.findings import (
     base_of,
     finding_of,
+    in_units_of_file,
     notes_of,
     rivals_of,
     scatter_finding,
@@ -31,6 +32,7 @@ from adis_gonio.tracing.outcome.naming import judge
 from adis_gonio.tracing.outcome.openings import undecided
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, Measurement, Step, Stopped, TraceResult
 from adis_gonio.tracing.outcome.sets import credible_sets
+from adis_gonio.tracing.outcome.shares import excesses, shares, unnamed_with_share, with_shares
 from adis_gonio.tracing.selection.scatter import Scatter, with_scatter
 from adis_gonio.tracing.selection.select import Selection, select
 from adis_gonio.tracing.thresholds import limits
@@ -155,9 +157,8 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         adequate = not disagreement
     open_still = replace(selection, adequate=adequate)
     sets = tuple(one for one in credible_sets(selection) if one.present >= limits.present)
-    seen = tuple(finding for finding in findings if finding.effect not in weak)
-    if scatter is not None:
-        seen = (*seen, scatter_finding(scatter, _left_to_scatter(fits, figures)))
+    of_step = shares(steps, excesses(fits, figures))
+    seen = _seen([f for f in findings if f.effect not in weak], data, scatter, of_step)
     nothing: tuple[tuple[str, ...], tuple[Measurement, ...]] = ((), ())
     advice, measurements = attempt(
         "what to measure next", lambda: advise(data, open_still, terms, names.confounded), nothing
@@ -168,7 +169,7 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         sets=sets,
         steps=tuple(Step(label, error) for label, error in zip(steps, figures[1:], strict=True)),
         confounded=names.confounded,
-        unnamed=unnamed_of(selection, averaged),
+        unnamed=unnamed_with_share(unnamed_of(selection, averaged), of_step),
         before=figures[0],
         after=figures[-1],
         detectable=detectable(selection.found, selection.verdict.best, missing),
@@ -182,6 +183,16 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         fits=(*fits[:-1], final.fit),
         inflation=final.inflation,
     )
+
+
+def _seen(
+    findings: Sequence[Finding], data: Readings, scatter: Scatter | None, of_step: dict[str, float]
+) -> tuple[Finding, ...]:
+    """Findings in the file's units with their shares, and the scatter that takes what they leave."""
+    seen = with_shares([in_units_of_file(finding, data.unit) for finding in findings], of_step)
+    if scatter is None:
+        return seen
+    return (*seen, scatter_finding(scatter, max(1.0 - sum(of_step.values()), 0.0)))
 
 
 def _searched(
@@ -254,15 +265,6 @@ def _unfinished(
         inflation=final.inflation,
         stopped=Stopped.of(current(), checked=False),
     )
-
-
-def _left_to_scatter(fits: Sequence[Fit], figures: Sequence[ErrorFigures]) -> float:
-    """Share of the base model's excess over the measured noise that the final model leaves."""
-    excess = [
-        fit.dof * max((figure.chi2_per_dof or 1.0) - 1.0, 0.0)
-        for fit, figure in zip(fits, figures, strict=True)
-    ]
-    return min(excess[-1] / max(excess[0], 1e-12), 1.0)
 
 
 def _enough(data: Readings) -> None:

@@ -4,7 +4,8 @@ The covariance of one model takes for granted that it is the right one. In anoth
 effect may act on one axis only (the amplitude of the other is then zero), or stand beside something that
 shares its direction, and models that predict the same may differ by a gain. A stated u is such that value
 ± 1.96 u holds 95 % of the mixture of all of them (Hoeting, Madigan, Raftery and Volinsky, Bayesian model
-averaging, Statistical Science 14, 1999), each normal about its own value.
+averaging, Statistical Science 14, 1999), each normal about its own value; the degrees of freedom that show
+the noise stand apart from it.
 """
 
 from __future__ import annotations
@@ -14,15 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adis_gonio.estimation.intervals import COVERED, NORMAL_95
 from adis_gonio.estimation.terms import NamedTerm, Term
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.selection.design import LinearProblem, amplitudes
 from adis_gonio.tracing.selection.posterior import posterior
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.unnamed.averaging import AveragedFit
-
-COVERED = 0.95
-Z_COVERED = 1.959964
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,7 @@ class Mixture:
             inside = ndtr((half - away) / within) - ndtr((-half - away) / within)
             return float(self.weight @ inside) - COVERED
 
-        return float(brentq(missing, 0.0, float(np.abs(away).max()) + 3 * within)) / Z_COVERED
+        return float(brentq(missing, 0.0, float(np.abs(away).max()) + 3 * within)) / NORMAL_95
 
 
 def bases(selection: Selection) -> Mixture:

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from adis_gonio.estimation.intervals import NORMAL_95
+from adis_gonio.estimation.readings import Unit
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm
 from adis_gonio.estimation.values import Value
+from adis_gonio.fitting.outputs import outputs_of
+from adis_gonio.model.effects import AXES
 from adis_gonio.tracing.outcome.between import bases, effects
 from adis_gonio.tracing.outcome.cycles import cycles_alike
 from adis_gonio.tracing.outcome.result import Finding, Rival, Unnamed
@@ -20,15 +25,13 @@ from adis_gonio.tracing.unnamed.averaging import Averaged
 from adis_gonio.tracing.unnamed.dependence import dependence
 
 
-def students_factor(selection: Selection) -> float:
-    """Factor by which value ± 1.96 u covers 95 % although few degrees of freedom show the noise."""
-    from scipy import stats
-
+def dof_of(selection: Selection) -> float:
+    """Degrees of freedom that show the noise at which uncertainties are stated; inf where it was stated."""
     data = selection.data
     dof = data.noise_dof if data.noise_known else np.inf
     if not data.noise_known or selection.inflation > 1:
         dof = min(dof, max(selection.fit.dof, 1.0))
-    return 1.0 if np.isinf(dof) else float(stats.t.ppf(0.975, max(dof, 1.0)) / stats.norm.ppf(0.975))
+    return float(dof)
 
 
 def finding_of(selection: Selection, name: str) -> Finding:
@@ -43,7 +46,7 @@ def finding_of(selection: Selection, name: str) -> Finding:
     cause = ""
     amplitude_of, mixture = effects(selection, name)
     voted, present = votes(selection, name)
-    student = students_factor(selection)
+    dof = dof_of(selection)
     fit = selection.fit
     for index, (term, values) in enumerate(zip(fit.terms, fit.values.terms, strict=True)):
         at = fit.slice_of(index).start
@@ -53,12 +56,12 @@ def finding_of(selection: Selection, name: str) -> Finding:
             seen = np.abs(fit.candidate(term)).max(axis=(0, 1)) > 0
             unseen = {k for k, shown in zip(term.amplitudes, seen, strict=True) if not shown}
             for k, parameter in enumerate(term.effect.parameters):
-                u = student * float(np.sqrt(fit.covariance[at + k, at + k] * selection.inflation))
+                u = float(np.sqrt(fit.covariance[at + k, at + k] * selection.inflation))
                 if parameter.name in amplitude_of:  # shapes are fitted: their spread is in the covariance
                     u = mixture.u(u, np.array([float(other == parameter.name) for other in amplitude_of]))
                 undetermined = k in unseen
                 value = 0.0 if undetermined else float(values[k])
-                parameters[parameter.name] = Value(value, None if undetermined else u, parameter.unit)
+                parameters[parameter.name] = Value(value, None if undetermined else u, parameter.unit, dof)
             for choice in term.effect.choices():
                 parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
     # The level is spent by the prior: a name has a far greater share of it than one of thousands of
@@ -75,7 +78,7 @@ def finding_of(selection: Selection, name: str) -> Finding:
         axes=tuple(axes),
         parameters=parameters,
         p_value=min(p, 1.0),
-        explains=_explains(selection, gain),
+        explains=0.0,  # a share of the steps, which are not known here: see `shares`
         probability=min(voted.get(name, 0.0) * present, 1.0),
         equivalents=tuple(dict.fromkeys(same))[:5],
         cause=cause,
@@ -84,8 +87,8 @@ def finding_of(selection: Selection, name: str) -> Finding:
 
 def told_from_zero(finding: Finding) -> bool:
     """True where a value differs from zero by more than its own uncertainty allows."""
-    values = [v for v in finding.parameters.values() if v.u is not None and v.u > 0]
-    return not values or any(abs(v.value) > limits.told * (v.u or 0.0) for v in values)
+    halves = [(abs(v.value), v.U) for v in finding.parameters.values() if v.u]
+    return not halves or any(size > limits.told * (half or 0.0) / NORMAL_95 for size, half in halves)
 
 
 def scatter_finding(scatter: Scatter, explains: float) -> Finding:
@@ -110,11 +113,6 @@ def _gain(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
     return without - with_all, int(sum(selection.problem.width[k] for k in members))
 
 
-def _explains(selection: Selection, gain: float) -> float:
-    excess = selection.problem.chi2 - selection.problem.dof * min(selection.inflation, 1.0)
-    return float(np.clip(gain / max(excess, 1e-12), 0.0, 1.0))
-
-
 def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | None:
     """Nameless terms of the model; else what the residual of an inadequate model depends on."""
     from scipy import stats
@@ -130,7 +128,7 @@ def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | Non
         return Unnamed(
             covariates=covariates,
             form="; ".join(forms),
-            explains=_explains(selection, gain),
+            explains=0.0,
             probability=min(verdict.covariates.get(term.covariates, 0.0) for term in terms),
             p_value=min(1.0, float(stats.chi2.sf(gain / selection.inflation, width)) / share),
         )
@@ -139,7 +137,7 @@ def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | Non
         return Unnamed(
             covariates=smooth.covariates,
             form=smooth.form,
-            explains=_explains(selection, selection.fit.chi2 - averaged.fit.chi2),
+            explains=0.0,
             probability=averaged.weight,
             p_value=min(1.0, 1 - averaged.weight),
         )
@@ -163,20 +161,34 @@ def base_of(selection: Selection) -> dict[str, Value]:
     fit = selection.fit
     data, base = fit.data, fit.values.base
     p = len(base)
-    covariance = fit.covariance[:p, :p] * selection.inflation * students_factor(selection) ** 2
+    covariance = fit.covariance[:p, :p] * selection.inflation
+    dof = dof_of(selection)
     mixture = bases(selection)
+    # By the same function as `fit`, so that a name has one unit in both.
+    outputs = outputs_of(data, np.concatenate([base, np.zeros(data.axes)]))
+    hidden = {q.name for q, seen in zip(data.model.parameters, data.visible, strict=True) if not seen}
     out = {}
-    for k, parameter in enumerate(data.model.parameters):
-        u = mixture.u(float(np.sqrt(covariance[k, k])), np.eye(p)[k]) * parameter.per_natural
-        value = parameter.stated(float(base[k]))
-        out[parameter.name] = Value(value, u if data.visible[k] else None, parameter.unit)
-    if data.planar:
-        x, y = data.model.index("scale_x"), data.model.index("scale_y")
-        slope = np.zeros(p)
-        slope[x], slope[y] = 1 / base[y], -base[x] / base[y] ** 2
+    for output in outputs:
+        if output.name.startswith("bias"):
+            continue
+        slope = output.gradient[:p]
         u = mixture.u(float(np.sqrt(slope @ covariance @ slope)), slope)
-        out["delta_k"] = Value(float(base[x] / base[y] - 1), u, "1")
+        out[output.name] = Value(output.value, None if output.name in hidden else u, output.unit, dof)
     return out
+
+
+def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
+    """A bias as the file's reading at zero where that is not known beforehand (counts), as `fit` has it."""
+    if unit.known or finding.effect != "bias":
+        return finding
+    stated = {}
+    for name, value in finding.parameters.items():
+        axis = AXES.index(name[-1])
+        per_mg = float(unit.per_mg[axis])
+        u = None if value.u is None else value.u * per_mg
+        zero = float(unit.zero[axis])
+        stated[name] = Value(zero + value.value * per_mg, u, unit.name, value.dof)
+    return replace(finding, parameters=stated)
 
 
 def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from adis_gonio.budget import Budget
 from adis_gonio.dwells.finding import WithinFinding
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.values import Detectable, Value, finite_or_none
+from adis_gonio.model.effects.environment import REFERENCE_C
 from adis_gonio.tracing.outcome.sets import CredibleSet
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
 @dataclass(frozen=True)
@@ -330,6 +335,52 @@ class TraceResult:
     inflation: float = 1.0
     stopped: Stopped | None = None
 
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of the noise at which uncertainties are stated; inf where unlimited."""
+        return next((value.dof for value in self.base.values() if value.u is not None), math.inf)
+
+    @property
+    def reference_temperature_c(self) -> float | None:
+        """Temperature at which the parameters hold.
+
+        25 °C where an effect of the temperature is in the model, else the mean of the dwells; None where it
+        was not recorded.
+        """
+        if any("temperature" in c for fit in self.fits[-1:] for term in fit.terms for c in term.covariates):
+            return REFERENCE_C
+        recorded = self.fits[-1].data.conditions.temperature_c if self.fits else None
+        if recorded is None:
+            named = {finding.effect for finding in self.found}
+            return REFERENCE_C if {"bias_temperature", "thermal_lag"} & named else None
+        return float(recorded.mean())
+
+    def summary(self) -> str:
+        """What was found and what it brings, in plain text, as the command `trace` begins."""
+        from adis_gonio.report import words
+
+        return "\n".join([words.headline(self), words.gains(self)])
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    @property
+    def _rows(self) -> list[tuple[str, Value]]:
+        found = [pair for finding in self.found for pair in finding.parameters.items()]
+        return [*self.base.items(), *found]
+
+    def _repr_html_(self) -> str:
+        """Base parameters and those of the effects found as a table, for notebooks."""
+        from adis_gonio.answer.frames import html_table
+
+        return html_table(self.summary(), self._rows)
+
+    def to_pandas(self) -> DataFrame:
+        """The same as a data frame with the columns value, u, dof, k, U and unit (extra: pandas)."""
+        from adis_gonio.answer.frames import data_frame
+
+        return data_frame(self._rows)
+
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `trace`."""
         return {
@@ -349,6 +400,7 @@ class TraceResult:
             "notes": list(self.notes),
             "within": [finding.as_dict() for finding in self.within],
             "heldout_design": self.heldout_design,
+            "reference_temperature_c": self.reference_temperature_c,
             "stopped": None if self.stopped is None else self.stopped.as_dict(),
         }
 

@@ -1,0 +1,250 @@
+"""Propagation of distributions by Monte Carlo (JCGM 101:2008, GUM Supplement 1), beside the linear one.
+
+Each trial draws every input by its distribution (noise with few degrees of freedom by Student's,
+quantization as a rectangle, angles as the part really turned by them) and fits anew by the same method.
+Nothing is linearised, so that the two agree where the model is linear enough.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from adis_gonio.errors import FitError
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.intervals import COVERED
+from adis_gonio.estimation.readings import Readings
+from adis_gonio.fitting.closed_form import model_without
+from adis_gonio.fitting.outputs import outputs_of
+from adis_gonio.fitting.result import Estimate, FitResult, Origin
+from adis_gonio.fitting.sources import MODEL, TEMPERATURE, Source, repeatability_of
+from adis_gonio.model.records import Floats
+
+WITHIN = 0.01
+"""Relative difference of two uncertainties that counts as none."""
+
+
+@dataclass(frozen=True)
+class Propagated:
+    """One parameter by both ways.
+
+    Attributes
+    ----------
+    name, unit : str
+    linear : Estimate
+    u : float
+        Standard deviation of the trials.
+    low, high : float
+        Probabilistically symmetric interval of 95 %.
+    doubt : float
+        Standard error of u, relative.
+    why : str
+        Why it differs from the linear u by more than 1 % and twice its own error; empty where it does not.
+    """
+
+    name: str
+    unit: str
+    linear: Estimate
+    u: float
+    low: float
+    high: float
+    doubt: float
+    why: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of `parameters`."""
+        return {
+            "u": self.u,
+            "low": self.low,
+            "high": self.high,
+            "unit": self.unit,
+            "linear_u": self.linear.u,
+            "linear_U": self.linear.U,
+            "u_standard_error": self.u * self.doubt,
+            "agrees": not self.why,
+            "why": self.why,
+        }
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """A propagation: number of trials that gave a result, and each parameter."""
+
+    method: str
+    trials: int
+    failed: int
+    parameters: tuple[Propagated, ...]
+
+    def __getitem__(self, name: str) -> Propagated:
+        """By name."""
+        return next(p for p in self.parameters if p.name == name)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The value of `monte_carlo`."""
+        return {
+            "method": self.method,
+            "trials": self.trials,
+            "failed": self.failed,
+            "parameters": {p.name: p.as_dict() for p in self.parameters},
+        }
+
+    def rows(self) -> tuple[list[str], list[list[str]]]:
+        """Head and rows of a table."""
+        head = ["parameter", "unit", "u", "u, linear", "from", "to", "half width", "U, linear"]
+        rows = []
+        for p in self.parameters:
+            figures = (p.u, p.linear.u, p.low, p.high, (p.high - p.low) / 2, p.linear.U)
+            rows.append([p.name, p.unit, *("–" if f is None else f"{f:.4g}" for f in figures)])
+        return head, rows
+
+    @property
+    def remarks(self) -> list[str]:
+        """Where the two differ, and why."""
+        said = [f"{p.name}: {p.why}" for p in self.parameters if p.why]
+        if self.failed:
+            said.append(f"{self.failed} trials gave no result and were left out")
+        return said or ["the linear uncertainties agree within 1 % and the error of the trials"]
+
+
+def monte_carlo(result: FitResult, trials: int, rng: np.random.Generator) -> MonteCarlo:
+    """Propagate the inputs' distributions through the method of a fit.
+
+    Parameters
+    ----------
+    result : FitResult
+        Of `adis_gonio.fit`; its noise is kept as it was settled.
+    trials : int
+        JCGM 101, 7.2: 10⁴ show u to 1 %, 10⁶ an interval's ends to two digits.
+
+    Raises
+    ------
+    FitError
+        Nothing tells the noise of a reading, or no trial gives a result.
+    """
+    made = result.origin
+    if made is None or made.sources is None:
+        raise FitError("nothing tells the noise of a reading: there are no distributions to propagate")
+    names = [e.name for e in result.parameters]
+    values, failed = [], 0
+    draw, refit = _drawing(made, rng), _fitting(made, result.method)
+    for _ in range(trials):
+        try:
+            values.append(_values(refit(draw()), names))
+        except FitError:
+            failed += 1
+    if len(values) < 2:
+        raise FitError("no trial of the Monte Carlo propagation gave a result")
+    found = np.array(values)
+    kept = [_propagated(made, e, found[:, k], k) for k, e in enumerate(result.parameters)]
+    return MonteCarlo(result.method, len(values), failed, tuple(kept))
+
+
+def _values(fit: Fit, names: list[str]) -> list[float]:
+    parameters = np.zeros(len(fit.values.base) + fit.data.axes)
+    parameters[: len(fit.values.parameters)] = fit.values.parameters
+    by_name = {output.name: output.value for output in outputs_of(fit.data, parameters)}
+    return [by_name[name] for name in names]
+
+
+def _fitting(made: Origin, method: str) -> Callable[[Readings], Fit]:
+    found = made.determination
+    if found is not None:
+        return lambda data: found.refitted(replace(made.noise.applied(data), fitted=made.fit.data.fitted))
+    return lambda data: model_without(method, data, made.noise)
+
+
+def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
+    """What draws readings: those of the session with every input moved by its distribution."""
+    data, fit, noise = made.readings, made.fit, made.noise
+    n, axes = data.mean_mg.shape
+    roots, dof, estimate = repeatability_of(data, noise)
+    sigma = np.where(np.isfinite(fit.data.fixture), fit.data.fixture, 0.0)
+    by_name = {} if made.sources is None else {source.name: source for source in made.sources.each}
+    rounding = np.zeros((n, axes)) if data.quantization_mg2 is None else np.sqrt(3 * data.quantization_mg2)
+    flicker = np.zeros((n, axes)) if data.flicker_mg2 is None else np.sqrt(data.flicker_mg2)
+    attitude, turn, model = fit.values.attitude, fit.turn_rad, data.model
+    exact = model.ideal_mg(fit.values.base, attitude, turn)
+    shared = _shared_inputs(data, by_name)
+
+    def draw() -> Readings:
+        factor = _students(rng, dof, estimate)
+        moved = np.einsum("nab,nb->na", roots, factor * rng.standard_normal((n, axes)))
+        moved += flicker * rng.standard_normal((n, axes)) + rounding * rng.uniform(-1, 1, (n, axes))
+        if data.slow_mg is not None:
+            moved += data.slow_mg @ rng.standard_normal(data.slow_mg.shape[2])
+        if noise.extra_mg:
+            moved += noise.extra_mg * _student(rng, noise.dof) * rng.standard_normal((n, axes))
+        if sigma.any():
+            away = sigma * _student(rng, noise.sigma_dof) * rng.standard_normal(n)
+            moved += model.ideal_mg(fit.values.base, attitude + away, turn) - exact
+        for columns in shared:
+            moved += columns @ rng.standard_normal(columns.shape[2])
+        return replace(data, mean_mg=data.mean_mg + moved)
+
+    return draw
+
+
+def _shared_inputs(data: Readings, by_name: dict[str, Source]) -> list[Floats]:
+    """Columns (n, axes, k) of inputs that act on all dwells: coefficients of temperature, unseen biases."""
+    found = [by_name[name].acts_mg for name in (TEMPERATURE, MODEL) if name in by_name]
+    return [columns for columns in found if columns is not None]
+
+
+def _student(rng: np.random.Generator, dof: float) -> float:
+    """Factor that makes a normal variable one of Student's."""
+    return 1.0 if math.isinf(dof) else math.sqrt(dof / float(rng.chisquare(dof)))
+
+
+def _students(rng: np.random.Generator, dof: Floats, estimate: Any) -> Floats:
+    """The same for variables (n, axes), one draw for each estimate of their variance."""
+    factor = np.ones(estimate.shape)
+    for number in np.unique(estimate[np.isfinite(dof)]):
+        mine = estimate == number
+        factor[mine] = _student(rng, float(dof[mine].min()))
+    return factor
+
+
+def _propagated(made: Origin, linear: Estimate, values: Floats, k: int) -> Propagated:
+    n = len(values)
+    centred = values - values.mean()
+    if linear.unit == "deg":
+        centred = (centred + 180) % 360 - 180
+    u = float(np.sqrt((centred**2).sum() / (n - 1)))
+    kurtosis = float((centred**4).mean() / max((centred**2).mean() ** 2, 1e-300))
+    doubt = math.sqrt(max(kurtosis - 1, 1e-3) / (4 * n))
+    low, high = np.quantile(centred, [0.5 * (1 - COVERED), 0.5 * (1 + COVERED)]) + values.mean()
+    return Propagated(
+        linear.name, linear.unit, linear, u, float(low), float(high), doubt, _why(made, linear, u, doubt, k)
+    )
+
+
+def _why(made: Origin, linear: Estimate, u: float, doubt: float, k: int) -> str:
+    stated = linear.u or 0.0
+    if abs(u - stated) <= (WITHIN + 2 * doubt) * stated:
+        return ""
+    ratio = f"u is {u / stated:.3g} times the linear one" if stated else "the linear u is zero"
+    wide = _students_u(made, made.outputs[k].gradient)
+    if math.isfinite(wide) and abs(u - wide) <= (WITHIN + 3 * doubt) * wide:
+        return f"{ratio}: with {linear.dof:.3g} degrees of freedom Student's distribution is wider"
+    if math.isinf(wide):
+        return f"{ratio}: with {linear.dof:.3g} degrees of freedom no standard deviation exists; compare U"
+    return (
+        f"{ratio}: the model is not linear enough over the inputs' spread; the interval of the trials holds"
+    )
+
+
+def _students_u(made: Origin, gradient: Floats) -> float:
+    """Standard deviation of the linear model under Student's distributions; inf at two degrees or fewer."""
+    assert made.sources is not None
+    total = 0.0
+    for _, dof, variance in made.sources.parts(gradient[None]):
+        if variance <= 1e-9 * (total + 1e-300):
+            continue
+        if dof <= 2:
+            return math.inf
+        total += variance * (1.0 if math.isinf(dof) else dof / (dof - 2))
+    return math.sqrt(total)

@@ -1,0 +1,403 @@
+"""Sources of uncertainty: what each moves the parameters by; their variances add up to the covariance.
+
+A fit answers a small change of its readings by R = ∂parameter/∂reading. A source s of independent parts
+moves the readings by them, and so the parameters by the columns of F_s = R·parts; the covariance is
+Σ F_s F_sᵀ (JCGM 100:2008, 5.1.2 and 5.2). Each column carries the degrees of freedom of the estimate that
+it rests on, and columns of one estimate count as one (G.4.1).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.intervals import effective_dof
+from adis_gonio.estimation.readings import Readings
+from adis_gonio.fitting.noise import Noise
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
+from adis_gonio.sensor.variants import VARIANTS
+
+Kind = Literal["A", "B"]
+
+REPEATABILITY, FLICKER, FIXTURE = "repeatability", "1/f noise", "fixture"
+GRAVITY, QUANTIZATION, TEMPERATURE, MODEL = "gravity", "quantization", "temperature", "model choice"
+SOURCES = (REPEATABILITY, FLICKER, FIXTURE, GRAVITY, QUANTIZATION, TEMPERATURE, MODEL)
+
+GRAVITY_HALF_MPS2 = 0.027
+"""Half the span of gravity over the surface of the Earth (9.780 to 9.834 m/s²): a rectangle about any."""
+_POOLED, _RESIDUAL, _FIXTURE, _EACH = 0, 3, 4, 5
+"""Numbers of the estimates that parts rest on: samples of all dwells together (+ axis), the residual, the
+scatter of the angles, the samples of one dwell (+ 3 n + axis)."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """One source of uncertainty.
+
+    Attributes
+    ----------
+    name : str
+        One of `SOURCES`.
+    kind : {"A", "B"}
+        By statistics of this session, or by other knowledge (GUM 3.3.4).
+    distribution : str
+        `normal`, `Student` or `rectangular`.
+    u : float or None
+        Standard uncertainty of the source itself, rms over dwells and axes; None: not known.
+    unit : str
+    moves : (p, k) float
+        What each independent part, at one standard uncertainty, moves the parameters by; natural units.
+    dof : (k,) float
+        Degrees of freedom of the estimate behind each part; inf where it is not one.
+    estimate : (k,) int
+        Number of that estimate: parts of one estimate are wrong together.
+    reading_mg2 : (axes, axes) float
+        What it adds to the covariance of one further reading, as long as those of the session.
+    note : str
+        What has to be said about it.
+    by_definition : bool
+        True where the parameters are stated relative to it: it moves them, and is no part of their u.
+    acts_mg : (n, axes, k) float or None
+        What inputs that act on all dwells do to the readings, at one standard uncertainty.
+    """
+
+    name: str
+    kind: Kind
+    distribution: str
+    u: float | None
+    unit: str
+    moves: Floats
+    dof: Floats
+    estimate: NDArray[np.intp]
+    reading_mg2: Floats
+    note: str = ""
+    by_definition: bool = False
+    acts_mg: Floats | None = None
+
+    def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
+        """(estimate, degrees of freedom, variance) of each part of a quantity.
+
+        Parameters
+        ----------
+        gradient : (m, p) float
+            By the parameters; m values, of which the mean square is meant, count as one quantity.
+        reading : (m, axes) float, optional
+            The same by one further reading, per mg.
+        """
+        m = len(gradient)
+        variance = ((gradient @ self.moves) ** 2).sum(axis=0) / m
+        found = list(zip(self.estimate.tolist(), self.dof.tolist(), variance.tolist(), strict=True))
+        if reading is not None and self.reading_mg2.any():
+            own = float(np.einsum("ma,ab,mb->", reading, self.reading_mg2, reading)) / m
+            where = max(found, key=lambda part: part[2], default=(_POOLED, math.inf, 0.0))
+            found.append((where[0], where[1], own))
+        return found
+
+
+@dataclass(frozen=True)
+class Sources:
+    """All sources of a fit's uncertainty."""
+
+    each: tuple[Source, ...]
+
+    @property
+    def _counted(self) -> list[Source]:
+        return [source for source in self.each if not source.by_definition]
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance (p, p) of the parameters in natural units."""
+        moves = np.concatenate([source.moves for source in self._counted], axis=1)
+        return np.asarray(moves @ moves.T)
+
+    def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
+        """Parts of the variance of a quantity; see `Source.parts`."""
+        return [part for source in self._counted for part in source.parts(gradient, reading)]
+
+    def uncertainty(self, gradient: Floats, reading: Floats | None = None) -> tuple[float, float]:
+        """Standard uncertainty and effective degrees of freedom of a quantity; see `Source.parts`."""
+        parts = self.parts(gradient, reading)
+        return math.sqrt(sum(part[2] for part in parts)), dof_of(parts)
+
+
+def dof_of(parts: Sequence[tuple[int, float, float]]) -> float:
+    """Effective degrees of freedom; what rests on one estimate is added up first."""
+    by_estimate: dict[int, tuple[float, float]] = {}
+    for estimate, dof, variance in parts:
+        before, least = by_estimate.get(estimate, (0.0, math.inf))
+        by_estimate[estimate] = before + variance, min(least, dof)
+    return effective_dof(list(by_estimate.values()))
+
+
+def response_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats:
+    """∂parameter/∂reading (p, n, axes) in natural units per mg, of weighted least squares.
+
+    Parameters
+    ----------
+    covariance : (p, p) float
+        Inverse information in natural units.
+    natural : (p,) float
+        Size of the natural units in those of the fit.
+    """
+    return fit.by_reading((fit.jacobian * natural) @ covariance)
+
+
+def sources_of(
+    data: Readings, noise: Noise, fit: Fit, response: Floats, held: Sequence[int] = ()
+) -> Sources:
+    """Sources of the uncertainty of fitted parameters.
+
+    Parameters
+    ----------
+    data : Readings
+        The readings that were fitted, before `noise` was settled.
+    fit : Fit
+        On the readings with that noise.
+    response : (p, n, axes) float
+        ∂parameter/∂reading in natural units per mg.
+    held : sequence of int
+        Axes whose bias was taken as zero.
+    """
+    return Sources(
+        (
+            _repeatability(data, noise, response),
+            _flicker(data, response),
+            _fixture(data, noise, fit, response),
+            _gravity(data, fit, len(response)),
+            _quantization(data, response),
+            _temperature(data, fit, response),
+            _model(data, noise, response, held),
+        )
+    )
+
+
+def _each(response: Floats, roots: Floats) -> Floats:
+    """Moves (p, n·axes) of parts that stand in one dwell each: columns of `roots` (n, axes, axes)."""
+    return np.asarray(np.einsum("pna,nab->pnb", response, roots).reshape(len(response), -1))
+
+
+def _root(covariance: Floats) -> Floats:
+    """Roots (n, axes, axes), a column an axis."""
+    axes = covariance.shape[1]
+    diagonal = np.sqrt(np.maximum(np.einsum("naa->na", covariance), 0.0))
+    if not covariance[:, ~np.eye(axes, dtype=bool)].any():
+        return np.asarray(diagonal[:, :, None] * np.eye(axes))
+    # Nearly dependent axes have no Cholesky factor; a grain of the diagonal gives them one.
+    grain = 1e-12 * np.maximum(diagonal, 1e-150) ** 2
+    return np.asarray(np.linalg.cholesky(covariance + _diagonal(grain)))
+
+
+def _diagonal(variance: Floats) -> Floats:
+    return np.asarray(variance[:, :, None] * np.eye(variance.shape[1]))
+
+
+def _unlimited(k: int) -> tuple[Floats, NDArray[np.intp]]:
+    return np.full(k, np.inf), np.zeros(k, dtype=np.intp)
+
+
+def _own(data: Readings, noise: Noise) -> Floats:
+    """Covariance (n, axes, axes) of the means by the noise that averaging lowers."""
+    factor = np.where(data.known, 1.0, noise.scale**2)[:, None, None]
+    own = data.own_covariance * factor
+    for part in (data.quantization_mg2, data.flicker_mg2):
+        own = own if part is None else own - _diagonal(part)
+    return np.asarray(own)
+
+
+def repeatability_of(data: Readings, noise: Noise) -> tuple[Floats, Floats, NDArray[np.intp]]:
+    """Roots (n, axes, axes) of that; degrees of freedom and numbers (n, axes) of the estimates behind."""
+    n, axes = data.mean_mg.shape
+    first = np.full(n, _POOLED) if data.pooled else 3 * np.arange(n) + _EACH
+    dof = np.where(data.known, data.dof, noise.dof)
+    estimate = np.where(data.known[:, None], first[:, None] + np.arange(axes), _RESIDUAL)
+    if noise.extra_mg > 0:
+        # χ² settles measured and extra variance together: both rest on the residual.
+        dof, estimate = np.minimum(dof, noise.dof), np.full((n, axes), _RESIDUAL)
+    return _root(_own(data, noise)), np.repeat(dof[:, None], axes, axis=1), estimate.astype(np.intp)
+
+
+def _repeatability(data: Readings, noise: Noise, response: Floats) -> Source:
+    roots, dof, estimate = repeatability_of(data, noise)
+    stated = bool((data.known & np.isinf(data.dof)).all())
+    mean = _own(data, noise).mean(axis=0)
+    return Source(
+        REPEATABILITY,
+        "B" if stated else "A",
+        "normal" if stated else "Student",
+        float(np.sqrt(np.trace(mean) / data.axes)),
+        "mg",
+        _each(response, roots),
+        dof.ravel(),
+        estimate.ravel(),
+        mean,
+        "stated (reading_u_mg)" if stated else "",
+    )
+
+
+def _flicker(data: Readings, response: Floats) -> Source:
+    axes = data.axes
+    moves, variance = [np.zeros((len(response), 0))], np.zeros(axes)
+    if data.flicker_mg2 is not None and data.flicker_mg2.any():
+        moves.append(_each(response, _diagonal(np.sqrt(data.flicker_mg2))))
+        variance = variance + data.flicker_mg2.mean(axis=0)
+    if data.slow_mg is not None:
+        moves.append(np.einsum("pna,nak->pk", response, data.slow_mg))
+        variance = variance + (data.slow_mg**2).sum(axis=2).mean(axis=0)
+    joined = np.concatenate(moves, axis=1)
+    shown = "shown by the dwells" if data.flicker_shown else "figure of the part"
+    return Source(
+        FLICKER,
+        "A" if data.flicker_shown else "B",
+        "normal",
+        float(np.sqrt(variance.mean())),
+        "mg",
+        joined,
+        *_unlimited(joined.shape[1]),
+        np.diag(variance),
+        shown if variance.any() else "none shown, no figure of the part",
+    )
+
+
+def _fixture(data: Readings, noise: Noise, fit: Fit, response: Floats) -> Source:
+    sigma = np.where(np.isfinite(fit.data.fixture), fit.data.fixture, 0.0)
+    if data.planar:
+        moves = np.einsum("pna,na,n->pn", response, fit.tangent_mg[:, :, 0], sigma)
+    else:
+        moves = np.zeros((len(response), 0))
+    k = moves.shape[1]
+    free = not data.planar or data.free
+    estimated = math.isfinite(noise.sigma_dof)
+    note = "attitudes are free: none enters" if free else ""
+    if not free and not data.fixture_stated:
+        note = "estimated from the residual" if estimated else "not stated: angles count as exact"
+    return Source(
+        FIXTURE,
+        "A" if estimated else "B",
+        "Student" if estimated else "normal",
+        None if free else math.degrees(noise.sigma_rad),
+        "deg",
+        moves,
+        np.full(k, noise.sigma_dof),
+        np.full(k, _FIXTURE, dtype=np.intp),
+        np.zeros((data.axes, data.axes)),
+        note,
+    )
+
+
+def _gravity(data: Readings, fit: Fit, parameters: int) -> Source:
+    """All gains change as 1/g, and nothing else does."""
+    base = fit.values.base
+    u = GRAVITY_HALF_MPS2 / math.sqrt(3)
+    moves = np.zeros((parameters, 1))
+    for k, name in enumerate(fit.data.model.names):
+        if name.startswith("scale"):
+            moves[k] = -float(base[k]) * u * 1000 / (data.gravity_mg * STANDARD_GRAVITY_MPS2)
+    return Source(
+        GRAVITY,
+        "B",
+        "rectangular",
+        u,
+        "m/s²",
+        moves,
+        *_unlimited(1),
+        np.zeros((data.axes, data.axes)),
+        "all gains move alike: ratios and angles do not depend on it",
+        by_definition=True,
+    )
+
+
+def _quantization(data: Readings, response: Floats) -> Source:
+    variance = data.quantization_mg2
+    if variance is None:
+        variance = np.zeros(data.mean_mg.shape)
+    moves = _each(response, _diagonal(np.sqrt(variance)))
+    return Source(
+        QUANTIZATION,
+        "B",
+        "rectangular",
+        float(np.sqrt(variance.mean())),
+        "mg",
+        moves,
+        *_unlimited(moves.shape[1]),
+        np.diag(variance.mean(axis=0)),
+        "" if variance.any() else "the noise dithers it, or readings are averages",
+    )
+
+
+def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
+    """An unknown coefficient of each bias, as large as the part's figure and the residual allow."""
+    axes = data.axes
+    figure = VARIANTS[data.sensor].performance.bias_tempco_mg_per_c if data.sensor in VARIANTS else 0.0
+    temperature = data.conditions.temperature_c
+    moves, acts = np.zeros((len(response), axes)), None
+    u, note = figure if figure else None, ""
+    if temperature is None:
+        note = "temperature not recorded"
+    elif not figure:
+        note = "no figure of the part: a coefficient is for trace to find"
+    else:
+        away = temperature - temperature.mean()
+        columns = away[:, None, None] * np.eye(axes)
+        left = fit.white(columns)
+        left = left - fit.jacobian @ np.linalg.lstsq(fit.jacobian, left, rcond=1e-9)[0]
+        # Prior of the part's figure, and what the residual of this session says of it.
+        spread = 1 / np.sqrt(1 / figure**2 + (left**2).sum(axis=0))
+        acts = columns * spread
+        moves = np.einsum("pna,nab->pb", response, acts)
+        u = float(np.sqrt((spread**2).mean()))
+        note = f"dwells from {temperature.min():.1f} to {temperature.max():.1f} °C"
+    return Source(
+        TEMPERATURE,
+        "B",
+        "normal",
+        u,
+        "mg/°C",
+        moves,
+        *_unlimited(axes),
+        np.zeros((axes, axes)),
+        note,
+        acts_mg=acts,
+    )
+
+
+def _model(data: Readings, noise: Noise, response: Floats, held: Sequence[int]) -> Source:
+    """What the residual shows beyond the noise, and biases that had to be taken as zero."""
+    axes = data.axes
+    extra = _each(response, np.tile(noise.extra_mg * np.eye(axes), (len(data), 1, 1)))
+    figure = VARIANTS[data.sensor].performance.initial_bias_mg if data.sensor in VARIANTS else 0.0
+    held = list(held)
+    blind = response[:, :, held].sum(axis=1) * figure
+    notes, u = [], noise.extra_mg
+    if noise.extra_mg > 0:
+        notes.append("scatter beyond the noise within the dwells")
+    if held:
+        letters = ", ".join("xyz"[axis] for axis in held)
+        size = (
+            f"{figure:g} mg, figure of the part"
+            if figure
+            else "of a size that nothing states: not included"
+        )
+        notes.append(f"bias {letters} taken as zero ({size})")
+        u = math.hypot(u, figure)
+    statistical = noise.extra_mg > 0 and not figure * len(held)
+    return Source(
+        MODEL,
+        "A" if statistical else "B",
+        "Student" if statistical else "normal",
+        None if held and not figure and not noise.extra_mg else u,
+        "mg",
+        np.concatenate([extra, blind], axis=1),
+        np.concatenate([np.full(extra.shape[1], noise.dof), np.full(len(held), np.inf)]),
+        np.concatenate([np.full(extra.shape[1], _RESIDUAL), np.zeros(len(held), dtype=np.intp)]).astype(
+            np.intp
+        ),
+        noise.extra_mg**2 * np.eye(axes),
+        "; ".join(notes) or "the residual shows no more than the noise",
+        acts_mg=np.tile(figure * np.eye(axes)[:, held], (len(data), 1, 1)) if held and figure else None,
+    )
