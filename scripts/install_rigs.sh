@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Installs what the rigs need beyond pip (see docs/testing.md): AVR compiler, simavr, C tools, QEMU, tmux. For Debian, as root.
+# Installs what the rigs need beyond pip (see docs/testing.md): AVR compiler, simavr, C tools, QEMU, tmux, Chromium. For Debian, as root.
 set -euo pipefail
 export DEBIAN_FRONTEND=noninteractive
 apt-get update -qq
@@ -11,4 +11,8 @@ apt-get install -y -qq --no-install-recommends \
 apt-get install -y -qq --no-install-recommends \
   gcc-arm-none-eabi binutils-arm-none-eabi picolibc-arm-none-eabi >/dev/null
 command -v npm >/dev/null || apt-get install -y -qq --no-install-recommends nodejs npm >/dev/null
-npm ci --silent --no-audit --no-fund --prefix "$(dirname "$0")/../tests/rig_rp2040"
+# The report's page in a browser: Chromium, axe-core (by npm), and the words of its PDF.
+apt-get install -y -qq --no-install-recommends chromium poppler-utils fonts-dejavu-core >/dev/null
+for rig in rig_rp2040 rig_browser; do
+  npm ci --silent --no-audit --no-fund --prefix "$(dirname "$0")/../tests/$rig"
+done

@@ -1,19 +1,19 @@
-"""A time budget: long work tells its stages, and ends in an orderly way when its time is over.
+"""A time budget: long work tells its stages and shares, and ends in an orderly way when its time is over.
 
 The budget in use is ambient (a context variable), as a cancel scope is, so that a loop deep inside asks it
 without being handed one. Work asks at its safe points: `spent` where it goes on with the best that it has,
 `check` where what is half done is thrown away. `attempt` runs a stage and gives its substitute where that
-happened. Without a budget nothing ends early.
+happened; `told` counts through a loop. Without a budget nothing ends early.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -23,7 +23,7 @@ class OutOfTimeError(Exception):
     """The time is over in the midst of a stage; never leaves `attempt`."""
 
 
-def _silent(_stage: str) -> None:
+def _silent(_what: object) -> None:
     """Tell nobody."""
 
 
@@ -37,6 +37,8 @@ class Budget:
         Seconds from now on; infinite for no limit.
     tell : callable
         Called with the name of each stage as it begins.
+    share : callable
+        Called with how much of the stage is done, 0 to 1, where that is known.
     clock : callable
         Seconds from any origin.
     left_out : list of str
@@ -45,6 +47,7 @@ class Budget:
 
     limit_s: float = math.inf
     tell: Callable[[str], None] = _silent
+    share: Callable[[float], None] = _silent
     clock: Callable[[], float] = time.monotonic
     left_out: list[str] = field(default_factory=list)
 
@@ -60,6 +63,10 @@ class Budget:
     def over(self) -> bool:
         """True from the moment on at which something was left out, or the limit is reached."""
         return bool(self.left_out) or self.elapsed_s >= self.limit_s
+
+    def limited(self, limit_s: float) -> Budget:
+        """A new budget that tells the same listeners."""
+        return replace(self, limit_s=limit_s, left_out=[])
 
     def leave_out(self, what: str) -> None:
         """Note what ended early."""
@@ -113,3 +120,19 @@ def attempt(stage: str, work: Callable[[], T], otherwise: T) -> T:
     except OutOfTimeError:
         budget.leave_out(stage)
         return otherwise
+
+
+def told(items: Sequence[T], before: int = 0, total: int | None = None) -> Iterator[T]:
+    """Each item in turn; tells how much of the stage is done.
+
+    Parameters
+    ----------
+    items : sequence
+    before, total : int
+        Items of the stage that came before these, and all of them; by default these are all.
+    """
+    share, count = current().share, len(items) if total is None else total
+    for done, item in enumerate(items, before):
+        share(done / count)
+        yield item
+    share((before + len(items)) / max(count, 1))

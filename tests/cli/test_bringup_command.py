@@ -113,7 +113,6 @@ def test_a_ctrl_c_keeps_what_was_found(tmp_path, board, capsys):
         (["--allow-writes", "--leave-registers", "--yes"], "excludes --allow-writes"),
         (["--allow-writes"], "nobody is there to answer: add --yes"),
         (["-o", "a.pdf"], "name it a.html"),
-        (["-o", "nowhere/a.html"], "no folder nowhere"),
         (["--variant", "adis16999"], "no variant is called"),
     ],
 )

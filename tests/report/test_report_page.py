@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from adis_gonio import fit, trace
+from adis_gonio.answer import Answer
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.report import Figure, Section, Series, Table, plot
@@ -116,7 +117,7 @@ def test_the_page_answers_every_question(page):
 
 def test_results_by_method_begin_with_delta_k_and_delta_phi(page):
     body = page[page.index("Results by method") :]
-    assert body.index("<td>ΔK</td>") < body.index("<td>Δφ</td>") < body.index("<td>α</td>")
+    assert body.index(">ΔK</th>") < body.index(">Δφ</th>") < body.index(">α</th>")
 
 
 def test_every_step_has_a_figure(page, curved):
@@ -186,6 +187,40 @@ def test_a_session_that_cannot_be_traced_still_has_a_page():
     page = build_page(planar(), [], "2 positions give 4 equations", failures={"ml": "singular"})
     assert "2 positions give 4 equations" in page
     assert "ml: singular" in page
+
+
+def test_the_page_says_who_measured_which_part_where_and_what_was_overridden():
+    session = planar()
+    changes = {
+        "gravity_mps2": {"old": 9.80665, "new": 9.81},
+        "fixture_sigma_deg": {"old": None, "new": "free"},
+        "reverse": {"old": False, "new": True},
+        "columns": {"old": {}, "new": {"ax": "Acc_X"}},
+    }
+    session = replace(session, facts={"overrides": changes})
+    for name, text in {"operator": "Ada <b>", "serial": "0042", "stage": "T2"}.items():
+        object.__setattr__(session, name, text)  # as a session has them that was recorded on a bench
+    said = " ".join(outline(build_page(session, [], "none")).text)
+    assert "part 0042 · stage T2 · operator Ada <b>" in said
+    for text in (
+        "gravity_mps2: 9.81 instead of 9.80665",
+        "fixture_sigma_deg: free instead of nothing stated",
+        "reverse",
+        "columns: ax = Acc_X instead of those of the format",
+    ):
+        assert text in said
+
+
+def test_the_answer_stands_first_in_large_numerals_with_what_covers_it(page, curved):
+    session, result, _ = curved
+    values = Answer.of(fit(session, "ml"), result, own=False).values
+    key = page[page.index('<dl class="key">') : page.index("</dl>")]
+    assert page.index("<main>") < page.index('<dl class="key">') < page.index("<p>", page.index("<main>"))
+    assert key.count("<dt>") == 3
+    phi = values["delta_phi"]
+    assert with_unit(uncertain(phi.value, phi.U), "deg") in key
+    assert f"k\u00a0=\u00a0{phi.k:.2f}" in key
+    assert "U of an angle shown" in key
 
 
 def test_sections_of_others_stand_before_the_data():

@@ -9,11 +9,13 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 
 import click
 
 from adis_gonio import __version__
 from adis_gonio.cli.characters import make_readable
+from adis_gonio.cli.interrupt import Insistent
 from adis_gonio.cli.lazy import LazyGroup
 from adis_gonio.errors import AdisGonioError
 
@@ -37,6 +39,10 @@ COMMANDS = {
 }
 
 
+_COMPUTING = frozenset({"fit", "trace", "report", "export"})
+"""Commands that read a file and compute: they have nothing to put back when Ctrl-C ends them."""
+
+
 @click.group(
     cls=LazyGroup, commands_by_name=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]}
 )
@@ -51,8 +57,11 @@ def app() -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
+    words = sys.argv[1:] if arguments is None else arguments
+    computing = words[:1] and words[0] in _COMPUTING
     try:
-        status = app.main(args=arguments, prog_name="adis-gonio", standalone_mode=False)
+        with Insistent() if computing else nullcontext():
+            status = app.main(args=arguments, prog_name="adis-gonio", standalone_mode=False)
         sys.stdout.flush()
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)

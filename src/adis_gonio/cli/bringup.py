@@ -79,16 +79,19 @@ def _files(output: Path) -> tuple[Path, Path]:
     """Page and JSON beside each other."""
     if output.suffix not in ("", ".html", ".json"):
         raise UsageError(f"{output}: bringup writes a page and a JSON: name it {output.stem}.html")
-    if not output.parent.is_dir():
-        raise UsageError(f"{output}: there is no folder {output.parent}")
-    return output.with_suffix(".html"), output.with_suffix(".json")
+    from adis_gonio.output import check_output
+
+    page, document = output.with_suffix(".html"), output.with_suffix(".json")
+    return check_output(page, force=True), check_output(document, force=True)
 
 
 def _write(found: Bringup, page: Path, document: Path) -> None:
     from adis_gonio.bringup.page import build_page
+    from adis_gonio.output import replacing
 
-    document.write_text(json_text(found.as_dict()) + "\n", encoding="utf-8")
-    page.write_text(build_page(found), encoding="utf-8")
+    for path, text in ((document, json_text(found.as_dict()) + "\n"), (page, build_page(found))):
+        with replacing(path) as beside:
+            beside.write_text(text, encoding="utf-8")
 
 
 def _ask(question: str) -> bool:

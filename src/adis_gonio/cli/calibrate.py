@@ -192,7 +192,7 @@ def _advisor(max_extra: int | None) -> TraceAdvisor:
 
 def _traced(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
     """The advisor's last trace where it saw all of the session, else a new one; None where none can be."""
-    from adis_gonio.cli.trace import working
+    from adis_gonio.cli.working import working
     from adis_gonio.tracing import trace
 
     if advisor.result is not None and advisor.dwells == len(session.dwells):

@@ -10,7 +10,7 @@ import click
 
 from adis_gonio.cli.overrides import load, override_options
 from adis_gonio.cli.show import console, json_option, print_json
-from adis_gonio.cli.trace import working
+from adis_gonio.cli.working import working
 from adis_gonio.counting import counted
 
 if TYPE_CHECKING:
@@ -204,7 +204,6 @@ def _monte_carlo(result: FitResult, trials: int | None, seed: int) -> MonteCarlo
         return None
     import numpy as np
 
-    from adis_gonio.cli.trace import working
     from adis_gonio.fitting.monte_carlo import monte_carlo
 
     with working(f"{trials} Monte Carlo trials"):

@@ -110,7 +110,7 @@ _NAMES = ("gravity_mps2", "fixture_sigma_deg", "reverse", "accel_unit", "sensor"
 
 def load(path: Path, overrides: Overrides) -> Session:
     """Session of a file, with progress on standard error where it takes long."""
-    from adis_gonio.cli.trace import working
+    from adis_gonio.cli.working import working
     from adis_gonio.session import load_session
 
     with working(f"reading {path.name}"):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from adis_gonio.cli.overrides import load, override_options
-from adis_gonio.cli.trace import working
+from adis_gonio.cli.working import working
 from adis_gonio.counting import counted
 
 if TYPE_CHECKING:
@@ -16,19 +16,6 @@ if TYPE_CHECKING:
     from adis_gonio.report.parts import Section
     from adis_gonio.session.overrides import Overrides
     from adis_gonio.tracing import TraceResult
-
-
-def _twin(session: Session, traced: TraceResult) -> list[Section]:
-    """The twin's section, where the session can have one."""
-    from adis_gonio.errors import AdisGonioError
-    from adis_gonio.report.parts import Section
-    from adis_gonio.report.twin import twin_section
-
-    try:
-        section = twin_section(session, traced)
-    except AdisGonioError as error:
-        return [Section("The digital twin against the measured data", words=(f"There is none: {error}.",))]
-    return [] if section is None else [section]
 
 
 @click.command("report")
@@ -54,34 +41,58 @@ def command(*, session: Path, output: Path, time_limit: float | None, overrides:
     step, what could not be seen, what to measure next, and the data. It is made from the session's file
     alone, so that an older page of the same name is replaced.
     """
+    from adis_gonio.errors import UsageError
+    from adis_gonio.output import check_output, replacing
     from adis_gonio.report.svg import require_matplotlib
 
+    if output.exists() and session.exists() and output.samefile(session):
+        raise UsageError(f"{output}: is the session itself; name another file for the page")
+    check_output(output, force=True)
     require_matplotlib()
-    from adis_gonio.errors import AdisGonioError, UsageError
+    loaded = load(session, overrides)
+    with working(f"report of {counted(len(loaded.dwells), 'dwell')} of {session.name}"):
+        page = _page(loaded, time_limit)
+    with replacing(output) as beside:
+        beside.write_text(page, encoding="utf-8")
+    click.echo(f"{output}: {len(page.encode()) // 1024 + 1} kB", err=True)
+
+
+def _page(session: Session, time_limit: float | None) -> str:
+    """Every result on one page."""
+    from adis_gonio.budget import current, told
+    from adis_gonio.errors import AdisGonioError
     from adis_gonio.fitting import applicable_methods, fit
     from adis_gonio.report.page import build_page
     from adis_gonio.report.views import views
     from adis_gonio.tracing import trace
 
-    if output.exists() and session.exists() and output.samefile(session):
-        raise UsageError(f"{output}: is the session itself; name another file for the page")
-    loaded = load(session, overrides)
-    with working(f"tracing {counted(len(loaded.dwells), 'dwell')} of {session.name}"):
-        fits, failures = [], {}
-        for method in applicable_methods(loaded):
-            try:
-                fits.append(fit(loaded, method=method))
-            except AdisGonioError as error:
-                failures[method] = str(error)
-        drawn = None
+    tell = current().tell
+    tell("every method")
+    fits, failures = [], {}
+    for method in told(applicable_methods(session)):
         try:
-            traced = trace(loaded, time_limit=time_limit)
-            drawn = views(loaded, traced)
+            fits.append(fit(session, method=method))
         except AdisGonioError as error:
-            page = build_page(loaded, fits, str(error), failures=failures)
-        else:
-            page = build_page(
-                loaded, fits, traced, drawn, sections=_twin(loaded, traced), failures=failures
-            )
-    output.write_text(page, encoding="utf-8")
-    click.echo(f"{output}: {len(page.encode()) // 1024 + 1} kB", err=True)
+            failures[method] = str(error)
+    try:
+        traced = trace(session, time_limit=time_limit)
+        drawn = views(session, traced)
+    except AdisGonioError as error:
+        return build_page(session, fits, str(error), failures=failures)
+    tell("its digital twin")
+    twin = _twin(session, traced)
+    tell("its figures")
+    return build_page(session, fits, traced, drawn, sections=twin, failures=failures)
+
+
+def _twin(session: Session, traced: TraceResult) -> list[Section]:
+    """The twin's section, where the session can have one."""
+    from adis_gonio.errors import AdisGonioError
+    from adis_gonio.report.parts import Section
+    from adis_gonio.report.twin import twin_section
+
+    try:
+        section = twin_section(session, traced)
+    except AdisGonioError as error:
+        return [Section("The digital twin against the measured data", words=(f"There is none: {error}.",))]
+    return [] if section is None else [section]

@@ -10,6 +10,7 @@ from urllib.parse import quote
 import click
 import numpy as np
 
+from adis_gonio.cli.working import working
 from adis_gonio.counting import counted
 from adis_gonio.errors import DataError, SessionError, UsageError
 
@@ -64,22 +65,24 @@ from adis_gonio.errors import DataError, SessionError, UsageError
     is_eager=True,
     callback=lambda c, p, v: _settings(c, v),
 )
-def command(*, output: Path, **options: Any) -> int:
+def command(*, output: Path, **options: Any) -> None:
     """Record a session from the simulated sensor, with hidden parameters and effects by name.
 
     The session is measured through the driver, frame by frame, as a real one would be.
     """
     from adis_gonio.cli.bench.plain import PlainBench
-    from adis_gonio.counting import counted
+    from adis_gonio.output import check_output
     from adis_gonio.sensor import open_sensor
     from adis_gonio.sensor.settings import smpl_prd_for
     from adis_gonio.session import SessionRunner, Settings, export_csv, load_session, plan
-    from adis_gonio.session.archive import ArchiveView
+    from adis_gonio.session.view import ArchiveView
 
     if output.exists():
         raise SessionError(f"{output}: exists already; choose another name")
+    check_output(output)
     if options["like"] is not None:
-        return _twin(options["like"], output, options["seed"])
+        _twin(options["like"], output, options["seed"])
+        return
     rate = options["rate_hz"]
     settings = Settings(
         dwell_s=options["dwell_s"],
@@ -108,30 +111,33 @@ def command(*, output: Path, **options: Any) -> int:
         complete = PlainBench(runner, auto=True).run()
         with ArchiveView(archive) as view:
             done = len(view.dwells())
-        if as_csv and not done:
-            raise SessionError(f"{output}: not written: the session ended before a dwell was complete")
-        if as_csv:
+        if as_csv and done:
             export_csv(load_session(archive), output)
-    of = "" if complete else f"{done} of "
-    click.echo(f"{output}: {of}{counted(len(positions), 'dwell')}", err=True)
-    return 0 if complete else 1
+    if not complete:  # nothing but Ctrl-C ends a simulation early
+        click.echo(f"{output}: {done} of {counted(len(positions), 'dwell')}", err=True)
+        raise KeyboardInterrupt
+    click.echo(f"{output}: {counted(done, 'dwell')}", err=True)
 
 
-def _twin(path: Path, output: Path, seed: int) -> int:
+def _twin(path: Path, output: Path, seed: int) -> None:
     """Write the twin of a session."""
+    from adis_gonio.budget import current
     from adis_gonio.session import export_csv, load_session
     from adis_gonio.tracing import trace
     from adis_gonio.twin import simulate_like
 
     if not output.name.endswith((".csv", ".csv.gz")):
         raise UsageError(f"{output}: --like writes a samples CSV; name it .csv or .csv.gz")
-    session = load_session(path)
-    traced = trace(session)
-    if not traced.fits:
-        raise DataError(f"{path}: one pose has no model of positions to simulate")
-    export_csv(simulate_like(session, traced.fits[-1], seed=seed), output)
+    with working(f"reading {path.name}"):
+        session = load_session(path)
+    with working(f"twin of {counted(len(session.dwells), 'dwell')} of {path.name}"):
+        traced = trace(session)
+        if not traced.fits:
+            raise DataError(f"{path}: one pose has no model of positions to simulate")
+        current().tell("simulating")
+        twin = simulate_like(session, traced.fits[-1], seed=seed)
+    export_csv(twin, output)
     click.echo(f"{output}: {counted(len(session.dwells), 'dwell')} like those of {path}", err=True)
-    return 0
 
 
 def _url(*, seed: int, variant: str, effects: tuple[str, ...], settings: tuple[str, ...], **_: Any) -> str:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +10,7 @@ import click
 
 from adis_gonio.cli.overrides import load, override_options
 from adis_gonio.cli.show import console, json_option, print_json
+from adis_gonio.cli.working import working
 from adis_gonio.counting import counted
 
 if TYPE_CHECKING:
@@ -61,41 +59,6 @@ def command(
         print_json(result.as_dict())
         return
     print_trace(loaded, result)
-
-
-@contextmanager
-def working(what: str) -> Iterator[None]:
-    """Tell on standard error what goes on; on a terminal with the stage and the time that has gone by."""
-    from adis_gonio.budget import Budget, within
-
-    with _told(what) as tell, within(Budget(tell=tell)):
-        yield
-
-
-@contextmanager
-def _told(what: str) -> Iterator[Callable[[str], None]]:
-    """Tell `what` after a second; gives what is called with each stage."""
-    screen = console(stderr=True)
-    if screen.is_terminal:
-        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-        columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
-        with Progress(*columns, console=screen, transient=True) as progress:
-            task = progress.add_task(what)
-            yield lambda stage: progress.update(task, description=f"{what}: {stage}")
-        return
-
-    def tell() -> None:
-        print(f"{what} …", file=sys.stderr, flush=True)  # noqa: T201
-
-    timer = threading.Timer(1.0, tell)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield lambda _stage: None
-    finally:
-        timer.cancel()
-        timer.join()
 
 
 def print_trace(session: Session, result: TraceResult) -> None:

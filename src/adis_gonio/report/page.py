@@ -60,11 +60,14 @@ def build_page(
             body += [make.steps(result, views), make.left(views)]
         body += [make.within(result)]
         body += [make.rivals(result), make.sight(result), make.advice(result)]
-    body += [*sections, make.data(session, result, software)]
+    reference_c = None if given is None else given.reference_temperature_c
+    if reference_c is None and result is not None:
+        reference_c = result.reference_temperature_c
+    body += [*sections, make.data(session, result, software, reference_c)]
     return render(
         "Calibration report",
         words.title(session),
-        shape=words.shape(session),
+        shape=" · ".join([words.shape(session), *map(" ".join, words.written_down(session).items())]),
         simulated=bool(session.facts.get("simulated")),
         begun=str(session.facts.get("started_utc", "")),
         software=software,

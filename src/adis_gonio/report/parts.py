@@ -23,8 +23,27 @@ class Figure:
 
 
 @dataclass(frozen=True)
+class KeyFigure:
+    """A number that is read from across the bench, with its name above it.
+
+    Attributes
+    ----------
+    name, value : str
+        Such as `ΔK` and `0.0108 ± 0.0004`.
+    note : str
+        One line below it, in small print.
+    """
+
+    name: str
+    value: str
+    note: str = ""
+
+
+@dataclass(frozen=True)
 class Table:
     """A table of texts; columns named in `numeric` are set to the right.
+
+    Its first column names the rows. Two columns without a head are a list of names and their texts.
 
     Attributes
     ----------
@@ -47,7 +66,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """A section; its parts stand in the order words, list, figures, tables, notes.
+    """A section; its parts stand in the order key figures, words, list, figures, tables, notes.
 
     Attributes
     ----------
@@ -71,3 +90,7 @@ class Section:
     notes: Sequence[str] = ()
     parts: Sequence[Section] = ()
     """Subsections."""
+    key: Sequence[KeyFigure] = ()
+    """The answer, in large numerals."""
+    folded: bool = False
+    """Closed on a screen until it is opened; on paper always open."""

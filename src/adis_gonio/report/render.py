@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from adis_gonio.report.numbers import SPACE
 from adis_gonio.report.parts import Section
 
 
@@ -40,7 +41,7 @@ def render(
         lstrip_blocks=True,
     )
     # Figures are the package's own drawings, whose texts are escaped already.
-    environment.filters["drawing"] = Markup
+    environment.filters |= {"drawing": Markup, "number_kept": _number_kept, "unit_kept": _unit_kept}
     return environment.get_template("page.html").render(
         kind=kind,
         title=title,
@@ -55,5 +56,23 @@ def render(
 
 def _filled(section: Section) -> bool:
     return any(
-        (section.words, section.points, section.figures, section.tables, section.notes, section.parts)
+        (
+            section.key,
+            section.words,
+            section.points,
+            section.figures,
+            section.tables,
+            section.notes,
+            section.parts,
+        )
     )
+
+
+def _number_kept(cell: str) -> str:
+    """A number's text, which a narrow column may break before its uncertainty only."""
+    return cell.replace(" ", SPACE).replace(f"{SPACE}±", " ±")
+
+
+def _unit_kept(head: str) -> str:
+    """A column's head, never broken between slash and unit."""
+    return head.replace(" / ", f" /{SPACE}")

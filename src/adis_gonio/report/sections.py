@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,8 @@ from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.fitting import FitResult
 from adis_gonio.model.records import Session
 from adis_gonio.report import words
-from adis_gonio.report.numbers import number, p_text, percent, uncertain, with_unit
-from adis_gonio.report.parts import Figure, Section, Table
+from adis_gonio.report.numbers import SPACE, number, p_text, percent, uncertain, with_unit
+from adis_gonio.report.parts import Figure, KeyFigure, Section, Table
 from adis_gonio.report.svg import Role, Series, Style, plot
 from adis_gonio.tracing.outcome.figures import Panel, Views
 from adis_gonio.tracing.outcome.result import TraceResult, Value, WithinFinding
@@ -74,7 +75,27 @@ def answer(given: Answer) -> Section:
         caption="u: standard uncertainty; U = k·u covers 95 %. The error of the angle is the root mean "
         "square over dwells left out; its u is that of any angle shown.",
     )
-    return Section("Answer", words=[f"By method {given.title}.", given.why, *given.remarks], tables=[table])
+    said = [f"By method {given.title}.", given.why, *given.remarks]
+    return Section("Answer", words=said, tables=[table], key=_key(given.values))
+
+
+def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
+    """ΔK, Δφ and the angle's error in large numerals; nothing of a session in space."""
+    wanted = [name for name in (*_ORDER, "angle") if name in values]
+    return [_large(name, values[name]) for name in wanted if len(wanted) > 1]
+
+
+def _large(name: str, value: Value) -> KeyFigure:
+    """Value with U; the error of the angle is a figure of its own, which U of an angle does not bound."""
+    if value.k is None:
+        return KeyFigure(NAMES[name], words.value_text(value), UNKNOWN)
+    factor = f"k{SPACE}={SPACE}{value.k:.2f}"
+    if name == "angle":
+        of_angle = f"U of an angle shown: {with_unit(number(value.U, 2), value.unit)} ({factor})"
+        return KeyFigure(NAMES[name], with_unit(number(value.value, 2), value.unit), of_angle)
+    return KeyFigure(
+        NAMES[name], words.value_text(replace(value, u=value.U)), f"± U = k·u covers 95 % ({factor})"
+    )
 
 
 def budget(given: Answer) -> Section:
@@ -101,7 +122,7 @@ def budget(given: Answer) -> Section:
         tables.append(Table(head, cells, caption=caption, numeric=(3, 4, 5, 6)))
     first = next(iter(given.budget.values()), ())
     notes = [f"{row.source}: {row.note}" for row in first if row.note]
-    return Section("Uncertainty budget", tables=tables, notes=notes if tables else [])
+    return Section("Uncertainty budget", tables=tables, notes=notes if tables else [], folded=True)
 
 
 def scores(given: Answer) -> Section:
@@ -141,7 +162,7 @@ def fitted(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Section:
     # The best stands last among the fits, and is read first.
     order = list(reversed(fits))
     tables = [_by_method(order[k : k + _BESIDE]) for k in range(0, len(order), _BESIDE)]
-    return Section("Results by method", words=none, tables=tables, notes=notes)
+    return Section("Results by method", words=none, tables=tables, notes=notes, folded=bool(tables))
 
 
 def _by_method(fits: Sequence[FitResult]) -> Table:
@@ -323,7 +344,7 @@ def rivals(traced: TraceResult) -> Section:
     tables = (
         [Table(["model", "probability"], rows, caption=caption, numeric=(1,), strong=(0,))] if rows else []
     )
-    return Section("Rivals", tables=tables, notes=same)
+    return Section("Rivals", tables=tables, notes=same, folded=True)
 
 
 def sight(traced: TraceResult) -> Section:
@@ -347,7 +368,7 @@ def sight(traced: TraceResult) -> Section:
         numeric=(1, 2),
         caption="Smallest amplitude that this session would have shown with 90 % power.",
     )
-    return Section("What could not be seen", tables=[table] if rows else [])
+    return Section("What could not be seen", tables=[table] if rows else [], folded=True)
 
 
 def advice(traced: TraceResult) -> Section:
@@ -355,13 +376,15 @@ def advice(traced: TraceResult) -> Section:
     return Section("What to measure next", points=words.advice(traced))
 
 
-def data(session: Session, traced: TraceResult | None, software: str) -> Section:
-    """Data and configuration."""
+def data(
+    session: Session, traced: TraceResult | None, software: str, reference_c: float | None = None
+) -> Section:
+    """Data and configuration; `reference_c` is the temperature at which the parameters hold."""
     observed = _observed(session)
-    rows = [[name, text] for name, text in _facts(session, observed, software, traced) if text]
+    rows = [[name, text] for name, text in _facts(session, observed, software, reference_c) if text]
     parts = []
     if observed is not None and len(observed) > 1:
-        parts.append(Section("Readings", tables=[_readings(session, observed)]))
+        parts.append(Section("Readings", tables=[_readings(session, observed)], folded=True))
     notes = [*session.notes, *(traced.notes if traced is not None else ())]
     problems = [str(problem) for problem in session.facts.get("problems", ())]
     return Section(
@@ -377,7 +400,7 @@ def _observed(session: Session) -> Readings | None:
 
 
 def _facts(
-    session: Session, observed: Readings | None, software: str, traced: TraceResult | None
+    session: Session, observed: Readings | None, software: str, reference_c: float | None
 ) -> list[tuple[str, str]]:
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     samples = [len(dwell) for dwell in dwells]
@@ -392,8 +415,10 @@ def _facts(
         ("file", Path(session.source).name),
         ("SHA-256 of the file", _digest(session.source)),
         ("sensor", session.sensor + (" (simulated)" if facts.get("simulated") else "")),
+        *words.written_down(session).items(),
         ("bus", str(facts.get("url", ""))),
         ("note", str(facts.get("note", ""))),
+        ("overridden", "\n".join(words.overridden(session))),
         ("begun (UTC)", str(facts.get("started_utc", ""))),
         ("recorded by", str(facts.get("software", ""))),
         ("this page by", software),
@@ -409,15 +434,14 @@ def _facts(
         ("standard uncertainty of a declared angle", _fixture(session.fixture_sigma_deg)),
         ("local gravity", f"{session.gravity_mps2:.5f} m/s²"),
         ("standard uncertainty of a reading", _noise(observed)),
-        ("reference temperature of the parameters", _reference(traced)),
+        ("reference temperature of the parameters", _reference(reference_c)),
         ("temperature", _span([d.temperature_c for d in dwells], "°C")),
         ("supply", _span([d.supply_v for d in dwells], "V")),
     ]
 
 
-def _reference(traced: TraceResult | None) -> str:
-    temperature = None if traced is None else traced.reference_temperature_c
-    return "" if temperature is None else f"{temperature:.1f} °C"
+def _reference(reference_c: float | None) -> str:
+    return "" if reference_c is None else f"{reference_c:.1f} °C"
 
 
 def _fixture(sigma: float | None) -> str:

@@ -130,8 +130,8 @@ def plot(
     x_ticks: Mapping[float, str] | None = None,
     x_range: tuple[float, float] | None = None,
     zero: bool = False,
-    width: int = 460,
-    height: int = 300,
+    width: int = 400,
+    height: int = 265,
 ) -> str:
     """Plot as one `<svg>` element.
 

@@ -36,6 +36,7 @@ def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Sec
             "The model that was traced became the world of the simulated sensor, which was then measured in"
             " the same positions at the same times. " + verdict,
         ),
+        folded=True,
         figures=tuple(_figures(found)),
         tables=(_table(found),),
     )
@@ -91,4 +92,4 @@ def _table(found: TwinComparison) -> Table:
         ("Allan deviation, measured over twin", f"{found.allan_ratio:.2f}"),
         ("spectral density, measured over twin", f"{found.density_ratio:.2f}"),
     )
-    return Table(("", "value"), rows, numeric=(1,))
+    return Table(("figure", "value"), rows, numeric=(1,))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from adis_gonio.counting import counted
 from adis_gonio.errors import AdisGonioError
@@ -48,6 +49,32 @@ class Sight:
 def title(session: Session) -> str:
     """Name of the session: its title, else its file."""
     return session.title or session.source.rsplit("/", maxsplit=1)[-1] or "session"
+
+
+_WRITTEN_DOWN = {"serial": "part", "stage": "stage", "operator": "operator"}
+"""Fields of a session that somebody wrote down, with their names on the page."""
+
+
+def written_down(session: Session) -> dict[str, str]:
+    """Serial number of the part, stage and operator by their names on the page, where they are stated."""
+    texts = {name: str(getattr(session, field, "")).strip() for field, name in _WRITTEN_DOWN.items()}
+    return {name: text for name, text in texts.items() if text}
+
+
+def overridden(session: Session) -> list[str]:
+    """What was stated in the place of the file: `gravity_mps2: 9.81 instead of 9.80665`."""
+    return [
+        name
+        if change["new"] is True
+        else f"{name}: {_stated(change['new'])} instead of {_stated(change['old'])}"
+        for name, change in session.facts.get("overrides", {}).items()
+    ]
+
+
+def _stated(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{mine} = {theirs}" for mine, theirs in value.items()) or "those of the format"
+    return "nothing stated" if value is None else str(value)
 
 
 def shape(session: Session) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from adis_gonio.budget import Budget, attempt, current, spent, within
+from adis_gonio.budget import attempt, current, spent, within
 from adis_gonio.counting import counted
 from adis_gonio.errors import FitError, UsageError
 from adis_gonio.estimation.fit import Fit
@@ -75,7 +75,7 @@ def trace(session: Session, max_effects: int = 6, time_limit: float | None = Non
     elif not time_limit > 0:
         raise UsageError(f"a time limit of {time_limit:g} s: give a positive number of seconds")
     else:
-        with within(Budget(time_limit, current().tell)):
+        with within(current().limited(time_limit)):
             result = _trace(session, max_effects)
     overrides = session.facts.get("overrides", {})
     return replace(result, provenance=provenance_of(session), overrides=overrides)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.budget import check
+from adis_gonio.budget import check, told
 from adis_gonio.estimation.fit import Fit, foreseen
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
@@ -249,11 +249,12 @@ def cross_validate(
 ) -> dict[str, Left]:
     """Left-out residuals of all dwells under each design; `fit` selects and fits on the other dwells."""
     out = {}
+    folds_in_all, begun = sum(map(len, designs.values())), 0
     for name, masks in designs.items():
         residual = np.full(data.mean_mg.shape, np.nan)
         turned = np.full(len(data), np.nan)
         predicted = np.ones(len(data), dtype=bool)
-        for mask in masks:
+        for mask in told(masks, begun, folds_in_all):
             check()
             answer = fit(data.rows(~mask))
             predicted[mask] = answer.by.foresees(data.rows(mask), limits.predicted)
@@ -261,6 +262,7 @@ def cross_validate(
             residual[mask] = left.residual_mg
             if left.angle_rad is not None:
                 turned[mask] = left.angle_rad
+        begun += len(masks)
         out[name] = Left(residual, turned, predicted)
     return out
 
