@@ -65,7 +65,7 @@ def command(
     from adis_gonio.sensor import open_sensor
     from adis_gonio.session.source import refuse_chip_options
     from adis_gonio.writeback import OffsetWriter, WriteSettings
-    from adis_gonio.writeback.writer import load
+    from adis_gonio.writeback.logbook import load
 
     refuse_chip_options(url, {"write SESSION": True})
     settings = WriteSettings(

@@ -27,21 +27,17 @@ from adis_gonio.errors import (
 )
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.result import FitResult
-from adis_gonio.model.records import Session
 from adis_gonio.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354
 from adis_gonio.sensor.registers import ACCEL_OFF, registers
 from adis_gonio.sensor.undo import Undo
-from adis_gonio.session.archive import Archive, read_session
+from adis_gonio.session.archive import Archive
 from adis_gonio.session.bench import Bench
-from adis_gonio.session.database import is_archive
 from adis_gonio.session.faults import SUPPLY_LIMITS_V
 from adis_gonio.session.plans import Position
 from adis_gonio.session.settings import Settings
 from adis_gonio.session.view import ArchiveView
 from adis_gonio.writeback.checks import Comparison, against_session, bias_found, effect_of
 from adis_gonio.writeback.journal import (
-    AFTER,
-    KIND,
     Operation,
     Standing,
     Step,
@@ -50,6 +46,7 @@ from adis_gonio.writeback.journal import (
     standing_of,
     to_undo,
 )
+from adis_gonio.writeback.logbook import Journal, load
 from adis_gonio.writeback.plan import WritePlan, plan_offsets, recorded_offsets
 from adis_gonio.writeback.rest import Rest, measure
 
@@ -476,54 +473,6 @@ class OffsetWriter:
                 **facts,
             )
             yield journal
-
-
-class Journal:
-    """Writes an operation's steps to the archive; on return a step is on the disk."""
-
-    def __init__(self, archive: Archive, operation: Operation, now_s: Callable[[], float]) -> None:
-        self._archive, self.operation, self._now_s = archive, operation, now_s
-
-    @property
-    def steps(self) -> tuple[Step, ...]:
-        """Steps so far."""
-        return self.operation.steps
-
-    def note(self, step: Step, **facts: Any) -> None:
-        """Record a step.
-
-        Raises
-        ------
-        SessionError
-            The file cannot be written, or another program goes on with the session.
-        """
-        last = self.steps[-1] if self.steps else None
-        if step not in AFTER[last]:
-            raise UsageError(f"'{step}' does not follow '{last}'")
-        self._archive.add_record(
-            KIND, {"number": self.operation.number, "step": step, **facts}, self._now_s()
-        )
-        known = {name: facts[name] for name in ("endurance", "endurance_after") if name in facts}
-        self.operation = replace(self.operation, steps=(*self.steps, step), **known)
-
-
-def load(path: Path) -> Session:
-    """Session of an archive.
-
-    Raises
-    ------
-    SessionError
-        Another kind of file (a journal of what is written needs an archive), or not from the chip.
-    DataError
-        As `read_session`.
-    """
-    if path.is_file() and not is_archive(path):
-        raise SessionError(
-            f"{path}: is no session file of calibrate, where the undo of a write is kept: calibrate first"
-        )
-    session = read_session(path)
-    recorded_offsets(session)
-    return session
 
 
 def _words(numbers: dict[str, int]) -> dict[str, int]:
