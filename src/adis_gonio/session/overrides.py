@@ -60,9 +60,6 @@ class Overrides:
             if value is not None and value not in known:
                 raise UsageError(f"{name} is '{value}': known are {', '.join(known)}")
 
-    def __bool__(self) -> bool:
-        return self != Overrides()
-
     def apply(self, session: Session) -> Session:
         """The session as its file should have stated it.
 

@@ -217,7 +217,8 @@ class _Assignment:
                     f"unit '{unit}' of column '{column.text}' is not known; known are {known}: convert, or "
                     f"name the column without it"
                 )
-            notes.append(f"column '{column.text}' was ignored: its unit is not one of {known}")
+            why = f"its unit is not one of {known}" if known else f"{name} has no unit"
+            notes.append(f"column '{column.text}' was ignored: {why}")
         for axes in (AXES, GYROS):
             units = {column.unit for name, column in chosen.items() if name in axes}
             if len(units) > 1:

@@ -121,9 +121,7 @@ def unit_of(name: str, unit: str) -> str | None:
 
 def scale_of(name: str, unit: str) -> Scale | None:
     """How values of a column become the format's; None where the unit is not known."""
-    if not unit or name not in _SCALES:
-        return SAME
-    return _SCALES[name].get(_squeezed(unit))
+    return _SCALES.get(name, {}).get(_squeezed(unit)) if unit else SAME
 
 
 def recognised(text: str) -> tuple[str, str, bool] | None:
@@ -134,7 +132,7 @@ def recognised(text: str) -> tuple[str, str, bool] | None:
     base, unit = _parted(text)
     name = _ALIASES.get(base)
     if name is not None:
-        return name, unit, False
+        return name, unit, base == name and not unit
     stem, _, end = base.rpartition("_")
     name = _ALIASES.get(stem)
     if name is not None and not unit and end in known_units(name):
