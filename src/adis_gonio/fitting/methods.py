@@ -140,29 +140,6 @@ def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -
     return tuple(methods)
 
 
-def fit_every(session: Session) -> tuple[list[FitResult], dict[str, str]]:
-    """Results of all methods that the session supports, and why others give none.
-
-    Raises
-    ------
-    FitError
-        If none of them gives a result.
-    """
-    methods = applicable_methods(session)
-    if not methods:
-        return [fit(session)], {}
-    results: list[FitResult] = []
-    failures: dict[str, str] = {}
-    for method in methods:
-        try:
-            results.append(fit(session, method=method))
-        except FitError as error:
-            failures[method] = str(error)
-    if not results:
-        return [fit(session)], failures
-    return results, failures
-
-
 def default_method(readings: Readings) -> str:
     """What is used where nothing tells methods apart: `ml`, of nothing but 0° and 90° `two-position`."""
     return "two-position" if readings.planar and _only_two(readings) else "ml"

@@ -10,7 +10,6 @@ from adis_gonio.estimation.values import finite_or_none
 from adis_gonio.fitting.sources import Sources, dof_of
 from adis_gonio.model.records import Floats
 
-
 ROUNDING = 1e-10
 """Share of u below which a contribution is what a computation rounds."""
 
