@@ -142,10 +142,13 @@ def test_averages_without_an_uncertainty_and_without_freedom_have_none(angles):
 
 
 def test_a_bias_that_two_positions_cannot_see_is_in_the_budget_where_the_part_has_a_figure():
-    blind = turn((0, 90), bias=(0.0, 0.0))
+    blind = turn((0, 90), samples=4, noise=0.1, bias=(0.0, 0.0))
     part = Session(**{**vars_of(blind), "sensor": "adis16354"})
     without, held = fit(blind, "two-position"), fit(part, "two-position")
     assert held["delta_phi"].u > 20 * without["delta_phi"].u
+    # A figure of the part has unlimited degrees of freedom, and nearly all of u is of it.
+    assert held["delta_phi"].k == pytest.approx(1.96, abs=0.001)
+    assert "it determines the biases" not in held.standing.recommended.why
     row = held.budget["delta_phi"][-1]
     assert row.source == "model choice"
     assert row.share > 0.99

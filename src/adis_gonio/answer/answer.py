@@ -176,6 +176,11 @@ class Answer:
             "reference_temperature_c": self.reference_temperature_c,
         }
 
+    @property
+    def has_more(self) -> bool:
+        """True where there are parameters beside the headline's."""
+        return len(self.parameter_rows()) > len([name for name in self.values if name != "angle"])
+
     # -- what faces show, as texts -----------------------------------------------------------------
 
     def parameter_rows(self) -> list[list[str]]:
@@ -209,8 +214,9 @@ class Answer:
         if self.traced is not None:
             after = self.traced.after
             return [f"residual {after.residual_rms_mg:.3g} mg rms"]
-        left = f"χ² {r.chi2:.1f} at {r.dof} degrees of freedom" if r.dof else "no degree of freedom is left"
-        return [f"residual {r.residual_rms_mg:.3g} mg rms, {left}"]
+        if not r.dof:
+            return ["no degree of freedom is left to test the model by"]
+        return [f"residual {r.residual_rms_mg:.3g} mg rms, χ² {r.chi2:.1f} at {r.dof} degrees of freedom"]
 
     def warnings(self, *, everything: bool = False) -> list[str]:
         """Warnings of the method that is shown; of all methods, with their names, where asked for."""

@@ -19,8 +19,14 @@ _METHOD_WIDTH = 24
 def parameter_row(name: str, value: Value) -> list[str]:
     """Name, unit, value, u, U, k, ν."""
     line = Line.of(name, value)
-    nu = "∞" if math.isinf(value.dof) else f"{value.dof:.{0 if value.dof >= 10 else 1}f}"
-    return [name, *line.cells[1:], nu if value.u is not None else "–"]
+    return [name, *line.cells[1:], freedom(value.dof) if value.u is not None else "–"]
+
+
+def freedom(dof: float) -> str:
+    """Degrees of freedom; so many that they do not count any more as such."""
+    if math.isinf(dof):
+        return "∞"
+    return "> 10⁴" if dof > 1e4 else f"{dof:.{0 if dof >= 10 else 1}f}"
 
 
 def budget_table(budget: Mapping[str, Sequence[BudgetRow]]) -> tuple[list[str], Rows]:
@@ -31,7 +37,7 @@ def budget_table(budget: Mapping[str, Sequence[BudgetRow]]) -> tuple[list[str], 
     rows = []
     for each in zip(*budget.values(), strict=True):
         first = each[0]
-        u = "–" if first.u is None else f"{first.u:.2g} {first.unit}"
+        u = "–" if first.u is None else f"{first.u:.2g} {first.unit}".replace(" deg", "°")
         rows.append([first.source, first.kind, first.distribution, u, *(share(row.share) for row in each)])
     return head, rows
 

@@ -108,7 +108,8 @@ def print_answer(
     for line in answer.text(min(screen.width, _WIDTH)).splitlines():
         screen.print(line, markup=False, style="bold" if line.startswith("Answer") else None)
     screen.print()
-    screen.print(_parameters(answer, truth))
+    if truth is not None or answer.has_more:
+        screen.print(_parameters(answer, truth))
     for line in answer.facts():
         screen.print(f"  {line}", markup=False)
     _budget(screen, answer)
@@ -173,12 +174,13 @@ def _others(screen: Console, answer: Answer) -> None:
         return
     screen.print()
     screen.print(answer.scored_on, markup=False)
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for k, name in enumerate(head):
-        table.add_column(name, justify="right" if k else "left")
-    for k, row in enumerate(rows):
-        table.add_row(*row, style=None if k else "bold")
-    screen.print(table)
+    if len(head) > 1:
+        table = Table(box=None, padding=(0, 2, 0, 0))
+        for k, name in enumerate(head):
+            table.add_column(name, justify="right" if k else "left")
+        for k, row in enumerate(rows):
+            table.add_row(*row, style=None if k else "bold")
+        screen.print(table)
     for method, reason in answer.standing.failures.items():
         screen.print(f"no result by {method}: {reason}", markup=False)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from adis_gonio.fitting.methods import METHODS, applicable_methods, fit, fit_every, fit_readings
+from adis_gonio.fitting.methods import METHODS, applicable_methods, fit, fit_readings
 from adis_gonio.fitting.result import Estimate, FitResult
 
 __all__ = [
@@ -11,6 +11,5 @@ __all__ = [
     "FitResult",
     "applicable_methods",
     "fit",
-    "fit_every",
     "fit_readings",
 ]

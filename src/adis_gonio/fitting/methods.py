@@ -153,29 +153,6 @@ def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -
     return tuple(methods)
 
 
-def fit_every(session: Session) -> tuple[list[FitResult], dict[str, str]]:
-    """Results of all methods that the session supports, and why others give none.
-
-    Raises
-    ------
-    FitError
-        If none of them gives a result.
-    """
-    methods = applicable_methods(session)
-    if not methods:
-        return [fit(session)], {}
-    results: list[FitResult] = []
-    failures: dict[str, str] = {}
-    for method in methods:
-        try:
-            results.append(fit(session, method=method))
-        except FitError as error:
-            failures[method] = str(error)
-    if not results:
-        return [fit(session)], failures
-    return results, failures
-
-
 def _two(readings: Readings) -> tuple[int, int]:
     """Angles of the two positions: the closed form is exact for any pair a quarter turn apart."""
     at_0, at_90, at_270 = map(len, rows_at(readings, (0, 90, 270)))

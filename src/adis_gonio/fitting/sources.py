@@ -148,10 +148,12 @@ class Sources:
 def dof_of(parts: Sequence[tuple[int, float, float]]) -> float:
     """Effective degrees of freedom; what rests on one estimate is added up first."""
     by_estimate: dict[int, tuple[float, float]] = {}
+    surely = sum(variance for _, dof, variance in parts if math.isinf(dof))
     for estimate, dof, variance in parts:
-        before, least = by_estimate.get(estimate, (0.0, math.inf))
-        by_estimate[estimate] = before + variance, min(least, dof)
-    return effective_dof(list(by_estimate.values()))
+        if math.isfinite(dof):
+            before, least = by_estimate.get(estimate, (0.0, math.inf))
+            by_estimate[estimate] = before + variance, min(least, dof)
+    return effective_dof([(surely, math.inf), *by_estimate.values()])
 
 
 def response_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats:

@@ -122,7 +122,7 @@ def recommend(
     names = [result.method for result in equal]
     chosen = preferred if preferred in names else names[-1]
     result = next(result for result in equal if result.method == chosen)
-    return Recommendation(chosen, _why(result, results, able, good, scores, scored))
+    return Recommendation(chosen, _why(result, results, good, scores, scored))
 
 
 def _squares(prediction: Prediction) -> Floats:
@@ -160,7 +160,6 @@ def _doubt(result: FitResult) -> float:
 def _why(
     result: FitResult,
     results: Sequence[FitResult],
-    able: Sequence[FitResult],
     good: Sequence[FitResult],
     scores: Mapping[str, Score],
     scored: bool,
@@ -168,7 +167,7 @@ def _why(
     if len(results) == 1:
         return "the only method that this session supports"
     reasons = []
-    if len(able) < len(results):
+    if "bias_x" in result and any("bias_x" not in other for other in results):
         reasons.append("it determines the biases")
     elif "bias_x" not in result:
         reasons.append("no method sees the biases in these positions, which are taken as zero")

@@ -10,6 +10,9 @@ from adis_gonio.estimation.values import finite_or_none
 from adis_gonio.fitting.sources import Sources, dof_of
 from adis_gonio.model.records import Floats
 
+ROUNDING = 1e-10
+"""Share of u below which a contribution is what a computation rounds."""
+
 
 @dataclass(frozen=True)
 class BudgetRow:
@@ -73,6 +76,8 @@ def budget_of(sources: Sources, gradient: Floats, reading: Floats | None = None)
     for source in sources.each:
         parts = source.parts(gradient, reading)
         contribution = math.sqrt(sum(part[2] for part in parts))
+        if contribution < ROUNDING * total:
+            contribution = 0.0
         known = source.u is not None and source.u > 0
         rows.append(
             BudgetRow(

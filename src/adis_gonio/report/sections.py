@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.answer import Answer
-from adis_gonio.answer.tables import share
+from adis_gonio.answer.tables import freedom, share
 from adis_gonio.answer.wording import HEAD, NAMES, UNKNOWN
 from adis_gonio.dwells import Place
 from adis_gonio.errors import AdisGonioError
@@ -117,7 +117,7 @@ def budget(given: Answer) -> Section:
         value = given.values.get(name)
         unit = "" if value is None or value.unit == "1" else f" / {with_unit('', value.unit).strip()}"
         head = ["source", "type", "distribution", "u of it", "sensitivity", f"contribution{unit}", "share"]
-        dof = "∞" if value is None or math.isinf(value.dof) else f"{value.dof:.0f}"
+        dof = "–" if value is None else freedom(value.dof)
         caption = f"{NAMES.get(name, name)}: effective degrees of freedom {dof}."
         tables.append(Table(head, cells, caption=caption, numeric=(3, 4, 5, 6)))
     first = next(iter(given.budget.values()), ())
