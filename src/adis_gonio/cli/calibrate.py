@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -240,6 +239,7 @@ def _runner(
     advisor: TraceAdvisor | None,
     **options: Any,
 ) -> SessionRunner:
+    from adis_gonio.cli.bench.lines import on_terminal
     from adis_gonio.model.gravity import normal_gravity_mps2, require_gravity
     from adis_gonio.sensor.settings import smpl_prd_for
     from adis_gonio.session import SessionRunner, Settings, plan
@@ -286,6 +286,6 @@ def _runner(
         fixture_sigma_deg=fixture,
         title=options["title"],
         note=options["note"],
-        **_written(options, ask=sys.stdin.isatty() and not auto),
+        **_written(options, ask=on_terminal() and not auto),
         advisor=advisor,
     )

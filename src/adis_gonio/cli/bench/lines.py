@@ -7,6 +7,12 @@ import select
 import sys
 
 
+def on_terminal() -> bool:
+    """True where somebody types the lines; False for a pipe, a file or what only reads like one."""
+    asks = getattr(sys.stdin, "isatty", None)
+    return asks is not None and asks()
+
+
 class Lines:
     """Standard input line by line."""
 
@@ -15,7 +21,7 @@ class Lines:
         self._ended = False
         try:
             self._file: int | None = None if os.name == "nt" else sys.stdin.fileno()
-        except (OSError, ValueError):  # no real file: a test's, or closed
+        except (AttributeError, OSError, ValueError):  # no real file: only something with lines, or closed
             self._file = None
 
     def next(self, *, wait: bool) -> str | None:
