@@ -124,7 +124,7 @@ STATES: dict[str, tuple[list[events.Event], tuple[str, ...]]] = {
     "withdrawn": ([*THREE, events.Withdrawn(2, PLAN.positions[2], 3), asked(2)], ()),
     "fault_and_skip": ([*OPEN, done(0, alarms=3, lost=2), asked(1), done(2), look(angle=0.5)], ()),
     "tracing": ([*THREE, events.Advising(12)], ()),
-    "long_plan": ([started(name="mmpm"), *OPEN[1:], look()], ()),
+    "long_plan": ([started(name="mmpm"), *OPEN[1:], look()], ("x",)),
     "pose": (
         [
             events.Started("today.session", "serial:/dev/ttyACM0", "adis16354", POSES, False, 0),

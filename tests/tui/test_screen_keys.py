@@ -156,7 +156,7 @@ def test_any_key_closes_the_help():
 
 
 def test_the_first_position_shows_how_the_part_is_held_and_any_key_goes_on():
-    text, _, _runner = shown([*OPEN, asked(0)])
+    text, _, _ = shown([*OPEN, asked(0)])
     assert "How the part is held" in text
     assert "Positive is counter-clockwise" in text
     assert shown([*OPEN, asked(0)], keys=["enter"])[2].told == []

@@ -73,7 +73,8 @@ class Operator:
         self.is_asked(number, angle_deg)
         self.turn(angle_deg)
         if number > 1:
-            self.sees(r"target .*(● there|turn [+−]0\.[0-4]°)")
+            # Gravity knows the angle to a degree or two before biases and gains are known.
+            self.sees(r"target .*(● there|turn [+−][0-2]\.\d°)")
         self.terminal.press("Enter")
 
 
@@ -90,6 +91,7 @@ def operator(tmp_path: Path) -> Iterator[Operator]:
 
 
 OPTIONS = ["--plan", "four-position", "--dwell", "1", "--settle", "0.1", "--fixture", "0.05"]
+OPTIONS += ["--operator", "A. Nonymous", "--serial", "17", "--stage", "hand"]
 
 
 def test_from_start_to_result_with_wrong_moves_a_retake_a_quit_and_a_resume(operator):
@@ -183,7 +185,8 @@ def test_an_end_from_outside_keeps_all_and_leaves_the_terminal_as_it_was(operato
 def test_the_screen_follows_the_terminals_size(operator):
     terminal = operator.terminal
     operator.start(*OPTIONS)
-    operator.is_asked(1, 0)
+    operator.sees("How the part is held")
+    terminal.press("Enter")
     terminal.resize(60, 20)
     operator.sees("needs 80 × 24, the")
     terminal.resize(120, 40)
@@ -198,6 +201,6 @@ def test_a_small_terminal_starts_with_prompts(operator):
     operator.terminal.resize(60, 20)
     operator.start(*OPTIONS)
     operator.sees("plain prompts: the bench screen needs 80 × 24")
-    operator.sees("1 of 4: turn the part to 0° and press Enter")
+    operator.sees("turn the part to 0°")
     operator.terminal.press("q", "Enter")
     operator.terminal.status()

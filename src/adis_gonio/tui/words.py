@@ -252,5 +252,6 @@ q      quit; all that is recorded stays, --resume goes on with it
 Ctrl-C quit at once
 
 ▶ now   ✓ done   – skipped   ! fault   ↶ again   · to do
-The angle is positive for the stage's positive turn.
+The angle is by gravity, to a degree or two while biases and gains
+are not known yet: what counts is the stage's scale.
 No question has a time limit."""
