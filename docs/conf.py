@@ -29,7 +29,7 @@ extensions = [
 ]
 root_doc = "docs/index"
 include_patterns = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/**", "firmware_proto/*.md"]
-include_patterns += ["benchmarks/blind_residual/*.md"]
+include_patterns += ["benchmarks/blind_residual/*.md", "examples/*/README.md"]
 exclude_patterns = [".*", "build", "src", "tests", "scripts", "docs/_*"]
 templates_path = [str(HERE / "_templates")]
 suppress_warnings = ["config.cache"]
