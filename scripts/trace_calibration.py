@@ -56,7 +56,7 @@ from tracing.verdict import covariate, drives, innocent
 
 RESIDUAL = "residual"
 NAMELESS = "unnamed: "
-WITHIN = {"tone", "settling", "noise_change"}
+WITHIN = {"tone", "settling", "noise_change", "saturation", "quantization"}
 SCATTER = {"reading_scatter", "fixture_scatter"}
 EDGES = (0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99, 1.0)
 """Bins of stated probability; closer where the statements are."""

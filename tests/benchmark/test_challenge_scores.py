@@ -375,7 +375,8 @@ def test_the_trace_is_brought_into_an_answer():
                  "delta_phi": {"value": 0.1, "u": 0.01}},
     }  # fmt: skip
     said = answers.checked(adis_gonio.from_trace(trace))
-    (cause,) = said["causes"]
+    cause, bias = said["causes"]
+    assert bias["names"] == ["bias"]  # counts only where a bias is what was hidden
     assert cause["names"] == ["quadratic", "asymmetry"]
     assert cause["probability"] == [0.6, 0.3]
     assert cause["parameters"] == {"k2_x": {"value": 3.0, "u": 0.1}}

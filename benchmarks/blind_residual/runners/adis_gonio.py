@@ -10,7 +10,7 @@ from ..answers import empty
 
 NAMELESS = "unnamed: "
 """How `sets` marks a function without a name, before its covariates."""
-WITHIN = ("tone", "settling", "noise_change")
+WITHIN = ("tone", "settling", "noise_change", "saturation", "quantization")
 SCATTER = ("reading_scatter", "fixture_scatter")
 INADEQUATE = 0.99
 """Probability of something where the trace says that no model explains the residual."""
@@ -33,8 +33,10 @@ def from_trace(trace: dict[str, Any]) -> dict[str, Any]:
     found_by = {found["effect"]: found for found in trace["found"]}
     for group in trace.get("sets", []):
         pairs = list(zip(group["names"], group["probability"], strict=True))
-        if "bias" in group["names"]:  # every session has one: a cause that may be it is none
+        if "bias" in group["names"]:  # nearly every session has one: a cause that may be it is the bias
             out["base"].update(_values(found_by.get("bias")))
+            share = group["probability"][group["names"].index("bias")]
+            out["causes"].append({"names": ["bias"], "probability": [share], "parameters": {}})
             continue
         names = [(name, p) for name, p in pairs if not name.startswith(NAMELESS)]
         if sum(p for _, p in names) < 0.5:

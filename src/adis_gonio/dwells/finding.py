@@ -9,7 +9,9 @@ from typing import Any, Literal
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.records import Floats
 
-Kind = Literal["drift", "settling", "step", "disturbance", "tone", "spikes", "stuck", "noise_change"]
+Kind = Literal[
+    "drift", "settling", "step", "disturbance", "tone", "spikes", "stuck", "noise_change", "limit", "coarse"
+]
 
 LEVEL = 0.01
 """Family-wise level: probability that a session without anything shows any finding."""
@@ -87,7 +89,7 @@ class WithinFinding:
     Attributes
     ----------
     kind : str
-        drift, settling, step, disturbance, tone, spikes, stuck or noise_change.
+        drift, settling, step, disturbance, tone, spikes, stuck, noise_change, limit or coarse.
     effect : str or None
         Name in the catalogue, where its form is the catalogue's.
     axes : tuple of str

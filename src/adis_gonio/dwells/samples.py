@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.estimation.converter import steps_of
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.records import Floats, Session
@@ -95,7 +96,8 @@ def samples_of(session: Session, data: Readings) -> Samples | None:
     data : Readings
         Of the same session.
     """
-    dwells = [dwell for dwell in session.dwells if len(dwell)]
+    used = set(data.position.tolist())
+    dwells = [dwell for dwell in session.dwells if dwell.position in used]
     many = np.array([len(dwell) > 1 for dwell in dwells])
     if not many.any():
         return None
@@ -105,20 +107,9 @@ def samples_of(session: Session, data: Readings) -> Samples | None:
         position=np.array([dwell.position for dwell in kept], dtype=np.intp),
         time_s=tuple(dwell.time_s for dwell in kept),
         values=values,
-        quantum=_quantum(values),
+        quantum=steps_of([rows[:1000] for rows in values]),
         reading=data.mean_mg[many],
     )
-
-
-def _quantum(values: tuple[Floats, ...]) -> Floats:
-    """Smallest step between values of each axis (axes,), 0 where nothing changes."""
-    steps = np.zeros(values[0].shape[1])
-    sample = np.concatenate([rows[:1000] for rows in values])[:20000]
-    for axis in range(len(steps)):
-        gaps = np.diff(np.unique(sample[:, axis]))
-        gaps = gaps[gaps > 1e-9 * max(1.0, float(np.abs(sample[:, axis]).max()))]
-        steps[axis] = gaps.min() if gaps.size else 0.0
-    return steps
 
 
 def deviation(rows: Floats, axis: int = 0) -> Floats:

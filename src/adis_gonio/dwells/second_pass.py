@@ -2,11 +2,12 @@
 
 Rule for `found`
     A finding inside the dwells counts among `TraceResult.found` if its form is the catalogue's (`tone`,
-    `settling`, `noise_change`), its corrected p-value is at most `BEYOND_DOUBT`, it stands in at least
-    `LEAST_DWELLS` dwells, and the dwells were recorded as such. Where they were cut out of a continuous
-    recording by stillness nothing is known about how the part was put down and held: what is seen there may
-    be a hand, so that it stays a remark. `explains` is 0 for such a finding: the residual of the means is
-    what the first pass explains, and nothing is added to its model. `probability` is 1 less the p-value.
+    `settling`, `noise_change`, `saturation`, `quantization`), its corrected p-value is at most
+    `BEYOND_DOUBT`, it stands in at least `LEAST_DWELLS` dwells (a limit in one), and the dwells were
+    recorded as such. Where they were cut out of a continuous recording by stillness nothing is known about
+    how the part was put down and held: what is seen there may be a hand, so that it stays a remark.
+    `explains` is 0 for such a finding: the residual of the means is what the first pass explains, and
+    nothing is added to its model. `probability` is 1 less the p-value.
 
 Everything else stays in `TraceResult.within` and reaches the user by its sentence and its advice.
 """
@@ -18,7 +19,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from adis_gonio.dwells import LEVEL, WithinFinding, look_within, samples_of
+from adis_gonio.dwells import LEVEL, WithinFinding, correlation_reach, look_within, samples_of
+from adis_gonio.dwells.codes import quantization, saturation
 from adis_gonio.dwells.finding import positions_text
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.model.effects import catalogue
@@ -44,6 +46,9 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
     """
     samples = samples_of(session, data)
     within, shown = ((), {}) if samples is None else look_within(samples)
+    if samples is not None:
+        codes = (saturation(session, data), quantization(session, samples, correlation_reach(samples)))
+        within = (*(finding for finding in codes if finding is not None), *within)
     claimed = {finding.effect for finding in result.found}
     more = tuple(
         _claim(finding)
@@ -67,7 +72,7 @@ def is_beyond_doubt(finding: WithinFinding, session: Session) -> bool:
     return (
         finding.effect is not None
         and finding.p_value <= BEYOND_DOUBT
-        and len(finding.positions) >= LEAST_DWELLS
+        and (len(finding.positions) >= LEAST_DWELLS or finding.kind == "limit")
         and not session.cut_by_stillness
     )
 

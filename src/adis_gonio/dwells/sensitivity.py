@@ -38,8 +38,15 @@ def sensitivity(samples: Samples, density: Density | None) -> dict[str, Detectab
         "tone": _tone(samples, density),
         "noise_change": _noise_change(samples, density),
         "settling": _settling(samples),
-        "saturation": Detectable(None, "mg", "limit", "a limit would show as stuck values"),
-        "quantization": Detectable(None, "mg", "lsb", "the converter's step is part of a reading's noise"),
+        "saturation": Detectable(
+            None, "mg", "limit", "a limit that is reached shows as a pile of samples there"
+        ),
+        "quantization": Detectable(
+            None,
+            "mg",
+            "lsb",
+            "a step that noise hides is part of a reading's noise, a larger one would show",
+        ),
     }
 
 

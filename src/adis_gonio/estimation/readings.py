@@ -37,8 +37,9 @@ from numpy.typing import NDArray
 from adis_gonio.budget import current
 from adis_gonio.errors import DataError, FitError
 from adis_gonio.estimation.conic import conic_through
+from adis_gonio.estimation.converter import limits_of, steps_of
 from adis_gonio.estimation.flicker import covariance_of_means, modes, scatter_of_means, spans
-from adis_gonio.estimation.screening import clipped, refuse_dead_data
+from adis_gonio.estimation.screening import limits_in_words, refuse_dead_data
 from adis_gonio.estimation.spectrum import MeanNoise, noise_of_means
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, gains_and_skews
@@ -382,6 +383,7 @@ def readings_of(session: Session) -> Readings:
     """
     kept: Readings | None = vars(session).get("_readings")  # the session is frozen: it cannot go stale
     if kept is None:
+        current().tell("noise of the readings")
         kept = reduced(session)
         _refuse_other_units(session, kept)
         _refuse_reversed(session, kept)
@@ -398,8 +400,14 @@ def reduced(session: Session) -> Readings:
     axes = 2 if session.plane == "xy" else 3
     if dwells[0].accel.shape[1] < axes:
         raise DataError(f"{source}: plane none needs three axes, there are two")
-    refuse_dead_data(session)
     scale = _mg_per_unit(session)
+    limits = limits_of([replace(dwell, accel=dwell.accel[:, :axes]) for dwell in dwells])
+    refuse_dead_data(session, limits, None if session.accel_unit == "counts" else scale)
+    if len(dwells) > 1:  # of one pose there is nothing else to look at
+        spoiled = {position for limit in limits for position in limit.spoiled}
+        dwells = [dwell for dwell in dwells if dwell.position not in spoiled]
+    if not dwells:
+        raise DataError(f"{source}: every dwell stands at a limit of the range; record with a wider one")
     n = len(dwells)
     mean = np.array([d.accel[0, :axes] if len(d) == 1 else d.accel[:, :axes].mean(axis=0) for d in dwells])
     mean = mean * scale
@@ -410,13 +418,13 @@ def reduced(session: Session) -> Readings:
     unit = (
         in_mg(axes, scale) if session.accel_unit != "counts" else _unit_of_counts(mean, session.gravity_mg)
     )
-    mean = (mean - unit.zero) / unit.per_mg
+    mean, mg = (mean - unit.zero) / unit.per_mg, scale / unit.per_mg
 
     covariance = np.broadcast_to(np.eye(axes), (n, axes, axes)).copy()
     dof = np.full(n, np.inf)
     known = np.zeros(n, dtype=np.bool_)
     slow: Floats | None = None
-    notes = clipped(dwells)
+    notes = limits_in_words(limits, session.accel_unit)
     single = np.flatnonzero(samples == 1)
     if single.size:
         covariance[single] *= (1.0 if session.reading_u_mg is None else session.reading_u_mg) ** 2
@@ -424,12 +432,11 @@ def reduced(session: Session) -> Readings:
     many = np.flatnonzero(samples > 1)
     if many.size:
         rows = [dwells[k].accel[:, :axes] for k in many.tolist()]
-        mg = scale / unit.per_mg
-        current().tell("noise of the readings")
         noise = noise_of_means(rows, mg)
-        quantum = _quantum(session, rows, mg)
+        quantum = _quantum(session, rows, scale) / unit.per_mg
         flicker = _flicker(session, noise)
-        covariance[many] = noise.covariance + _quantization(rows, mg, quantum)[:, :, None] * np.eye(axes)
+        covariance[many] = noise.covariance
+        covariance[many] += left_by_quantization(rows, quantum, mg)[:, :, None] * np.eye(axes)
         own, slow = _of_flicker([dwells[k] for k in many.tolist()], flicker, many, n)
         covariance[many] += own[:, :, None] * np.eye(axes)
         dof[many] = noise.dof
@@ -555,24 +562,18 @@ def _mg_per_unit(session: Session) -> float:
     return {"mg": 1.0, "g": 1000.0, "mps2": MG_PER_MPS2, "counts": 1.0}[session.accel_unit]
 
 
-def _quantum(session: Session, rows: list[Floats], mg: Floats) -> Floats:
-    """Step of the converter on each axis (axes,) in mg: the LSB, else the smallest step between values."""
-    axes = rows[0].shape[1]
-    if session.accel_unit == "lsb":
-        return mg
-    steps = np.zeros(axes)
-    sample = np.concatenate([r[:2000] for r in rows[:20]]) * mg
-    for axis in range(axes):
-        values = np.unique(sample[:, axis])
-        gaps = np.diff(values)
-        gaps = gaps[gaps > 1e-9 * max(1.0, float(np.abs(values).max()))]
-        steps[axis] = gaps.min() if gaps.size else 0.0
-    return steps
+def _quantum(session: Session, rows: Sequence[Floats], scale: float) -> Floats:
+    """Step of the converter on each axis (axes,) in mg: what the samples show, of words one at least."""
+    steps = steps_of(rows) * scale
+    return np.maximum(steps, scale) if session.accel_unit == "lsb" else steps
 
 
-def _quantization(rows: list[Floats], mg: Floats, quantum: Floats) -> Floats:
-    """Variance (dwells, axes) that quantization leaves on a mean, in mg²."""
-    variance = np.array([r.var(axis=0) for r in rows]) * mg**2
+def left_by_quantization(rows: Sequence[Floats], quantum: Floats, scale: Floats | float = 1.0) -> Floats:
+    """Variance (dwells, axes) that a converter's step (axes,) leaves on the means of dwells.
+
+    The samples are multiplied by `scale` (axes,) first.
+    """
+    variance = np.array([r.var(axis=0) for r in rows]) * np.square(scale)
     step = np.where(quantum > 0, quantum, 1.0)
     sigma2 = np.maximum(variance - quantum**2 / 12, 0.0) / step**2
     if float(sigma2.min(initial=np.inf)) > 1.0:

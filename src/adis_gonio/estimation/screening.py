@@ -8,7 +8,10 @@ variance is no proof. Stuck is what contradicts something else that is known:
 * the positions: two or more dwells at different declared angles with the very same words on all axes, or
   all dwells alike;
 * the chip: an ADIS1635x has 4.7 mg (16354) of noise before its filter, 1 LSB rms behind the longest one,
-  and the chance that two axes keep one word for 256 samples, or one axis for 512, is below 1e-4.
+  and the chance that two axes keep one word for 256 samples, or one axis for 512, is below 1e-4. That
+  holds where its words have all their bits.
+
+An axis that stands at a limit repeats a word too (`converter`): that is a limit, and no fault.
 """
 
 from __future__ import annotations
@@ -19,18 +22,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.errors import DataError
+from adis_gonio.estimation.converter import Limit, steps_of
 from adis_gonio.model.records import Dwell, Floats, Session
 
 _LEAST_RUN = 32
 _CHIP_RUN = 512
 _LIVELY = 0.6
 _LEAST_VALUES = 20
-_PILE, _STEEP = 20, 5
-"""Least samples at an extreme value, and least ratio to the value next to it, that show a limit."""
+_MOST_GRAVITY = 1.1
+"""Length of a reading at a limit in units of gravity: what is cut is longer, so that more is no limit. A
+tenth for gains and biases of any sensor."""
 
 
-def refuse_dead_data(session: Session) -> None:
-    """Raise `DataError` with the positions that are all zero or stuck; see the module for what that is."""
+def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: float | None) -> None:
+    """Raise `DataError` with the positions that are all zero or stuck; see the module for what that is.
+
+    Parameters
+    ----------
+    session : Session
+    limits : sequence of Limit
+        Those that its samples show.
+    mg_per_unit : float or None
+        Of the samples; None where their scale is not known.
+    """
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     zero = [dwell.position for dwell in dwells if not dwell.accel.any()]
     where = f"{session.source}: " if session.source else ""
@@ -39,13 +53,16 @@ def refuse_dead_data(session: Session) -> None:
             f"{where}all-zero accelerations in {_positions(zero)}; nothing drove the data line: "
             "check wiring and supply and record again"
         )
+    at_limit = _at_limit(dwells, limits, None if mg_per_unit is None else session.gravity_mg / mg_per_unit)
+    dwells = [dwell for dwell in dwells if dwell.position not in at_limit]
     sampled = [dwell for dwell in dwells if len(dwell) > 1]
     stuck = _still_against_others(sampled) or _same_everywhere(dwells)
-    if not stuck and session.accel_unit == "lsb":
+    if not stuck and session.accel_unit == "lsb" and sampled:
+        whole = steps_of([dwell.accel for dwell in sampled]) <= 1
         stuck = [
             dwell.position
             for dwell in sampled
-            if len(dwell) * int((np.ptp(dwell.accel, axis=0) == 0).sum()) >= _CHIP_RUN
+            if len(dwell) * int(((np.ptp(dwell.accel, axis=0) == 0) & whole).sum()) >= _CHIP_RUN
         ]
     if stuck:
         raise DataError(
@@ -54,52 +71,33 @@ def refuse_dead_data(session: Session) -> None:
         )
 
 
-def clipped(dwells: Sequence[Dwell]) -> list[str]:
-    """A sentence for each axis whose samples pile up at an extreme value: what clips has no mean.
-
-    Noise has fewer samples at its extreme than one value inside; a limit has many times as many.
-    """
+def limits_in_words(limits: Sequence[Limit], unit: str) -> list[str]:
+    """A sentence for each limit: what clips has no mean."""
     lines = []
-    for axis in range(dwells[0].accel.shape[1]):
-        columns = [dwell.accel[:, axis] for dwell in dwells]
-        for sign in (1.0, -1.0):
-            extreme, count, inside = _pile(columns, sign)
-            if count >= max(_PILE, _STEEP * inside) and _many_values(columns):
-                at = [
-                    d.position
-                    for d, column in zip(dwells, columns, strict=True)
-                    if (column == extreme).any()
-                ]
-                axis_at = f"{'xyz'[axis]} stand at the extreme value {extreme:g} ({_positions(at)})"
-                lines.append(
-                    f"{count} samples of {axis_at}: a limit was reached there, and their mean is "
-                    "not the reading"
-                )
+    for limit in limits:
+        where = f"the extreme value {limit.value:g} {unit} ({_positions(limit.positions)})"
+        line = f"{limit.samples} samples of {'xyz'[limit.axis]} stand at {where}: a limit was reached there"
+        if limit.spoiled:
+            word = "takes" if len(limit.spoiled) == 1 else "take"
+            line += (
+                f", a mean is not the reading, and {_positions(limit.spoiled)} {word} no part in the fit"
+            )
+        lines.append(line)
     return lines
 
 
-def _pile(columns: Sequence[Floats], sign: float) -> tuple[float, int, int]:
-    """Largest value (smallest for −1), samples at it, and samples at the value next to it."""
-    most = max if sign > 0 else min
-    extreme = most(float(column.max() if sign > 0 else column.min()) for column in columns)
-    count = sum(int((column == extreme).sum()) for column in columns)
-    if count < _PILE:
-        return extreme, count, 0
-    rest = [column[column != extreme] for column in columns]
-    inner = [float(column.max() if sign > 0 else column.min()) for column in rest if column.size]
-    if not inner:
-        return extreme, count, 0
-    return extreme, count, sum(int((column == most(inner)).sum()) for column in rest)
-
-
-def _many_values(columns: Sequence[Floats]) -> bool:
-    """True where there are enough different values for an extreme one to say something."""
-    seen: Floats = np.empty(0)
-    for column in columns:
-        seen = np.union1d(seen, column)
-        if len(seen) > _LEAST_VALUES:
-            return True
-    return False
+def _at_limit(dwells: Sequence[Dwell], limits: Sequence[Limit], gravity: float | None) -> set[int]:
+    """Dwells whose mean a limit moves, one that several reach and that gravity allows."""
+    if gravity is None:
+        return set()
+    means = {dwell.position: dwell.accel.mean(axis=0) for dwell in dwells}
+    return {
+        position
+        for limit in limits
+        for position in limit.spoiled
+        if len(limit.positions) > 1
+        and all(float(np.linalg.norm(means[p])) <= _MOST_GRAVITY * gravity for p in limit.spoiled)
+    }
 
 
 def longest_runs(accel: Floats) -> Floats:

@@ -402,7 +402,8 @@ def _span(series: Sequence[Any], unit: str) -> str:
 
 
 def _readings(session: Session, observed: Readings) -> Table:
-    dwells = [dwell for dwell in session.dwells if len(dwell)]
+    used = set(observed.position.tolist())  # not those that stand at a limit
+    dwells = [dwell for dwell in session.dwells if dwell.position in used]
     letters = "xyz"[: observed.axes]
     rows = []
     for dwell, mean, covariance in zip(dwells, observed.mean_mg, observed.covariance, strict=True):

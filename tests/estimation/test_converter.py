@@ -1,0 +1,124 @@
+"""Limits and steps of the converter: named and left out, never taken for noise, nor for a stuck sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from adis_gonio import fit, trace
+from adis_gonio.errors import DataError
+from adis_gonio.estimation.converter import limits_of, steps_of
+from adis_gonio.estimation.readings import readings_of
+from adis_gonio.model.records import Dwell, Session
+
+LSB_MG = 0.4672
+
+
+def dwells(rng: np.random.Generator, step: float, limit: float | None = None) -> list[Dwell]:
+    made = []
+    for k, level in enumerate((990.0, 300.0, -700.0)):
+        rows = rng.normal([level, 50.0], 5.0, (400, 2))
+        rows = step * np.round(rows / step)
+        if limit is not None:
+            rows = np.clip(rows, -limit, limit)
+        made.append(Dwell(k + 1, 10.0 * k + np.arange(400) / 100, rows))
+    return made
+
+
+def turn(
+    rng: np.random.Generator, n: int = 24, noise: float = 3.0, bias: tuple[float, float] = (20.0, -30.0)
+) -> list[np.ndarray]:
+    """Samples in words of a part turned in steps of 15°, with a bias; angles are 15° k."""
+    angle = np.radians(15.0 * np.arange(n) + 3.0)
+    level = 1000.0 / LSB_MG * np.stack([np.cos(-angle), np.sin(-angle)], axis=1) + np.array(bias)
+    return [np.round(rng.normal(row, noise, (200, 2))) for row in level]
+
+
+def session(rows: list[np.ndarray]) -> Session:
+    return Session(
+        tuple(
+            Dwell(k, 5.0 * k + np.arange(len(r)) / 100, r.astype(float), angle_deg=15.0 * k % 360)
+            for k, r in enumerate(rows)
+        ),
+        fixture_sigma_deg=0.01,
+    )
+
+
+@pytest.mark.parametrize("step", [0.01, LSB_MG, 2.5, 9.0, 25.0])
+def test_noise_is_no_limit_however_coarse_the_converter(step: float) -> None:
+    assert not any(limits_of(dwells(np.random.default_rng(seed), step)) for seed in range(100))
+
+
+def test_samples_at_a_limit_are_counted_and_their_position_named() -> None:
+    (limit,) = limits_of(dwells(np.random.default_rng(1), LSB_MG, limit=992.0))
+    assert (limit.axis, limit.value, limit.positions, limit.spoiled) == (0, 992.0, (1,), (1,))
+    assert limit.samples > 100
+
+
+def test_the_step_is_the_common_divisor_of_words_and_not_one_that_chance_may_give() -> None:
+    rng = np.random.default_rng(2)
+    rows = [np.round(rng.normal(100, 20, (50, 1))) for _ in range(4)]
+    assert steps_of(rows) == [1.0]
+    assert steps_of([4 * own for own in rows]) == [4.0]
+    assert steps_of([np.array([[0.0], [2.0]]), np.array([[4.0], [6.0]])]) == [1.0]
+    assert steps_of([np.array([[0.5], [0.5]])]) == [0.0]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_dwells_that_stand_at_a_limit_take_no_part_and_saturation_is_found(seed: int) -> None:
+    words = 1900.0
+    cut = session([np.clip(rows, -words, words) for rows in turn(np.random.default_rng(seed))])
+    # What is clear of the limit by the noise stays; what stands above it goes.
+    readings = readings_of(cut)
+    assert {0, 6, 12, 18} & set(readings.position.tolist()) == set()
+    assert {3, 9, 15, 21} <= set(readings.position.tolist())
+    result = fit(cut)
+    assert abs(result["bias_x"].value - 20 * LSB_MG) < 5 * (result["bias_x"].u or 0)
+    assert abs(result["delta_k"].value) < 5 * (result["delta_k"].u or 0)
+    assert any("a limit was reached" in line for line in result.warnings)
+    found = {finding.effect: finding for finding in trace(cut).found}
+    limit = found["saturation"].parameters["limit"]
+    assert abs(limit.value - words * LSB_MG) <= 2 * (limit.u or 0)
+
+
+@pytest.mark.parametrize("where", [0, 3])
+def test_an_axis_that_is_stuck_is_no_limit_wherever_it_stuck(where: int) -> None:
+    rows = turn(np.random.default_rng(3))
+    word = rows[where][-1, 0]
+    for later in rows[where + 1 :]:
+        later[:, 0] = word
+    with pytest.raises(DataError, match="stuck data"):
+        readings_of(session(rows))
+
+
+@pytest.mark.parametrize("bits", [8, 16, 32])
+def test_words_that_have_lost_bits_are_quantization_and_not_stuck(bits: int) -> None:
+    coarse = session([bits * np.round(rows / bits) for rows in turn(np.random.default_rng(4))])
+    found = {finding.effect: finding for finding in trace(coarse).found}
+    assert found["quantization"].parameters["lsb"].value == pytest.approx(bits * LSB_MG)
+
+
+def test_uncertainties_of_words_that_have_lost_bits_hold() -> None:
+    z = []
+    for seed in range(40):
+        rng = np.random.default_rng(100 + seed)
+        bias = rng.uniform(0, 16, 2)  # another place on the staircase each time
+        rows = turn(rng, bias=(float(bias[0]), float(bias[1])))
+        result = fit(session([16 * np.round(own / 16) for own in rows]))
+        z.append((result["bias_x"].value - bias[0] * LSB_MG) / (result["bias_x"].u or np.nan))
+    # 1 in expectation; without the lost bits' share u would be eight times too small.
+    assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.6
+
+
+@pytest.mark.parametrize("noise", [1.0, 3.0, 10.0])
+def test_the_step_of_a_healthy_sensor_is_no_finding(noise: float) -> None:
+    from adis_gonio.dwells import correlation_reach, samples_of
+    from adis_gonio.dwells.codes import quantization, saturation
+
+    for seed in range(60):
+        whole = session(turn(np.random.default_rng(200 + seed), noise=noise))
+        data = readings_of(whole)
+        samples = samples_of(whole, data)
+        assert samples is not None
+        assert saturation(whole, data) is None
+        assert quantization(whole, samples, correlation_reach(samples)) is None
