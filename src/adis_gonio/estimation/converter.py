@@ -130,14 +130,21 @@ def steps_of(dwells: Sequence[Floats]) -> Floats:
     """
     steps = np.zeros(dwells[0].shape[1])
     for axis in range(len(steps)):
-        gaps = np.concatenate([np.diff(np.unique(rows[:, axis])) for rows in dwells])
         size = max(float(np.abs(rows[:, axis]).max()) for rows in dwells)
-        gaps = gaps[gaps > 1e-9 * max(1.0, size)]
-        if not gaps.size:
+        divisor, number, least = 0, 0, math.inf
+        for rows in dwells:  # one by one: together they may be as large as the session
+            gaps = np.diff(np.unique(rows[:, axis]))
+            gaps = gaps[gaps > 1e-9 * max(1.0, size)]
+            least = min(least, float(gaps.min(initial=math.inf)))
+            number += gaps.size
+            if divisor >= 0 and (gaps == np.round(gaps)).all():
+                divisor = math.gcd(divisor, int(np.gcd.reduce(gaps.astype(np.int64), initial=0)))
+            else:
+                divisor = -1
+        if not number:
             continue
-        if (gaps == np.round(gaps)).all():
-            divisor = float(np.gcd.reduce(gaps.astype(np.int64)))
-            steps[axis] = divisor if divisor**-gaps.size < _BY_CHANCE else 1.0
+        if divisor > 0:
+            steps[axis] = divisor if float(divisor) ** -number < _BY_CHANCE else 1.0
         else:
-            steps[axis] = gaps.min()
+            steps[axis] = least
     return steps

@@ -398,6 +398,7 @@ def readings_of(session: Session) -> Readings:
     """
     kept: Readings | None = vars(session).get("_readings")  # the session is frozen: it cannot go stale
     if kept is None:
+        current().tell("noise of the readings")
         kept = reduced(session)
         _refuse_other_units(session, kept)
         _refuse_reversed(session, kept)
@@ -421,7 +422,7 @@ def reduced(session: Session) -> Readings:
     unit = (
         in_mg(axes, scale) if session.accel_unit != "counts" else _unit_of_counts(mean, session.gravity_mg)
     )
-    mean = (mean - unit.zero) / unit.per_mg
+    mean, mg = (mean - unit.zero) / unit.per_mg, scale / unit.per_mg
 
     covariance = np.broadcast_to(np.eye(axes), (n, axes, axes)).copy()
     dof = np.full(n, np.inf)
@@ -435,8 +436,6 @@ def reduced(session: Session) -> Readings:
     many = np.flatnonzero(samples > 1)
     if many.size:
         rows = [dwells[k].accel[:, :axes] for k in many.tolist()]
-        mg = scale / unit.per_mg
-        current().tell("noise of the readings")
         noise = noise_of_means(rows, mg)
         quantum = _quantum(session, rows, mg)
         flicker = _flicker(session, noise)
