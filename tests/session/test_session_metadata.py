@@ -8,7 +8,7 @@ import sqlite3
 import pytest
 
 from adis_gonio.errors import UsageError
-from adis_gonio.fitting import fit_every
+from adis_gonio.fitting import fit
 from adis_gonio.model.gravity import EARTH_MPS2, normal_gravity_mps2, require_gravity
 from adis_gonio.report.page import build_page
 from adis_gonio.sensor import open_sensor
@@ -41,7 +41,7 @@ def test_operator_serial_and_stage_survive_archive_csv_and_json(path, tmp_path):
 
 def test_the_report_shows_who_measured_which_part_on_which_stage(path):
     session = load_session(path)
-    html = build_page(session, fit_every(session)[0], "not traced here")
+    html = build_page(session, [fit(session)], "not traced here")
     assert all(text in html for text in WRITTEN.values())
 
 
