@@ -26,6 +26,14 @@ TWO = (
 )
 
 
+@pytest.fixture(autouse=True)
+def ctrl_c_is_heard():
+    """A run of the tests in the background has SIGINT ignored, and its children inherit that."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.fixture
 def two(tmp_path):
     path = tmp_path / "two.csv"

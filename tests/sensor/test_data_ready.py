@@ -192,6 +192,8 @@ def run(sensor: Adis16354, path: Path, resume: bool = False) -> list:
             made.confirm()
         elif type(event).__name__ in ("ExtensionOffered", "RepetitionOffered"):
             made.decline()
+        elif type(event).__name__ == "GuardRaised":  # nothing turns this board's part
+            made.keep()
     return events
 
 
