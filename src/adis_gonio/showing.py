@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from adis_gonio.errors import NotInstalledError
@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Row = Mapping[str, Any]
+Entries = Iterable[tuple[str, Row]]
+"""Names and their entries in a document; two effects may share a name."""
 
 
 def with_u(value: float, u: float | None, unit: str) -> str:
@@ -24,18 +26,14 @@ def with_u(value: float, u: float | None, unit: str) -> str:
     return f"{value:.{digits}f}{sign} (u {u:.{digits}f}{sign})"
 
 
-def parameter_rows(entries: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Rows of a table from a document's `parameters`."""
-    return [{"parameter": name, **entry} for name, entry in entries.items()]
-
-
-def lines_of(entries: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def lines_of(entries: Entries) -> list[str]:
     """Indented lines, one a parameter of a document."""
-    return [f"  {name}: {with_u(one['value'], one['u'], one['unit'])}" for name, one in entries.items()]
+    return [f"  {name}: {with_u(one['value'], one['u'], one['unit'])}" for name, one in entries]
 
 
-def html_table(title: str, rows: Sequence[Row]) -> str:
-    """A plain table with its title, for notebooks."""
+def html_table(title: str, entries: Entries) -> str:
+    """Parameters of a document as a plain table with its title, for notebooks; everything escaped."""
+    rows = [{"parameter": name, **one} for name, one in entries]
     columns = list(dict.fromkeys(name for row in rows for name in row))
     head = "".join(f"<th>{html.escape(name)}</th>" for name in columns)
     body = "".join(
@@ -46,6 +44,18 @@ def html_table(title: str, rows: Sequence[Row]) -> str:
         f"<table><caption>{html.escape(title)}</caption>"
         f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
     )
+
+
+def parameter_frame(entries: Entries) -> pd.DataFrame:
+    """Parameters of a document as a data frame, one row each, by name; what is unknown is NaN.
+
+    Raises
+    ------
+    NotInstalledError
+        As `frame`.
+    """
+    table = frame([{"parameter": name, **one} for name, one in entries]).set_index("parameter")
+    return table.astype({name: float for name in table.columns if name != "unit"})
 
 
 def frame(columns: Mapping[str, Any] | Sequence[Row]) -> pd.DataFrame:

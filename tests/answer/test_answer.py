@@ -184,7 +184,7 @@ def test_the_table_of_results_is_no_wider_than_the_page():
     page = build_page(session, list(fit(session).standing.results), "not traced")
     body = page[page.index("Results by method") :]
     for table in re.findall(r"<table.*?</table>", body, re.DOTALL):
-        head = re.findall(r"<th[ >]", table)
+        head = re.findall(r"<th[ >]", table.partition("</thead>")[0])
         if "K_x" in table:
             assert len(head) <= 5
     for name in ("paper", "two-position", "ml", "mmpm"):
@@ -199,7 +199,7 @@ def test_fit_and_trace_take_a_path(tmp_path):
     assert fit(path)["delta_k"].value == pytest.approx(fit(session)["delta_k"].value, abs=1e-9)
     with pytest.raises(DataError):
         fit(tmp_path / "none.csv")
-    with pytest.raises(UsageError, match="not a int"):
+    with pytest.raises(UsageError, match="not int"):
         adis_gonio.trace(3)
 
 
@@ -209,7 +209,7 @@ def test_results_are_readable_in_a_shell_a_notebook_and_pandas(bent, capsys, tmp
     assert "ΔK" in str(fitted)
     assert len(repr(result)) < 100_000
     assert "Readings(" not in repr(fitted)
-    assert fitted._repr_html_().startswith("<table>")
+    assert "<td>delta_k</td>" in fitted._repr_html_()
     assert "<caption>" in result._repr_html_()
     frame = fitted.to_pandas()
     assert frame.loc["delta_k", "u"] == fitted["delta_k"].u

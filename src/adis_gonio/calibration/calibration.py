@@ -21,7 +21,7 @@ from adis_gonio.model.effects import AXES, Conditions, Effect
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, wrap_rad
 from adis_gonio.model.provenance import Provenance
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
-from adis_gonio.showing import frame, html_table, parameter_rows, with_u
+from adis_gonio.showing import html_table, parameter_frame, with_u
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -191,11 +191,11 @@ class Calibration:
         return summary_of(self)
 
     def _repr_html_(self) -> str:
-        return html_table(repr(self), parameter_rows(self.as_dict()["parameters"]))
+        return html_table(repr(self), self.as_dict()["parameters"].items())
 
     def to_pandas(self) -> pd.DataFrame:
-        """Parameters as a data frame: parameter, value, u, unit (extra: pandas)."""
-        return frame(parameter_rows(self.as_dict()["parameters"]))
+        """Parameters by name as a data frame with the columns value, u and unit (extra: pandas)."""
+        return parameter_frame(self.as_dict()["parameters"].items())
 
     # -- files -------------------------------------------------------------------------------------
 

@@ -13,14 +13,12 @@ from adis_gonio.estimation.intervals import factor_over
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.provenance import Provenance
 from adis_gonio.model.records import Floats
-from adis_gonio.showing import with_u
-
-if TYPE_CHECKING:
-    from adis_gonio.calibration import Calibration
+from adis_gonio.showing import html_table, parameter_frame, with_u
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from adis_gonio.calibration import Calibration
     from adis_gonio.estimation.fit import Fit
     from adis_gonio.estimation.readings import Readings
     from adis_gonio.fitting.determination import Determination
@@ -251,15 +249,11 @@ class FitResult:
 
     def _repr_html_(self) -> str:
         """The parameters as a table, for notebooks."""
-        from adis_gonio.answer.frames import html_table
-
-        return html_table(f"fit by method {self.method}", [(e.name, e.stated) for e in self.parameters])
+        return html_table(f"fit by method {self.method}", self.as_dict()["parameters"].items())
 
     def to_pandas(self) -> DataFrame:
-        """Parameters as a data frame with the columns value, u, dof, k, U and unit (extra: pandas)."""
-        from adis_gonio.answer.frames import data_frame
-
-        return data_frame([(e.name, e.stated) for e in self.parameters])
+        """Parameters by name as a data frame: value, u, dof, k, U and unit (extra: pandas)."""
+        return parameter_frame(self.as_dict()["parameters"].items())
 
     def as_dict(self) -> dict[str, Any]:
         """JSON document of `fit`."""

@@ -10,15 +10,15 @@ from adis_gonio.budget import Budget
 from adis_gonio.dwells.finding import WithinFinding
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.values import Detectable, Value, finite_or_none
+from adis_gonio.model.effects.environment import REFERENCE_C
 from adis_gonio.model.provenance import Provenance
+from adis_gonio.showing import html_table, lines_of, parameter_frame
 from adis_gonio.tracing.outcome.sets import CredibleSet
 
 if TYPE_CHECKING:
-    from adis_gonio.calibration import Calibration
-from adis_gonio.model.effects.environment import REFERENCE_C
-
-if TYPE_CHECKING:
     from pandas import DataFrame
+
+    from adis_gonio.calibration import Calibration
 
 
 @dataclass(frozen=True)
@@ -388,30 +388,29 @@ class TraceResult:
         return float(recorded.mean())
 
     def summary(self) -> str:
-        """What was found and what it brings, in plain text, as the command `trace` begins."""
+        """What was found and what it brings, in plain text, as `trace` begins, and the parameters of the effects."""
         from adis_gonio.report import words
 
-        return "\n".join([words.headline(self), words.gains(self)])
+        return "\n".join([words.headline(self), words.gains(self), *lines_of(self._of_effects)])
 
     def __str__(self) -> str:
         return self.summary()
 
     @property
-    def _rows(self) -> list[tuple[str, Value]]:
-        found = [pair for finding in self.found for pair in finding.parameters.items()]
-        return [*self.base.items(), *found]
+    def _of_effects(self) -> list[tuple[str, dict[str, Any]]]:
+        return [(name, one.as_dict()) for found in self.found for name, one in found.parameters.items()]
+
+    @property
+    def _parameters(self) -> list[tuple[str, dict[str, Any]]]:
+        return [*((name, value.as_dict()) for name, value in self.base.items()), *self._of_effects]
 
     def _repr_html_(self) -> str:
         """Base parameters and those of the effects found as a table, for notebooks."""
-        from adis_gonio.answer.frames import html_table
-
-        return html_table(self.summary(), self._rows)
+        return html_table(self.summary(), self._parameters)
 
     def to_pandas(self) -> DataFrame:
         """The same as a data frame with the columns value, u, dof, k, U and unit (extra: pandas)."""
-        from adis_gonio.answer.frames import data_frame
-
-        return data_frame(self._rows)
+        return parameter_frame(self._parameters)
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `trace`."""
