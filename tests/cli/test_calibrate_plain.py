@@ -96,7 +96,7 @@ def test_metadata_is_not_asked_of_a_pipe_and_is_kept_where_it_is_given(bench, ca
     assert "operator A. B., serial 17, stage disc" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("gravity", "unit"), [("980.7", "Gal"), ("1", "looks like g"), ("0", "m/s²")])
+@pytest.mark.parametrize(("gravity", "unit"), [("980.7", "Gal"), ("1", "1 g are"), ("0", "m/s²")])
 def test_gravity_out_of_range_is_refused_before_anything_is_made(bench, gravity, unit):
     status, said, path = bench("", "--auto", "--gravity", gravity)
     assert status == 2

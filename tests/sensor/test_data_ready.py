@@ -256,4 +256,5 @@ def test_dropped_scans_are_told_and_kept_in_the_session(monkeypatch, tmp_path):
     session = read_session(tmp_path / "a.session")
     counts = [dwell["dropped"] for dwell in session.facts["dwells"]]
     assert all(2 <= count <= 8 for count in counts)
-    assert session.notes[0].startswith(f"{sum(counts)} scans within the dwells left out")
+    said = f"{sum(counts)} scans within the dwells left out"
+    assert any(note.startswith(said) for note in session.notes)

@@ -9,7 +9,7 @@ import pytest
 
 from adis_gonio.errors import UsageError
 from adis_gonio.fitting import fit
-from adis_gonio.model.gravity import EARTH_MPS2, normal_gravity_mps2, require_gravity
+from adis_gonio.model.gravity import ON_EARTH_MPS2, checked_gravity_mps2, normal_gravity_mps2
 from adis_gonio.report.page import build_page
 from adis_gonio.sensor import open_sensor
 from adis_gonio.session import SessionRunner, Settings, export_csv, export_json, load_session, plan
@@ -60,15 +60,22 @@ def test_a_session_file_of_an_older_program_loads_with_empty_metadata(path, tmp_
 
 
 @pytest.mark.parametrize(
-    ("value", "unit"), [(980.665, "Gal"), (1.0, "g"), (980665.0, "mGal"), (32.174, "ft/s²"), (9.81e3, "")]
+    ("value", "unit"), [(980.665, "cm/s² (Gal)"), (1.0, "g"), (980665.0, "mGal"), (32.174, "ft/s²")]
 )
 def test_gravity_out_of_range_is_refused_with_the_unit_that_was_meant(value, unit):
-    with pytest.raises(UsageError, match=r"m/s² is 9\.75 to 9\.84") as caught:
-        require_gravity(value)
-    assert (f"looks like {unit}" in str(caught.value)) if unit == "g" else (unit in str(caught.value))
+    for anywhere in (False, True):
+        with pytest.raises(UsageError, match=r"m/s², 9\.7 to 9\.9 on Earth") as caught:
+            checked_gravity_mps2(value, anywhere=anywhere)
+        assert f"; {value:g} {unit}" in str(caught.value)
+
+
+def test_another_place_than_earth_is_taken_where_it_is_said_to_be_one():
+    assert checked_gravity_mps2(1.62, anywhere=True) == 1.62
+    with pytest.raises(UsageError, match="on Earth"):
+        checked_gravity_mps2(1.62)
 
 
 def test_all_of_the_earth_is_in_range():
-    low, high = EARTH_MPS2
+    low, high = ON_EARTH_MPS2
     assert low <= normal_gravity_mps2(0.0, 9000.0)
     assert normal_gravity_mps2(90.0, -500.0) <= high

@@ -236,7 +236,7 @@ def _runner(
     **options: Any,
 ) -> SessionRunner:
     from adis_gonio.cli.bench.lines import on_terminal
-    from adis_gonio.model.gravity import normal_gravity_mps2, require_gravity
+    from adis_gonio.model.gravity import normal_gravity_mps2
     from adis_gonio.sensor.settings import smpl_prd_for
     from adis_gonio.session import SessionRunner, Settings, plan
     from adis_gonio.session.plans import DEFAULT_PLAN
@@ -252,8 +252,6 @@ def _runner(
     if options["latitude"] is not None and options["gravity_mps2"] is not None:
         raise UsageError("give --gravity or --latitude, not both")
     world = sensor.world
-    if options["gravity_mps2"] is not None:
-        require_gravity(options["gravity_mps2"])
     gravity = options["gravity_mps2"]
     fixture = options["fixture_deg"]
     if options["latitude"] is not None:

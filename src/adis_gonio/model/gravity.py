@@ -20,8 +20,13 @@ ON_EARTH_MPS2 = (9.7, 9.9)
 _SLIPS = {0.01: "cm/s² (Gal)", 1e-5: "mGal", 9.80665: "g", 9.80665e-3: "mg", 0.3048: "ft/s²"}
 
 
-def checked_gravity_mps2(value: float) -> float:
+def checked_gravity_mps2(value: float, *, anywhere: bool = False) -> float:
     """A stated local gravity in m/s², if there is such a place on Earth.
+
+    Parameters
+    ----------
+    anywhere : bool
+        Another place will do too, unless the number is that of the Earth in another unit.
 
     Raises
     ------
@@ -29,10 +34,10 @@ def checked_gravity_mps2(value: float) -> float:
         It lies outside `ON_EARTH_MPS2`; the message names the unit in which it would be right.
     """
     low, high = ON_EARTH_MPS2
-    if low <= value <= high:
-        return value
     slips = [f"; {value:g} {unit} are {value * k:.6g} m/s²" for k, unit in _SLIPS.items()]
     fits = [text for k, text in zip(_SLIPS, slips, strict=True) if low <= value * k <= high]
+    if low <= value <= high or (anywhere and not fits and 0 < value < math.inf):
+        return value
     raise UsageError(
         f"gravity is {value:g}: give m/s², {low:g} to {high:g} on Earth{fits[0] if fits else ''}; "
         f"for another place say so by writing the unit, {value:g}mps2"
@@ -58,21 +63,3 @@ def normal_gravity_mps2(latitude_deg: float, height_m: float = 0.0) -> float:
     surface = _EQUATOR_MPS2 * (1 + _K * s2) / math.sqrt(1 - _E2 * s2)
     h = height_m / _A_M
     return surface * (1 - 2 * (1 + _F + _M - 2 * _F * s2) * h + 3 * h * h)
-
-
-EARTH_MPS2 = (9.75, 9.84)
-"""Gravity on Earth: `normal_gravity_mps2` from the equator at 9000 m to a pole at -500 m, outwards."""
-
-_OTHER_UNITS = {"g": 9.80665, "cm/s² (Gal)": 0.01, "mGal": 1e-5, "mg": 9.80665e-3, "ft/s²": 0.3048}
-
-
-def require_gravity(gravity_mps2: float) -> None:
-    """Raise `UsageError` where local gravity is none of the Earth's, with the unit that was meant."""
-    low, high = EARTH_MPS2
-    if low <= gravity_mps2 <= high:
-        return
-    meant = [unit for unit, size in _OTHER_UNITS.items() if low <= size * gravity_mps2 <= high]
-    hint = f"; {gravity_mps2:g} looks like {meant[0]}" if meant else ""
-    raise UsageError(
-        f"gravity_mps2 is {gravity_mps2:g}: local gravity in m/s² is {low} to {high} on Earth{hint}"
-    )

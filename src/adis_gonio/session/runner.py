@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.errors import AdisGonioError, SessionError, UsageError
-from adis_gonio.model.gravity import require_gravity
+from adis_gonio.model.gravity import checked_gravity_mps2
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.session.answers import Answer, Operator
@@ -186,7 +186,7 @@ class SessionRunner(Operator):
         SessionError
             The file exists, or cannot be made.
         """
-        require_gravity(gravity_mps2)
+        checked_gravity_mps2(gravity_mps2, anywhere=True)
         if fixture_sigma_deg is not None and not fixture_sigma_deg >= 0:
             raise UsageError(f"fixture_sigma_deg is {fixture_sigma_deg}: take 0° or more")
         settings = settings or Settings()
