@@ -30,18 +30,17 @@ def interrupted(output, after: int) -> tuple[list[str], int]:
 @pytest.mark.parametrize("name", ["part.session", "part.csv"])
 def test_ctrl_c_tells_how_many_dwells_the_file_has(tmp_path, name):
     lines, status = interrupted(tmp_path / name, after=4)
-    assert status == 1
+    assert status == 130
     done = len(load_session(tmp_path / name).dwells)
     assert 4 <= done < 24
-    assert lines[-1] == f"{tmp_path / name}: {done} of 24 dwells"
+    assert f"{tmp_path / name}: {done} of 24 dwells" in lines
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals need POSIX")
 def test_ctrl_c_before_the_first_dwell_makes_no_csv_and_says_so(tmp_path):
     lines, status = interrupted(tmp_path / "none.csv", after=0)
-    assert status == 1
-    why = "not written: the session ended before a dwell was complete"
-    assert lines[-1] == f"adis-gonio: {tmp_path / 'none.csv'}: {why}"
+    assert status == 130
+    assert f"{tmp_path / 'none.csv'}: 0 of 24 dwells" in lines
     assert not (tmp_path / "none.csv").exists()
 
 
