@@ -38,6 +38,7 @@ class PlayedRunner:
         self.played = threading.Event()
         self._stopped = threading.Event()
         self.deaf = False
+        self.heeds_stop = True
 
     def run(self) -> Iterator[events.Event]:
         for step in self._script:
@@ -56,6 +57,11 @@ class PlayedRunner:
 
     def stop(self) -> None:
         self.told.append("stop")
+        if self.heeds_stop:
+            self.release()
+
+    def release(self) -> None:
+        """Let the run end."""
         self._stopped.set()
 
     def pause(self) -> None:
@@ -94,6 +100,7 @@ def shown(
 ) -> tuple[str, BenchApp, PlayedRunner]:
     """Play a script, press keys, and return the screen, its app and what the runner was told."""
     played = runner or PlayedRunner(script)
+    played.heeds_stop = False  # the screen stays to be looked at
 
     async def play() -> tuple[str, BenchApp]:
         app = BenchApp(played, RESUME)
@@ -112,9 +119,8 @@ def shown(
             if picture is not None:
                 picture.write_text(app.export_screenshot(), "utf-8")
             text = text_of(app)
-            played.stop()
+            played.release()
         return text, app
 
     text, app = asyncio.run(play())
-    played.told.pop()  # the stop that ended the test
     return text, app, played

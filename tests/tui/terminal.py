@@ -86,6 +86,13 @@ class Terminal:
             time.sleep(0.1)
         return text
 
+    def wait_until_gone(self, text: str) -> None:
+        """Wait until a text is no longer seen."""
+        end_s = time.monotonic() + PATIENCE_S
+        while text in (screen := self.screen()):
+            assert time.monotonic() < end_s, f"still there: {text}\n{screen}"
+            time.sleep(0.1)
+
     def status(self) -> int:
         """Exit status of the command, once it has ended."""
         text = self.wait_for(r"^status=\d+")

@@ -110,6 +110,20 @@ def test_a_question_does_not_take_the_enter_of_a_note():
     assert "Enter takes ▶" not in text
 
 
+@pytest.mark.parametrize("opened", [[], ["question_mark"], ["q"]])
+def test_two_keys_at_once_close_a_dialog_once(opened):
+    from textual.events import Key
+
+    def twice(app: bench.BenchApp) -> None:
+        for _ in range(2):
+            app.screen.post_message(Key("q", "q"))
+
+    text, app, _ = shown(ASKED if opened else [*THREE, REVERSED], keys=opened, before=twice)
+    assert app.crash is None
+    assert "any key" not in text
+    assert "Enter takes ▶" not in text
+
+
 def test_a_question_that_has_gone_takes_its_dialog_along():
     def go_on(app: bench.BenchApp) -> None:
         app.state.take(events.Paused(1))
@@ -287,7 +301,7 @@ def test_a_second_ctrl_c_leaves_a_session_that_does_not_end(monkeypatch):
     monkeypatch.setattr(Headless, "tick", press)
     with pytest.raises(KeyboardInterrupt):
         ScreenFace(runner, RESUME).run()
-    runner._stopped.set()
+    runner.release()
 
 
 # -- screen or prompts ------------------------------------------------------------------------------------

@@ -62,6 +62,7 @@ class Operator:
             return sum(attempt.outcome == "complete" for attempt in view.attempts())
 
     def is_asked(self, number: int, angle_deg: float) -> None:
+        self.terminal.wait_until_gone("Enter takes ▶")
         self.sees(rf"{number} of \d+: (turn|leave) the part")
         self.sees(rf"▶ now +{angle_deg:g}°")
 
@@ -70,6 +71,7 @@ class Operator:
         if number == 1:
             self.sees("How the part is held")
             self.terminal.press("Enter")
+            self.terminal.wait_until_gone("How the part is held")
         self.is_asked(number, angle_deg)
         self.turn(angle_deg)
         if number > 1:
@@ -187,6 +189,7 @@ def test_the_screen_follows_the_terminals_size(operator):
     operator.start(*OPTIONS)
     operator.sees("How the part is held")
     terminal.press("Enter")
+    terminal.wait_until_gone("How the part is held")
     terminal.resize(60, 20)
     operator.sees("needs 80 × 24, the")
     terminal.resize(120, 40)

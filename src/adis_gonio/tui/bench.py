@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import queue
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -64,6 +67,8 @@ class BenchApp(App[None]):
         What ended the screen, where that was not the runner's end.
     abandoned : bool
         True where the operator would not wait for the runner's end.
+    killed : bool
+        True where a signal (SIGTERM, SIGINT, SIGHUP) ended the session, in order.
     """
 
     ENABLE_COMMAND_PALETTE = False
@@ -116,7 +121,7 @@ class BenchApp(App[None]):
         self.state = BenchState()
         self.error: BaseException | None = None
         self.crash: Exception | None = None
-        self.abandoned = False
+        self.abandoned = self.killed = False
         self._runner = runner
         self._resume_by = resume_by
         self._remember = remember
@@ -165,8 +170,20 @@ class BenchApp(App[None]):
 
     def on_mount(self) -> None:
         """Start the session."""
+        self._heed_signals()
         self._worker.start()
         self.set_interval(TICK_S, self.tick)
+
+    def _heed_signals(self) -> None:
+        """Let a signal end the session as Ctrl-C does, so that the terminal is left as it was."""
+        loop = asyncio.get_running_loop()
+        for name in ("SIGTERM", "SIGINT", "SIGHUP"):
+            with contextlib.suppress(AttributeError, NotImplementedError, RuntimeError, ValueError):
+                loop.add_signal_handler(getattr(signal, name), self._kill)
+
+    def _kill(self) -> None:
+        self.killed = True
+        self._stop()
 
     def on_resize(self, event: ui.Resize) -> None:
         """Make the best of the room there is."""
@@ -235,7 +252,7 @@ class BenchApp(App[None]):
         if self._open_question is not None and question is not self._asked:
             gone, self._open_question = self._open_question, None
             if gone in self.screen_stack:
-                gone.dismiss("")
+                gone.finish("")
             return
         if question is self._asked or len(self.screen_stack) > 1:
             return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 from rich.text import Text
 from textual.app import ComposeResult
@@ -48,7 +48,22 @@ STAY = Choice("stay", "g", "go on with the session")
 QUIT = Choice("stop", "q", "quit here")
 
 
-class Dialog(ModalScreen[str]):
+Result = TypeVar("Result")
+
+
+class _Finishing(ModalScreen[Result]):
+    """A dialog that closes once, however quickly keys follow one another."""
+
+    _has_result = False
+
+    def finish(self, result: Result | None = None) -> None:
+        """Close with a result; later calls do nothing."""
+        if not self._has_result:
+            self._has_result = True
+            self.dismiss(result)
+
+
+class Dialog(_Finishing[str]):
     """A question with its answers, one of them chosen beforehand: Enter takes it.
 
     Parameters
@@ -118,22 +133,22 @@ class Dialog(ModalScreen[str]):
 
     def action_choose(self) -> None:
         """Give the answer that is chosen."""
-        self.dismiss(self._choices[self._at].answer)
+        self.finish(self._choices[self._at].answer)
 
     def on_key(self, event: Key) -> None:
         """Give the answer of a letter."""
         for choice in self._choices:
             if event.character == choice.key:
                 event.stop()
-                self.dismiss(choice.answer)
+                self.finish(choice.answer)
                 return
 
 
-class NoteDialog(ModalScreen[str]):
+class NoteDialog(_Finishing[str]):
     """A line of the operator's own; empty where it is given up."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("escape", "dismiss('')", show=False),
+        Binding("escape", "give_up", show=False),
         Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True),
     ]
 
@@ -144,12 +159,16 @@ class NoteDialog(ModalScreen[str]):
             yield Input(placeholder="kept with the session, with its time and position", id="note")
             yield Static(Text("Enter keeps it, Esc gives it up", style="dim"))
 
+    def action_give_up(self) -> None:
+        """Keep nothing."""
+        self.finish("")
+
     def on_input_submitted(self, event: Input.Submitted) -> None:
         """Keep the line."""
-        self.dismiss(event.value)
+        self.finish(event.value)
 
 
-class HelpDialog(ModalScreen[None]):
+class HelpDialog(_Finishing[None]):
     """Something to read: keys and signs, or how the part is held; any key closes it."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -170,7 +189,7 @@ class HelpDialog(ModalScreen[None]):
     def on_key(self, event: Key) -> None:
         """Close."""
         event.stop()
-        self.dismiss(None)
+        self.finish()
 
 
 def guard_dialog(event: events.GuardRaised) -> Dialog:

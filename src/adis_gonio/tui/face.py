@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 from adis_gonio.errors import SessionError
 from adis_gonio.session.runner import SessionRunner
@@ -39,23 +36,22 @@ class ScreenFace:
         Exception
             As the runner raises them. How to resume has then been said on standard error.
         KeyboardInterrupt
-            The operator would not wait for the session's end.
+            The operator would not wait for the session's end, or a signal ended it.
         """
         app = BenchApp(self._runner, self._resume_by, remember)
-        with _ended_by_termination():
-            try:
-                app.run(mouse=False)
-            finally:
-                self._runner.stop()
-                if not app.abandoned:
-                    app.wait()
+        try:
+            app.run(mouse=False)
+        finally:
+            self._runner.stop()
+            if not app.abandoned:
+                app.wait()
         for message in app.state.messages:
             _say(f"  {message.text}")
         return self._ended(app)
 
     def _ended(self, app: BenchApp) -> bool:
         """What is left to say once the terminal is as it was."""
-        if app.abandoned:
+        if app.abandoned or app.killed:
             raise KeyboardInterrupt
         if app.crash is not None:
             name = type(app.crash).__name__
@@ -78,16 +74,6 @@ def remember(state: BenchState) -> None:
         done = [attempt.place for attempt in view.dwells()]
         faulty = [attempt.place for attempt in view.faulty()]
         state.remember(done, view.skipped(), faulty)
-
-
-@contextmanager
-def _ended_by_termination() -> Iterator[None]:
-    """Let a kill (SIGTERM) end the screen as Ctrl-C would, so that the terminal is left as it was."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _say(text: str) -> None:
