@@ -12,8 +12,8 @@ import pytest
 import adis_gonio
 
 ROOT = Path(__file__).resolve().parents[2]
-FRONT_ENDS = {"adis_gonio.cli"}
-"""Packages with commands, not with functions to call."""
+FRONT_ENDS = {"adis_gonio.cli", "adis_gonio.tui"}
+"""Packages with commands and screens, not with functions to call."""
 
 
 class Loads(html.parser.HTMLParser):

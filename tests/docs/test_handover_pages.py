@@ -88,7 +88,7 @@ def test_the_page_on_python_runs_from_top_to_bottom(tmp_path, monkeypatch, capsy
         exec(compile(block, "python.md", "exec"), space)
     out = capsys.readouterr().out
     assert "9 of 9 positions" in out
-    assert "delta_k" in out
+    assert "ΔK" in out
     assert "give mg" in out
     shown = space["shown"]
     assert abs(float(shown.angle_deg) - 30.0) < max(0.2, 4 * float(shown.u_deg))

@@ -209,9 +209,11 @@ def _root(covariance: Floats) -> Floats:
     diagonal = np.sqrt(np.maximum(np.einsum("naa->na", covariance), 0.0))
     if not covariance[:, ~np.eye(axes, dtype=bool)].any():
         return np.asarray(diagonal[:, :, None] * np.eye(axes))
-    # Nearly dependent axes have no Cholesky factor; a grain of the diagonal gives them one.
-    grain = 1e-12 * np.maximum(diagonal, 1e-150) ** 2
-    return np.asarray(np.linalg.cholesky(covariance + _diagonal(grain)))
+    # A difference of covariances has eigenvalues of zero and, by rounding, below: no Cholesky factor.
+    size, axis = np.linalg.eigh(covariance)
+    least = 1e-12 * np.maximum(np.abs(size).max(axis=1, keepdims=True), 1e-300)
+    whole = np.einsum("nij,nj,nkj->nik", axis, np.maximum(size, least), axis)
+    return np.asarray(np.linalg.cholesky(whole))
 
 
 def _diagonal(variance: Floats) -> Floats:
