@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -64,7 +65,15 @@ from adis_gonio.session.events import (
 )
 from adis_gonio.session.expectation import Spread
 from adis_gonio.session.faults import problems
-from adis_gonio.session.guards import Guard, drift_guard, judge_dwell, judge_shift, shock_guard, stuck_guard
+from adis_gonio.session.guards import (
+    Guard,
+    drift_guard,
+    insistent,
+    judge_dwell,
+    judge_shift,
+    shock_guard,
+    stuck_guard,
+)
 from adis_gonio.session.judge import Judge
 from adis_gonio.session.live import LiveView, vector
 from adis_gonio.session.plans import Plan, Position, blindness, extended, extension
@@ -135,6 +144,7 @@ class SessionRunner(Operator):
         self._reversed = bool(archive.last("reversed"))
         self._asked_kinds: set[str] = set()
         self._doubts: list[Guard] = []
+        self._stops: Counter[int] = Counter()
         self._first_asked_s: float | None = None
         self._taken = 0
         self._scanning: dict[str, Any] = archive.last("scanning") or {}
@@ -492,12 +502,14 @@ class SessionRunner(Operator):
 
     def _ask_guard(self, guard: Guard, place: int) -> Generator[Event, None, bool]:
         """Put what a guard stopped at to the operator; True where the dwell is to go on or to stay."""
+        self._stops[place] += 1
+        shown = insistent(guard, self._stops[place] if self._done else 1)
         raised = GuardRaised(
             guard.kind,
-            guard.message,
+            shown.message,
             place,
             self._plan.positions[place],
-            guard.values,
+            shown.values,
             guard.answers,
             guard.default,
         )
@@ -829,6 +841,7 @@ class SessionRunner(Operator):
             self._note("doubt", {"attempt": number, "kind": guard.kind, "message": guard.message})
         self._done[place] = number
         self._taken += 1
+        self._stops.clear()
         self._skipped.discard(place)
         self._last_place = place
         self._running.add(place, recording.position, scans)
