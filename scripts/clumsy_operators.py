@@ -2,9 +2,9 @@
 
 Each operator has a seed, a part of its own and a plan, and makes at least one mistake
 (tests/fakes/clumsy.py): shakes, overshoots, turns the wrong way, forgets to turn, bumps the table, answers
-nonsense, pulls the plug, walks away for an hour, swaps positions, keeps against advice. A perfect operator
-does the same plan on the same part. With --typed the operators sit before `calibrate --plain` itself, else
-before a runner's events.
+nonsense, pulls the plug, walks away for an hour, swaps positions, keeps against advice. Beside every fourth
+a perfect operator does the same plan on the same part. With --typed the operators sit before
+`calibrate --plain` itself, else before a runner's events.
 
 Ends with status 1 where a target is missed: no dead end, no traceback, nothing recorded lost, at most 5 %
 of the values with exit status 0 outside their U, median time at most 1.15 of a perfect operator's.
@@ -59,9 +59,10 @@ def tasks(count: int, seed: int, plan: str, only: str) -> list[Task]:
 
 
 def pair(task: Task) -> Pair:
-    """A clumsy and a perfect operator with the same plan and part."""
+    """A clumsy operator and, with every fourth, a perfect one with the same plan and part."""
     with tempfile.TemporaryDirectory() as folder:
-        return by_events(task, Path(folder)), by_events(task, Path(folder), PERFECT)
+        clumsy = by_events(task, Path(folder))
+        return clumsy, by_events(task, Path(folder), PERFECT) if task.seed % 4 == 0 else None
 
 
 def typed(task: Task) -> Pair:
@@ -142,15 +143,15 @@ def main() -> int:
     parser.add_argument("--log", type=Path, help="a line of JSON for each operator")
     options = parser.parse_args()
     todo = tasks(options.operators, options.seed, options.plan, options.only)
+    pairs = []
     with ProcessPoolExecutor(options.jobs) as pool:
-        pairs = []
         for number, done in enumerate(pool.map(typed if options.typed else pair, todo), 1):
             pairs.append(done)
             print(f"\r{number}", end="", file=sys.stderr, flush=True)
+            if options.log:
+                with options.log.open("a", encoding="utf-8") as log:
+                    log.write(json.dumps([vars(o) | {"task": vars(o.task)} for o in done if o]) + "\n")
     print(file=sys.stderr)
-    if options.log:
-        lines = [json.dumps([vars(o) | {"task": vars(o.task)} for o in both if o]) for both in pairs]
-        options.log.write_text("\n".join(lines), encoding="utf-8")
     return 0 if report(pairs) else 1
 
 

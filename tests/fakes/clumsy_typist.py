@@ -102,8 +102,12 @@ class Program:
     def end(self) -> int:
         """Close the input and wait; the exit status."""
         os.close(self._typed)
-        while self.prompt() is not None:
-            pass
+        try:
+            while self.prompt() is not None:
+                pass
+        finally:
+            assert self.running.stdout is not None
+            self.running.stdout.close()
         return self.running.wait(timeout=PATIENCE_S)
 
 
