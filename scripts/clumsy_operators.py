@@ -83,7 +83,7 @@ def row(name: str, outcomes: Sequence[Outcome]) -> str:
     """One row of the table."""
     ends = Counter("0" if o.status == 0 else "doubts" if o.doubts else "1" for o in outcomes)
     offs = [abs(off) for o in outcomes if o.status == 0 for off in o.off.values()]
-    wrong, far = sum(not off <= 1 for off in offs), sum(not off <= 3 for off in offs)
+    wrong, far = sum(off > 1 for off in offs), sum(off > 3 for off in offs)
     trouble = sum(bool(o.trouble) for o in outcomes)
     cells = [name, len(outcomes), ends["0"], ends["doubts"], ends["1"], trouble, len(offs)]
     return "| " + " | ".join(map(str, [*cells, share(wrong, len(offs)), far])) + " |"
@@ -108,26 +108,29 @@ def report(pairs: Sequence[Pair]) -> bool:
     for kind in (*BLUNDERS, *(k for k in by_kind if k not in BLUNDERS)):
         if kind in by_kind:
             print(row(kind, by_kind[kind]))
-    ratios = [a.time_s / b.time_s for a, b in pairs if a.complete]
-    ratio = median(ratios) if ratios else 0.0
-    print(
-        f"\ntime of a complete session / a perfect operator's: median {ratio:.3f}, "
-        f"90 % {np.quantile(ratios, 0.9):.2f}, largest {max(ratios):.1f}"
-    )
+    ratios = [a.time_s / b.time_s for a, b in pairs if b is not None and a.complete]
+    ratio = 0.0
+    if ratios:
+        ratio = median(ratios)
+        print(
+            f"\ntime of a complete session / a perfect operator's ({len(ratios)} pairs):"
+            f" median {ratio:.3f}, 90 % {np.quantile(ratios, 0.9):.2f}, largest {max(ratios):.1f}"
+        )
     return verdict(clumsy, ratio)
 
 
 def verdict(clumsy: Iterable[Outcome], ratio: float) -> bool:
     """Whether the targets are met; what is not is named."""
     good = ratio <= MOST_TIME
-    values = wrong = 0
+    values = wrong = unsaid = 0
     for outcome in clumsy:
         values += len(outcome.off) if outcome.status == 0 else 0
+        unsaid += len(outcome.unsaid)
         wrong += len(outcome.wrong)
         for text in outcome.trouble:
             good = False
             print(f"trouble, {outcome.task}: {text}")
-    print(f"outside U with status 0: {wrong} of {values}")
+    print(f"outside U with status 0: {wrong} of {values}; not determined, and said so: {unsaid}")
     return good and wrong <= MOST_WRONG * values
 
 

@@ -16,7 +16,7 @@ ADVISED = Manner(keep=0.0, skip=0.0, reverse=0.0)
 
 
 @pytest.mark.parametrize(
-    ("mistake", "seed"), [("forget", 2), ("nonsense", 3), ("unplug", 4), ("quit", 5), ("undo", 6)]
+    ("mistake", "seed"), [("forget", 2), ("nonsense", 3), ("unplug", 4), ("quit", 5), ("note", 6)]
 )
 def test_a_mistake_at_the_prompts_ends_in_a_right_answer(tmp_path, mistake, seed):
     """Even seeds sit at a terminal, odd ones at a pipe."""

@@ -60,6 +60,8 @@ class Outcome:
         What must not be: a traceback, a dead end, samples lost, an error that is not of one line.
     off : dict of str to float
         Error of each value of the answer in units of its U.
+    unsaid : list of str
+        Values that the answer leaves out, or gives no U for.
     """
 
     task: Task
@@ -74,12 +76,13 @@ class Outcome:
     time_s: float = 0.0
     trouble: list[str] = field(default_factory=list)
     off: dict[str, float] = field(default_factory=dict)
+    unsaid: list[str] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
 
     @property
     def wrong(self) -> list[str]:
         """Values outside their U in a session that ended with status 0."""
-        return [name for name, off in self.off.items() if self.status == 0 and not abs(off) <= 1]
+        return [name for name, off in self.off.items() if self.status == 0 and abs(off) > 1]
 
 
 def judge(outcome: Outcome, path: Path, truth: dict[str, float]) -> None:
@@ -99,7 +102,7 @@ def judge(outcome: Outcome, path: Path, truth: dict[str, float]) -> None:
         names = ("scale_x", "scale_y", "skew_xy")
     for name in names:
         if name not in values or values[name].U is None:
-            outcome.off[name] = math.nan
+            outcome.unsaid.append(name)
             continue
         outcome.off[name] = (values[name].value - truth[name]) / values[name].U
 

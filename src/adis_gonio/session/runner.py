@@ -435,7 +435,7 @@ class SessionRunner(Operator):
         asked = PositionAsked(
             place,
             position,
-            len(self._done) + len(self._skipped) + 1,
+            min(len(self._done) + len(self._skipped) + 1, len(self._plan)),
             len(self._plan),
             self._last_place is not None,
             self._time_left_s(),
@@ -562,14 +562,37 @@ class SessionRunner(Operator):
         offer = RepetitionOffered(tuple(places), where)
         answer = yield from self._ask(offer, {Answer.ACCEPT, Answer.DECLINE}, Answer.DECLINE)
         if answer is Answer.DECLINE:
-            self._note("kept", [self._done[place] for place in places])
-            self._faulty.clear()
+            self._keep_faulty(places)
             return Answer.ACCEPT
         if answer is Answer.ACCEPT:
             for place in places:
-                if not self._stopping.is_set():
-                    yield from self._dwell(place)
+                other = yield from self._take_again(place)
+                if other is not None:
+                    return other
         return answer
+
+    def _take_again(self, place: int) -> Generator[Event, None, Answer | None]:
+        """Ask for a position that has a dwell until there is a new one; what else was answered, if so.
+
+        Skipped, the dwell that it has is kept as it is.
+        """
+        before = self._done.get(place)
+        while self._done.get(place) == before and not self._stopping.is_set():
+            answer = yield from self._ask_position(place)
+            if answer is Answer.CONFIRM:
+                yield from self._dwell(place)
+            if answer is Answer.SKIP or (place in self._skipped and self._done.get(place) == before):
+                self._skipped.discard(place)
+                self._keep_faulty([place])
+                return None
+            if answer not in (Answer.CONFIRM, Answer.SKIP):
+                return answer
+        return None
+
+    def _keep_faulty(self, places: list[int]) -> None:
+        """Keep dwells with a fault in them as they are, and ask no more about them."""
+        self._note("kept", [self._done[place] for place in places])
+        self._faulty.difference_update(places)
 
     def _offer_extension(self) -> Generator[Event, None, Answer]:
         longer = extension(self._plan, len(self._done))
