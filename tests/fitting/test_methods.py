@@ -461,3 +461,18 @@ def test_space_has_no_planar_methods():
 def test_notes_of_the_session_come_first_among_the_warnings():
     result = fit(planar(NINE, notes=("unfinished session",)))
     assert result.warnings[0] == "unfinished session"
+
+
+def test_attitudes_one_of_which_was_measured_twice_give_what_they_determine():
+    """Left out one by one, eight distinct attitudes lead the search past axes that no part can have."""
+    counts = [
+        [882.8, -211.49, 1931.66], [-1055.3, 1067.61, 1482.17], [55.11, -1897.53, 1050.67],
+        [1150.65, 1610.01, 710.6], [1151.5, 1610.2, 711.54], [1801.59, -1181.99, -266.42],
+        [-537.74, 1965.54, -512.76], [-783.6, -1606.76, -1234.3], [1322.13, 611.58, -1566.81],
+        [-799.17, 280.91, -1964.46],
+    ]  # fmt: skip
+    dwells = tuple(Dwell(k, np.array([float(k)]), np.array([row])) for k, row in enumerate(counts))
+    session = Session(dwells=dwells, accel_unit="lsb", reading_u_mg=0.2, plane="none", sensor="adis16354")
+    result = fit(session, method="ml")
+    assert set(result.as_dict()["scores"]) == {"ml"}
+    assert abs(values(result)["skew_xy"]) < 1.0

@@ -22,6 +22,7 @@ from adis_gonio.session.events import (
     Paused,
     PositionAsked,
     Problem,
+    Running,
     Unpaused,
     Watching,
     Withdrawn,
@@ -246,3 +247,29 @@ def test_an_unknown_answer_is_a_typed_error(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan(), QUICK)
     with pytest.raises(UsageError, match="open: nothing"):
         runner.answer(Answer.KEEP)
+
+
+def test_nonsense_is_a_usage_error_that_names_what_is_open_and_the_question_stands(sensor, path):
+    runner, refused = SessionRunner.begin(sensor, path, plan(), QUICK), []
+
+    def answer(event):
+        if isinstance(event, PositionAsked) and not refused:
+            with pytest.raises(
+                UsageError, match=r"'xyzzy' answers no question that stands .*confirm"
+            ) as error:
+                runner.answer("xyzzy")
+            refused.append(error)
+        return False
+
+    assert run(runner, answer)[-1].complete
+    assert refused
+
+
+def test_what_is_shown_while_a_session_runs_costs_no_comparison_of_methods(sensor, path, monkeypatch):
+    """Each dwell left out once, for each method, belongs to the end: it would grow with the square."""
+    from adis_gonio.fitting import standing
+
+    monkeypatch.setattr(standing, "_worked_out", lambda session: pytest.fail("methods were compared"))
+    running = of(list(SessionRunner.begin(sensor, path, plan("mmpm"), QUICK, auto=True).run()), Running)
+    assert running[-1].dwells == 9
+    assert {"value", "u", "unit"} <= set(running[-1].parameters["delta_phi"])

@@ -33,6 +33,7 @@ from adis_gonio.session.faults import alarms_of
 from adis_gonio.session.runner import SessionRunner
 from adis_gonio.session.settings import Settings
 from adis_gonio.sim import World
+from session.hand_bench import Hand, hand_sensor
 
 URL = "sim:?seed=3"
 SETTINGS = Settings(dwell_s=1.0, settle_s=0.1)
@@ -169,6 +170,52 @@ def test_a_fault_survives_a_break_and_is_offered_after_resuming(sensor, path, st
     assert of(events, RepetitionOffered)[0].places == (1,)
     assert [done.alarms for done in of(events, DwellDone)] == [0]
     assert read_session(path).notes == ()
+
+
+def test_positions_to_repeat_are_asked_for_because_the_part_lies_elsewhere(path):
+    """By hand nothing else brings the part there; without the question the guard would stop for ever."""
+    with hand_sensor() as sensor:
+        runner, hand = SessionRunner.begin(sensor, path, plan("four-position"), SETTINGS), Hand(sensor)
+        glitches, events = Glitches(sensor.bus.inner.world), []
+        for event in runner.run():
+            events.append(event)
+            if isinstance(event, DwellProgress) and event.place == 1 and not glitches.begin_s:
+                glitches.begin_s.append(sensor.bus.now_s() + 0.1)
+            if isinstance(event, GuardRaised):
+                runner.stop()  # the power goes before the question is answered
+            else:
+                hand.see(runner, event)
+    with hand_sensor() as sensor:
+        runner, hand = SessionRunner.resume(sensor, path), Hand(sensor)
+        events = []
+        for event in runner.run():
+            events.append(event)
+            if isinstance(event, RepetitionOffered):
+                runner.accept()
+            else:
+                hand.see(runner, event)
+    assert [asked.place for asked in of(events, PositionAsked)] == [2, 3, 1]
+    assert [done.place for done in of(events, DwellDone)] == [2, 3, 1]
+    assert hand.guards == []
+    assert events[-1].complete
+    assert read_session(path).notes == ()
+
+
+def test_a_position_to_repeat_that_is_skipped_keeps_the_dwell_that_it_has(sensor, path):
+    visit(SessionRunner.begin(sensor, path, plan(), SETTINGS), sensor, stop=GuardRaised)
+    with open_sensor(URL) as again:
+        runner, events = SessionRunner.resume(again, path), []
+        for event in runner.run():
+            events.append(event)
+            if isinstance(event, RepetitionOffered):
+                runner.accept()
+            elif isinstance(event, PositionAsked):
+                runner.skip()
+            elif isinstance(event, ExtensionOffered):
+                runner.decline()
+    assert len(of(events, RepetitionOffered)) == len(of(events, PositionAsked)) == 1
+    assert (events[-1].complete, events[-1].done, events[-1].skipped) == (True, 2, 0)
+    assert len(read_session(path).dwells) == 2
 
 
 def test_an_automatic_session_keeps_the_dwell_and_says_so(sensor, path):

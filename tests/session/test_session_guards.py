@@ -24,6 +24,7 @@ from adis_gonio.session.events import (
     Watching,
     Withdrawn,
 )
+from adis_gonio.session.guards import judge_pose
 from session.hand_bench import QUICK, Hand, by_hand, hand_sensor
 
 
@@ -246,6 +247,27 @@ def test_a_part_the_other_way_up_than_drawn_may_stay_because_any_start_angle_ser
         assert right(sensor, path)
 
 
+def test_a_guard_that_stops_again_and_again_says_that_a_dwell_before_may_be_wrong(sensor, path):
+    """The first dwell was made at 90°: every right turn then looks wrong, until it is undone."""
+    wrong_first = lambda event, times: 90.0 if event.place == 0 and times == 0 else event.position.angle_deg  # noqa: E731
+    runner = SessionRunner.begin(sensor, path, plan("four-position"), QUICK, fixture_sigma_deg=0.02)
+    hand, undone = Hand(sensor, wrong_first), False
+    for event in runner.run():
+        if isinstance(event, PositionAsked) and len(hand.guards) == 3 and not undone:
+            undone = True
+            runner.undo()
+        else:
+            hand.see(runner, event)
+    stops = hand.guards
+    assert {guard.kind for guard in stops} == {"not_moved"}
+    assert "undo what was before" not in stops[0].message
+    assert [guard.values["times"] for guard in stops[1:]] == [2.0, 3.0]
+    assert all("undo what was before" in guard.message for guard in stops[1:])
+    assert event.complete
+    assert not read_session(path).facts["doubts"]
+    assert right(sensor, path)
+
+
 # -- within a dwell --------------------------------------------------------------------------------------
 
 
@@ -389,6 +411,14 @@ def test_a_pose_that_is_not_new_and_one_the_other_way_up_are_told(sensor, path):
             runner.retake()
     assert kinds == [(2, "not_moved"), (4, "upside_down")]
     assert event.complete
+
+
+def test_a_pose_that_was_not_moved_is_told_even_where_another_way_up_was_asked():
+    asked, before = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.5, -0.8])
+    mean = np.array([2.0, 500.0, -850.0])
+    assert judge_pose(mean, asked, None, None).kind == "upside_down"
+    guard = judge_pose(mean, asked, mean + 0.1, before)
+    assert (guard.kind, guard.default, guard.spoils) == ("not_moved", "retake", True)
 
 
 # -- nobody there ----------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.errors import UsageError
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
 from adis_gonio.model.measurement import PlanarTurn
@@ -399,10 +400,9 @@ class Fit:
             step = np.linalg.lstsq(rows / size, left, rcond=1e-9)[0] / size
             if within is not None:
                 step = within @ step
-            trial = fit
             for damping in _DAMPING:
-                trial = fit._stepped(damping * step).settled()
-                if trial.loss <= fit.loss * (1 + 1e-12):
+                trial = fit._tried(damping * step)
+                if trial is not None and trial.loss <= fit.loss * (1 + 1e-12):
                     break
             else:
                 break
@@ -410,6 +410,13 @@ class Fit:
             if gain < tolerance * max(1.0, 1e-3 * fit.loss):
                 break
         return fit
+
+    def _tried(self, step: Floats) -> Fit | None:
+        """The same after a step; None where no part can have the parameters that it leads to."""
+        try:
+            return self._stepped(step).settled()
+        except UsageError:
+            return None
 
     def _stepped(self, step: Floats) -> Fit:
         old = self.values

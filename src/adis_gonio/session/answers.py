@@ -59,14 +59,13 @@ class Operator:
         UsageError
             It is no answer to a question that stands.
         """
-        answer = Answer(answer)
-        if answer is Answer.STOP:
+        if answer == Answer.STOP:
             self.stop()
             return
         if answer not in self._allowed:
             asked = ", ".join(sorted(self._allowed)) or "nothing"
             raise UsageError(f"'{answer}' answers no question that stands (open: {asked})")
-        self._answers.put(answer)
+        self._answers.put(Answer(answer))
 
     def confirm(self) -> None:
         """The part is (or the stage may go) where it was asked to be."""

@@ -335,7 +335,8 @@ class Withdrawn(Event):
 class RepetitionOffered(Event):
     """The plan is done, but a fault or alarm stood in some dwells. Answers: accept, decline, repeat, stop.
 
-    Accepted, the dwells are made again; declined, they are kept as they are, and not asked about again.
+    Accepted, their positions are asked for one by one and measured again; declined, they are kept as they
+    are, and not asked about again.
 
     Attributes
     ----------

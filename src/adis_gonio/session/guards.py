@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, get_args
 
 import numpy as np
@@ -62,6 +62,21 @@ class Guard:
     answers: tuple[str, ...] = RETAKE
     default: str = "retake"
     spoils: bool = False
+
+
+def insistent(guard: Guard, times: int) -> Guard:
+    """The same guard when it stops at one place for the n-th time: perhaps what was before is wrong."""
+    if times < 2 or guard.kind not in _OF_PLACE:
+        return guard
+    hint = (
+        f"stopped here {times} times: if the part stands right now, a dwell before does not, or the part"
+        " has slipped since; take the position again and undo what was before"
+    )
+    return replace(guard, message=f"{guard.message}; {hint}", values=guard.values | {"times": float(times)})
+
+
+_OF_PLACE = ("not_moved", "reversed", "wrong_axis", "wrong_angle")
+"""Kinds that compare the part's place with the dwells before."""
 
 
 @dataclass(frozen=True)
@@ -179,25 +194,31 @@ def judge_start(accel_mg: Floats, asked_deg: float, sense: int) -> Guard | None:
 def judge_pose(
     accel_mg: Floats, asked: Floats | None, before_mg: Floats | None, before_asked: Floats | None
 ) -> Guard | None:
-    """Whether a free attitude is new, and not the opposite of what was suggested."""
-    if asked is not None:
-        off = angle_between_deg(accel_mg, asked)
-        if off > OTHER_WAY_UP_DEG:
-            x, y, z = (float(value) for value in accel_mg)
+    """Whether a free attitude is new, and not the opposite of what was suggested.
+
+    What spoils comes first: a part that nobody has moved is often the other way up as well, which may stay.
+    """
+    if before_mg is not None:
+        turned = angle_between_deg(accel_mg, before_mg)
+        wanted = 90.0 if asked is None or before_asked is None else angle_between_deg(asked, before_asked)
+        if turned <= max(math.degrees(SHIFT_MG / 1000.0), NOT_MOVED_SHARE * wanted):
             message = (
-                f"the part is the other way up than asked: {off:.0f}° off (x {x:+.0f}, y {y:+.0f},"
-                f" z {z:+.0f} mg; an axis reads + where its arrow points down); any new attitude serves"
+                f"the part has not moved: {turned:.2f}° since the pose before,"
+                f" about {wanted:.0f}° were asked"
             )
-            values = {"off_deg": off, "x_mg": x, "y_mg": y, "z_mg": z}
-            return Guard("upside_down", message, values, default="keep")
-    if before_mg is None:
+            return Guard("not_moved", message, {"gravity_deg": turned, "asked_deg": wanted}, spoils=True)
+    if asked is None:
         return None
-    turned = angle_between_deg(accel_mg, before_mg)
-    wanted = 90.0 if asked is None or before_asked is None else angle_between_deg(asked, before_asked)
-    if turned > max(math.degrees(SHIFT_MG / 1000.0), NOT_MOVED_SHARE * wanted):
+    off = angle_between_deg(accel_mg, asked)
+    if off <= OTHER_WAY_UP_DEG:
         return None
-    message = f"the part has not moved: {turned:.2f}° since the pose before, about {wanted:.0f}° were asked"
-    return Guard("not_moved", message, {"gravity_deg": turned, "asked_deg": wanted}, spoils=True)
+    x, y, z = (float(value) for value in accel_mg)
+    message = (
+        f"the part is the other way up than asked: {off:.0f}° off (x {x:+.0f}, y {y:+.0f},"
+        f" z {z:+.0f} mg; an axis reads + where its arrow points down); any new attitude serves"
+    )
+    values = {"off_deg": off, "x_mg": x, "y_mg": y, "z_mg": z}
+    return Guard("upside_down", message, values, default="keep")
 
 
 def angle_between_deg(a: Sequence[float] | Floats, b: Sequence[float] | Floats) -> float:

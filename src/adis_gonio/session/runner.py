@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -64,7 +65,15 @@ from adis_gonio.session.events import (
 )
 from adis_gonio.session.expectation import Spread
 from adis_gonio.session.faults import problems
-from adis_gonio.session.guards import Guard, drift_guard, judge_dwell, judge_shift, shock_guard, stuck_guard
+from adis_gonio.session.guards import (
+    Guard,
+    drift_guard,
+    insistent,
+    judge_dwell,
+    judge_shift,
+    shock_guard,
+    stuck_guard,
+)
 from adis_gonio.session.judge import Judge
 from adis_gonio.session.live import LiveView, vector
 from adis_gonio.session.plans import Plan, Position, blindness, extended, extension
@@ -135,6 +144,7 @@ class SessionRunner(Operator):
         self._reversed = bool(archive.last("reversed"))
         self._asked_kinds: set[str] = set()
         self._doubts: list[Guard] = []
+        self._stops: Counter[int] = Counter()
         self._first_asked_s: float | None = None
         self._taken = 0
         self._scanning: dict[str, Any] = archive.last("scanning") or {}
@@ -425,7 +435,7 @@ class SessionRunner(Operator):
         asked = PositionAsked(
             place,
             position,
-            len(self._done) + len(self._skipped) + 1,
+            min(len(self._done) + len(self._skipped) + 1, len(self._plan)),
             len(self._plan),
             self._last_place is not None,
             self._time_left_s(),
@@ -492,12 +502,14 @@ class SessionRunner(Operator):
 
     def _ask_guard(self, guard: Guard, place: int) -> Generator[Event, None, bool]:
         """Put what a guard stopped at to the operator; True where the dwell is to go on or to stay."""
+        self._stops[place] += 1
+        shown = insistent(guard, self._stops[place] if self._done else 1)
         raised = GuardRaised(
             guard.kind,
-            guard.message,
+            shown.message,
             place,
             self._plan.positions[place],
-            guard.values,
+            shown.values,
             guard.answers,
             guard.default,
         )
@@ -550,14 +562,37 @@ class SessionRunner(Operator):
         offer = RepetitionOffered(tuple(places), where)
         answer = yield from self._ask(offer, {Answer.ACCEPT, Answer.DECLINE}, Answer.DECLINE)
         if answer is Answer.DECLINE:
-            self._note("kept", [self._done[place] for place in places])
-            self._faulty.clear()
+            self._keep_faulty(places)
             return Answer.ACCEPT
         if answer is Answer.ACCEPT:
             for place in places:
-                if not self._stopping.is_set():
-                    yield from self._dwell(place)
+                other = yield from self._take_again(place)
+                if other is not None:
+                    return other
         return answer
+
+    def _take_again(self, place: int) -> Generator[Event, None, Answer | None]:
+        """Ask for a position that has a dwell until there is a new one; what else was answered, if so.
+
+        Skipped, the dwell that it has is kept as it is.
+        """
+        before = self._done.get(place)
+        while self._done.get(place) == before and not self._stopping.is_set():
+            answer = yield from self._ask_position(place)
+            if answer is Answer.CONFIRM:
+                yield from self._dwell(place)
+            if answer is Answer.SKIP or (place in self._skipped and self._done.get(place) == before):
+                self._skipped.discard(place)
+                self._keep_faulty([place])
+                return None
+            if answer not in (Answer.CONFIRM, Answer.SKIP):
+                return answer
+        return None
+
+    def _keep_faulty(self, places: list[int]) -> None:
+        """Keep dwells with a fault in them as they are, and ask no more about them."""
+        self._note("kept", [self._done[place] for place in places])
+        self._faulty.difference_update(places)
 
     def _offer_extension(self) -> Generator[Event, None, Answer]:
         longer = extension(self._plan, len(self._done))
@@ -829,6 +864,7 @@ class SessionRunner(Operator):
             self._note("doubt", {"attempt": number, "kind": guard.kind, "message": guard.message})
         self._done[place] = number
         self._taken += 1
+        self._stops.clear()
         self._skipped.discard(place)
         self._last_place = place
         self._running.add(place, recording.position, scans)

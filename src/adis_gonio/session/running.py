@@ -58,12 +58,14 @@ class RunningFit:
         if count > EVERY_UP_TO and count < 1.1 * self._fitted:
             return None
         try:
-            result = fit(self._session(plan, reverse=reverse)).as_dict()
+            result = fit(self._session(plan, reverse=reverse))
         except (AdisGonioError, np.linalg.LinAlgError):
             # Too few, or not different enough: the next dwell may change that.
             return None
         self._fitted = count
-        return Running(result["parameters"], result["method"], count)
+        # Not the whole document: methods beside each other are for the end, and cost a fit for each dwell.
+        parameters = {estimate.name: estimate.stated.as_dict() for estimate in result.parameters}
+        return Running(parameters, result.method, count)
 
     def _session(self, plan: Plan, *, reverse: bool) -> Session:
         header, sign = self._header, -1.0 if reverse else 1.0
