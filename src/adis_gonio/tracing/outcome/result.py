@@ -388,7 +388,7 @@ class TraceResult:
         return float(recorded.mean())
 
     def summary(self) -> str:
-        """What was found and what it brings, in plain text, as `trace` begins, and the parameters of the effects."""
+        """What was found and what it brings, as `trace` begins, and the parameters of the effects."""
         from adis_gonio.report import words
 
         return "\n".join([words.headline(self), words.gains(self), *lines_of(self._of_effects)])
