@@ -138,7 +138,7 @@ def test_the_reference_temperature_is_stated(bent):
 def test_where_a_trace_ran_the_answer_has_its_effects_and_its_values(bent):
     _, fitted, result = bent
     answer = Answer.of(fitted, result, own=False)
-    assert set(answer.recommended.effects) == {"bias", "quadratic"}
+    assert answer.recommended.effects == ("quadratic",)  # biases are the method's own
     assert answer.values["delta_k"] == result.base["delta_k"]
     assert answer.scores["trace"].angle_rms_deg < 0.3 * answer.scores["ml"].angle_rms_deg
     assert answer.values["angle"].value == answer.scores["trace"].angle_rms_deg
@@ -146,7 +146,7 @@ def test_where_a_trace_ran_the_answer_has_its_effects_and_its_values(bent):
     for name, rows in answer.budget.items():
         total = math.sqrt(sum(row.contribution**2 for row in rows))
         assert total == pytest.approx(answer.values[name].u, rel=1e-6)
-    assert "bias, quadratic" in answer.text()
+    assert "Answer by method ml with quadratic\n" in answer.text()
     assert json.loads(json.dumps(answer.as_dict(), allow_nan=False))["recommended"]["effects"]
 
 
@@ -156,6 +156,23 @@ def test_a_trace_that_predicts_worse_is_not_the_answer(bent):
     answer = Answer.of(fitted, poor, own=False)
     assert answer.traced is None
     assert answer.recommended.effects == ()
+
+
+def test_a_trace_that_finds_the_biases_alone_leaves_the_answer_of_the_fit(bent):
+    _, fitted, result = bent
+    only = dataclasses.replace(result, steps=tuple(s for s in result.steps if s.effect == "bias"))
+    assert only.steps
+    answer, plain = Answer.of(fitted, only, own=False), Answer.of(fitted, own=False)
+    assert answer.values == plain.values
+    assert answer.title == plain.title
+    assert "the trace finds" in answer.why
+
+
+def test_why_speaks_of_the_method_that_it_recommends():
+    given = fit(planar(), method="paper")
+    answer = Answer.of(given)
+    assert answer.title == "paper (recommended is ml)"
+    assert answer.why.startswith("Why ml: it determines the biases")
 
 
 def test_the_page_leads_with_the_answer_and_has_its_numbers(bent):

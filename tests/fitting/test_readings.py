@@ -5,7 +5,7 @@ import pytest
 
 from adis_gonio.errors import DataError, FitError
 from adis_gonio.estimation.flicker import covariance_of_means
-from adis_gonio.estimation.readings import reduced
+from adis_gonio.estimation.readings import readings_of, reduced
 from adis_gonio.estimation.spectrum import noise_of_means
 from adis_gonio.fitting import fit
 from adis_gonio.model.records import Dwell, Session
@@ -301,3 +301,30 @@ def test_few_degrees_of_freedom_enlarge_the_interval_to_its_coverage():
     normal, student = np.mean(covered, axis=0)
     assert normal < 0.91
     assert student > 0.93
+
+
+def few_poses(poses, rows, **facts):
+    dwells = tuple(
+        Dwell(k, np.arange(rows) + 10.0 * k, np.tile(1000.0 * np.array(pose), (rows, 1)))
+        for k, pose in enumerate(poses)
+    )
+    return Session(dwells, sensor="generic", accel_unit="mg", plane="none", **facts)
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+@pytest.mark.parametrize("count", [2, 3, 4, 5])
+def test_a_few_averaged_poses_in_space_are_refused_in_one_line_or_have_no_u(count, rows):
+    poses = [(0, 0, -1.0), (1.0, 0, 0), (0, 1.0, 0), (0, -1.0, 0), (-1.0, 0, 0)][:count]
+    try:
+        result = fit(few_poses(poses, rows))
+    except FitError as refused:
+        assert "\n" not in str(refused)  # noqa: PT017 (it may be answered too)
+    else:
+        assert all(one.u is None for one in result.parameters)
+        assert result.undetermined
+
+
+def test_an_average_that_is_written_down_twice_shows_no_noise():
+    poses = [(0, 0, -1.0), (0, 0, 1.0), (1.0, 0, 0), (-1.0, 0, 0), (0, 1.0, 0), (0, -1.0, 0), (0.6, 0.8, 0)]
+    assert not readings_of(few_poses(poses, 2)).known.any()
+    assert readings_of(few_poses(poses, 2, reading_u_mg=1.0)).known.all()

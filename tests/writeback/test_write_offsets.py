@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from adis_gonio import fit, load_session
+from adis_gonio.calibration import Calibration
 from adis_gonio.errors import (
     AdisGonioError,
     ChipError,
@@ -25,8 +26,9 @@ from adis_gonio.writeback import (
     offsets_recorded,
     plan_offsets,
 )
+from adis_gonio.writeback.journal import operations, remarks_on
 from fakes.boards import Board
-from writeback.rig import flash, new_bus, numbers, record
+from writeback.rig import OFFSETS, flash, new_bus, numbers, record
 
 SHORT = WriteSettings(dwell_s=0.5)
 SAVE = WriteSettings(dwell_s=0.5, save=True)
@@ -560,3 +562,34 @@ def test_an_unfinished_session_goes_on_as_if_nothing_had_been_once_it_is_undone(
     for a, b in zip(load_session(whole).dwells, load_session(path).dwells, strict=True):
         assert np.array_equal(a.accel, b.accel)
         assert np.array_equal(a.time_s, b.time_s)
+
+
+def test_coefficients_do_not_correct_again_what_the_chip_corrects(recorded, path):
+    then = fit(load_session(recorded))
+    bus = new_bus()
+    wrote(bus, path)
+    session = load_session(path)
+    now = fit(session)
+    assert now["bias_x"].value == then["bias_x"].value  # the fit speaks of the recording
+    calibration = now.calibration()
+    left = bias_left_mg(session, now)
+    for name in ("bias_x", "bias_y"):
+        assert calibration[name].value == pytest.approx(left[name])
+        assert abs(calibration[name].value) <= LSB / 2
+    assert calibration.provenance.offsets_lsb == numbers(bus)
+    assert Calibration.load(path) == calibration
+    assert any("offsets were written to the sensor" in line for line in now.warnings)
+    writer(bus, path).undo()
+    back = fit(load_session(path))
+    assert back.calibration()["bias_x"].value == then["bias_x"].value
+    assert not any("offsets were written" in line for line in back.warnings)
+
+
+def test_after_an_interrupted_write_there_are_no_coefficients(path):
+    wrote(new_bus(), path)
+    whole = load_session(path)
+    begun = whole.facts["offset_writes"][:2]
+    session = replace(whole, facts={**whole.facts, "offset_writes": begun})
+    assert "was interrupted" in remarks_on(operations(begun), dict.fromkeys(OFFSETS, 0))[0]
+    with pytest.raises(SessionError, match="--status"):
+        fit(session).calibration()

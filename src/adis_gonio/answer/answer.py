@@ -70,8 +70,12 @@ class Answer:
             raise ValueError("this result was not made by adis_gonio.fit: its session is not known")
         shown = result if own else _with_notes(standing.best, result)
         plain = cls(shown, standing, standing.recommended, standing.scores)
-        if trace is None or not trace.fits or not trace.steps or result.session is None:
+        if trace is None or not trace.fits or result.session is None:
             return plain
+        likely = next((r for r in standing.results if r.method == "ml"), standing.best)
+        names = _beyond(likely, trace)
+        if not names:
+            return replace(plain, recommended=_confirmed(standing.recommended, trace))
         prediction = _of_trace(result.session, trace)
         if prediction is None:
             return plain
@@ -80,8 +84,6 @@ class Answer:
         reason = _reason(trace, found, scores, standing.recommended.method)
         if reason is None:
             return replace(plain, scores=scores)
-        names = tuple(dict.fromkeys(step.effect for step in trace.steps))
-        likely = next((r for r in standing.results if r.method == "ml"), standing.best)
         return replace(
             plain,
             result=_with_notes(likely, result),
@@ -127,8 +129,10 @@ class Answer:
 
     @property
     def why(self) -> str:
-        """Why this method, one sentence."""
+        """Why this method, one sentence; why another one is recommended, where it was asked for."""
         text = self.recommended.why
+        if self.traced is None and self.result.method != self.recommended.method:
+            return f"Why {self.recommended.method}: {text}."
         return f"{text[:1].upper()}{text[1:]}."
 
     @property
@@ -227,6 +231,21 @@ class Answer:
             for warning in result.warnings:
                 said.setdefault(warning, []).append(result.method)
         return [*self.result.session_notes, *(f"{', '.join(m)}: {w}" for w, m in said.items())]
+
+
+def _beyond(likely: FitResult, trace: TraceResult) -> tuple[str, ...]:
+    """Effects of the traced model that a fit does not hold itself: biases are in most."""
+    biased = any(e.name.startswith("bias_") for e in likely.parameters)
+    names = dict.fromkeys(step.effect for step in trace.steps)
+    return tuple(name for name in names if not (biased and name == "bias"))
+
+
+def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendation:
+    """The recommendation with what a trace that added nothing to its model says of it."""
+    if trace.stopped is not None and not trace.stopped.checked:
+        return recommended
+    said = "no effect missing" if trace.adequate else "its model not adequate, and no effect to add"
+    return replace(recommended, why=f"{recommended.why}; the trace finds {said}")
 
 
 def _with_notes(best: FitResult, given: FitResult) -> FitResult:

@@ -13,7 +13,7 @@ from adis_gonio.calibration.calibration import (
     EffectTerm,
     NotCorrected,
 )
-from adis_gonio.errors import FitError, UsageError
+from adis_gonio.errors import FitError, SessionError, UsageError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.result import Estimate, FitResult
@@ -22,6 +22,7 @@ from adis_gonio.model.measurement import BaseParameter, FreeAttitude, PlanarTurn
 from adis_gonio.model.provenance import Provenance
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.outcome.result import TraceResult
+from adis_gonio.writeback.journal import INTERRUPTED
 
 CORRECTABLE = frozenset(
     {
@@ -66,6 +67,8 @@ def calibration_of_fit(result: FitResult) -> Calibration:
         The result was not made from a session (`fit_readings`).
     FitError
         The session does not determine what an angle needs.
+    SessionError
+        A write of offsets to the sensor was interrupted.
     """
     where = _known(result.provenance)
     model = _model(where)
@@ -94,7 +97,9 @@ def calibration_of_fit(result: FitResult) -> Calibration:
         if (where.counts)
         else None
     )
-    return Calibration(result.method, where, parameters, matrix, assumed=assumed, counts_per_mg=counts)
+    return _as_written(
+        Calibration(result.method, where, parameters, matrix, assumed=assumed, counts_per_mg=counts)
+    )
 
 
 def calibration_of_trace(result: TraceResult) -> Calibration:
@@ -128,15 +133,17 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
         left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS))
     parameters, matrix = columns.stated(result.inflation)
     names = [one.name for one in parameters if one.u is not None]
-    return Calibration(
-        method="trace",
-        provenance=where,
-        parameters=parameters,
-        covariance=matrix if fit.data.noise_known or result.inflation != 1 else None,
-        effects=effects,
-        not_corrected=tuple(left),
-        assumed=tuple(name for name in _assumed(fit.data.model, [*names, *biased]) if name != "alpha"),
-        counts_per_mg=None if fit.data.unit.known else tuple(fit.data.unit.per_mg.tolist()),
+    return _as_written(
+        Calibration(
+            method="trace",
+            provenance=where,
+            parameters=parameters,
+            covariance=matrix if fit.data.noise_known or result.inflation != 1 else None,
+            effects=effects,
+            not_corrected=tuple(left),
+            assumed=tuple(name for name in _assumed(fit.data.model, [*names, *biased]) if name != "alpha"),
+            counts_per_mg=None if fit.data.unit.known else tuple(fit.data.unit.per_mg.tolist()),
+        )
     )
 
 
@@ -213,6 +220,14 @@ class _Columns:
             Coefficient(name, value, float(size) if size > 0 else None, unit)
             for name, value, size, unit in zip(self.names, self.values, sizes, self.units, strict=True)
         ), matrix
+
+
+def _as_written(calibration: Calibration) -> Calibration:
+    """For the part as it is: what a write-back made the chip correct is not corrected again."""
+    where = calibration.provenance
+    if where.write_open:
+        raise SessionError(f"{where.source}: {INTERRUPTED}")
+    return calibration if where.written_lsb is None else calibration.with_offsets(where.written_lsb)
 
 
 def _known(where: Provenance | None) -> Provenance:

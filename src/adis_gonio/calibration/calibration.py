@@ -365,7 +365,7 @@ class Calibration:
         now = tuple(int(number) for number in offsets_lsb)
         added = {f"bias_{axis}": (now[k] - then[k]) * lsb_mg for k, axis in enumerate(AXES)}
         moved = tuple(replace(one, value=one.value + added.get(one.name, 0.0)) for one in self.parameters)
-        where = replace(self.provenance, offsets_lsb=(now[0], now[1], now[2]))
+        where = replace(self.provenance, offsets_lsb=(now[0], now[1], now[2]), written_lsb=None)
         return replace(self, parameters=moved, provenance=where)
 
     # -- how ---------------------------------------------------------------------------------------

@@ -108,6 +108,7 @@ def _read(document: Mapping[str, Any]) -> Calibration:
     offsets, counts = document["offsets_lsb"], document["counts_per_mg"]
     if document["plane"] not in ("xy", "none") or document["unit"] not in ("mg", "counts"):
         raise ValueError("plane is not xy or none, or unit is not mg or counts")
+    texts: dict[str, Any] = {str(key): str(value) for key, value in source.items()}
     where = Provenance(
         sensor=str(document["sensor"]),
         plane=document["plane"],
@@ -116,7 +117,7 @@ def _read(document: Mapping[str, Any]) -> Calibration:
         temperature_c=_covered(reference["session_temperature_c"]),
         supply_v=_covered(reference["session_supply_v"]),
         offsets_lsb=None if offsets is None else (int(offsets[0]), int(offsets[1]), int(offsets[2])),
-        **{str(key): str(value) for key, value in source.items()},
+        **texts,
     )
     covariance = document["covariance"]
     parameters = tuple(_parameter(key, value) for key, value in document["parameters"].items())

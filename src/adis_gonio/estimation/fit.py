@@ -16,6 +16,7 @@ Cost is linear in the number of dwells.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -33,6 +34,8 @@ NAMELESS_SPREAD = 100.0
 """Prior standard deviation of an amplitude without a name (mg, mrad): where time and the position before
 run together, their difference and a gain of twenty would cancel."""
 _DAMPING = (1.0, 0.5, 0.2, 0.05, 0.01)
+_RUN_AWAY = 1e100
+"""Slope whose square is on the way out of the numbers that there are."""
 _LEAST_GAIN = 1e-6
 """Fall of χ² at which a refit has converged."""
 
@@ -402,7 +405,7 @@ class Fit:
                 step = within @ step
             for damping in _DAMPING:
                 trial = fit._tried(damping * step)
-                if trial is not None and trial.loss <= fit.loss * (1 + 1e-12):
+                if trial is not fit and trial.loss <= fit.loss * (1 + 1e-12):
                     break
             else:
                 break
@@ -411,12 +414,15 @@ class Fit:
                 break
         return fit
 
-    def _tried(self, step: Floats) -> Fit | None:
-        """The same after a step; None where no part can have the parameters that it leads to."""
+    def _tried(self, step: Floats) -> Fit:
+        """The fit after a step; itself where no part has such values: few poses let it run away."""
         try:
-            return self._stepped(step).settled()
-        except UsageError:
-            return None
+            with np.errstate(over="ignore", invalid="ignore"):
+                trial = self._stepped(step).settled()
+                sound = math.isfinite(trial.loss) and bool((np.abs(trial.jacobian) < _RUN_AWAY).all())
+        except (UsageError, np.linalg.LinAlgError):
+            return self
+        return trial if sound else self
 
     def _stepped(self, step: Floats) -> Fit:
         old = self.values

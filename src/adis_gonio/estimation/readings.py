@@ -429,11 +429,12 @@ def reduced(session: Session) -> Readings:
     known = np.zeros(n, dtype=np.bool_)
     slow: Floats | None = None
     parts: dict[str, Any] = {}
-    single = np.flatnonzero(samples == 1)
+    lone = (samples == 1) | _without_noise(session, dwells, axes)
+    single = np.flatnonzero(lone)
     if single.size:
         covariance[single] *= (1.0 if session.reading_u_mg is None else session.reading_u_mg) ** 2
         known[single] = session.reading_u_mg is not None
-    many = np.flatnonzero(samples > 1)
+    many = np.flatnonzero(~lone)
     if many.size:
         rows = [dwells[k].accel[:, :axes] for k in many.tolist()]
         noise = noise_of_means(rows, mg)
@@ -477,6 +478,14 @@ def reduced(session: Session) -> Readings:
         notes=tuple(notes),
         **parts,
     )
+
+
+def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
+    """True where no sample of an axis differs from its dwell's others: averages, written repeatedly."""
+    if session.accel_unit == "lsb":  # a converter's step may hide the noise
+        return False
+    ranges = [np.ptp(dwell.accel[:, :axes], axis=0) > 0 for dwell in dwells]
+    return not bool(np.any(ranges, axis=0).all())
 
 
 def _usable(session: Session, axes: int) -> tuple[list[Dwell], list[str]]:

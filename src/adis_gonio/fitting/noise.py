@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -189,6 +190,7 @@ def _equal_to_dof(cost: Callable[[float], float], dof: int, low: float, high: fl
     """Standard deviation at which a falling χ² equals its degrees of freedom; else an end of the range."""
     from scipy.optimize import brentq
 
+    @cache  # a refit begins where the last one ended: asked again it could answer otherwise
     def gap(log_s: float) -> float:
         return math.log(max(cost(math.exp(log_s)), 1e-300) / dof)
 

@@ -152,7 +152,7 @@ def _doubt(result: FitResult) -> float:
     """Product of the uncertainties of what is wanted: smaller is surer."""
     wanted = ("delta_k", "delta_phi") if "delta_k" in result or "delta_phi" in result else ()
     us = [e.u for e in result.parameters if not wanted or e.name in wanted]
-    if any(u is None for u in us):
+    if any(u is None or not math.isfinite(u) for u in us):
         return math.inf
     return math.exp(sum(math.log(max(u or 0.0, 1e-300)) for u in us) / max(len(us), 1))
 

@@ -54,6 +54,10 @@ class Provenance:
         Over all samples; None where not recorded.
     offsets_lsb : tuple of int or None
         Numbers in XACCL_OFF, YACCL_OFF, ZACCL_OFF while it was recorded; None where the file does not say.
+    written_lsb : tuple of int or None
+        Numbers that were written there since; None where nothing was.
+    write_open : bool
+        True where a write was interrupted, so that only the sensor can tell.
     """
 
     sensor: str
@@ -71,6 +75,8 @@ class Provenance:
     temperature_c: Covered | None = None
     supply_v: Covered | None = None
     offsets_lsb: tuple[int, int, int] | None = None
+    written_lsb: tuple[int, int, int] | None = None
+    write_open: bool = False
 
 
 def provenance_of(session: Session) -> Provenance:
@@ -95,6 +101,7 @@ def provenance_of(session: Session) -> Provenance:
             supply_v=_covered([dwell.supply_v for dwell in session.dwells]),
             software=f"adis-gonio {__version__}",
             offsets_lsb=_offsets(session.facts),
+            **_written(session),
         )
         vars(session)["_provenance"] = kept
     return kept
@@ -121,6 +128,19 @@ def _covered(series: list[Floats | None]) -> Covered | None:
     means = [float(one.mean()) for one in rows]
     low, high = min(float(one.min()) for one in rows), max(float(one.max()) for one in rows)
     return Covered(float(np.mean(means)), low, high) if np.isfinite([*means, low, high]).all() else None
+
+
+def _written(session: Session) -> dict[str, Any]:
+    held = _offsets(session.facts)
+    if held is None or not session.facts.get("offset_writes"):
+        return {}
+    from adis_gonio.writeback.journal import operations_of
+
+    last = operations_of(session)[-1]
+    if last.open:
+        return {"write_open": True}
+    pairs = zip(_OFFSET_REGISTERS, held, strict=True)
+    return {"written_lsb": tuple(last.target.get(name, number) for name, number in pairs)}
 
 
 def _offsets(facts: Mapping[str, Any]) -> tuple[int, int, int] | None:

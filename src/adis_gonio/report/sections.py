@@ -53,14 +53,14 @@ def summary(traced: TraceResult | str, fits: Sequence[FitResult], views: Views |
         pair = {e.name: Value(e.value, e.u, e.unit) for e in best.parameters if e.name in _ORDER}
         by_method = _pair(pair)
     if isinstance(traced, str):
-        lines = [f"By method {best.method}: {by_method}."] if best is not None and by_method else []
+        lines = [f"By method {best.method} (± u): {by_method}."] if best is not None and by_method else []
         return Section("Summary", words=[*lines, f"The session could not be traced: {traced}"])
     lines = [words.headline(traced), words.gains(traced)]
     final = {name: value for name, value in traced.base.items() if name in _ORDER}
     if final:
         beside = f" (method {best.method}, before the trace: {by_method})" if best and by_method else ""
         names = "with the effects found" if traced.steps else "by the base model"
-        lines.append(f"{_capital(names)}: {_pair(final)}{beside if traced.steps else ''}.")
+        lines.append(f"{_capital(names)} (± u): {_pair(final)}{beside if traced.steps else ''}.")
     if traced.confounded:
         lines.append(f"This session cannot tell apart: {'; '.join(words.confounded(traced))}.")
     return Section("Summary", words=lines)

@@ -88,9 +88,19 @@ def read_session(path: str | Path) -> Session:
         serial=header.serial,
         stage=header.stage,
         source=str(path),
-        notes=_notes(plan, pending, skipped, facts),
+        notes=(*_notes(plan, pending, skipped, facts), *_of_writes(facts)),
         facts=facts,
     )
+
+
+def _of_writes(facts: JsonDict) -> tuple[str, ...]:
+    """What a write-back to the sensor means for the results; nothing where there was none."""
+    recorded = facts["registers"]["configured"]
+    if not facts["offset_writes"] or not recorded:
+        return ()
+    from adis_gonio.writeback.journal import operations, remarks_on
+
+    return remarks_on(operations(facts["offset_writes"]), recorded)
 
 
 def _dwell(number: int, attempt: StoredAttempt, scans: Block, sign: int) -> Dwell:

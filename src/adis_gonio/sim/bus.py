@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -35,6 +36,7 @@ from adis_gonio.model.effects.registry import parse_effect
 from adis_gonio.sensor.registers import WRITE
 from adis_gonio.sensor.variants import Variant
 from adis_gonio.sim.chip import SimulatedChip
+from adis_gonio.sim.flash import FlashFile
 from adis_gonio.sim.inputs import Floats
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Stage
@@ -45,7 +47,7 @@ SAFE_TIMING = SpiTiming(clock_hz=250e3, stall_us=75.0, period_us=160.0)
 
 _POWERED_BEFORE_S = 0.5
 _TRIGGER_S = 2e-6
-_OPTIONS = ("seed", "variant", "stream", "realtime", "effects")
+_OPTIONS = ("seed", "variant", "stream", "realtime", "effects", "flash")
 
 
 class SimBus(SpiBus):
@@ -299,7 +301,8 @@ def open_from_url(url: BusUrl) -> SimBus:
     """Open `sim:?seed=1&variant=adis16354&noise_mg=4.7…`.
 
     Options are `seed`, `variant`, `stream` (0 or 1), `realtime` (0 or 1), `effects` (of the catalogue,
-    such as `quadratic:k2_x=2.5;cubic`) and every name of `WorldSettings`.
+    such as `quadratic:k2_x=2.5;cubic`), `flash` (a file that keeps the part's flash, and only that, from
+    one opening to the next) and every name of `WorldSettings`.
 
     Raises
     ------
@@ -309,14 +312,34 @@ def open_from_url(url: BusUrl) -> SimBus:
     if url.place:
         raise UsageError(f"'{url.text}': the simulator has no place '{url.place}'; write sim:?seed=1")
     options = url.options
-    return SimBus(
+    world = World(
         WorldSettings.from_options(options, others=_OPTIONS),
-        seed=_whole(options, "seed", 0),
         part=options.get("variant", "adis16354"),
+        seed=_whole(options, "seed", 0),
         effects=[parse_effect(text) for text in filter(None, options.get("effects", "").split(";"))],
+    )
+    return SimBus(
+        world=world,
+        chip=_chip(world, options["flash"], _whole(options, "seed", 0)) if "flash" in options else None,
         stream=_switch(options, "stream", default=True),
         realtime=_switch(options, "realtime", default=False),
         url=url.text,
+    )
+
+
+def _chip(world: World, path: str, seed: int) -> SimulatedChip:
+    """A part that begins with the flash of a file and keeps it there."""
+    if not path:
+        raise UsageError("flash: name a file, such as flash=part.flash")
+    kept = FlashFile(Path(path), f"{world.variant.name}, seed {seed}")
+    flash, endurance = kept.read()
+    return SimulatedChip(
+        world,
+        world.variant,
+        start_s=-_POWERED_BEFORE_S,
+        flash=flash,
+        endurance=endurance,
+        saved=kept.write,
     )
 
 

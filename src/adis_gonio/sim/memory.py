@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from adis_gonio.errors import UsageError
 from adis_gonio.sensor.registers import (
@@ -27,6 +27,8 @@ class Memory:
         Words that were saved before power-on; registers not named hold their defaults.
     endurance : int
         Flash updates so far.
+    saved : callable or None
+        Called with the flash's words and ENDURANCE after each update.
 
     Raises
     ------
@@ -34,7 +36,13 @@ class Memory:
         A name is unknown, or a word has bits without a flash copy.
     """
 
-    def __init__(self, flash: Mapping[str, int] | None = None, endurance: int = 0) -> None:
+    def __init__(
+        self,
+        flash: Mapping[str, int] | None = None,
+        endurance: int = 0,
+        saved: Callable[[Mapping[str, int], int], None] | None = None,
+    ) -> None:
+        self._saved = saved
         self._flash = {row.name: row.default & row.flash_mask for row in REGISTERS if row.flash_mask}
         for name, word in (flash or {}).items():
             row = register(name)
@@ -87,6 +95,8 @@ class Memory:
         for name in self._flash:
             self._flash[name] = self._words[name] & BY_NAME[name].flash_mask
         self._words["ENDURANCE"] = (self._words["ENDURANCE"] + 1) % ENDURANCE_WRAP
+        if self._saved is not None:
+            self._saved(self._flash, self._words["ENDURANCE"])
 
     def zero_offsets(self) -> None:
         """What the factory restore does to the six offsets."""

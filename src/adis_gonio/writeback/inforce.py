@@ -15,7 +15,7 @@ from adis_gonio.errors import SessionError
 from adis_gonio.model.records import Floats, Session
 from adis_gonio.sensor.registers import ACCEL_OFF
 from adis_gonio.sensor.variants import variant
-from adis_gonio.writeback.journal import operations_of
+from adis_gonio.writeback.journal import INTERRUPTED, operations_of
 from adis_gonio.writeback.plan import BIASES, recorded_offsets
 
 if TYPE_CHECKING:
@@ -44,16 +44,10 @@ def offsets_in_force(session: Session) -> Floats:
     SessionError
         As `offsets_recorded`; or a write was interrupted, so that only the sensor can tell.
     """
-    numbers = recorded_offsets(session)
     known = operations_of(session)
     if known and known[-1].open:
-        raise SessionError(
-            f"{session.source}: a write of offsets was interrupted, so what the sensor holds is not known;"
-            " run `adis-gonio write` with --status, then finish it or --undo"
-        )
-    if known:
-        numbers = numbers | known[-1].target
-    return _in_mg(session, numbers)
+        raise SessionError(f"{session.source}: {INTERRUPTED}")
+    return _in_mg(session, recorded_offsets(session) | (known[-1].target if known else {}))
 
 
 def bias_left_mg(session: Session, result: FitResult) -> dict[str, float]:

@@ -28,6 +28,11 @@ from adis_gonio.writeback.plan import Numbers
 KIND = "offsets"
 """Kind of the archive's records that are the journal."""
 
+INTERRUPTED = (
+    "a write of offsets was interrupted, so what the sensor holds is not known; run `adis-gonio write` "
+    "with --status, then finish it or --undo"
+)
+
 Op = Literal["write", "undo"]
 
 
@@ -135,6 +140,23 @@ def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
 def operations_of(session: Session) -> tuple[Operation, ...]:
     """Operations that a session's archive knows; none where it is no archive."""
     return operations(session.facts.get("offset_writes") or ())
+
+
+def remarks_on(known: Sequence[Operation], recorded: Numbers) -> tuple[str, ...]:
+    """What a session's results have to say of its writes: a line, or none where nothing stands."""
+    if not known:
+        return ()
+    if known[-1].open:
+        return (INTERRUPTED,)
+    now = {name: number for name, number in known[-1].target.items() if number != recorded[name]}
+    if not now:
+        return ()
+    told = ", ".join(f"{name} {recorded[name]} → {number}" for name, number in now.items())
+    flash = "saved to flash" if known[-1].saved else "not saved to flash"
+    return (
+        f"offsets were written to the sensor since ({told}; {flash}): biases here are those of the "
+        "recording, exported coefficients hold with the offsets written",
+    )
 
 
 def to_undo(known: Sequence[Operation]) -> Operation | None:
