@@ -194,6 +194,8 @@ def test_misuse_is_named(accel, says):
 
 
 def test_misuse_of_conditions_and_planes_is_named():
+    with pytest.raises(UsageError, match="temperature_c has to be numbers, not str"):
+        known().apply([1000.0, 2.0], temperature_c="warm")
     calibration = known({"bias_temperature": (0.5, 0.5)})
     accel = np.tile([1000.0, 0.0], (3, 1))
     with pytest.raises(UsageError, match="temperature_c has shape"):

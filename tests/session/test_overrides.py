@@ -40,6 +40,12 @@ def test_a_reversed_session_is_refused_and_then_fitted_right(file):
     assert any("the stage turned the other way" in note for note in session.notes)
 
 
+def test_a_right_session_that_is_reversed_is_told_to_leave_it_out(file):
+    path = file("accel_unit: mg", "sensor: generic")
+    with pytest.raises(DataError, match="leave --reverse out"):
+        fit(load_session(path, Overrides(reverse=True)))
+
+
 def test_two_positions_of_a_reversed_stage_have_their_closed_form(file):
     path = file("accel_unit: mg", "sensor: generic", turned=-1, angles=(0.0, 90.0))
     result = fit(load_session(path, Overrides(reverse=True)))

@@ -74,11 +74,14 @@ def checked_condition(
     Raises
     ------
     UsageError
-        Wrong length, NaN or infinity.
+        No numbers, wrong length, NaN or infinity.
     """
     if given is None:
         return None if name not in needs or covered is None else np.full(n, covered.mean)
-    values: Any = np.asarray(given, dtype=float)
+    try:
+        values: Any = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise UsageError(f"{name} has to be numbers, not {type(given).__name__}") from None
     if values.ndim > 1 or values.size not in (1, n):
         raise UsageError(
             f"{name} has shape {values.shape}; give one number, or one for each of {n} readings"

@@ -381,6 +381,11 @@ def _refuse_reversed(session: Session, readings: Readings) -> None:
     area = (x_s * y_c - x_c * y_s) / session.gravity_mg**2
     if area > -LEAST_AREA:
         return
+    if "reverse" in session.facts.get("overrides", {}):
+        raise DataError(
+            f"{session.source or 'session'}: reversed, the readings turn the other way than the angles, as "
+            "declared they agree: leave --reverse out"
+        )
     raise DataError(
         f"{session.source or 'session'}: the readings turn the other way than the declared angles: change "
         "the sign of angle_deg (--reverse), or of an axis, so that Y reads at 90° minus what X reads at 0°"

@@ -95,7 +95,7 @@ def fit_mmpm(readings: Readings) -> FitResult:
     if len(rows) < LEAST_MMPM:
         raise FitError(
             f"method mmpm needs nine or more positions with a declared angle, there are {len(rows)}; "
-            "use method ml, four-position or two-position"
+            "use method ml, or leave the method open"
         )
     chosen = readings.rows(rows)
     linear = _linear(chosen, np.eye(len(rows)), bias=True)
