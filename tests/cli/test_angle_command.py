@@ -12,6 +12,7 @@ import pytest
 from adis_gonio.cli import main
 from adis_gonio.cli.angle import angle_text
 from adis_gonio.session.angle import LiveAngle
+from programs import running
 
 URL = "sim:?seed=1"
 PROGRAM = [sys.executable, "-m", "adis_gonio", "angle"]
@@ -41,9 +42,7 @@ def test_elsewhere_each_reading_is_a_line(capsys):
 @pytest.mark.skipif(sys.platform == "win32", reason="a pty needs POSIX")
 def test_on_a_terminal_one_line_changes_in_place():
     inner, outer = os.openpty()
-    with subprocess.Popen(
-        [*PROGRAM, URL, "--seconds", "0.5"], stdout=outer, stderr=subprocess.PIPE, text=True
-    ) as program:
+    with running([*PROGRAM, URL, "--seconds", "0.5"], stdout=outer, stderr=subprocess.PIPE) as program:
         os.close(outer)
         shown = b""
         try:
@@ -66,8 +65,8 @@ def test_on_a_terminal_one_line_changes_in_place():
 def test_ctrl_c_ends_it_in_order(seconds, status):
     limit = [] if seconds is None else ["--seconds", seconds]
     url = f"{URL}&realtime=1"
-    with subprocess.Popen(
-        [*PROGRAM, url, "--json", *limit], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    with running(
+        [*PROGRAM, url, "--json", *limit], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as program:
         assert json.loads(program.stdout.readline())
         program.send_signal(signal.SIGINT)
@@ -78,9 +77,7 @@ def test_ctrl_c_ends_it_in_order(seconds, status):
 
 
 def test_a_reader_that_goes_away_ends_it_quietly():
-    with subprocess.Popen(
-        [*PROGRAM, URL, "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as program:
+    with running([*PROGRAM, URL, "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as program:
         program.stdout.readline()
         program.stdout.close()
         err = program.stderr.read()

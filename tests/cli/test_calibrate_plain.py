@@ -17,6 +17,7 @@ from adis_gonio.counting import counted
 from adis_gonio.session import load_session, plan
 from adis_gonio.session.guidance import PLANE, drawing, to_do
 from adis_gonio.session.plans import Position
+from programs import running
 from session.hand_bench import HandBus
 
 SIM = "sim:?seed=3"
@@ -124,14 +125,13 @@ def test_on_a_terminal_metadata_is_asked_once_and_enter_leaves_it_empty(tmp_path
     path = tmp_path / "a.session"
     command = [sys.executable, "-m", "adis_gonio", "calibrate", SIM, "--dwell", "0.5", "-o", str(path)]
     environment = os.environ | {"TERM": "dumb"}
-    with subprocess.Popen(
-        [*command, "--plain"], stdin=theirs, stderr=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
-    ) as running:
+    pipes = {"stderr": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with running([*command, "--plain"], stdin=theirs, env=environment, **pipes) as program:
         os.close(theirs)
         os.write(ours, "A. Müller\n\ndisc\n\n\nn\n".encode())
-        said = running.communicate(timeout=120)[1].decode()
+        said = program.communicate(timeout=120)[1]
     os.close(ours)
-    assert running.returncode == 0, said
+    assert program.returncode == 0, said
     session = load_session(path)
     assert (session.operator, session.serial, session.stage) == ("A. Müller", "", "disc")
     assert said.count("serial number of the part") == 1

@@ -69,7 +69,7 @@ def test_a_format_by_name_wins_over_the_ending(recorded, tmp_path):
 def test_standard_output_holds_the_same_bytes_as_a_file(recorded, tmp_path, kind):
     assert main(["export", str(recorded), "--format", kind, "-o", str(tmp_path / "a")]) == 0
     call = [sys.executable, "-m", "adis_gonio", "export", str(recorded), "--format", kind, "-o", "-"]
-    done = subprocess.run(call, capture_output=True, check=True)
+    done = subprocess.run(call, capture_output=True, check=True, timeout=600)
     assert done.stdout == (tmp_path / "a").read_bytes()
     assert done.stderr == b""
 

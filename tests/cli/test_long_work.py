@@ -64,7 +64,7 @@ def test_in_a_log_a_line_comes_seldom_and_says_stage_and_share(capsys, monkeypat
 
     def times():
         for event in go:
-            event.wait()
+            event.wait(600)
             yield 0.0
 
     monkeypatch.setattr(working, "_times_s", times)
@@ -195,7 +195,7 @@ def test_ctrl_c_in_the_midst_of_a_trace_leaves_everything_as_it_was(tmp_path, co
         assert process.stderr is not None
         first = process.stderr.readline()  # after a second of work
         process.send_signal(signal.SIGINT)
-        rest = process.communicate()[1]
+        rest = process.communicate(timeout=600)[1]
     assert process.returncode == 130
     assert first.endswith("…\n")
     assert rest.splitlines()[-1] == "adis-gonio: stopped by the operator; what was recorded is kept"
@@ -212,7 +212,7 @@ def test_ctrl_c_in_a_simulation_keeps_what_was_measured_and_counts_it(tmp_path, 
         while not process.stderr.readline().endswith("samples\n"):
             pass
         process.send_signal(signal.SIGINT)
-        rest = process.communicate()[1]
+        rest = process.communicate(timeout=600)[1]
     assert process.returncode == 130
     held = len(load_session(out).dwells)
     assert 0 < held < 24
@@ -278,7 +278,7 @@ def test_a_full_disk_leaves_the_old_page(tmp_path, two):
     page = tmp_path / "page.html"
     page.write_text("old", encoding="utf-8")
     with program(["report", str(two), "-o", str(page)], room=2000) as process:
-        said = process.communicate()[1]
+        said = process.communicate(timeout=600)[1]
     assert process.returncode == 1
     assert said.splitlines()[-1] == f"adis-gonio: {page}: cannot be written: File too large"
     assert "Traceback" not in said
@@ -290,7 +290,7 @@ def test_a_full_disk_leaves_the_old_page_of_a_board(tmp_path):
     (tmp_path / "a.html").write_text("old", encoding="utf-8")
     arguments = ["bringup", "sim:?seed=1", "-o", str(tmp_path / "a.html")]
     with program(arguments, room=30000) as process:  # room for the JSON, not for the page
-        said = process.communicate()[1]
+        said = process.communicate(timeout=600)[1]
     assert process.returncode == 1
     assert "a.html: cannot be written: File too large" in said
     assert (tmp_path / "a.html").read_text(encoding="utf-8") == "old"

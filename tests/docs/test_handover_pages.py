@@ -52,8 +52,8 @@ def test_the_example_in_c_compiles_and_shows_the_calibration_s_angle(handed_over
     (code,) = blocks("handover.md", "c")
     (handed_over / "main.c").write_text(code)
     options = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
-    subprocess.run(["gcc", *options, "main.c", "-o", "main"], cwd=handed_over, check=True)
-    done = subprocess.run([handed_over / "main"], capture_output=True, text=True, check=True)
+    subprocess.run(["gcc", *options, "main.c", "-o", "main"], cwd=handed_over, check=True, timeout=300)
+    done = subprocess.run([handed_over / "main"], capture_output=True, text=True, check=True, timeout=300)
     gravity, udeg, deg = (float(word) for word in done.stdout.split())
     words = [int(word, 16) & 0x3FFF for word in re.search(r"words\[5\] = \{ (.*?) \}", code)[1].split(", ")]
     numbers = [word - 0x4000 if word & 0x2000 else word for word in words[:3]]

@@ -45,7 +45,7 @@ class Machine:
             str(source),
             *self.libraries,
         ]
-        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=600)
         assert done.returncode == 0, done.stderr
         assert done.stderr == ""
         ran = subprocess.run(

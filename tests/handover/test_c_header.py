@@ -148,6 +148,7 @@ def test_two_headers_stand_in_one_program_and_two_of_one_name_are_refused(tmp_pa
         capture_output=True,
         text=True,
         check=False,
+        timeout=600,
     )
     assert done.returncode != 0
     assert "two calibrations are called one" in done.stderr

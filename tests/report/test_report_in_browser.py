@@ -115,7 +115,7 @@ def test_on_paper_all_of_it_is_there_and_nothing_leaves_the_sheet(chrome, made, 
         tab.pdf(tmp_path / "page.pdf")
         tab.open_folds()
         said = tab.tab.evaluate(TEXTS)
-    subprocess.run(["pdftotext", "-bbox", "page.pdf", "words.html"], cwd=tmp_path, check=True)
+    subprocess.run(["pdftotext", "-bbox", "page.pdf", "words.html"], cwd=tmp_path, check=True, timeout=300)
     printed = set()
     for sheet in ET.parse(tmp_path / "words.html").iter("{http://www.w3.org/1999/xhtml}page"):
         for word in sheet:

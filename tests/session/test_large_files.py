@@ -13,6 +13,7 @@ from adis_gonio.budget import Budget, within
 from adis_gonio.estimation import spectrum
 from adis_gonio.fitting import fit
 from adis_gonio.session.loading import load_session
+from programs import running
 
 ROOT = Path(__file__).parents[2]
 _SPEC = importlib.util.spec_from_file_location("large_file", ROOT / "scripts" / "large_file.py")
@@ -59,10 +60,10 @@ def test_loading_and_fitting_tell_their_stages_with_the_share(large):
 
 def test_ctrl_c_while_a_file_is_read_ends_with_130_and_one_line(large):
     command = [sys.executable, "-m", "adis_gonio", "fit", str(large)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with running(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         told = process.stderr.readline()
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate()
+        out, err = process.communicate(timeout=300)
     assert told.startswith("reading large.csv")
     assert process.returncode == 130
     assert out == ""

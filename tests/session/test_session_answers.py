@@ -137,7 +137,7 @@ def test_a_note_from_any_thread_at_any_time_is_archived_with_time_and_place(sens
             said.append(True)
             thread = threading.Thread(target=runner.note, args=(" the lamp came on ",))
             thread.start()
-            thread.join()
+            thread.join(60)
         return False
 
     events = run(runner, answer)

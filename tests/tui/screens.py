@@ -48,7 +48,7 @@ class PlayedRunner:
             yield step
         self.played.set()
         if not self._ends:
-            self._stopped.wait()
+            self._stopped.wait(600)
 
     def answer(self, answer: str) -> None:
         if self.deaf:

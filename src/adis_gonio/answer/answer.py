@@ -17,6 +17,7 @@ import numpy as np
 from adis_gonio.answer.of_trace import budgets_of_trace, shown_angle
 from adis_gonio.answer.tables import budget_table, parameter_row, score_table
 from adis_gonio.answer.wording import Line, lines_as_text, wrapped
+from adis_gonio.counting import counted
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.values import Value
 from adis_gonio.fitting.result import FitResult
@@ -210,7 +211,8 @@ class Answer:
         dwells = max((score.dwells for score in self.scores.values()), default=0)
         if not dwells:
             return "Methods cannot be compared: no dwell can be left out of a fit."
-        return f"Every method on the same {dwells} dwells, each left out of the fit where it was in it:"
+        same = counted(dwells, "dwell")
+        return f"Every method on the same {same}, each left out of the fit where it was in it:"
 
     def facts(self) -> list[str]:
         """What the recommended fit left, in a line or two."""
@@ -281,6 +283,6 @@ def _reason(
         errors = f"{own.residual_rms_mg:.2g} mg rms", f"{other.residual_rms_mg:.2g} mg"
     else:
         return None
-    said = f"{errors[0]} over {own.dwells} dwells left out, {errors[1]} without"
+    said = f"{errors[0]} over {counted(own.dwells, 'dwell')} left out, {errors[1]} without"
     state = "explains the residual" if trace.adequate else "is the best that the trace found"
     return f"the model with these effects {state} and predicts as well or better ({said})"

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from adis_gonio.cli.overrides import fixture, gravity
+from adis_gonio.counting import counted
 from adis_gonio.errors import UsageError
 from adis_gonio.model.records import ACCEL_UNITS, SENSORS, STANDARD_GRAVITY_MPS2
 
@@ -50,4 +51,4 @@ def command(*, plan_name: str, positions: int | None, check: int, output: Path, 
         raise UsageError(f"{output}: a template is filled in by hand: name it .csv")
     chosen = plan(plan_name, positions, check)
     write_template(output, template_text(chosen, **keys))
-    click.echo(f"{output}: {len(chosen)} positions to fill in", err=True)
+    click.echo(f"{output}: {counted(len(chosen), 'position')} to fill in", err=True)

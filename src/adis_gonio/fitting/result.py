@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from adis_gonio.counting import counted
 from adis_gonio.estimation.intervals import factor_over
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.provenance import Provenance
@@ -161,7 +162,7 @@ class FitResult:
             :2
         ]
         told = ", ".join(f"{one.name} {with_u(one.value, one.u, one.unit)}" for one in lead)
-        return f"FitResult({self.method}, {len(self.positions)} dwells, {told})"
+        return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {told})"
 
     def calibration(self) -> Calibration:
         """What turns readings into angles by these parameters.

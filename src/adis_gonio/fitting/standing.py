@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.counting import counted
 from adis_gonio.errors import FitError
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.fitting.methods import applicable_to, default_method, fit_readings
@@ -179,7 +180,9 @@ def _why(
             else f"{own.residual_rms_mg:.2g} mg rms"
         )
         how = "as well as any" if len(good) > 1 else "best"
-        reasons.append(f"it predicts the {own.dwells} dwells {how}, each left out of its fit ({said})")
+        reasons.append(
+            f"it predicts the {counted(own.dwells, 'dwell')} {how}, each left out of its fit ({said})"
+        )
     else:
         reasons.append("no dwell can be left out to compare the methods by")
     if len(good) > 1 and _doubt(result) < math.inf:

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.counting import counted
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -76,7 +78,7 @@ class Dwell:
 
     def __repr__(self) -> str:
         angle = "no angle" if self.angle_deg is None else f"{self.angle_deg:g}°"
-        return f"Dwell({self.position}: {angle}, {len(self)} samples)"
+        return f"Dwell({self.position}: {angle}, {counted(len(self), 'sample')})"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Columns (n,) of the samples CSV that the dwell has; an angle that is not known is NaN."""
@@ -150,7 +152,8 @@ class Session:
     def __repr__(self) -> str:
         name = self.title or self.source or "untitled"
         samples = sum(len(dwell) for dwell in self.dwells)
-        return f"Session({name}: {len(self.dwells)} dwells, {samples} samples, {self.sensor})"
+        held = f"{counted(len(self.dwells), 'dwell')}, {counted(samples, 'sample')}"
+        return f"Session({name}: {held}, {self.sensor})"
 
     def to_pandas(self) -> pd.DataFrame:
         """Samples as a data frame with the columns of the samples CSV (extra: pandas)."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
+from adis_gonio.counting import counted
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Floats
 from adis_gonio.session.blocks import Block, session_columns
@@ -251,7 +252,7 @@ def shock_guard(why: str, times: int) -> Guard:
     """A dwell was disturbed again and again."""
     return Guard(
         "shock",
-        f"{times} dwells in a row were disturbed: {why}; find what shakes the part",
+        f"{counted(times, 'dwell')} in a row were disturbed: {why}; find what shakes the part",
         {"times": float(times)},
     )
 

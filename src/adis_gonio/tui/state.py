@@ -8,6 +8,7 @@ from enum import Enum
 from functools import singledispatchmethod
 from typing import Literal
 
+from adis_gonio.counting import counted
 from adis_gonio.session import events
 from adis_gonio.session.plans import Plan, Position
 
@@ -277,7 +278,7 @@ class BenchState:
         self.place = None
         self.quiet = True
         self.waits_for = ""
-        self.doing = f"tracing {event.dwells} dwells"
+        self.doing = f"tracing {counted(event.dwells, 'dwell')}"
 
     @take.register
     def _(self, event: events.Advised) -> None:

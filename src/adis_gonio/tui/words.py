@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from adis_gonio.counting import counted
 from adis_gonio.report.numbers import uncertain, with_unit
 from adis_gonio.session import events
 from adis_gonio.session.guidance import to_do
@@ -181,8 +182,8 @@ def _running(running: events.Running | None) -> str:
         if entry is not None:
             said.append(f"{symbol} {with_unit(uncertain(entry['value'], entry['u']), entry['unit'])}")
     if not said:
-        return f"{running.dwells} dwells, by {running.method}"
-    return "\n".join(said) + f"   ({running.method}, {running.dwells} dwells)"
+        return f"{counted(running.dwells, 'dwell')}, by {running.method}"
+    return "\n".join(said) + f"   ({running.method}, {counted(running.dwells, 'dwell')})"
 
 
 def duration(seconds: float) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from adis_gonio.counting import counted
+
 if TYPE_CHECKING:
     from adis_gonio.session.events import (
         Advised,
@@ -52,7 +54,7 @@ def dwell_done(event: DwellDone) -> str:
     lost += f", {event.alarms} with an error or alarm" if event.alarms else ""
     return (
         f"  {event.position!s:>16}   x {x:+9.2f}   y {y:+9.2f}   z {z:+9.2f} mg"
-        f"   {event.samples} samples{lost}"
+        f"   {counted(event.samples, 'sample')}{lost}"
     )
 
 
