@@ -51,7 +51,9 @@ def choose_face(runner: SessionRunner, prompts: Face, *, plain: bool, resume_by:
 
 def _is_terminal() -> bool:
     """True where both ends are a terminal that can place its cursor and show the screen's signs."""
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+    from adis_gonio.cli.bench.lines import on_terminal
+
+    if not (on_terminal() and sys.stderr.isatty()):
         return False
     encoding = (sys.stderr.encoding or "").lower().replace("-", "")
     return os.environ.get("TERM", "") not in ("", "dumb", "unknown") and encoding == "utf8"
