@@ -7,7 +7,8 @@ a perfect operator does the same plan on the same part. With --typed the operato
 `calibrate --plain` itself, else before a runner's events.
 
 Ends with status 1 where a target is missed: no dead end, no traceback, nothing recorded lost, at most 5 %
-of the values with exit status 0 outside their U, median time at most 1.15 of a perfect operator's.
+of the values with exit status 0 outside their U (to two standard deviations of the count), median time at
+most 1.15 of a perfect operator's.
 
     python scripts/clumsy_operators.py --operators 1000 --seed 1
     python scripts/clumsy_operators.py --operators 60 --seed 2 --typed
@@ -131,7 +132,7 @@ def verdict(clumsy: Iterable[Outcome], ratio: float) -> bool:
             good = False
             print(f"trouble, {outcome.task}: {text}")
     print(f"outside U with status 0: {wrong} of {values}; not determined, and said so: {unsaid}")
-    return good and wrong <= MOST_WRONG * values
+    return good and wrong <= MOST_WRONG * values + 2 * np.sqrt(MOST_WRONG * values)
 
 
 def main() -> int:

@@ -53,6 +53,15 @@ def test_four_enters_without_turning_end_in_status_1_and_say_so_at_once(bench):
     assert len(load_session(path).dwells) == 1  # the data stay
 
 
+def test_no_turn_is_told_from_where_the_part_may_not_lie(bench):
+    """After a wrong turn by -90° the words of a turn by +90° would lead back to where it came from."""
+    _, said, _ = bench("\n\n\n", "--plan", "four-position", still=True)
+    asked = [line for line in said.err.splitlines() if line.startswith("2 of 4")]
+    assert len(asked) == 2
+    assert "turn the part +90° (counter-clockwise) to 90°" in asked[0]
+    assert "turn the part to 90°" in asked[1]
+
+
 def test_kept_nevertheless_the_end_says_that_the_result_cannot_be_right(bench):
     status, said, path = bench(
         "\n" + "\nk\n" * 3, "--plan", "four-position", "--fixture", "0.02", "--json", still=True

@@ -100,7 +100,7 @@ class BenchState:
     zero_known : bool
         True once a dwell has shown where the stage's zero is.
     here : Position or None
-        Where the part was when it was measured last.
+        Where the part was measured last; None once a dwell was broken off, as it may lie elsewhere.
     reversed : bool
         True in a session that is taken as turned the other way.
     messages : list of Message
@@ -302,6 +302,7 @@ class BenchState:
     @take.register
     def _(self, event: events.DwellInterrupted) -> None:
         self._goes_on()
+        self.here = None
         self.say(f"{event.position} interrupted: {event.reason} (samples kept)", "warned")
 
     @take.register

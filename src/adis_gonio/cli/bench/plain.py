@@ -60,7 +60,7 @@ class PlainBench:
         self._lines = Lines()
         self._question: _Question | None = None
         self._asking = False
-        self._here: Position | None = None
+        self._here: Position | None = None  # where the part lies; unknown once a dwell was broken off
         self._drawn = False
         self._screen = console(stderr=True)
 
@@ -291,7 +291,7 @@ class PlainBench:
             case events.Running() if not self._auto:
                 self._say_running(event)
             case events.DwellInterrupted():
-                where = event.position
+                where, self._here = event.position, None
                 self._say(f"  dwell at {where} interrupted: {event.reason} (samples kept)", "yellow")
             case _:
                 self._tell_rest(event)
