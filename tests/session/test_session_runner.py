@@ -772,10 +772,15 @@ def test_settings_that_cannot_be_are_one_line(change, words):
 
 
 @pytest.mark.parametrize(
-    "change", [{"gravity_mps2": 0.0}, {"gravity_mps2": 980.7}, {"fixture_sigma_deg": -0.1}]
+    ("change", "words"),
+    [
+        ({"gravity_mps2": 0.0}, "gravity is 0: give m/s²"),
+        ({"gravity_mps2": 980.7}, r"are 9\.807 m/s²"),
+        ({"fixture_sigma_deg": -0.1}, "fixture_sigma_deg"),
+    ],
 )
-def test_circumstances_that_cannot_be_are_one_line(sensor, path, change):
-    with pytest.raises(UsageError, match=next(iter(change))):
+def test_circumstances_that_cannot_be_are_one_line(sensor, path, change, words):
+    with pytest.raises(UsageError, match=words):
         SessionRunner.begin(sensor, path, plan(), SHORT, auto=True, **change)
     assert not path.exists()
 
