@@ -14,6 +14,7 @@ from adis_gonio.cli.overrides import override_options
 from adis_gonio.errors import UsageError
 
 if TYPE_CHECKING:
+    from adis_gonio.handover.exporting import Source
     from adis_gonio.session.overrides import Overrides
 
 STANDARD_OUTPUT = "-"
@@ -76,11 +77,8 @@ def command(
         source.write(kind, beside)
 
 
-def _to_standard_output(source: object, kind: str) -> None:
+def _to_standard_output(source: Source, kind: str) -> None:
     """Whole or not at all: what fails half-way has said nothing."""
-    from adis_gonio.handover.exporting import Source
-
-    assert isinstance(source, Source)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "export"
         source.write(kind, path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -72,14 +72,12 @@ def command(
         return
     screen = _screen()
     title = f"{loaded.title}: " if loaded.title else ""
-    screen.print(
-        f"{title}{counted(len(loaded.dwells), 'dwell')}, {loaded.sensor}", style="bold", markup=False
-    )
+    screen.print(f"{title}{counted(len(loaded.dwells), 'dwell')}, {loaded.sensor}", style="bold")
     written = [f"{name} {getattr(loaded, name)}" for name in METADATA if getattr(loaded, name)]
     if written:
-        screen.print(f"  {', '.join(written)}", markup=False)
+        screen.print(f"  {', '.join(written)}")
     for note in loaded.notes:
-        screen.print(f"  {note}", markup=False)
+        screen.print(f"  {note}")
     print_answer(answer, shown=loaded.notes, everything=everything)
     if run is not None:
         _print_monte_carlo(screen, run)
@@ -106,26 +104,37 @@ def print_answer(
     screen = _screen()
     screen.print()
     for line in answer.text(min(screen.width, _WIDTH)).splitlines():
-        screen.print(line, markup=False, style="bold" if line.startswith("Answer") else None)
+        screen.print(line, style="bold" if line.startswith("Answer") else None)
     screen.print()
     if truth is not None or answer.has_more:
         screen.print(_parameters(answer, truth))
     for line in answer.facts():
-        screen.print(f"  {line}", markup=False)
+        screen.print(f"  {line}")
     _budget(screen, answer)
     _others(screen, answer)
     if everything:
         _print_all(screen, answer.standing.results)
     for text in answer.warnings(everything=everything):
         if text not in shown:
-            screen.print(text, markup=False)
+            screen.print(text)
 
 
 def _screen() -> Console:
-    from rich.console import Console
+    return console(most=_WIDTH)
 
-    screen = console()
-    return Console(highlight=False, width=_WIDTH) if screen.width > _WIDTH else screen
+
+def _table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], texts: int = 1, bold: str | None = None
+) -> Table:
+    """A table: `texts` columns to the left, numbers to the right; the row named `bold` stands out."""
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for k, name in enumerate(head):
+        table.add_column(name, justify="right" if k >= texts else "left")
+    for row in rows:
+        table.add_row(*row, style="bold" if bold is not None and row[0] == bold else None)
+    return table
 
 
 def _parameters(answer: Answer, truth: Mapping[str, float] | None) -> Table:
@@ -151,38 +160,24 @@ def _parameters(answer: Answer, truth: Mapping[str, float] | None) -> Table:
 
 
 def _budget(screen: Console, answer: Answer) -> None:
-    from rich.table import Table
-
     head, rows = answer.budget_rows()
     if not rows:
         return
     screen.print()
-    screen.print("Uncertainty budget: shares of the variance", markup=False)
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for k, name in enumerate(head):
-        table.add_column(name, justify="right" if k > 3 else "left")
-    for row in rows:
-        table.add_row(*row)
-    screen.print(table)
+    screen.print("Uncertainty budget: shares of the variance")
+    screen.print(_table(head, rows, texts=4))
 
 
 def _others(screen: Console, answer: Answer) -> None:
-    from rich.table import Table
-
     head, rows = answer.score_rows()
     if len(rows) < 2 and not answer.standing.failures:
         return
     screen.print()
-    screen.print(answer.scored_on, markup=False)
+    screen.print(answer.scored_on)
     if len(head) > 1:
-        table = Table(box=None, padding=(0, 2, 0, 0))
-        for k, name in enumerate(head):
-            table.add_column(name, justify="right" if k else "left")
-        for k, row in enumerate(rows):
-            table.add_row(*row, style=None if k else "bold")
-        screen.print(table)
+        screen.print(_table(head, rows, bold=rows[0][0] if rows else None))
     for method, reason in answer.standing.failures.items():
-        screen.print(f"no result by {method}: {reason}", markup=False)
+        screen.print(f"no result by {method}: {reason}")
 
 
 def _print_all(screen: Console, results: Sequence[FitResult]) -> None:
@@ -213,16 +208,8 @@ def _monte_carlo(result: FitResult, trials: int | None, seed: int) -> MonteCarlo
 
 
 def _print_monte_carlo(screen: Console, run: MonteCarlo) -> None:
-    from rich.table import Table
-
     screen.print()
     screen.print(f"Monte Carlo, {run.trials} trials (GUM Supplement 1)", style="bold")
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    head, rows = run.rows()
-    for k, name in enumerate(head):
-        table.add_column(name, justify="right" if k > 1 else "left")
-    for row in rows:
-        table.add_row(*row)
-    screen.print(table)
+    screen.print(_table(*run.rows(), texts=2))
     for line in run.remarks:
-        screen.print(f"  {line}", markup=False)
+        screen.print(f"  {line}")
