@@ -25,17 +25,6 @@ def json_text(document: Mapping[str, Any]) -> str:
     return json.dumps(document, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
 
 
-def finite(value: Any) -> Any:
-    """The same in types that JSON has; what is not finite becomes null."""
-    if isinstance(value, Mapping):
-        return {str(key): finite(entry) for key, entry in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return finite(value.tolist())
-    if isinstance(value, list | tuple):
-        return [finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def document_of(calibration: Calibration) -> dict[str, Any]:
     """JSON document of a calibration, as `schema/calibration-1.json` describes it."""
     where = calibration.provenance

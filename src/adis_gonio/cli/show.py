@@ -9,8 +9,9 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import click
-import numpy as np
 from rich.console import Console
+
+from adis_gonio.jsonable import finite
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -44,27 +45,13 @@ def console(*, stderr: bool = False, most: int = 0) -> Console:
 
 def json_text(document: Any, *, ascii_only: bool = False) -> str:
     """One JSON document as text; what is not finite becomes null."""
-    return json.dumps(_plain(document), ensure_ascii=ascii_only, indent=2, allow_nan=False)
+    return json.dumps(finite(document), ensure_ascii=ascii_only, indent=2, allow_nan=False)
 
 
 def print_json(document: Any) -> None:
     """Write one JSON document to standard output, in pure ASCII where that is not UTF."""
     unicode = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
     click.echo(json_text(document, ascii_only=not unicode))
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def with_uncertainty(value: float, u: float | None) -> str:

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from adis_gonio.calibration.calibration import Calibration
-from adis_gonio.calibration.document import finite, json_text
+from adis_gonio.calibration.document import json_text
 from adis_gonio.calibration.loading import calibration_in
 from adis_gonio.errors import DataError, FitError, UsageError
 from adis_gonio.handover.c_header import DEFAULT_NAME
+from adis_gonio.jsonable import finite
 from adis_gonio.model.records import Session
 from adis_gonio.session import load_session
 from adis_gonio.session.export import session_dict

@@ -134,11 +134,6 @@ def _with_constant(function: Callable[[Conditions], Floats]) -> Callable[[Condit
     return columns
 
 
-def _beside_constant(basis: Basis, common: Callable[[Conditions], Floats]) -> Basis:
-    """The same functions with a constant among them."""
-    return replace(basis, form=basis.form + " + const", common=common, with_constant=True)
-
-
 def _both(
     family: str,
     covariates: tuple[str, ...],
