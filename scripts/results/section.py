@@ -1,0 +1,56 @@
+"""What a section of the results is: text, numbers and figures, and how much work they may take."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much to do.
+
+    Attributes
+    ----------
+    fast : bool
+        A few sessions only: shows that the section runs, not what it finds.
+    seed : int
+        Everything that is drawn comes from here.
+    jobs : int
+        Processes at most.
+    """
+
+    fast: bool
+    seed: int
+    jobs: int = 1
+
+    def generator(self) -> np.random.Generator:
+        """A fresh generator: the same draws every time."""
+        return np.random.default_rng(self.seed)
+
+    def sessions(self, full: int, fast: int) -> int:
+        """How many sessions to draw."""
+        return fast if self.fast else full
+
+
+@dataclass(frozen=True)
+class Section:
+    """One section, written to `docs/results/NAME.md`, `NAME.json` and `NAME-FIGURE.svg`.
+
+    Attributes
+    ----------
+    markdown : str
+        Without a heading of the first level; figures are named by `![…](NAME-FIGURE.svg)`.
+    document : mapping
+        The same numbers as JSON.
+    figures : mapping
+        SVG texts by the figure's name.
+    """
+
+    title: str
+    markdown: str
+    document: Mapping[str, Any]
+    figures: Mapping[str, str] = field(default_factory=dict)
