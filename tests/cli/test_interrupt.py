@@ -1,10 +1,13 @@
 """Ctrl-C between two steps loses nothing, and while something is waited for it ends the wait at once."""
 
 import signal
+import subprocess
+import sys
 
 import pytest
 
 from adis_gonio.cli.interrupt import Interrupt
+from programs import running
 
 
 def test_ctrl_c_within_a_step_lets_it_end_and_breaks_the_next_wait() -> None:
@@ -36,3 +39,18 @@ def test_afterwards_ctrl_c_is_as_before() -> None:
     with Interrupt():
         assert signal.getsignal(signal.SIGINT) is not before
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_ctrl_c_after_the_work_changes_nothing_of_the_exit_status():
+    """As from somebody who presses it while the program goes down."""
+    late = (
+        "import atexit, os, signal, sys;"
+        "from adis_gonio import cli;"
+        "atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT));"
+        "sys.argv[1:] = ['--version'];"
+        "cli.run()"
+    )
+    with running([sys.executable, "-c", late], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as program:
+        said, complained = program.communicate()
+    assert (program.returncode, complained) == (0, "")
+    assert "adis-gonio" in said

@@ -8,7 +8,10 @@ import pytest
 
 pytest.importorskip("textual", reason="the extra 'bench' is not installed")
 
+from textual.geometry import Size
+
 from adis_gonio.cli import face as choosing
+from adis_gonio.cli.bench import lines
 from adis_gonio.errors import BusTimeoutError, SessionError
 from adis_gonio.session import events
 from adis_gonio.tui import bench, words
@@ -233,6 +236,16 @@ def test_earlier_work_is_remembered():
     ]  # fmt: skip
 
 
+def test_a_change_of_size_that_no_signal_told_of_is_seen(monkeypatch):
+    def shrink(app: bench.BenchApp) -> None:
+        monkeypatch.setattr(bench.BenchApp, "terminal_size", lambda self: Size(60, 20))
+        app.tick()
+
+    text, app, _ = shown(ASKED, before=shrink)
+    assert app.size == (60, 20)
+    assert "the terminal has 60 × 20" in " ".join(text.split())
+
+
 # -- the ends ---------------------------------------------------------------------------------------------
 
 
@@ -314,6 +327,7 @@ def terminal(monkeypatch):
         for end in ("stdin", "stderr")
     }
     monkeypatch.setattr(choosing, "sys", SimpleNamespace(**ends))
+    monkeypatch.setattr(lines, "sys", choosing.sys)
     monkeypatch.setenv("TERM", "xterm-256color")
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("LINES", "24")

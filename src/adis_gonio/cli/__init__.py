@@ -7,6 +7,7 @@ Results go to standard output, everything else to standard error. Exit status: 0
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -90,4 +91,7 @@ def _fail(message: str, status: int) -> int:
 def run() -> None:
     """Entry point of the `adis-gonio` program."""
     make_readable()
-    sys.exit(main())
+    status = main()
+    # What the exit status says is decided: a late Ctrl-C must not turn it into a death by signal.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.exit(status)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import queue
+import shutil
 import signal
 import threading
 import time
@@ -17,6 +18,7 @@ from textual import events as ui
 from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
+from textual.geometry import Size
 from textual.screen import Screen
 from textual.widgets import Static
 
@@ -193,8 +195,14 @@ class BenchApp(App[None]):
         base.set_class(width >= LARGE_SIZE[0] and height >= LARGE_SIZE[1], "large")
         self.call_after_refresh(self.show)
 
+    def terminal_size(self) -> Size:
+        """What the terminal has now, whether or not a signal told of it."""
+        return self.size if self.is_headless else Size(*shutil.get_terminal_size())
+
     def tick(self) -> None:
         """Take what the runner has told since, and show it."""
+        if (size := self.terminal_size()) != self.size:
+            self.post_message(ui.Resize(size, size))
         ended = self._ended.is_set()  # before the queue is looked at: nothing comes after
         while not self._events.empty():
             event = self._events.get_nowait()
