@@ -109,6 +109,33 @@ def test_never_turning_asks_at_every_position_and_what_is_kept_is_named_as_impos
     assert sum("was kept: the part has not moved" in note for note in session.notes) == 3
 
 
+def test_a_position_that_contradicts_the_first_dwell_and_is_skipped_leaves_a_doubt(sensor, path):
+    """The part was not moved for the second position: skipping hides nothing."""
+    forgets = lambda event, times: 0.0 if event.place == 1 else event.position.angle_deg  # noqa: E731
+    _, hand = by_hand(sensor, path, angle=forgets, answer=lambda event, times: "skip")
+    assert [guard.place for guard in hand.guards] == [1]
+    session = read_session(path)
+    (doubt,) = session.facts["doubts"]
+    assert (doubt["attempt"], doubt["place"], doubt["kind"]) == (None, 1, "not_moved")
+    assert any("90° contradicted dwells before it and was skipped" in note for note in session.notes)
+
+
+def test_a_contradiction_is_settled_by_taking_the_first_dwell_again(sensor, path):
+    """The first dwell was made at 90°; the second position is skipped, then the first is repeated."""
+    wrong_first = lambda event, times: 90.0 if event.place == 0 and times == 0 else event.position.angle_deg  # noqa: E731
+    runner = SessionRunner.begin(sensor, path, plan("four-position"), QUICK, fixture_sigma_deg=0.02)
+    hand, undone = Hand(sensor, wrong_first, lambda event, times: "skip"), False
+    for event in runner.run():
+        if isinstance(event, PositionAsked) and hand.guards and not undone:
+            undone = True
+            runner.undo()
+        else:
+            hand.see(runner, event)
+    assert [guard.place for guard in hand.guards] == [1]
+    assert not read_session(path).facts["doubts"]
+    assert right(sensor, path)
+
+
 def test_a_stage_that_counts_the_other_way_is_taken_as_reversed_and_the_result_is_right(sensor, path):
     backwards = lambda event, times: -event.position.angle_deg  # noqa: E731
     _, hand = by_hand(sensor, path, angle=backwards, answer=lambda event, times: "reverse")

@@ -165,10 +165,16 @@ def _status(session: Session, *, complete: bool) -> int:
     """Exit status; where a dwell was kept against a guard, why the result cannot be right is said."""
     doubts = session.facts["doubts"]
     for doubt in doubts:
-        click.echo(f"the result cannot be right: {doubt['message']}", err=True)
+        sure = "cannot" if doubt["attempt"] is not None else "may not"
+        click.echo(f"the result {sure} be right: {doubt['message']}", err=True)
     if doubts:
-        where = f"{counted(len(doubts), 'dwell')} kept nevertheless"
-        click.echo(f"{where}; the data stay in {session.source}: measure again", err=True)
+        kept = sum(doubt["attempt"] is not None for doubt in doubts)
+        what = [f"{counted(kept, 'dwell')} kept nevertheless"] if kept else []
+        if kept < len(doubts):
+            what.append(
+                f"{counted(len(doubts) - kept, 'position')} that contradicted dwells before skipped"
+            )
+        click.echo(f"{', '.join(what)}; the data stay in {session.source}: measure again", err=True)
     return 0 if complete and not doubts else 1
 
 

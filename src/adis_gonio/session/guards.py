@@ -64,20 +64,21 @@ class Guard:
     default: str = "retake"
     spoils: bool = False
 
+    @property
+    def contradicts(self) -> bool:
+        """True where either the part's place or a dwell before is wrong."""
+        return self.kind in ("not_moved", "reversed", "wrong_axis", "wrong_angle")
+
 
 def insistent(guard: Guard, times: int) -> Guard:
     """The same guard when it stops at one place for the n-th time: perhaps what was before is wrong."""
-    if times < 2 or guard.kind not in _OF_PLACE:
+    if times < 2 or not guard.contradicts:
         return guard
     hint = (
         f"stopped here {times} times: if the part stands right now, a dwell before does not, or the part"
         " has slipped since; take the position again and undo what was before"
     )
     return replace(guard, message=f"{guard.message}; {hint}", values=guard.values | {"times": float(times)})
-
-
-_OF_PLACE = ("not_moved", "reversed", "wrong_axis", "wrong_angle")
-"""Kinds that compare the part's place with the dwells before."""
 
 
 @dataclass(frozen=True)

@@ -133,6 +133,12 @@ def _facts_of(attempt: StoredAttempt, scans: Block, dropped: int) -> JsonDict:
     }
 
 
+def _doubtful(plan: Plan, doubt: JsonDict) -> str:
+    if doubt["attempt"] is None:
+        return f"{plan.positions[doubt['place']]} contradicted dwells before it and was skipped"
+    return f"attempt {doubt['attempt']} was kept"
+
+
 def _notes(plan: Plan, pending: Sequence[int], skipped: set[int], facts: JsonDict) -> tuple[str, ...]:
     notes, dwells = [], facts["dwells"]
     if pending:
@@ -142,7 +148,7 @@ def _notes(plan: Plan, pending: Sequence[int], skipped: set[int], facts: JsonDic
         )
     if facts["reversed"]:
         notes.append("turned the other way: every angle of the plan was taken with the other sign")
-    notes += [f"attempt {doubt['attempt']} was kept: {doubt['message']}" for doubt in facts["doubts"]]
+    notes += [f"{_doubtful(plan, doubt)}: {doubt['message']}" for doubt in facts["doubts"]]
     if skipped:
         notes.append(f"skipped: {', '.join(str(plan.positions[place]) for place in sorted(skipped))}")
     lost = sum(dwell["lost"] for dwell in dwells)

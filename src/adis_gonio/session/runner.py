@@ -526,6 +526,10 @@ class SessionRunner(Operator):
             self._reverse()
         elif answer is Answer.SKIP:
             self._skip(place)
+            if guard.contradicts and self._done:
+                taken = sorted(self._done.values())
+                doubt = {"place": place, "dwells": taken, "kind": guard.kind, "message": guard.message}
+                self._note("contradiction", doubt)
         return answer in (Answer.KEEP, Answer.REVERSE)
 
     def _reverse(self) -> None:

@@ -114,9 +114,20 @@ class ArchiveView:
         return [a for a in self.attempts() if a.number in counted]
 
     def doubts(self) -> list[JsonDict]:
-        """Why a result cannot be right: what a guard stopped at in dwells that count, and that was kept."""
-        counted = {attempt.number for attempt in self.dwells()}
-        return [record.value for record in self.records("doubt") if record.value["attempt"] in counted]
+        """Why a result cannot be right.
+
+        What a guard stopped at in dwells that count, and that was kept; and what contradicted dwells that
+        all count still, at a place that was then skipped: one of them may be what is wrong.
+        """
+        dwells = self.dwells()
+        counted, places = {attempt.number for attempt in dwells}, {attempt.place for attempt in dwells}
+        kept = [record.value for record in self.records("doubt") if record.value["attempt"] in counted]
+        skipped = {
+            record.value["place"]: record.value
+            for record in self.records("contradiction")
+            if record.value["place"] not in places and counted.issuperset(record.value["dwells"])
+        }
+        return kept + [{"attempt": None, **doubt} for doubt in skipped.values()]
 
     def withdrawn(self) -> set[int]:
         """Numbers of the complete attempts that the operator took back."""
