@@ -28,15 +28,19 @@ class Limits:
 
     # Prior
     named_share: float = number(
-        0.7, "chosen", "prior share of the catalogue; nameless functions have the rest"
+        0.7,
+        "chosen",
+        "prior share of the effects that a session can show; nameless functions have the rest",
     )
-    bias_weight: float = number(
-        6.0, "chosen", "prior weight of a bias against another effect: every sensor has one"
+    bias_share: float = number(
+        0.15,
+        "chosen",
+        "prior share of a bias beside that: every sensor has one, and nothing competes with it",
     )
     quadratic_weight: float = number(
         1.5,
         "chosen",
-        "the same of a curvature: of two names that cannot be told apart the more common stands",
+        "prior weight of a curvature: of two names that cannot be told apart the more common stands",
     )
     family_weight: float = number(
         0.7,
@@ -90,12 +94,11 @@ class Limits:
 
     # Choice
     adequate: float = number(0.01, "level", "level of the test of adequacy")
-    certain: float = number(0.55, "chosen", "posterior from which a name is called found", off=0.0)
+    certain: float = number(
+        0.55, "chosen", "posterior from which a cause, or its name, is called found", off=0.0
+    )
     told: float = number(
         2.0, "level", "standard uncertainties by which a value differs from zero (95 %)", off=0.0
-    )
-    present: float = number(
-        0.9, "level", "probability that there is any cause, from which a set is shown", off=0.0
     )
     mostly_bias: float = number(
         0.97,

@@ -7,7 +7,7 @@ Session ─ readings ─▶ candidates ─▶ selection ─▶ validation ─▶
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from adis_gonio.budget import attempt, current, spent, within
 from adis_gonio.counting import counted
@@ -38,10 +38,10 @@ from adis_gonio.tracing.outcome.shares import excesses, shares, unnamed_with_sha
 from adis_gonio.tracing.selection.scatter import Scatter, with_scatter
 from adis_gonio.tracing.selection.select import Selection, select
 from adis_gonio.tracing.thresholds import limits
-from adis_gonio.tracing.unnamed.averaging import average
+from adis_gonio.tracing.unnamed.averaging import Averaged, average
 from adis_gonio.tracing.validation.checked import unexpected
 from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order, without_folds
-from adis_gonio.tracing.validation.survival import checkable, never_worse, without
+from adis_gonio.tracing.validation.survival import checkable, never_worse, refuted, without
 
 UNCHECKED = "the time limit ended the trace before this was checked"
 """Reason of whatever is in a model that was not validated."""
@@ -117,33 +117,24 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
     if scatter is not None:
         data = scatter.applied(data)
         checking = data.checking
+    guarded = _guarded(selection, terms, max_effects)
+    selection, averaged, fits, steps = guarded.selection, guarded.averaged, guarded.fits, guarded.steps
     names = checkable(judge(selection), selection)
     if scatter is not None or not selection.adequate:
         could = undecided(selection)
         if len(could) > 1:
             names = replace(names, confounded=(*names.confounded, could))
-
-    chosen = selection
-    averaged = attempt("the average of functions without a name", lambda: average(chosen), None)
-    fold = Fold.of(selection, terms, averaged, max_effects)
-    fits, steps = in_order(selection, averaged)
     figures, design = attempt(
         "the error on left-out dwells, effects chosen anew",
-        lambda: error_figures(chosen, measured, checking, fits, fold),
+        lambda: error_figures(guarded.selection, measured, checking, guarded.fits, guarded.fold),
         without_folds(fits, measured, checking),
-    )
-    unguarded: list[float | None] = [None for _ in fits]
-    errors = attempt(
-        "the choice of the longest model that is never worse",
-        lambda: guarding(chosen, fits, fold),
-        unguarded,
     )
     if current().left_out:
         final = selection if averaged is None else selection.with_fit(averaged.fit)
         open_ = [*steps, *([] if scatter is None else [scatter.kind])]
         return _unfinished(final, fits, steps, figures, design, open_)
     reported = _reported(figures) if checking is None else None
-    count, names, cut = never_worse(names, steps, errors, reported)
+    count, names, cut = never_worse(names, steps, guarded.errors, reported)
     if count < len(steps):
         # Longer models have their figures already; those of the shorter one hold for it as they are.
         fits, steps, figures = fits[: count + 1], steps[:count], figures[: count + 1]
@@ -161,7 +152,7 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         notes += disagreement
         adequate = not disagreement
     open_still = replace(selection, adequate=adequate)
-    sets = tuple(one for one in credible_sets(selection) if one.present >= limits.present)
+    sets = tuple(one for one in credible_sets(selection) if one.present >= limits.certain)
     of_step = shares(steps, excesses(fits, figures))
     seen = _seen([f for f in findings if f.effect not in weak], data, scatter, of_step)
     nothing: tuple[tuple[str, ...], tuple[Measurement, ...]] = ((), ())
@@ -188,6 +179,44 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         fits=(*fits[:-1], final.fit),
         inflation=final.inflation,
     )
+
+
+@dataclass(frozen=True)
+class _Guarded:
+    """A model, its nested models with their held-out errors, and what is done anew in a fold."""
+
+    selection: Selection
+    averaged: Averaged | None
+    fold: Fold
+    fits: list[Fit]
+    steps: list[str]
+    errors: list[float | None]
+
+    @classmethod
+    def of(cls, selection: Selection, terms: Sequence[Term], max_effects: int) -> _Guarded:
+        averaged = attempt("the average of functions without a name", lambda: average(selection), None)
+        fold = Fold.of(selection, terms, averaged, max_effects)
+        fits, steps = in_order(selection, averaged)
+        unguarded: list[float | None] = [None for _ in fits]
+        errors = attempt(
+            "the choice of the longest model that is never worse",
+            lambda: guarding(selection, fits, fold),
+            unguarded,
+        )
+        return cls(selection, averaged, fold, fits, steps, errors)
+
+
+def _guarded(selection: Selection, terms: Sequence[Term], max_effects: int) -> _Guarded:
+    """The best model whose functions without a name stand on left-out dwells.
+
+    A function that these refute leaves the posterior: names that it stood before are judged then.
+    """
+    guarded = _Guarded.of(selection, terms, max_effects)
+    while gone := refuted(guarded.selection, guarded.fits, guarded.errors):
+        if current().left_out:
+            break
+        guarded = _Guarded.of(guarded.selection.without_functions(gone), terms, max_effects)
+    return guarded
 
 
 def _seen(

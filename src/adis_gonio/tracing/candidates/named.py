@@ -26,9 +26,8 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
     terms: list[NamedTerm] = []
     missing: dict[str, str] = {}
     kinds = catalogue()
-    common = {"bias": limits.bias_weight, "quadratic": limits.quadratic_weight}
-    weights = {name: common.get(name, 1.0) for name in kinds}
-    total = sum(weights.values())
+    weights = dict.fromkeys(kinds, 1.0) | {"quadratic": limits.quadratic_weight}
+    total = sum(weight for name, weight in weights.items() if name != "bias")
     for name, kind in kinds.items():
         if kind.enters is Enters.SAMPLES or kind.within_dwell:
             missing[name] = "looked for within the dwells"
@@ -42,14 +41,15 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
             continue
         variants = list(_variants(kind, data))
         parts = np.array([1 / getattr(effect, "cycles", 1) for effect, _ in variants])
-        shares = limits.named_share * weights[name] / total * parts / parts.sum()
-        for (effect, shapes), share in zip(variants, shares, strict=True):
+        share = limits.bias_share if name == "bias" else limits.named_share * weights[name] / total
+        shares = share * parts / parts.sum()
+        for (effect, shapes), part in zip(variants, shares, strict=True):
             label = effect.name
             if effect.axes:
                 label += "[" + "".join(effect.axes) + "]"
             label += "".join(f"({c}={getattr(effect, c)})" for c in effect.choices())
             label += "".join(f"<{value:.4g}>" for _, value in shapes)
-            terms.append(NamedTerm(label, covariates_of(kind), -math.log(share), effect, shapes))
+            terms.append(NamedTerm(label, covariates_of(kind), -math.log(part), effect, shapes))
     return terms, missing
 
 

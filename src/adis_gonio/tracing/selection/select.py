@@ -74,6 +74,19 @@ class Selection:
         verdict = without_models(self.verdict, problem.terms, impossible.__contains__)
         return replace(self, verdict=verdict, found=replace(found, scores=scores))
 
+    def without_functions(self, refuted: Sequence[Term]) -> Selection:
+        """The best of the models that have no function without a name of these covariates."""
+        gone = {term.covariates for term in refuted}
+        terms = self.problem.terms
+        scores = {
+            model: score
+            for model, score in self.found.scores.items()
+            if not any(terms[k].name is None and terms[k].covariates in gone for k in model)
+        }
+        found = replace(self.found, scores=scores)
+        verdict = weigh(found)
+        return replace(self, found=found, verdict=verdict).with_model(verdict.best).within_bounds()
+
     def with_model(self, chosen: Sequence[int]) -> Selection:
         """The same with another model of the linear problem, refitted in full."""
         model = tuple(chosen)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.terms import Term
 from adis_gonio.tracing.outcome.naming import Names
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.thresholds import limits
@@ -28,6 +30,25 @@ def without(names: Names, reasons: dict[str, str]) -> Names:
     more = tuple((name,) for name in reasons if name in names.stand)
     stand = tuple(name for name in names.stand if name not in reasons)
     return Names(stand, names.open, tuple(dict.fromkeys((*names.confounded, *more))))
+
+
+def longest(errors: Sequence[float | None], most: int) -> int:
+    """Steps, up to `most`, of the longest nested model whose error is hardly above any shorter one's."""
+    known = [error for error in errors if error is not None]
+    if len(known) < len(errors):
+        return most
+    count = most
+    while known[count] > limits.worse * min(known[: count + 1]):
+        count -= 1
+    return count
+
+
+def refuted(selection: Selection, fits: Sequence[Fit], errors: Sequence[float | None]) -> list[Term]:
+    """Functions without a name that the left-out dwells speak against."""
+    stay = fits[longest(errors, len(fits) - 1)]
+    if stay is fits[-1]:
+        return []
+    return [term for term in selection.terms if term.name is None and term not in stay.terms]
 
 
 def never_worse(
@@ -56,9 +77,7 @@ def never_worse(
     if len(known) < len(errors):
         return last, names, {}
     stated_worse = reported is not None and reported[1] > limits.worse * reported[0]
-    count = last
-    while known[count] > limits.worse * min(known[: count + 1]) or (count == last > 0 and stated_worse):
-        count -= 1
+    count = longest(known, last - 1 if last > 0 and stated_worse else last)
     cut = set(steps) - set(steps[:count])
     before, after = min(known[: count + 1]), known[last]
     if reported is not None and after <= limits.worse * before:
