@@ -55,7 +55,7 @@ class ShownAngle:
 
 
 def gradient_of_base(base: Floats, *, zero: bool) -> Floats:
-    """Degrees (PLACES, 6) of a shown angle by α, K_x, K_y, Δφ and two biases (of gravity 1) around the turn.
+    """Degrees (PLACES, 6) of a shown angle by α, K_x, K_y, Δφ and biases (of gravity 1).
 
     Parameters
     ----------

@@ -43,7 +43,8 @@ def fit(session: Session, method: str | None = None) -> FitResult:
     session : Session
         Dwells; those for checking take no part.
     method : str, optional
-        One of `METHODS`, or `free-turn` of a continuous recording; by default the best that the session supports: `ml`, or `two-position` where
+        One of `METHODS`, or `free-turn` of a continuous recording; by default the best that the
+        session supports: `ml`, or `two-position` where
         there is nothing but 0° and 90°.
 
     Raises
@@ -63,7 +64,7 @@ def fit(session: Session, method: str | None = None) -> FitResult:
         from adis_gonio.free_turn import fit_free_turn
 
         return fit_free_turn(session)
-    if session.free_turn:
+    if session.free_turn and not session.dwells:
         raise FitError(
             f"{session.source or 'session'}: method {method} needs positions; this is one continuous turn:"
             " use method free-turn"

@@ -1,4 +1,4 @@
-"""One slow continuous turn without declared angles: angle and calibration at once, from gyro and gravity."""
+"""One slow continuous turn without declared angles: angle and calibration from gyro and gravity."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from adis_gonio.model.records import Floats
 LEAST_S = 10.0
 """A recording shorter than this holds no slow turn."""
 FASTEST_DPS = 90.0
-"""Beyond it a half-second window holds more than an eighth of a turn, and a lever arm of 0.1 m brings 25 mg."""
+"""Beyond it a window holds more than an eighth of a turn, and a lever arm of 0.1 m brings 25 mg."""
 LEAST_TURN_DEG = 180.0
 """Of less than half a turn a bias and a gain are nearly the same."""
 FULL_DEG = 355.0
@@ -64,8 +64,8 @@ def require_axis(series: Series, windows: Windows) -> None:
     other = int(np.argmax(size[:2]))
     if size[other] > 0.5 * size[2]:
         raise FitError(
-            f"the part turned about its {'XY'[other]} axis too ({math.degrees(size[other]):.1f} °/s rms, about"
-            f" Z {math.degrees(size[2]):.1f}): lay Z level along the axis of the turn and {_AGAIN}"
+            f"the part turned about its {'XY'[other]} axis too ({math.degrees(size[other]):.1f} °/s rms,"
+            f" about Z {math.degrees(size[2]):.1f}): lay Z level along the axis of the turn and {_AGAIN}"
         )
 
 
@@ -104,8 +104,11 @@ def require_plane(series: Series, windows: Windows, psi_rad: Floats, gravity_mg:
     leaning = math.degrees(math.asin(min(abs(float(found[0])) / gravity_mg, 1.0)))
     swing = math.degrees(math.hypot(found[1], found[2]) / gravity_mg)
     if wobble > WOBBLE_DEG or swing > LEANING_DEG or leaning > LEANING_DEG:
-        worst = max((wobble, f"swayed by {wobble:.1f}° rms"), (swing, f"tilted by {swing:.1f}° with the turn"),
-                    (leaning, f"leaned by {leaning:.1f}°"))[1]  # fmt: skip
+        _, worst = max(
+            (wobble / WOBBLE_DEG, f"swayed by {wobble:.1f}° rms"),
+            (swing / LEANING_DEG, f"tilted by {swing:.1f}° with the turn"),
+            (leaning / LEANING_DEG, f"leaned by {leaning:.1f}°"),
+        )
         raise FitError(
             f"the turn was not in one vertical plane: the part {worst}; hold it in a bearing or on a stage"
             f" whose axis lies level and {_AGAIN}"

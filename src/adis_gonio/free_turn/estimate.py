@@ -7,9 +7,9 @@ Unknown are the angle ψ_k of gravity to X at the centre of each window, and par
     ψ_{k+1} − ψ_k = −∫ω dt + noise,   ω = (1/s) g_z − b_g − γ_x u_x − γ_y u_y − d_g(t) + τ g_z'
 
 ⟨…⟩ is the mean in a window of the course that the gyro saw within it, so that neither the window nor the
-turn's unevenness smears anything. d are slow drifts of the spectrum 1/f, in cosines with a prior variance; l
-is the lever arm in mm, τ the gyro's latency. Prior knowledge is that of any part (`SENSOR_SPREAD`) and of any
-bench (`LEVER_MM` …); the biases have none.
+turn's unevenness smears anything. d are slow drifts of the spectrum 1/f, in cosines with a prior variance;
+l is the lever arm in mm, τ the gyro's latency. Prior knowledge is that of any part (`SENSOR_SPREAD`) and of
+any bench (`LEVER_MM` …); the biases have none.
 
 Gauss–Newton on the posterior; the variances of accelerometers, gyro and drifts follow from the same data by
 the evidence (MacKay 1992: what is left over, divided by the numbers that were not used up), that of the
@@ -147,9 +147,11 @@ class Problem:
         gyro, self.gyro_prior = _cosines(
             series.time_s, series.length_s, math.radians(GYRO_INSTABILITY_DPS), GYRO_DRIFTS
         )
-        self._gyro_drifts = -np.column_stack(
-            [series.integral(gyro[:, k]) for k in range(gyro.shape[1])]
-        ) if gyro.shape[1] else np.zeros((len(rate), 0))
+        self._gyro_drifts = (
+            -np.column_stack([series.integral(gyro[:, k]) for k in range(gyro.shape[1])])
+            if gyro.shape[1]
+            else np.zeros((len(rate), 0))
+        )
         at = np.clip(np.searchsorted(series.time_s, windows.centre_s), 0, len(rate) - 1)
         self._centre = at
         # Rates at a centre are those of its window: a single sample is all noise.
@@ -167,17 +169,13 @@ class Problem:
                  GYRO_GAIN, np.inf, g, g, LATENCY_S]  # fmt: skip
         mean = np.zeros(self.size - self.m)
         mean[[0, 1, 7]] = 1.0
-        variance = np.concatenate(
-            [np.square(sigma), self.drift_prior, self.drift_prior, self.gyro_prior]
-        )
+        variance = np.concatenate([np.square(sigma), self.drift_prior, self.drift_prior, self.gyro_prior])
         return mean, variance
 
     def begin(self) -> Floats:
         """Rough values: an ellipse with upright axes, then the angle each window shows."""
         x, y = self.reading.T / self.gravity_mg
-        found = np.linalg.lstsq(
-            np.column_stack([x, y, np.ones(self.m)]), x**2 + y**2, rcond=None
-        )[0]
+        found = np.linalg.lstsq(np.column_stack([x, y, np.ones(self.m)]), x**2 + y**2, rcond=None)[0]
         centre = np.clip(found[:2] / 2, -0.3, 0.3)
         values = np.concatenate([self.prior[0], np.zeros(self.m)])
         values[3:5] = centre * self.gravity_mg
@@ -185,7 +183,7 @@ class Problem:
         return values
 
     def model(self, values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Residuals of accelerometers (m, 2) in mg and of the gyro (m - 1,) in rad, with their Jacobians."""
+        """Residuals of accelerometers (m, 2), mg, and gyro (m - 1,), rad, with their Jacobians."""
         k_x, k_y, skew = values[:3]
         rest = values[: self.size - self.m]
         psi = values[-self.m :]

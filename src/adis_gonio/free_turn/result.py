@@ -56,7 +56,9 @@ class FreeTurnResult(FitResult):
     def standing(self) -> Standing:
         """The one method that such a recording supports."""
         own = replace(self, warnings=self.warnings)
-        return Standing((own,), {}, {}, {METHOD: Score(None, None, None, None, 0)}, Recommendation(METHOD, WHY))
+        return Standing(
+            (own,), {}, {}, {METHOD: Score(None, None, None, None, 0)}, Recommendation(METHOD, WHY)
+        )
 
     @cached_property
     def _shown(self) -> Floats:
@@ -76,7 +78,7 @@ class FreeTurnResult(FitResult):
 
     @cached_property
     def shown_angle(self) -> Value:
-        """An angle of gravity to X shown after calibration, rms over a turn; a reading's own noise apart."""
+        """An angle of gravity to X shown after calibration, rms over a turn, without a reading's noise."""
         return self._of_gradients(self._shown)
 
     @property
@@ -85,9 +87,7 @@ class FreeTurnResult(FitResult):
         return self.shown_angle
 
     def _of_gradients(self, gradient: Floats) -> Value:
-        each = [
-            (np.einsum("mp,pq,mq->m", gradient, share, gradient), dof) for share, dof in self.shares
-        ]
+        each = [(np.einsum("mp,pq,mq->m", gradient, share, gradient), dof) for share, dof in self.shares]
         variances = np.sum([part for part, _ in each], axis=0)
         dof = effective_dof([(float(part.mean()), dof) for part, dof in each])
         return Value(math.nan, math.sqrt(float(variances.mean())), "deg", dof, factor_over(variances, dof))
@@ -232,9 +232,7 @@ def _range_dps(session: Session) -> float | None:
     return None if found is None else float(found)
 
 
-def _outputs(
-    solution: Solution, windows: Windows
-) -> tuple[list[str], list[float], Floats, list[str]]:
+def _outputs(solution: Solution, windows: Windows) -> tuple[list[str], list[float], Floats, list[str]]:
     """Names, values, gradients (p, 12 + m) and units of what is reported; as in a planar session."""
     size = len(solution.covariance)
     common = dict(zip(NAMES, np.eye(size), strict=False))
@@ -252,7 +250,10 @@ def _outputs(
         ("alpha", (at_start + 180) % 360 - 180, alpha * degrees, "deg"),
         *((name, value[name], common[name], unit) for name, unit in _PLAIN),
         ("gyro_scale_z", 1 / gain, -common["gyro_gain_z"] / gain**2, "1"),
-        *((name, value[name] * degrees / gain, common[name] * degrees / gain, unit) for name, unit in _RATES),
+        *(
+            (name, value[name] * degrees / gain, common[name] * degrees / gain, unit)
+            for name, unit in _RATES
+        ),
     ]
     names, values, gradients, units = zip(*rows, strict=True)
     return list(names), list(values), np.array(gradients), list(units)
@@ -268,7 +269,6 @@ def _first_rest(psi_rad: Floats, windows: Windows) -> int:
     rate = np.abs(np.diff(psi_rad) / np.diff(windows.centre_s))
     moving = np.flatnonzero(np.degrees(rate) > checks.REST_DPS)
     return max(int(moving[0]), 1) if moving.size else 1
-
 
 
 __all__ = ["METHOD", "FreeTurnResult", "fit_free_turn", "is_free_turn", "series_of"]

@@ -1,9 +1,9 @@
 """A continuous recording as weighted means in windows: what the estimate works with.
 
 Windows are Hann windows that overlap by half. Their weights add up to the same everywhere, so that nothing
-slow is lost, and what shakes faster than their hop (tremor at 8 to 12 Hz) hardly reaches a mean: noise of the
-means is then noise of the low frequencies that the parameters follow. White noise correlates neighbours by
-1/6; `LONG_RUN` is what that makes of the variance of slow things.
+slow is lost, and what shakes faster than their hop (tremor at 8 to 12 Hz) hardly reaches a mean: noise of
+the means is then noise of the low frequencies that the parameters follow. White noise correlates neighbours
+by 1/6; `LONG_RUN` is what that makes of the variance of slow things.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class Windows:
             rows.append(row[inside])
             columns.append(np.flatnonzero(inside))
             weights.append(0.5 * (1 + np.cos(np.pi * phase[inside])))
-        matrix = csr_matrix(
+        matrix: Any = csr_matrix(
             (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))),
             shape=(max(count, 0), len(time_s)),
         )
@@ -99,7 +99,7 @@ class Windows:
         keep = filled > LEAST_FILLED
         self._matrix: Any = matrix[keep].multiply(1 / (filled[keep] * hop / period)[:, None]).tocsr()
         self.hop_s = hop
-        self.centre_s: Floats = ((np.arange(count) + 1) * hop)[keep]
+        self.centre_s: Floats = np.asarray((np.arange(count) + 1) * hop, np.float64)[keep]
         steps = np.diff(time_s)
         missing = np.where(steps > GAP_PERIODS * period, steps, 0.0)
         lost = np.concatenate([[0.0], np.cumsum(missing)])

@@ -293,7 +293,7 @@ class SimStage:
             self._bus._set_now(self._stage.orient(self._bus.now_s(), np.asarray(vector, np.float64)))
 
     def turn_freely(self) -> float:
-        """Begin a turn by hand and return the time on the bus's clock at which it ends; time stands still."""
+        """Begin a turn by hand; returns when it ends, on the bus's clock, which stands still."""
         with self._bus._lock:
             self._require_open()
             return self._stage.turn_freely(self._bus.now_s())

@@ -24,7 +24,7 @@ class White:
 
 
 class RateWalk:
-    """Random walk of three gyro biases, 0 at the first time asked for; its values do not depend on the rest.
+    """Random walk of three gyro biases, 0 at the first time asked for.
 
     It stands on a grid of its own in time and is interpolated.
 

@@ -200,7 +200,9 @@ class Stage:
         self._require_still(start_s)
         last = self._legs[-1]
         if last.spatial:
-            raise UsageError("the part stands in space: turn it to an angle of the stage before a free turn")
+            raise UsageError(
+                "the part stands in space: turn it to an angle of the stage before a free turn"
+            )
         self._moves += 1
         hand = HandTurn(self._settings, self._hands)
         to_rad = last.to_rad + float(np.radians(self._settings.hand_turn_deg))
@@ -377,13 +379,9 @@ class Stage:
         theta = leg.from_rad + turned[0]
         psi = self._alpha - theta + leg.from_error_rad
         tilt = np.radians(self._settings.axis_tilt_deg) + wobble
-        direction = np.stack(
-            [np.cos(psi) * np.cos(tilt), np.sin(psi) * np.cos(tilt), np.sin(tilt)], axis=1
-        )
+        direction = np.stack([np.cos(psi) * np.cos(tilt), np.sin(psi) * np.cos(tilt), np.sin(tilt)], axis=1)
         # The rates that turn gravity as the direction goes: d' = -rate x d.
-        across = wobbling / np.cos(tilt)
-        rate = np.stack([-across * np.sin(psi), across * np.cos(psi), turned[1]], axis=1) * np.cos(tilt)[:, None]
-        rate[:, 2] = turned[1]
+        rate = np.stack([-wobbling * np.sin(psi), wobbling * np.cos(psi), turned[1]], axis=1)
         return Motion(
             direction,
             np.degrees(rate),

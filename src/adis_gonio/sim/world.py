@@ -256,12 +256,7 @@ class World:
                 if effect.enters is Enters.SAMPLES:
                     accel = effect.samples_mg(values, accel, conditions, rng)
 
-        gyro = self._gyro_rates(motion.rate_dps) + self._gyro_bias + flicker[:, 3:] + noise[:, 3:6]
-        gyro += 1e-3 * self._g_effect * ideal
-        for (k, j), per_g in np.ndenumerate(self._gyro_cross_g):
-            if per_g:
-                gyro[:, k] += 1e-3 * per_g * accel[:, j]
-        gyro += self._rate_walk.at(time_s)
+        gyro = self._gyros(motion.rate_dps, ideal, accel, time_s) + flicker[:, 3:] + noise[:, 3:6]
         gyro += (self._supply_effect * (supply - REFERENCE_V))[:, None]
         return Inputs(
             accel,
@@ -286,6 +281,16 @@ class World:
         lean = np.sin(np.radians(_pairs(self.settings, "gyro_misalignment_{}_deg")))
         own = np.sqrt(1 - (lean**2).sum(axis=1))
         return np.asarray(gains[:, None] * (lean + np.diag(own)))
+
+    def _gyros(self, rate_dps: Floats, ideal: Floats, accel: Floats, time_s: Floats) -> Floats:
+        """Gyros (n, 3) without noise and supply: rates by their axes, biases, acceleration."""
+        gyro = self._gyro_rates(rate_dps) + self._gyro_bias
+        gyro += 1e-3 * self._g_effect * ideal
+        for (k, j), per_g in np.ndenumerate(self._gyro_cross_g):
+            if per_g:
+                gyro[:, k] += 1e-3 * per_g * accel[:, j]
+        gyro += self._rate_walk.at(time_s)
+        return np.asarray(gyro)
 
     def _gyro_rates(self, rate_dps: Floats) -> Floats:
         if np.array_equal(self._gyro_axes, np.eye(3)):
