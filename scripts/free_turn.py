@@ -5,7 +5,7 @@
 Each hand turns a part of its own once (`sim/hand.py`), in 60 s of recording, rests included; gyro and
 accelerometers have the faults of `hand_of`. The same part is then measured in 24 dwells of 2.5 s (`tumble`,
 twelve angles there and back, fixture 0.02°) and fitted by `ml`: equal time of samples that are used. Moves
-and settling between the dwells, about another 35 s, count for nothing.
+and settling between the dwells, about another 50 s, count for nothing.
 
 Error of the angle: what the goniometer shows for readings without noise, all around the turn, minus the
 true angle of gravity to X, rms. The truth of biases is their mean while they were recorded.

@@ -58,6 +58,8 @@ _GAP_RATE = 0.5
 """rad/s that nobody saw where samples are missing."""
 _MOST_ROUNDS = 40
 _DONE = 1e-3
+_SETTLED = 0.1
+"""Largest last step, in standard uncertainties, with which a result is still one."""
 
 
 @dataclass(frozen=True)
@@ -243,7 +245,7 @@ def solve(problem: Problem) -> Solution:
     SingularError
         The recording does not determine the parameters, or the iteration does not come to an end.
     """
-    values, variances = problem.begin(), _first(problem)
+    values, variances, change = problem.begin(), _first(problem), math.inf
     for _ in range(_MOST_ROUNDS):
         values, covariance, change = _step(problem, values, variances)
         renewed = _renewed(problem, values, covariance, variances)
@@ -254,7 +256,7 @@ def solve(problem: Problem) -> Solution:
         variances = renewed
         if change < _DONE and moved < 10 * _DONE:
             break
-    else:
+    if change > _SETTLED:
         raise SingularError(
             "the free turn's estimate does not settle: the recording is no turn of a rigid part;"
             " turn once more, slowly"
