@@ -39,12 +39,13 @@ def section_of(once: Sequence[Mapping[str, Any]], twice: Sequence[Mapping[str, A
         f"| {_LABELS[name]} | {100 * share:.1f} % | {100 * two['coverage'][name]:.1f} % |"
         for name, share in one["coverage"].items()
     )
+    scatter = ", ".join(f"{_LABELS[name]} {value:.2f}" for name, value in one["scatter_over_u"].items())
+    refused = f"{len(one['refused'])} and {len(two['refused'])}"
     markdown = f"""
-{one["hands"]} simulated hands turn a part once in 60 s of recording, rests included, and
-{two["hands"]} turn it twice in the same time. The gyros have bias, 1/f drift, rate random walk,
-linear g-sensitivity, scale error and misalignment; the hand stops for new grips, is uneven,
-trembles and shakes; the part lies off the axis, whose bearing wobbles. What the chip's filter makes
-of it is fitted without declared angles.
+{one["hands"]} simulated hands turn a part once in 60 s of recording, rests included, and {two["hands"]}
+turn it twice in the same time. The gyros have bias, 1/f drift, rate random walk, linear g-sensitivity,
+scale error and misalignment; the hand stops for new grips, is uneven, trembles and shakes; the part lies
+off the axis, whose bearing wobbles. What the chip's filter makes of it is fitted without declared angles.
 
 ## Coverage of U (95 %)
 
@@ -52,28 +53,26 @@ of it is fitted without declared angles.
 |---|---|---|
 {coverage}
 
-A share of 95 % over {one["hands"]} hands is uncertain by {100 * one["coverage_u"]:.1f} % (one
-sigma), over {two["hands"]} by {100 * two["coverage_u"]:.1f} %. Scatter over stated u, one turn: {",
-".join(f"{_LABELS[name]} {value:.2f}" for name, value in one["scatter_over_u"].items())}. Refused:
-{len(one["refused"])} and {len(two["refused"])}.
+A share of 95 % over {one["hands"]} hands is uncertain by {100 * one["coverage_u"]:.1f} % (one sigma), over
+{two["hands"]} by {100 * two["coverage_u"]:.1f} %. Scatter over stated u, one turn: {scatter}.
+Refused: {refused}.
 
 ## Error of the angle, against 24 dwells
 
-Angle of gravity to X shown for readings without noise minus the true one, rms around the turn and
-over all hands. The dwells are those of `tumble`, twelve angles there and back, 2.5 s each, fixture
-0.02°, fitted by `ml`: the same 60 s of samples. Moving and settling between them take about another
-50 s, which count for nothing.
+Angle of gravity to X shown for readings without noise minus the true one, rms around the turn and over all
+hands. The dwells are those of `tumble`, twelve angles there and back, 2.5 s each, fixture 0.02°, fitted by
+`ml`: the same 60 s of samples. Moving and settling between them take about another 50 s, which count for
+nothing.
 
 | | rms | 24 dwells, same parts | ratio | 95 % |
 |---|---|---|---|---|
 {_row("one turn", one)}
 {_row("two turns in the same time", two)}
 
-The target is a ratio of {one["target_ratio"]}: {met} by one turn. What limits it is the 1/f drift
-of the accelerometers (70 to 80 % of the variance in the budget of `fit`): one turn in a minute puts
-bias, gain and misalignment at the frequencies of one and two cycles a recording, where the drift is
-strongest, while dwells there and back, over nearly twice the time, see each angle twice. Two turns
-in the same minute, without a stop between them, see it twice too.
+The target is a ratio of {one["target_ratio"]}: {met} by one turn. By the budget of `fit` the 1/f drift of
+the accelerometers is most of the variance: one turn in a minute puts bias, gain and misalignment at one and
+two cycles a recording, where the drift is strongest, while dwells there and back, over nearly twice the
+time, see each angle twice. Two turns in the same minute, without a stop between them, see it twice too.
 
 ![Error of the angle, hand by hand](free_turn-errors.svg)
 """
