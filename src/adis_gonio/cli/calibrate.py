@@ -33,10 +33,18 @@ _METADATA = {
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), required=True, help="Session file to make."
 )
-@click.option("--plan", "plan_name", help="two-position (default), four-position, mmpm, tumble or poses.")
+@click.option(
+    "--plan", "plan_name", help="two-position (default), four-position, mmpm, tumble, poses or free-turn."
+)
 @click.option("--positions", type=int, help="Number of angles, where the plan leaves a choice.")
 @click.option(
     "--check", type=int, default=0, show_default=True, help="Extra positions kept out of the fit."
+)
+@click.option(
+    "--duration",
+    "duration_s",
+    type=click.FloatRange(min=15, max=600),
+    help="With --plan free-turn: longest recording in s (default 60).",
 )
 @click.option("--auto", is_flag=True, help="Move the stage by program and answer all prompts (simulator).")
 @click.option("--extend", is_flag=True, help="With --auto: go on from two to four positions.")
@@ -106,6 +114,8 @@ def command(
     In a terminal of 80 × 24 or more the session is shown on a screen with the live angle (extra: bench);
     --plain, a log or a smaller terminal gets prompts line by line.
 
+    --plan free-turn records one slow continuous turn, from a rest to a rest, without declared angles.
+
     With --trace the session then says which further positions would decide what is still open, and goes on
     with them until the model is adequate or no position is expected to show more.
     """
@@ -130,7 +140,8 @@ def command(
             runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
             prompts = PlainBench(runner, auto=options["auto"])
             resume_by = shlex.join(["adis-gonio", "calibrate", url, "--resume", "-o", str(output)])
-            face = choose_face(runner, prompts, plain=plain or options["auto"], resume_by=resume_by)
+            plain = plain or options["auto"] or runner.one_recording
+            face = choose_face(runner, prompts, plain=plain, resume_by=resume_by)
             complete = face.run()
     session = load_session(output)
     truth = session.facts.get("truth")
@@ -239,12 +250,14 @@ def _runner(
     auto: bool,
     extend: bool,
     advisor: TraceAdvisor | None,
+    duration_s: float | None,
     **options: Any,
 ) -> SessionRunner:
     from adis_gonio.cli.bench.lines import on_terminal
     from adis_gonio.model.gravity import normal_gravity_mps2
     from adis_gonio.sensor.settings import smpl_prd_for
-    from adis_gonio.session import SessionRunner, Settings, plan
+    from adis_gonio.session import Settings, plan
+    from adis_gonio.session.free_turn import DURATION_S, FREE_TURN, free_turn_plan, runner_of
     from adis_gonio.session.plans import DEFAULT_PLAN
 
     if resume:
@@ -254,7 +267,7 @@ def _runner(
             )
         if options["poll"]:
             raise UsageError("--resume gets its scans as the session did before: leave --poll out")
-        return SessionRunner.resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
+        return _runner_of_archive(output).resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
     if options["latitude"] is not None and options["gravity_mps2"] is not None:
         raise UsageError("give --gravity or --latitude, not both")
     world = sensor.world
@@ -267,25 +280,42 @@ def _runner(
         gravity = world.settings.gravity_mps2 if world is not None else 9.80665
     if fixture is None and world is not None:
         fixture = world.settings.fixture_sigma_deg
+    free = plan_name == FREE_TURN
+    if free and (positions is not None or check or extend or advisor is not None):
+        raise UsageError(
+            "a free turn has no positions: leave --positions, --check, --extend and --trace out"
+        )
+    if duration_s is not None and not free:
+        raise UsageError("--duration is that of a free turn: give --plan free-turn, or --dwell")
+    chosen = free_turn_plan() if free else plan(plan_name or DEFAULT_PLAN, positions, check)
     settings = Settings(
-        dwell_s=options["dwell_s"],
+        dwell_s=(duration_s or DURATION_S) if free else options["dwell_s"],
         settle_s=options["settle_s"],
         smpl_prd=1 if options["rate_hz"] is None else smpl_prd_for(options["rate_hz"]),
         filter_m=options["filter_m"],
         gyro_range_dps=options["range_dps"],
         data_ready=False if options["poll"] else None,
     )
-    return SessionRunner.begin(
+    return runner_of(chosen).begin(
         sensor,
         output,
-        plan(plan_name or DEFAULT_PLAN, positions, check),
+        chosen,
         settings,
         auto=auto,
         extend=extend,
         gravity_mps2=gravity,
-        fixture_sigma_deg=fixture,
+        fixture_sigma_deg=None if free else fixture,
         title=options["title"],
         note=options["note"],
         **_written(options, ask=on_terminal() and not auto),
         advisor=advisor,
     )
+
+
+def _runner_of_archive(path: Path) -> type[SessionRunner]:
+    """What goes on with a session: what its plan takes."""
+    from adis_gonio.session.archive import ArchiveView
+    from adis_gonio.session.free_turn import runner_of
+
+    with ArchiveView(path) as view:
+        return runner_of(view.plan())

@@ -30,7 +30,8 @@ _WIDTH = 100
 @click.argument("session", type=click.Path(path_type=Path))
 @click.option(
     "--method",
-    help="paper, two-position, four-position, mmpm or ml; without it the one that is recommended.",
+    help="paper, two-position, four-position, mmpm or ml, of one continuous turn free-turn; without it"
+    " the one that is recommended.",
 )
 @click.option("--all", "everything", is_flag=True, help="Every method in full, beside each other.")
 @click.option(
@@ -63,7 +64,8 @@ def command(
     from adis_gonio.model.records import METADATA
 
     loaded = load(session, overrides)
-    with working(f"fitting {counted(len(loaded.dwells), 'dwell')} of {session.name}"):
+    what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
+    with working(f"fitting {what} of {session.name}"):
         answer = Answer.of(fit(loaded, method=method), own=method is not None)
         document = answer.as_dict()
     run = _monte_carlo(answer.result, trials, seed)
@@ -72,7 +74,7 @@ def command(
         return
     screen = _screen()
     title = f"{loaded.title}: " if loaded.title else ""
-    screen.print(f"{title}{counted(len(loaded.dwells), 'dwell')}, {loaded.sensor}", style="bold")
+    screen.print(f"{title}{what}, {loaded.sensor}", style="bold")
     written = [f"{name} {getattr(loaded, name)}" for name in METADATA if getattr(loaded, name)]
     if written:
         screen.print(f"  {', '.join(written)}")

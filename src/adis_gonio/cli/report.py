@@ -50,7 +50,8 @@ def command(*, session: Path, output: Path, time_limit: float | None, overrides:
     check_output(output, force=True)
     require_matplotlib()
     loaded = load(session, overrides)
-    with working(f"report of {counted(len(loaded.dwells), 'dwell')} of {session.name}"):
+    what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
+    with working(f"report of {what} of {session.name}"):
         page = _page(loaded, time_limit)
     with replacing(output) as beside:
         beside.write_text(page, encoding="utf-8")

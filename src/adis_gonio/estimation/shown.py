@@ -36,18 +36,8 @@ class ShownAngle:
         Angle ψ = atan2(v, u) with u = (U_x − b_x)/(G K_x), v = ((U_y − b_y)/(G K_y) − u sin Δφ)/cos Δφ;
         shown is α − ψ. Where no angle is declared there is no α, and the angle is that of gravity to X.
         """
-        base = fit.values.base
-        _, k_x, k_y, skew = base
-        psi = np.linspace(0, 2 * math.pi, PLACES, endpoint=False)
-        x, y = np.cos(psi), np.sin(psi + skew)
-        by_x, by_y = _by_axis(psi, skew)
-        gradient = np.zeros((PLACES, len(base) + 2))
-        gradient[:, 0] = 1.0 if fit.data.visible[0] else 0.0
-        gradient[:, 1] = by_x * x / k_x
-        gradient[:, 2] = by_y * y / k_y
-        gradient[:, 3] = x * (x - y * math.sin(skew)) / math.cos(skew) ** 2
-        gradient[:, 4], gradient[:, 5] = by_x / k_x, by_y / k_y
-        return cls(np.degrees(gradient), -np.degrees(_by_reading(fit, psi)))
+        gradient = gradient_of_base(fit.values.base, zero=bool(fit.data.visible[0]))
+        return cls(gradient, -np.degrees(_by_reading(fit, _around())))
 
     @classmethod
     def at_dwells(cls, fit: Fit) -> ShownAngle:
@@ -62,6 +52,33 @@ class ShownAngle:
         by_parameters = np.einsum("mp,pq,mq->m", self.gradient, covariance, self.gradient)
         by_reading = np.einsum("ma,ab,mb->m", self.reading, reading_mg2, self.reading)
         return np.asarray(by_parameters + by_reading)
+
+
+def gradient_of_base(base: Floats, *, zero: bool) -> Floats:
+    """Degrees (PLACES, 6) of a shown angle by α, K_x, K_y, Δφ and biases (of gravity 1).
+
+    Parameters
+    ----------
+    base : (4,) float
+        Base parameters of the plane.
+    zero : bool
+        True where angles are declared, so that α is part of what is shown.
+    """
+    _, k_x, k_y, skew = base
+    psi = _around()
+    x, y = np.cos(psi), np.sin(psi + skew)
+    by_x, by_y = _by_axis(psi, skew)
+    gradient = np.zeros((PLACES, len(base) + 2))
+    gradient[:, 0] = 1.0 if zero else 0.0
+    gradient[:, 1] = by_x * x / k_x
+    gradient[:, 2] = by_y * y / k_y
+    gradient[:, 3] = x * (x - y * math.sin(skew)) / math.cos(skew) ** 2
+    gradient[:, 4], gradient[:, 5] = by_x / k_x, by_y / k_y
+    return np.asarray(np.degrees(gradient))
+
+
+def _around() -> Floats:
+    return np.linspace(0, 2 * math.pi, PLACES, endpoint=False)
 
 
 def _by_axis(psi: Floats, skew: float) -> tuple[Floats, Floats]:

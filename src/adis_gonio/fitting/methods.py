@@ -28,6 +28,9 @@ from adis_gonio.model.records import Floats, Session
 METHODS = ("paper", "two-position", "four-position", "mmpm", "ml")
 """Names of the methods."""
 
+FREE_TURN = "free-turn"
+"""The method of a continuous recording (`adis_gonio.free_turn`), which has no positions."""
+
 _TWO_REVERSED = (0, 270)
 """The two positions where the stage turned the other way than declared."""
 
@@ -40,7 +43,8 @@ def fit(session: Session, method: str | None = None) -> FitResult:
     session : Session
         Dwells; those for checking take no part.
     method : str, optional
-        One of `METHODS`; by default the best that the session supports: `ml`, or `two-position` where
+        One of `METHODS`, or `free-turn` of a continuous recording; by default the best that the
+        session supports: `ml`, or `two-position` where
         there is nothing but 0° and 90°.
 
     Raises
@@ -54,8 +58,17 @@ def fit(session: Session, method: str | None = None) -> FitResult:
     SingularError
         The session does not determine what the method gives.
     """
-    if method is not None and method not in METHODS:
-        raise UsageError(f"no method is called '{method}'; known: {', '.join(METHODS)}")
+    if method is not None and method not in (*METHODS, FREE_TURN):
+        raise UsageError(f"no method is called '{method}'; known: {', '.join((*METHODS, FREE_TURN))}")
+    if method == FREE_TURN or (session.free_turn and method is None):
+        from adis_gonio.free_turn import fit_free_turn
+
+        return fit_free_turn(session)
+    if session.free_turn and not session.dwells:
+        raise FitError(
+            f"{session.source or 'session'}: method {method} needs positions; this is one continuous turn:"
+            " use method free-turn"
+        )
     readings = readings_of(session)
     current().tell(f"method {method}" if method else "the best method")
     try:
@@ -111,6 +124,8 @@ _BY_NAME: dict[str, Callable[[Readings], FitResult]] = {
 
 def applicable_methods(session: Session) -> tuple[str, ...]:
     """Methods whose positions the session has; whether they are determined only a fit can tell."""
+    if session.free_turn:
+        return (FREE_TURN,)
     session = session.used_for("fit")
     angles = np.array([np.nan if d.angle_deg is None else d.angle_deg for d in session.dwells])
     return _applicable(

@@ -128,6 +128,10 @@ class Session:
     cut_by_stillness : bool
         True where the dwells were cut out of a continuous recording, so that nobody declared that the part
         was at rest.
+    recording : Dwell or None
+        The whole of a continuous recording, what lies between its dwells too.
+    free_turn : bool
+        True where that is one turn without declared angles; there may then be no dwells.
     facts : mapping
         Whatever else the file knows (configuration, registers, versions, truth of a simulation).
     """
@@ -147,6 +151,8 @@ class Session:
     source: str = ""
     notes: tuple[str, ...] = ()
     cut_by_stillness: bool = False
+    recording: Dwell | None = field(default=None, repr=False)
+    free_turn: bool = False
     facts: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:

@@ -403,6 +403,8 @@ def _facts(
     session: Session, observed: Readings | None, software: str, reference_c: float | None
 ) -> list[tuple[str, str]]:
     dwells = [dwell for dwell in session.dwells if len(dwell)]
+    if session.free_turn and session.recording is not None:
+        dwells = [session.recording]
     samples = [len(dwell) for dwell in dwells]
     facts: dict[str, Any] = session.facts
     configuration = facts.get("configuration") or {}
@@ -423,7 +425,10 @@ def _facts(
         ("recorded by", str(facts.get("software", ""))),
         ("this page by", software),
         ("session", words.shape(session)),
-        ("samples", f"{sum(samples)}, {_range(samples, '')} a dwell"),
+        (
+            "samples",
+            f"{sum(samples)}, {_range(samples, '')} a dwell" if session.dwells else f"{sum(samples)}",
+        ),
         ("duration", f"{(end - start) / 60:.1f} min"),
         ("sample rate", with_unit(number(configuration.get("sample_rate_hz"), 4), "Hz"))
         if configuration.get("sample_rate_hz")

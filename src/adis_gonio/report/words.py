@@ -80,6 +80,8 @@ def _stated(value: Any) -> str:
 def shape(session: Session) -> str:
     """What kind of session it is, such as `24 dwells, adis16354, one plane`."""
     dwells = [dwell for dwell in session.dwells if len(dwell)]
+    if session.free_turn and session.recording is not None:
+        return f"one free turn, {counted(len(session.recording), 'sample')}, {session.sensor}"
     if len(dwells) == 1:
         kind = f"one pose, {counted(len(dwells[0]), 'sample')}"
     else:

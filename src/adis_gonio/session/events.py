@@ -287,6 +287,38 @@ class TurnMeasured(Event):
 
 
 @dataclass(frozen=True)
+class TurnProgress(Event):
+    """A free turn is being recorded.
+
+    Attributes
+    ----------
+    state : {"rest", "turn", "after"}
+        Rest before the turn, the turn, and what comes once a full turn was made: rest.
+    turned_deg, rate_dps : float
+        By gravity, counter-clockwise positive: since the beginning, and over the last seconds.
+    """
+
+    state: Literal["rest", "turn", "after"]
+    elapsed_s: float
+    length_s: float
+    samples: int
+    lost: int
+    turned_deg: float
+    rate_dps: float
+
+
+@dataclass(frozen=True)
+class TurnDone(Event):
+    """A free turn is complete and on the disk."""
+
+    attempt: int
+    turned_deg: float
+    length_s: float
+    samples: int
+    lost: int
+
+
+@dataclass(frozen=True)
 class Running(Event):
     """What the dwells so far give.
 

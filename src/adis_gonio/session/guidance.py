@@ -37,6 +37,13 @@ SPACE = (
 )
 
 
+TURN_TO_DO = (
+    "lay the part at rest; press Enter, leave it alone for 3 s, turn it slowly once all around"
+    " (about 6 °/s; stops to change your grip do no harm) and let it rest again"
+)
+"""What to do for a free turn."""
+
+
 def drawing(plan: Plan) -> tuple[str, ...]:
     """How to hold the part at the first position, as lines of text (ASCII but for the degree sign)."""
     return SPACE if plan.plane == "none" else PLANE

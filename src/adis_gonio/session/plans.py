@@ -176,6 +176,8 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
         No such plan, or a number that it does not allow.
     """
     kind = _KINDS.get(name)
+    if name == "free-turn":
+        raise UsageError("a free turn has no positions: calibrate URL --plan free-turn records it")
     if kind is None:
         near = difflib.get_close_matches(name, _KINDS, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(_KINDS)}"

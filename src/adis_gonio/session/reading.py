@@ -14,6 +14,7 @@ from adis_gonio.session.blocks import GENERIC, Block, join, session_columns
 from adis_gonio.session.faults import WITHOUT_NEWS, Alarms, alarms_of
 from adis_gonio.session.plans import Plan
 from adis_gonio.session.rows import JsonDict, StoredAttempt
+from adis_gonio.session.turn_pieces import FREE_TURN, recording_of
 from adis_gonio.session.view import ArchiveView
 
 
@@ -40,6 +41,8 @@ def read_session(path: str | Path) -> Session:
     with ArchiveView(path) as view, view.snapshot():
         header, plan, stored = view.header(), view.plan(), view.dwells()
         pending, skipped = view.pending(), view.skipped()
+        if plan.name == FREE_TURN:
+            return _free_turn(path, view)
         if not stored:
             raise DataError(f"{path}: no dwell is complete yet; resume the session")
         dropped = {r.value["attempt"]: r.value["scans"] for r in view.records("dropped")}
@@ -89,6 +92,65 @@ def read_session(path: str | Path) -> Session:
         stage=header.stage,
         source=str(path),
         notes=(*_notes(plan, pending, skipped, facts), *_of_writes(facts)),
+        facts=facts,
+    )
+
+
+def _free_turn(path: str | Path, view: ArchiveView) -> Session:
+    """One continuous turn; what a broken one has is taken, and said."""
+    header = view.header()
+    recording, reason = recording_of(view)
+    if recording is None:
+        raise DataError(f"{path}: holds no turn yet; resume the session")
+    lost = sum(block.lost for a in view.attempts() for block in view.blocks(a))
+    facts: JsonDict = {
+        "url": header.url,
+        "note": header.note,
+        "simulated": header.simulated,
+        "software": header.software,
+        "started_utc": header.created_utc,
+        "settings": dict(header.settings),
+        "plan": view.plan().as_dict(),
+        "configuration": view.last("configuration"),
+        "registers": {when: view.last(f"registers-{when}") for when in ("before", "configured", "after")},
+        "runs": view.runs(),
+        "problems": [record.value for record in view.records("problem")],
+        "advised": [],
+        "reversed": False,
+        "doubts": [],
+        "remarks": [record.value for record in view.records("remark")],
+        "complete": not reason,
+        "skipped": [],
+        "scanning": view.last("scanning"),
+        "offset_writes": [record.value | {"utc": record.utc} for record in view.records("offsets")],
+        "dwells": [],
+        "broken_off": reason,
+    }
+    truth = view.last("truth")
+    if header.simulated and truth is not None:
+        facts["truth"] = truth
+    length_s = float(recording.time_s[-1] - recording.time_s[0])
+    notes = []
+    if reason:
+        notes.append(
+            f"the turn was broken off after {length_s:.0f} s: {reason}; --resume records a new one"
+        )
+    if lost:
+        notes.append(f"{counted(lost, 'scan')} lost on the bus during the turn")
+    return Session(
+        (),
+        sensor=header.variant,
+        accel_unit="mg" if header.variant == GENERIC else "lsb",
+        gravity_mps2=header.gravity_mps2,
+        fixture_sigma_deg=header.fixture_sigma_deg,
+        title=header.title,
+        operator=header.operator,
+        serial=header.serial,
+        stage=header.stage,
+        source=str(path),
+        notes=(*notes, *_of_writes(facts)),
+        recording=recording,
+        free_turn=True,
         facts=facts,
     )
 

@@ -261,6 +261,11 @@ class SessionRunner(Operator):
         return self._reversed
 
     @property
+    def one_recording(self) -> bool:
+        """True where the session is one continuous recording and visits no positions."""
+        return False
+
+    @property
     def virtual_time(self) -> bool:
         """True where the sensor's time stands still while nobody takes the next event."""
         return self._bench.virtual_time

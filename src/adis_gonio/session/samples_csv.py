@@ -26,7 +26,7 @@ from adis_gonio.model.records import METADATA, Dwell, Floats, Session, Use
 from adis_gonio.session.overrides import Overrides
 from adis_gonio.session.samples.names import AXES, GYROS
 from adis_gonio.session.samples.table import Table, table_of
-from adis_gonio.session.stillness import segment_with_notes
+from adis_gonio.session.stillness import is_free_turn, segment_with_notes
 
 
 def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Session:
@@ -51,13 +51,17 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
     if settings.get("plane") == "none" and table.accel.shape[1] < 3:
         raise DataError(f"{path.name}: column 'az' is missing; plane 'none' needs ax, ay and az")
     by_position = "position" in table.runs
+    recording = None if by_position else _whole(table)
     notes: tuple[str, ...] = ()
     if by_position:
         numbers, slices = _dwells_by_position(table)
     else:
-        slices, notes = _dwells_by_stillness(table)
+        slices, notes = _dwells_by_stillness(table, recording)
         numbers = list(range(len(slices)))
 
+    free = recording is not None and is_free_turn(recording, slices)
+    if free:
+        notes = (*notes, "one continuous turn without declared angles: taken as a free turn")
     angle = _constant(table, "angle_deg", slices, partial(_angle, table))
     approach = _constant(table, "approach", slices, _approach)
     use = _constant(table, "use", slices, _use)
@@ -81,6 +85,8 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
         source=str(path),
         notes=table.notes + notes,
         cut_by_stillness=not by_position,
+        recording=recording,
+        free_turn=free,
         **settings,
     )
     session = overrides.apply(session)
@@ -105,9 +111,13 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     """
     path = Path(path)
     dwells = session.dwells
+    if session.free_turn and session.recording is not None:
+        dwells = (session.recording,)
     if not dwells:
         raise DataError(f"{path.name}: the session has no dwell to write")
     parts = _columns_of(dwells, path.name)
+    if session.free_turn:  # without the column the file is one continuous recording
+        del parts["position"]
     lines = [f"# {key}: {value}" for key, value in _keys_of(session).items()]
     lines += [f"# note: {' '.join(note.split())}" for note in session.notes]
     lines.append(",".join(parts))
@@ -189,13 +199,21 @@ def _texts_of(values: Floats) -> list[str]:
     return [_text_of(number) for number in numbers]
 
 
-def _dwells_by_stillness(table: Table) -> tuple[list[slice], tuple[str, ...]]:
+def _whole(table: Table) -> Dwell:
+    """All rows as one recording; views, no copies."""
+    return Dwell(
+        0, table.time_s, table.accel, gyro=table.gyro, temperature_c=table.temperature_c,
+        supply_v=table.supply_v, first_row=table.line_of(0),
+    )  # fmt: skip
+
+
+def _dwells_by_stillness(table: Table, recording: Dwell | None) -> tuple[list[slice], tuple[str, ...]]:
     """Dwells of a continuous recording, and what was found."""
     try:
         slices, found = segment_with_notes(table.time_s, table.accel, table.gyro)
     except DataError as error:
         raise DataError(f"{table.path.name}: {error}") from error
-    if not slices:
+    if not slices and not (recording is not None and is_free_turn(recording, slices)):
         raise DataError(
             f"{table.path.name}: no dwell found: {'; '.join(found) or 'the sensor never rests'}; "
             "add a column 'position' or record at least one second at rest in each position"

@@ -16,6 +16,8 @@ run within which the mean moves on (a slip, or a slow turn) is split there.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -24,7 +26,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.counting import counted
 from adis_gonio.errors import DataError
-from adis_gonio.model.records import Floats
+from adis_gonio.model.records import Dwell, Floats
 
 WINDOW_S = 0.5
 TRIM_S = 0.25
@@ -252,3 +254,32 @@ def _split_at_steps(
         jump[max(0, k - window) : k + window] = 0.0
     edges = [0, *sorted(cuts), n]
     return [slice(rows.start + a, rows.start + b) for a, b in pairwise(edges) if b - a >= least]
+
+
+_HALF_TURN = math.pi
+_MOST_REST = 0.5
+"""Part of the time at rest beyond which a recording is a row of positions."""
+_OUT_OF_PLANE = 0.25
+"""Z and the change of the length of X and Y, over that length, beyond which no plane was kept."""
+
+
+def is_free_turn(recording: Dwell, dwells: Sequence[slice]) -> bool:
+    """True where a continuous recording with gyros is one turn in the plane of X and Y.
+
+    It turns half around or more, and for more than half of its time.
+
+    Parameters
+    ----------
+    dwells : sequence of slice
+        Rests that were found in it; a hand that takes a new grip leaves some too.
+    """
+    rest = sum(rows.stop - rows.start for rows in dwells)
+    if recording.gyro is None or rest > _MOST_REST * len(recording) or len(recording) < 2 * _LEAST_WINDOW:
+        return False
+    blocks = np.array_split(recording.accel, max(len(recording) // 64, 8))
+    x, y, *z = np.array([block.mean(axis=0) for block in blocks]).T
+    length = np.hypot(x, y)
+    typical = float(np.median(length))
+    odd = max(float(np.ptp(length)) / 2, *(float(np.abs(other).max()) for other in z), 0.0)
+    turned = float(np.ptp(np.unwrap(np.arctan2(y, x))))
+    return turned >= _HALF_TURN and odd < _OUT_OF_PLANE * typical

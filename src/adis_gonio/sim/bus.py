@@ -292,6 +292,12 @@ class SimStage:
             self._require_open()
             self._bus._set_now(self._stage.orient(self._bus.now_s(), np.asarray(vector, np.float64)))
 
+    def turn_freely(self) -> float:
+        """Begin a turn by hand; returns when it ends, on the bus's clock, which stands still."""
+        with self._bus._lock:
+            self._require_open()
+            return self._stage.turn_freely(self._bus.now_s())
+
     def _require_open(self) -> None:
         if self._bus.closed:
             raise BusClosedError(f"{self._bus.url}: the bus is closed")

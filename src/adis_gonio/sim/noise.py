@@ -23,6 +23,40 @@ class White:
         return drawn
 
 
+class RateWalk:
+    """Random walk of three gyro biases, 0 at the first time asked for.
+
+    It stands on a grid of its own in time and is interpolated.
+
+    Parameters
+    ----------
+    size : float
+        Standard deviation after a second, in °/s.
+    """
+
+    _STEP_S = 1 / 16
+
+    def __init__(self, size: float, rng: np.random.Generator) -> None:
+        self._size = size
+        self._rng = rng
+        self._start_s: float | None = None
+        self._grid = np.zeros((1, 3))
+
+    def at(self, time_s: Floats) -> Floats:
+        """Values (n, 3) at times (n,) that increase from call to call."""
+        if not self._size:
+            return np.zeros((len(time_s), 3))
+        if self._start_s is None:
+            self._start_s = float(np.floor(time_s[0]))
+        place = (time_s - self._start_s) / self._STEP_S
+        while len(self._grid) < int(place[-1]) + 2:
+            steps = self._size * np.sqrt(self._STEP_S) * self._rng.standard_normal((_PAGE, 3))
+            self._grid = np.concatenate([self._grid, self._grid[-1] + np.cumsum(steps, axis=0)])
+        index = place.astype(np.int64)
+        weight = (place - index)[:, None]
+        return np.asarray(self._grid[index] + weight * (self._grid[index + 1] - self._grid[index]))
+
+
 class Flicker:
     """Noise of a spectrum 1/f, as a sum of first-order processes with corners an octave apart.
 

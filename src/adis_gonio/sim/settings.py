@@ -17,6 +17,7 @@ _POSITIVE = (
     "self_heating_tau_s",
     "ambient_period_s",
     "vibration_decay_s",
+    "hand_turn_s",
 )
 _AT_LEAST_ZERO = (
     "noise_mg",
@@ -31,6 +32,13 @@ _AT_LEAST_ZERO = (
     "powered_s",
     "overshoot_deg",
     "table_vibration_mg",
+    "gyro_rate_walk_dps_per_rt_s",
+    "hand_pauses",
+    "hand_unevenness",
+    "hand_tremor_dps",
+    "hand_vibration_mg",
+    "hand_sway_deg",
+    "axis_wobble_deg",
 )
 
 
@@ -62,6 +70,14 @@ class WorldSettings:
         Standard deviation of the gyros' biases, and the biases themselves.
     gyro_g_dps_per_g, gyro_supply_dps_per_v : float or None
         What acceleration, and a supply other than 5 V, add to a gyro.
+    gyro_scale_x, … : float
+        Gains of the gyros, 1 is perfect.
+    gyro_misalignment_xy_deg, … : float
+        How far the first gyro's axis leans towards the second axis of the accelerometers.
+    gyro_g_sensitivity_xy_dps_per_g, … : float
+        What acceleration along the second axis adds to the first gyro (along its own: `gyro_g_dps_per_g`).
+    gyro_rate_walk_dps_per_rt_s : float
+        Random walk of the gyros' biases: standard deviation after a second.
     ambient_c, ambient_drift_c_per_h, ambient_swing_c, ambient_period_s : float
         Ambient temperature: constant, drift, and amplitude and period of a sine.
     self_heating_c, self_heating_tau_s, powered_s : float
@@ -86,6 +102,14 @@ class WorldSettings:
         The first dwell has the whole of it (what is at rest is learnt there), every other one a level of
         its own, uniform from 0 to this. By default none, or five times the sensor's noise where an effect
         that was added follows the variance (`vibration_rectification`).
+    lever_x_mm, lever_y_mm : float
+        Where the part is, from the stage's axis, along its own X and Y: it feels the turn's acceleration.
+    hand_turn_deg, hand_turn_s, hand_pauses : float
+        A turn by hand (`hand.HandTurn`): how far, how long, and how long it pauses between grips (1 usual).
+    hand_unevenness, hand_tremor_dps, hand_vibration_mg : float
+        Relative unevenness of its speed, rate of turn (rms) of its tremor, linear vibration (rms an axis).
+    hand_sway_deg, axis_wobble_deg : float
+        How much (rms) a part held in the hand sways, and how much the axis of a bearing wobbles.
     """
 
     alpha_deg: float | None = None
@@ -114,6 +138,22 @@ class WorldSettings:
     gyro_bias_z_dps: float | None = None
     gyro_g_dps_per_g: float | None = None
     gyro_supply_dps_per_v: float | None = None
+    gyro_scale_x: float = 1.0
+    gyro_scale_y: float = 1.0
+    gyro_scale_z: float = 1.0
+    gyro_misalignment_xy_deg: float = 0.0
+    gyro_misalignment_xz_deg: float = 0.0
+    gyro_misalignment_yx_deg: float = 0.0
+    gyro_misalignment_yz_deg: float = 0.0
+    gyro_misalignment_zx_deg: float = 0.0
+    gyro_misalignment_zy_deg: float = 0.0
+    gyro_g_sensitivity_xy_dps_per_g: float = 0.0
+    gyro_g_sensitivity_xz_dps_per_g: float = 0.0
+    gyro_g_sensitivity_yx_dps_per_g: float = 0.0
+    gyro_g_sensitivity_yz_dps_per_g: float = 0.0
+    gyro_g_sensitivity_zx_dps_per_g: float = 0.0
+    gyro_g_sensitivity_zy_dps_per_g: float = 0.0
+    gyro_rate_walk_dps_per_rt_s: float = 0.0
     ambient_c: float = 22.0
     ambient_drift_c_per_h: float = 0.0
     ambient_swing_c: float = 0.0
@@ -137,6 +177,16 @@ class WorldSettings:
     vibration_hz: float = 35.0
     vibration_decay_s: float = 0.3
     table_vibration_mg: float | None = None
+    lever_x_mm: float = 0.0
+    lever_y_mm: float = 0.0
+    hand_turn_deg: float = 365.0
+    hand_turn_s: float = 50.0
+    hand_pauses: float = 1.0
+    hand_unevenness: float = 0.15
+    hand_tremor_dps: float = 1.0
+    hand_vibration_mg: float = 3.0
+    hand_sway_deg: float = 0.0
+    axis_wobble_deg: float = 0.02
 
     def __post_init__(self) -> None:
         for entry in fields(self):

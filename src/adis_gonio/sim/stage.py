@@ -5,17 +5,18 @@ In the plane the part turns about its Z axis, which lies horizontal. The true an
 the backlash by the direction of approach; X then reads G cos ψ and Y G sin ψ. In space the stage turns the
 part until a given unit vector is what an ideal sensor would read, in units of G.
 
-A move takes time, with a speed that rises and falls as a half sine; the part rings after it.
-Not simulated: centripetal and tangential acceleration of a part away from the axis.
+A move takes time, with a speed that rises and falls as a half sine; the part rings after it. A turn by hand
+(`hand.HandTurn`) is a move without a declared angle.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from adis_gonio.errors import UsageError
+from adis_gonio.sim.hand import HandTurn
 from adis_gonio.sim.inputs import Floats
 from adis_gonio.sim.settings import WorldSettings
 
@@ -34,6 +35,10 @@ class Motion:
         What an ideal sensor reads, in units of local gravity.
     rate_dps : (n, 3) float
         Rate of turn of the part.
+    spin_rad_s2 : (n,) float
+        Angular acceleration of the part about its Z axis.
+    shaking_mg : (n, 3) float
+        Linear vibration that a hand brings.
     ringing_mg : (n,) float
         Vibration along X and Y after a move.
     angle_rad, previous_angle_rad : (n,) float
@@ -47,6 +52,8 @@ class Motion:
 
     direction: Floats
     rate_dps: Floats
+    spin_rad_s2: Floats
+    shaking_mg: Floats
     ringing_mg: Floats
     angle_rad: Floats
     previous_angle_rad: Floats
@@ -72,6 +79,7 @@ class _Leg:
     side: Floats
     turn_rad: float
     spatial: bool
+    hand: HandTurn | None = None
 
 
 class Stage:
@@ -85,10 +93,19 @@ class Stage:
         Angle of the part at the stage's zero.
     rng : Generator
         Draws an error for each move.
+    hands : Generator, optional
+        Draws the hands that turn the stage.
     """
 
-    def __init__(self, settings: WorldSettings, alpha_rad: float, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        settings: WorldSettings,
+        alpha_rad: float,
+        rng: np.random.Generator,
+        hands: np.random.Generator | None = None,
+    ) -> None:
         self._settings = settings
+        self._hands = np.random.default_rng(0) if hands is None else hands
         self._alpha = alpha_rad
         self._rng = rng
         error = self._error(0)
@@ -171,6 +188,32 @@ class Stage:
         sigma = np.radians(self._settings.fixture_sigma_deg)
         tilted = wanted / norm + np.cross(sigma * self._rng.standard_normal(3), wanted / norm)
         return self._turn(start_s, tilted / np.linalg.norm(tilted), float("nan"), 0.0, 0)
+
+    def turn_freely(self, start_s: float) -> float:
+        """Begin a turn by hand, of which nobody declares an angle; returns the time at which it ends.
+
+        Raises
+        ------
+        UsageError
+            The last move still runs, or the part stands anywhere in space.
+        """
+        self._require_still(start_s)
+        last = self._legs[-1]
+        if last.spatial:
+            raise UsageError(
+                "the part stands in space: turn it to an angle of the stage before a free turn"
+            )
+        self._moves += 1
+        hand = HandTurn(self._settings, self._hands)
+        to_rad = last.to_rad + float(np.radians(self._settings.hand_turn_deg))
+        approach = 1 if to_rad >= last.to_rad else -1
+        end_s = start_s + hand.length_s
+        leg = self._planar(
+            start_s, end_s, last.to_rad, to_rad, last.to_error_rad, last.to_error_rad,
+            self._order, approach, last.to_rad,
+        )  # fmt: skip
+        self._append(replace(leg, hand=hand))
+        return end_s
 
     def at(self, time_s: Floats) -> Motion:
         """Where the part is at increasing times (n,)."""
@@ -288,13 +331,16 @@ class Stage:
         n = len(time_s)
         full = np.full
         since = time_s - leg.end_s
-        blend, speed = np.ones(n), np.zeros(n)
+        if leg.hand is not None:
+            return self._by_hand(leg, leg.hand, time_s)
+        blend, speed, spin = np.ones(n), np.zeros(n), np.zeros(n)
         moving = since < 0
         if moving.any():
             duration = leg.end_s - leg.start_s
             part = np.pi * (time_s - leg.start_s) / duration
             blend = np.where(moving, (1 - np.cos(part)) / 2, 1.0)
             speed = np.where(moving, np.pi / (2 * duration) * np.sin(part), 0.0)
+            spin = np.where(moving, np.pi**2 / (2 * duration**2) * np.cos(part), 0.0)
         rate = np.zeros((n, 3))
         if leg.spatial:
             turn = leg.turn_rad * blend
@@ -311,15 +357,42 @@ class Stage:
             direction[:, 1] = np.sin(psi) * np.cos(tilt)
             direction[:, 2] = np.sin(tilt)
             rate[:, 2] = np.degrees((span - slip) * speed)
+            spin = (span - slip) * spin
         return Motion(
             direction,
             rate,
+            np.zeros(n) if leg.spatial else spin,
+            np.zeros((n, 3)),
             self._ringing(since),
             theta,
             full(n, leg.previous_rad),
             full(n, float(leg.order)),
             full(n, float(leg.approach)),
             np.maximum(since, 0.0) if np.isfinite(leg.end_s) else np.maximum(time_s, 0.0),
+        )
+
+    def _by_hand(self, leg: _Leg, hand: HandTurn, time_s: Floats) -> Motion:
+        n = len(time_s)
+        since = time_s - leg.start_s
+        turned = hand.turned(since)
+        wobble, wobbling = hand.tilt(since, turned)
+        theta = leg.from_rad + turned[0]
+        psi = self._alpha - theta + leg.from_error_rad
+        tilt = np.radians(self._settings.axis_tilt_deg) + wobble
+        direction = np.stack([np.cos(psi) * np.cos(tilt), np.sin(psi) * np.cos(tilt), np.sin(tilt)], axis=1)
+        # The rates that turn gravity as the direction goes: d' = -rate x d.
+        rate = np.stack([-wobbling * np.sin(psi), wobbling * np.cos(psi), turned[1]], axis=1)
+        return Motion(
+            direction,
+            np.degrees(rate),
+            turned[2],
+            hand.shaking_mg(since),
+            np.zeros(n),
+            theta,
+            np.full(n, leg.previous_rad),
+            np.full(n, float(leg.order)),
+            np.full(n, float(leg.approach)),
+            np.maximum(time_s - leg.end_s, 0.0),
         )
 
     def _ringing(self, since: Floats) -> Floats:

@@ -13,12 +13,13 @@ What is not simulated
     The 350 Hz poles of the analog front ends (unfiltered samples are white, as the filter's table of gains
     supposes), turns of the axes out of the stage's plane other than the skews of Z, cross-axis and
     nonlinearity unless an effect brings them, noise that depends on temperature, the earth's rotation,
-    accelerations of a part away from the stage's axis, thermal gradients between axes. Flicker ends
+    thermal gradients between axes. Flicker ends
     below 3e-5 and above 1.5 Hz.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -28,7 +29,7 @@ from adis_gonio.model.measurement import FreeAttitude, sensitivity
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.sensor.variants import Variant, variant
 from adis_gonio.sim.inputs import Floats, Inputs
-from adis_gonio.sim.noise import Flicker, White
+from adis_gonio.sim.noise import Flicker, RateWalk, White
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Motion, Stage
 
@@ -70,13 +71,17 @@ class World:
         self.settings = settings or WorldSettings()
         self.variant = variant(part)
         self.seed = seed
-        streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(7)]
-        hidden, white, self._flicker_rng, fixture, changes, shaking, self._level_rng = streams
+        streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(9)]
+        hidden, white, self._flicker_rng, fixture, changes, shaking, self._level_rng = streams[:7]
         self._draw(hidden)
         self._effect_rngs = changes.spawn(len(effects))
         self.effects = tuple((effect, _values(effect, given)) for effect, given in effects)
-        self.stage = Stage(self.settings, float(np.radians(self._hidden["alpha"])), fixture)
+        self.stage = Stage(self.settings, float(np.radians(self._hidden["alpha"])), fixture, streams[7])
         self._flicker: Flicker | None = None
+        self._rate_walk = RateWalk(self.settings.gyro_rate_walk_dps_per_rt_s, streams[8])
+        self._lever_m = 1e-3 * np.array([self.settings.lever_x_mm, self.settings.lever_y_mm, 0.0])
+        self._gyro_axes = self._gyro_matrix()
+        self._gyro_cross_g = _pairs(self.settings, "gyro_g_sensitivity_{}_dps_per_g")
         self._warmed: list[tuple[float, float]] = []
         self._supplied: list[tuple[float, float]] = []
         figures = self.variant.performance
@@ -240,6 +245,9 @@ class World:
                     accel += effect.reading_mg(values, ideal, conditions)
         accel += flicker[:, :3]
         accel[:, :2] += motion.ringing_mg[:, None]
+        if self._lever_m.any():
+            accel += self._by_lever_mg(motion)
+        accel += motion.shaking_mg
         accel += noise[:, :3]
         if self._table_mg:
             accel += vibration[:, None] * self._shaking.next(n)
@@ -248,8 +256,7 @@ class World:
                 if effect.enters is Enters.SAMPLES:
                     accel = effect.samples_mg(values, accel, conditions, rng)
 
-        gyro = motion.rate_dps + self._gyro_bias + flicker[:, 3:] + noise[:, 3:6]
-        gyro += 1e-3 * self._g_effect * ideal
+        gyro = self._gyros(motion.rate_dps, ideal, accel, time_s) + flicker[:, 3:] + noise[:, 3:6]
         gyro += (self._supply_effect * (supply - REFERENCE_V))[:, None]
         return Inputs(
             accel,
@@ -258,6 +265,40 @@ class World:
             supply + noise[:, 9],
             np.full(n, self.settings.aux_v),
         )
+
+    def _by_lever_mg(self, motion: Motion) -> Floats:
+        """What a part away from the stage's axis reads of the turn: minus its acceleration, as of all."""
+        spin, lever = np.radians(motion.rate_dps[:, 2]), self._lever_m
+        x = lever[0] * spin**2 + lever[1] * motion.spin_rad_s2
+        y = lever[1] * spin**2 - lever[0] * motion.spin_rad_s2
+        felt = np.zeros((len(spin), 3))
+        felt[:, 0], felt[:, 1] = x, y
+        return felt * (1000.0 / STANDARD_GRAVITY_MPS2)
+
+    def _gyro_matrix(self) -> Floats:
+        """Gains and directions (3, 3) of the gyros."""
+        gains = np.array([getattr(self.settings, f"gyro_scale_{axis}") for axis in AXES])
+        lean = np.sin(np.radians(_pairs(self.settings, "gyro_misalignment_{}_deg")))
+        own = np.sqrt(1 - (lean**2).sum(axis=1))
+        return np.asarray(gains[:, None] * (lean + np.diag(own)))
+
+    def _gyros(self, rate_dps: Floats, ideal: Floats, accel: Floats, time_s: Floats) -> Floats:
+        """Gyros (n, 3) without noise and supply: rates by their axes, biases, acceleration."""
+        gyro = self._gyro_rates(rate_dps) + self._gyro_bias
+        gyro += 1e-3 * self._g_effect * ideal
+        for (k, j), per_g in np.ndenumerate(self._gyro_cross_g):
+            if per_g:
+                gyro[:, k] += 1e-3 * per_g * accel[:, j]
+        gyro += self._rate_walk.at(time_s)
+        return np.asarray(gyro)
+
+    def _gyro_rates(self, rate_dps: Floats) -> Floats:
+        if np.array_equal(self._gyro_axes, np.eye(3)):
+            return rate_dps
+        shown = np.empty_like(rate_dps)
+        for k, row in enumerate(self._gyro_axes):
+            shown[:, k] = row[0] * rate_dps[:, 0] + row[1] * rate_dps[:, 1] + row[2] * rate_dps[:, 2]
+        return shown
 
     def _ideal(self, direction: Floats) -> Floats:
         ideal = np.empty_like(direction)
@@ -329,6 +370,14 @@ class World:
 
 def _or(given: float | None, other: float) -> float:
     return other if given is None else given
+
+
+def _pairs(settings: WorldSettings, name: str) -> Floats:
+    """Settings of pairs of axes (3, 3); none of an axis with itself."""
+    found = np.zeros((3, 3))
+    for k, j in itertools.permutations(range(3), 2):
+        found[k, j] = getattr(settings, name.format(AXES[k] + AXES[j]))
+    return found
 
 
 def _values(effect: Effect, given: Values) -> Floats:

@@ -70,6 +70,11 @@ def trace(session: Session, max_effects: int = 6, time_limit: float | None = Non
     UsageError
         A time limit that is not positive.
     """
+    if session.free_turn and not session.dwells:
+        raise FitError(
+            f"{session.source or 'session'}: a free turn has no positions whose residuals a trace could"
+            " follow; use fit, or measure positions (calibrate --plan tumble) and trace those"
+        )
     if time_limit is None:
         result = _trace(session, max_effects)
     elif not time_limit > 0:

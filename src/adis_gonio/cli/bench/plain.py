@@ -17,6 +17,8 @@ from adis_gonio.cli.bench.words import (
     dwell_shown,
     extension_offered,
     time_left,
+    turn_done,
+    turn_shown,
     turned,
     watched,
 )
@@ -106,6 +108,8 @@ class PlainBench:
                     self._show(*watched(event))
             case events.DwellProgress():
                 self._show(*dwell_shown("dwell", event.elapsed_s, event.length_s))
+            case events.TurnProgress():
+                self._show(*turn_shown(event))
             case events.Waiting():
                 self._show(*dwell_shown("waiting", event.elapsed_s, event.length_s))
             case events.Advising():
@@ -146,7 +150,7 @@ class PlainBench:
                 pass
 
     def _ask_position(self, event: PositionAsked) -> None:
-        from adis_gonio.session.guidance import drawing, to_do
+        from adis_gonio.session.guidance import TURN_TO_DO, drawing, to_do
 
         if not self._drawn:
             self._drawn = True
@@ -158,6 +162,8 @@ class PlainBench:
             keys |= {"r": runner.repeat, "u": runner.undo}
         keys |= {"p": runner.pause, "q": self._end}
         todo = to_do(event.position, self._here, reverse=runner.reversed)
+        if runner.one_recording:
+            todo = TURN_TO_DO
         left = time_left(event.time_left_s)
         others = ", ".join(f"{key} {_MEANING[key]}" for key in keys if key) + ", n note"
         text = f"{event.number} of {event.total}{left}: {todo} and press Enter ({others})"
@@ -302,6 +308,9 @@ class PlainBench:
         match event:
             case events.Problem():
                 self._say(f"  {event.message}", "yellow")
+            case events.TurnDone():
+                self._hide()
+                self._say(turn_done(event))
             case events.Withdrawn():
                 self._say(f"  the dwell at {event.position} is withdrawn (samples kept)", "yellow")
             case events.Advised():

@@ -12,7 +12,9 @@ if TYPE_CHECKING:
         Configured,
         DwellDone,
         ExtensionOffered,
+        TurnDone,
         TurnMeasured,
+        TurnProgress,
         Watching,
     )
 
@@ -33,6 +35,19 @@ def watched(event: Watching) -> Shown:
 def dwell_shown(what: str, elapsed_s: float, length_s: float) -> Shown:
     """A time that runs."""
     return what, f"{elapsed_s:.0f} of {length_s:.0f} s", elapsed_s, length_s
+
+
+def turn_shown(event: TurnProgress) -> Shown:
+    """A free turn as it goes on."""
+    what = {"rest": "at rest", "turn": "turn", "after": "let rest"}[event.state]
+    note = f"{event.turned_deg:+.0f}°, {event.rate_dps:+.1f} °/s, {event.elapsed_s:.0f} s"
+    return what, note, event.elapsed_s, event.length_s
+
+
+def turn_done(event: TurnDone) -> str:
+    """What was recorded of a free turn."""
+    lost = f", {event.lost} lost" if event.lost else ""
+    return f"  turned {event.turned_deg:+.0f}° in {event.length_s:.0f} s, {event.samples} scans{lost}"
 
 
 def configured(event: Configured) -> list[str]:

@@ -1,0 +1,214 @@
+"""The session of a free turn: one continuous recording, from a rest through a turn to a rest.
+
+It is a `SessionRunner` with one place to go to, whose dwell is the whole turn. Every few seconds what was
+recorded goes into the archive as a piece: attempts whose reason is `GOES_ON`, ended by one that is complete
+or says what broke it off. A kill or a power cut loses one piece at most, a session that is resumed asks for
+a new turn, and `turn_pieces.recording_of` gives the best that there is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Iterator
+from typing import Literal, Protocol, runtime_checkable
+
+from adis_gonio.errors import AdisGonioError
+from adis_gonio.session.blocks import Block
+from adis_gonio.session.events import Event, Problem, StageMoved, TurnDone, TurnProgress
+from adis_gonio.session.judge import Judge
+from adis_gonio.session.plans import Plan, Position
+from adis_gonio.session.rows import Attempt, Outcome, utc_now
+from adis_gonio.session.runner import SessionRunner
+from adis_gonio.session.turn_pieces import FREE_TURN, GOES_ON
+
+DURATION_S = 60.0
+REST_S = 3.0
+"""Rest before the turn and after it."""
+PIECE_S = 5.0
+"""What a kill loses at most."""
+RESTING_DEG = 0.5
+"""Less than this in `REST_S` is rest."""
+State = Literal["rest", "turn", "after"]
+BROKEN_STREAM = "the stream of scans ended"
+
+PLACE = Position(None, 0)
+
+
+def free_turn_plan() -> Plan:
+    """The plan of one free turn."""
+    return Plan(FREE_TURN, (PLACE,))
+
+
+@runtime_checkable
+class TurningStage(Protocol):
+    """A stage that a program can turn once all around as a hand would."""
+
+    def turn_freely(self) -> float:
+        """Begin, and return the time at which it ends."""
+
+
+class Turn:
+    """The angle of gravity as the turn goes on, and when it is done.
+
+    Attributes
+    ----------
+    turned_deg : float
+        From the start to here, with its sign.
+    """
+
+    def __init__(self) -> None:
+        self.turned_deg = 0.0
+        self._before: float | None = None
+        self._spread = [0.0, 0.0]
+        self._course: list[tuple[float, float]] = []
+
+    def see(self, block: Block) -> None:
+        """Take scans."""
+        if not len(block):
+            return
+        x, y, _ = block.accel_mg.mean(axis=0)
+        # Gravity goes backwards through the part: positive is counter-clockwise, as the stage counts.
+        angle = -math.degrees(math.atan2(y, x))
+        if self._before is not None:
+            self.turned_deg += (angle - self._before + 180) % 360 - 180
+        self._before = angle
+        self._spread = [min(self._spread[0], self.turned_deg), max(self._spread[1], self.turned_deg)]
+        now = float(block.time_s[-1])
+        self._course = [(t, a) for t, a in self._course if t > now - REST_S] + [(now, self.turned_deg)]
+
+    @property
+    def full(self) -> bool:
+        """True once a full turn was made."""
+        return self._spread[1] - self._spread[0] >= 360.0
+
+    @property
+    def resting(self) -> bool:
+        """True where nothing has turned for `REST_S`."""
+        angles = [angle for _, angle in self._course]
+        long_enough = self._course[-1][0] - self._course[0][0] > 0.9 * REST_S if self._course else False
+        return long_enough and max(angles) - min(angles) < RESTING_DEG
+
+    @property
+    def rate_dps(self) -> float:
+        """Over the last `REST_S`."""
+        (t0, a0), (t1, a1) = self._course[0], self._course[-1]
+        return (a1 - a0) / (t1 - t0) if t1 > t0 else 0.0
+
+
+class FreeTurnRunner(SessionRunner):
+    """Runs the session of a free turn; begin it with `free_turn_plan()`.
+
+    `Settings.dwell_s` is the longest time of the recording; it ends earlier once a full turn was made
+    and the part has rested after it.
+    """
+
+    @property
+    def one_recording(self) -> bool:
+        """True: one continuous recording."""
+        return True
+
+    def _new_judge(self, noise_mg: float) -> Judge | None:
+        """No place to judge: none is declared."""
+        return None
+
+    def _dwell(self, place: int) -> Iterator[Event]:
+        pieces = _Pieces(self, place)
+        try:
+            why = yield from self._follow(pieces)
+        except BaseException as error:
+            said = str(error) if isinstance(error, AdisGonioError) else "the program ended"
+            pieces.write("interrupted", said)
+            raise
+        self._bench.close_stream()
+        self._tell_scanning()
+        if why:
+            pieces.write("interrupted", why)
+            yield self._problem(Problem("stillness", f"the turn was broken off: {why}", place))
+            return
+        status = self._bench.source.status()
+        number = pieces.write("complete", "", None if status is None else status.word)
+        self._done[place] = number
+        self._last_place = place
+        turn = pieces.turn
+        yield TurnDone(number, turn.turned_deg, pieces.length_s, pieces.samples, pieces.lost)
+        if not turn.full:
+            message = f"it went {abs(turn.turned_deg):.0f}°, no full turn: undo it and turn once all around"
+            yield self._problem(Problem("stillness", message, place))
+        if pieces.lost:
+            yield self._problem(Problem("lost", f"{pieces.lost} scans lost during the turn", place))
+
+    def _follow(self, pieces: _Pieces) -> Generator[Event, None, str]:
+        """Record the turn; what broke it off, or nothing."""
+        bench, turn, moved = self._bench, pieces.turn, False
+        length_s = bench.settings.dwell_s
+        for block in bench.scans():
+            pieces.add(block)
+            self._view.see(block)
+            if not moved and pieces.length_s >= REST_S:
+                moved = True
+                if isinstance(bench.stage, TurningStage):
+                    bench.stage.turn_freely()
+                    yield StageMoved(PLACE)
+            reached: State = "after" if turn.full else "turn"
+            yield TurnProgress(
+                reached if moved else "rest",
+                pieces.length_s,
+                length_s,
+                pieces.samples,
+                pieces.lost,
+                turn.turned_deg,
+                turn.rate_dps,
+            )
+            if self._stopping.is_set() or self._pausing.is_set():
+                return self._why_ended()
+            yield from self._keep_remarks(pieces.place)
+            if pieces.length_s >= length_s or (turn.full and turn.resting):
+                return ""
+        return BROKEN_STREAM
+
+
+class _Pieces:
+    """What was recorded and goes to the archive piece by piece."""
+
+    def __init__(self, runner: FreeTurnRunner, place: int) -> None:
+        self.place, self.turn = place, Turn()
+        self.samples = self.lost = 0
+        self.length_s = 0.0
+        self._runner = runner
+        self._first_s: float | None = None
+        self._since_s = 0.0
+        self._blocks: list[Block] = []
+        self._began = utc_now(), runner._bench.now_s
+
+    def add(self, block: Block) -> None:
+        """Take scans; those of a whole piece are written."""
+        self._blocks.append(block)
+        self.turn.see(block)
+        self.samples += len(block)
+        self.lost += block.lost
+        if len(block):
+            now = float(block.time_s[-1])
+            self._first_s = float(block.time_s[0]) if self._first_s is None else self._first_s
+            self.length_s = now - self._first_s
+        if self.length_s - self._since_s >= PIECE_S:
+            self.write("interrupted", GOES_ON)
+
+    def write(self, outcome: Outcome, reason: str, status: int | None = None) -> int:
+        """Write what is not yet in the archive; number of the attempt."""
+        now = self._runner._bench.now_s
+        attempt = Attempt(
+            self.place, PLACE, outcome, *self._began, now,
+            [("dwell", block) for block in self._blocks], [], reason, status,
+        )  # fmt: skip
+        number = self._runner._archive.add_attempt(attempt)
+        self._blocks, self._since_s = [], self.length_s
+        self._began = utc_now(), now
+        return number
+
+
+def runner_of(plan: Plan) -> type[SessionRunner]:
+    """Which runner a plan takes."""
+    return FreeTurnRunner if plan.name == FREE_TURN else SessionRunner
+
+
+__all__ = ["DURATION_S", "FREE_TURN", "FreeTurnRunner", "free_turn_plan", "runner_of"]

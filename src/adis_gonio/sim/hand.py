@@ -1,0 +1,158 @@
+"""A hand that turns the stage once, slowly: where the part points, how fast, and what shakes it.
+
+What is known of hands, and how it stands here
+    A hand turns as far as the wrist goes, stops, takes a new grip and goes on: segments of 40 to 120° with
+    a minimum-jerk course each (Flash & Hogan 1985), pauses of 0.2 to 0.9 s between them. A slow movement is
+    not even: submovements of 0.5 to 3 Hz change its speed by a tenth or two. Physiological tremor shakes at
+    8 to 12 Hz whatever is held, and only while it is held. The axis of a bearing wobbles by hundredths of a
+    degree, at one and two cycles a turn; a part that is held in the hand sways by degrees.
+
+All courses are sums of smooth functions with exact derivatives, so that rates and accelerations belong to
+the angle at every time. Figures are estimates (D).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adis_gonio.sim.inputs import Floats
+from adis_gonio.sim.settings import WorldSettings
+
+_SEGMENT_DEG = (40.0, 120.0)
+_PAUSE_S = (0.2, 0.9)
+_SUBMOVEMENT_HZ = (0.5, 3.0)
+_TREMOR_HZ = (8.0, 12.0)
+_SWAY_HZ = (0.05, 0.5)
+_LINES = 12
+_RISE_S = 0.5
+"""The hand takes hold, and lets go, within this time."""
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Sines of random frequency and phase with a root mean square of 1 in all."""
+
+    omega: Floats
+    phase: Floats
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, band_hz: tuple[float, float]) -> _Lines:
+        omega = 2 * np.pi * rng.uniform(*band_hz, _LINES)
+        return cls(omega, rng.uniform(0, 2 * np.pi, _LINES))
+
+    def at(self, time_s: Floats) -> tuple[Floats, Floats, Floats]:
+        """Value and its two derivatives (n,)."""
+        value, first, second = (np.zeros(len(time_s)) for _ in range(3))
+        size = np.sqrt(2 / _LINES)
+        for omega, phase in zip(self.omega, self.phase, strict=True):
+            sine, cosine = np.sin(omega * time_s + phase), np.cos(omega * time_s + phase)
+            value += size * sine
+            first += size * omega * cosine
+            second -= size * omega**2 * sine
+        return value, first, second
+
+    @property
+    def mean_square_rate(self) -> float:
+        """Of the first derivative."""
+        return float((self.omega**2).mean())
+
+
+class HandTurn:
+    """One turn by hand; times are counted from its beginning.
+
+    Parameters
+    ----------
+    settings : WorldSettings
+        Those that begin with `hand_`, and `axis_wobble_deg`.
+    rng : Generator
+        Draws this hand.
+    """
+
+    def __init__(self, settings: WorldSettings, rng: np.random.Generator) -> None:
+        self._settings = settings
+        total = float(np.radians(settings.hand_turn_deg))
+        spans = _segments(abs(settings.hand_turn_deg), rng)
+        pauses = rng.uniform(*_PAUSE_S, len(spans)) * settings.hand_pauses
+        moving_s = max(settings.hand_turn_s - float(pauses[:-1].sum()), 0.2 * settings.hand_turn_s)
+        # Longer segments take longer, and no two are equally fast.
+        shares = spans * rng.uniform(0.8, 1.25, len(spans))
+        lengths = moving_s * shares / shares.sum()
+        begins = np.concatenate([[0.0], np.cumsum(lengths + pauses)[:-1]])
+        self._segments = list(zip(begins, lengths, total * spans / spans.sum(), strict=True))
+        self.length_s = float(begins[-1] + lengths[-1])
+        self._uneven = _Lines.drawn(rng, _SUBMOVEMENT_HZ)
+        self._tremor = _Lines.drawn(rng, _TREMOR_HZ)
+        self._shaking = [_Lines.drawn(rng, _TREMOR_HZ) for _ in range(3)]
+        self._sway = _Lines.drawn(rng, _SWAY_HZ)
+        self._wobble_phase = rng.uniform(0, 2 * np.pi, 2)
+        speed = abs(total) / self.length_s
+        self._uneven_rad = settings.hand_unevenness * speed / np.sqrt(self._uneven.mean_square_rate)
+        self._tremor_rad = np.radians(settings.hand_tremor_dps) / np.sqrt(self._tremor.mean_square_rate)
+
+    def turned(self, time_s: Floats) -> tuple[Floats, Floats, Floats]:
+        """Angle turned (n,) in rad, its rate and its acceleration."""
+        angle, rate, acceleration = (np.zeros(len(time_s)) for _ in range(3))
+        for begin, length, span in self._segments:
+            x = np.clip((time_s - begin) / length, 0.0, 1.0)
+            angle += span * x**3 * (10 - 15 * x + 6 * x**2)
+            rate += span / length * 30 * x**2 * (1 - x) ** 2
+            acceleration += span / length**2 * 60 * x * (1 - x) * (1 - 2 * x)
+        hold = self._hold(time_s)
+        for lines, size in ((self._uneven, self._uneven_rad), (self._tremor, self._tremor_rad)):
+            shaken = _product(lines.at(time_s), hold)
+            angle += size * shaken[0]
+            rate += size * shaken[1]
+            acceleration += size * shaken[2]
+        return angle, rate, acceleration
+
+    def tilt(self, time_s: Floats, turned: tuple[Floats, Floats, Floats]) -> tuple[Floats, Floats]:
+        """Tilt (n,) of the plane of X and Y out of the vertical in rad, and its rate."""
+        angle, rate, _ = turned
+        size = np.radians(self._settings.axis_wobble_deg)
+        first, second = self._wobble_phase
+        tilt = size * (np.cos(angle + first) + 0.5 * np.cos(2 * angle + second))
+        slope = -size * rate * (np.sin(angle + first) + np.sin(2 * angle + second))
+        sway = np.radians(self._settings.hand_sway_deg)
+        swaying = _product(self._sway.at(time_s), self._hold(time_s))
+        return tilt + sway * swaying[0], slope + sway * swaying[1]
+
+    def shaking_mg(self, time_s: Floats) -> Floats:
+        """Linear vibration (n, 3) that the hand brings, in mg."""
+        hold = self._hold(time_s)[0]
+        size = self._settings.hand_vibration_mg
+        return np.stack([size * hold * lines.at(time_s)[0] for lines in self._shaking], axis=1)
+
+    def _hold(self, time_s: Floats) -> tuple[Floats, Floats, Floats]:
+        """How firmly the hand holds, 0 to 1, with two derivatives; 0 before the turn and after it."""
+        up = _rise(time_s / _RISE_S)
+        down = _rise((self.length_s - time_s) / _RISE_S)
+        scale = 1 / _RISE_S
+        up = (up[0], up[1] * scale, up[2] * scale**2)
+        down = (down[0], -down[1] * scale, down[2] * scale**2)
+        return _product(up, down)
+
+
+def _segments(turn_deg: float, rng: np.random.Generator) -> Floats:
+    spans: list[float] = []
+    while sum(spans) < turn_deg:
+        spans.append(float(rng.uniform(*_SEGMENT_DEG)))
+    return np.array(spans)
+
+
+def _rise(x: Floats) -> tuple[Floats, Floats, Floats]:
+    """Minimum-jerk step from 0 to 1 with two derivatives."""
+    x = np.clip(x, 0.0, 1.0)
+    return (
+        x**3 * (10 - 15 * x + 6 * x**2),
+        30 * x**2 * (1 - x) ** 2,
+        60 * x * (1 - x) * (1 - 2 * x),
+    )
+
+
+def _product(
+    f: tuple[Floats, Floats, Floats], g: tuple[Floats, Floats, Floats]
+) -> tuple[Floats, Floats, Floats]:
+    """Product of two functions with two derivatives."""
+    return f[0] * g[0], f[1] * g[0] + f[0] * g[1], f[2] * g[0] + 2 * f[1] * g[1] + f[0] * g[2]

@@ -1,0 +1,143 @@
+"""Recording a free turn: archive, break and resume, CSV, command line."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from adis_gonio.cli import app
+from adis_gonio.errors import DataError
+from adis_gonio.fitting import fit
+from adis_gonio.sensor import open_sensor
+from adis_gonio.session import Settings, export_csv, load_session
+from adis_gonio.session.events import Finished, TurnDone, TurnProgress
+from adis_gonio.session.free_turn import FreeTurnRunner, free_turn_plan
+from adis_gonio.session.view import ArchiveView
+
+URL = "sim:?seed=4&lever_x_mm=30&gyro_scale_z=1.01&hand_turn_s=30"
+
+
+def runner(sensor, path, **settings):
+    return FreeTurnRunner.begin(
+        sensor, path, free_turn_plan(), Settings(dwell_s=60.0, **settings), auto=True
+    )
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    path = tmp_path_factory.mktemp("turn") / "turn.session"
+    answer = CliRunner().invoke(
+        app, ["calibrate", URL, "--plan", "free-turn", "--auto", "-o", str(path), "--json"]
+    )
+    assert answer.exit_code == 0, answer.output
+    return path, json.loads(answer.stdout)
+
+
+def test_calibrate_records_a_turn_and_answers(recorded):
+    path, document = recorded
+    assert document["method"] == "free-turn"
+    assert document["complete"]
+    for name in ("delta_k", "delta_phi"):
+        one = document["parameters"][name]
+        assert abs(one["value"] - document["truth"][name]) < 4 * one["u"]
+    again = CliRunner().invoke(app, ["fit", str(path), "--json"])
+    assert json.loads(again.stdout)["parameters"] == document["parameters"]
+
+
+def test_the_recording_is_continuous_and_ends_with_the_rest_after_a_full_turn(recorded):
+    session = load_session(recorded[0])
+    whole = session.recording
+    assert session.free_turn
+    assert not session.dwells
+    assert np.diff(whole.time_s).max() < 1.5 * np.median(np.diff(whole.time_s))
+    assert 33.0 < whole.time_s[-1] - whole.time_s[0] < 45.0
+    assert whole.gyro is not None
+    assert whole.temperature_c is not None
+    assert whole.supply_v is not None
+
+
+def test_trace_and_report_of_it_say_what_they_can(recorded, tmp_path):
+    path = str(recorded[0])
+    traced = CliRunner().invoke(app, ["trace", path])
+    assert "calibrate --plan tumble" in str(traced.exception or traced.output)
+    page = tmp_path / "page.html"
+    assert CliRunner().invoke(app, ["report", path, "-o", str(page)]).exit_code == 0
+    text = page.read_text("utf-8")
+    assert "one free turn" in text
+    assert "free-turn" in text
+    assert "Δφ" in text
+
+
+def test_a_csv_of_it_without_positions_is_fitted_alike(recorded, tmp_path):
+    session = load_session(recorded[0])
+    export_csv(session, tmp_path / "turn.csv")
+    back = load_session(tmp_path / "turn.csv")
+    assert (
+        "position" not in (tmp_path / "turn.csv").read_text("utf-8").split("time_s", 1)[1].splitlines()[0]
+    )
+    assert back.free_turn
+    ours, theirs = fit(session), fit(back)
+    assert theirs.method == "free-turn"
+    assert theirs["delta_phi"].value == pytest.approx(
+        ours["delta_phi"].value, abs=0.2 * ours["delta_phi"].u
+    )
+
+
+def test_a_turn_that_is_stopped_is_kept_said_and_taken_anew(tmp_path):
+    path = tmp_path / "stopped.session"
+    with open_sensor(URL) as sensor:
+        running = runner(sensor, path)
+        for event in running.run():
+            if isinstance(event, TurnProgress) and event.elapsed_s > 12:
+                running.stop()
+    session = load_session(path)
+    assert session.recording.time_s[-1] - session.recording.time_s[0] == pytest.approx(12.0, abs=0.5)
+    assert any("broken off after 12 s: stopped by the operator" in note for note in session.notes)
+    with open_sensor(URL) as sensor:
+        events = list(FreeTurnRunner.resume(sensor, path, auto=True).run())
+    done = next(event for event in events if isinstance(event, TurnDone))
+    assert done.turned_deg == pytest.approx(365.0, abs=1.0)
+    assert isinstance(events[-1], Finished)
+    assert events[-1].complete
+    assert not any("broken off" in note for note in load_session(path).notes)
+
+
+def test_a_program_that_dies_loses_a_piece_at_most(tmp_path):
+    path = tmp_path / "died.session"
+    with open_sensor(URL) as sensor:
+        events = runner(sensor, path).run()
+        for event in events:
+            if isinstance(event, TurnProgress) and event.elapsed_s > 18:
+                break
+        with ArchiveView(path) as view:  # nothing after this line was written by the dying program
+            length = sum(len(block) for a in view.attempts() for block in view.blocks(a))
+        assert length * 1.22e-3 > 18 - 5.5
+        events.close()
+    assert load_session(path).recording.time_s[-1] > 18
+
+
+def test_nothing_recorded_is_said(tmp_path):
+    path = tmp_path / "empty.session"
+    with open_sensor(URL) as sensor:
+        running = runner(sensor, path)
+        running.stop()
+        list(running.run())
+    with pytest.raises(DataError, match="holds no turn yet; resume"):
+        load_session(path)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--plan", "free-turn", "--positions", "4"], "no positions"),
+        (["--plan", "free-turn", "--trace"], "no positions"),
+        (["--plan", "tumble", "--duration", "30"], "that of a free turn"),
+    ],
+)
+def test_options_that_do_not_belong_together_are_refused(options, message, tmp_path):
+    answer = CliRunner().invoke(
+        app, ["calibrate", URL, "--auto", "-o", str(tmp_path / "a.session"), *options]
+    )
+    assert answer.exit_code != 0
+    assert message in str(answer.exception)

@@ -1,0 +1,88 @@
+"""A turn by hand: what moves belongs together, and the sensor feels what physics says."""
+
+import numpy as np
+import pytest
+
+from adis_gonio.sim import World, WorldSettings
+from adis_gonio.sim.hand import HandTurn
+
+QUIET = {"noise_mg": 0.0, "bias_instability_mg": 0.0, "gyro_noise_dps": 0.0, "gyro_instability_dps": 0.0}
+QUIET |= {"gyro_bias_sigma_dps": 0.0, "gyro_g_dps_per_g": 0.0, "delta_k": 0.0, "delta_phi_deg": 0.0}
+QUIET |= {"scale_y": 1.0, "bias_x_mg": 0.0, "bias_y_mg": 0.0, "hand_vibration_mg": 0.0}
+QUIET |= {f"{name}_{axis}_{unit}": 0.0 for axis in "xy" for name, unit in (
+    ("bias_tempco", "mg_per_c"), ("scale_tempco", "ppm_per_c"))}  # fmt: skip
+STEP_S = 1e-4
+
+
+def hand(**settings) -> HandTurn:
+    return HandTurn(WorldSettings(**settings), np.random.default_rng(3))
+
+
+def turning(**settings) -> tuple[World, np.ndarray]:
+    world = World(WorldSettings(**(QUIET | settings)), seed=2)
+    world.stage.turn_freely(1.0)
+    return world, np.arange(0.0, 60.0, 0.01)
+
+
+def test_rates_and_accelerations_are_derivatives_of_the_angle():
+    time_s = 20.0 + STEP_S * np.arange(20000)
+    angle, rate, acceleration = hand().turned(time_s)
+    assert np.gradient(angle, STEP_S)[1:-1] == pytest.approx(rate[1:-1], abs=1e-6)
+    assert np.gradient(rate, STEP_S)[1:-1] == pytest.approx(acceleration[1:-1], abs=1e-3)
+
+
+def test_a_hand_stops_for_new_grips_and_goes_as_far_as_it_should():
+    turn = hand(hand_turn_deg=-365.0, hand_tremor_dps=0.0, hand_unevenness=0.0)
+    angle, rate, _ = turn.turned(np.linspace(0, turn.length_s, 5001))
+    assert np.degrees(angle[-1]) == pytest.approx(-365.0)
+    assert (np.abs(rate) < 1e-6).sum() > 50
+    assert np.abs(rate).max() > 1.5 * np.radians(365) / turn.length_s
+
+
+def test_gravity_turns_through_the_part_as_its_rates_say():
+    world, time_s = turning(axis_wobble_deg=1.0)
+    time_s = 20.0 + STEP_S * np.arange(5000)
+    motion = world.stage.at(time_s)
+    changed = np.gradient(motion.direction, STEP_S, axis=0)
+    expected = -np.cross(np.radians(motion.rate_dps), motion.direction)
+    assert changed[1:-1] == pytest.approx(expected[1:-1], abs=1e-5)
+
+
+def test_a_part_off_the_axis_feels_the_acceleration_of_its_place():
+    lever = {"lever_x_mm": 80.0, "lever_y_mm": -50.0}
+    (away, time_s), (centred, _) = turning(**lever), turning()
+    time_s = 20.0 + STEP_S * np.arange(5000)
+    motion = centred.stage.at(time_s)
+    # Its place in the room, r turned by the stage's angle, differentiated twice and turned back.
+    angle = motion.angle_rad
+    place = (0.08 - 0.05j) * np.exp(1j * angle)
+    felt = np.gradient(np.gradient(place, STEP_S), STEP_S) * np.exp(-1j * angle)
+    extra = away.sample(time_s).accel_mg - centred.sample(time_s).accel_mg
+    expected = -felt / 9.80665 * 1000
+    assert extra[5:-5, 0] == pytest.approx(expected.real[5:-5], abs=0.02)
+    assert extra[5:-5, 1] == pytest.approx(expected.imag[5:-5], abs=0.02)
+
+
+def test_gyro_faults_are_what_their_names_say():
+    settings = {
+        "gyro_scale_z": 1.02, "gyro_misalignment_xz_deg": 1.0,
+        "gyro_g_sensitivity_zx_dps_per_g": 0.1, "axis_wobble_deg": 0.0,
+    }  # fmt: skip
+    world, time_s = turning(**settings)
+    motion, gyro = world.stage.at(time_s), world.sample(time_s)
+    rate = motion.rate_dps[:, 2]
+    assert gyro.gyro_dps[:, 0] == pytest.approx(np.sin(np.radians(1.0)) * rate, abs=1e-9)
+    assert gyro.gyro_dps[:, 2] == pytest.approx(1.02 * rate + 1e-4 * gyro.accel_mg[:, 0], abs=1e-9)
+
+
+def test_a_rate_walk_grows_with_the_root_of_time_and_does_not_depend_on_calls():
+    settings = {"gyro_rate_walk_dps_per_rt_s": 0.1, "hand_tremor_dps": 0.0}
+    ends = []
+    for seed in range(60):
+        world = World(WorldSettings(**(QUIET | settings)), seed=seed)
+        ends.append(world.sample(np.array([0.0, 25.0])).gyro_dps[1])
+    assert np.std(ends) == pytest.approx(0.5, rel=0.25)
+    one, two = (World(WorldSettings(**(QUIET | settings)), seed=1) for _ in range(2))
+    time_s = np.arange(0.0, 2.0, 0.1)
+    parts = np.concatenate([two.sample(time_s[:7]).gyro_dps, two.sample(time_s[7:]).gyro_dps])
+    assert np.array_equal(one.sample(time_s).gyro_dps, parts)
