@@ -7,14 +7,46 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-_HOMES = {"FoundEffect": "record", "SessionRecord": "record", "record_of": "record"}
+_HOMES = {
+    "Due": "intervals_due",
+    "FoundEffect": "record",
+    "History": "history",
+    "Index": "index",
+    "Rules": "intervals_due",
+    "SessionRecord": "record",
+    "Summary": "summary",
+    "due_of": "intervals_due",
+    "history_of": "history",
+    "record_of": "record",
+    "summarised": "summary",
+}
 
-__all__ = ["FoundEffect", "SessionRecord", "record_of"]
+__all__ = [
+    "Due",
+    "FoundEffect",
+    "History",
+    "Index",
+    "Rules",
+    "SessionRecord",
+    "Summary",
+    "due_of",
+    "history_of",
+    "record_of",
+    "summarised",
+]
 
 if TYPE_CHECKING:
+    from adis_gonio.memory.history import History as History
+    from adis_gonio.memory.history import history_of as history_of
+    from adis_gonio.memory.index import Index as Index
+    from adis_gonio.memory.intervals_due import Due as Due
+    from adis_gonio.memory.intervals_due import Rules as Rules
+    from adis_gonio.memory.intervals_due import due_of as due_of
     from adis_gonio.memory.record import FoundEffect as FoundEffect
     from adis_gonio.memory.record import SessionRecord as SessionRecord
     from adis_gonio.memory.record import record_of as record_of
+    from adis_gonio.memory.summary import Summary as Summary
+    from adis_gonio.memory.summary import summarised as summarised
 
 
 def __getattr__(name: str) -> Any:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from adis_gonio.tracing import TraceResult
 
 QUANTITIES = ("delta_k", "delta_phi", "bias_x", "bias_y", "bias_z", "scale_x", "scale_y", "scale_z")
-"""Parameters that are remembered where a session determines them, by their names in the document of `fit`."""
+"""Parameters that are remembered, named as in the document of `fit`, where a session determines them."""
 SKEWS = ("skew_xy", "skew_xz", "skew_yz")
 """What stands in the place of `delta_phi` in space."""
 ANGLE = "angle"
