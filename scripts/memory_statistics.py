@@ -1,4 +1,4 @@
-"""The memory's statistics by simulation: coverage of a drift's U, run lengths of the CUSUM, a summary's time.
+"""Statistics of the memory by simulation: coverage of the U of a drift, run lengths, time of a summary.
 
 python scripts/memory_statistics.py --seed 1 [--sessions N] [--fast]
 """
@@ -20,7 +20,7 @@ from adis_gonio.memory.drift import drift_of
 
 
 def coverage(rng: np.random.Generator, trials: int, sessions: int, between: float) -> tuple[float, float]:
-    """Shares of trials whose slope ± U holds the true one, and of trials without a drift that show p < 0.05."""
+    """Shares of trials whose slope ± U holds the true one, and of those without drift with p < 0.05."""
     inside = false = 0
     for _ in range(trials):
         day = np.sort(rng.uniform(0, 3000, sessions))
@@ -99,13 +99,11 @@ def main() -> None:
             inside, false = coverage(rng, trials, sessions, between)
             print(
                 f"drift, {sessions} sessions, between {between:g} u: inside U {100 * inside:.1f} %, "
-                f"false {100 * false:.1f} %; chart signals {100 * alarms(rng, trials, sessions, between):.1f} %"
+                f"false {100 * false:.1f} %; signals {100 * alarms(rng, trials, sessions, between):.1f} %"
             )
     for shift in (0.0, 0.5, 1.0, 2.0):
         mean, u = run_length(rng, trials // 4, shift)
-        print(
-            f"CUSUM k 0.5 h 5, shift {shift:g}: {mean:.2f} ± {2 * u:.2f}, {average_run_length(5, shift):.2f}"
-        )
+        print(f"CUSUM, shift {shift:g}: {mean:.2f} ± {2 * u:.2f}, {average_run_length(5, shift):.2f}")
     filled, read = summary_seconds(rng, 2000 if chosen.fast else chosen.sessions)
     print(f"index filled in {filled:.1f} s, summarised in {read:.2f} s")
 

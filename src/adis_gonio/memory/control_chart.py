@@ -10,11 +10,12 @@ small shift that stays.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from adis_gonio.jsonable import finite
 from adis_gonio.model.records import Floats
 
 CUSUM_K = 0.5
@@ -44,6 +45,9 @@ class ControlChart:
         The two sums of the CUSUM, in standard deviations; 0 at the first session.
     between : float
         Standard deviation between sessions, beyond their u.
+    since : int or None
+        Session, from 0, from which a change that the CUSUM signals dates: the split of the sessions up to
+        the signal into two means that is most likely (Pignatiello and Samuel, J. Qual. Technol. 33, 2001).
     k, h : float
         Of the CUSUM.
     """
@@ -55,6 +59,7 @@ class ControlChart:
     up: Floats
     down: Floats
     between: float
+    since: int | None = None
     k: float = CUSUM_K
     h: float = CUSUM_H
 
@@ -69,21 +74,11 @@ class ControlChart:
         over = np.flatnonzero(np.maximum(self.up, self.down) > self.h)
         return int(over[0]) if len(over) else None
 
-    @property
-    def since(self) -> int | None:
-        """Session from which the change dates: the one after the signalling sum was zero last."""
-        at = self.signal
-        if at is None:
-            return None
-        total = self.up if self.up[at] > self.h else self.down
-        zeros = np.flatnonzero(total[: at + 1] <= 0)
-        return int(zeros[-1]) + 1 if len(zeros) else 0
-
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
         names = ("expected", "low", "high", "z", "up", "down")
         return {
-            **{name: getattr(self, name).tolist() for name in names},
+            **{name: finite(getattr(self, name)) for name in names},
             "between": self.between,
             "k": self.k,
             "h": self.h,
@@ -103,7 +98,7 @@ def control_chart(value: Floats, u: Floats, k: float = CUSUM_K, h: float = CUSUM
     sigma = np.sqrt(np.concatenate([[np.nan], variance[1:] + 1 / total]))
     z = (value - expected) / sigma
     up, down = cusum(z[1:], k)
-    return ControlChart(
+    chart = ControlChart(
         expected,
         expected - SHEWHART * sigma,
         expected + SHEWHART * sigma,
@@ -111,9 +106,21 @@ def control_chart(value: Floats, u: Floats, k: float = CUSUM_K, h: float = CUSUM
         np.concatenate([[0.0], up]),
         np.concatenate([[0.0], down]),
         between,
-        k,
-        h,
+        k=k,
+        h=h,
     )
+    return chart if chart.signal is None else replace(chart, since=_split(value, weight, chart.signal))
+
+
+def _split(value: Floats, weight: Floats, last: int) -> int:
+    """First session of the second part, where two means explain sessions up to `last` best."""
+
+    def gain(at: int) -> float:
+        one, other = slice(0, at), slice(at, last + 1)
+        means = [float(np.average(value[part], weights=weight[part])) for part in (one, other)]
+        return (means[1] - means[0]) ** 2 / float(1 / weight[one].sum() + 1 / weight[other].sum())
+
+    return max(range(1, last + 1), key=gain)
 
 
 def between_neighbours(value: Floats, u: Floats) -> float:

@@ -1,8 +1,8 @@
 """Drift between sessions: a weighted line with scatter between sessions that their u do not explain.
 
 y_i = a + b t_i + w_i + e_i with e_i of standard deviation u_i and w_i of τ. τ² by Paule and Mandel
-(J. Res. NBS 87, 1982, 377): the residual is then as large as expected. The line's uncertainty is that of
-Knapp and Hartung (Stat. Med. 22, 2003, 2693), never smaller than the stated u allow, with Student's t at n − 2.
+(J. Res. NBS 87, 1982, 377): the residual is then as large as expected. Its uncertainty is that of Knapp and
+Hartung (Stat. Med. 22, 2003, 2693), never smaller than the stated u allow, with Student's t at n − 2.
 """
 
 from __future__ import annotations

@@ -251,12 +251,12 @@ class Index:
         """Where a digest is found now; the record of what was there before goes, if it is nowhere else."""
         same = (str(path), digest, stamp.size, stamp.mtime_ns, stamp.ctime_ns)
         orphan = (
-            "sha256 IN (SELECT sha256 FROM files WHERE path = ?1 AND sha256 <> ?2)"
-            " AND sha256 NOT IN (SELECT sha256 FROM files WHERE path <> ?1)"
+            "sha256 = (SELECT sha256 FROM files WHERE path = ?1 AND sha256 <> ?2)"
+            " AND NOT EXISTS (SELECT 1 FROM files WHERE files.sha256 = {0}.sha256 AND path <> ?1)"
         )
         return [
-            (f"DELETE FROM documents WHERE {orphan}", same[:2]),
-            (f"DELETE FROM records WHERE {orphan}", same[:2]),
+            ("DELETE FROM documents WHERE " + orphan.format("documents"), same[:2]),
+            ("DELETE FROM records WHERE " + orphan.format("records"), same[:2]),
             ("DELETE FROM files WHERE sha256 = ? AND gone AND path <> ?", (digest, str(path))),
             ("INSERT OR REPLACE INTO files VALUES (?, ?, ?, ?, ?, 0)", same),
         ]

@@ -24,8 +24,8 @@ from adis_gonio.memory.history import History, date_of
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 DEFAULT_LIMIT_DEG = 0.1
-"""Permissible error of the angle where none is given: an assumption, nobody's tolerance. Some four LSB of the
-ADIS16354 at the horizontal (0.027° each), or a change of a bias by 1.7 mg."""
+"""Permissible error of the angle where none is given: an assumption, nobody's tolerance. Some four LSB of
+the ADIS16354 at the horizontal (0.027° each), or a change of a bias by 1.7 mg."""
 WITHIN = 0.8
 """Share of the permissible error within which the guide lets an interval grow."""
 ROUTINE = 0.8
