@@ -70,7 +70,8 @@ def _over_time(track: Track) -> Figure:
             series.append(Series(x, limit, label, role="model", style="line"))
     name = words.named(track)
     drawn = plot(series, "year", name, title=f"{name} over time")
-    return Figure(drawn, "Value of each session with U; limits from all sessions before it.")
+    caption = "Value of each session with U" + ("; limits from all before it." if track.chart else ".")
+    return Figure(drawn, caption)
 
 
 def _cusum(track: Track) -> Figure:
