@@ -84,6 +84,11 @@ def test_records_come_back_as_they_were(folder):
         assert [r.as_dict() for r in index.records("A7")] == [
             record_of(folder / f"{n}.session").as_dict() for n in range(3)
         ]
+        for row in index.rows():
+            assert {k: v for k, v in row.items() if k not in ("copies", "gone")} == record_of(
+                row["path"]
+            ).row()
+            assert row["traced"] is False
 
 
 def test_an_interruption_keeps_what_was_computed(folder, monkeypatch):

@@ -33,6 +33,7 @@ APPLICATION_ID = 0x41444749
 VERSION = 1
 
 _ROW = tuple(SessionRecord("").row())
+_LOGICAL = ("traced", "adequate", "simulated")  # SQLite has numbers for them
 _QUOTED = ", ".join(f'"{name}"' for name in _ROW)  # `when` is a word of SQL
 _CREATE = (
     "CREATE TABLE files (path TEXT PRIMARY KEY, sha256 TEXT, size INTEGER, mtime_ns INTEGER,"
@@ -300,6 +301,7 @@ class Index:
         rows = []
         for values in found:
             row = dict(zip(_ROW, values, strict=True))
+            row |= {name: None if row[name] is None else bool(row[name]) for name in _LOGICAL}
             there = [path for path, gone in paths.get(row["sha256"], []) if not gone]
             row["path"] = there[0] if there else row["path"]
             rows.append(row | {"copies": there[1:], "gone": not there})
