@@ -99,12 +99,22 @@ class Answer:
         if self.traced is not None:
             found = {**self.traced.base, **self._angle_of_trace()}
         else:
-            found = {e.name: e.stated for e in self.result.parameters}
+            found = self.parameters
             if self.result.angle is not None:
                 found["angle"] = self.result.angle
         if "delta_k" in found or "delta_phi" in found:
             return {name: found[name] for name in ("delta_k", "delta_phi", "angle") if name in found}
         return {name: value for stem in _SPATIAL for name, value in found.items() if name.startswith(stem)}
+
+    @property
+    def parameters(self) -> dict[str, Value]:
+        """All parameters of the answer by name: of the method, or of the traced model with its effects."""
+        if self.traced is None:
+            return {e.name: e.stated for e in self.result.parameters}
+        found = dict(self.traced.base)
+        for finding in self.traced.found:
+            found |= finding.parameters
+        return found
 
     def _angle_of_trace(self) -> dict[str, Value]:
         traced = self.traced
@@ -190,12 +200,7 @@ class Answer:
 
     def parameter_rows(self) -> list[list[str]]:
         """All parameters: name, unit, value, u, U, k, ν."""
-        found = {e.name: e.stated for e in self.result.parameters}
-        if self.traced is not None:
-            found = dict(self.traced.base)
-            for finding in self.traced.found:
-                found |= finding.parameters
-        return [parameter_row(name, value) for name, value in found.items()]
+        return [parameter_row(name, value) for name, value in self.parameters.items()]
 
     def budget_rows(self) -> tuple[list[str], list[list[str]]]:
         """Head and rows of the uncertainty budget; empty without one."""

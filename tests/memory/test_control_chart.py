@@ -1,0 +1,99 @@
+"""Charts against published run lengths, an independent chart, and series whose change is known."""
+
+import numpy as np
+import pytest
+
+from adis_gonio.memory.control_chart import (
+    average_run_length,
+    between_neighbours,
+    control_chart,
+    cusum,
+    limit_for,
+)
+
+# Montgomery, Introduction to Statistical Quality Control, table 9.3 (two-sided, k = 1/2).
+PUBLISHED = {
+    (5, 0.0): 465,
+    (5, 0.25): 139,
+    (5, 0.5): 38.0,
+    (5, 0.75): 17.0,
+    (5, 1.0): 10.4,
+    (5, 1.5): 5.75,
+    (5, 2.0): 4.01,
+    (5, 3.0): 2.57,
+    (4, 0.0): 168,
+    (4, 0.5): 26.6,
+    (4, 1.0): 8.38,
+    (4, 2.0): 3.34,
+}
+
+
+@pytest.mark.parametrize(("h", "shift"), PUBLISHED)
+def test_average_run_lengths_are_the_published_ones(h, shift):
+    assert average_run_length(h, shift) == pytest.approx(PUBLISHED[h, shift], rel=0.006)
+
+
+@pytest.mark.parametrize("shift", [0.0, 1.0])
+def test_the_sums_that_are_kept_have_these_run_lengths(shift):
+    rng = np.random.default_rng(20 + int(shift))
+    lengths = []
+    for _ in range(60 if shift == 0 else 300):
+        up, down = cusum(rng.normal(shift, 1, 5000 if shift == 0 else 200))
+        lengths.append(1 + int(np.argmax(np.maximum(up, down) > 5)))
+    u = np.std(lengths) / np.sqrt(len(lengths))
+    assert abs(np.mean(lengths) - PUBLISHED[5, shift]) < 3.5 * u
+
+
+def test_a_limit_is_derived_from_a_run_length():
+    assert limit_for(465.4) == pytest.approx(5.0, abs=0.001)
+    assert limit_for(168) == pytest.approx(4.0, abs=0.005)
+
+
+def test_expected_values_are_predictions_by_all_sessions_before():
+    rng = np.random.default_rng(3)
+    value, u = rng.normal(5, 1, 9), rng.uniform(0.5, 2, 9)
+    chart = control_chart(value, u)
+    sigma2 = u**2 + chart.between**2
+    for n in range(1, 9):  # one by one, as on paper
+        mean = sum(value[i] / sigma2[i] for i in range(n)) / sum(1 / sigma2[i] for i in range(n))
+        spread = (sigma2[n] + 1 / sum(1 / sigma2[i] for i in range(n))) ** 0.5
+        assert chart.expected[n] == pytest.approx(mean)
+        assert chart.z[n] == pytest.approx((value[n] - mean) / spread)
+        assert (chart.low[n], chart.high[n]) == pytest.approx((mean - 3 * spread, mean + 3 * spread))
+    assert np.isnan(chart.expected[0])
+
+
+def test_differences_from_the_past_are_standard_normal_and_independent_while_nothing_changes():
+    rng = np.random.default_rng(4)
+    z = []
+    for _ in range(2000):
+        u = rng.uniform(0.5, 2, 2)
+        # two sessions: nothing between sessions can be seen, so that z is exact
+        z.append(control_chart(rng.normal(7, u), u).z[1])
+    assert np.std(z) == pytest.approx(1, abs=0.05)
+    assert abs(np.mean(z)) < 0.08
+
+
+def test_a_step_is_signalled_and_dated_to_the_session_where_it_began():
+    rng = np.random.default_rng(5)
+    dated = []
+    for _ in range(200):
+        value = rng.normal(0, 1, 24)
+        value[14:] += 4
+        chart = control_chart(value, np.ones(24))
+        assert chart.signal is not None
+        dated.append(chart.since)
+    assert np.median(dated) == 14
+    assert np.mean(np.abs(np.array(dated) - 14) <= 1) > 0.8
+
+
+def test_one_session_far_off_is_outside_of_the_limits():
+    value = np.array([0.0, 0.2, -0.1, 0.1, 9.0, 0.0, 0.1, -0.2, 0.0, 0.1, 0.0, 0.1])
+    assert control_chart(value, np.full(12, 1.0)).outside == [4]
+
+
+def test_scatter_between_sessions_widens_the_limits():
+    rng = np.random.default_rng(6)
+    value = rng.normal(0, 3, 400)
+    assert between_neighbours(value, np.ones(400)) == pytest.approx(8**0.5, rel=0.1)
+    assert between_neighbours(rng.normal(0, 1, 3), np.full(3, 10.0)) == 0

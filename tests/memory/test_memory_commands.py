@@ -1,0 +1,133 @@
+"""`archive`, `history` and `due` on sessions recorded by the simulated sensor over years."""
+
+import json
+import re
+import shutil
+
+import pytest
+from recorded import recorded
+
+from adis_gonio.cli import main
+from adis_gonio.memory import record_of
+
+YEARS = range(2016, 2023)
+MOVED = 2020
+
+
+@pytest.fixture(scope="module")
+def sessions(tmp_path_factory):
+    """A7 whose Δφ moves by 0.5° between 2019 and 2020, B2 with one session; a copy and two broken files."""
+    folder = tmp_path_factory.mktemp("sessions")
+    with pytest.MonkeyPatch.context() as patch:
+        for year in YEARS:
+            skew = 0.7 if year >= MOVED else 0.2
+            url = f"sim:?seed={year}&delta_k=0.004&delta_phi_deg={skew}&bias_x_mg=5&bias_y_mg=2"
+            when = f"{year}-03-01T09:00:00.000+00:00"
+            recorded(folder / f"{year}.session", patch, when=when, url=url)
+        other = folder / "other"
+        other.mkdir()
+        recorded(other / "b.session", patch, serial="B2", operator="Bo", stage="tilt 1")
+    shutil.copy(folder / "2016.session", folder / "other" / "copy.session")
+    (folder / "list.csv").write_text("what,price\nbread,2\n", "utf-8")
+    (folder / "cut.session").write_bytes((folder / "2017.session").read_bytes()[:9000])
+    return folder
+
+
+def document(capsys, *words):
+    status = main([*map(str, words), "--json"])
+    out = capsys.readouterr().out
+    return status, json.loads(out)
+
+
+def test_archive_lists_by_serial_number_counts_a_copy_once_and_tells_what_is_broken(sessions, capsys):
+    status, listed = document(capsys, "archive", sessions)
+    assert status == 0
+    assert [row["serial"] for row in listed["sessions"]] == ["A7"] * len(YEARS) + ["B2"]
+    assert [row["when"][:4] for row in listed["sessions"][:-1]] == [str(year) for year in YEARS]
+    assert [len(row["copies"]) for row in listed["sessions"]] == [1, *[0] * len(YEARS)]
+    reasons = {row["path"].rsplit("/", 1)[-1]: row["reason"] for row in listed["failed"]}
+    assert set(reasons) == {"list.csv", "cut.session"}
+    assert "truncated" in reasons["cut.session"]
+
+
+def test_a_second_call_computes_nothing_and_says_the_same(sessions, capsys, monkeypatch):
+    _, first = document(capsys, "archive", sessions)
+    monkeypatch.setattr("adis_gonio.memory.index.record_of", lambda *_, **__: pytest.fail("computed again"))
+    _, second = document(capsys, "archive", sessions)
+    assert second["computed"] == 0
+    assert second["sessions"] == first["sessions"]
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("--serial", "B2"), ("--operator", "Bo"), ("--stage", "tilt 1")]
+)
+def test_archive_filters(sessions, capsys, option, value):
+    _, listed = document(capsys, "archive", sessions, option, value)
+    assert [row["serial"] for row in listed["sessions"]] == ["B2"]
+
+
+def test_archive_in_words_names_the_copy_and_the_broken_files(sessions, capsys):
+    assert main(["archive", str(sessions)]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"the same file, counted once: .*2016\.session.*copy\.session", said)
+    assert re.search(r"not used: .*list\.csv", said)
+    assert f"{len(YEARS) + 1} sessions, 2 files not used" in said
+
+
+def test_history_dates_the_change_that_was_planted_and_sees_none_elsewhere(sessions, capsys):
+    _, told = document(capsys, "history", "A7", sessions)
+    assert len(told["sessions"]) == len(YEARS)
+    charts = {name: q["chart"] for name, q in told["quantities"].items() if q["chart"]}
+    assert {name for name, chart in charts.items() if chart["signal"] is not None} == {"delta_phi"}
+    assert told["sessions"][charts["delta_phi"]["since"]]["when"].startswith(str(MOVED))
+    first = told["quantities"]["delta_phi"]["values"][0]
+    assert first == record_of(sessions / "2016.session").as_dict()["values"]["delta_phi"]
+
+
+def test_history_fits_a_terminal_of_eighty_columns(sessions, capsys):
+    assert main(["history", "A7", str(sessions)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert any("CUSUM signals a change up since 2020-03-01" in line for line in lines)
+    assert any("not traced" in line for line in lines)
+
+
+def test_history_writes_a_page_with_figures_that_is_the_same_twice(sessions, tmp_path, capsys):
+    pages = [tmp_path / "one.html", tmp_path / "two.html"]
+    for page in pages:
+        assert main(["history", "A7", str(sessions), "-o", str(page)]) == 0
+    text = pages[0].read_text("utf-8")
+    assert text == pages[1].read_text("utf-8")
+    assert text.count("<svg") >= 9  # five quantities over time, four with a chart
+    assert "http://" not in text.replace("http://www.w3.org", "")
+
+
+def test_due_names_rule_reason_and_assumption_and_that_the_limit_is_assumed(sessions, capsys):
+    _, told = document(capsys, "due", "A7", sessions)
+    assert told["limit_assumed"] is True
+    assert {rule["method"] for rule in told["rules"]} == {"staircase", "control chart"}
+    assert all(rule["why"] and rule["assumes"] for rule in told["rules"])
+    moved = next(stair for stair in told["stairs"] if stair["when"].startswith(str(MOVED)))
+    assert moved["response"] == "shorter"
+    assert moved["error_deg"] == pytest.approx(0.5, abs=0.1)
+    assert main(["due", "A7", str(sessions), "--limit", "2"]) == 0
+    assert "assumed" not in capsys.readouterr().out
+
+
+def test_due_of_one_session_says_what_is_lacking(sessions, capsys):
+    assert main(["due", "B2", str(sessions)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "one session only" in said
+    assert "lacks sessions" in said
+
+
+@pytest.mark.parametrize("command", ["history", "due"])
+def test_an_unknown_serial_number_is_one_line(sessions, capsys, command):
+    assert main([command, "A77", str(sessions)]) == 2
+    error = capsys.readouterr().err
+    assert "there is A7" in error.splitlines()[-1]
+
+
+def test_a_folder_that_is_not_there_is_one_line(tmp_path, capsys):
+    assert main(["archive", str(tmp_path / "nowhere")]) == 1
+    assert capsys.readouterr().err == f"adis-gonio: {tmp_path / 'nowhere'}: there is no such folder\n"
