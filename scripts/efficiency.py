@@ -6,20 +6,22 @@ The bound (`information_bound.py`) knows nothing of the package. Efficiency is b
 that a bias of the estimate counts as well. Kinds of readings:
 
 * `stated`: averaged readings with white noise of 0.2 mg whose uncertainty is stated;
-* `samples`: dwells of 60 samples with white noise: the fit has to find its size;
+* `samples`: dwells of 400 samples with white noise: the fit has to find its size;
 * `flicker`: the same with the simulator's 1/f noise of the ADIS16354, which dwells share; the bias is that
   of the session (its own and the mean of the 1/f noise over the dwells).
 
-Two intervals of 95 % are given. The plain one knows errors only: 1.96 √(2/N). The other compares, session by
-session, with the errors that the estimator attaining the bound would have made of the same draws: its mean
-square is the bound, exactly, so that only what `ml` does otherwise is left to chance (control variate).
+Two intervals of 95 % are given. The plain one knows errors only: 1.96 √(2/N). The other compares, session
+by session, with the errors that the estimator attaining the bound would have made of the same draws: its
+mean square is the bound, exactly, so that only what `ml` does otherwise is left to chance (control
+variate).
 
     python scripts/efficiency.py                          # 2000 sessions a line, a fresh seed
     python scripts/efficiency.py --sessions 200 --seed 1 --kind flicker
     python scripts/efficiency.py --json efficiency.json
 
-Exits with 1 where an efficiency is below 0.98 beyond doubt, a bias is seen that is more than 0.1 of the
-bound, or the uncertainty that the fit states is off the bound by more than 2 %.
+Exits with 1 where an efficiency is below 0.98 beyond doubt, a bias is more than 0.1 of the root of the
+bound beyond doubt, or the uncertainty that the fit states of readings with a stated one is off the bound
+by more than 1 % in the middle one of the sessions.
 """
 
 from __future__ import annotations
@@ -38,12 +40,19 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from information_bound import G_MG, PLANAR, SPATIAL, Bound, Floats, planar_bound, planar_mg, spatial_bound
-from information_bound import slopes, spatial_mg
-
 from adis_gonio.fitting import FitResult, fit
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim.noise import Flicker
+from information_bound import (
+    SPATIAL,
+    Bound,
+    Floats,
+    planar_bound,
+    planar_mg,
+    slopes,
+    spatial_bound,
+    spatial_mg,
+)
 
 REPORTED = ("delta_k", "delta_phi", "alpha", "scale_x", "scale_y", "bias_x", "bias_y")
 POSITIONS = (12, 24, 48)
@@ -51,7 +60,7 @@ FIXTURES_DEG = (0.0, 0.01, 0.03, 0.1)
 TARGET = 0.98
 READING_MG = 0.2
 """A dwell of 819 samples of 4.7 mg."""
-SAMPLES, RATE_HZ = 60, 6.0
+SAMPLES, RATE_HZ = 400, 40.0
 FLICKER_MG = 0.1
 """Bias instability of the ADIS16354, an estimate (`sensor/variants.py`)."""
 TRUTHS = 20
@@ -95,7 +104,8 @@ class Line:
     bias, bias_half : float
         Mean error in roots of the bound, and half of its interval, by comparison too.
     stated : float
-        Mean of u² that the fit states, over the bound.
+        Median of u² that the fit states, over the bound. With 1/f noise u of a bias holds half its Allan
+        variance more: the bias of another day (`estimation/flicker.py`).
     """
 
     case: Case
@@ -118,7 +128,7 @@ class Line:
             found.append("efficiency")
         if abs(self.bias) - self.bias_half > 0.1:
             found.append("bias")
-        if abs(self.stated - 1) > 0.02:
+        if self.case.kind == "stated" and abs(self.stated - 1) > 0.01:
             found.append("stated")
         return found
 
@@ -126,8 +136,8 @@ class Line:
 def flicker_covariance(begin_s: Floats, length_s: float, floor_mg: float, step_s: float = 1 / 16) -> Floats:
     """Covariance (n, n) of the means of dwells by the simulator's 1/f noise, written out anew.
 
-    First-order processes of equal variance floor²/2 with corners an octave apart: a process of corner c has the
-    autocovariance exp(−2π c |t|), whose mean over two intervals is an integral in closed form.
+    First-order processes of equal variance floor²/2 with corners an octave apart: a process of corner c
+    has the autocovariance exp(−2π c |t|), whose mean over two intervals is an integral in closed form.
     """
     octaves = int(np.floor(np.log2(0.15 / (step_s * 2.0**-15)))) + 1
     gap = np.abs(begin_s[:, None] - begin_s[None, :])
@@ -148,7 +158,12 @@ class Planar:
         self.sigma = math.radians(case.fixture_deg or 0.0)
         self.angles = np.arange(n) * 2 * math.pi / n
         self.truth = np.array(
-            [rng.uniform(-math.pi, math.pi), *(1 + rng.normal(0, 0.005, 2)), rng.normal(0, 5e-3), *rng.normal(0, 20, 2)]
+            [
+                rng.uniform(-math.pi, math.pi),
+                *(1 + rng.normal(0, 0.005, 2)),
+                rng.normal(0, 5e-3),
+                *rng.normal(0, 20, 2),
+            ]
         )
         self.length_s = SAMPLES / RATE_HZ
         self.begin_s = np.arange(n) * (self.length_s + 5.0)
@@ -178,7 +193,9 @@ class Spatial:
         turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         self.gravity = spread_over_sphere(n) @ turn
         self.begin_s = np.arange(n) * (SAMPLES / RATE_HZ + 5.0)
-        self.truth = np.concatenate([1 + rng.normal(0, 0.005, 3), rng.normal(0, 5e-3, 3), rng.normal(0, 20, 3)])
+        self.truth = np.concatenate(
+            [1 + rng.normal(0, 0.005, 3), rng.normal(0, 5e-3, 3), rng.normal(0, 20, 3)]
+        )
         self.unit = np.array([1.0] * 3 + [180 / math.pi] * 3 + [1.0] * 3)
         self.bound = _through(spatial_bound(self.truth, self.gravity, READING_MG), np.diag(self.unit))
 
@@ -287,6 +304,7 @@ def lines(case: Case, rows: Floats) -> list[Line]:
         beside = (error**2 - attained**2) / bound**2
         excess, half = float(beside.mean()), 1.96 * float(beside.std(ddof=1)) / math.sqrt(n)
         other = (error - attained) / bound
+        other_day = FLICKER_MG**2 / 2 if case.kind == "flicker" and name.startswith("bias") else 0.0
         found.append(
             Line(
                 case,
@@ -299,24 +317,34 @@ def lines(case: Case, rows: Floats) -> list[Line]:
                 plain_half=1.96 * float(squares.std(ddof=1)) / math.sqrt(n) / float(squares.mean()) ** 2,
                 bias=float(other.mean()),
                 bias_half=1.96 * float(other.std(ddof=1)) / math.sqrt(n),
-                stated=float(((u / bound) ** 2).mean()),
+                stated=float(np.median((u**2 - other_day) / bound**2)),
             )
         )
     return found
+
+
+def pooled(rows: Sequence[Floats]) -> list[tuple[float, float]]:
+    """Plain efficiency of each parameter over all sessions of some cases, with half its interval."""
+    squares = np.concatenate([(one[:, 0] / one[:, 3]) ** 2 for one in rows])
+    mean = squares.mean(axis=0)
+    half = 1.96 * squares.std(axis=0, ddof=1) / math.sqrt(len(squares)) / mean**2
+    return list(zip((1 / mean).tolist(), half.tolist(), strict=True))
 
 
 def _job(job: tuple[Case, int, tuple[int, ...]]) -> Floats:
     return run(*job)
 
 
-def table(cases: Sequence[Case], sessions: int, seed: int, jobs: int) -> list[Line]:
-    """Lines of all cases, in processes."""
-    work = [(case, sessions, (seed, number)) for number, case in enumerate(cases)]
+def run_all(cases: Sequence[Case], sessions: int, seed: int, jobs: int) -> list[Floats]:
+    """What `run` gives of each case, in processes; kinds other than `stated` get half the sessions."""
+    work = [
+        (case, sessions if case.kind == "stated" else -(-sessions // 2), (seed, number))
+        for number, case in enumerate(cases)
+    ]
     if jobs < 2:
-        return [line for job in work for line in lines(job[0], _job(job))]
+        return [_job(one) for one in work]
     with ProcessPoolExecutor(jobs) as pool:
-        done = pool.map(_job, work)
-        return [line for job, rows in zip(work, done, strict=True) for line in lines(job[0], rows)]
+        return list(pool.map(_job, work))
 
 
 HEAD = (
@@ -349,7 +377,8 @@ def main() -> int:
     seed = secrets.randbits(32) if options.seed is None else options.seed
     cases = [case for kind in options.kind or CASES for case in CASES[kind]]
     print(f"seed {seed}, {options.sessions} sessions a line\n{HEAD}", flush=True)
-    found = table(cases, options.sessions, seed, options.jobs)
+    rows = run_all(cases, options.sessions, seed, options.jobs)
+    found = [line for case, one in zip(cases, rows, strict=True) for line in lines(case, one)]
     for line in found:
         print(in_words(line))
     if options.json:

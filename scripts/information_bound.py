@@ -1,4 +1,4 @@
-"""The least uncertainty that any estimator can reach: Fisher information written out from how readings arise.
+"""The least uncertainty that any estimator can reach: Fisher information from how readings arise.
 
 Nothing of the package is used: readings are written down from the geometry (docs/theory.md), slopes are
 central differences, and everything that is random beside the noise of a reading (the error of each declared
@@ -8,9 +8,9 @@ bound with nuisance parameters (Van Trees, Detection, Estimation and Modulation 
 of a vector of which a part is random). No elimination, no whitening, no tangent: what `Fit` does by
 algebra is done here by brute force, so that one can be held to the other.
 
-The prior's spread moves the slopes too little to matter: at 0.1° they differ by 2·10⁻³ and the information by
-its square. That of the covariance on the parameters (where the noise lies tells of the angle) is left out;
-tests compare with the full likelihood.
+The prior's spread moves the slopes too little to matter: at 0.1° they differ by 2·10⁻³ and the
+information by its square. That of the covariance on the parameters (where the noise lies tells of the
+angle) is left out; tests compare with the full likelihood.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def planar_bound(
 def spatial_bound(parameters: Floats, gravity: Floats, noise_mg: float) -> Bound:
     """Bound of poses (n, 3) whose attitudes nobody declares; nuisances are their two turns each (2 n,)."""
     n, p = len(gravity), len(parameters)
-    first = np.cross(gravity, np.roll(gravity, 1, axis=1) + [0.3, -0.2, 0.1])
+    first = np.cross(gravity, np.roll(gravity, 1, axis=1) + np.array([0.3, -0.2, 0.1]))
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(gravity, first)
 
@@ -177,7 +177,7 @@ def slopes(function: Callable[[Floats], Floats], at: Floats) -> Floats:
 
 
 def shown_rad(parameters: Floats, reading_mg: Floats) -> Floats:
-    """Angle θ (n,) of the stage that a goniometer with these parameters `PLANAR` shows for readings (n, 2)."""
+    """Angle θ (n,) of the stage that a goniometer with the parameters `PLANAR` shows for readings."""
     alpha, k_x, k_y, phi, b_x, b_y = parameters[:6]
     u = (reading_mg[:, 0] - b_x) / (k_x * G_MG)
     v = (reading_mg[:, 1] - b_y) / (k_y * G_MG)
@@ -192,8 +192,10 @@ def angle_bound(
     *,
     shown: Callable[[Floats, Floats], Floats] = shown_rad,
     model: Callable[[Floats, Floats], Floats] = planar_mg,
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, Floats]:
     """Least variance of the shown angle in rad² at places (m,) of the turn: by parameters, by the reading.
+
+    The third is the slope (m, p) of the shown angle by the parameters.
 
     Parameters
     ----------
@@ -215,4 +217,4 @@ def angle_bound(
         step[axis] = 1e-3
         change = shown(parameters, exact + step) - shown(parameters, exact - step)
         by_reading += (np.angle(np.exp(1j * change)) / 2e-3 * noise_mg) ** 2
-    return np.asarray(by_parameters_rad2), by_reading
+    return np.asarray(by_parameters_rad2), by_reading, slope
