@@ -266,8 +266,8 @@ def _session(
     )
 
 
-def run(case: Case, sessions: int, seed: Sequence[int]) -> Floats:
-    """Errors of `ml`, of the attaining estimator, u and root of the bound, (sessions, 4, parameters)."""
+def run(case: Case, sessions: int, seed: Sequence[int], method: str = "ml") -> Floats:
+    """Errors of a method and of the attaining estimator, u, root of the bound: (sessions, 4, parameters)."""
     rng = np.random.default_rng(seed)
     rows = np.empty((sessions, 4, len(case.names)))
     make: Callable[[Case, np.random.Generator], Planar | Spatial]
@@ -277,7 +277,7 @@ def run(case: Case, sessions: int, seed: Sequence[int]) -> Floats:
         if k % each == 0:
             bench = make(case, rng)
         session, truth, attained = bench.draw(rng)
-        result = fit(session, "ml")
+        result = fit(session, method)
         rows[k] = (
             _values(result, case.names) - truth,
             attained,

@@ -233,7 +233,7 @@ def _times(found: Figures) -> str:
         return "–"
     if not math.isfinite(found.half):
         return f"{found.ratio:.2f}"
-    digits = 1 if found.ratio > 10 else 2
+    digits = 1 if found.ratio > 10 else 2 if found.half > 0.005 else 4
     return f"{found.ratio:.{digits}f} ± {found.half:.{digits}f}"
 
 
