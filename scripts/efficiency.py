@@ -267,7 +267,7 @@ def _session(
 
 
 def run(case: Case, sessions: int, seed: Sequence[int], method: str = "ml") -> Floats:
-    """Errors of a method and of the attaining estimator, u, root of the bound: (sessions, 4, parameters)."""
+    """Errors of a method and of the attaining estimator, u, root of the bound, (sessions, 4, names)."""
     rng = np.random.default_rng(seed)
     rows = np.empty((sessions, 4, len(case.names)))
     make: Callable[[Case, np.random.Generator], Planar | Spatial]
