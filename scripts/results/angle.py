@@ -66,8 +66,8 @@ def run(effort: Effort) -> Section:
     chosen = cells(fixtures, TRACED_AT_DEG)
     if effort.fast:
         chosen = [c for c in chosen if c.kind == "bias" and c.positions != 24]
-    rows = run_all(cases, effort.sessions(800, 20), effort.seed, effort.jobs)
-    shown = measure_all(chosen, effort.sessions(30, 4), effort.sessions(8, 1), effort.seed, effort.jobs)
+    rows = run_all(cases, effort.sessions(1500, 20), effort.seed, effort.jobs)
+    shown = measure_all(chosen, effort.sessions(60, 4), effort.sessions(12, 1), effort.seed, effort.jobs)
     return Section(
         "The angle that is shown, and the bound",
         "\n".join([METHOD, *_of_efficiency(cases, rows), ANGLE, *_of_angle(shown)]),
