@@ -9,7 +9,7 @@ import pytest
 
 import adis_gonio
 from adis_gonio.errors import FitError
-from adis_gonio.estimation.terms import NamedTerm
+from adis_gonio.estimation.terms import Basis, NamedTerm, NamelessTerm
 from adis_gonio.model.effects import effect
 from adis_gonio.tracing.outcome.result import Stopped
 from calibration.sessions import planar_session, plane_axes, read_mg, turn
@@ -94,3 +94,23 @@ def test_a_traced_calibration_survives_its_file_bit_by_bit(traced, tmp_path):
     assert back == calibration
     assert np.array_equal(back.angle(accel).angle_deg, calibration.angle(accel).angle_deg)
     assert np.array_equal(back.angle(accel).u_deg, calibration.angle(accel).u_deg)
+
+
+def test_a_nameless_function_that_is_left_out_takes_no_bias_with_it(session, traced):
+    """What it carried is carried by a bias again: no worse than without a trace, and u says so."""
+    fit = traced.fits[-1]
+    basis = Basis(
+        "max(a + 0.5 g, 0)",
+        ("reading",),
+        by_axis=lambda ideal, axis: np.maximum(ideal[:, [axis]] + 0.5, 0.0),
+    )
+    nameless = NamelessTerm("a knee", ("reading",), 1.0, "bias", (0, 1), basis)
+    only = fit.having([nameless], [np.array([20.0, -10.0])]).refit()
+    assert not any(term.name == "bias" for term in only.terms)
+    calibration = replace(traced, fits=(*traced.fits[:-1], only), found=(), confounded=()).calibration()
+    assert [one.effect.startswith("unnamed") for one in calibration.not_corrected] == [True]
+    accel = read_mg(turn(PSI), **TRUTH)
+    plain = error_deg(adis_gonio.fit(session, method="ml").calibration(), accel)
+    error = error_deg(calibration, accel)
+    assert np.abs(error).max() < 1.2 * np.abs(plain).max()
+    assert np.sqrt(np.mean((error / calibration.angle(accel).u_deg) ** 2)) < 5.0

@@ -17,7 +17,7 @@ from adis_gonio.errors import FitError, SessionError, UsageError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.result import Estimate, FitResult
-from adis_gonio.model.effects import AXES
+from adis_gonio.model.effects import AXES, effect
 from adis_gonio.model.measurement import BaseParameter, FreeAttitude, PlanarTurn
 from adis_gonio.model.provenance import Provenance
 from adis_gonio.model.records import Floats
@@ -107,6 +107,8 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
 
     Covariance and u are those of the final model. Models that predict the same readings may share a bias
     out in other ways, so that the trace states a larger u of single parameters; angles do not differ by it.
+    Where functions of the reading are left out and one has no name, or no bias stands beside them, the
+    others are fitted anew with a bias: what these carried of it would else stand nowhere.
 
     Raises
     ------
@@ -120,31 +122,58 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
         raise FitError("one pose determines no calibration: measure at least four positions")
     if result.stopped is not None and not result.stopped.checked:
         raise FitError("the time limit ended the trace before its model was checked: trace with more time")
-    fit = result.fits[-1]
+    final = result.fits[-1]
+    standing = [
+        term
+        for term in final.terms
+        if isinstance(term, NamedTerm) and term.name in CORRECTABLE and _stands(term, result)
+    ]
+    others = [term for term in final.terms if term not in standing and term.name != "bias"]
+    left = [_left_out(term, result) for term in others]
+    if result.unnamed is not None and all(term.name is not None for term in final.terms):
+        left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS))
+    fit, inflation = _without(final, [term for term in others if _of_reading(term)], result.inflation)
     named = [term for term in fit.terms if isinstance(term, NamedTerm)]
-    corrected = [term for term in named if term.name in CORRECTABLE and _stands(term, result)]
+    corrected = [term for term in named if term in standing]
     columns = _Columns(fit)
     for parameter in fit.data.model.parameters:
         columns.base(parameter)
     biased = columns.biases([term for term in named if term.name == "bias"])
     effects = tuple(columns.effect(term) for term in corrected)
-    left = [_left_out(term, result) for term in fit.terms if term not in corrected and term.name != "bias"]
-    if result.unnamed is not None and all(term.name is not None for term in fit.terms):
-        left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS))
-    parameters, matrix = columns.stated(result.inflation)
+    parameters, matrix = columns.stated(inflation)
     names = [one.name for one in parameters if one.u is not None]
     return _as_written(
         Calibration(
             method="trace",
             provenance=where,
             parameters=parameters,
-            covariance=matrix if fit.data.noise_known or result.inflation != 1 else None,
+            covariance=matrix if fit.data.noise_known or inflation != 1 else None,
             effects=effects,
             not_corrected=tuple(left),
             assumed=tuple(name for name in _assumed(fit.data.model, [*names, *biased]) if name != "alpha"),
             counts_per_mg=None if fit.data.unit.known else tuple(fit.data.unit.per_mg.tolist()),
         )
     )
+
+
+def _of_reading(term: Term) -> bool:
+    """True for what follows the reading and nothing else."""
+    return not term.enters_angle and term.covariates == ("reading",)
+
+
+def _without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
+    """The other terms and a bias fitted anew; the factor on the variance at which u holds the misfit."""
+    biased = any(term.name == "bias" for term in fit.terms)
+    if not terms or (biased and all(term.name is not None for term in terms)):
+        return fit, inflation
+    pairs = zip(fit.terms, fit.values.terms, strict=True)
+    kept = [(term, own) for term, own in pairs if term not in terms]
+    if not biased:
+        axes = fit.data.axes
+        kept.append((NamedTerm("bias", (), 0.0, effect("bias", tuple(AXES[:axes]))), np.zeros(axes)))
+    again = fit.having([term for term, _ in kept], [own for _, own in kept]).refit()
+    misfit = again.chi2 / again.dof if again.dof > 0 else 1.0
+    return again, max(inflation, misfit)
 
 
 class _Columns:
