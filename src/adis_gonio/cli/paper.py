@@ -25,14 +25,14 @@ def command(*, output: Path | None, as_json: bool, seed: int, sessions: int) -> 
     Takes a minute or two on two cores. Without -o and --json what came out is printed.
     """
     from adis_gonio.output import check_output, replacing
-    from adis_gonio.paper.study import study
+    from adis_gonio.paper import reproduce
     from adis_gonio.report.svg import require_matplotlib
 
     if output is not None:
         check_output(output, force=True)
         require_matplotlib()
     with working("the seed paper"):
-        done = study(seed, sessions)
+        done = reproduce(seed, sessions)
     if output is not None:
         from adis_gonio.paper.page import build_page
 

@@ -1,12 +1,13 @@
 """Simulated sessions for the comparison: through chip and driver, as `adis-gonio simulate` records them.
 
 Every part is measured twice on its stage: at four positions, every 90°, and at nine, every 40°. The paper's
-method, the closed form and `four-position` use the first, MMPM the second, `ml` both, the trace the second.
+method, the closed form and `four-position` use the first, MMPM, `ml` and the trace the second.
 """
 
 from __future__ import annotations
 
 import shlex
+import signal
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -202,7 +203,10 @@ def all_results(parts: Sequence[tuple[Part, bool]], jobs: int = 1) -> list[Resul
     """Results of many parts in their order; each with whether it is traced too."""
     if jobs <= 1:
         return list(_told(map(_work, parts), len(parts)))
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    # Ctrl-C is the parent's to answer: it ends the pool in order, without a traceback from each process.
+    with ProcessPoolExecutor(
+        jobs, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
+    ) as pool:
         return list(_told(pool.map(_work, parts), len(parts)))
 
 

@@ -30,7 +30,7 @@ SESSIONS = 10
 LEAST_SESSIONS, MOST_SESSIONS = 2, 10_000
 CHECKED_POINTS = 3
 TRACED_SHARE = 5
-"""One part of so many is traced, at least two, of each column and of those with a bias."""
+"""One part of so many is traced, at least one, of each column and of those with a bias."""
 _TRACED = (*AXES, "bias")
 _MOST_JOBS = 8
 
@@ -82,7 +82,9 @@ class Study:
         }
 
 
-def study(seed: int = 0, sessions: int = SESSIONS, jobs: int | None = None) -> Study:
+def reproduce(
+    seed: int = 0, sessions: int = SESSIONS, jobs: int | None = None, *, draws: int = DRAWS
+) -> Study:
     """Reproduce the paper.
 
     Parameters
@@ -93,6 +95,8 @@ def study(seed: int = 0, sessions: int = SESSIONS, jobs: int | None = None) -> S
         Parts of each kind: of either column, with a bias, and at each point of the map that is checked.
     jobs : int, optional
         Processes; by default one a core.
+    draws : int
+        Sessions by readings at each point of the map.
 
     Raises
     ------
@@ -108,8 +112,8 @@ def study(seed: int = 0, sessions: int = SESSIONS, jobs: int | None = None) -> S
     seeding, mapping, biased, places, again, at_pole = streams
     tell("the map, by readings")
     truth = truth_of("x")
-    draws = Draws.of(mapping, DRAWS)
-    drawn = map_of(truth, draws)
+    drawn = Draws.of(mapping, draws)
+    mapped = map_of(truth, drawn)
     kinds: dict[str, list[Part]] = {
         column: parts_of_column(column, [int(s) for s in seeding.integers(2**31, size=sessions)])
         for column in AXES
@@ -120,15 +124,15 @@ def study(seed: int = 0, sessions: int = SESSIONS, jobs: int | None = None) -> S
     kinds["load"] = list(load_parts(int(seeding.integers(2**31))))
     tell("sessions through chip and driver")
     results = _measured(
-        kinds, max(2, sessions // TRACED_SHARE), jobs or min(os.cpu_count() or 1, _MOST_JOBS)
+        kinds, max(1, sessions // TRACED_SHARE), jobs or min(os.cpu_count() or 1, _MOST_JOBS)
     )
     columns: dict[Axis, Sequence[Results]] = {axis: results[axis] for axis in AXES}
-    compared = [checked(p, truth, draws, results[f"point {k}"]) for k, p in enumerate(points)]
+    compared = [checked(p, truth, drawn, results[f"point {k}"]) for k, p in enumerate(points)]
     return Study(
         seed,
         sessions,
         table_of(columns),
-        replace(drawn, checked=tuple(compared)),
+        replace(mapped, checked=tuple(compared)),
         errors_with_bias(results["bias"], again),
         ambiguities(at_pole, results["load"]),
         results,
