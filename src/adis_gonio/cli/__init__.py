@@ -39,12 +39,13 @@ COMMANDS = {
     "selftest": ("adis_gonio.cli.selftest", "Run the sensor's internal self-test."),
     "bringup": ("adis_gonio.cli.bringup", "Check a new board step by step, and what it says of the part."),
     "serve": ("adis_gonio.cli.serve", "Serve the sensor as an IIO device over the network."),
+    "paper": ("adis_gonio.cli.paper", "Reproduce the seed paper: its table, its figure, its claim."),
     "devices": ("adis_gonio.cli.devices", "List the buses and the devices that are connected."),
 }
 
 
-_COMPUTING = frozenset({"fit", "trace", "report", "export"})
-"""Commands that read a file and compute: they have nothing to put back when Ctrl-C ends them."""
+_COMPUTING = frozenset({"fit", "trace", "report", "export", "paper"})
+"""Commands that compute: they have nothing to put back when Ctrl-C ends them."""
 
 
 @click.group(

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -203,22 +204,44 @@ def _a_plus_b(first: Floats, second: Floats) -> float:
     return float(sum(terms))
 
 
+def as_printed(x1: Any, y1: Any, x2: Any, y2: Any) -> tuple[Any, Any]:
+    """(ΔK, Δφ in rad) by equations 5 to 12 of the readings at 0° and 90°; numbers or arrays, also complex.
+
+    NaN where sin Δφ would exceed 1, infinite at the pole.
+    """
+    gain = x1 / -y2
+    # Numerator and denominator of equation 12 times U_x1 U_x2: α = 0, where U_x2 vanishes, is harmless.
+    sine = (x1 * x2 + gain * gain * y1 * y2) / (gain * (y1 * x2 + y2 * x1))
+    return gain - 1, np.arcsin(sine)
+
+
 def _paper(first: Floats, second: Floats, weights: Floats) -> tuple[Floats, Floats]:
     """(ΔK, Δφ) and their derivatives (2, n, 2) by the readings, by complex step."""
-
-    def equations(x1: complex, y1: complex, x2: complex, y2: complex) -> NDArray[np.complex128]:
-        gain = x1 / -y2
-        # Numerator and denominator of equation 12 times U_x1 U_x2: α = 0, where U_x2 vanishes, is harmless.
-        sine = (x1 * x2 + gain * gain * y1 * y2) / (gain * (y1 * x2 + y2 * x1))
-        return np.array([gain - 1, np.arcsin(sine)], dtype=np.complex128)
-
     point = np.array([first[0], first[1], second[0], second[1]], dtype=np.complex128)
-    values = equations(*point.tolist())
-    by_reading = np.stack(
-        [equations(*(point + 1e-30j * unit).tolist()).imag / 1e-30 for unit in np.eye(4)], axis=1
-    )
+    values = np.array(as_printed(*point.tolist()), dtype=np.complex128)
+    stepped = [np.array(as_printed(*(point + 1e-30j * unit).tolist())) for unit in np.eye(4)]
+    by_reading = np.stack([values.imag / 1e-30 for values in stepped], axis=1)
     derivative = np.einsum("pka,kn->pna", by_reading.reshape(2, 2, 2), weights)
     return values.real, derivative
+
+
+def turn_parameters(harmonics: Floats) -> Floats:
+    """Parameters (…, 6) in natural units from amplitudes of cosine, sine and constant of each axis.
+
+    Parameters
+    ----------
+    harmonics : (…, 3, 2) or (…, 2, 2) float
+        A and B of X and Y in local gravity, and the biases where the fit has them (else 0).
+    """
+    a_x, b_x, a_y, b_y = (harmonics[..., k, axis] for axis in (0, 1) for k in (0, 1))
+    parameters = np.zeros((*harmonics.shape[:-2], 6))
+    alpha, alpha_y = np.arctan2(b_x, a_x), np.arctan2(a_y, -b_y)
+    parameters[..., ALPHA] = alpha
+    parameters[..., DELTA_PHI] = (alpha_y - alpha + math.pi) % (2 * math.pi) - math.pi
+    parameters[..., SCALE_X], parameters[..., SCALE_Y] = np.hypot(a_x, b_x), np.hypot(a_y, b_y)
+    if harmonics.shape[-2] > 2:
+        parameters[..., BIAS_X:] = harmonics[..., 2, :]
+    return parameters
 
 
 def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tuple[Readings, Floats]:
@@ -254,25 +277,19 @@ def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
             "over it (0°, 90°, 180°, 270°)"
         )
     inverse = np.linalg.pinv(design) @ weights
-    a_x, b_x = inverse[:2] @ natural[:, 0]
-    a_y, b_y = inverse[:2] @ natural[:, 1]
-    beta = np.zeros(6)
-    n = len(chosen)
-    derivative = np.zeros((6, n, 2))
-    k_x, k_y = math.hypot(a_x, b_x), math.hypot(a_y, b_y)
+    harmonics = inverse @ natural
+    (a_x, a_y), (b_x, b_y) = harmonics[:2]
+    beta = turn_parameters(harmonics)
+    derivative = np.zeros((6, len(chosen), 2))
+    k_x, k_y = beta[SCALE_X], beta[SCALE_Y]
     if min(k_x, k_y) < 1e-3:
         raise SingularError("an axis does not follow the rotation; check the declared angles and the plane")
-    alpha, alpha_y = math.atan2(b_x, a_x), math.atan2(a_y, -b_y)
-    beta[ALPHA] = alpha
-    beta[DELTA_PHI] = (alpha_y - alpha + math.pi) % (2 * math.pi) - math.pi
-    beta[SCALE_X], beta[SCALE_Y] = k_x, k_y
     derivative[ALPHA, :, 0] = (a_x * inverse[1] - b_x * inverse[0]) / k_x**2
     derivative[DELTA_PHI, :, 0] = -derivative[ALPHA, :, 0]
     derivative[DELTA_PHI, :, 1] = (a_y * inverse[1] - b_y * inverse[0]) / k_y**2
     derivative[SCALE_X, :, 0] = (a_x * inverse[0] + b_x * inverse[1]) / k_x
     derivative[SCALE_Y, :, 1] = (a_y * inverse[0] + b_y * inverse[1]) / k_y
     if bias:
-        beta[BIAS_X], beta[BIAS_Y] = inverse[2] @ natural
         derivative[BIAS_X, :, 0] = derivative[BIAS_Y, :, 1] = inverse[2]
     return _Linear(beta, derivative, bias)
 

@@ -1,0 +1,9 @@
+import pytest
+
+from adis_gonio.paper import reproduce
+
+
+@pytest.fixture(scope="package")
+def small():
+    """A study of two parts of each kind, in this process."""
+    return reproduce(7, 2, jobs=1, draws=150)

@@ -1,0 +1,166 @@
+"""The page and the document of `adis-gonio paper`: recognisable, complete, and to be made again."""
+
+import json
+import re
+import shlex
+
+import pytest
+
+from adis_gonio.cli import main
+from adis_gonio.paper import TABLE
+from adis_gonio.paper.page import build_page, sections
+from report.browser import browser, missing
+
+WIDTHS = (360, 800, 1000, 1400)
+
+
+@pytest.fixture(scope="module")
+def page(small):
+    return build_page(small)
+
+
+@pytest.fixture(scope="module")
+def shown(small):
+    return sections(small)
+
+
+def parts_of(section):
+    yield section
+    for part in section.parts:
+        yield from parts_of(part)
+
+
+def test_the_table_has_every_printed_number_beside_ours(shown):
+    table = next(s for s in shown if s.title == "Table 1").tables[0]
+    assert len(table.rows) == len(TABLE)
+    for row, printed in zip(table.rows, TABLE, strict=True):
+        assert row[0].startswith(printed.name)
+        shown = [float(row[k].replace("−", "-")) for k in (1, 2, 5, 8)]
+        assert shown == [printed.measured, printed.paper, printed.mmpm, printed.specification]
+        assert row[3] == "not determined" if printed.key == "offset" else "±" in row[3]
+        assert "±" in row[6]
+
+
+def test_figure_3_has_three_graphs_with_both_methods_of_both_axes(shown):
+    figures = next(s for s in shown if s.title.startswith("Figure 3")).figures
+    assert len(figures) == 3
+    for figure in figures:
+        for word in ("X, paper", "X, MMPM", "Y, paper", "Y, MMPM", "printed", "our sessions"):
+            assert word in figure.svg
+
+
+def test_every_section_with_a_table_or_a_figure_carries_the_command_that_makes_it(shown):
+    for section in shown:
+        if any(part.tables or part.figures for part in parts_of(section)):
+            assert any("adis-gonio paper --seed 7 --sessions 2" in note for note in section.notes), (
+                section.title
+            )
+
+
+@pytest.mark.parametrize(
+    "word",
+    [
+        "U_x′",
+        "sign of the turn",
+        "Equation 10",
+        "45°",
+        "g/deg/s",
+        "jump of sign",
+        "static load",
+        "ADIS16534",
+    ],
+)
+def test_every_ambiguity_is_stated_with_its_reading_and_reason(small, page, word):
+    assert word in page
+    stated = [one for one in small.ambiguities if word in f"{one.what} {one.why}"]
+    assert stated
+    assert all(one.reading and one.why for one in stated)
+
+
+def values_of(small, word):
+    one = next(one for one in small.ambiguities if word in one.what)
+    return {value.name: value.value for value in one.values}
+
+
+def test_what_another_reading_gives_is_computed(small):
+    turned = values_of(small, "jump of sign")
+    assert turned["N by MMPM, turned the other way (modulo 180°)"] == pytest.approx(-0.0612, abs=1e-9)
+    other = values_of(small, "U_x′")
+    assert other["ΔK with U_x′ = −U_y2"] == pytest.approx(0.00049, abs=1e-5)
+    assert other["ΔK with U_x′ = U_x2 (X itself after the turn)"] > 10
+    spreads = values_of(small, "45°")
+    # The theory's figures: 0.008° at 5°, 0.0165° at 30°, 0.28° at 44°; the closed form 0.008° at 45°.
+    assert spreads["spread of Δφ at α = 5°"] == pytest.approx(0.008, rel=0.1)
+    assert spreads["spread of Δφ at α = 30°"] == pytest.approx(0.0165, rel=0.1)
+    assert spreads["spread of Δφ at α = 45°"] > 1
+    assert spreads["the same at 45° by two-position"] == pytest.approx(0.008, rel=0.1)
+    load = values_of(small, "static load")
+    assert load["ΔK by paper moves by"] == pytest.approx(0.003, rel=0.1)
+    assert abs(load["ΔK by mmpm moves by"]) < 1e-4
+    assert load["offset of X by mmpm moves by"] == pytest.approx(0.0015, rel=0.1)  # K2/2: the mean of cos²
+
+
+def test_the_command_beside_a_session_records_it_again(small, tmp_path, capsys):
+    part = small.results["x"][0]
+    words = shlex.split(part.part.command("mmpm", str(tmp_path / "one.session")))
+    assert words.pop(0) == "adis-gonio"
+    assert main(words) == 0
+    capsys.readouterr()
+    assert main(["fit", str(tmp_path / "one.session"), "--method", "mmpm", "--json"]) == 0
+    again = json.loads(capsys.readouterr().out)["parameters"]["delta_phi"]["value"]
+    assert again == part.found["mmpm"].values["non_orthogonality"]
+
+
+def test_the_command_writes_page_and_document(small, page, monkeypatch, tmp_path, capsys):
+    asked = []
+    monkeypatch.setattr("adis_gonio.paper.reproduce", lambda *given: asked.append(given) or small)
+    path = tmp_path / "page.html"
+    assert main(["paper", "-o", str(path), "--json", "--seed", "7", "--sessions", "2"]) == 0
+    assert asked == [(7, 2)]
+    assert path.read_text("utf-8") == page
+    document = json.loads(capsys.readouterr().out)
+    assert document["command"] == "adis-gonio paper --seed 7 --sessions 2 --json"
+    assert [row["measured"] for row in document["table_1"]["rows"]] == [row.measured for row in TABLE]
+    assert len(document["map"]["points"]) == 10 * 7 * 4
+    assert len(document["map"]["checked"]) == 3
+    assert document["bias"]["sessions"] + document["bias"]["refused"] == 2
+    assert len(document["parts"]["x"]) == 2
+    assert main(["paper", "--seed", "7", "--sessions", "2"]) == 0
+    said = capsys.readouterr().out
+    assert "overtakes MMPM" in said
+    assert len(said.splitlines()) == 4
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--sessions", "1"], "--sessions is 1: take 2 to"),
+        (["--sessions", "many"], "--sessions"),
+        (["--seed", "-1"], "--seed is -1: take 0 or more"),
+        (["-o", "no/such/folder/page.html"], "there is no folder"),
+        (["--session", "3"], "--session"),
+        (["3"], "3"),
+    ],
+)
+def test_a_bad_option_is_answered_in_one_line(options, told, capsys):
+    assert main(["paper", *options]) != 0
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert len(captured.err.strip().splitlines()) == 1
+    assert told in captured.err
+
+
+def test_the_page_loads_nothing(page):
+    assert not re.search(r"""(src|href)=["'](?!#)|@import|url\(""", page)
+
+
+@pytest.mark.skipif(bool(missing()), reason=missing())
+def test_the_page_is_readable_at_every_width_and_accessible(page, tmp_path):
+    path = tmp_path / "paper.html"
+    path.write_text(page, encoding="utf-8")
+    with browser() as chrome, chrome.tab(path) as tab:
+        for width in WIDTHS:
+            assert tab.audit(width=width) == []
+        assert tab.audit(paper=True) == []
+        assert tab.axe() == []
+        assert tab.noise == []

@@ -1,0 +1,71 @@
+"""The results: the fast part of every section is made, and each has its page in the documentation."""
+
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = ROOT / "docs" / "results"
+
+
+def sections():
+    """Names in the script's order."""
+    folder = ROOT / "scripts" / "results"
+    spec = importlib.util.spec_from_file_location("results_main", folder / "__main__.py")
+    module = importlib.util.module_from_spec(spec)
+    kept, beside = list(sys.path), sys.modules.get("section")
+    try:
+        spec.loader.exec_module(module)
+    finally:  # its neighbours have short names that others may want
+        sys.path[:] = kept
+        if beside is None:
+            sys.modules.pop("section", None)
+    return module.SECTIONS
+
+
+SECTIONS = sections()
+
+
+def check_files(name, folder, command):
+    page = (folder / f"{name}.md").read_text("utf-8")
+    document = json.loads((folder / f"{name}.json").read_text("utf-8"))
+    assert page.startswith("# ")
+    assert re.search(rf"Made by `{command}`\.\n$", page)
+    assert re.fullmatch(command, document["command"])
+    assert len(document) > 1
+    for figure in re.findall(r"!\[[^]]*\]\(([^)]+)\)", page):
+        assert figure.startswith(f"{name}-")
+        assert (folder / figure).read_text("utf-8").startswith("<svg")
+
+
+@pytest.mark.parametrize("name", SECTIONS)
+def test_the_fast_part_of_a_section_is_made(name, tmp_path):
+    command = [sys.executable, "scripts/results", "--fast", "--seed", "1", "-o", str(tmp_path), name]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert f"{name}: written to" in done.stdout
+    check_files(name, tmp_path, f"python scripts/results {name} --seed 1 --fast")
+
+
+@pytest.mark.parametrize("name", SECTIONS)
+def test_a_section_has_its_page_made_in_full(name):
+    check_files(name, PAGES, rf"python scripts/results {name} --seed \d+")
+
+
+def test_the_index_holds_every_section_and_nothing_else():
+    index = (PAGES / "index.md").read_text("utf-8")
+    listed = re.search(r"```\{toctree\}\n(?::.*\n)*\n(.*?)```", index, re.S)[1].split()
+    assert listed == list(SECTIONS)
+    assert {page.stem for page in PAGES.glob("*.md")} == {"index", *SECTIONS}
+
+
+def test_an_unknown_section_is_answered_with_those_there_are():
+    command = [sys.executable, "scripts/results", "papper"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "no section papper; there are " + ", ".join(SECTIONS) in done.stderr
