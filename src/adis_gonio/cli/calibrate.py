@@ -33,7 +33,11 @@ _METADATA = {
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), required=True, help="Session file to make."
 )
-@click.option("--plan", "plan_name", help="two-position (default), four-position, mmpm, tumble or poses.")
+@click.option(
+    "--plan",
+    "plan_name",
+    help="two-position (default), four-position, mmpm, tumble, poses, or a plan file.",
+)
 @click.option("--positions", type=int, help="Number of angles, where the plan leaves a choice.")
 @click.option(
     "--check", type=int, default=0, show_default=True, help="Extra positions kept out of the fit."
@@ -237,8 +241,9 @@ def _runner(
 ) -> SessionRunner:
     from adis_gonio.cli.bench.lines import on_terminal
     from adis_gonio.model.gravity import normal_gravity_mps2
+    from adis_gonio.planning.document import plan_by
     from adis_gonio.sensor.settings import smpl_prd_for
-    from adis_gonio.session import SessionRunner, Settings, plan
+    from adis_gonio.session import SessionRunner, Settings
     from adis_gonio.session.plans import DEFAULT_PLAN
 
     if resume:
@@ -272,7 +277,7 @@ def _runner(
     return SessionRunner.begin(
         sensor,
         output,
-        plan(plan_name or DEFAULT_PLAN, positions, check),
+        plan_by(plan_name or DEFAULT_PLAN, positions, check),
         settings,
         auto=auto,
         extend=extend,
