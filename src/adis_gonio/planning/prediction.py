@@ -17,6 +17,7 @@ from adis_gonio.estimation.shown import ShownAngle
 from adis_gonio.estimation.values import Value
 from adis_gonio.fitting.methods import fit_readings
 from adis_gonio.fitting.result import FitResult
+from adis_gonio.model.records import Floats
 from adis_gonio.planning.imagined import Bench, imagined
 from adis_gonio.planning.sight import Sight, sight_of
 from adis_gonio.session.plans import Plan
@@ -115,7 +116,6 @@ def _reach(result: FitResult) -> Reach:
     assert made.sources is not None  # the imagined noise is known
     shown = ShownAngle.around(made.fit)
     whole = made.sources.by_place(shown.gradient, shown.reading)
-    fitted = made.sources.by_place(shown.gradient, 0.0 * shown.reading)
     angle = result.shown_angle
     assert angle is not None  # a turn in the plane
     return Reach(
@@ -123,10 +123,21 @@ def _reach(result: FitResult) -> Reach:
         {one.name: replace(one.stated, value=math.nan) for one in result.parameters},
         angle,
         Value(math.nan, float(np.sqrt(whole.max())), "deg"),
-        float(np.sqrt(fitted.max())),
+        float(np.sqrt(fitted_variance(result).max())),
         result.undetermined,
         result.warnings,
     )
+
+
+def fitted_variance(result: FitResult) -> Floats:
+    """Variance (m,) in degrees² of the shown angle around the turn, beside that reading's own noise."""
+    made = result.origin
+    assert made is not None
+    assert made.sources is not None
+    shown = ShownAngle.around(made.fit)
+    own = sum(source.reading_mg2 for source in made.sources.each)
+    noise = np.einsum("ma,ab,mb->m", shown.reading, own, shown.reading)
+    return np.asarray(made.sources.by_place(shown.gradient, shown.reading) - noise)
 
 
 def _told(value: Value) -> dict[str, Any]:
