@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.budget import check
+from adis_gonio.counting import counted
 from adis_gonio.errors import FitError, UsageError
 from adis_gonio.planning.candidates import Candidates, Choice, candidates
 from adis_gonio.planning.criteria import CRITERIA, MEANING, Best, Criterion
@@ -279,8 +280,8 @@ def _fewest_interleaved(bench: Bench, angle_deg: float) -> int:
 
     if error(MOST) > angle_deg:
         raise UsageError(
-            f"angle-error is {angle_deg:g}°: {MOST} positions reach {error(MOST):.2g}°, most of which is a "
-            "single reading's own; take longer dwells or a quieter part"
+            f"angle-error is {angle_deg:g}°: {counted(MOST, 'position')} reach {error(MOST):.2g}°, most of "
+            "which is a single reading's own; take longer dwells or a quieter part"
         )
     low, high = LEAST - 1, MOST
     while high - low > 1:
@@ -302,6 +303,6 @@ def within(bench: Bench, minutes: float) -> int:
         return count
     least, most = (number * bench.each_s / 60 for number in (LEAST, MOST))
     raise UsageError(
-        f"minutes is {minutes:g}: {LEAST} positions take {least:.2g} min and {MOST}, the most of a search, "
-        f"{most:.3g} min, at {bench.each_s:.3g} s each; take a time between, or another --dwell"
+        f"minutes is {minutes:g}: a search takes {LEAST} to {counted(MOST, 'position')}, {least:.2g} to {most:.3g} min at "
+        f"{bench.each_s:.3g} s each; take a time between, or another --dwell"
     )

@@ -101,7 +101,7 @@ def plan_from(document: Any, name: str = "plan") -> Plan:
         raise DataError(f"{name}: plane is {_shown(document.get('plane'))}: a plan file has plane 'xy'")
     entries = document.get("positions")
     if not isinstance(entries, list) or not 2 <= len(entries) <= MOST_POSITIONS:
-        raise DataError(f"{name}: positions is no list of 2 to {MOST_POSITIONS} positions")
+        raise DataError(f"{name}: positions is no list of 2 to {MOST_POSITIONS} entries")
     positions = tuple(_position(entry, f"{name}: positions[{k}]") for k, entry in enumerate(entries))
     if all(position.use == "check" for position in positions):
         raise DataError(f"{name}: positions are all for checking: at least two have to be of use 'fit'")
