@@ -303,6 +303,6 @@ def within(bench: Bench, minutes: float) -> int:
         return count
     least, most = (number * bench.each_s / 60 for number in (LEAST, MOST))
     raise UsageError(
-        f"minutes is {minutes:g}: a search takes {LEAST} to {counted(MOST, 'position')}, {least:.2g} to {most:.3g} min at "
-        f"{bench.each_s:.3g} s each; take a time between, or another --dwell"
+        f"minutes is {minutes:g}: a search takes {LEAST} to {counted(MOST, 'position')}, {least:.2g} to "
+        f"{most:.3g} min at {bench.each_s:.3g} s each; take a time between, or another --dwell"
     )
