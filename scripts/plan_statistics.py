@@ -41,6 +41,10 @@ from adis_gonio.session.plans import Plan, plan
 
 FIXTURES_DEG = (0.01, 0.05)
 BIAS_MG = 10.0
+START_DEG = 5.0
+"""Half the span of the start angles that are drawn."""
+PART = 500
+"""Sessions of one seed, whatever the number of processes."""
 PLACES = 72
 STEP_S = 0.5
 """Grid of the 1/f noise: what is faster is averaged away in a dwell."""
@@ -104,7 +108,7 @@ def drawn(case: Case, rng: np.random.Generator, bare: Readings) -> tuple[Reading
     bench = case.bench
     g = bench.gravity_mg
     theta = np.radians([position.angle_deg for position in case.plan.positions])
-    alpha = math.radians(rng.uniform(-5, 5))
+    alpha = math.radians(rng.uniform(-START_DEG, START_DEG))
     gain = 1 + rng.normal(0, 0.001, 2)
     phi = math.radians(rng.normal(0, 0.1))
     slow = flicker_means(rng, bench.begins_s(case.plan), bench.settings.dwell_s, bench.floor_mg)
@@ -170,22 +174,29 @@ class Line:
         return abs(self.ratio - 1) > CLOSE + 3 * self.standard_error
 
 
+def predicted_for(case: Case) -> tuple[dict[str, float], int]:
+    """Uncertainties by `NAMES`, root mean square over the start angles that are drawn; the worst place."""
+    variances: dict[str, list[float]] = {}
+    worst = int(fitted_variance(fit_readings(imagined(case.plan, case.bench))).argmax())
+    for start in np.linspace(-0.9, 0.9, 10) * START_DEG:
+        result = fit_readings(imagined(case.plan, replace(case.bench, start_deg=float(start))))
+        for one in result.parameters:
+            variances.setdefault(one.name, []).append(float(one.u or math.nan) ** 2)
+        variances.setdefault("angle", []).append(float(fitted_variance(result)[worst]))
+    return {name: math.sqrt(float(np.mean(found))) for name, found in variances.items()}, worst
+
+
 def compare(case: Case, off: Floats) -> list[Line]:
     """Root mean square errors beside the uncertainties that were predicted."""
-    reach = reach_of(case.plan, case.bench)
+    predicted, worst = predicted_for(case)
     rms = np.sqrt((off**2).mean(axis=0))
-    around = np.sqrt(fitted_variance(fit_readings(imagined(case.plan, case.bench))))
-    worst = int(around.argmax())
     simulated = dict(zip(NAMES, [*rms[:7], rms[7 + worst]], strict=True))
-    predicted = {name: value.u for name, value in reach.parameters.items()} | {
-        "angle": float(around[worst])
-    }
     fixture = case.bench.fixture_deg
     error = 1 / math.sqrt(2 * len(off))
     return [
-        Line(case.name, fixture, name, float(u), float(simulated[name]), error)
+        Line(case.name, fixture, name, predicted[name], float(simulated[name]), error)
         for name in NAMES
-        if (u := predicted.get(name)) is not None
+        if name in predicted
     ]
 
 
@@ -198,8 +209,8 @@ def run(sessions: int, seed: int, jobs: int = 1, fixtures: Sequence[float] = FIX
     lines = []
     with ProcessPoolExecutor(jobs) as pool:
         for case in cases(fixtures):
-            sizes = [sessions // jobs + (k < sessions % jobs) for k in range(jobs)]
-            work = [(case, size, seed + k) for k, size in enumerate(sizes) if size]
+            sizes = [min(PART, sessions - done) for done in range(0, sessions, PART)]
+            work = [(case, size, seed + k) for k, size in enumerate(sizes)]
             lines += compare(case, np.concatenate(list(pool.map(_part, work))))
     return lines
 

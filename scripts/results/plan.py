@@ -29,6 +29,19 @@ def run(effort: Effort) -> Section:
     chip = statistics.through_the_chip(case, chip_sessions, effort.seed % 10**6)
     traced = effort.sessions(12, 1)
     names = statistics.names_found(12, traced, effort.seed)
+    return section(lines, sessions, chip, chip_sessions, names, traced)
+
+
+def section(
+    lines: list[Line],
+    sessions: int,
+    chip: list[Line],
+    chip_sessions: int,
+    names: dict[str, dict[str, list[int]]],
+    traced: int,
+) -> Section:
+    """The page of what was found."""
+    fixtures = tuple(dict.fromkeys(line.fixture_deg for line in lines))
     document = {
         "sessions": sessions,
         "lines": [_told(line) for line in lines],
@@ -66,7 +79,8 @@ def _predicted(lines: list[Line], sessions: int) -> str:
     told = ", ".join(f"{x.case} {x.fixture_deg}° {x.name} {x.ratio:.3f}" for x in beyond)
     return (
         f"Root mean square errors of {sessions} simulated sessions a plan through the uncertainties that "
-        f"were predicted. Each ratio has a standard error of {error:.3f} by the number of sessions alone. "
+        f"were predicted for start angles within ±5°, as they "
+        f"are drawn. Each ratio has a standard error of {error:.3f} by the number of sessions alone. "
         f"Of the {len(own)} ratios of the six plans that are promised, {len(own) - len(beyond)} are within "
         f"5 % of 1; their mean is {ratios.mean():.4f}, their scatter {ratios.std():.4f}, where that many "
         f"sessions alone scatter by {error:.4f}. Beyond 5 %: {told or 'none'}; beyond 5 % and three "
