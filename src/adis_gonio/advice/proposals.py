@@ -255,7 +255,7 @@ def _extended(
     pairs = [(base, evidence)]
     chosen = selection.fit
     inside = set(base.labels)
-    for name, term in _widest_terms(terms).items():
+    for name, term in widest_terms(terms).items():
         if name in known or name in inside:
             continue
         absent = term.start(np.zeros(len(term.amplitudes)))
@@ -265,7 +265,7 @@ def _extended(
     return [replace(h, weight=h.weight * float(np.exp(found - top))) for h, found in pairs]
 
 
-def _widest_terms(terms: Sequence[Term]) -> dict[str, NamedTerm]:
+def widest_terms(terms: Sequence[Term]) -> dict[str, NamedTerm]:
     """One candidate for each name: on all axes, its shape in the middle of the grid; no single dwells."""
     variants: dict[str, list[NamedTerm]] = {}
     for term in terms:

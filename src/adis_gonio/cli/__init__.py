@@ -22,6 +22,7 @@ from adis_gonio.errors import AdisGonioError
 
 # Commands are imported when they are called: `adis-gonio --help` answers at once.
 COMMANDS = {
+    "plan": ("adis_gonio.cli.plan", "Say what a plan of positions will reach, and find the best one."),
     "calibrate": ("adis_gonio.cli.calibrate", "Calibrate a sensor on a stage, position by position."),
     "fit": ("adis_gonio.cli.fit", "Compute ΔK, Δφ and the other parameters of a recorded session."),
     "trace": ("adis_gonio.cli.trace", "Find the physical effects behind the residual of a session."),
@@ -44,7 +45,7 @@ COMMANDS = {
 }
 
 
-_COMPUTING = frozenset({"fit", "trace", "report", "export", "paper"})
+_COMPUTING = frozenset({"fit", "trace", "report", "export", "paper", "plan"})
 """Commands that compute: they have nothing to put back when Ctrl-C ends them."""
 
 

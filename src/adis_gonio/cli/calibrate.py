@@ -34,7 +34,9 @@ _METADATA = {
     "-o", "--output", type=click.Path(path_type=Path), required=True, help="Session file to make."
 )
 @click.option(
-    "--plan", "plan_name", help="two-position (default), four-position, mmpm, tumble, poses or free-turn."
+    "--plan",
+    "plan_name",
+    help="two-position (default), four-position, mmpm, tumble, poses, free-turn, or a plan file.",
 )
 @click.option("--positions", type=int, help="Number of angles, where the plan leaves a choice.")
 @click.option(
@@ -255,8 +257,9 @@ def _runner(
 ) -> SessionRunner:
     from adis_gonio.cli.bench.lines import on_terminal
     from adis_gonio.model.gravity import normal_gravity_mps2
+    from adis_gonio.planning.document import plan_by
     from adis_gonio.sensor.settings import smpl_prd_for
-    from adis_gonio.session import Settings, plan
+    from adis_gonio.session import Settings
     from adis_gonio.session.free_turn import DURATION_S, FREE_TURN, free_turn_plan, runner_of
     from adis_gonio.session.plans import DEFAULT_PLAN
 
@@ -287,7 +290,7 @@ def _runner(
         )
     if duration_s is not None and not free:
         raise UsageError("--duration is that of a free turn: give --plan free-turn, or --dwell")
-    chosen = free_turn_plan() if free else plan(plan_name or DEFAULT_PLAN, positions, check)
+    chosen = free_turn_plan() if free else plan_by(plan_name or DEFAULT_PLAN, positions, check)
     settings = Settings(
         dwell_s=(duration_s or DURATION_S) if free else options["dwell_s"],
         settle_s=options["settle_s"],

@@ -20,7 +20,13 @@ from adis_gonio.errors import DataError, SessionError, UsageError
     "-o", "--output", type=click.Path(path_type=Path), required=True,
     help="File to make: .csv or .csv.gz for samples without the truth, else a session file with it.",
 )  # fmt: skip
-@click.option("--plan", "plan_name", default="four-position", show_default=True)
+@click.option(
+    "--plan",
+    "plan_name",
+    default="four-position",
+    show_default=True,
+    help="A plan by name, or a plan file.",
+)
 @click.option("--positions", type=int, help="Number of angles, where the plan leaves a choice.")
 @click.option(
     "--check", type=int, default=0, show_default=True, help="Extra positions kept out of the fit."
@@ -72,9 +78,10 @@ def command(*, output: Path, **options: Any) -> None:
     """
     from adis_gonio.cli.bench.plain import PlainBench
     from adis_gonio.output import check_output
+    from adis_gonio.planning.document import plan_by
     from adis_gonio.sensor import open_sensor
     from adis_gonio.sensor.settings import smpl_prd_for
-    from adis_gonio.session import SessionRunner, Settings, export_csv, load_session, plan
+    from adis_gonio.session import SessionRunner, Settings, export_csv, load_session
     from adis_gonio.session.view import ArchiveView
 
     if output.exists():
@@ -89,7 +96,7 @@ def command(*, output: Path, **options: Any) -> None:
         smpl_prd=1 if rate is None else smpl_prd_for(rate),
         filter_m=options["filter_m"],
     )
-    positions = plan(options["plan_name"], options["positions"], options["check"])
+    positions = plan_by(options["plan_name"], options["positions"], options["check"])
     positions = positions.ordered(options["order"], np.random.default_rng(options["seed"]))
     as_csv = output.name.endswith((".csv", ".csv.gz"))
     with (

@@ -19,7 +19,7 @@ from adis_gonio.model.records import ACCEL_UNITS, SENSORS, STANDARD_GRAVITY_MPS2
     "plan_name",
     default="two-position",
     show_default=True,
-    help="two-position, four-position, mmpm, tumble or poses.",
+    help="two-position, four-position, mmpm, tumble, poses, or a plan file.",
 )
 @click.option("--positions", type=int, help="Number of angles, where the plan leaves a choice.")
 @click.option(
@@ -44,11 +44,11 @@ def command(*, plan_name: str, positions: int | None, check: int, output: Path, 
 
     Fill in times and readings, in an editor or a spreadsheet; `adis-gonio fit` reads what is saved.
     """
-    from adis_gonio.session import plan
+    from adis_gonio.planning.document import plan_by
     from adis_gonio.session.template import template_text, write_template
 
     if output.suffix == ".gz":
         raise UsageError(f"{output}: a template is filled in by hand: name it .csv")
-    chosen = plan(plan_name, positions, check)
+    chosen = plan_by(plan_name, positions, check)
     write_template(output, template_text(chosen, **keys))
     click.echo(f"{output}: {counted(len(chosen), 'position')} to fill in", err=True)

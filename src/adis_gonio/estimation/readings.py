@@ -520,14 +520,41 @@ def _of_flicker(
     given; here it has that by which it differs from the mean of a session twice as long, half the Allan
     variance, so that a bias is stated as well as it would be found again.
     """
-    m, axes = len(dwells), len(flicker)
-    if m < 2 or m > MOST_SHARED or not flicker.any():
+    begin, end = (np.zeros(len(dwells)),) * 2
+    if _keeps_modes(len(dwells), flicker):
+        begin, end = spans([dwell.time_s for dwell in dwells])
+    own, shared = flicker_parts(begin, end, flicker)
+    if shared is None:
+        return own, None
+    slow = np.zeros((n, *shared.shape[1:]))
+    slow[many] = shared
+    return own, slow
+
+
+def _keeps_modes(dwells: int, flicker: Floats) -> bool:
+    return 2 <= dwells <= MOST_SHARED and bool(flicker.any())
+
+
+def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floats, Floats | None]:
+    """1/f noise of dwells that begin and end at (m,) s: variances of each's own, and the modes they share.
+
+    Parameters
+    ----------
+    flicker : (axes,) float
+        Allan variance in mg².
+
+    Returns
+    -------
+    (m, axes) float in mg², and (m, axes, k) float in mg or None; see `_of_flicker`.
+    """
+    m, axes = len(begin_s), len(flicker)
+    if not _keeps_modes(m, flicker):
         return np.tile(flicker * scatter_of_means(m), (m, 1)), None
-    factor, left = modes(covariance_of_means(*spans([dwell.time_s for dwell in dwells])) + 0.5)
+    factor, left = modes(covariance_of_means(begin_s, end_s) + 0.5)
     k = factor.shape[1]
-    slow = np.zeros((n, axes, axes * k))
+    slow = np.zeros((m, axes, axes * k))
     for axis in range(axes):
-        slow[many, axis, axis * k : (axis + 1) * k] = np.sqrt(flicker[axis]) * factor
+        slow[:, axis, axis * k : (axis + 1) * k] = np.sqrt(flicker[axis]) * factor
     return left[:, None] * flicker, slow[:, :, (slow != 0).any(axis=(0, 1))]
 
 
@@ -614,14 +641,18 @@ def _quantum(session: Session, rows: Sequence[Floats], mg: Floats) -> Floats:
 
 def left_by_quantization(rows: Sequence[Floats], mg: Floats, quantum: Floats) -> Floats:
     """Variance (dwells, axes) in mg² that a converter's step leaves on the means of samples × `mg`."""
-    variance = np.array([r.var(axis=0) for r in rows]) * mg**2
-    step = np.where(quantum > 0, quantum, 1.0)
-    sigma2 = np.maximum(variance - quantum**2 / 12, 0.0) / step**2
+    return quantized_means(np.array([r.var(axis=0) for r in rows]) * mg**2, quantum)
+
+
+def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
+    """The same of samples with this variance (dwells, axes), the rounding among it, in steps (axes,)."""
+    step = np.where(quantum_mg > 0, quantum_mg, 1.0)
+    sigma2 = np.maximum(variance_mg2 - quantum_mg**2 / 12, 0.0) / step**2
     if float(sigma2.min(initial=np.inf)) > 1.0:
-        return np.zeros_like(variance)
+        return np.zeros_like(variance_mg2)
     k = np.arange(1, 200)
     series = np.exp(-4 * math.pi**2 * k**2 * np.minimum(sigma2, 1.0)[..., None]) / k**2
-    return np.asarray(quantum**2 / (2 * math.pi**2) * series.sum(axis=-1))
+    return np.asarray(quantum_mg**2 / (2 * math.pi**2) * series.sum(axis=-1))
 
 
 def _flicker(session: Session, noise: MeanNoise) -> Floats:

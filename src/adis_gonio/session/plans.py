@@ -189,8 +189,7 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
         )
     if not kind.least <= count <= MOST_POSITIONS:
         raise UsageError(f"plan '{name}' takes {kind.least} to {MOST_POSITIONS} positions, not {count}")
-    if not 0 <= check <= MOST_POSITIONS:
-        raise UsageError(f"a plan takes 0 to {MOST_POSITIONS} check positions, not {check}")
+    _refuse_checks(check)
     if name == "poses":
         uses: list[Use] = ["fit"] * count
         for place in _spread(check, count):
@@ -198,6 +197,17 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
         places = zip(uses, _sphere(len(uses)), strict=True)
         return Plan(name, tuple(Position(None, 0, use, vector) for use, vector in places), "none")
     return Plan(name, _with_checks(_angles(name, count), check))
+
+
+def with_checks(made: Plan, check: int) -> Plan:
+    """A plan in the plane with so many more `check` positions between the others; see `plan`."""
+    _refuse_checks(check)
+    return replace(made, positions=_with_checks(list(made.positions), check)) if check else made
+
+
+def _refuse_checks(check: int) -> None:
+    if not 0 <= check <= MOST_POSITIONS:
+        raise UsageError(f"a plan takes 0 to {MOST_POSITIONS} check positions, not {check}")
 
 
 def _angles(name: str, count: int) -> list[Position]:

@@ -79,7 +79,7 @@ from adis_gonio.session.live import LiveView, vector
 from adis_gonio.session.plans import Plan, Position, blindness, extended, extension
 from adis_gonio.session.recording import Recording
 from adis_gonio.session.running import RunningFit
-from adis_gonio.session.settings import Settings
+from adis_gonio.session.settings import Settings, expected_each_s
 from adis_gonio.session.source import SampleSource
 from adis_gonio.session.stillness import StillnessLimits, limits_from_noise
 from adis_gonio.session.watch import SETTLINGS_PER_WINDOW, Look, NoiseMeter, StillnessWatch
@@ -98,9 +98,6 @@ WARMING_S = 600.0
 
 PAUSE_STEP_S = 0.1
 """Between two looks for remarks during a pause, on the wall clock."""
-
-TURN_S = 10.0
-"""Estimate of a turn by hand, for the time that is left, until one has been timed."""
 
 WAIT_STEP_S = 1.0
 """Between two looks at the clock and the operator during a wait."""
@@ -469,7 +466,7 @@ class SessionRunner(Operator):
         bench, left = self._bench, len(self._plan) - len(self._done) - len(self._skipped)
         if self._first_asked_s is None:
             self._first_asked_s = bench.now_s
-        each = TURN_S + bench.settle_s + bench.settings.dwell_s
+        each = expected_each_s(bench.settle_s, bench.settings.dwell_s)
         if self._taken:
             each = (bench.now_s - self._first_asked_s) / self._taken
         open_places = (k for k in range(len(self._plan)) if k not in self._done and k not in self._skipped)

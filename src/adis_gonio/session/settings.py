@@ -15,6 +15,14 @@ from adis_gonio.sensor.settings import sample_period_s, sens_avg_word
 LEAST_SAMPLES = 16
 """A dwell of fewer samples tells too little about its own noise."""
 
+TURN_S = 10.0
+"""Estimate of a turn by hand, until one has been timed."""
+
+
+def expected_each_s(settle_s: float, dwell_s: float) -> float:
+    """Time in s that a position is expected to take: the turn, the settling and the dwell."""
+    return TURN_S + settle_s + dwell_s
+
 
 @dataclass(frozen=True)
 class Settings:

@@ -1,0 +1,62 @@
+"""Plans before they are measured: what one will reach and see, and which one is best.
+
+>>> from adis_gonio.planning import Bench, best_plan
+>>> found = best_plan(Bench(fixture_deg=0.02), positions=12)
+>>> len(found.plan)
+12
+
+Names are imported when first used: whoever reads a plan file needs none of the search.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+_HOMES = {
+    "Bench": "imagined",
+    "BestPlan": "best",
+    "Prediction": "prediction",
+    "best_plan": "best",
+    "fewest": "best",
+    "plan_by": "document",
+    "predict": "prediction",
+    "read_plan": "document",
+    "within": "best",
+    "write_plan": "document",
+}
+
+__all__ = [
+    "Bench",
+    "BestPlan",
+    "Prediction",
+    "best_plan",
+    "fewest",
+    "plan_by",
+    "predict",
+    "read_plan",
+    "within",
+    "write_plan",
+]
+
+if TYPE_CHECKING:
+    from adis_gonio.planning.best import BestPlan as BestPlan
+    from adis_gonio.planning.best import best_plan as best_plan
+    from adis_gonio.planning.best import fewest as fewest
+    from adis_gonio.planning.best import within as within
+    from adis_gonio.planning.document import plan_by as plan_by
+    from adis_gonio.planning.document import read_plan as read_plan
+    from adis_gonio.planning.document import write_plan as write_plan
+    from adis_gonio.planning.imagined import Bench as Bench
+    from adis_gonio.planning.prediction import Prediction as Prediction
+    from adis_gonio.planning.prediction import predict as predict
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its home when it is first asked for (PEP 562)."""
+    if name in _HOMES:
+        import importlib
+
+        value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
