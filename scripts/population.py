@@ -7,6 +7,11 @@ the product). An effect is put into a share of the units at a multiple of each s
 limit, as the trace of that session states it (`detectable`); signs and phases are common or random. As many
 populations have no effect. Beside them: units whose noise is not what it should be (`scatter`), an
 effect that the catalogue lacks (`foreign`), one gross session (`gross`).
+
+With `--draw scores`, populations with and without an effect are drawn from the evidence of 300 simulated
+sessions of as many benches: their scores are drawn anew (normal, with each session's own correlations),
+effects added at their columns. That is a hundred times faster; `--draw sessions` makes every session from
+its samples, and shows that both agree.
 """
 
 from __future__ import annotations
@@ -121,17 +126,16 @@ def measured(bench: Bench, terms: list[Term], rng: np.random.Generator, serial: 
     return session_of(bench, readings + rng.normal(0, 10, 2) + draw_noise(rng, bench), serial)
 
 
-def limit_of(session: Session, name: str) -> float | None:
-    """Smallest amplitude of an effect that the trace of this session would show, beside its bias."""
+def limits_of(session: Session) -> dict[str, float | None]:
+    """Smallest amplitude of each effect that the trace of this session would show, beside its bias."""
     data = readings_of(session).training
     terms, missing = named_terms(data)
     bias = NamedTerm("bias", (), 0.0, effect("bias", ("x", "y")))
     fit = Fit.begin(data).having((bias,), (np.zeros(2),)).refit()
-    wanted = [t for t in terms if t.effect.name in {name, "bias"}]
-    problem = linearise(fit, wanted)
-    both = [k for k, t in enumerate(problem.terms) if t.name == "bias" and len(t.effect.axes) == 2]
-    limit = detectable(Search(problem, price(problem)), tuple(both), missing)[name]
-    return limit.amplitude
+    problem = linearise(fit, [term for term in terms if term.effect.name in {*EFFECTS, "bias"}])
+    both = [k for k, term in enumerate(problem.terms) if term.name == "bias" and len(term.effect.axes) == 2]
+    every = detectable(Search(problem, price(problem)), tuple(both), missing)
+    return {name: every[name].amplitude for name in EFFECTS}
 
 
 def draw_unit(
@@ -146,8 +150,8 @@ def draw_unit(
         if not name:
             terms = make(bench, own) if make else []
             return evidence_of(measured(bench, terms, own, f"{index}"))
-        limit = limit_of(measured(bench, [], rng.spawn(1)[0], ""), name)
-        if limit is not None and limit < 1e3 * max(np.abs(make.coefficients).max(), 1e-9) * 50:
+        limit = limits_of(measured(bench, [], rng.spawn(1)[0], ""))[name]
+        if limit is not None:
             scaled = replace(make, coefficients=make.coefficients * size * limit)
             return evidence_of(measured(bench, [scaled], own, f"{index}"))
 
@@ -208,6 +212,70 @@ def population(
     )
 
 
+POOL = 300
+"""Benches whose sessions are drawn again."""
+
+
+def pool_of(seed: int, count: int = POOL) -> list[tuple[SessionEvidence, dict[str, float | None]]]:
+    """Evidence of sessions without an effect, and their detection limits."""
+    rng = np.random.default_rng((seed, 99))
+    out = []
+    for index in range(count):
+        session = measured(draw_bench(rng), [], rng, f"{index}")
+        out.append((evidence_of(session), limits_of(session)))
+    return out
+
+
+def drawn_again(
+    one: SessionEvidence, amplitudes: dict[str, float], index: int, rng: np.random.Generator
+) -> SessionEvidence:
+    """The same session on another day: fresh noise, and effects of some amplitude at its columns."""
+    noise = rng.normal(size=len(one.directions))
+    for key, amplitude in amplitudes.items():
+        k = one.keys.index(key)
+        noise = noise + one.directions[:, k] * (one.length[k] * amplitude)
+    extra = sum((one.length[one.keys.index(key)] * a) ** 2 for key, a in amplitudes.items())
+    total = sum(part.dof for part in one.scatter)
+    scatter = tuple(
+        replace(part, chi2=float(rng.chisquare(part.dof)) + extra * part.dof / total)
+        for part in one.scatter
+    )
+    return replace(one, z=noise @ one.directions, scatter=scatter, digest=f"{index:06d}", serial=f"{index}")
+
+
+def scored_population(
+    kind: str, index: int, seed: int, units: int, share: float, size: float, pool
+) -> tuple[str, str, str, list[SessionEvidence]]:  # type: ignore[no-untyped-def]
+    """As `population`, from the pool."""
+    rng = np.random.default_rng((seed, KINDS.index(kind), index, 7))
+    if kind == "none":
+        every = [drawn_again(pool[int(rng.integers(len(pool)))][0], {}, i, rng) for i in range(units)]
+        return "", "", "", every
+    name = EFFECTS[index % len(EFFECTS)]
+    stage = name in {"stage_eccentricity", "stage_ellipticity", "backlash"}
+    axes = "" if stage else ("x", "y", "xy")[int(rng.integers(3))]
+    sign = ("common", "random")[int(rng.integers(2))]
+    tau = float(rng.choice([56.2, 100, 178, 316]))
+    variant = {"bias_temperature": "degree=1", "warm_up": f"tau={tau:g}"}.get(name, "")
+    hit = rng.permutation(units) < round(share * units)
+    every = []
+    for i in range(units):
+        while True:
+            one, limits = pool[int(rng.integers(len(pool)))]
+            keys = [key for key in one.keys if key.split("|")[:2] == [name, variant]]
+            keys = [key for key in keys if stage or key.split("|")[2] in axes]
+            if not hit[i] or (limits[name] is not None and len(keys) == (len(axes) or len(keys)) and keys):
+                break
+        weights = rng.choice([-1, 1], len(keys)) if sign == "random" else np.ones(len(keys))
+        if stage and len(keys) == 2:
+            phase = 0.7 if sign == "common" else rng.uniform(0, 2 * np.pi)
+            weights = np.array([np.cos(phase), np.sin(phase)])
+        limit = limits[name] or 0.0
+        amplitudes = {key: size * limit * float(w) for key, w in zip(keys, weights, strict=True)}
+        every.append(drawn_again(one, amplitudes if hit[i] else {}, i, rng))
+    return name, axes, sign, every
+
+
 def _in_bias(course: Floats, size: float, axis: int) -> Term:
     def basis(rows, ideal):  # type: ignore[no-untyped-def]
         out = np.zeros((1, *ideal.shape))
@@ -246,13 +314,21 @@ def hump_in_time(bench: Bench, rng: np.random.Generator) -> list[Term]:
     return [_in_bias(np.sin(np.pi * x) ** 2, 2.0 * float(bench.u_mg[0]), 0)]
 
 
-def judged(arguments: tuple[str, int, int, int, float, float]) -> Outcome:
+_POOLS: dict[int, list[tuple[SessionEvidence, dict[str, float | None]]]] = {}
+
+
+def judged(arguments: tuple[str, int, int, int, float, float, bool]) -> Outcome:
     """Draw and trace one population."""
-    kind, index, *_ = arguments
-    truth, axes, sign, evidence = population(*arguments)
-    begin = time.perf_counter()
+    kind, index, seed, units, share, size, scores = arguments
+    if scores and kind in {"effect", "none"}:
+        if seed not in _POOLS:
+            _POOLS[seed] = pool_of(seed)
+        truth, axes, sign, evidence = scored_population(kind, index, seed, units, share, size, _POOLS[seed])
+    else:
+        truth, axes, sign, evidence = population(kind, index, seed, units, share, size)
+    begin = time.process_time()
     result: PopulationResult = trace_population(evidence)
-    seconds = time.perf_counter() - begin
+    seconds = time.process_time() - begin
     right = [one for one in (*result.found, *result.sets) if truth in one.effects]
     every = [*result.found, *result.sets, *result.unnamed]
     return Outcome(
@@ -264,7 +340,7 @@ def judged(arguments: tuple[str, int, int, int, float, float]) -> Outcome:
         tuple(one.effects for one in (*result.found, *result.sets)),
         tuple(one.depends_on for one in result.unnamed),
         right[0].share if right else None,
-        right[0].share_low <= arguments[4] <= right[0].share_high if right else None,
+        right[0].share_low <= share <= right[0].share_high if right else None,
         min((one.p_value for one in every), default=None),
         seconds,
     )
@@ -284,10 +360,11 @@ def outcomes(
     share: float = 0.3,
     size: float = 0.5,
     kinds: tuple[str, ...] = KINDS,
+    scores: bool = True,
 ) -> list[Outcome]:
     """All populations."""
     work = [
-        (kind, index, seed, units, share, size)
+        (kind, index, seed, units, share, size, scores)
         for kind, count in counts(populations).items()
         if kind in kinds
         for index in range(count)
@@ -308,6 +385,7 @@ def main() -> int:
     parser.add_argument("--share", type=float, default=0.3, help="of the units that have the effect")
     parser.add_argument("--size", type=float, default=0.5, help="of each session's detection limit")
     parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--draw", choices=["scores", "sessions"], default="scores")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--json", action="store_true")
@@ -320,6 +398,7 @@ def main() -> int:
         options.share,
         options.size,
         tuple(options.kinds.split(",")),
+        options.draw == "scores",
     )
     if options.json:
         print(json.dumps([asdict(one) for one in every], indent=1))

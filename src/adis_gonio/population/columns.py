@@ -116,8 +116,8 @@ def _variants(
     if "degree" in kind.choices():
         options = [{"degree": k} for k in (1, 2, 3)]
     elif "cycles" in kind.choices():
-        shown = cycles_shown(data.conditions.covariate("angle_rad"))
-        options = [{"cycles": k} for k in shown if k <= MOST_CYCLES]
+        shown = cycles_shown(data.conditions.covariate("angle_rad"), MOST_CYCLES)
+        options = [{"cycles": k} for k in shown]
     for axes in [(letter,) for letter in AXES[: data.axes]] if kind.by_axis else [()]:
         for option in options:
             effect = kind(axes, **option)

@@ -8,7 +8,7 @@ import numpy as np
 
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.records import Floats
-from adis_gonio.population.mixture import Group, log_factor, log_sum, mixed
+from adis_gonio.population.mixture import MOST_OF_KNOWN, Group, log_factor, log_sum, mixed
 from adis_gonio.population.selection import Part, Population, group_at, parameters_of
 
 _LEVELS = (0.025, 0.975)
@@ -20,7 +20,7 @@ _FACTORS = np.geomspace(0.4, 2.5, 9)
 def share_of(population: Population, others: Sequence[Part], part: Part) -> tuple[float, float, float]:
     """Posterior mean of the share of affected sessions, and its 95 % interval; uniform prior."""
     inside = part.group.inside & population.units.seen(part.candidate.index)
-    blocks = population.beside(others, part.candidate.index)
+    blocks = population.beside(others, part.candidate.index, part.amplitudes.relative)
     log_posterior = []
     centred = bool((part.amplitudes.mean == 0).all())
     for spread in part.amplitudes.spread * _FACTORS:
@@ -40,7 +40,7 @@ def share_of(population: Population, others: Sequence[Part], part: Part) -> tupl
 
 
 def _at(factors: Sequence[tuple[Floats, Floats]], share: float) -> float:
-    rows = [weight + mixed(factor, share) for weight, factor in factors]
+    rows = [weight + mixed(factor, share, MOST_OF_KNOWN) for weight, factor in factors]
     return float(log_sum(np.stack(rows), axis=0).sum())
 
 
@@ -71,7 +71,7 @@ def _uncertainty(population: Population, others: Sequence[Part], part: Part) -> 
     if len(at) == 2:
         return None
     inside = part.group.inside
-    blocks = population.beside(others, part.candidate.index)
+    blocks = population.beside(others, part.candidate.index, part.amplitudes.relative)
 
     def value(parameters: Floats) -> float:
         group: Group = group_at(parameters, start)

@@ -171,6 +171,10 @@ def _common(population: Population, others: Sequence[Part], step: Step) -> Commo
     share, low, high = share_of(population, others, part)
     mean, spread = means_of(population, others, part)
     probable = population.affected(others, part)
+    if (part.amplitudes.mean == 0).all():
+        # Without a common sign many small amplitudes and few large ones look alike.
+        seen = units.seen(part.candidate.index) & part.group.inside
+        low = min(low, float((probable[seen] > 0.5).mean()))
     order = [int(i) for i in np.argsort(-probable) if probable[i] > 0.5]
     return Common(
         effects=tuple(name for name, _ in names) if told else (),
@@ -187,6 +191,7 @@ def _common(population: Population, others: Sequence[Part], step: Step) -> Commo
         share_high=high,
         mean=mean,
         spread=spread,
+        relative=part.amplitudes.relative,
         p_value=min(1.0, math.exp(-step.log_evidence)),
         heldout_gain=step.heldout,
         affected=tuple(_unit(units, i, float(probable[i])) for i in order),

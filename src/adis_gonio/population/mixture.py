@@ -1,7 +1,8 @@
 """The hierarchical likelihood of one cause over many sessions.
 
-A unit is affected with probability w; its amplitudes are then θ ~ N(μ, τ² 1), in typical standard
-uncertainties, else zero. With score s and information G of a unit,
+A unit is affected with probability w; its amplitudes are then θ ~ N(μ, τ² 1), else zero: alike in their
+unit, or alike against what each session can show (amplitudes that differ by orders of magnitude between
+sessions of unlike length and noise; half of the prior each). With score s and information G of a unit,
 
     ln B(μ, τ) = sᵀμ − ½ μᵀGμ + ½ (s − Gμ)ᵀ (G + 1/τ²)⁻¹ (s − Gμ) − ½ ln |1 + τ² G|
 
@@ -24,6 +25,8 @@ from adis_gonio.model.records import Floats
 
 MOST = float(np.log(1000.0))
 """Log of the largest Bayes factor of one unit: a gross session is a matter of that session."""
+MOST_OF_KNOWN = 5 * MOST
+"""The same where the distribution of a cause that stands is estimated."""
 SHARES = (0.03, 0.1, 0.2, 0.35, 0.6, 1.0)
 """Shares w of the units: below 3 % there is nothing common."""
 SPREADS = (0.35, 0.7, 1.4, 2.8, 5.6, 11.0)
@@ -48,11 +51,15 @@ class Block:
 
 @dataclass(frozen=True)
 class Group:
-    """How the amplitudes of affected units are distributed: N(mean (d,), spread² 1), in a share of them."""
+    """How the amplitudes of affected units are distributed: N(mean (d,), spread² 1), in a share of them.
+
+    They are in the typical standard uncertainty of all sessions, or, where `relative`, in each one's own.
+    """
 
     share: float
     mean: Floats
     spread: float
+    relative: bool = False
 
 
 def log_factor(block: Block, mean: Floats, spread: float | Floats) -> Floats:
@@ -84,6 +91,7 @@ class Grid:
     ----------
     mean : (h, d) float
     spread, share, log_prior : (h,) float
+        The prior is that of either unit of the amplitudes: half of it stands for each.
     """
 
     mean: Floats
@@ -92,8 +100,14 @@ class Grid:
     log_prior: Floats
 
     def group(self, k: int) -> Group:
-        """One of them."""
-        return Group(float(self.share[k]), self.mean[k], float(self.spread[k]))
+        """One of them; from h on the relative ones."""
+        relative, k = divmod(k, len(self.share))
+        return Group(float(self.share[k]), self.mean[k], float(self.spread[k]), bool(relative))
+
+    @property
+    def log_priors(self) -> Floats:
+        """Of all (2 h,), the relative ones after the others."""
+        return np.tile(self.log_prior - np.log(2), 2)
 
 
 def grid_of(width: int) -> Grid:
@@ -131,9 +145,9 @@ def gains(block: Block, grid: Grid) -> Floats:
     return np.concatenate([mixed(factors, share) for share in SHARES], axis=1)
 
 
-def mixed(log_factor: Floats, share: float) -> Floats:
-    """Log likelihood ln(1 − w + w B) with B cut at `MOST`."""
-    cut = np.minimum(log_factor, MOST)
+def mixed(log_factor: Floats, share: float, most: float = MOST) -> Floats:
+    """Log likelihood ln(1 − w + w B) with ln B cut at `most`."""
+    cut = np.minimum(log_factor, most)
     if share >= 1:
         return np.asarray(cut)
     return np.asarray(np.logaddexp(np.log1p(-share), np.log(share) + cut))

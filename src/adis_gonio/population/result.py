@@ -52,11 +52,16 @@ class Common:
     sessions : int
         Sessions of the group that can see it.
     share : float
-        Of them that are affected, with its 95 % interval in `share_low`, `share_high`.
+        Of them that are affected, with its 95 % interval in `share_low`, `share_high`. Where the sign is
+        not common, the interval begins with those that are affected for themselves: share and spread are
+        then told apart by the shape of the normal distribution only.
     mean : mapping of str to Value
         Mean amplitude of affected sessions by parameter; zero where its sign is not common.
     spread : mapping of str to float
         Standard deviation of the amplitudes about it, in the same units.
+    relative : bool
+        True where amplitudes are alike against what each session can show rather than in their unit; `mean`
+        and `spread` are then those of a session of median uncertainty.
     p_value : float
         At most this probable where no session has any cause (beside those found before).
     heldout_gain : float
@@ -79,6 +84,7 @@ class Common:
     share_high: float
     mean: Mapping[str, Value]
     spread: Mapping[str, float]
+    relative: bool
     p_value: float
     heldout_gain: float
     affected: tuple[Affected, ...] = ()
@@ -104,6 +110,7 @@ class Common:
                 "share": {"value": self.share, "low": self.share_low, "high": self.share_high},
                 "mean": {name: value.as_dict() for name, value in self.mean.items()},
                 "spread": self.spread,
+                "relative": self.relative,
                 "p_value": self.p_value,
                 "heldout_gain": self.heldout_gain,
                 "affected": [unit.as_dict() for unit in self.affected],

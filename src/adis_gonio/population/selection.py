@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from adis_gonio.model.records import Floats
 from adis_gonio.population.candidates import Candidate
 from adis_gonio.population.mixture import (
-    MOST,
+    MOST_OF_KNOWN,
     Block,
     Group,
     gains,
@@ -149,9 +149,11 @@ class Population:
         folds = self.fold[None, :] == np.arange(FOLDS)[:, None]
         self._sums = (inside[:, None, :] & folds[None, :, :]).reshape(-1, len(units)).astype(float)
 
-    def beside(self, parts: Sequence[Part], index: Sequence[int]) -> list[tuple[Floats, Block]]:
+    def beside(
+        self, parts: Sequence[Part], index: Sequence[int], relative: bool = False
+    ) -> list[tuple[Floats, Block]]:
         """Log probability (n,) of each combination of parts, and the block (columns) left beside it."""
-        own = self.units.joint(index)
+        own = self.units.joint(index, relative)
         if not parts:
             return [(np.zeros(len(self.units)), own)]
         out = []
@@ -164,12 +166,12 @@ class Population:
                     inside, np.log(share if there else 1 - share), -np.inf if there else 0.0
                 )
             chosen = [part for part, there in zip(parts, present, strict=True) if there]
-            out.append(self._given(chosen, index, own, log_prior))
+            out.append(self._given(chosen, index, own, log_prior, relative))
         norm = log_sum(np.stack([weight for weight, _ in out]), axis=0)
         return [(weight - norm, block) for weight, block in out]
 
     def _given(
-        self, chosen: Sequence[Part], index: Sequence[int], own: Block, log_prior: Floats
+        self, chosen: Sequence[Part], index: Sequence[int], own: Block, log_prior: Floats, relative: bool
     ) -> tuple[Floats, Block]:
         """The block where some parts are present, their amplitudes averaged out."""
         if not chosen:
@@ -179,7 +181,8 @@ class Population:
         spread = np.concatenate(
             [np.full(len(part.candidate.index), part.amplitudes.spread) for part in chosen]
         )
-        both = self.units.joint([*held, *index])
+        in_own = [part.amplitudes.relative for part in chosen for _ in part.candidate.index]
+        both = self.units.joint([*held, *index], [*in_own, *([relative] * len(index))])
         a = len(held)
         first = Block(both.score[:, :a], both.information[:, :a, :a])
         across = both.information[:, :a, a:]
@@ -191,12 +194,14 @@ class Population:
         return log_prior + log_factor(first, mean, spread), Block(score, information)
 
     def by_unit(self, parts: Sequence[Part], candidate: Candidate) -> Floats:
-        """Log gain (n, h) of each unit at each distribution of the candidate's grid."""
+        """Log gain (n, 2 h) of each unit at each distribution of the candidate's grid."""
         grid = grid_of(len(candidate.index))
-        rows = [
-            weight[:, None] + gains(block, grid) for weight, block in self.beside(parts, candidate.index)
-        ]
-        return rows[0] if len(rows) == 1 else log_sum(np.stack(rows), axis=0)
+        out = []
+        for relative in (False, True):
+            blocks = self.beside(parts, candidate.index, relative)
+            rows = [weight[:, None] + gains(block, grid) for weight, block in blocks]
+            out.append(rows[0] if len(rows) == 1 else log_sum(np.stack(rows), axis=0))
+        return np.concatenate(out, axis=1)
 
     def scores(self, parts: Sequence[Part], only: Sequence[Candidate] | None = None) -> Scores:
         """All candidates, or some, in all groups beside a model."""
@@ -205,12 +210,12 @@ class Population:
         evidence, best = np.zeros(shape), np.zeros(shape, dtype=np.intp)
         trained, foreseen = np.zeros((*shape, FOLDS)), np.zeros((*shape, FOLDS))
         for k, candidate in enumerate(candidates):
-            grid = grid_of(len(candidate.index))
+            prior = grid_of(len(candidate.index)).log_priors
             by_fold = (self._sums @ self.by_unit(parts, candidate)).reshape(len(self.groups), FOLDS, -1)
             whole = by_fold.sum(axis=1)
-            evidence[k] = log_sum(whole + grid.log_prior, axis=1)
-            best[k] = (whole + grid.log_prior).argmax(axis=1)
-            trained[k] = log_sum(whole[:, None] - by_fold + grid.log_prior, axis=2)
+            evidence[k] = log_sum(whole + prior, axis=1)
+            best[k] = (whole + prior).argmax(axis=1)
+            trained[k] = log_sum(whole[:, None] - by_fold + prior, axis=2)
             foreseen[k] = evidence[k][:, None] - trained[k]
         return Scores(evidence, trained, foreseen, best)
 
@@ -257,12 +262,13 @@ class Population:
         start = part.amplitudes
         blocks = [
             (weight[part.group.inside], Block(b.score[part.group.inside], b.information[part.group.inside]))
-            for weight, b in self.beside(parts, part.candidate.index)
+            for weight, b in self.beside(parts, part.candidate.index, part.amplitudes.relative)
         ]
 
         def at(amplitudes: Group) -> float:
             rows = [
-                w + mixed(log_factor(b, amplitudes.mean, amplitudes.spread), amplitudes.share)
+                w
+                + mixed(log_factor(b, amplitudes.mean, amplitudes.spread), amplitudes.share, MOST_OF_KNOWN)
                 for w, b in blocks
             ]
             return float(log_sum(np.stack(rows), axis=0).sum())
@@ -281,7 +287,7 @@ class Population:
         amplitudes = part.amplitudes
         share = min(amplitudes.share, 1 - 1e-9)
         with_, without = [], []
-        for weight, block in self.beside(parts, part.candidate.index):
+        for weight, block in self.beside(parts, part.candidate.index, part.amplitudes.relative):
             factor = log_factor(block, amplitudes.mean, amplitudes.spread)
             with_.append(weight + np.log(share) + factor)
             without.append(weight + np.log1p(-share))
@@ -292,8 +298,8 @@ class Population:
         """Log likelihood that a part adds, without the units that add most to it."""
         amplitudes = part.amplitudes
         rows = [
-            w + mixed(np.minimum(log_factor(b, amplitudes.mean, amplitudes.spread), MOST), amplitudes.share)
-            for w, b in self.beside(parts, part.candidate.index)
+            w + mixed(log_factor(b, amplitudes.mean, amplitudes.spread), amplitudes.share)
+            for w, b in self.beside(parts, part.candidate.index, part.amplitudes.relative)
         ]
         own = np.sort(log_sum(np.stack(rows), axis=0)[part.group.inside])
         return float(own[: max(len(own) - count, 0)].sum())
@@ -310,7 +316,8 @@ def group_at(parameters: Floats, like: Group) -> Group:
     """The reverse of `parameters_of`."""
     share = 1 / (1 + np.exp(-np.clip(parameters[0], -8, 12)))
     spread = float(np.exp(np.clip(parameters[1], -4, 5)))
-    return Group(float(share), like.mean if len(parameters) == 2 else parameters[2:], spread)
+    mean = like.mean if len(parameters) == 2 else parameters[2:]
+    return Group(float(share), mean, spread, like.relative)
 
 
 def _heldout(scores: Scores, prior: Floats) -> float:

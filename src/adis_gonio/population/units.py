@@ -60,10 +60,14 @@ class Units:
         """Sessions (n,) that see any of the columns."""
         return np.asarray((self.length[:, list(index)] > 0).any(axis=1))
 
-    def joint(self, index: Sequence[int]) -> Block:
-        """Score and information by some of the columns, amplitudes in `typical`."""
+    def joint(self, index: Sequence[int], relative: Sequence[bool] | bool = False) -> Block:
+        """Score and information by some of the columns.
+
+        Amplitudes are in `typical`, or, where `relative`, in each session's own standard uncertainty.
+        """
         chosen = list(index)
         length = self.length[:, chosen]
+        length = np.where(np.broadcast_to(relative, len(chosen)), (length > 0) * 1.0, length)
         ways = self.directions[:, :, chosen].astype(float)
         gram = ways.transpose(0, 2, 1) @ ways
         return Block(self.z[:, chosen] * length, gram * length[:, :, None] * length[:, None, :])
