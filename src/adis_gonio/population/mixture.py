@@ -25,7 +25,7 @@ from adis_gonio.model.records import Floats
 
 MOST = float(np.log(1000.0))
 """Log of the largest Bayes factor of one unit: a gross session is a matter of that session."""
-MOST_OF_KNOWN = 5 * MOST
+MOST_OF_KNOWN = 100.0
 """The same where the distribution of a cause that stands is estimated."""
 SHARES = (0.03, 0.1, 0.2, 0.35, 0.6, 1.0)
 """Shares w of the units: below 3 % there is nothing common."""
@@ -135,14 +135,14 @@ def _ways(width: int) -> list[Floats]:
     return ways
 
 
-def gains(block: Block, grid: Grid) -> Floats:
+def gains(block: Block, grid: Grid, most: float = MOST) -> Floats:
     """Log likelihood ln(1 − w + w B) of each unit (n,) at each distribution (h,) of the grid."""
     h = len(grid.share) // len(SHARES)
     factors = np.empty((len(block.score), h))
     for spread in np.unique(grid.spread[:h]):
         rows = np.flatnonzero(grid.spread[:h] == spread)
         factors[:, rows] = log_factors(block, grid.mean[rows], float(spread))
-    return np.concatenate([mixed(factors, share) for share in SHARES], axis=1)
+    return np.concatenate([mixed(factors, share, most) for share in SHARES], axis=1)
 
 
 def mixed(log_factor: Floats, share: float, most: float = MOST) -> Floats:

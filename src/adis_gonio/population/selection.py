@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from adis_gonio.model.records import Floats
 from adis_gonio.population.candidates import Candidate
 from adis_gonio.population.mixture import (
+    MOST,
     MOST_OF_KNOWN,
     Block,
     Group,
@@ -193,13 +194,13 @@ class Population:
         information = own.information - across.transpose(0, 2, 1) @ solved[:, :, 1:]
         return log_prior + log_factor(first, mean, spread), Block(score, information)
 
-    def by_unit(self, parts: Sequence[Part], candidate: Candidate) -> Floats:
+    def by_unit(self, parts: Sequence[Part], candidate: Candidate, most: float = MOST) -> Floats:
         """Log gain (n, 2 h) of each unit at each distribution of the candidate's grid."""
         grid = grid_of(len(candidate.index))
         out = []
         for relative in (False, True):
             blocks = self.beside(parts, candidate.index, relative)
-            rows = [weight[:, None] + gains(block, grid) for weight, block in blocks]
+            rows = [weight[:, None] + gains(block, grid, most) for weight, block in blocks]
             out.append(rows[0] if len(rows) == 1 else log_sum(np.stack(rows), axis=0))
         return np.concatenate(out, axis=1)
 
@@ -259,10 +260,11 @@ class Population:
         """The part with the distribution of greatest likelihood beside the others."""
         from scipy.optimize import minimize
 
-        start = part.amplitudes
+        likely = self.by_unit(parts, part.candidate, MOST_OF_KNOWN)[part.group.inside].sum(axis=0)
+        start = grid_of(len(part.candidate.index)).group(int(likely.argmax()))
         blocks = [
             (weight[part.group.inside], Block(b.score[part.group.inside], b.information[part.group.inside]))
-            for weight, b in self.beside(parts, part.candidate.index, part.amplitudes.relative)
+            for weight, b in self.beside(parts, part.candidate.index, start.relative)
         ]
 
         def at(amplitudes: Group) -> float:
