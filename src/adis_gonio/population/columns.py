@@ -63,6 +63,11 @@ class Column:
         mark = "" if self.named else "~"
         return "|".join([mark + self.cause, self.variant, self.axes, self.parameter, self.unit])
 
+    @property
+    def weight(self) -> float:
+        """Size expected beside the others of its cause: a random walk has 1/k of cosine k in time."""
+        return 1.0 if self.named or self.cause != "time" else 1 / int(self.parameter.split("_")[0])
+
     @classmethod
     def of(cls, key: str) -> Column:
         """The column of a key; `ValueError` where it is none."""

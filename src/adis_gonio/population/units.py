@@ -36,7 +36,8 @@ class Units:
     inflation : (n,) float
         Factor on each session's noise variance.
     typical : (m,) float
-        Median standard uncertainty of each amplitude over the sessions that see it, in its unit.
+        Median standard uncertainty of each amplitude over the sessions that see it, in its unit; times
+        `Column.weight`.
     z : (n, m) float
         Scores, inflated noise taken into account; zero where a session cannot see a column.
     length : (n, m) float
@@ -67,7 +68,8 @@ class Units:
         """
         chosen = list(index)
         length = self.length[:, chosen]
-        length = np.where(np.broadcast_to(relative, len(chosen)), (length > 0) * 1.0, length)
+        alike = (length > 0) * np.array([self.columns[k].weight for k in chosen])
+        length = np.where(np.broadcast_to(relative, len(chosen)), alike, length)
         ways = self.directions[:, :, chosen].astype(float)
         gram = ways.transpose(0, 2, 1) @ ways
         return Block(self.z[:, chosen] * length, gram * length[:, :, None] * length[:, None, :])
@@ -89,10 +91,12 @@ def units_of(evidence: Sequence[SessionEvidence]) -> Units:
         z[i, own] = one.z / root
         length[i, own] = one.length / root
         directions[i, : len(one.directions), own] = one.directions.T
-    typical = np.array([1 / np.median(column[column > 0]) for column in length.T])
+    columns = tuple(Column.of(key) for key in keys)
+    weight = np.array([column.weight for column in columns])
+    typical = np.array([1 / np.median(column[column > 0]) for column in length.T]) * weight
     return Units(
         tuple(evidence),
-        tuple(Column.of(key) for key in keys),
+        columns,
         inflation,
         typical,
         z,
