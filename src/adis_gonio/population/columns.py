@@ -186,8 +186,9 @@ def _functions(conditions: Conditions, planar: bool) -> Iterator[tuple[str, bool
     ):
         if rows is not None and np.ptp(rows) > 0:
             centred = (rows - rows.mean()) / scale
-            yield name, False, over(centred, centred**2)
-            yield name, True, over(centred, centred**2)
+            # Lines have names.
+            yield name, False, over(centred**2)
+            yield name, True, over(centred**2)
     previous = conditions.previous_angle_rad
     if previous is not None and np.isfinite(previous).all():
         yield "previous angle", False, over(np.cos(previous), np.sin(previous))

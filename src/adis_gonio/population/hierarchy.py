@@ -161,13 +161,14 @@ def _common(population: Population, others: Sequence[Part], step: Step) -> Commo
     part, units = step.part, population.units
     kind = part.candidate.kind
     ranked = sorted(step.posterior.items(), key=lambda entry: -entry[1])
+    # A function without a name may hold a named one as a part: it has to be likely itself to take the name.
+    told = kind[1] and sum(p for one, p in ranked if one[1]) >= limits.sure
     names, sum_ = [], 0.0
     for one, probability in ranked:
         names.append(one)
         sum_ += probability
         if sum_ >= SET_LEVEL:
             break
-    told = all(named for _, named in names)
     share, low, high = share_of(population, others, part)
     mean, spread = means_of(population, others, part)
     probable = population.affected(others, part)
@@ -177,7 +178,7 @@ def _common(population: Population, others: Sequence[Part], step: Step) -> Commo
         low = min(low, float((probable[seen] > 0.5).mean()))
     order = [int(i) for i in np.argsort(-probable) if probable[i] > 0.5]
     return Common(
-        effects=tuple(name for name, _ in names) if told else (),
+        effects=tuple(name for name, named in names if named) if told else (),
         depends_on="" if told else _depends(names, kind),
         variant=part.candidate.variant,
         axes=part.candidate.axes,
