@@ -25,6 +25,7 @@ COMMANDS = {
     "fit": ("adis_gonio.cli.fit", "Compute ΔK, Δφ and the other parameters of a recorded session."),
     "trace": ("adis_gonio.cli.trace", "Find the physical effects behind the residual of a session."),
     "report": ("adis_gonio.cli.report", "Write the calibration report as one HTML page."),
+    "fleet": ("adis_gonio.cli.fleet", "Fit and trace many sessions, and summarise them."),
     "simulate": ("adis_gonio.cli.simulate", "Record a session from the simulated sensor."),
     "export": ("adis_gonio.cli.export", "Hand a session over: C header, JSON, CSV, certificate, …"),
     "template": ("adis_gonio.cli.template", "Make an empty samples CSV to fill in by hand."),
@@ -39,7 +40,7 @@ COMMANDS = {
 }
 
 
-_COMPUTING = frozenset({"fit", "trace", "report", "export"})
+_COMPUTING = frozenset({"fit", "trace", "report", "export", "fleet"})
 """Commands that read a file and compute: they have nothing to put back when Ctrl-C ends them."""
 
 
