@@ -1,4 +1,4 @@
-"""A worker process that is killed by any file whose name says `deadly`, as one that takes all memory would be."""
+"""A worker process that a file kills whose name says `deadly`, as one that takes all memory would."""
 
 import os
 import signal

@@ -66,21 +66,21 @@ def dask(folder: Path) -> Iterator[Dask]:
 
 
 def test_a_worker_killed_in_the_middle_loses_nothing_and_changes_nothing(tmp_path, capsys):
-    write_fleet(tmp_path / "fleet", 14, seed=10)
+    write_fleet(tmp_path / "fleet", 10, seed=10)
     out, journal = tmp_path / "a.json", tmp_path / "a.json.journal"
     with dask(tmp_path) as cluster:
         workers = [cluster.worker(), cluster.worker()]
         command = [*FLEET, str(tmp_path / "fleet"), "--scheduler", cluster.address, "-o", str(out)]
         with running(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as program:
-            until(journal, 4)
+            until(journal, 4, program)
             workers[0].kill()
             at_death = journal.read_bytes().count(b"\n")
             _, said = program.communicate(timeout=SOON_S)
         assert program.returncode == 0, said
         for one in workers:
             one.kill()
-    assert at_death < 15, "it was killed after the work"
-    assert journal.read_bytes().count(b"\n") == 15
+    assert at_death < 11, "it was killed after the work"
+    assert journal.read_bytes().count(b"\n") == 11
     assert main(["fleet", "--no-trace", str(tmp_path / "fleet"), "-o", str(tmp_path / "local.json")]) == 0
     assert out.read_bytes() == (tmp_path / "local.json").read_bytes()
 
@@ -108,7 +108,7 @@ def test_a_worker_of_another_version_and_a_cluster_without_any_are_said(tmp_path
 
 
 def test_a_scheduler_that_goes_away_ends_the_run_with_a_line_and_what_was_done_is_kept(tmp_path):
-    write_fleet(tmp_path / "fleet", 14, seed=12)
+    write_fleet(tmp_path / "fleet", 10, seed=12)
     journal = tmp_path / "a.json.journal"
     with dask(tmp_path) as cluster:
         worker = cluster.worker()
@@ -116,7 +116,7 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_line_and_what_was_done_i
             *FLEET, str(tmp_path / "fleet"), "--scheduler", cluster.address, "-o", str(tmp_path / "a.json"),
         ]  # fmt: skip
         with running(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as program:
-            until(journal, 3)
+            until(journal, 3, program)
             cluster.scheduler.kill()
             _, said = program.communicate(timeout=SOON_S)
         worker.kill()

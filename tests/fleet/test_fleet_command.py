@@ -20,33 +20,34 @@ FLEET = (sys.executable, "-m", "adis_gonio", "fleet", "--no-trace")
 SOON_S = 120
 
 
-def until(journal: Path, lines: int) -> None:
-    """Wait for a journal to hold so many lines."""
+def until(journal: Path, lines: int, program: subprocess.Popen[str]) -> None:
+    """Wait for a journal to hold so many lines, which the program writes."""
     limit = time.monotonic() + SOON_S
     while not journal.exists() or journal.read_bytes().count(b"\n") < lines:
         assert time.monotonic() < limit, "no results come in"
+        assert program.poll() is None, program.communicate(timeout=SOON_S)
         time.sleep(0.05)
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="sends signals as POSIX does")
 def test_ctrl_c_ends_it_and_the_same_command_goes_on_to_the_same_summary(tmp_path):
-    write_fleet(tmp_path / "fleet", 24, seed=6)
+    write_fleet(tmp_path / "fleet", 12, seed=6)
     out, calm = tmp_path / "a.json", tmp_path / "calm.json"
     command = [*FLEET, str(tmp_path / "fleet"), "--workers", "1", "-o"]
     with running([*command, str(out)], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as program:
-        until(tmp_path / "a.json.journal", 4)
+        until(tmp_path / "a.json.journal", 4, program)
         program.send_signal(signal.SIGINT)
         _, said = program.communicate(timeout=SOON_S)
     assert program.returncode == 130
     assert "the same command goes on from there" in said
     assert not out.exists()
     kept = (tmp_path / "a.json.journal").read_bytes()
-    assert 4 <= kept.count(b"\n") < 25
+    assert 4 <= kept.count(b"\n") < 13
     with running([*command, str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as program:
         program.communicate(timeout=SOON_S)
     assert program.returncode == 0
     assert (tmp_path / "a.json.journal").read_bytes().startswith(kept)
-    assert (tmp_path / "a.json.journal").read_bytes().count(b"\n") == 25
+    assert (tmp_path / "a.json.journal").read_bytes().count(b"\n") == 13
     assert main(["fleet", "--no-trace", str(tmp_path / "fleet"), "--workers", "2", "-o", str(calm)]) == 0
     assert out.read_bytes() == calm.read_bytes()
 
@@ -94,22 +95,28 @@ def test_wrong_usage_is_one_line_and_status_2(arguments, said, tmp_path, monkeyp
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:{port}", "nowhere", "gopher://x:1"])
-def test_no_scheduler_there_is_one_line(address, tmp_path):
+def no_scheduler(address: str, folder: Path) -> subprocess.CompletedProcess[str]:
     pytest.importorskip("distributed")
+    command = [*FLEET, *write_fleet(folder, 1, seed=9), "--scheduler", address]
+    return subprocess.run(command, capture_output=True, text=True, timeout=SOON_S, check=False)
+
+
+def test_no_scheduler_at_an_address_is_one_line(tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    address = address.format(port=port)
-    files = write_fleet(tmp_path, 1, seed=9)
-    done = subprocess.run(
-        [*FLEET, *files, "--scheduler", address],
-        capture_output=True,
-        text=True,
-        timeout=SOON_S,
-        check=False,
-    )
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    done = no_scheduler(address, tmp_path)
     assert done.returncode == 1
     last = done.stderr.strip().splitlines()[-1]
     assert last.startswith(f"adis-gonio: no scheduler answers at {address}")
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("address", ["nowhere", "gopher://x:1"])
+def test_an_address_that_is_none_is_one_line(address, tmp_path):
+    done = no_scheduler(address, tmp_path)
+    assert done.returncode == 2
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith(f"adis-gonio: --scheduler {address}: ")
+    assert last.endswith("an address is such as tcp://10.0.0.1:8786")
     assert "Traceback" not in done.stderr

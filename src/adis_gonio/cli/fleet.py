@@ -77,6 +77,7 @@ def command(
         tell = current().tell
         tell("reading")
         found = survey(names, current().share)
+        tell("waiting for workers")
         with _workers(workers, scheduler) as hands:
             fleet = run_fleet(found, options, hands, held, lambda progress: tell(str(progress)))
         tell("summary")

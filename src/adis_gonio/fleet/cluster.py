@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from adis_gonio import __version__
 from adis_gonio.counting import counted
-from adis_gonio.errors import FleetError, NotInstalledError
+from adis_gonio.errors import FleetError, NotInstalledError, UsageError
 from adis_gonio.fleet.work import Document, Job, Options, lost, work
 
 if TYPE_CHECKING:
@@ -52,6 +52,8 @@ class Cluster:
     ------
     NotInstalledError
         dask.distributed is not installed.
+    UsageError
+        The address is none.
     FleetError
         No scheduler answers, it has no worker, or a worker has another version of adis-gonio.
     """
@@ -91,7 +93,8 @@ class Cluster:
             The scheduler has gone, or all of its workers have.
         """
         arrived: queue.SimpleQueue[str] = queue.SimpleQueue()
-        waiting, running = iter(jobs), dict[str, tuple[Job, Future]]()
+        waiting = iter(jobs)
+        running: dict[str, tuple[Job, Future]] = {}
         try:
             while True:
                 # Few at a time: what waits here is lost by nobody, and does not slow the scheduler.
@@ -176,7 +179,15 @@ class Cluster:
 
 def _connected(address: str, limit_s: float) -> Client:
     from distributed import Client
+    from distributed.comm import parse_address
+    from distributed.comm.registry import get_backend
 
+    try:  # a client of an address that is none would complain once more when the program ends
+        get_backend(parse_address(address, strict=True)[0])
+    except ValueError as error:
+        raise UsageError(
+            f"--scheduler {address}: {_words(error)}; an address is such as tcp://10.0.0.1:8786"
+        ) from error
     for name in ("distributed", "tornado"):  # what has to be said is said in an error of ours
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
