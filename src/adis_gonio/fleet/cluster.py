@@ -98,7 +98,8 @@ class Cluster:
         try:
             while True:
                 # Few at a time: what waits here is lost by nobody, and does not slow the scheduler.
-                for job in islice(waiting, max(1, 2 * self._threads()) - len(running)):
+                wanted = max(1, 2 * self._threads()) - len(running)
+                for job in islice(waiting, max(0, wanted)):
                     future = self._submit(job, options)
                     running[future.key] = job, future
                     future.add_done_callback(lambda future: arrived.put(future.key))
