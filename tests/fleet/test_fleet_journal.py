@@ -14,6 +14,8 @@ from adis_gonio.errors import DataError, OutputError, SessionError
 from adis_gonio.fleet import Journal, Options, run_fleet, survey
 from adis_gonio.fleet.outputs import Outcome
 from adis_gonio.fleet.work import work
+from adis_gonio.population import evidence_of, trace_population
+from adis_gonio.session import load_session
 from fleet.sessions import write_fleet, write_session
 
 FITS = Options(trace=False)
@@ -120,6 +122,19 @@ def test_the_same_session_by_two_names_or_in_two_files_counts_once(files, tmp_pa
     assert len(fleet.documents) == len(files)
     first, *others = sorted([files[0], str(copy), str(retitled)])
     assert [(r.path, r.same_as) for r in fleet.repeated] == [(other, first) for other in others]
+
+
+def test_the_population_is_traced_from_the_journal_as_from_the_files(files, tmp_path):
+    asked = Options(trace=False, evidence=True)
+    with Journal(tmp_path / "journal") as journal:
+        run_fleet(survey(files), asked, Here(), journal)
+    with Journal(tmp_path / "journal") as journal:
+        kept = Outcome(run_fleet(survey(files), asked, Here(), journal), asked)
+    own = trace_population([evidence_of(load_session(path)) for path in files])
+    assert kept.as_dict()["population"] == own.as_dict()
+    assert kept.population_lines == own.summary()
+    few = Outcome(run_fleet(survey(files[:2]), asked, Here()), asked)
+    assert "it needs" in few.as_dict()["population"]["reason"]
 
 
 def test_what_is_no_journal_is_refused_and_left_as_it_is(tmp_path):

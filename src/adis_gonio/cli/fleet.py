@@ -45,6 +45,9 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Where results are kept as they come; by default beside the first -o.",
 )
+@click.option(
+    "--population", is_flag=True, help="Name what many sessions have in common, though too weak in each."
+)
 @json_option
 def command(
     *,
@@ -54,6 +57,7 @@ def command(
     scheduler: str | None,
     outputs: tuple[Path, ...],
     journal: Path | None,
+    population: bool,
     as_json: bool,
 ) -> int:
     """Fit and trace many sessions, and summarise parameters, effects, and who stands out.
@@ -72,7 +76,7 @@ def command(
     check_outputs(outputs, names)
     if journal is None and outputs:
         journal = outputs[0].with_name(f"{outputs[0].name}.journal")
-    options = Options(trace=trace)
+    options = Options(trace=trace, evidence=population)
     with _kept(journal) as held, working(f"fleet of {counted(len(names), 'file')}"):
         tell = current().tell
         tell("reading")
@@ -131,6 +135,10 @@ def _show(outcome: Outcome) -> None:
     screen.print()
     screen.print(words.outlying_text(summary))
     _table("Standing out", words.OUTLYING_HEAD, words.outlying_rows(summary))
+    if outcome.population_lines:
+        screen.print()
+    for line in outcome.population_lines:
+        screen.print(line)
     _table("Failed", ["file", "reason"], [list(failure) for failure in summary.failures], texts=2)
     repeated = [[one.path, one.same_as] for one in outcome.fleet.repeated]
     _table("Count once", ["file", "same session as"], repeated, texts=2)

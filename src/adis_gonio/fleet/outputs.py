@@ -7,16 +7,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from adis_gonio import __version__
-from adis_gonio.errors import UsageError
+from adis_gonio.errors import AdisGonioError, UsageError
 from adis_gonio.fleet.columns import rows_of
 from adis_gonio.fleet.run import Fleet
 from adis_gonio.fleet.summary import Summary, summarise
 from adis_gonio.fleet.work import Options
 from adis_gonio.jsonable import finite
 from adis_gonio.output import check_output, replacing
+
+if TYPE_CHECKING:
+    from adis_gonio.population import PopulationResult
 
 ENDINGS = (".parquet", ".json", ".html")
 
@@ -38,8 +41,36 @@ class Outcome:
         """Of these rows."""
         return summarise(self.rows)
 
+    @cached_property
+    def population(self) -> PopulationResult | str | None:
+        """What the sessions have in common; why nothing can be said of it; None where it was not asked."""
+        if not self.options.evidence:
+            return None
+        from adis_gonio.population import SessionEvidence, trace_population
+
+        told = [document["evidence"] for document in self.fleet.documents]
+        try:
+            return trace_population([SessionEvidence.from_dict(one) for one in told if one is not None])
+        except AdisGonioError as error:
+            return str(error)
+
+    @property
+    def population_lines(self) -> tuple[str, ...]:
+        """The same in words."""
+        found = self.population
+        if found is None:
+            return ()
+        return (f"No population trace: {found}.",) if isinstance(found, str) else found.summary()
+
     def as_dict(self) -> dict[str, Any]:
         """The JSON document: the summary, what was asked, and files that do not count."""
+        found = self.population
+        if found is not None:
+            told = {"reason": found} if isinstance(found, str) else found.as_dict()
+            return {**self._summarised(), "population": told}
+        return self._summarised()
+
+    def _summarised(self) -> dict[str, Any]:
         return {
             **self.summary.as_dict(),
             "options": self.options.as_dict(),
@@ -63,7 +94,9 @@ class Outcome:
             elif path.suffix == ".html":
                 from adis_gonio.fleet.page import build_page
 
-                beside.write_text(build_page(self.summary, self.fleet.repeated), encoding="utf-8")
+                beside.write_text(
+                    build_page(self.summary, self.fleet.repeated, self.population_lines), encoding="utf-8"
+                )
             else:
                 text = json.dumps(finite(self.as_dict()), ensure_ascii=False, indent=2, allow_nan=False)
                 beside.write_text(text + "\n", encoding="utf-8")

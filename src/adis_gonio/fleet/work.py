@@ -92,4 +92,17 @@ def work(path: str, digest: str, options: Mapping[str, bool], version: str) -> D
     from adis_gonio.memory.record import record_of
 
     record = record_of(path, trace=options["trace"])
-    return {"record": record.as_dict(), "evidence": None, "final": True}
+    evidence = _evidence(path) if options["evidence"] and record.status == "ok" else None
+    return {"record": record.as_dict(), "evidence": evidence, "final": True}
+
+
+def _evidence(path: str) -> Document | None:
+    """What a population needs of a session; None where it has nothing to say there, as one pose has not."""
+    from adis_gonio.errors import AdisGonioError
+    from adis_gonio.population import evidence_of
+    from adis_gonio.session import load_session
+
+    try:
+        return evidence_of(load_session(path)).as_dict()
+    except AdisGonioError:
+        return None

@@ -121,10 +121,10 @@ def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tupl
                 yield effect, shapes
 
 
-def cycles_shown(angle_rad: Floats) -> list[int]:
+def cycles_shown(angle_rad: Floats, most: int | None = None) -> list[int]:
     """Numbers of cycles a turn that these angles tell from a constant and from fewer cycles."""
     shown = list(range(LEAST_CYCLES))
-    for cycles in range(LEAST_CYCLES, limits.most_cycles + 1):
+    for cycles in range(LEAST_CYCLES, (limits.most_cycles if most is None else most) + 1):
         if not any(alike(cycles, fewer, angle_rad) for fewer in shown):
             shown.append(cycles)
     return shown[LEAST_CYCLES:]
