@@ -14,7 +14,7 @@ from adis_gonio.errors import DataError, OutputError, SessionError
 from adis_gonio.fleet import Journal, Options, run_fleet, survey
 from adis_gonio.fleet.outputs import Outcome
 from adis_gonio.fleet.work import work
-from adis_gonio.population import evidence_of, trace_population
+from adis_gonio.population import SessionEvidence, evidence_of, trace_population
 from adis_gonio.session import load_session
 from fleet.sessions import write_fleet, write_session
 
@@ -130,7 +130,8 @@ def test_the_population_is_traced_from_the_journal_as_from_the_files(files, tmp_
         run_fleet(survey(files), asked, Here(), journal)
     with Journal(tmp_path / "journal") as journal:
         kept = Outcome(run_fleet(survey(files), asked, Here(), journal), asked)
-    own = trace_population([evidence_of(load_session(path)) for path in files])
+    told = [evidence_of(load_session(path)).as_dict() for path in files]  # rounded, as evidence is kept
+    own = trace_population([SessionEvidence.from_dict(one) for one in told])
     assert kept.as_dict()["population"] == own.as_dict()
     assert kept.population_lines == own.summary()
     few = Outcome(run_fleet(survey(files[:2]), asked, Here()), asked)
