@@ -18,6 +18,7 @@ error                  who acts
 `FitError` and below   the plan of the session: the data do not determine what was asked
 `SessionError`         the operator or the archive
 `OutputError`          whoever owns the disk: a file cannot be written
+`FleetError`           whoever runs the machine or the cluster: no worker, no scheduler
 =====================  =================================================================
 """
 
@@ -102,3 +103,7 @@ class SessionError(AdisGonioError):
 
 class OutputError(AdisGonioError):
     """A file that was asked for cannot be written; what was there before is as it was."""
+
+
+class FleetError(AdisGonioError):
+    """Nobody is there to work on a fleet: no process can be started, no scheduler answers."""

@@ -30,6 +30,7 @@ COMMANDS = {
     "archive": ("adis_gonio.cli.archive", "List the sessions in folders, by serial number and stage."),
     "history": ("adis_gonio.cli.history", "Show what became of a sensor over its sessions."),
     "due": ("adis_gonio.cli.due", "Say when a sensor is to be calibrated next, and why."),
+    "fleet": ("adis_gonio.cli.fleet", "Fit and trace many sessions, and summarise them."),
     "simulate": ("adis_gonio.cli.simulate", "Record a session from the simulated sensor."),
     "export": ("adis_gonio.cli.export", "Hand a session over: C header, JSON, CSV, certificate, …"),
     "template": ("adis_gonio.cli.template", "Make an empty samples CSV to fill in by hand."),
@@ -45,7 +46,7 @@ COMMANDS = {
 }
 
 
-_COMPUTING = frozenset({"fit", "trace", "report", "export", "paper", "plan"})
+_COMPUTING = frozenset({"fit", "trace", "report", "export", "paper", "plan", "fleet"})
 """Commands that compute: they have nothing to put back when Ctrl-C ends them."""
 
 

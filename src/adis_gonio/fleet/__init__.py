@@ -1,0 +1,66 @@
+"""Many sessions at once: fitted and traced by many processes or machines, and summarised.
+
+Names are imported when first used, so that the package itself costs nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+_HOMES = {
+    "Cluster": "cluster",
+    "Fleet": "run",
+    "Journal": "journal",
+    "LocalPool": "pool",
+    "Options": "work",
+    "Summary": "summary",
+    "files_of": "run",
+    "read_parquet": "parquet",
+    "row_of": "columns",
+    "run_fleet": "run",
+    "summarise": "summary",
+    "survey": "run",
+    "write_parquet": "parquet",
+}
+
+__all__ = [
+    "Cluster",
+    "Fleet",
+    "Journal",
+    "LocalPool",
+    "Options",
+    "Summary",
+    "files_of",
+    "read_parquet",
+    "row_of",
+    "run_fleet",
+    "summarise",
+    "survey",
+    "write_parquet",
+]
+
+if TYPE_CHECKING:
+    from adis_gonio.fleet.cluster import Cluster as Cluster
+    from adis_gonio.fleet.columns import row_of as row_of
+    from adis_gonio.fleet.journal import Journal as Journal
+    from adis_gonio.fleet.parquet import read_parquet as read_parquet
+    from adis_gonio.fleet.parquet import write_parquet as write_parquet
+    from adis_gonio.fleet.pool import LocalPool as LocalPool
+    from adis_gonio.fleet.run import Fleet as Fleet
+    from adis_gonio.fleet.run import files_of as files_of
+    from adis_gonio.fleet.run import run_fleet as run_fleet
+    from adis_gonio.fleet.run import survey as survey
+    from adis_gonio.fleet.summary import Summary as Summary
+    from adis_gonio.fleet.summary import summarise as summarise
+    from adis_gonio.fleet.work import Options as Options
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its home when it is first asked for (PEP 562)."""
+    if name in _HOMES:
+        import importlib
+
+        value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")

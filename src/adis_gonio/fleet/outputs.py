@@ -1,0 +1,128 @@
+"""A fleet's outcome as files: the page, JSON, Parquet; the ending says which."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from adis_gonio import __version__
+from adis_gonio.errors import AdisGonioError, UsageError
+from adis_gonio.fleet.columns import rows_of
+from adis_gonio.fleet.run import Fleet
+from adis_gonio.fleet.summary import Summary, summarise
+from adis_gonio.fleet.work import Options
+from adis_gonio.jsonable import finite
+from adis_gonio.output import check_output, replacing
+
+if TYPE_CHECKING:
+    from adis_gonio.population import PopulationResult
+
+ENDINGS = (".parquet", ".json", ".html")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A fleet with its summary: the same whoever worked on it, and in whatever order."""
+
+    fleet: Fleet
+    options: Options
+
+    @cached_property
+    def rows(self) -> list[dict[str, Any]]:
+        """One row a session (`adis_gonio.fleet.columns.COLUMNS`)."""
+        return rows_of(document["record"] for document in self.fleet.documents)
+
+    @cached_property
+    def summary(self) -> Summary:
+        """Of these rows."""
+        return summarise(self.rows)
+
+    @cached_property
+    def population(self) -> PopulationResult | str | None:
+        """What the sessions have in common; why nothing can be said of it; None where it was not asked."""
+        if not self.options.evidence:
+            return None
+        from adis_gonio.population import SessionEvidence, trace_population
+
+        told = [document["evidence"] for document in self.fleet.documents]
+        try:
+            return trace_population([SessionEvidence.from_dict(one) for one in told if one is not None])
+        except AdisGonioError as error:
+            return str(error)
+
+    @property
+    def population_lines(self) -> tuple[str, ...]:
+        """The same in words."""
+        found = self.population
+        if found is None:
+            return ()
+        return (f"No population trace: {found}.",) if isinstance(found, str) else found.summary()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The JSON document: the summary, what was asked, and files that do not count."""
+        found = self.population
+        if found is not None:
+            told = {"reason": found} if isinstance(found, str) else found.as_dict()
+            return {**self._summarised(), "population": told}
+        return self._summarised()
+
+    def _summarised(self) -> dict[str, Any]:
+        return {
+            **self.summary.as_dict(),
+            "options": self.options.as_dict(),
+            "repeated": [one.as_dict() for one in self.fleet.repeated],
+        }
+
+    def write(self, path: Path) -> None:
+        """Write to a file by its ending; a file that is there is replaced.
+
+        Raises
+        ------
+        OutputError
+            It cannot be written; what was there stays.
+        """
+        with replacing(path) as beside:
+            if path.suffix == ".parquet":
+                from adis_gonio.fleet.parquet import write_parquet
+
+                about = {"software": f"adis-gonio {__version__}", "options": self.options.as_dict()}
+                write_parquet(self.rows, beside, about)
+            elif path.suffix == ".html":
+                from adis_gonio.fleet.page import build_page
+
+                beside.write_text(
+                    build_page(self.summary, self.fleet.repeated, self.population_lines), encoding="utf-8"
+                )
+            else:
+                text = json.dumps(finite(self.as_dict()), ensure_ascii=False, indent=2, allow_nan=False)
+                beside.write_text(text + "\n", encoding="utf-8")
+
+
+def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:
+    """Refuse before the work what could only fail after it.
+
+    Raises
+    ------
+    UsageError
+        An ending that is not known, or a file that is one of the sessions.
+    OutputError, NotInstalledError
+        It could not be written.
+    """
+    for path in paths:
+        if path.suffix not in ENDINGS:
+            raise UsageError(f"{path}: the ending of the file says what it is: {', '.join(ENDINGS)}")
+        if str(path) in files:
+            raise UsageError(f"{path}: is one of the sessions; name another file")
+        check_output(path, force=True)
+        if path.suffix == ".parquet":
+            from adis_gonio.fleet.parquet import require_pyarrow
+
+            require_pyarrow()
+        elif path.suffix == ".html":
+            from adis_gonio.report.svg import require_matplotlib
+
+            require_matplotlib()

@@ -1,0 +1,127 @@
+"""A real scheduler and workers of dask as processes of their own, one of which is killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+from adis_gonio.cli import main
+from fleet.sessions import write_fleet
+from fleet.test_fleet_command import FLEET, SOON_S, until
+from programs import running
+
+pytest.importorskip("distributed")
+QUIET = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+
+
+class Dask:
+    """A scheduler without workers."""
+
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
+        self._folder, self._stack = folder, stack
+        about = folder / "scheduler.json"
+        # dask may write beside itself nowhere else.
+        self.scheduler = self._started(
+            "scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", about
+        )
+        limit = time.monotonic() + SOON_S
+        while not (about.exists() and about.read_text("utf-8").strip().endswith("}")):
+            assert time.monotonic() < limit, "the scheduler does not start"
+            time.sleep(0.05)
+        self.address = json.loads(about.read_text("utf-8"))["address"]
+
+    def worker(self, **environment: str) -> subprocess.Popen[str]:
+        """A worker with one thread and nobody to start it again."""
+        return self._started(
+            "worker",
+            self.address,
+            "--nthreads",
+            "1",
+            "--no-nanny",
+            "--local-directory",
+            self._folder,
+            **environment,
+        )
+
+    def _started(self, *arguments: object, **environment: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", "dask", *map(str, arguments), "--no-dashboard"]
+        return self._stack.enter_context(running(command, env={**os.environ, **environment}, **QUIET))
+
+
+@contextmanager
+def dask(folder: Path) -> Iterator[Dask]:
+    with ExitStack() as stack:
+        made = Dask(folder, stack)
+        yield made
+        for program in (made.scheduler,):
+            program.kill()
+
+
+def test_a_worker_killed_in_the_middle_loses_nothing_and_changes_nothing(tmp_path, capsys):
+    write_fleet(tmp_path / "fleet", 10, seed=10)
+    out, journal = tmp_path / "a.json", tmp_path / "a.json.journal"
+    with dask(tmp_path) as cluster:
+        workers = [cluster.worker(), cluster.worker()]
+        command = [*FLEET, str(tmp_path / "fleet"), "--scheduler", cluster.address, "-o", str(out)]
+        with running(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as program:
+            until(journal, 4, program)
+            workers[0].kill()
+            at_death = journal.read_bytes().count(b"\n")
+            _, said = program.communicate(timeout=SOON_S)
+        assert program.returncode == 0, said
+        for one in workers:
+            one.kill()
+    assert at_death < 11, "it was killed after the work"
+    assert journal.read_bytes().count(b"\n") == 11
+    assert main(["fleet", "--no-trace", str(tmp_path / "fleet"), "-o", str(tmp_path / "local.json")]) == 0
+    assert out.read_bytes() == (tmp_path / "local.json").read_bytes()
+
+
+def test_a_worker_of_another_version_and_a_cluster_without_any_are_said(tmp_path, capsys):
+    files = write_fleet(tmp_path / "fleet", 1, seed=11)
+    old = tmp_path / "old" / "adis_gonio"
+    old.mkdir(parents=True)
+    (old / "__init__.py").write_text('__version__ = "0.0.1"\n')
+    with dask(tmp_path) as cluster:
+        empty = subprocess.run(
+            [*FLEET, *files, "--scheduler", cluster.address],
+            capture_output=True, text=True, timeout=SOON_S, check=False,
+        )  # fmt: skip
+        worker = cluster.worker(PYTHONPATH=str(old.parent))
+        other = subprocess.run(
+            [*FLEET, *files, "--scheduler", cluster.address],
+            capture_output=True, text=True, timeout=SOON_S, check=False,
+        )  # fmt: skip
+        worker.kill()
+    assert (empty.returncode, other.returncode) == (1, 1)
+    assert f"the scheduler at {cluster.address} has no worker: start some" in empty.stderr
+    assert "adis-gonio 0.0.1, here is adis-gonio" in other.stderr
+    assert "Traceback" not in empty.stderr + other.stderr
+
+
+def test_a_scheduler_that_goes_away_ends_the_run_with_a_line_and_what_was_done_is_kept(tmp_path):
+    write_fleet(tmp_path / "fleet", 10, seed=12)
+    journal = tmp_path / "a.json.journal"
+    with dask(tmp_path) as cluster:
+        worker = cluster.worker()
+        command = [
+            *FLEET, str(tmp_path / "fleet"), "--scheduler", cluster.address, "-o", str(tmp_path / "a.json"),
+        ]  # fmt: skip
+        with running(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as program:
+            until(journal, 3, program)
+            cluster.scheduler.kill()
+            _, said = program.communicate(timeout=SOON_S)
+        worker.kill()
+    assert program.returncode == 1
+    assert (
+        said.strip().splitlines()[-1].startswith(f"adis-gonio: the scheduler at {cluster.address} has gone")
+    )
+    assert journal.read_bytes().count(b"\n") >= 3

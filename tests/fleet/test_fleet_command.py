@@ -1,0 +1,122 @@
+"""`adis-gonio fleet` as a person runs it."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from adis_gonio.cli import main
+from fleet.sessions import write_fleet
+from programs import running
+
+FLEET = (sys.executable, "-m", "adis_gonio", "fleet", "--no-trace")
+SOON_S = 120
+
+
+def until(journal: Path, lines: int, program: subprocess.Popen[str]) -> None:
+    """Wait for a journal to hold so many lines, which the program writes."""
+    limit = time.monotonic() + SOON_S
+    while not journal.exists() or journal.read_bytes().count(b"\n") < lines:
+        assert time.monotonic() < limit, "no results come in"
+        assert program.poll() is None, program.communicate(timeout=SOON_S)
+        time.sleep(0.05)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="sends signals as POSIX does")
+def test_ctrl_c_ends_it_and_the_same_command_goes_on_to_the_same_summary(tmp_path):
+    write_fleet(tmp_path / "fleet", 12, seed=6)
+    out, calm = tmp_path / "a.json", tmp_path / "calm.json"
+    command = [*FLEET, str(tmp_path / "fleet"), "--workers", "1", "-o"]
+    with running([*command, str(out)], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as program:
+        until(tmp_path / "a.json.journal", 4, program)
+        program.send_signal(signal.SIGINT)
+        _, said = program.communicate(timeout=SOON_S)
+    assert program.returncode == 130
+    assert "the same command goes on from there" in said
+    assert not out.exists()
+    kept = (tmp_path / "a.json.journal").read_bytes()
+    assert 4 <= kept.count(b"\n") < 13
+    with running([*command, str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as program:
+        program.communicate(timeout=SOON_S)
+    assert program.returncode == 0
+    assert (tmp_path / "a.json.journal").read_bytes().startswith(kept)
+    assert (tmp_path / "a.json.journal").read_bytes().count(b"\n") == 13
+    assert main(["fleet", "--no-trace", str(tmp_path / "fleet"), "--workers", "2", "-o", str(calm)]) == 0
+    assert out.read_bytes() == calm.read_bytes()
+
+
+def test_a_damaged_file_is_a_row_and_the_rest_is_there(tmp_path, capsys):
+    files = write_fleet(tmp_path / "fleet", 3, seed=7)
+    bad = Path(files[1])
+    bad.write_bytes(bad.read_bytes()[: bad.stat().st_size // 2] + b"\x00\xff rubbish")
+    assert main(["fleet", *files, str(tmp_path / "none.csv"), "--no-trace", "--json"]) == 1
+    printed = capsys.readouterr()
+    document = json.loads(printed.out)
+    assert document["sessions"]["ok"] == 2
+    reasons = {Path(one["path"]).name: one["reason"] for one in document["failures"]}
+    assert sorted(reasons) == ["001.csv", "none.csv"]
+    assert "cannot be read: No such file" in reasons["none.csv"]
+    assert "2 sessions of 4 failed" in printed.err
+
+
+def test_the_tables_on_the_terminal_say_what_the_json_says(tmp_path, capsys):
+    files = write_fleet(tmp_path / "fleet", 4, seed=8)
+    assert main(["fleet", *files, "--no-trace", "--workers", "1"]) == 0
+    said = capsys.readouterr().out
+    assert "4 of 4 sessions have a result, of 2 units on 4 stages by 3 operators." in said
+    assert "ΔK" in said
+    assert "No session was traced" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "Missing argument 'FILES…'"),
+        (["."], "there is no session in .: give files, or folders with .session, .csv, .csv.gz"),
+        (["a.csv", "--workers", "2", "--scheduler", "tcp://x:1"], "--workers and --scheduler"),
+        (["a.csv", "--workers", "0"], "0 is not in the range"),
+        (["a.csv", "-o", "a.csv"], "the ending of the file says what it is: .parquet, .json, .html"),
+        (["a.json", "-o", "a.json"], "is one of the sessions"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_status_2(arguments, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["fleet", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def no_scheduler(address: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    pytest.importorskip("distributed")
+    command = [*FLEET, *write_fleet(folder, 1, seed=9), "--scheduler", address]
+    return subprocess.run(command, capture_output=True, text=True, timeout=SOON_S, check=False)
+
+
+def test_no_scheduler_at_an_address_is_one_line(tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    done = no_scheduler(address, tmp_path)
+    assert done.returncode == 1
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith(f"adis-gonio: no scheduler answers at {address}")
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("address", ["nowhere", "gopher://x:1"])
+def test_an_address_that_is_none_is_one_line(address, tmp_path):
+    done = no_scheduler(address, tmp_path)
+    assert done.returncode == 2
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith(f"adis-gonio: --scheduler {address}: ")
+    assert last.endswith("an address is such as tcp://10.0.0.1:8786")
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,162 @@
+"""What was done is on the disk, and is not done again."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adis_gonio import __version__
+from adis_gonio.errors import DataError, OutputError, SessionError
+from adis_gonio.fleet import Journal, Options, run_fleet, survey
+from adis_gonio.fleet.outputs import Outcome
+from adis_gonio.fleet.work import work
+from adis_gonio.population import SessionEvidence, evidence_of, trace_population
+from adis_gonio.session import load_session
+from fleet.sessions import write_fleet, write_session
+
+FITS = Options(trace=False)
+
+
+class Here:
+    """Works in this process, in an order of its own, and keeps what it was given."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self._rng = np.random.default_rng(seed)
+        self.given: list[str] = []
+
+    def results(self, jobs, options):
+        for k in self._rng.permutation(len(jobs)):
+            job = jobs[k]
+            self.given.append(job.path)
+            yield job, work(job.path, job.digest, options.as_dict(), __version__)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_fleet(tmp_path_factory.mktemp("fleet"), 6, seed=4)
+
+
+def document_of(fleet):
+    return Outcome(fleet, FITS).as_dict()
+
+
+def test_the_order_of_arrival_changes_no_byte(files, tmp_path):
+    found, written = survey(files), []
+    for seed in (1, 2):
+        fleet = run_fleet(found, FITS, Here(seed))
+        path = tmp_path / "a.parquet"
+        Outcome(fleet, FITS).write(path)
+        written.append((document_of(fleet), path.read_bytes()))
+    assert written[0] == written[1]
+
+
+def test_a_full_disk_loses_nothing_and_the_run_goes_on_where_it_stopped(files, tmp_path, monkeypatch):
+    found, path = survey(files), tmp_path / "journal"
+    whole = run_fleet(found, FITS, Here())
+    real, room = os.write, [3]
+
+    def full(descriptor, data):
+        room[0] -= 1
+        if room[0] == 0:
+            return real(descriptor, data[:40])  # a disk takes what it has room for, then nothing
+        if room[0] < 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return real(descriptor, data)
+
+    with Journal(path) as journal, monkeypatch.context() as patched:
+        patched.setattr(os, "write", full)
+        with pytest.raises(OutputError, match=r"No space left on device; it holds 2 sessions: make room"):
+            run_fleet(found, FITS, Here(), journal)
+    again = Here()
+    with Journal(path) as journal:
+        fleet = run_fleet(found, FITS, again, journal)
+    assert (fleet.again, len(again.given)) == (2, 4)
+    assert document_of(fleet) == document_of(whole)
+    nobody = Here()
+    with Journal(path) as journal:
+        assert document_of(run_fleet(found, FITS, nobody, journal)) == document_of(whole)
+    assert nobody.given == []
+
+
+def test_a_line_torn_by_a_crash_is_done_again_and_the_others_are_not(files, tmp_path):
+    found, path = survey(files), tmp_path / "journal"
+    with Journal(path) as journal:
+        run_fleet(found, FITS, Here(), journal)
+    path.write_bytes(path.read_bytes()[:-30])
+    hands = Here()
+    with Journal(path) as journal:
+        run_fleet(found, FITS, hands, journal)
+    assert len(hands.given) == 1
+    assert len(path.read_text("utf-8").splitlines()) == 1 + len(files)
+
+
+def test_other_options_and_other_bytes_are_done_and_another_name_is_not(files, tmp_path):
+    path = tmp_path / "journal"
+    one = Path(files[0])
+    copy = tmp_path / "renamed.csv"
+    copy.write_bytes(one.read_bytes())
+    changed = tmp_path / "changed.csv"
+    changed.write_bytes(one.read_bytes().replace(b"# title: ", b"# title: new"))
+    with Journal(path) as journal:
+        run_fleet(survey([str(one)]), FITS, Here(), journal)
+    for name, options, done in (
+        (copy, FITS, False), (changed, FITS, True), (one, Options(trace=False, evidence=True), True),
+    ):  # fmt: skip
+        hands = Here()
+        with Journal(path) as journal:
+            fleet = run_fleet(survey([str(name)]), options, hands, journal)
+        assert bool(hands.given) == done
+        assert fleet.documents[0]["record"]["path"] == str(name)
+
+
+def test_the_same_session_by_two_names_or_in_two_files_counts_once(files, tmp_path):
+    one = Path(files[0])
+    copy, retitled = tmp_path / "copy.csv", tmp_path / "retitled.csv"
+    copy.write_bytes(one.read_bytes())
+    retitled.write_bytes(one.read_bytes().replace(b"# title: ", b"# title: new"))
+    fleet = run_fleet(survey([str(copy), *files, files[0], str(retitled)]), FITS, Here())
+    assert len(fleet.documents) == len(files)
+    first, *others = sorted([files[0], str(copy), str(retitled)])
+    assert [(r.path, r.same_as) for r in fleet.repeated] == [(other, first) for other in others]
+
+
+def test_the_population_is_traced_from_the_journal_as_from_the_files(files, tmp_path):
+    asked = Options(trace=False, evidence=True)
+    with Journal(tmp_path / "journal") as journal:
+        run_fleet(survey(files), asked, Here(), journal)
+    with Journal(tmp_path / "journal") as journal:
+        kept = Outcome(run_fleet(survey(files), asked, Here(), journal), asked)
+    told = [evidence_of(load_session(path)).as_dict() for path in files]  # rounded, as evidence is kept
+    own = trace_population([SessionEvidence.from_dict(one) for one in told])
+    assert kept.as_dict()["population"] == own.as_dict()
+    assert kept.population_lines == own.summary()
+    few = Outcome(run_fleet(survey(files[:2]), asked, Here()), asked)
+    assert "it needs" in few.as_dict()["population"]["reason"]
+
+
+def test_what_is_no_journal_is_refused_and_left_as_it_is(tmp_path):
+    path = write_session(tmp_path / "a.csv", np.random.default_rng(5))
+    before = path.read_bytes()
+    with pytest.raises(DataError, match="is no journal of fleet"):
+        Journal(path)
+    assert path.read_bytes() == before
+
+
+def test_a_damaged_line_in_the_middle_is_named(tmp_path, files):
+    path = tmp_path / "journal"
+    with Journal(path) as journal:
+        run_fleet(survey(files[:2]), FITS, Here(), journal)
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(lines[0] + b"rubbish\n" + lines[2])
+    with pytest.raises(DataError, match="line 2 is damaged"):
+        Journal(path)
+
+
+def test_two_runs_do_not_write_to_one_journal(tmp_path):
+    pytest.importorskip("fcntl")
+    with Journal(tmp_path / "journal"), pytest.raises(SessionError, match="another run is writing"):
+        Journal(tmp_path / "journal")

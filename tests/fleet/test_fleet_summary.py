@@ -1,0 +1,190 @@
+"""What a fleet says, against independent libraries and against truth that was put in."""
+
+from __future__ import annotations
+
+import json
+import math
+import zlib
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2, fisher_exact
+
+from adis_gonio.errors import DataError
+from adis_gonio.fleet import read_parquet, row_of, summarise, write_parquet
+from adis_gonio.fleet.columns import COLUMNS
+from adis_gonio.fleet.outlying import LEVEL, by_share
+from adis_gonio.fleet.page import build_page
+from adis_gonio.fleet.statistics import beyond, repeats, wilson
+from adis_gonio.memory.record import SessionRecord
+from fleet.sessions import quiet_rows, row
+
+
+@pytest.fixture
+def rng(request):
+    """One for each test, always the same."""
+    return np.random.default_rng(zlib.crc32(request.node.name.encode()))
+
+
+def found(summary):
+    return {(one.kind, one.name, one.quantity) for one in summary.outlying}
+
+
+@pytest.mark.parametrize(("hits", "n"), [(0, 7), (1, 7), (7, 7), (37, 1000)])
+def test_the_interval_of_a_frequency_is_that_of_statsmodels(hits, n):
+    proportion = pytest.importorskip("statsmodels.stats.proportion")
+    assert wilson(hits, n) == pytest.approx(
+        proportion.proportion_confint(hits, n, method="wilson"), abs=1e-12
+    )
+
+
+def test_scatter_beyond_u_is_that_of_statsmodels(rng):
+    meta = pytest.importorskip("statsmodels.stats.meta_analysis")
+    u = rng.uniform(0.5, 2.0, 40)
+    values = 3 + rng.normal(0, 1.5, 40) + u * rng.normal(size=40)
+    own = beyond(values, u, np.full(40, np.inf))
+    other = meta.combine_effects(values, u**2, method_re="iterated")
+    assert own.tau**2 == pytest.approx(other.tau2, rel=1e-3)
+    assert own.q == pytest.approx(other.q)
+    assert own.p_value == pytest.approx(chi2.sf(other.q, 39))
+    assert own.tau_low < own.tau < own.tau_high
+
+
+@pytest.mark.parametrize("dof", [4.0, math.inf])
+def test_where_u_explains_all_no_scatter_is_claimed(dof, rng):
+    """With few degrees of freedom too: p-values below 5 % come in about 5 % of 400 fleets."""
+    said = 0
+    for _ in range(400):
+        u = np.sqrt(rng.chisquare(dof, 30) / dof) if math.isfinite(dof) else np.ones(30)
+        said += beyond(rng.normal(size=30), u, np.full(30, dof)).p_value < 0.05
+    # Student's own weights make the weighted mean a little better than it is said to be.
+    assert binom.ppf(0.0005, 400, 0.03) <= said <= binom.ppf(0.9995, 400, 0.07)
+
+
+def test_repeats_show_whether_u_is_honest(rng):
+    unit = np.repeat(np.arange(200), 3)
+    truth = rng.normal(0, 10, 200)[unit]
+    none = np.full(600, np.inf)
+    honest = repeats(truth + rng.normal(size=600), np.ones(600), none, unit)
+    assert (honest.units, honest.sessions) == (200, 600)
+    assert honest.ratio == pytest.approx(1, abs=4 / math.sqrt(2 * 400))
+    bold = repeats(truth + rng.normal(size=600), np.full(600, 0.5), none, unit)
+    assert bold.ratio == pytest.approx(2, abs=8 / math.sqrt(2 * 400))
+    assert bold.p_value < 1e-6
+    assert repeats(truth, np.ones(600), none, np.full(600, -1)) is None
+
+
+def test_in_fleets_without_any_odd_one_hardly_ever_anyone_is_named(rng):
+    named = sum(bool(summarise(quiet_rows(rng, 60)).outlying) for _ in range(100))
+    assert named <= binom.ppf(0.999, 100, LEVEL)
+
+
+def test_a_stage_an_operator_and_a_unit_that_are_odd_are_named_and_nobody_else(
+    rng,
+):
+    rows = quiet_rows(rng, 240)
+    for one in rows:
+        if one["stage"] == "stage 2":
+            one["effects"] = sorted({*one["effects"], "eccentricity"})
+        if one["operator"] == "op 1":
+            one["bias_x"] += 3
+    rows[17]["delta_k"] += 12
+    summary = summarise(rows)
+    assert found(summary) == {
+        ("stage", "stage 2", "effect eccentricity"),
+        ("operator", "op 1", "bias_x"),
+        ("unit", "SN17", "delta_k"),
+    }
+    stage = next(one for one in summary.outlying if one.kind == "stage")
+    assert stage.value == 1.0
+    assert stage.others == pytest.approx(0.2, abs=0.1)
+    assert all(
+        one.adjusted_p == pytest.approx(min(1, one.p_value * summary.tests)) for one in summary.outlying
+    )
+
+
+def test_many_sessions_of_one_unit_are_no_many_witnesses_against_a_stage(rng):
+    rows = quiet_rows(rng, 60)
+    for k in range(30):
+        rows.append(row(100 + k, **{**rows[0], "path": f"x{k}", "stage": "new stage", "bias_x": 9.0}))
+    assert not {one for one in found(summarise(rows)) if one[0] == "stage"}
+
+
+def test_a_stage_and_its_only_operator_are_not_told_apart(rng):
+    rows = quiet_rows(rng, 120)
+    for one in rows:
+        one["operator"] = "Ann" if one["stage"] == "stage 1" else "Bob"
+        one["bias_y"] += 4 * (one["stage"] == "stage 1")
+    told = {one.name: one.same_sessions_as for one in summarise(rows).outlying if one.quantity == "bias_y"}
+    assert told["stage 1"] == ("operator Ann",)
+
+
+def test_a_share_is_judged_as_by_fishers_exact_test():
+    shown = np.r_[np.ones(5), np.zeros(3), np.ones(4), np.zeros(40)].astype(bool)
+    group = np.r_[np.zeros(8), np.ones(44)].astype(int)
+    test = by_share("stage", "x", shown, group, np.arange(52)).find(1.0)[0]
+    assert test.p_value == pytest.approx(fisher_exact([[5, 3], [4, 40]], "greater").pvalue)
+
+
+def test_the_order_of_rows_changes_nothing(rng):
+    rows = quiet_rows(rng, 50)
+    first = json.dumps(summarise(rows).as_dict())
+    assert json.dumps(summarise([rows[k] for k in rng.permutation(50)]).as_dict()) == first
+
+
+def test_failed_rows_are_counted_and_take_no_part(rng):
+    rows = quiet_rows(rng, 20)
+    failed = {**row_of(SessionRecord("broken.csv", status="failed", reason="broken.csv, row 3: no number"))}
+    document = summarise([*rows, failed]).as_dict()
+    assert document["sessions"]["failed"] == 1
+    assert document["failures"] == [{"path": "broken.csv", "reason": "broken.csv, row 3: no number"}]
+    assert document["parameters"] == summarise(rows).as_dict()["parameters"]
+    assert summarise([failed]).as_dict()["parameters"] == {}
+
+
+def test_duckdb_can_ask_the_table_and_every_column_is_described(tmp_path, rng):
+    duckdb = pytest.importorskip("duckdb")
+    rows, path = quiet_rows(rng, 90), tmp_path / "fleet.parquet"
+    write_parquet(rows, path, {"software": "test"})
+    asked = duckdb.sql(
+        "select stage, count(*), avg(delta_k), count(*) filter (list_contains(effects, 'backlash'))"
+        f" from '{path}' where status = 'ok' group by stage order by stage"
+    ).fetchall()
+    for stage, count, mean, backlash in asked:
+        own = [one for one in rows if one["stage"] == stage]
+        assert (count, backlash) == (len(own), sum("backlash" in one["effects"] for one in own))
+        assert mean == pytest.approx(np.mean([one["delta_k"] for one in own]))
+    assert len(asked) == 4
+    table = read_parquet(path)
+    assert table.column_names == list(COLUMNS)
+    for field in table.schema:
+        assert field.metadata[b"meaning"]
+        assert field.metadata[b"unit"] == COLUMNS[field.name][1].encode()
+    assert summarise(table).as_dict() == summarise(rows).as_dict()
+
+
+def test_another_parquet_file_is_refused(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.table({"a": [1]}), tmp_path / "a.parquet")
+    with pytest.raises(DataError, match="is no table of a fleet: it has no column path"):
+        read_parquet(tmp_path / "a.parquet")
+    with pytest.raises(DataError, match=r"none\.parquet: cannot be read as Parquet"):
+        read_parquet(tmp_path / "none.parquet")
+
+
+def test_the_page_says_what_the_summary_says_and_escapes_what_files_say(rng):
+    rows = quiet_rows(rng, 120)
+    for one in rows:
+        if one["stage"] == "stage 3":
+            one |= {"stage": "<script>x</script>", "bias_x": one["bias_x"] + 5}
+    rows.append(row_of(SessionRecord("<b>.csv", status="failed", reason="<i>")))
+    page = build_page(summarise(rows), population=["One effect is common to all."])
+    assert page == build_page(summarise(list(reversed(rows))), population=["One effect is common to all."])
+    assert "120 of 121" in page
+    assert "One effect is common to all." in page
+    assert "stage &lt;script&gt;x&lt;/script&gt;" in page
+    assert "<script>" not in page
+    assert "<i>" not in page
+    assert "&lt;b&gt;.csv" in page
