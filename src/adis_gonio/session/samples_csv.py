@@ -6,7 +6,7 @@ encodings, names and units in the header), plain or gzipped, told apart by conte
 `# note: text`, of which there may be several, becomes one of `Session.notes`.
 
 A file without the column `position` is one continuous recording: its dwells are found by stillness
-(`adis_gonio.session.stillness`), and `Session.notes` says what was found.
+(`adis_gonio.session.segmentation`), and `Session.notes` says what was found.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from adis_gonio.model.records import METADATA, Dwell, Floats, Session, Use
 from adis_gonio.session.overrides import Overrides
 from adis_gonio.session.samples.names import AXES, GYROS
 from adis_gonio.session.samples.table import Table, table_of
-from adis_gonio.session.stillness import segment_with_notes
+from adis_gonio.session.segmentation import segment_with_notes
 
 
 def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Session:
