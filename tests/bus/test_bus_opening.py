@@ -24,7 +24,8 @@ def test_a_url_is_taken_apart():
         ("sim:?seed", "name=value"),
         ("sim:?seed=1&seed=2", "twice"),
         ("smi:?seed=1", "did you mean 'sim:'"),
-        ("gopher://x", "known: cp2130, mcp2210, serial, sim, spidev"),
+        ("ioi:device0", "did you mean 'iio:'"),
+        ("gopher://x", "known: cp2130, iio, mcp2210, serial, sim, spidev"),
     ],
 )
 def test_a_wrong_url_says_what_is_wrong_in_one_line(text, says):

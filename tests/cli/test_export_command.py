@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from adis_gonio import Calibration, fit, load_session
-from adis_gonio.cli import main
+from adis_gonio.cli import main, working
 
 SCHEMA = json.loads(
     resources.files("adis_gonio.calibration").joinpath("schema/calibration-1.json").read_text("utf-8")
@@ -91,6 +91,14 @@ def test_method_and_name_are_followed(recorded, tmp_path):
     assert json.loads(path.read_text())["method"] == "four-position"
     assert main(["export", str(recorded), "--name", "bench3", "-o", str(tmp_path / "b.h")]) == 0
     assert "bench3_angle_udeg" in (tmp_path / "b.h").read_text()
+
+
+def test_a_trace_says_meanwhile_what_it_is_at(recorded, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(working, "_times_s", lambda: iter([0.0]))
+    assert main(["export", str(recorded), "--trace", "-o", str(tmp_path / "traced.json")]) == 0
+    out, err = capsys.readouterr()
+    assert err.startswith("tracing four.session")
+    assert out == ""
 
 
 def test_trace_gives_the_traced_model(recorded, tmp_path):

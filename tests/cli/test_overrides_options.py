@@ -32,6 +32,14 @@ def run(capsys, *arguments):
     return status, *capsys.readouterr()
 
 
+@pytest.mark.parametrize("spelling", ["m/s²", "m/s^2", "M/S²"])
+def test_metres_per_second_squared_may_be_written_as_people_do(capsys, backwards, spelling):
+    arguments = [spelling if word == "mps2" else word for word in MENDED]
+    status, out, _ = run(capsys, "fit", backwards, *arguments, "--json")
+    assert status == 0
+    assert json.loads(out)["overrides"] == RECORDED
+
+
 def test_fit_without_them_names_the_remedy_and_with_them_is_right(capsys, backwards):
     status, _, err = run(capsys, "fit", backwards)
     assert status == 1

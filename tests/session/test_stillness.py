@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from adis_gonio.errors import DataError
-from adis_gonio.session.stillness import StillnessLimits, limits_from_noise, segment, segment_with_notes
+from adis_gonio.session.segmentation import segment, segment_with_notes
+from adis_gonio.session.stillness import StillnessLimits, limits_from_noise
 
 RATE = 100.0
 

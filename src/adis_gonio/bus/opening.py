@@ -90,11 +90,12 @@ def open_bus(url: str) -> SpiBus:
                     f" pip install 'adis-gonio[{parsed.scheme}]'"
                 ) from error
             return opener(parsed)
-    if any(point.name == parsed.scheme for point in entry_points(group=SOURCE_GROUP)):
+    sources = {point.name for point in entry_points(group=SOURCE_GROUP)}
+    if parsed.scheme in sources:
         raise UsageError(
             f"'{url}': gives samples, but carries no frames to a chip: stream and calibrate take it"
         )
-    known = bus_schemes()
+    known = sorted({*bus_schemes(), *sources})
     near = difflib.get_close_matches(parsed.scheme, known, n=1)
     hint = f"did you mean '{near[0]}:'?" if near else f"known: {', '.join(known) or 'none'}"
     raise UsageError(f"'{url}': no bus is called '{parsed.scheme}'; {hint}")

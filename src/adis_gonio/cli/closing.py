@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from adis_gonio.cli.show import console
+from adis_gonio.cli.show import WIDTH, console
 from adis_gonio.counting import counted
 
 if TYPE_CHECKING:
     from adis_gonio.model.records import Session
     from adis_gonio.tracing import TraceResult
 
-_WIDTH = 100
 _MOST_GROUPS = 3
 _ERRORS = {
     "residual_rms_mg": "residual / mg",
@@ -46,7 +45,7 @@ def print_loop(session: Session, result: TraceResult) -> None:
     rounds = session.facts.get("advised", [])
     if not rounds or not rounds[0]["summary"]:
         return
-    screen = console(most=_WIDTH)
+    screen = console(most=WIDTH)
     planned = len(session.facts["plan"]["positions"])
     extra = planned - rounds[0]["planned"]
     before, after = rounds[0]["summary"], where_it_stands(result, len(session.dwells))

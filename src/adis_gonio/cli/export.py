@@ -5,12 +5,14 @@ from __future__ import annotations
 import shutil
 import sys
 import tempfile
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from adis_gonio.cli.overrides import override_options
+from adis_gonio.cli.working import working
 from adis_gonio.errors import UsageError
 
 if TYPE_CHECKING:
@@ -70,11 +72,13 @@ def command(
     source.check(kind)
     if output is None and kind in OF_SAMPLES:
         raise UsageError(f"--format {kind} needs -o FILE; -o - is standard output")
-    if output in (None, STANDARD_OUTPUT):
-        _to_standard_output(source, kind)
-        return
-    with replacing(check_output(Path(str(output)), force=force)) as beside:
-        source.write(kind, beside)
+    checked = None if output in (None, STANDARD_OUTPUT) else check_output(Path(str(output)), force=force)
+    with working(f"tracing {session.name}") if traced else nullcontext():
+        if checked is None:
+            _to_standard_output(source, kind)
+            return
+        with replacing(checked) as beside:
+            source.write(kind, beside)
 
 
 def _to_standard_output(source: Source, kind: str) -> None:

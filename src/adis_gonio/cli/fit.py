@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from adis_gonio.cli.overrides import load, override_options
-from adis_gonio.cli.show import console, json_option, print_json
+from adis_gonio.cli.show import WIDTH, console, json_option, print_json
 from adis_gonio.cli.working import working
 from adis_gonio.counting import counted
 
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from adis_gonio.fitting import FitResult
     from adis_gonio.fitting.monte_carlo import MonteCarlo
     from adis_gonio.session.overrides import Overrides
-
-_WIDTH = 100
-"""Widest text: longer lines are hard to read."""
 
 
 @click.command("fit")
@@ -105,7 +102,7 @@ def print_answer(
     """
     screen = _screen()
     screen.print()
-    for line in answer.text(min(screen.width, _WIDTH)).splitlines():
+    for line in answer.text(min(screen.width, WIDTH)).splitlines():
         screen.print(line, style="bold" if line.startswith("Answer") else None)
     screen.print()
     if truth is not None or answer.has_more:
@@ -122,7 +119,7 @@ def print_answer(
 
 
 def _screen() -> Console:
-    return console(most=_WIDTH)
+    return console(most=WIDTH)
 
 
 def _table(

@@ -46,6 +46,18 @@ def fixture(text: str) -> float:
     return sigma
 
 
+UNITS = f"[{'|'.join(ACCEL_UNITS)}]"
+"""The units in a command's help."""
+
+
+def unit(text: str) -> str:
+    """One of `ACCEL_UNITS`; m/s² and m/s^2 are what people write for `mps2`."""
+    name = {"m/s²": "mps2", "m/s^2": "mps2"}.get(str(text).strip().lower(), str(text))
+    if name not in ACCEL_UNITS:
+        raise click.BadParameter(f"'{text}' is no unit: give {', '.join(ACCEL_UNITS)}")
+    return name
+
+
 def _columns(text: str) -> dict[str, str]:
     """Column of the format → column of the file, from `name=column,…`."""
     columns: dict[str, str] = {}
@@ -95,7 +107,7 @@ _OPTIONS = (
     ),
     click.option("--reverse", is_flag=True, help="The stage turned the other way than declared."),
     click.option(
-        "--unit", "accel_unit", type=click.Choice(ACCEL_UNITS), help="Unit of the file's accelerations."
+        "--unit", "accel_unit", type=unit, metavar=UNITS, help="Unit of the file's accelerations."
     ),
     click.option("--sensor", type=click.Choice(SENSORS), help="The sensor was this one."),
     click.option(

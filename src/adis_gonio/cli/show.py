@@ -27,6 +27,10 @@ no_check_option = click.option(
 )
 
 
+WIDTH = 100
+"""Widest text: longer lines are hard to read."""
+
+
 def console(*, stderr: bool = False, most: int = 0) -> Console:
     """Console without automatic colours; wide where a program reads it, so that no row is folded.
 

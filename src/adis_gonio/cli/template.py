@@ -7,10 +7,10 @@ from typing import Any
 
 import click
 
-from adis_gonio.cli.overrides import fixture, gravity
+from adis_gonio.cli.overrides import UNITS, fixture, gravity, unit
 from adis_gonio.counting import counted
 from adis_gonio.errors import UsageError
-from adis_gonio.model.records import ACCEL_UNITS, SENSORS, STANDARD_GRAVITY_MPS2
+from adis_gonio.model.records import SENSORS, STANDARD_GRAVITY_MPS2
 
 
 @click.command("template")
@@ -28,7 +28,7 @@ from adis_gonio.model.records import ACCEL_UNITS, SENSORS, STANDARD_GRAVITY_MPS2
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="CSV file to make.")
 @click.option("--sensor", type=click.Choice(SENSORS), default=SENSORS[0], show_default=True)
 @click.option(
-    "--unit", "accel_unit", type=click.Choice(ACCEL_UNITS), default="mg", show_default=True,
+    "--unit", "accel_unit", type=unit, metavar=UNITS, default="mg", show_default=True,
     help="Unit of the accelerations.",
 )  # fmt: skip
 @click.option(

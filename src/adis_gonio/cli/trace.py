@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from adis_gonio.cli.overrides import load, override_options
-from adis_gonio.cli.show import console, json_option, print_json
+from adis_gonio.cli.show import WIDTH, console, json_option, print_json
 from adis_gonio.cli.working import working
 from adis_gonio.counting import counted
 
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from adis_gonio.model.records import Session
     from adis_gonio.session.overrides import Overrides
     from adis_gonio.tracing import TraceResult
-
-_WIDTH = 100
-"""Widest text: longer lines are hard to read."""
 
 
 @click.command("trace")
@@ -65,7 +62,7 @@ def print_trace(session: Session, result: TraceResult) -> None:
     """Show a trace on the terminal."""
     from adis_gonio.report import words
 
-    screen = console(most=_WIDTH)
+    screen = console(most=WIDTH)
     screen.print(f"{words.title(session)}: {words.shape(session)}", markup=False)
     screen.print()
     screen.print(words.headline(result), style="bold", markup=False)

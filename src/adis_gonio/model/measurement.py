@@ -375,6 +375,12 @@ def gains_and_skews(gram: Floats) -> tuple[Floats, Floats]:
 def across(unit: Floats) -> Floats:
     """Two directions across each unit vector, (n, 3, 2)."""
     axis = np.eye(3)[np.abs(unit).argmin(axis=1)]
-    first = np.cross(unit, axis)
+    first = _cross(unit, axis)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(unit, first)], axis=2)
+    return np.stack([first, _cross(unit, first)], axis=2)
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Products a × b (n, 3); numpy's own takes more than twice as long for the rows of a session."""
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)

@@ -6,7 +6,7 @@ encodings, names and units in the header), plain or gzipped, told apart by conte
 `# note: text`, of which there may be several, becomes one of `Session.notes`.
 
 A file without the column `position` is one continuous recording: its dwells are found by stillness
-(`adis_gonio.session.stillness`), and `Session.notes` says what was found.
+(`adis_gonio.session.segmentation`), and `Session.notes` says what was found.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from adis_gonio.model.records import METADATA, Dwell, Floats, Session, Use
 from adis_gonio.session.overrides import Overrides
 from adis_gonio.session.samples.names import AXES, GYROS
 from adis_gonio.session.samples.table import Table, table_of
-from adis_gonio.session.stillness import is_free_turn, segment_with_notes
+from adis_gonio.session.segmentation import segment_with_notes, shows_a_free_turn
 
 
 def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Session:
@@ -59,7 +59,7 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
         slices, notes = _dwells_by_stillness(table, recording)
         numbers = list(range(len(slices)))
 
-    free = recording is not None and is_free_turn(recording, slices)
+    free = recording is not None and shows_a_free_turn(recording, slices)
     if free:
         notes = (*notes, "one continuous turn without declared angles: taken as a free turn")
     angle = _constant(table, "angle_deg", slices, partial(_angle, table))
@@ -213,7 +213,7 @@ def _dwells_by_stillness(table: Table, recording: Dwell | None) -> tuple[list[sl
         slices, found = segment_with_notes(table.time_s, table.accel, table.gyro)
     except DataError as error:
         raise DataError(f"{table.path.name}: {error}") from error
-    if not slices and not (recording is not None and is_free_turn(recording, slices)):
+    if not slices and not (recording is not None and shows_a_free_turn(recording, slices)):
         raise DataError(
             f"{table.path.name}: no dwell found: {'; '.join(found) or 'the sensor never rests'}; "
             "add a column 'position' or record at least one second at rest in each position"

@@ -22,7 +22,7 @@ from adis_gonio.cli.bench.words import (
     turned,
     watched,
 )
-from adis_gonio.cli.show import console
+from adis_gonio.cli.show import WIDTH, console
 from adis_gonio.counting import counted
 
 if TYPE_CHECKING:
@@ -36,9 +36,6 @@ if TYPE_CHECKING:
         Started,
     )
     from adis_gonio.session.plans import Position
-
-_WIDTH = 100
-"""Widest text: longer lines are hard to read."""
 
 _KEYS = {"retake": "r", "keep": "k", "skip": "s", "reverse": "v"}
 
@@ -353,7 +350,7 @@ class PlainBench:
         from rich.padding import Padding
         from rich.text import Text
 
-        width = min(self._screen.width, _WIDTH)
+        width = min(self._screen.width, WIDTH)
         self._screen.print(Padding(Text(text, style=style), (0, 0, 0, 2)), width=width)
 
     # -- the line that moves ----------------------------------------------------------------------

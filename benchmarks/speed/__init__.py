@@ -1,0 +1,1 @@
+"""Speed against named baselines, as ratios taken in the same run; `scripts/bench.py` runs it."""
