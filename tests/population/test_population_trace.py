@@ -130,7 +130,7 @@ def test_an_effect_of_one_stage_is_named_with_its_stage() -> None:
 def test_names_that_are_one_column_are_a_set() -> None:
     """In one plane a_x² is 1 − a_y²: beside a bias nobody can tell K2 from Kpp."""
     rng = np.random.default_rng(15)
-    result = trace_population(drawn(rng, 100, "quadratic||x|k2_x|mg/g²", 2.6 * np.ones(50)))
+    result = trace_population(drawn(rng, 200, "quadratic||x|k2_x|mg/g²", 2.6 * np.ones(100)))
     assert [set(one) for one in names(result)] == [{"quadratic", "cross_quadratic"}]
     assert not result.found
 
