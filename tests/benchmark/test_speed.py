@@ -140,7 +140,7 @@ def test_the_script_names_the_extra_of_a_package_that_is_absent(monkeypatch, cap
 
 def test_the_script_prints_one_table():
     command = [sys.executable, ROOT / "scripts" / "bench.py", "decode", "--fast", "--seed", "1"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=600)
     head, columns, _, row = done.stdout.strip().splitlines()
     assert "numpy" in head
     assert columns.startswith("| benchmark | baseline | its time over ours")

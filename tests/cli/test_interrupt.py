@@ -51,6 +51,6 @@ def test_ctrl_c_after_the_work_changes_nothing_of_the_exit_status():
         "cli.run()"
     )
     with running([sys.executable, "-c", late], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as program:
-        said, complained = program.communicate()
+        said, complained = program.communicate(timeout=120)
     assert (program.returncode, complained) == (0, "")
     assert "adis-gonio" in said

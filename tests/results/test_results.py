@@ -46,7 +46,7 @@ def check_files(name, folder, command):
 @pytest.mark.parametrize("name", SECTIONS)
 def test_the_fast_part_of_a_section_is_made(name, tmp_path):
     command = [sys.executable, "scripts/results", "--fast", "--seed", "1", "-o", str(tmp_path), name]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=600)
     assert done.returncode == 0, done.stderr
     assert f"{name}: written to" in done.stdout
     check_files(name, tmp_path, f"python scripts/results {name} --seed 1 --fast")
@@ -66,6 +66,6 @@ def test_the_index_holds_every_section_and_nothing_else():
 
 def test_an_unknown_section_is_answered_with_those_there_are():
     command = [sys.executable, "scripts/results", "papper"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=600)
     assert done.returncode == 2
     assert "no section papper; there are " + ", ".join(SECTIONS) in done.stderr
