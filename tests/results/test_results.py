@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -40,7 +41,7 @@ def check_files(name, folder, command):
     assert len(document) > 1
     for figure in re.findall(r"!\[[^]]*\]\(([^)]+)\)", page):
         assert figure.startswith(f"{name}-")
-        assert (folder / figure).read_text("utf-8").startswith("<svg")
+        assert ElementTree.parse(folder / figure).getroot().tag.endswith("}svg")
 
 
 @pytest.mark.parametrize("name", SECTIONS)
