@@ -33,7 +33,7 @@ class Limits:
         "prior share of the effects that a session can show; nameless functions have the rest",
     )
     bias_share: float = number(
-        0.15,
+        0.25,
         "chosen",
         "prior share of a bias beside that: every sensor has one, and nothing competes with it",
     )
