@@ -59,6 +59,10 @@ def sessions_of(index: Index, serial: str) -> list[SessionRecord]:
     UsageError
         No session has this serial number; the message lists those like it.
     """
-    from adis_gonio.memory.history import known_serial
+    from adis_gonio.memory.history import alike, known_serial
 
-    return index.records(known_serial(serial, index.serials()))
+    known = index.serials()
+    found = index.records(known_serial(serial, known))
+    for other in alike(serial, known):
+        click.echo(f"sessions of '{other}' are not those of '{serial}': another sensor?", err=True)
+    return found
