@@ -4,6 +4,9 @@ import json
 import os
 import re
 import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -101,6 +104,35 @@ def test_a_pipe_is_no_archive_and_is_said(tmp_path, capsys):
     os.mkfifo(tmp_path / "pipe")
     assert main(["archive", str(tmp_path / "pipe")]) == 1
     assert "neither a folder nor a file" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not shutil.which("setpriv"), reason="takes root's right to read everything")
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="rights of POSIX")
+@pytest.mark.parametrize("words", [["archive"], ["fleet", "--no-trace"]])
+def test_a_file_and_a_folder_without_the_right_to_read_are_said(tmp_path, words):
+    file, folder = tmp_path / "shut.csv", tmp_path / "closed"
+    file.write_text(ONE_POSE, "utf-8")
+    folder.mkdir()
+    (tmp_path / "open.csv").write_text(ONE_POSE, "utf-8")
+    rights = "-dac_override,-dac_read_search"
+    less = ["setpriv", f"--bounding-set={rights}", f"--inh-caps={rights}"] if os.geteuid() == 0 else []
+    file.chmod(0)
+    folder.chmod(0)
+    try:
+        done = subprocess.run(
+            [*less, sys.executable, "-m", "adis_gonio", *words, "--json", str(tmp_path), str(file)],
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+    finally:
+        folder.chmod(0o755)
+    document = json.loads(done.stdout)
+    failed = document["failed" if words == ["archive"] else "failures"]
+    reasons = {Path(row["path"]).name: row["reason"] for row in failed}
+    assert set(reasons) == {"shut.csv", "closed"}, done.stderr
+    assert all("cannot be read: Permission denied" in reason for reason in reasons.values())
 
 
 def test_a_serial_number_in_other_capitals_is_another_sensor_and_is_said(tmp_path, capsys):

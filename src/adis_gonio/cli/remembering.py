@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-places_argument = click.argument("places", type=click.Path(path_type=Path), nargs=-1, metavar="[DIR]...")
+places_argument = click.argument(
+    "places", type=click.Path(path_type=Path, readable=False), nargs=-1, metavar="[DIR]..."
+)
 _INDEX = click.option(
     "--index",
     "index_path",

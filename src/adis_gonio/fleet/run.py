@@ -94,9 +94,11 @@ def files_of(given: Iterable[str | Path]) -> list[str]:
             found[str(path)] = None
             continue
         folders.append(str(path))
-        for folder, _, names in os.walk(path):
+        shut: list[OSError] = []
+        for folder, _, names in os.walk(path, onerror=shut.append):
             inside = [name for name in names if name.endswith(ENDINGS) and not name.startswith(".")]
             found |= dict.fromkeys(str(Path(folder, name)) for name in inside)
+        found |= dict.fromkeys(str(error.filename) for error in shut)
     if not found:
         where = f" in {', '.join(folders)}" if folders else ""
         raise UsageError(f"there is no session{where}: give files, or folders with {', '.join(ENDINGS)}")
@@ -110,7 +112,7 @@ def survey(files: Sequence[str], share: Callable[[float], None] | None = None) -
     for done, path in enumerate(sorted(set(files))):
         if share is not None:
             share(done / len(files))
-        if Path(path).exists() and not Path(path).is_file():
+        if _special(Path(path)):
             unreadable.append(lost(path, "is no regular file: save what comes through a pipe first"))
             continue
         try:
@@ -124,6 +126,10 @@ def survey(files: Sequence[str], share: Callable[[float], None] | None = None) -
             names[digest] = path
     jobs = tuple(Job(path, digest) for digest, path in names.items())
     return Survey(jobs, tuple(repeated), tuple(unreadable))
+
+
+def _special(path: Path) -> bool:
+    return path.exists() and not (path.is_file() or path.is_dir())
 
 
 def run_fleet(

@@ -32,6 +32,8 @@ class Stamp:
 def session_files(places: Sequence[str | Path]) -> Iterator[Path]:
     """Absolute paths of session files in folders and below, each once; what is hidden is left out.
 
+    A folder that cannot be looked into comes as a path of its own, so that somebody is told.
+
     Raises
     ------
     DataError
@@ -53,12 +55,15 @@ def _below(place: Path) -> Iterator[Path]:
     if place.is_file():
         yield place.resolve()
         return
-    for folder, folders, names in os.walk(place.resolve()):
+    shut: list[OSError] = []
+    for folder, folders, names in os.walk(place.resolve(), onerror=shut.append):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in sorted(names):
             path = Path(folder) / name
             if not name.startswith(".") and _is_session(path):
                 yield path
+    for error in shut:
+        yield Path(error.filename)
 
 
 def _is_session(path: Path) -> bool:
