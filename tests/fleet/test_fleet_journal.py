@@ -124,6 +124,25 @@ def test_the_same_session_by_two_names_or_in_two_files_counts_once(files, tmp_pa
     assert [(r.path, r.same_as) for r in fleet.repeated] == [(other, first) for other in others]
 
 
+def test_of_two_files_with_the_same_data_that_counts_that_says_more(files, tmp_path):
+    text = Path(files[0]).read_text("utf-8")
+    bare, whole = tmp_path / "0.csv", tmp_path / "1.csv"
+    whole.write_text(text, "utf-8")
+    bare.write_text(text.replace("# serial: ", "# title: "), "utf-8")
+    fleet = run_fleet(survey([str(bare), str(whole)]), FITS, Here())
+    (kept,) = fleet.documents
+    assert kept["record"]["serial"]
+    assert [(r.path, r.same_as) for r in fleet.repeated] == [(str(bare), str(whole))]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes of POSIX")
+def test_a_pipe_is_a_row_with_its_reason_and_nothing_waits_for_it(tmp_path, monkeypatch):
+    os.mkfifo(tmp_path / "pipe.csv")
+    monkeypatch.setattr("adis_gonio.fleet.run.digest_of_file", lambda path: pytest.fail(f"{path}: read"))
+    (row,) = survey([str(tmp_path / "pipe.csv")]).unreadable
+    assert "no regular file" in row["record"]["reason"]
+
+
 def test_the_population_is_traced_from_the_journal_as_from_the_files(files, tmp_path):
     asked = Options(trace=False, evidence=True)
     with Journal(tmp_path / "journal") as journal:

@@ -1,17 +1,30 @@
 """`archive`, `history` and `due` on sessions recorded by the simulated sensor over years."""
 
 import json
+import os
 import re
 import shutil
+import subprocess
+import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
 from recorded import recorded
 
 from adis_gonio.cli import main
 from adis_gonio.memory import record_of
+from adis_gonio.memory.drift import drift_of
+from adis_gonio.memory.history import Track
+from adis_gonio.memory.words import of_drift
 
 YEARS = range(2016, 2023)
 MOVED = 2020
+ONE_POSE = (
+    "# sensor: generic\n# accel_unit: mg\n# reading_u_mg: 0.5\n"
+    "time_s,position,angle_deg,ax,ay,az\n"
+    "0,0,0,1000,2,1\n1,1,90,1,-999,2\n2,2,180,-998,1,0\n3,3,270,2,1001,1\n"
+)
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +85,76 @@ def test_archive_in_words_names_the_copy_and_the_broken_files(sessions, capsys):
     assert re.search(r"the same file, counted once: .*2016\.session.*copy\.session", said)
     assert re.search(r"not used: .*list\.csv", said)
     assert f"{len(YEARS) + 1} sessions, 2 files not used" in said
+
+
+def test_archive_shows_names_of_files_whole_and_a_link_that_leads_nowhere(tmp_path, capsys):
+    folder = tmp_path / ("long " * 30)
+    folder.mkdir()
+    (folder / "the-very-name.csv").write_text(ONE_POSE, "utf-8")
+    (folder / "lost.session").symlink_to("nowhere.session")
+    assert main(["archive", str(folder)]) == 0
+    said = capsys.readouterr().out
+    # Folded over lines, the other columns between.
+    assert "…" not in said
+    assert re.search(r"not used: .*lost\.session: cannot be read: No such file", said.replace("\n", " "))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes of POSIX")
+def test_a_pipe_is_no_archive_and_is_said(tmp_path, capsys):
+    os.mkfifo(tmp_path / "pipe")
+    assert main(["archive", str(tmp_path / "pipe")]) == 1
+    assert "neither a folder nor a file" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not shutil.which("setpriv"), reason="takes root's right to read everything")
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="rights of POSIX")
+@pytest.mark.parametrize("words", [["archive"], ["fleet", "--no-trace"]])
+def test_a_file_and_a_folder_without_the_right_to_read_are_said(tmp_path, words):
+    file, folder = tmp_path / "shut.csv", tmp_path / "closed"
+    file.write_text(ONE_POSE, "utf-8")
+    folder.mkdir()
+    (tmp_path / "open.csv").write_text(ONE_POSE, "utf-8")
+    rights = "-dac_override,-dac_read_search"
+    less = ["setpriv", f"--bounding-set={rights}", f"--inh-caps={rights}"] if os.geteuid() == 0 else []
+    file.chmod(0)
+    folder.chmod(0)
+    try:
+        done = subprocess.run(
+            [*less, sys.executable, "-m", "adis_gonio", *words, "--json", str(tmp_path), str(file)],
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+    finally:
+        folder.chmod(0o755)
+    document = json.loads(done.stdout)
+    failed = document["failed" if words == ["archive"] else "failures"]
+    reasons = {Path(row["path"]).name: row["reason"] for row in failed}
+    assert set(reasons) == {"shut.csv", "closed"}, done.stderr
+    assert all("cannot be read: Permission denied" in reason for reason in reasons.values())
+
+
+def test_a_serial_number_in_other_capitals_is_another_sensor_and_is_said(tmp_path, capsys):
+    for name, serial in (("a", "A7"), ("b", "a7"), ("c", "a 7"), ("d", "B")):
+        text = f"# serial: {serial}\n# title: {name}\n" + ONE_POSE.replace("1000", f"100{ord(name) % 10}")
+        (tmp_path / f"{name}.csv").write_text(text, "utf-8")
+    assert main(["history", "A7", str(tmp_path), "--json"]) == 0
+    printed = capsys.readouterr()
+    assert [one["path"][-5:] for one in json.loads(printed.out)["left_out"]] == ["a.csv"]
+    said = [line for line in printed.err.splitlines() if "another sensor" in line]
+    assert [line.split("'")[1] for line in said] == ["a 7", "a7"]
+    assert main(["history", "A8", str(tmp_path)]) == 2
+    assert "there is A7, a7" in capsys.readouterr().err
+
+
+def test_a_scatter_beyond_all_doubt_is_no_probability_of_zero():
+    day, value = np.arange(8.0) * 90, np.array([0, 9, 1, 8, 0, 9, 1, 8.0])
+    drift = drift_of(day, value, np.full(8, 0.01), "mg")
+    track = Track("bias_x", "mg", tuple(range(8)), day, (), drift)
+    assert "p < 10⁻¹²" in " ".join(of_drift(track)).replace("\N{NO-BREAK SPACE}", " ").replace(
+        "\u202f", " "
+    )
 
 
 def test_history_dates_the_change_that_was_planted_and_sees_none_elsewhere(sessions, capsys):

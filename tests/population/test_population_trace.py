@@ -127,6 +127,24 @@ def test_an_effect_of_one_stage_is_named_with_its_stage() -> None:
     assert found[0].share_low > 0.5
 
 
+def test_the_amplitude_is_that_of_the_affected_sessions_where_these_are_the_noisier_ones() -> None:
+    """A large eccentricity is scatter to the fit without it: u of that stage are many times the others."""
+    rng = np.random.default_rng(21)
+    key = "stage_eccentricity|||ecc_sin|deg"
+    every = drawn(rng, 60, key, 4.0 * np.ones(20))
+    every = [
+        replace(one, stage="A", length=one.length / 10) if i < 20 else replace(one, stage="B")
+        for i, one in enumerate(every)
+    ]
+    planted = 4.0 * np.median([one.estimate(key)[1] for one in every[:20]])
+    (found,) = trace_population(every).found
+    assert (found.effects, found.value) == (("stage_eccentricity",), "A")
+    value = found.mean["ecc_sin"]
+    assert value.U is not None
+    assert abs(value.value - planted) < 1.5 * value.U
+    assert 0.3 * planted > value.U
+
+
 def test_names_that_are_one_column_are_a_set() -> None:
     """In one plane a_x² is 1 − a_y²: beside a bias nobody can tell K2 from Kpp."""
     rng = np.random.default_rng(15)

@@ -75,7 +75,9 @@ def _show(
         "effects",
         "file",
     ):
-        table.add_column(name, no_wrap=name in ("date", "plan", "ΔK", "Δφ / °", "angle / °"))
+        table.add_column(
+            name, no_wrap=name in ("date", "plan", "ΔK", "Δφ / °", "angle / °"), overflow="fold"
+        )
     for row in good:
         table.add_row(*_cells(row))
     if good:

@@ -20,7 +20,13 @@ if TYPE_CHECKING:
 
 
 @click.command("fleet")
-@click.argument("files", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="FILES…")
+@click.argument(
+    "files",
+    type=click.Path(path_type=Path, readable=False),  # what cannot be read is a row
+    nargs=-1,
+    required=True,
+    metavar="FILES…",
+)
 @click.option(
     "--trace/--no-trace", default=True, help="Look for effects too (the default): seconds a session."
 )

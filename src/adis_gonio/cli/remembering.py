@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-places_argument = click.argument("places", type=click.Path(path_type=Path), nargs=-1, metavar="[DIR]...")
+places_argument = click.argument(
+    "places", type=click.Path(path_type=Path, readable=False), nargs=-1, metavar="[DIR]..."
+)
 _INDEX = click.option(
     "--index",
     "index_path",
@@ -59,6 +61,10 @@ def sessions_of(index: Index, serial: str) -> list[SessionRecord]:
     UsageError
         No session has this serial number; the message lists those like it.
     """
-    from adis_gonio.memory.history import known_serial
+    from adis_gonio.memory.history import alike, known_serial
 
-    return index.records(known_serial(serial, index.serials()))
+    known = index.serials()
+    found = index.records(known_serial(serial, known))
+    for other in alike(serial, known):
+        click.echo(f"sessions of '{other}' are not those of '{serial}': another sensor?", err=True)
+    return found

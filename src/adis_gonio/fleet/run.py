@@ -16,6 +16,7 @@ from adis_gonio.fleet.work import Document, Job, Options, digest_of_file, lost
 
 ENDINGS = (".session", ".csv", ".csv.gz")
 """Files of a folder that count as sessions."""
+_WRITTEN = ("when", "serial", "operator", "stage", "plan")
 
 
 class Workers(Protocol):
@@ -93,9 +94,11 @@ def files_of(given: Iterable[str | Path]) -> list[str]:
             found[str(path)] = None
             continue
         folders.append(str(path))
-        for folder, _, names in os.walk(path):
+        shut: list[OSError] = []
+        for folder, _, names in os.walk(path, onerror=shut.append):
             inside = [name for name in names if name.endswith(ENDINGS) and not name.startswith(".")]
             found |= dict.fromkeys(str(Path(folder, name)) for name in inside)
+        found |= dict.fromkeys(str(error.filename) for error in shut)
     if not found:
         where = f" in {', '.join(folders)}" if folders else ""
         raise UsageError(f"there is no session{where}: give files, or folders with {', '.join(ENDINGS)}")
@@ -109,6 +112,9 @@ def survey(files: Sequence[str], share: Callable[[float], None] | None = None) -
     for done, path in enumerate(sorted(set(files))):
         if share is not None:
             share(done / len(files))
+        if _special(Path(path)):
+            unreadable.append(lost(path, "is no regular file: save what comes through a pipe first"))
+            continue
         try:
             digest = digest_of_file(path)
         except OSError as error:
@@ -120,6 +126,10 @@ def survey(files: Sequence[str], share: Callable[[float], None] | None = None) -
             names[digest] = path
     jobs = tuple(Job(path, digest) for digest, path in names.items())
     return Survey(jobs, tuple(repeated), tuple(unreadable))
+
+
+def _special(path: Path) -> bool:
+    return path.exists() and not (path.is_file() or path.is_dir())
 
 
 def run_fleet(
@@ -152,7 +162,6 @@ def run_fleet(
         if tell is not None:
             tell(progress)
     everything = [*documents.values(), *found.unreadable]
-    everything.sort(key=lambda document: str(document["record"]["path"]))
     kept, copies = _once(everything)
     repeated = sorted([*found.repeated, *copies], key=lambda one: one.path)
     return Fleet(tuple(kept), tuple(repeated), progress.again)
@@ -161,7 +170,7 @@ def run_fleet(
 def _once(documents: Sequence[Document]) -> tuple[list[Document], list[Repeated]]:
     """Without files of other bytes but the same data, such as the CSV exported from an archive."""
     kept, copies, names = [], [], dict[str, str]()
-    for document in documents:
+    for document in sorted(documents, key=_lacking):
         path, data = document["record"]["path"], document["record"]["data_sha256"]
         if document["record"]["status"] == "ok" and data in names:
             copies.append(Repeated(path, names[data]))
@@ -169,7 +178,17 @@ def _once(documents: Sequence[Document]) -> tuple[list[Document], list[Repeated]
         if document["record"]["status"] == "ok" and data:
             names[data] = path
         kept.append(document)
-    return kept, copies
+    return sorted(kept, key=_path), copies
+
+
+def _path(document: Document) -> str:
+    return str(document["record"]["path"])
+
+
+def _lacking(document: Document) -> tuple[int, str]:
+    """How much of what an operator writes down a file does not say, then its name."""
+    record = document["record"]
+    return sum(record[name] is None for name in _WRITTEN), _path(document)
 
 
 def _named(document: Document, job: Job) -> Document:

@@ -32,15 +32,19 @@ class Stamp:
 def session_files(places: Sequence[str | Path]) -> Iterator[Path]:
     """Absolute paths of session files in folders and below, each once; what is hidden is left out.
 
+    A folder that cannot be looked into comes as a path of its own, so that somebody is told.
+
     Raises
     ------
     DataError
-        A place is not there.
+        A place is not there, or is no folder and no file.
     """
     seen: set[Path] = set()
     for place in map(Path, places):
         if not place.exists():
             raise DataError(f"{place}: there is no such folder")
+        if not (place.is_dir() or place.is_file()):
+            raise DataError(f"{place}: is neither a folder nor a file; save what a pipe gives first")
         for path in _below(place):
             if path not in seen:
                 seen.add(path)
@@ -51,9 +55,20 @@ def _below(place: Path) -> Iterator[Path]:
     if place.is_file():
         yield place.resolve()
         return
-    for folder, folders, names in os.walk(place.resolve()):
+    shut: list[OSError] = []
+    for folder, folders, names in os.walk(place.resolve(), onerror=shut.append):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in sorted(names):
             path = Path(folder) / name
-            if not name.startswith(".") and path.is_file() and (name.endswith(ENDINGS) or is_archive(path)):
+            if not name.startswith(".") and _is_session(path):
                 yield path
+    for error in shut:
+        yield Path(error.filename)
+
+
+def _is_session(path: Path) -> bool:
+    """By name or content; a link that leads nowhere by its name, so that somebody is told."""
+    named = path.name.endswith(ENDINGS)
+    if path.is_file():
+        return named or is_archive(path)
+    return named and path.is_symlink() and not path.exists()

@@ -153,8 +153,9 @@ def known_serial(serial: str, known: Sequence[str]) -> str:
     """
     if serial in known:
         return serial
-    lower = {name.lower(): name for name in known}
-    near = [lower[name] for name in difflib.get_close_matches(serial.lower(), lower, n=5, cutoff=0.5)]
+    lower = {name.lower() for name in known}
+    close = difflib.get_close_matches(serial.lower(), sorted(lower), n=5, cutoff=0.5)
+    near = [name for one in close for name in known if name.lower() == one]
     if near:
         hint = f"there is {', '.join(near)}"
     elif known:
@@ -164,6 +165,15 @@ def known_serial(serial: str, known: Sequence[str]) -> str:
             "no session in these folders has a serial number (calibrate --serial, or '# serial:' in a CSV)"
         )
     raise UsageError(f"no session is of a sensor with serial number '{serial}'; {hint}")
+
+
+def alike(serial: str, known: Sequence[str]) -> list[str]:
+    """Other serial numbers that differ in capitals and spaces only."""
+
+    def bare(text: str) -> str:
+        return "".join(text.split()).casefold()
+
+    return [other for other in known if other != serial and bare(other) == bare(serial)]
 
 
 def day_of(when: str) -> float:

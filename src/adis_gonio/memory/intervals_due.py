@@ -1,8 +1,9 @@
 """When to calibrate next, by two methods of ILAC-G24:2022 / OIML D 10:2022 (6.2 and 6.3; 2007: 1 and 2).
 
-*Staircase*: each routine calibration shows by how much the one before was off meanwhile. The interval is
-made longer where that is within 80 % of the permissible error, shorter where it is outside. The guide gives
-the rule and the 80 %; the first interval and the factors are the user's, here with defaults.
+*Staircase* (automatic adjustment): each routine calibration shows by how much the one before was off
+meanwhile. The interval is made longer where that is within 80 % of the permissible error, shorter where it
+is outside. All numbers are choices of this program; the first interval and the factors are the user's, here
+with defaults.
 
 *Control chart*: the drift of the parameters, with its uncertainty, is extrapolated from the last
 calibration to the day on which error and U together reach the permissible error.
@@ -27,7 +28,7 @@ DEFAULT_LIMIT_DEG = 0.1
 """Permissible error of the angle where none is given: an assumption, nobody's tolerance. Some four LSB of
 the ADIS16354 at the horizontal (0.027° each), or a change of a bias by 1.7 mg."""
 WITHIN = 0.8
-"""Share of the permissible error within which the guide lets an interval grow."""
+"""Share of the permissible error within which an interval grows."""
 ROUTINE = 0.8
 """Share of the interval that must have passed, for a calibration to speak for a longer one."""
 SHORTEST_DAYS, LONGEST_DAYS = 30.0, 5 * YEAR_DAYS

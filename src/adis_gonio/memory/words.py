@@ -11,6 +11,7 @@ from adis_gonio.counting import counted
 from adis_gonio.estimation.values import Value
 from adis_gonio.memory.history import LEVEL, History, Track, date_of
 from adis_gonio.memory.record import SessionRecord
+from adis_gonio.report.numbers import p_text
 
 _ROWS = 9
 
@@ -37,11 +38,11 @@ def of_drift(track: Track) -> list[str]:
     unit = drift.slope.unit.replace("deg", "°").removeprefix("1/")
     said = "drifts" if track.drifts else "no drift shown"
     rate = f"{told(drift.slope)} {'a year' if unit == 'a' else unit}"
-    lines = [f"{said}: {rate} (U, 95 %), p = {drift.p_value:.2g}"]
+    lines = [f"{said}: {rate} (U, 95 %), {p_text(drift.p_value)}"]
     if drift.birge_p < LEVEL:
         lines.append(
             f"sessions scatter by more than their u: {drift.between:.2g} between sessions "
-            f"(Birge ratio {drift.birge:.2f}, p = {drift.birge_p:.2g})"
+            f"(Birge ratio {drift.birge:.2f}, {p_text(drift.birge_p)})"
         )
     return lines
 

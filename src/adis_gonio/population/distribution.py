@@ -52,16 +52,37 @@ def means_of(
     The uncertainty is that of the curvature of the log likelihood in share, spread and mean together.
     """
     units, start = population.units, part.amplitudes
-    typical = units.typical[list(part.candidate.index)]
+    size = _sizes(population, others, part)
     columns = [units.columns[k] for k in part.candidate.index]
     u = _uncertainty(population, others, part)
     mean = {
         column.parameter: Value(
-            float(start.mean[k] * typical[k]), None if u is None else float(u[k] * typical[k]), column.unit
+            float(start.mean[k] * size[k]), None if u is None else float(u[k] * size[k]), column.unit
         )
         for k, column in enumerate(columns)
     }
-    return mean, {column.parameter: float(start.spread * typical[k]) for k, column in enumerate(columns)}
+    return mean, {column.parameter: float(start.spread * size[k]) for k, column in enumerate(columns)}
+
+
+def _sizes(population: Population, others: Sequence[Part], part: Part) -> Floats:
+    """What an amplitude of one is in the unit of each column (d,).
+
+    Where amplitudes are alike against each session's own uncertainty it is the median of that over the
+    sessions that are affected: those of one stage may be noisier by far than the rest.
+    """
+    units, index = population.units, list(part.candidate.index)
+    typical = units.typical[index]
+    if not part.amplitudes.relative:
+        return typical
+    likely = population.affected(others, part) > 0.5
+    chosen = likely if likely.any() else part.group.inside
+    out = typical.copy()
+    for k, column in enumerate(index):
+        length = units.length[chosen, column]
+        if (length > 0).any():
+            # A length is typical/u without the weight of the column, which a size takes once.
+            out[k] *= units.columns[column].weight * np.median(1 / length[length > 0])
+    return out
 
 
 def _uncertainty(population: Population, others: Sequence[Part], part: Part) -> Floats | None:

@@ -61,7 +61,7 @@ class Common:
         Standard deviation of the amplitudes about it, in the same units.
     relative : bool
         True where amplitudes are alike against what each session can show rather than in their unit; `mean`
-        and `spread` are then those of a session of median uncertainty.
+        and `spread` are then those of a session of median uncertainty among the affected ones.
     p_value : float
         At most this probable where no session has any cause (beside those found before).
     heldout_gain : float
