@@ -43,9 +43,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
-from adis_gonio.estimation.intervals import NORMAL_95
+from adis_gonio.estimation.intervals import NORMAL_95, wilson
 from blind_residual import generator
-from trace_statistics import wilson
 from tracing import blind as planar
 from tracing import space
 from tracing.blind import KINDS, Blind

@@ -26,9 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-from trace_statistics import wilson
+from adis_gonio.estimation.intervals import wilson
 
 CASES = {
     "tumble-3s": ("--plan", "tumble", "--dwell", "3"),

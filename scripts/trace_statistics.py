@@ -21,6 +21,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
+from adis_gonio.estimation.intervals import wilson
 from tracing.blind import KINDS
 from tracing.rounds import crew, rounds
 from tracing.space import SPACE
@@ -36,14 +37,6 @@ class Figure:
     value: str
     target: str
     met: bool | None
-
-
-def wilson(hits: int, n: int) -> tuple[float, float]:
-    """95 % interval of a rate."""
-    z, p = 1.959964, hits / n
-    centre = (p + z**2 / (2 * n)) / (1 + z**2 / n)
-    half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-    return centre - half, centre + half
 
 
 def rate(

@@ -10,15 +10,15 @@ Each page ends with the command and the seed that make it again.
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import secrets
 import sys
 from pathlib import Path
+from types import ModuleType
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from section import Effort, Section
+from section import Effort, Section, loaded
 
 SECTIONS: tuple[str, ...] = ("paper", "angle", "plan", "free_turn", "population", "fleet", "bench")
 """Modules beside this one, each with `run(effort) -> Section`, in the order of the index."""
@@ -37,6 +37,11 @@ def write(name: str, section: Section, effort: Effort, folder: Path) -> None:
         (folder / f"{name}-{figure}.svg").write_text(svg, encoding="utf-8")
 
 
+def section(name: str) -> ModuleType:
+    """A section's module."""
+    return loaded(Path(__file__).with_name(f"{name}.py"), f"{name}_section")
+
+
 def main() -> int:
     """Make the sections asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -52,7 +57,7 @@ def main() -> int:
     options.output.mkdir(parents=True, exist_ok=True)
     effort = Effort(options.fast, options.seed, options.jobs)
     for name in options.sections or SECTIONS:
-        write(name, importlib.import_module(name).run(effort), effort, options.output)
+        write(name, section(name).run(effort), effort, options.output)
         print(f"{name}: written to {options.output}")
     return 0
 

@@ -14,6 +14,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from section import Effort, Section
+from section import table as markdown
 
 from adis_gonio.report.svg import ROLES, Series, plot
 from efficiency import CASES, POSITIONS, REPORTED, SPATIAL, Case, Floats, Line, lines, pooled, run_all
@@ -76,11 +77,6 @@ def run(effort: Effort) -> Section:
     )
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a Markdown table."""
-    return [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows)]
-
-
 # -- efficiency ------------------------------------------------------------------------------------
 
 
@@ -105,7 +101,7 @@ def _of_efficiency(cases: Sequence[Case], rows: Sequence[Floats]) -> list[str]:
         )
     head = ["readings", "positions", "fixture", "sessions", "lowest", "highest", "bias", "u²"]
     text = [EFFICIENCY, "![Lowest efficiency by positions and fixture](angle-efficiency.svg)", ""]
-    text += _table(head, table)
+    text += markdown(head, table)
     text.append(PLAIN)
     plain = []
     for where, names in (("plane", REPORTED), ("space", SPATIAL)):
@@ -114,7 +110,7 @@ def _of_efficiency(cases: Sequence[Case], rows: Sequence[Floats]) -> list[str]:
         ]
         for name, (value, half) in zip(names, pooled(mine), strict=True):
             plain.append([where, name, str(sum(map(len, mine))), f"{value:.4f} ± {half:.4f}"])
-    return [*text, *_table(["", "parameter", "sessions", "efficiency"], plain)]
+    return [*text, *markdown(["", "parameter", "sessions", "efficiency"], plain)]
 
 
 def _stated(cases: Sequence[Case], rows: Sequence[Floats]) -> list[tuple[Case, Floats]]:
@@ -180,7 +176,7 @@ def _of_angle(shown: Sequence[Shown]) -> list[str]:
         "times",
         "with reading / °",
     ]
-    text += _table(
+    text += markdown(
         head, [row for one in shown if one.cell.fixture_deg == TRACED_AT_DEG for row in _rows(one)]
     )
     others = [one for one in shown if _is_example(one.cell)]
@@ -196,7 +192,7 @@ def _of_angle(shown: Sequence[Shown]) -> list[str]:
             found = [figures(one, m) for m in methods]
             cells_ = [f"{f.rms:.4f} ({f.ratio:.2f})" if f.ratio else "–" for f in found]
             rows.append([f"{one.cell.fixture_deg:g}°", *cells_, f"{found[-1].bound or math.nan:.4f}"])
-        text += _table(["fixture", *(f"`{m}`" for m in methods), "bound / °"], rows)
+        text += markdown(["fixture", *(f"`{m}`" for m in methods), "bound / °"], rows)
     if any(one.cell.kind == "quadratic, cubic" for one in shown):
         text += ["", "![Error over the turn with two effects](angle-effects.svg)"]
     return text

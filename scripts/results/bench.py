@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-from types import ModuleType
-
-from section import Effort, Section
+from section import Effort, Section, script
 
 SAMPLES = 10**8
 """The full run streams so many samples through the segmentation: about five minutes."""
@@ -39,20 +34,9 @@ Versions and machine: {machine}.
 """
 
 
-def _program() -> ModuleType:
-    """`scripts/bench.py`, whose name this section shares."""
-    spec = importlib.util.spec_from_file_location("bench_program", Path(__file__).parents[1] / "bench.py")
-    if spec is None or spec.loader is None:
-        raise ImportError("scripts/bench.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 def run(effort: Effort) -> Section:
     """All benchmarks whose baselines are installed; what is left out is said."""
-    program = _program()
+    program = script("bench")
     names = [name for name in program.BENCHMARKS if not program.absent([name])]
     missing = program.absent(list(program.BENCHMARKS))
     what = "`python scripts/bench.py` measures it." + (

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from section import Effort, Section
+from section import Effort, Section, table
 
 from adis_gonio.fleet import LocalPool, Options, files_of, run_fleet, summarise, survey
 from adis_gonio.fleet.columns import COLUMNS
@@ -106,16 +106,13 @@ def run(effort: Effort) -> Section:
 
 
 def _markdown(found: dict) -> str:
-    lines = [
-        "| | sessions | failed | one process | processes | ratio | same summary |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    head = ("", "sessions", "failed", "one process", "processes", "ratio", "same summary")
+    lines = []
     for name, what in (("fits", "fits only"), ("traces", "fits and traces")):
         one = found[name]
-        lines.append(
-            f"| {what} | {one['sessions']} | {one['failed']} | {one['one_per_s']:.2f} a second"
-            f" | {one['workers']} | {one['ratio']:.2f} | {'yes' if one['same_summary'] else 'no'} |"
-        )
+        rate, same = f"{one['one_per_s']:.2f} a second", "yes" if one["same_summary"] else "no"
+        counts = str(one["sessions"]), str(one["failed"])
+        lines.append((what, *counts, rate, str(one["workers"]), f"{one['ratio']:.2f}", same))
     summary = found["summary"]
     return "\n".join(
         [
@@ -123,7 +120,7 @@ def _markdown(found: dict) -> str:
             " sessions a second by several processes over those by one; linear would be the number of"
             " processes, where nothing else has the machine.",
             "",
-            *lines,
+            *table(head, lines),
             "",
             f"The summary of {summary['rows']} rows takes {summary['processor_s']:.1f} s of one core.",
             "",

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
-from section import Effort, Section
+from section import Effort, Section, script
 
 HANDS, TWICE = 500, 60
 _LABELS = {
@@ -24,7 +20,7 @@ _LABELS = {
 
 def run(effort: Effort) -> Section:
     """Simulated hands, one turn each, and some that turn twice in the same time."""
-    hands = _script()
+    hands = script("free_turn")
     once = hands.run(effort.sessions(HANDS, 4), effort.seed, effort.jobs)
     twice = hands.run(effort.sessions(TWICE, 2), effort.seed, effort.jobs, 2)
     return section_of(once, twice)
@@ -32,7 +28,7 @@ def run(effort: Effort) -> Section:
 
 def section_of(once: Sequence[Mapping[str, Any]], twice: Sequence[Mapping[str, Any]]) -> Section:
     """The page of results by hand."""
-    hands = _script()
+    hands = script("free_turn")
     one, two = hands.summary(once), hands.summary(twice)
     met = "met" if one["ratio"] <= one["target_ratio"] else "not met"
     coverage = "\n".join(
@@ -102,16 +98,3 @@ def _figure(rows: Sequence[Mapping[str, Any]]) -> str:
         )
     ]
     return plot(lines, "rms error of the angle (0.001°)", "share of hands", title="Error of the angle")
-
-
-def _script() -> ModuleType:
-    """`scripts/free_turn.py`, whose name is this module's too."""
-    name = "free_turn_hands"
-    if name not in sys.modules:
-        path = Path(__file__).parents[1] / "free_turn.py"
-        found = importlib.util.spec_from_file_location(name, path)
-        assert found is not None
-        assert found.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(found)
-        found.loader.exec_module(sys.modules[name])
-    return sys.modules[name]

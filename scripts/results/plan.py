@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
-from section import Effort, Section
+from section import Effort, Section, svg, table
 
 import plan_statistics as statistics
 from plan_statistics import APART, CLOSE, TIMES, Line
@@ -68,14 +67,11 @@ def _predicted(lines: list[Line], sessions: int) -> str:
     beyond = [line for line in own if abs(line.ratio - 1) > CLOSE]
     ratios = np.array([line.ratio for line in own])
     error = own[0].standard_error
-    rows = [
-        "| plan | fixture | " + " | ".join(statistics.NAMES) + " |",
-        "|---|---|" + "---|" * len(statistics.NAMES),
-    ]
+    rows = []
     for case, fixture in dict.fromkeys((line.case, line.fixture_deg) for line in lines):
         found = {x.name: x.ratio for x in lines if (x.case, x.fixture_deg) == (case, fixture)}
         cells = [f"{found[n]:.3f}" if n in found else "–" for n in statistics.NAMES]
-        rows.append(f"| {case} | {fixture}° | " + " | ".join(cells) + " |")
+        rows.append((case, f"{fixture}°", *cells))
     told = ", ".join(f"{x.case} {x.fixture_deg}° {x.name} {x.ratio:.3f}" for x in beyond)
     return (
         f"Root mean square errors of {sessions} simulated sessions a plan through the uncertainties that "
@@ -86,16 +82,16 @@ def _predicted(lines: list[Line], sessions: int) -> str:
         f"sessions alone scatter by {error:.4f}. Beyond 5 %: {told or 'none'}; beyond 5 % and three "
         f"standard errors: {sum(x.missed for x in own)}. *angle* is the error of the fitted parameters in "
         "the shown angle, at the worst place of the turn. The sensor has 10 mg of bias, 4.7 mg of noise a "
-        "sample and 0.1 mg of 1/f noise.\n\n" + "\n".join(rows) + "\n\n"
+        "sample and 0.1 mg of 1/f noise.\n\n"
+        + "\n".join(table(("plan", "fixture", *statistics.NAMES), rows))
+        + "\n\n"
         "![Simulated through predicted](plan-ratios.svg)"
     )
 
 
 def _gained(lines: list[Line], fixtures: tuple[float, ...]) -> str:
-    rows = [
-        "| best | over | fixture | quantity | predicted gain | simulated gain |",
-        "|---|---|---|---|---|---|",
-    ]
+    head = ("best", "over", "fixture", "quantity", "predicted gain", "simulated gain")
+    rows = []
     by = {(x.case, x.fixture_deg, x.name): x for x in lines}
     pairs = (("best 12", "even 12"), ("best 12", "tumble 12"), ("best 24", "even 24"))
     for best, other in pairs:
@@ -104,13 +100,11 @@ def _gained(lines: list[Line], fixtures: tuple[float, ...]) -> str:
                 one, two = by[best, fixture, name], by[other, fixture, name]
                 predicted, simulated = two.predicted / one.predicted, two.simulated / one.simulated
                 error = simulated * np.hypot(one.standard_error, two.standard_error)
-                rows.append(
-                    f"| {best} | {other} | {fixture}° | {name} | × {predicted:.2f} "
-                    f"| × {simulated:.2f} ± {error:.2f} |"
-                )
+                gains = (f"× {predicted:.2f}", f"× {simulated:.2f} ± {error:.2f}")
+                rows.append((best, other, f"{fixture}°", name, *gains))
     return (
         "## The best plan's gain\n\nThe other plan's uncertainty through that of the best.\n\n"
-        + "\n".join(rows)
+        + "\n".join(table(head, rows))
     )
 
 
@@ -124,15 +118,15 @@ def _chip(lines: list[Line], sessions: int) -> str:
 
 
 def _names(names: dict[str, dict[str, list[int]]], sessions: int) -> str:
-    rows = ["| order | effect | its name alone | another name |", "|---|---|---|---|"]
+    head, rows = ("order", "effect", "its name alone", "another name"), []
     for kind, by_effect in names.items():
         for name, (right, wrong) in by_effect.items():
-            rows.append(f"| {kind} | {name} | {right} of {sessions} | {wrong} of {sessions} |")
+            rows.append((kind, name, f"{right} of {sessions}", f"{wrong} of {sessions}"))
     return (
         "## Told apart by order\n\n12 positions at a fixture of 0.01°, best to tell "
         f"{' from '.join(APART)}, and the same number evenly spaced in turn. One effect a session, "
         f"{TIMES} times what the best plan sees (on X, or the eccentricity's sine); traced.\n\n"
-        + "\n".join(rows)
+        + "\n".join(table(head, rows))
     )
 
 
@@ -155,6 +149,4 @@ def _figure(lines: list[Line]) -> str:
         axes.set_xticks(range(len(labels)), labels, rotation=25, ha="right")
         axes.set_ylabel("simulated / predicted u")
         axes.legend(ncols=4, fontsize="x-small", loc="lower right")
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None})
-    return text.getvalue()
+        return svg(figure)

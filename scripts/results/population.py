@@ -2,39 +2,21 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from section import Effort, Section
+from section import Effort, Section, script, svg, table
 
 UNITS = 200
 
 
 def run(effort: Effort) -> Section:
     """A hundred populations with an effect and a hundred without, and some that should mislead."""
-    drawn = _script()
+    drawn = script("population")
     units = effort.sessions(UNITS, 60)
     populations = effort.sessions(100, 2)
     return section_of(drawn.outcomes(populations, units, effort.seed, effort.jobs), units)
-
-
-def _script() -> Any:
-    """scripts/population.py, whose name this module has too."""
-    import importlib.util
-
-    path = Path(__file__).parents[1] / "population.py"
-    spec = importlib.util.spec_from_file_location("population_script", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def section_of(every: Sequence[Any], units: int) -> Section:
@@ -42,8 +24,6 @@ def section_of(every: Sequence[Any], units: int) -> Section:
     lines = [
         f"Populations of {units} sessions; an effect of half of each session's detection limit in 30 %.",
         "",
-        "| populations | | named alone | named, or in a set | something false | unnamed |",
-        "|---|---|---|---|---|---|",
     ]
     words = {
         "effect": "with one effect",
@@ -52,6 +32,7 @@ def section_of(every: Sequence[Any], units: int) -> Section:
         "foreign": "an effect that the catalogue lacks",
         "gross": "one gross session",
     }
+    kinds: list[Sequence[str]] = []
     document: dict[str, Any] = {"units": units, "kinds": {}, "outcomes": [asdict(one) for one in every]}
     for kind, what in words.items():
         some = [one for one in every if one.kind == kind]
@@ -63,21 +44,22 @@ def section_of(every: Sequence[Any], units: int) -> Section:
             "populations": len(some), "named": named, "in_set": held, "false": false, "unnamed": unnamed
         }  # fmt: skip
         shown = (f"{named}", f"{held}") if kind == "effect" else ("", "")
-        lines.append(f"| {what} | {len(some)} | {shown[0]} | {shown[1]} | {false} | {unnamed} |")
-    lines += ["", "| effect | populations | named alone | in a set | answers |", "|---|---|---|---|---|"]
+        kinds.append((what, str(len(some)), *shown, str(false), str(unnamed)))
+    head = ("populations", "", "named alone", "named, or in a set", "something false", "unnamed")
+    lines += [*table(head, kinds), ""]
+    effects: list[Sequence[str]] = []
     for name in sorted({one.truth for one in every if one.kind == "effect"}):
         some = [one for one in every if one.kind == "effect" and one.truth == name]
         answers = sorted({" or ".join(names) for one in some for names in one.found})
         alone = sum(one.named for one in some)
         held = sum(one.in_set for one in some) - alone
-        lines.append(f"| {name} | {len(some)} | {alone} | {held} | {'; '.join(answers)} |")
-    lines += ["", "![How often each effect was named](population-named.svg)"]
+        effects.append((name, str(len(some)), str(alone), str(held), "; ".join(answers)))
+    head = ("effect", "populations", "named alone", "in a set", "answers")
+    lines += [*table(head, effects), "", "![How often each effect was named](population-named.svg)"]
     return Section("Population trace", "\n".join(lines), document, {"named": _figure(every)})
 
 
 def _figure(every: Sequence[Any]) -> str:
-    import io
-
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -96,7 +78,6 @@ def _figure(every: Sequence[Any]) -> str:
     axis.barh(names, missed, left=both, label="not named", color="#e2a33a")
     axis.set_xlabel("populations")
     axis.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None})
+    text = svg(figure)
     plt.close(figure)
-    return text.getvalue()
+    return text

@@ -7,7 +7,7 @@ import pytest
 
 from adis_gonio import fit, trace
 from adis_gonio.errors import DataError
-from adis_gonio.estimation.converter import limits_of, steps_of
+from adis_gonio.estimation.converter import converter_of, steps_of
 from adis_gonio.estimation.readings import readings_of
 from adis_gonio.model.records import Dwell, Session
 
@@ -46,11 +46,11 @@ def session(rows: list[np.ndarray]) -> Session:
 
 @pytest.mark.parametrize("step", [0.01, LSB_MG, 2.5, 9.0, 25.0])
 def test_noise_is_no_limit_however_coarse_the_converter(step: float) -> None:
-    assert not any(limits_of(dwells(np.random.default_rng(seed), step)) for seed in range(100))
+    assert not any(converter_of(dwells(np.random.default_rng(seed), step)).limits for seed in range(100))
 
 
 def test_samples_at_a_limit_are_counted_and_their_position_named() -> None:
-    (limit,) = limits_of(dwells(np.random.default_rng(1), LSB_MG, limit=992.0))
+    (limit,) = converter_of(dwells(np.random.default_rng(1), LSB_MG, limit=992.0)).limits
     assert (limit.axis, limit.value, limit.positions, limit.spoiled) == (0, 992.0, (1,), (1,))
     assert limit.samples > 100
 

@@ -15,16 +15,17 @@ QUICK = Settings(dwell_s=0.5, settle_s=0.1)
 
 
 class HandBus(SpiBus):
-    """The simulated bus without what tells that it is simulated."""
+    """The simulated bus without what tells that it is simulated: no world, no stage, a clock of its own."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, *, starts_at_s: float = 0.0, virtual_time: bool = True) -> None:
         self.inner = open_bus(url)
         super().__init__(self.inner.timing)
         self.url = "real:1"
-        self.virtual_time = True
+        self.virtual_time = virtual_time
+        self.starts_at_s = starts_at_s
 
     def now_s(self) -> float:
-        return self.inner.now_s()
+        return self.inner.now_s() + self.starts_at_s
 
     def sleep_s(self, seconds: float) -> None:
         self.inner.sleep_s(seconds)

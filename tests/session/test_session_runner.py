@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio.bus import SpiBus
 from adis_gonio.errors import BusTimeoutError, SessionError, UsageError
 from adis_gonio.sensor import Adis16354, open_sensor
 from adis_gonio.sensor.decoding import ScanBlock, join
@@ -34,6 +33,7 @@ from adis_gonio.session.events import (
 from adis_gonio.session.plans import Plan, plan
 from adis_gonio.session.runner import SessionRunner
 from adis_gonio.session.settings import Settings
+from session.hand_bench import HandBus
 
 URL = "sim:?seed=3"
 SHORT = Settings(dwell_s=1.0, settle_s=0.1)
@@ -633,33 +633,6 @@ def run_until(path: Path, dwells: int) -> None:
         run.close()
 
 
-class RealBus(SpiBus):
-    """The simulated bus without what tells that it is simulated: no world, no stage, a clock of its own."""
-
-    def __init__(self, url: str, starts_at_s: float) -> None:
-        from adis_gonio.bus import open_bus
-
-        self.inner = open_bus(url)
-        super().__init__(self.inner.timing)
-        self.url = "real:1"
-        self.starts_at_s = starts_at_s
-
-    def now_s(self) -> float:
-        return self.inner.now_s() + self.starts_at_s
-
-    def sleep_s(self, seconds: float) -> None:
-        self.inner.sleep_s(seconds)
-
-    def _exchange(self, frames):
-        return self.inner.exchange_array(frames)
-
-    def _configure(self, timing):
-        return self.inner.configure(timing)
-
-    def _close(self) -> None:
-        self.inner.close()
-
-
 class PlaneStage:
     """A stage that turns about one axis only."""
 
@@ -669,12 +642,12 @@ class PlaneStage:
 
 def test_a_real_sensor_goes_on_with_time_that_increases(path):
     """The second life's clock starts earlier than the first one ended, as after a reboot."""
-    with Adis16354(RealBus(URL, 5000.0)) as opened:
+    with Adis16354(HandBus(URL, starts_at_s=5000.0, virtual_time=False)) as opened:
         runner = SessionRunner.begin(opened, path, plan(), SHORT)
         for event in runner.run():
             if isinstance(event, PositionAsked):
                 (runner.confirm if event.place == 0 else runner.stop)()
-    with Adis16354(RealBus(URL, 3.0)) as opened:
+    with Adis16354(HandBus(URL, starts_at_s=3.0, virtual_time=False)) as opened:
         opened.bus.inner.stage.move_to(90.0)
         runner = SessionRunner.resume(opened, path)
         for event in runner.run():
@@ -716,7 +689,7 @@ def test_poses_are_recorded_without_angle_and_resume_to_the_bit(path):
 
 def test_an_operator_may_hold_the_part_in_any_pose(path):
     rng = np.random.default_rng(2)
-    with Adis16354(RealBus(URL, 0.0)) as opened:
+    with Adis16354(HandBus(URL, starts_at_s=0.0, virtual_time=False)) as opened:
         runner = SessionRunner.begin(opened, path, plan("poses", 9), SHORT)
         for event in runner.run():
             if isinstance(event, PositionAsked):
@@ -734,7 +707,7 @@ def test_an_operator_may_hold_the_part_in_any_pose(path):
 
 def test_auto_needs_a_stage_and_leaves_no_file(path):
     with (
-        Adis16354(RealBus(URL, 0.0)) as opened,
+        Adis16354(HandBus(URL, starts_at_s=0.0, virtual_time=False)) as opened,
         pytest.raises(UsageError, match="auto needs a stage"),
     ):
         SessionRunner.begin(opened, path, plan(), SHORT, auto=True)

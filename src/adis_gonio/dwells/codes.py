@@ -1,7 +1,7 @@
 """What the codes of the samples show: limits of the range (`saturation`), a coarse step (`quantization`).
 
 Saturation
-    Samples that pile up at an extreme value (`estimation.converter`). Its p-value is that of so many
+    Samples that pile up at an extreme value (`Readings.converter`). Its p-value is that of so many
     samples at the extreme against those one value inside, were both equally likely.
 Quantization
     A step that the noise does not hide: what it leaves on the means, q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², is
@@ -20,7 +20,6 @@ from scipy import optimize, stats
 
 from adis_gonio.dwells.finding import WithinFinding, corrected, number, positions_text
 from adis_gonio.dwells.samples import Samples
-from adis_gonio.estimation.converter import limits_of, steps_of
 from adis_gonio.estimation.readings import Readings, left_by_quantization
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.records import Session
@@ -29,10 +28,10 @@ from adis_gonio.sensor.variants import VARIANTS
 
 def saturation(session: Session, data: Readings) -> WithinFinding | None:
     """Limits of the range that samples have reached; None where there are none."""
-    dwells = [dwell for dwell in session.dwells if len(dwell)]
-    limits = [limit for limit in limits_of(dwells) if limit.axis < data.axes]
-    if not limits:
+    if data.converter is None or not data.converter.limits:
         return None
+    limits = data.converter.limits
+    recorded = sum(1 for dwell in session.dwells if len(dwell))
     zero = np.zeros((1, data.axes))
     sizes, steps = [], []
     for limit in limits:
@@ -46,7 +45,7 @@ def saturation(session: Session, data: Readings) -> WithinFinding | None:
     positions = tuple(sorted({p for limit in limits for p in limit.positions}))
     p = max(float(stats.binom.sf(m.samples - 1, m.samples + m.inside, 0.5)) for m in limits)
     spread = (max(sizes) - min(sizes)) / 2
-    step = float(steps_of([dwell.accel[:, : data.axes] for dwell in dwells]).max()) * abs(steps[0])
+    step = float(data.converter.steps.max()) * abs(steps[0])
     limit_mg = Value(float(np.mean(sizes)), math.hypot(step / math.sqrt(12), spread), "mg")
     return WithinFinding(
         kind="limit",
@@ -57,7 +56,7 @@ def saturation(session: Session, data: Readings) -> WithinFinding | None:
         p_value=corrected(p, len(limits)),
         sentence=(
             f"{', '.join(letters)} stop at ±{number(limit_mg.value)} mg in "
-            f"{positions_text(positions, len(dwells))}: dwells that it moves took no part in the fit"
+            f"{positions_text(positions, recorded)}: dwells that it moves took no part in the fit"
         ),
         advice="record with a wider range, or without the positions in which an axis stands at its limit",
     )

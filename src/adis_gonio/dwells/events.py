@@ -28,7 +28,7 @@ from adis_gonio.dwells.finding import (
     positions_text,
     with_u,
 )
-from adis_gonio.dwells.samples import Samples
+from adis_gonio.dwells.samples import MAD_TO_SD, Samples, deviation
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.records import Floats
 
@@ -171,7 +171,7 @@ def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) 
         largest = np.array([np.abs(own[:, axis]).max(initial=0.0) for own in scale.differences])
         largest = np.maximum(largest - coarse[:, axis] * np.sqrt(stretch / 2), 0.0)
         if total >= _MANY:
-            spread = 1.482602 * float(np.median(np.abs(every[:, axis])))
+            spread = MAD_TO_SD * float(np.median(np.abs(every[:, axis])))
             own_p = np.asarray(stats.t.sf(largest / max(spread, 1e-12), _EFFICIENCY * total))
             spreads = np.full(len(largest), spread)
         else:
@@ -219,7 +219,7 @@ def _independent(nominal: Floats, squares: Floats) -> Floats:
     if use.sum() < _LEAST_DWELLS:
         return nominal
     logs = np.log(np.maximum(squares[use], 1e-300))
-    spread = 1.482602 * float(np.median(np.abs(logs - np.median(logs))))
+    spread = float(deviation(logs))
     # The logarithm of a mean of ν squares has the variance 2/ν.
     each = max(2 / max(spread, 1e-6) ** 2, 1.0)
     return np.where(use, np.minimum(nominal, each), 0.0)

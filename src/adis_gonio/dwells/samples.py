@@ -12,7 +12,7 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.records import Floats, Session
 
-_MAD = 1.482602
+MAD_TO_SD = 1.482602
 """Standard deviation of a normal distribution in units of its median absolute deviation."""
 _LEAST_LEVEL = 100
 """Samples from which a dwell's scatter is known well enough by itself."""
@@ -115,7 +115,7 @@ def samples_of(session: Session, data: Readings) -> Samples | None:
 def deviation(rows: Floats, axis: int = 0) -> Floats:
     """Standard deviation by the median absolute deviation, which few wild values do not move."""
     middle = np.median(rows, axis=axis, keepdims=True)
-    spread: Floats = _MAD * np.median(np.abs(rows - middle), axis=axis)
+    spread: Floats = MAD_TO_SD * np.median(np.abs(rows - middle), axis=axis)
     return spread
 
 

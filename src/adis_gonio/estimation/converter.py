@@ -57,10 +57,35 @@ class Limit:
     spoiled: tuple[int, ...]
 
 
-def limits_of(dwells: Sequence[Dwell]) -> tuple[Limit, ...]:
-    """Limits that the samples of dwells show, at most two an axis."""
-    found = []
+@dataclass(frozen=True)
+class Converter:
+    """What samples show of their converter, in their unit.
+
+    Attributes
+    ----------
+    steps : (axes,) float
+        As `steps_of`.
+    limits : tuple of Limit
+        At most two an axis.
+    """
+
+    steps: Floats
+    limits: tuple[Limit, ...]
+
+    @property
+    def spoiled(self) -> set[int]:
+        """Positions of the dwells whose mean a limit moves."""
+        return {position for limit in self.limits for position in limit.spoiled}
+
+
+def converter_of(dwells: Sequence[Dwell]) -> Converter:
+    """Steps and limits that the samples of dwells show."""
     steps = steps_of([dwell.accel for dwell in dwells])
+    return Converter(steps, _limits(dwells, steps))
+
+
+def _limits(dwells: Sequence[Dwell], steps: Floats) -> tuple[Limit, ...]:
+    found = []
     scatter = np.median([dwell.accel.std(axis=0) for dwell in dwells], axis=0)
     for axis in range(dwells[0].accel.shape[1]):
         if scatter[axis] < _LIVELY * steps[axis]:

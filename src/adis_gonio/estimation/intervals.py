@@ -28,6 +28,16 @@ def coverage_factor(dof: float) -> float:
     return float(stdtrit(max(dof, 1.0), 0.5 * (1 + COVERED)))
 
 
+def wilson(hits: float, n: int, z: float = NORMAL_95) -> tuple[float, float]:
+    """Wilson's interval (1927), of 95 % unless told, of a probability; 0 to 1 where n is 0."""
+    if n == 0:
+        return 0.0, 1.0
+    share = hits / n
+    middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z / (1 + z**2 / n) * math.sqrt(share * (1 - share) / n + z**2 / (4 * n**2))
+    return (0.0 if hits == 0 else middle - half), (1.0 if hits == n else middle + half)
+
+
 def effective_dof(parts: Sequence[tuple[float, float]]) -> float:
     """Degrees of freedom of a sum of variances, each with its own: (Σ v)² / Σ (v²/ν); inf if unlimited."""
     total = sum(variance for variance, _ in parts)

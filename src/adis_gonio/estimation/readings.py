@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 from adis_gonio.budget import current
 from adis_gonio.errors import DataError, FitError
 from adis_gonio.estimation.conic import conic_through
-from adis_gonio.estimation.converter import limits_of, steps_of
+from adis_gonio.estimation.converter import Converter, converter_of, steps_of
 from adis_gonio.estimation.flicker import covariance_of_means, modes, scatter_of_means, spans
 from adis_gonio.estimation.screening import limits_in_words, refuse_dead_data
 from adis_gonio.estimation.spectrum import MeanNoise, noise_of_means
@@ -144,6 +144,8 @@ class Readings:
         Base parameters that are fitted; None: those that these dwells show. Folds have the session's.
     measurement : Measurement or None
         What the readings are of; None: a turn in the plane, or poses in space, by their axes.
+    converter : Converter or None
+        What all samples show of it, those of dwells at a limit among them; None without samples.
     """
 
     mean_mg: Floats
@@ -168,6 +170,7 @@ class Readings:
     notes: tuple[str, ...] = ()
     fitted: NDArray[np.bool_] | None = None
     measurement: Measurement | None = None
+    converter: Converter | None = None
 
     def __len__(self) -> int:
         return len(self.mean_mg)
@@ -260,7 +263,7 @@ class Readings:
             **{name: getattr(self, name)[index] for name in by_dwell},
         )
 
-    @property
+    @cached_property
     def training(self) -> Readings:
         """Dwells that may be fitted, with the base parameters that they show settled for all folds.
 
@@ -415,7 +418,7 @@ def reduced(session: Session) -> Readings:
     """Readings of all dwells, whatever length they have; see `readings_of`."""
     source = session.source or "session"
     axes = 2 if session.plane == "xy" else 3
-    dwells, notes = _usable(session, axes)
+    dwells, converter, notes = _usable(session, axes)
     scale = _mg_per_unit(session)
     n = len(dwells)
     mean = np.array([d.accel[0, :axes] if len(d) == 1 else d.accel[:, :axes].mean(axis=0) for d in dwells])
@@ -443,7 +446,9 @@ def reduced(session: Session) -> Readings:
     if many.size:
         rows = [dwells[k].accel[:, :axes] for k in many.tolist()]
         noise = noise_of_means(rows, mg)
-        quantum = _quantum(session, rows, mg)
+        # A dwell at a limit has steps that are none of the converter's: without such, all are looked at.
+        steps = steps_of(rows) if converter.spoiled else converter.steps
+        quantum = mg * (np.maximum(steps, 1.0) if session.accel_unit == "lsb" else steps)
         flicker = _flicker(session, noise)
         own, slow = _of_flicker([dwells[k] for k in many.tolist()], flicker, many, n)
         rounding, level = np.zeros((n, axes)), np.zeros((n, axes))
@@ -481,6 +486,7 @@ def reduced(session: Session) -> Readings:
         slow_mg=slow,
         sensor=session.sensor,
         notes=tuple(notes),
+        converter=converter,
         **parts,
     )
 
@@ -493,22 +499,22 @@ def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
     return not bool(np.any(ranges, axis=0).all())
 
 
-def _usable(session: Session, axes: int) -> tuple[list[Dwell], list[str]]:
-    """Dwells whose mean is a reading, and what is to be said of the others."""
+def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[str]]:
+    """Dwells whose mean is a reading, the converter by all dwells, and what is to be said of the others."""
     source = session.source or "session"
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     if not dwells:
         raise DataError(f"{source}: no dwell to fit; every dwell is empty or for checking")
     if dwells[0].accel.shape[1] < axes:
         raise DataError(f"{source}: plane none needs three axes, there are two")
-    limits = limits_of([replace(dwell, accel=dwell.accel[:, :axes]) for dwell in dwells])
+    converter = converter_of([replace(dwell, accel=dwell.accel[:, :axes]) for dwell in dwells])
+    limits = converter.limits
     refuse_dead_data(session, limits, None if session.accel_unit == "counts" else _mg_per_unit(session))
     if len(dwells) > 1:  # of one pose there is nothing else to look at
-        spoiled = {position for limit in limits for position in limit.spoiled}
-        dwells = [dwell for dwell in dwells if dwell.position not in spoiled]
+        dwells = [dwell for dwell in dwells if dwell.position not in converter.spoiled]
     if not dwells:
         raise DataError(f"{source}: every dwell stands at a limit of the range; record with a wider one")
-    return dwells, limits_in_words(limits, session.accel_unit)
+    return dwells, converter, limits_in_words(limits, session.accel_unit)
 
 
 def _of_flicker(
@@ -631,12 +637,6 @@ def _mg_per_unit(session: Session) -> float:
             )
         return VARIANTS[session.sensor].accel_mg_per_lsb
     return {"mg": 1.0, "g": 1000.0, "mps2": MG_PER_MPS2, "counts": 1.0}[session.accel_unit]
-
-
-def _quantum(session: Session, rows: Sequence[Floats], mg: Floats) -> Floats:
-    """Step of the converter on each axis (axes,) in mg: what the samples show, of words one at least."""
-    steps = steps_of(rows)
-    return mg * (np.maximum(steps, 1.0) if session.accel_unit == "lsb" else steps)
 
 
 def left_by_quantization(rows: Sequence[Floats], mg: Floats, quantum: Floats) -> Floats:

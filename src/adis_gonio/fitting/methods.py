@@ -72,7 +72,7 @@ def fit(session: Session, method: str | None = None) -> FitResult:
     readings = readings_of(session)
     current().tell(f"method {method}" if method else "the best method")
     try:
-        result = fit_readings(readings.training, method)
+        result = fit_of(readings, method)
     except FitError as error:
         if not session.source:
             raise
@@ -85,6 +85,15 @@ def fit(session: Session, method: str | None = None) -> FitResult:
         overrides=session.facts.get("overrides", {}),
         provenance=provenance_of(session),
     )
+
+
+def fit_of(readings: Readings, method: str | None = None) -> FitResult:
+    """The same of a session's readings, `check` dwells left out; worked out once and kept with them."""
+    kept: dict[str | None, FitResult] = vars(readings).setdefault("_fits", {})
+    if method not in kept:
+        kept[method] = fit_readings(readings.training, method)
+        kept.setdefault(kept[method].method, kept[method])
+    return kept[method]
 
 
 def fit_readings(readings: Readings, method: str | None = None) -> FitResult:

@@ -12,7 +12,7 @@ import numpy as np
 from adis_gonio.counting import counted
 from adis_gonio.errors import FitError
 from adis_gonio.estimation.readings import Readings
-from adis_gonio.fitting.methods import applicable_to, default_method, fit_readings
+from adis_gonio.fitting.methods import applicable_to, default_method, fit_of
 from adis_gonio.fitting.result import FitResult
 from adis_gonio.fitting.scores import Prediction, Score, predictions, scores_of
 from adis_gonio.model.records import Floats
@@ -85,11 +85,11 @@ def _worked_out(session: Readings) -> Standing:
     failures: dict[str, str] = {}
     for method in applicable_to(training):
         try:
-            results.append(fit_readings(training, method))
+            results.append(fit_of(session, method))
         except FitError as error:
             failures[method] = str(error)
     if not results:
-        results.append(fit_readings(training))
+        results.append(fit_of(session))
     found = predictions(session, results)
     scores = scores_of(found)
     return Standing(

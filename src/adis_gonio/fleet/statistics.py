@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.estimation.intervals import NORMAL_95
 from adis_gonio.estimation.values import finite_or_none
 from adis_gonio.model.records import Floats
 
@@ -22,16 +21,6 @@ MAD_TO_SD = 1.482602218505602
 """Standard deviation of a normal distribution over its median absolute deviation."""
 LEAST = 3
 """Values below which nothing is said of their scatter."""
-
-
-def wilson(hits: int, n: int, z: float = NORMAL_95) -> tuple[float, float]:
-    """Interval of a probability of which `hits` in `n` were seen (Wilson 1927); 0 to 1 where n is 0."""
-    if n == 0:
-        return 0.0, 1.0
-    share = hits / n
-    middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
-    half = z / (1 + z**2 / n) * math.sqrt(share * (1 - share) / n + z**2 / (4 * n**2))
-    return (0.0 if hits == 0 else middle - half), (1.0 if hits == n else middle + half)
 
 
 def robust_sd(values: Floats) -> float:

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from adis_gonio import __version__
+from adis_gonio.estimation.intervals import wilson
 from adis_gonio.fleet.columns import Row, Table, table_of, unit_of
 from adis_gonio.fleet.outlying import LEVEL, Codes, Comparison, Test, by_rank, by_share, by_unit, outlying
-from adis_gonio.fleet.statistics import Beyond, Distribution, Repeats, beyond, repeats, wilson
+from adis_gonio.fleet.statistics import Beyond, Distribution, Repeats, beyond, repeats
 from adis_gonio.memory.record import COLUMNS as QUANTITIES
 from adis_gonio.model.records import Floats
 

@@ -40,16 +40,67 @@ class Remark:
     utc: str
 
 
-class Operator:
-    """The operator's side of a session; every method may be called from any thread."""
+class Inbox:
+    """What an operator has said and the session has not heard yet; safe between threads.
+
+    Attributes
+    ----------
+    stopping, pausing, going_on : threading.Event
+        Set while the session is to end, to stand still, not to stand still any more.
+    """
 
     def __init__(self) -> None:
         self._answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
         self._remarks: queue.SimpleQueue[Remark] = queue.SimpleQueue()
         self._allowed: frozenset[Answer] = frozenset()
-        self._stopping = threading.Event()
-        self._pausing = threading.Event()
-        self._going_on = threading.Event()
+        self.stopping = threading.Event()
+        self.pausing = threading.Event()
+        self.going_on = threading.Event()
+
+    @property
+    def interrupting(self) -> bool:
+        """True where the session is to end or to stand still."""
+        return self.stopping.is_set() or self.pausing.is_set()
+
+    def answer(self, answer: Answer | str) -> None:
+        """Put an answer in; `UsageError` where it is none to the question that stands."""
+        if answer not in self._allowed:
+            asked = ", ".join(sorted(self._allowed)) or "nothing"
+            raise UsageError(f"'{answer}' answers no question that stands (open: {asked})")
+        self._answers.put(Answer(answer))
+
+    def remark(self, text: str) -> None:
+        """Put a remark in."""
+        self._remarks.put(Remark(text, utc_now()))
+
+    def open(self, answers: frozenset[Answer]) -> None:
+        """Let a question stand: what was said to another one is forgotten."""
+        while not self._answers.empty():
+            self._answers.get_nowait()
+        self._allowed = answers
+
+    def given(self) -> Answer | None:
+        """The answer to the question that stands; None while there is none."""
+        try:
+            answer = self._answers.get_nowait()
+        except queue.Empty:
+            return None
+        self._allowed = frozenset()
+        return answer
+
+    def said(self) -> list[Remark]:
+        """Remarks that have not been taken yet."""
+        remarks = []
+        while not self._remarks.empty():
+            remarks.append(self._remarks.get_nowait())
+        return remarks
+
+
+class Operator:
+    """The operator's side of a session; every method may be called from any thread."""
+
+    def __init__(self) -> None:
+        self._inbox = Inbox()
 
     def answer(self, answer: Answer | str) -> None:
         """Answer the question that stands, by the answer's name; one of `GuardRaised.answers`, say.
@@ -62,10 +113,7 @@ class Operator:
         if answer == Answer.STOP:
             self.stop()
             return
-        if answer not in self._allowed:
-            asked = ", ".join(sorted(self._allowed)) or "nothing"
-            raise UsageError(f"'{answer}' answers no question that stands (open: {asked})")
-        self._answers.put(Answer(answer))
+        self._inbox.answer(answer)
 
     def confirm(self) -> None:
         """The part is (or the stage may go) where it was asked to be."""
@@ -105,41 +153,19 @@ class Operator:
 
     def stop(self) -> None:
         """End the session now; a dwell in hand is archived as interrupted. It can be resumed."""
-        self._stopping.set()
+        self._inbox.stopping.set()
 
     def pause(self) -> None:
         """Close the stream and judge nothing until `unpause`; a dwell in hand is archived as broken off."""
-        self._going_on.clear()
-        self._pausing.set()
+        self._inbox.going_on.clear()
+        self._inbox.pausing.set()
 
     def unpause(self) -> None:
         """Go on after a pause: the question is put again."""
-        self._pausing.clear()
-        self._going_on.set()
+        self._inbox.pausing.clear()
+        self._inbox.going_on.set()
 
     def note(self, text: str) -> None:
         """Keep a remark with the session, with its time and place."""
         if text.strip():
-            self._remarks.put(Remark(text.strip(), utc_now()))
-
-    def _open(self, answers: frozenset[Answer]) -> None:
-        """Let a question stand: what was said to another one is forgotten."""
-        while not self._answers.empty():
-            self._answers.get_nowait()
-        self._allowed = answers
-
-    def _given(self) -> Answer | None:
-        """The answer to the question that stands; None while there is none."""
-        try:
-            answer = self._answers.get_nowait()
-        except queue.Empty:
-            return None
-        self._allowed = frozenset()
-        return answer
-
-    def _said(self) -> list[Remark]:
-        """Remarks that have not been archived yet."""
-        remarks = []
-        while not self._remarks.empty():
-            remarks.append(self._remarks.get_nowait())
-        return remarks
+            self._inbox.remark(text.strip())

@@ -12,11 +12,14 @@ import math
 from collections.abc import Generator, Iterator
 from typing import Literal, Protocol, runtime_checkable
 
-from adis_gonio.errors import AdisGonioError
+from adis_gonio.session.bench import Bench
 from adis_gonio.session.blocks import Block
+from adis_gonio.session.dwelling import BROKEN_STREAM, TakesDwells, why_broken_off
 from adis_gonio.session.events import Event, Problem, StageMoved, TurnDone, TurnProgress
-from adis_gonio.session.judge import Judge
+from adis_gonio.session.knowledge import Knowledge
+from adis_gonio.session.ledger import Ledger
 from adis_gonio.session.plans import Plan, Position
+from adis_gonio.session.questions import Questions
 from adis_gonio.session.rows import Attempt, Outcome, utc_now
 from adis_gonio.session.runner import SessionRunner
 from adis_gonio.session.turn_pieces import FREE_TURN, GOES_ON
@@ -29,7 +32,6 @@ PIECE_S = 5.0
 RESTING_DEG = 0.5
 """Less than this in `REST_S` is rest."""
 State = Literal["rest", "turn", "after"]
-BROKEN_STREAM = "the stream of scans ended"
 
 PLACE = Position(None, 0)
 
@@ -107,35 +109,44 @@ class FreeTurnRunner(SessionRunner):
         """True: one continuous recording."""
         return True
 
-    def _new_judge(self, noise_mg: float) -> Judge | None:
-        """No place to judge: none is declared."""
-        return None
+    def _new_dwelling(self) -> TakesDwells:
+        return TurnTaking(self._bench, self._ledger, self._knowledge, self._questions)
 
-    def _dwell(self, place: int) -> Iterator[Event]:
-        pieces = _Pieces(self, place)
+
+class TurnTaking:
+    """Records the whole turn as the dwell of the one place."""
+
+    def __init__(self, bench: Bench, ledger: Ledger, knowledge: Knowledge, questions: Questions) -> None:
+        self._bench = bench
+        self._ledger = ledger
+        self._knowledge = knowledge
+        self._questions = questions
+
+    def take(self, place: int) -> Iterator[Event]:
+        """Record a turn."""
+        bench, ledger = self._bench, self._ledger
+        pieces = _Pieces(bench, ledger, place)
         try:
             why = yield from self._follow(pieces)
         except BaseException as error:
-            said = str(error) if isinstance(error, AdisGonioError) else "the program ended"
-            pieces.write("interrupted", said)
+            pieces.write("interrupted", why_broken_off(error))
             raise
-        self._bench.close_stream()
-        self._tell_scanning()
+        bench.close_stream()
+        ledger.scanning(bench.scanning)
         if why:
             pieces.write("interrupted", why)
-            yield self._problem(Problem("stillness", f"the turn was broken off: {why}", place))
+            yield ledger.problem(Problem("stillness", f"the turn was broken off: {why}", place))
             return
-        status = self._bench.source.status()
+        status = bench.source.status()
         number = pieces.write("complete", "", None if status is None else status.word)
-        self._done[place] = number
-        self._last_place = place
+        ledger.count(place, number)
         turn = pieces.turn
         yield TurnDone(number, turn.turned_deg, pieces.length_s, pieces.samples, pieces.lost)
         if not turn.full:
             message = f"it went {abs(turn.turned_deg):.0f}°, no full turn: undo it and turn once all around"
-            yield self._problem(Problem("stillness", message, place))
+            yield ledger.problem(Problem("stillness", message, place))
         if pieces.lost:
-            yield self._problem(Problem("lost", f"{pieces.lost} scans lost during the turn", place))
+            yield ledger.problem(Problem("lost", f"{pieces.lost} scans lost during the turn", place))
 
     def _follow(self, pieces: _Pieces) -> Generator[Event, None, str]:
         """Record the turn; what broke it off, or nothing."""
@@ -143,7 +154,7 @@ class FreeTurnRunner(SessionRunner):
         length_s = bench.settings.dwell_s
         for block in bench.scans():
             pieces.add(block)
-            self._view.see(block)
+            self._knowledge.see(block)
             if not moved and pieces.length_s >= REST_S:
                 moved = True
                 if isinstance(bench.stage, TurningStage):
@@ -159,9 +170,9 @@ class FreeTurnRunner(SessionRunner):
                 turn.turned_deg,
                 turn.rate_dps,
             )
-            if self._stopping.is_set() or self._pausing.is_set():
-                return self._why_ended()
-            yield from self._keep_remarks(pieces.place)
+            if self._questions.interrupted:
+                return self._questions.why_interrupted
+            yield from self._questions.remarks(pieces.place)
             if pieces.length_s >= length_s or (turn.full and turn.resting):
                 return ""
         return BROKEN_STREAM
@@ -170,15 +181,15 @@ class FreeTurnRunner(SessionRunner):
 class _Pieces:
     """What was recorded and goes to the archive piece by piece."""
 
-    def __init__(self, runner: FreeTurnRunner, place: int) -> None:
+    def __init__(self, bench: Bench, ledger: Ledger, place: int) -> None:
         self.place, self.turn = place, Turn()
         self.samples = self.lost = 0
         self.length_s = 0.0
-        self._runner = runner
+        self._bench, self._ledger = bench, ledger
         self._first_s: float | None = None
         self._since_s = 0.0
         self._blocks: list[Block] = []
-        self._began = utc_now(), runner._bench.now_s
+        self._began = utc_now(), bench.now_s
 
     def add(self, block: Block) -> None:
         """Take scans; those of a whole piece are written."""
@@ -195,12 +206,12 @@ class _Pieces:
 
     def write(self, outcome: Outcome, reason: str, status: int | None = None) -> int:
         """Write what is not yet in the archive; number of the attempt."""
-        now = self._runner._bench.now_s
+        now = self._bench.now_s
         attempt = Attempt(
             self.place, PLACE, outcome, *self._began, now,
             [("dwell", block) for block in self._blocks], [], reason, status,
         )  # fmt: skip
-        number = self._runner._archive.add_attempt(attempt)
+        number = self._ledger.archive.add_attempt(attempt)
         self._blocks, self._since_s = [], self.length_s
         self._began = utc_now(), now
         return number

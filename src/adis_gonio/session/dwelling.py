@@ -1,0 +1,238 @@
+"""One dwell, from going to its place until it is complete, given up or left."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+from adis_gonio.errors import AdisGonioError, SessionError
+from adis_gonio.model.records import Floats
+from adis_gonio.session.archive import utc_now
+from adis_gonio.session.bench import Bench
+from adis_gonio.session.blocks import count_alarms
+from adis_gonio.session.events import DwellDone, DwellInterrupted, Event, Problem, StageMoved
+from adis_gonio.session.faults import problems
+from adis_gonio.session.guarding import Guarding
+from adis_gonio.session.guards import Guard, drift_guard, shock_guard, stuck_guard
+from adis_gonio.session.knowledge import Knowledge
+from adis_gonio.session.ledger import Ledger
+from adis_gonio.session.live import vector
+from adis_gonio.session.questions import Questions
+from adis_gonio.session.recording import Recording
+from adis_gonio.session.watch import Look
+
+MOST_RESTARTS = 5
+"""Interruptions of one dwell after which somebody has to look."""
+
+WINDOWS_TO_STILLNESS = 4
+"""Windows that the watch needs before it can say anything; waited for besides the time-out."""
+
+WARMING_S = 600.0
+"""Wait for another temperature, where the program sets it."""
+
+BROKEN_STREAM = "the stream of scans ended"
+
+
+class TakesDwells(Protocol):
+    """Whoever records what a session wants of a place."""
+
+    def take(self, place: int) -> Iterator[Event]:
+        """Record it, into the archive and the ledger."""
+
+
+@dataclass(frozen=True)
+class _Broken:
+    """Why a dwell was broken off, and what has to be asked about it."""
+
+    reason: str
+    guard: Guard | None = None
+
+
+class Dwelling:
+    """Makes dwells, one after another."""
+
+    def __init__(self, bench: Bench, ledger: Ledger, knowledge: Knowledge, questions: Questions) -> None:
+        self._bench = bench
+        self._ledger = ledger
+        self._knowledge = knowledge
+        self._questions = questions
+        self._guarding = Guarding(ledger, knowledge, questions)
+
+    def take(self, place: int) -> Iterator[Event]:
+        """Make the dwell of a place; it is begun anew where it is disturbed.
+
+        Raises
+        ------
+        SessionError
+            No dwell is possible, and nobody is there to ask.
+        """
+        recording = self._new_recording(place)
+        self._guarding.begin()
+        if not (yield from self._go_to(recording)):
+            return
+        restarts, rested_mg = 0, None
+        while (broken := (yield from self._record_or_keep(recording, rested_mg))) is not None:
+            yield self._interrupted(recording, broken.reason)
+            if self._questions.interrupted:
+                return
+            guard, restarts = broken.guard, restarts + 1
+            rested_mg = recording.rested_mg if rested_mg is None else rested_mg
+            if guard is None and (recording.timed_out or restarts == MOST_RESTARTS):
+                self._bench.close_stream()
+                guard = self._gave_up(recording, broken.reason, restarts)
+                if guard is None:
+                    message = f"{recording.position}: {broken.reason}; no dwell was possible"
+                    yield self._ledger.problem(Problem("stillness", message, place))
+                    return
+            if guard is not None:
+                if not (yield from self._guarding.ask(guard, place)):
+                    return
+                restarts, rested_mg = 0, None
+            recording = self._new_recording(place)
+        yield from self._complete(recording)
+
+    def _gave_up(self, recording: Recording, reason: str, restarts: int) -> Guard | None:
+        """What to ask after so many disturbances; None where the part never came to rest.
+
+        Raises
+        ------
+        SessionError
+            Nobody is there to ask.
+        """
+        if self._questions.auto:
+            raise SessionError(
+                f"{recording.position}: {reason}; no dwell was possible;"
+                " find what moves the part and resume the session"
+            )
+        return None if recording.timed_out else shock_guard(reason, restarts)
+
+    def _go_to(self, recording: Recording) -> Generator[Event, None, bool]:
+        """Bring about what the position asks for, as far as the program can; False where it was stopped."""
+        place, position, bench = recording.place, recording.position, self._bench
+        if bench.sets_conditions and bench.wants_conditions(position):
+            wanted = {"temperature_c": position.temperature_c, "supply_v": position.supply_v}
+            # The record's time is the one at which the change begins: nothing may come between.
+            self._ledger.note("conditions", wanted)
+            bench.set_conditions(**wanted)
+            if position.temperature_c is not None and (yield from self._questions.wait(place, WARMING_S)):
+                return False
+        move = bench.move_to(position)
+        if move is not None:
+            recording.moves.append(move)
+            yield StageMoved(position)
+        if (yield from self._questions.wait(place, position.wait_s)):
+            # An attempt without scans keeps the move, which a resumed simulation has to live through.
+            yield self._interrupted(recording, self._questions.why_interrupted)
+            return False
+        return True
+
+    def _new_recording(self, place: int) -> Recording:
+        bench = self._bench
+        return Recording(
+            place,
+            self._ledger.plan.positions[place],
+            utc_now(),
+            bench.now_s,
+            bench.settings.dwell_s,
+            bench.settle_s,
+            bench.period_s,
+        )
+
+    def _record_or_keep(
+        self, recording: Recording, rested_mg: Floats | None
+    ) -> Generator[Event, None, _Broken | None]:
+        """Record; where that breaks off with an error, keep what there is."""
+        try:
+            return (yield from self._record(recording, rested_mg))
+        except BaseException as error:
+            self._interrupted(recording, why_broken_off(error))
+            raise
+
+    def _record(
+        self, recording: Recording, rested_mg: Floats | None
+    ) -> Generator[Event, None, _Broken | None]:
+        """Wait for stillness, then record; return None when complete, else what interrupted it."""
+        bench, questions, knowledge = self._bench, self._questions, self._knowledge
+        watch = knowledge.watch()
+        patience_s = bench.settings.still_timeout_s + WINDOWS_TO_STILLNESS * bench.window * bench.period_s
+        look: Look | None = None
+        for block in bench.scans():
+            recording.add(block)
+            knowledge.see(block)
+            for look in watch.feed(block.accel_mg):
+                disturbed = self._disturbance(recording, look)
+                if disturbed is not None:
+                    return disturbed
+            if recording.try_begin() and look is not None:
+                watch.anchor(recording.begin)
+                guard = yield from self._guarding.settled(recording, look.mean_mg, rested_mg)
+                if guard is not None:
+                    return _Broken(guard.message, guard)
+            if questions.interrupted:
+                return _Broken(questions.why_interrupted)
+            yield from questions.remarks(recording.place)
+            if look is None:
+                continue
+            if recording.complete(look.end):
+                return None
+            yield knowledge.view.dwell(recording, look.mean_mg, look.spread_mg, bench.settings.dwell_s)
+            if not recording.begun and recording.waited_s > patience_s:
+                recording.timed_out = True
+                return _Broken(f"not still within {recording.waited_s:.0f} s ({recording.why_moving})")
+        return _Broken(BROKEN_STREAM)
+
+    def _disturbance(self, recording: Recording, look: Look) -> _Broken | None:
+        """Tell the recording what was seen of the part; return what disturbed a dwell that had begun."""
+        auto = self._questions.auto
+        if look.state == "stuck":
+            if auto:
+                raise SessionError(look.why)
+            return _Broken(look.why, stuck_guard(look.why))
+        if look.state == "still":
+            recording.still(look.end)
+        elif recording.begun:
+            moved_on = look.shifted and not auto and not self._guarding.kept("drift")
+            return _Broken(look.why, drift_guard(look.why) if moved_on else None)
+        else:
+            recording.moving(look.why)
+        return None
+
+    def _interrupted(self, recording: Recording, reason: str) -> DwellInterrupted:
+        attempt = recording.attempt("interrupted", self._bench.now_s, reason)
+        number = self._ledger.archive.add_attempt(attempt)
+        return DwellInterrupted(recording.place, recording.position, number, recording.samples, reason)
+
+    def _complete(self, recording: Recording) -> Iterator[Event]:
+        bench, ledger = self._bench, self._ledger
+        bench.close_stream()
+        ledger.scanning(bench.scanning)
+        status = bench.source.status()
+        bench.checkpoint()
+        attempt = recording.attempt("complete", bench.now_s, status=None if status is None else status.word)
+        number = ledger.archive.add_attempt(attempt)
+        place, scans = recording.place, recording.scans()
+        ledger.faulty.discard(place)
+        alarms = count_alarms(scans)
+        if attempt.status or alarms:
+            ledger.faulty.add(place)
+        doubted = self._guarding.complete(number)
+        ledger.count(place, number)
+        self._knowledge.learn(place, recording.position, scans, doubted=doubted)
+        mean = vector(scans.accel_mg.mean(axis=0))
+        yield DwellDone(place, recording.position, number, len(scans), scans.lost, mean, alarms)
+        found = problems(place, scans, status)
+        for problem in found:
+            yield ledger.problem(problem)
+        yield from self._guarding.within(recording, scans, found)
+        running = self._knowledge.running()
+        if running is not None and ledger.done.get(place) == number:
+            yield running
+
+
+def why_broken_off(error: BaseException) -> str:
+    """Reason of an attempt that an error ended."""
+    return str(error) if isinstance(error, AdisGonioError) else "the program ended"
+
+
+__all__ = ["BROKEN_STREAM", "Dwelling", "TakesDwells", "why_broken_off"]

@@ -1,0 +1,139 @@
+"""Putting questions to the operator, and hearing what is said unasked: remarks, pause, stop."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+
+import numpy as np
+
+from adis_gonio.session.answers import Answer, Inbox
+from adis_gonio.session.bench import Bench
+from adis_gonio.session.events import Event, GuardRaised, Noted, Paused, Unpaused, Waiting, Watching
+from adis_gonio.session.knowledge import Knowledge
+from adis_gonio.session.ledger import Ledger
+
+PAUSE_STEP_S = 0.1
+"""Between two looks for remarks during a pause, on the wall clock."""
+
+WAIT_STEP_S = 1.0
+"""Between two looks at the clock and the operator during a wait."""
+
+
+class Questions:
+    """Asks, and hears.
+
+    Parameters
+    ----------
+    auto : bool
+        Nobody is there to ask: every question has its default for an answer.
+    """
+
+    def __init__(
+        self, inbox: Inbox, bench: Bench, ledger: Ledger, knowledge: Knowledge, *, auto: bool
+    ) -> None:
+        self.auto = auto
+        self._inbox = inbox
+        self._bench = bench
+        self._ledger = ledger
+        self._knowledge = knowledge
+
+    @property
+    def stopped(self) -> bool:
+        """True once the session is to end."""
+        return self._inbox.stopping.is_set()
+
+    @property
+    def interrupted(self) -> bool:
+        """True where the session is to end or to stand still."""
+        return self._inbox.interrupting
+
+    @property
+    def why_interrupted(self) -> str:
+        """The reason of a dwell that this broke off."""
+        return f"{'stopped' if self.stopped else 'paused'} by the operator"
+
+    def ask(
+        self, question: Event, answers: set[Answer], default: Answer, place: int | None = None
+    ) -> Generator[Event, None, Answer]:
+        """Put a question until it is answered; after a pause it is put again."""
+        if self._ledger.last_place is not None and not isinstance(question, GuardRaised):
+            answers = answers | {Answer.REPEAT, Answer.UNDO}
+        idle: _Idle | None = None
+        try:
+            while not self.stopped:
+                self._inbox.open(frozenset(answers))
+                yield question
+                while not self.interrupted:
+                    if (answer := self._inbox.given()) is not None:
+                        return answer
+                    if self.auto:
+                        return default
+                    yield from self.remarks(place)
+                    idle = idle or _Idle(self._bench, self._knowledge)
+                    yield idle.look()
+                idle = None
+                yield from self.heed(place)
+            return Answer.STOP
+        finally:
+            self._inbox.open(frozenset())
+            self._bench.close_stream()
+
+    def heed(self, place: int | None) -> Iterator[Event]:
+        """Keep what the operator has remarked, and pause where that was asked for."""
+        yield from self.remarks(place)
+        if not self._inbox.pausing.is_set():
+            return
+        self._inbox.open(frozenset())
+        self._bench.close_stream()
+        self._ledger.note("paused", place)
+        yield Paused(place)
+        while self._inbox.pausing.is_set() and not self.stopped:
+            yield from self.remarks(place)
+            self._inbox.going_on.wait(PAUSE_STEP_S)
+        self._ledger.note("unpaused", {"place": place})
+        yield Unpaused(place)
+
+    def remarks(self, place: int | None) -> Iterator[Event]:
+        """Keep what the operator has remarked."""
+        for remark in self._inbox.said():
+            self._ledger.note("remark", {"text": remark.text, "utc": remark.utc, "place": place})
+            yield Noted(remark.text)
+
+    def wait(self, place: int, length_s: float) -> Generator[Event, None, bool]:
+        """Wait before a dwell; True where the operator stopped or paused it."""
+        end_s = self._bench.now_s + length_s
+        while length_s > 0 and (left := end_s - self._bench.now_s) > 0:
+            if self.interrupted:
+                return True
+            yield from self.remarks(place)
+            yield Waiting(place, length_s - left, length_s)
+            self._bench.source.sleep_s(min(left, WAIT_STEP_S))
+        return False
+
+
+class _Idle:
+    """The newest samples while a question stands."""
+
+    def __init__(self, bench: Bench, knowledge: Knowledge) -> None:
+        self._stream = bench.scans()
+        self._window = bench.window
+        self._knowledge = knowledge
+        self._kept = np.empty((0, 3))
+
+    def look(self) -> Watching:
+        for block in self._stream:
+            self._knowledge.see(block)
+            self._kept = np.concatenate([self._kept, block.accel_mg])[-self._window :]
+            if len(self._kept) > 1:
+                break
+        view = self._knowledge.view
+        return view.watching(
+            "idle",
+            self._kept.mean(axis=0),
+            self._kept.std(axis=0, ddof=1),
+            None if view.target is None else view.target.angle_deg,
+            "an answer",
+        )
+
+
+__all__ = ["Questions"]
