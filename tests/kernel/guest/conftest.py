@@ -7,7 +7,7 @@ import pytest
 
 from kernel.bench import Bench
 
-TEST_TIME_S = 100
+TEST_TIME_S = 300
 
 
 @pytest.fixture(scope="session")
