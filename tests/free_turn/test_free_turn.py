@@ -26,7 +26,7 @@ SEED = 11
 
 @pytest.fixture(scope="module")
 def turned():
-    return script.free_turn(SEED)
+    return script.free_turn(SEED, 1)
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def test_an_ellipse_through_the_means_agrees(result, turned):
 
 
 def test_uncertainties_hold_over_a_few_hands():
-    rows = script.run(3, 20, 1)
+    rows = script.run(3, 20, 1, 1)
     squares = np.array([list(row["z"].values()) for row in rows]) ** 2
     assert squares.max() < 4.5**2
     assert 0.1 < squares.mean() < 3

@@ -263,6 +263,11 @@ class SessionRunner(Operator):
         return False
 
     @property
+    def _recorded_s(self) -> float:
+        """How long a dwell is."""
+        return self._bench.settings.dwell_s
+
+    @property
     def virtual_time(self) -> bool:
         """True where the sensor's time stands still while nobody takes the next event."""
         return self._bench.virtual_time
@@ -923,7 +928,7 @@ class SessionRunner(Operator):
             pass
         self._bench.close()  # what was changed for the scans alone is set back first
         self._note("registers-after", self._bench.source.registers())
-        self._note("truth", self._bench.truth(self._archive.dwells()))
+        self._note("truth", self._bench.truth(self._archive.dwells(), self._recorded_s))
         self._note("finished", {"complete": complete})
         return Finished(
             str(self._archive.path), complete, len(self._done), len(self._skipped), len(self._plan)
