@@ -195,7 +195,8 @@ def test_an_interrupted_turn_is_refused_and_a_short_gap_is_used_and_said(turned,
 
 def test_less_than_a_full_turn_is_used_with_an_uncertainty_that_says_so(result):
     found = fit(recorded(hand_turn_deg=220.0))
-    assert found["bias_x"].u > 1.5 * result["bias_x"].u
+    # Each recording reads its own drift, by which a u is known to a tenth.
+    assert found["bias_x"].u > 1.25 * result["bias_x"].u
     assert any("no full turn" in warning for warning in found.warnings)
 
 
