@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from section import Effort, Section
 
-HANDS, BESIDE = 500, 60
+HANDS, BESIDE = 31, 10
 _LABELS = {
     "delta_k": "ΔK",
     "delta_phi": "Δφ",
