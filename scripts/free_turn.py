@@ -1,11 +1,12 @@
 """The free turn against the truth and against a session of dwells, on simulated hands.
 
-    python scripts/free_turn.py --hands 500 --seed 1 --jobs 2
+    python scripts/free_turn.py --hands 500 --seed 1 --jobs 2 --turns 2
 
-Each hand turns a part of its own once (`sim/hand.py`), in 60 s of recording, rests included; gyro and
-accelerometers have the faults of `hand_of`. The same part is then measured in 24 dwells of 2.5 s (`tumble`,
-twelve angles there and back, fixture 0.02°) and fitted by `ml`: equal time of samples that are used. Moves
-and settling between the dwells, about another 50 s, count for nothing.
+Each hand turns a part of its own (`sim/hand.py`) twice or as often as asked, on and on or forth and back,
+in 60 s of recording, rests included; gyro and accelerometers have the faults of `hand_of`. The same part is
+then measured in 24 dwells of 2.5 s (`tumble`, twelve angles there and back, fixture 0.02°) and fitted by
+`ml`: equal time of samples that are used. Moves and settling between the dwells, about another 50 s, count
+for nothing.
 
 Error of the angle: what the goniometer shows for readings without noise, all around the turn, minus the
 true angle of gravity to X, rms. The truth of biases is their mean while they were recorded.
@@ -30,6 +31,7 @@ from adis_gonio.fitting import FitResult, fit
 from adis_gonio.model.measurement import PlanarTurn, wrap_rad
 from adis_gonio.model.records import Dwell, Floats, Session
 from adis_gonio.sensor.variants import GYRO_LSB_DPS
+from adis_gonio.session.free_turn import TURNS
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.filter import bartlett_sums
 
@@ -44,7 +46,7 @@ BAND = (0.94, 0.96)
 Row = dict[str, Any]
 
 
-def hand_of(rng: np.random.Generator, turns: int = 1) -> dict[str, float]:
+def hand_of(rng: np.random.Generator) -> dict[str, float]:
     """Settings of one part, its gyro and the hand that turns it, in the same time however many turns."""
     return {
         "lever_x_mm": rng.normal(0, 40),
@@ -55,7 +57,7 @@ def hand_of(rng: np.random.Generator, turns: int = 1) -> dict[str, float]:
         "gyro_g_sensitivity_zx_dps_per_g": rng.normal(0, 0.05),
         "gyro_g_sensitivity_zy_dps_per_g": rng.normal(0, 0.05),
         "gyro_rate_walk_dps_per_rt_s": 0.002,
-        "hand_turn_deg": turns * rng.uniform(360, 380) * rng.choice([-1, 1]),
+        "hand_turn_deg": rng.uniform(360, 380) * rng.choice([-1, 1]),
         "hand_turn_s": rng.uniform(45, 52),
         "hand_unevenness": rng.uniform(0.05, 0.25),
         "hand_tremor_dps": rng.uniform(0.3, 2.0),
@@ -64,9 +66,10 @@ def hand_of(rng: np.random.Generator, turns: int = 1) -> dict[str, float]:
     }
 
 
-def world_of(seed: int, turns: int = 1) -> World:
+def world_of(seed: int, *, returns: bool = False) -> World:
     """A part and its bench."""
-    return World(WorldSettings(**hand_of(np.random.default_rng(seed), turns)), seed=seed)
+    settings = hand_of(np.random.default_rng(seed)) | {"hand_returns": float(returns)}
+    return World(WorldSettings(**settings), seed=seed)
 
 
 def samples_of(world: World, time_s: Floats) -> tuple[Floats, Floats]:
@@ -85,12 +88,14 @@ def _words(values: Floats, lsb: float) -> Floats:
     return np.asarray(np.rint(sums / (1024 * 4**FILTER_M)) * lsb)
 
 
-def free_turn(seed: int, turns: int = 1) -> tuple[Session, World, dict[str, float]]:
-    """One recording of a turn by hand, and the truth of its time."""
-    world = world_of(seed, turns)
+def free_turn(
+    seed: int, turns: int = TURNS, *, returns: bool = False
+) -> tuple[Session, World, dict[str, float]]:
+    """One recording of turns by hand, on and on or forth and back, and the truth of its time."""
+    world = world_of(seed, returns=returns)
     time_s = 5.0 + PERIOD_S * np.arange(round(RECORDED_S / PERIOD_S))
     rest_s = (RECORDED_S - world.settings.hand_turn_s) / 2
-    world.stage.turn_freely(5.0 + rest_s)
+    world.stage.turn_freely(5.0 + rest_s, turns)
     accel, gyro = samples_of(world, time_s)
     session = Session(
         (), accel_unit="mg", recording=Dwell(0, time_s, accel, gyro=gyro), free_turn=True,
@@ -127,9 +132,9 @@ def angle_errors_deg(result: FitResult, truth: Mapping[str, float], gravity_mg: 
     return np.asarray(np.degrees(wrap_rad(model.angle_rad(base, reading - bias) - psi)))
 
 
-def one(seed: int, turns: int = 1) -> Row:
+def one(seed: int, turns: int = TURNS, *, returns: bool = False) -> Row:
     """What one hand gives, and the dwells beside it."""
-    session, world, truth = free_turn(seed, turns)
+    session, world, truth = free_turn(seed, turns, returns=returns)
     row: Row = {"seed": seed}
     try:
         result = fit(session)
@@ -179,13 +184,14 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def run(hands: int, seed: int, jobs: int, turns: int = 1) -> list[Row]:
-    """All hands."""
+def run(hands: int, seed: int, jobs: int, turns: int = TURNS, *, returns: bool = False) -> list[Row]:
+    """All hands; the same seed has the same parts however they are turned."""
+    each = partial(one, turns=turns, returns=returns)
     seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(hands)]
     if jobs == 1:
-        return [one(s, turns) for s in seeds]
+        return [each(s) for s in seeds]
     with ProcessPoolExecutor(jobs) as pool:
-        return list(pool.map(partial(one, turns=turns), seeds, chunksize=4))
+        return list(pool.map(each, seeds, chunksize=4))
 
 
 def main() -> int:
@@ -194,9 +200,10 @@ def main() -> int:
     parser.add_argument("--hands", type=int, default=500)
     parser.add_argument("--seed", type=int, default=secrets.randbits(32))
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--turns", type=int, default=1, help="turns in the same 60 s")
+    parser.add_argument("--turns", type=int, default=TURNS, help="turns in the same 60 s")
+    parser.add_argument("--returns", action="store_true", help="every second turn goes back")
     options = parser.parse_args()
-    rows = run(options.hands, options.seed, options.jobs, options.turns)
+    rows = run(options.hands, options.seed, options.jobs, options.turns, returns=options.returns)
     print(json.dumps({"seed": options.seed, **summary(rows)}, indent=1))
     return 0
 

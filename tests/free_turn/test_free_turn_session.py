@@ -11,8 +11,10 @@ from adis_gonio.errors import DataError
 from adis_gonio.fitting import fit
 from adis_gonio.sensor import open_sensor
 from adis_gonio.session import Settings, export_csv, load_session
-from adis_gonio.session.events import Finished, TurnDone, TurnProgress
+from adis_gonio.session.events import Finished, Problem, TurnDone, TurnProgress
 from adis_gonio.session.free_turn import FreeTurnRunner, free_turn_plan
+from adis_gonio.session.guidance import turn_to_do
+from adis_gonio.session.plans import Plan
 from adis_gonio.session.view import ArchiveView
 
 URL = "sim:?seed=4&lever_x_mm=30&gyro_scale_z=1.01&hand_turn_s=30"
@@ -31,6 +33,7 @@ def recorded(tmp_path_factory):
         app, ["calibrate", URL, "--plan", "free-turn", "--auto", "-o", str(path), "--json"]
     )
     assert answer.exit_code == 0, answer.output
+    assert "2 full turns, 730° in all" in answer.stderr
     return path, json.loads(answer.stdout)
 
 
@@ -45,16 +48,85 @@ def test_calibrate_records_a_turn_and_answers(recorded):
     assert json.loads(again.stdout)["parameters"] == document["parameters"]
 
 
-def test_the_recording_is_continuous_and_ends_with_the_rest_after_a_full_turn(recorded):
+def test_the_recording_is_continuous_and_ends_with_the_rest_after_two_full_turns(recorded):
     session = load_session(recorded[0])
     whole = session.recording
     assert session.free_turn
     assert not session.dwells
     assert np.diff(whole.time_s).max() < 1.5 * np.median(np.diff(whole.time_s))
     assert 33.0 < whole.time_s[-1] - whole.time_s[0] < 45.0
+    assert fit(session).turned_deg == pytest.approx(730.0, abs=3.0)
     assert whole.gyro is not None
     assert whole.temperature_c is not None
     assert whole.supply_v is not None
+
+
+def test_every_parameter_stands_beside_its_truth(recorded):
+    """The truth is that of the recording: a gyro's bias walks, and the length is not the longest one."""
+    path, document = recorded
+    assert "truth" in CliRunner().invoke(app, ["fit", str(path)]).stdout
+    assert not set(document["parameters"]) - set(document["truth"])
+    for name, one in document["parameters"].items():
+        assert abs(one["value"] - document["truth"][name]) < 4.5 * one["u"], name
+
+
+def test_fewer_turns_than_asked_for_are_used_and_said_in_a_line(tmp_path):
+    """A stage that can turn once only: the recording goes on to its time."""
+    path = tmp_path / "once.session"
+    with open_sensor(URL) as sensor:
+        running = FreeTurnRunner.begin(
+            sensor, path, free_turn_plan(2, 45.0), Settings(dwell_s=45.0), auto=True
+        )
+        stage = running._bench.stage
+        running._bench.stage = OneTurn(stage)
+        events = list(running.run())
+    done = next(event for event in events if isinstance(event, TurnDone))
+    assert done.turns == 1
+    assert done.length_s == pytest.approx(45.0, abs=0.5)
+    said = [event.message for event in events if isinstance(event, Problem)]
+    assert any("1 of 2 turns seen" in line for line in said)
+    result = fit(load_session(path))
+    assert any(line.startswith("1 of 2 turns seen: u(Δφ) is ") for line in result.warnings)
+
+
+class OneTurn:
+    """A stage whose cable lets it turn once."""
+
+    def __init__(self, stage):
+        self.move_to, self._turn = stage.move_to, stage.turn_freely
+
+    def turn_freely(self, turns=1):
+        return self._turn(1)
+
+
+def test_forth_and_back_is_two_turns(tmp_path):
+    path = tmp_path / "back.session"
+    with open_sensor(URL + "&hand_returns=1") as sensor:
+        events = list(runner(sensor, path).run())
+    done = next(event for event in events if isinstance(event, TurnDone))
+    assert done.turns == 2
+    assert done.turned_deg == pytest.approx(0.0, abs=1.0)
+    assert done.length_s < 45.0
+    told = [event.turn for event in events if isinstance(event, TurnProgress)]
+    assert sorted(set(told)) == [1, 2]
+    result = fit(load_session(path))
+    truth = load_session(path).facts["truth"]
+    for name in ("delta_k", "delta_phi", "bias_x", "bias_y"):
+        assert abs(result[name].value - truth[name]) < 4 * result[name].u
+
+
+def test_the_prompt_asks_for_the_turns_of_the_plan():
+    assert "2 times all around" in turn_to_do(2)
+    assert "forth and back" in turn_to_do(2)
+    assert "once all around" in turn_to_do(1)
+
+
+def test_a_plan_keeps_its_turns_and_one_of_before_had_none():
+    plan = free_turn_plan(3)
+    assert Plan.from_dict(json.loads(json.dumps(plan.as_dict()))) == plan
+    assert "turns" not in Plan("tumble", plan.positions).as_dict()
+    old = {key: value for key, value in plan.as_dict().items() if key != "turns"}
+    assert Plan.from_dict(old).turns == 0
 
 
 def test_trace_and_report_of_it_say_what_they_can(recorded, tmp_path):
@@ -97,7 +169,7 @@ def test_a_turn_that_is_stopped_is_kept_said_and_taken_anew(tmp_path):
     with open_sensor(URL) as sensor:
         events = list(FreeTurnRunner.resume(sensor, path, auto=True).run())
     done = next(event for event in events if isinstance(event, TurnDone))
-    assert done.turned_deg == pytest.approx(365.0, abs=1.0)
+    assert done.turned_deg == pytest.approx(730.0, abs=1.0)
     assert isinstance(events[-1], Finished)
     assert events[-1].complete
     assert not any("broken off" in note for note in load_session(path).notes)
@@ -133,6 +205,9 @@ def test_nothing_recorded_is_said(tmp_path):
         (["--plan", "free-turn", "--positions", "4"], "no positions"),
         (["--plan", "free-turn", "--trace"], "no positions"),
         (["--plan", "tumble", "--duration", "30"], "that of a free turn"),
+        (["--plan", "tumble", "--turns", "2"], "those of a free turn"),
+        (["--plan", "free-turn", "--turns", "0"], "take 1 or more"),
+        (["--plan", "free-turn", "--turns", "8"], "8 turns in 60 s, rests included, cannot be slow"),
     ],
 )
 def test_options_that_do_not_belong_together_are_refused(options, message, tmp_path):

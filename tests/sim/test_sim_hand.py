@@ -86,3 +86,35 @@ def test_a_rate_walk_grows_with_the_root_of_time_and_does_not_depend_on_calls():
     time_s = np.arange(0.0, 2.0, 0.1)
     parts = np.concatenate([two.sample(time_s[:7]).gyro_dps, two.sample(time_s[7:]).gyro_dps])
     assert np.array_equal(one.sample(time_s).gyro_dps, parts)
+
+
+def test_the_truth_names_the_gyros_faults_and_the_lever_as_they_are_while_the_part_turns():
+    """Told from what the simulated sensor reads, by least squares, with no noise in it."""
+    given = {"lever_x_mm": 80.0, "lever_y_mm": -50.0, "gyro_scale_z": 1.02, "gyro_bias_z_dps": 0.7}
+    given |= {"gyro_g_sensitivity_zx_dps_per_g": 0.1, "gyro_g_sensitivity_zy_dps_per_g": -0.05}
+    given |= {"gyro_misalignment_zx_deg": 3.0, "gyro_rate_walk_dps_per_rt_s": 1e-3, "supply_v": 5.1}
+    given |= {"gyro_supply_dps_per_v": 0.2, "axis_wobble_deg": 0.0}
+    world, time_s = turning(**given)
+    motion, felt = world.stage.at(time_s), world.sample(time_s)
+    known = [motion.rate_dps[:, 2], np.ones(len(time_s)), *(felt.accel_mg[:, :2].T / 1000)]
+    found = np.linalg.lstsq(np.column_stack(known), felt.gyro_dps[:, 2], rcond=None)[0]
+    truth = world.truth(time_s)
+    names = ("gyro_scale_z", "gyro_bias_z", "g_sensitivity_zx", "g_sensitivity_zy")
+    assert [truth[name] for name in names] == pytest.approx(found, abs=3e-3)
+    assert truth["gyro_bias_z"] == pytest.approx(0.72, abs=0.02)  # of which the supply has 0.02
+    assert truth["gyro_scale_z"] < 1.0195  # an axis that leans sees less
+    assert (truth["lever_x"], truth["lever_y"]) == (80.0, -50.0)
+    assert world.truth()["gyro_bias_z"] == 0.7
+
+
+def test_several_turns_go_on_or_back_in_the_same_time():
+    rng = np.random.default_rng
+    quiet = {"hand_tremor_dps": 0.0, "hand_unevenness": 0.0}
+    on = HandTurn(WorldSettings(**quiet), rng(1), 2)
+    back = HandTurn(WorldSettings(**quiet, hand_returns=1.0), rng(1), 2)
+    for turn, farthest, end in ((on, 730.0, 730.0), (back, 365.0, 0.0)):
+        angle = np.degrees(turn.turned(np.linspace(0, turn.length_s, 5001))[0])
+        assert turn.length_s == pytest.approx(50.0, abs=0.01)
+        assert angle.max() == pytest.approx(farthest, abs=0.01)
+        assert angle[-1] == pytest.approx(end, abs=0.01)
+        assert np.degrees(turn.total_rad) == pytest.approx(end)

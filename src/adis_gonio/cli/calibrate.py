@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from adis_gonio.model.records import Session
     from adis_gonio.session import SessionRunner
     from adis_gonio.session.closing import TraceAdvisor
+    from adis_gonio.session.plans import Plan
     from adis_gonio.session.source import SampleSource
     from adis_gonio.tracing import TraceResult
 
@@ -48,6 +49,7 @@ _METADATA = {
     type=click.FloatRange(min=15, max=600),
     help="With --plan free-turn: longest recording in s (default 60).",
 )
+@click.option("--turns", type=int, help="With --plan free-turn: full turns within it (default 2).")
 @click.option("--auto", is_flag=True, help="Move the stage by program and answer all prompts (simulator).")
 @click.option("--extend", is_flag=True, help="With --auto: go on from two to four positions.")
 @click.option(
@@ -116,7 +118,8 @@ def command(
     In a terminal of 80 × 24 or more the session is shown on a screen with the live angle (extra: bench);
     --plain, a log or a smaller terminal gets prompts line by line.
 
-    --plan free-turn records one slow continuous turn, from a rest to a rest, without declared angles.
+    --plan free-turn records slow continuous turns, from a rest to a rest, without declared angles: two in
+    a minute, on and on or forth and back; or --turns N.
 
     With --trace the session then says which further positions would decide what is still open, and goes on
     with them until the model is adequate or no position is expected to show more.
@@ -253,20 +256,19 @@ def _runner(
     extend: bool,
     advisor: TraceAdvisor | None,
     duration_s: float | None,
+    turns: int | None,
     **options: Any,
 ) -> SessionRunner:
     from adis_gonio.cli.bench.lines import on_terminal
     from adis_gonio.model.gravity import normal_gravity_mps2
-    from adis_gonio.planning.document import plan_by
     from adis_gonio.sensor.settings import smpl_prd_for
     from adis_gonio.session import Settings
-    from adis_gonio.session.free_turn import DURATION_S, FREE_TURN, free_turn_plan, runner_of
-    from adis_gonio.session.plans import DEFAULT_PLAN
+    from adis_gonio.session.free_turn import FREE_TURN, runner_of
 
     if resume:
-        if plan_name is not None or positions is not None:
+        if plan_name is not None or positions is not None or turns is not None:
             raise UsageError(
-                "--resume goes on with the session's own plan: leave --plan and --positions out"
+                "--resume goes on with the session's own plan: leave --plan, --positions and --turns out"
             )
         if options["poll"]:
             raise UsageError("--resume gets its scans as the session did before: leave --poll out")
@@ -284,15 +286,16 @@ def _runner(
     if fixture is None and world is not None:
         fixture = world.settings.fixture_sigma_deg
     free = plan_name == FREE_TURN
-    if free and (positions is not None or check or extend or advisor is not None):
-        raise UsageError(
-            "a free turn has no positions: leave --positions, --check, --extend and --trace out"
-        )
-    if duration_s is not None and not free:
-        raise UsageError("--duration is that of a free turn: give --plan free-turn, or --dwell")
-    chosen = free_turn_plan() if free else plan_by(plan_name or DEFAULT_PLAN, positions, check)
+    if free:
+        if positions is not None or check or extend or advisor is not None:
+            raise UsageError(
+                "a free turn has no positions: leave --positions, --check, --extend and --trace out"
+            )
+        chosen, length_s = _free_turn(turns, duration_s)
+    else:
+        chosen, length_s = _positions(plan_name, positions, check, duration_s, turns), options["dwell_s"]
     settings = Settings(
-        dwell_s=(duration_s or DURATION_S) if free else options["dwell_s"],
+        dwell_s=length_s,
         settle_s=options["settle_s"],
         smpl_prd=1 if options["rate_hz"] is None else smpl_prd_for(options["rate_hz"]),
         filter_m=options["filter_m"],
@@ -313,6 +316,28 @@ def _runner(
         **_written(options, ask=on_terminal() and not auto),
         advisor=advisor,
     )
+
+
+def _free_turn(turns: int | None, duration_s: float | None) -> tuple[Plan, float]:
+    """Plan of a free turn, and the longest time of its recording."""
+    from adis_gonio.session.free_turn import DURATION_S, TURNS, free_turn_plan
+
+    length_s = DURATION_S if duration_s is None else duration_s
+    return free_turn_plan(TURNS if turns is None else turns, length_s), length_s
+
+
+def _positions(
+    name: str | None, positions: int | None, check: int, duration_s: float | None, turns: int | None
+) -> Plan:
+    """Plan of positions, for which options of a free turn mean nothing."""
+    from adis_gonio.planning.document import plan_by
+    from adis_gonio.session.plans import DEFAULT_PLAN
+
+    if duration_s is not None:
+        raise UsageError("--duration is that of a free turn: give --plan free-turn, or --dwell")
+    if turns is not None:
+        raise UsageError("--turns are those of a free turn: give --plan free-turn")
+    return plan_by(name or DEFAULT_PLAN, positions, check)
 
 
 def _runner_of_archive(path: Path) -> type[SessionRunner]:

@@ -77,7 +77,9 @@ def command(
         screen.print(f"  {', '.join(written)}")
     for note in loaded.notes:
         screen.print(f"  {note}")
-    print_answer(answer, shown=loaded.notes, everything=everything)
+    # Of positions `calibrate` alone shows what a simulation hid.
+    truth = loaded.facts.get("truth") if loaded.free_turn else None
+    print_answer(answer, truth, shown=loaded.notes, everything=everything)
     if run is not None:
         _print_monte_carlo(screen, run)
 

@@ -6,9 +6,11 @@ import math
 
 import numpy as np
 
+from adis_gonio.counting import counted
 from adis_gonio.errors import FitError
 from adis_gonio.free_turn.windows import Series, Windows
 from adis_gonio.model.records import Floats
+from adis_gonio.model.sweeps import Sweeps
 
 LEAST_S = 10.0
 """A recording shorter than this holds no slow turn."""
@@ -16,7 +18,6 @@ FASTEST_DPS = 90.0
 """Beyond it a window holds more than an eighth of a turn, and a lever arm of 0.1 m brings 25 mg."""
 LEAST_TURN_DEG = 180.0
 """Of less than half a turn a bias and a gain are nearly the same."""
-FULL_DEG = 355.0
 WOBBLE_DEG = 0.5
 """Tilt (rms) out of the plane that shortens gravity's part in it by 0.04 mg, what a session can tell."""
 LEANING_DEG = 10.0
@@ -69,14 +70,17 @@ def require_axis(series: Series, windows: Windows) -> None:
         )
 
 
-def turned_deg(psi_rad: Floats) -> float:
-    """How far the part was turned from its first angle to the farthest."""
-    return float(np.degrees(np.ptp(psi_rad)))
+def sweeps_of(psi_rad: Floats) -> Sweeps:
+    """How far the part was turned, there and back."""
+    found = Sweeps()
+    for angle_deg in np.degrees(psi_rad - psi_rad[0]).tolist():
+        found.see(angle_deg)
+    return found
 
 
 def require_turn(psi_rad: Floats) -> None:
     """Raise `FitError` where too little of a turn was made to tell anything."""
-    turned = turned_deg(psi_rad)
+    turned = sweeps_of(psi_rad).span_deg
     if turned < LEAST_TURN_DEG:
         raise FitError(
             f"the turn is too short: it went {turned:.0f}°, at least {LEAST_TURN_DEG:.0f}° tell biases from"
@@ -116,14 +120,21 @@ def require_plane(series: Series, windows: Windows, psi_rad: Floats, gravity_mg:
     return []
 
 
-def remarks(series: Series, windows: Windows, psi_rad: Floats, u_phi_deg: float) -> list[str]:
-    """What has to be said of a turn that holds."""
+def remarks(
+    series: Series, windows: Windows, psi_rad: Floats, u_phi_deg: float, wanted: int = 0
+) -> list[str]:
+    """What has to be said of a turn that holds; `wanted` is how many full turns the plan asked for."""
     said = []
-    turned = turned_deg(psi_rad)
-    if turned < FULL_DEG:
+    sweeps = sweeps_of(psi_rad)
+    if not sweeps.full:
         said.append(
-            f"the turn went {turned:.0f}°, no full turn: u(Δφ) is {u_phi_deg:.2g}°;"
+            f"the turn went {sweeps.span_deg:.0f}°, no full turn: u(Δφ) is {u_phi_deg:.2g}°;"
             " all around would determine it better"
+        )
+    elif sweeps.full < wanted:
+        said.append(
+            f"{sweeps.full} of {counted(wanted, 'turn')} seen: u(Δφ) is {u_phi_deg:.2g}°; each angle seen"
+            " again, on or back, would make it smaller"
         )
     rate = np.degrees(np.abs(np.diff(psi_rad) / np.diff(windows.centre_s)))
     for where, part in (("start", rate[:4]), ("end", rate[-4:])):

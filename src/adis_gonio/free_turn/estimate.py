@@ -7,7 +7,7 @@ Unknown are the angle ψ_k of gravity to X at the centre of each window, and par
     ψ_{k+1} − ψ_k = −∫ω dt + noise,   ω = (1/s) g_z − b_g − γ_x u_x − γ_y u_y − d_g(t) + τ g_z'
 
 ⟨…⟩ is the mean in a window of the course that the gyro saw within it, so that neither the window nor the
-turn's unevenness smears anything. d are slow drifts of the spectrum 1/f, in cosines with a prior variance;
+turn's unevenness smears anything. d are slow drifts of the spectrum 1/f, as principal components of it;
 l is the lever arm in mm, τ the gyro's latency. Prior knowledge is that of any part (`SENSOR_SPREAD`) and of
 any bench (`LEVER_MM` …); the biases have none.
 
@@ -145,8 +145,10 @@ class Problem:
                 rate,
             ]
         )
-        self.drifts, self.drift_prior = _cosines(windows.centre_s, series.length_s, floor_mg, MOST_DRIFTS)
-        gyro, self.gyro_prior = _cosines(
+        # As the windows see them: the fastest are smaller there.
+        drifts, self.drift_prior = _drifts(series.time_s, series.length_s, floor_mg, MOST_DRIFTS)
+        self.drifts: Floats = mean(drifts)
+        gyro, self.gyro_prior = _drifts(
             series.time_s, series.length_s, math.radians(GYRO_INSTABILITY_DPS), GYRO_DRIFTS
         )
         self._gyro_drifts = (
@@ -229,12 +231,38 @@ class Problem:
         return variances.gyro * np.diff(self.windows.centre_s) + np.square(_GAP_RATE * gap)
 
 
-def _cosines(time_s: Floats, length_s: float, floor: float, most: int) -> tuple[Floats, Floats]:
-    """Drifts (n, k) without a mean, and the variance (k,) of each for a 1/f noise of an Allan floor."""
+def _drifts(time_s: Floats, length_s: float, floor: float, most: int) -> tuple[Floats, Floats]:
+    """Drifts (n, k) without a mean, and the variance (k,) of each for a 1/f noise of an Allan floor.
+
+    They are the principal components of the noise among cosines of half a cycle a recording and its
+    multiples. A density h/f has, but for a constant, the covariance −h ln|t − s|, whose integrals over
+    cosines are those of `_of_cosines`: a recording that is cut out of a longer one is no sum of
+    independent cosines, and the slowest have less than their density says.
+    """
     count = min(most, int(DRIFT_HZ * 2 * length_s)) if floor > 0 else 0
-    k = np.arange(1, count + 1)
-    density = floor**2 / (2 * math.log(2)) / (k / (2 * length_s))
-    return math.sqrt(2) * np.cos(np.pi * np.outer(time_s, k) / length_s), density / (2 * length_s)
+    density = floor**2 / (2 * math.log(2))
+    variance, turn = np.linalg.eigh(density * _of_cosines(count))
+    cosines = math.sqrt(2) * np.cos(np.pi * np.outer(time_s, np.arange(1, count + 1)) / length_s)
+    return cosines @ turn, variance
+
+
+def _of_cosines(count: int) -> Floats:
+    """Covariance (k, k) of the means of √2 cos(π j t) times a noise of density 1/f, t from 0 to 1.
+
+    Integrated by parts; J = π j: 2 (Si(J) − (1 − cos J)/J)/J on the diagonal, beside it where j and k are
+    both even or both odd 4 (Cin(J) − Cin(K))/(K² − J²), else 0. Cin(x) = γ + ln x − Ci(x).
+    """
+    from scipy.special import sici
+
+    j = np.arange(1, count + 1)
+    x = np.pi * j
+    si, ci = sici(x)
+    cin = np.log(x) - ci
+    alike = (j[:, None] - j) % 2 == 0
+    apart = np.square(x) - np.square(x)[:, None] + np.eye(count)
+    found = np.where(alike, 4 * (cin[:, None] - cin) / apart, 0.0)
+    np.fill_diagonal(found, 2 * (si - (1 - np.cos(x)) / x) / x)
+    return np.asarray(found)
 
 
 def solve(problem: Problem) -> Solution:
@@ -322,7 +350,8 @@ def _renewed(problem: Problem, values: Floats, covariance: Floats, before: Varia
     accel, gyro, by_accel, by_gyro = problem.model(values)
     flat = by_accel.reshape(-1, problem.size)
     taken = np.einsum("ij,ij->i", flat @ covariance, flat).reshape(-1, 2) / before.accel_mg2[:, None]
-    free = np.maximum(2 - taken.sum(axis=1), 1e-3)
+    # What was used up is slow, and slow noise is denser than that of a window (`LONG_RUN`).
+    free = np.maximum(2 - LONG_RUN * taken.sum(axis=1), 1e-3)
     squares = (accel**2).sum(axis=1)
     whole = float(squares.sum() / free.sum()) if free.sum() > 1 else float(before.accel_mg2.mean())
     stretch = (problem.windows.centre_s / STRETCH_S).astype(np.intp)

@@ -45,7 +45,7 @@ class FreeTurnResult(FitResult):
     shares : tuple of ((p, p) float, float)
         The covariance by its causes, each with its degrees of freedom.
     turned_deg, length_s : float
-        How far and how long.
+        How far in all, there and back, and how long.
     """
 
     shares: tuple[tuple[Floats, float], ...] = ()
@@ -170,7 +170,8 @@ def _fitted(session: Session) -> FreeTurnResult:
         for k, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
     )  # fmt: skip
     u_phi = next(one.u or 0.0 for one in parameters if one.name == "delta_phi")
-    said += checks.remarks(series, windows, solution.psi_rad, u_phi)
+    wanted = int(session.facts.get("plan", {}).get("turns", 0))
+    said += checks.remarks(series, windows, solution.psi_rad, u_phi, wanted)
     accel = solution.residual_mg
     return FreeTurnResult(
         METHOD,
@@ -186,7 +187,7 @@ def _fitted(session: Session) -> FreeTurnResult:
         overrides=session.facts.get("overrides", {}),
         session_notes=session.notes,
         shares=shares,
-        turned_deg=checks.turned_deg(solution.psi_rad),
+        turned_deg=checks.sweeps_of(solution.psi_rad).travelled_deg,
         length_s=series.length_s,
     )
 

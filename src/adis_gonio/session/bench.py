@@ -294,11 +294,10 @@ class Bench:
         while (ahead := bus_s - source.now_s()) > 0:
             source.sleep_s(ahead if ahead < CHECKPOINT_S else ahead - CHECKPOINT_S / 2)
 
-    def truth(self, dwells: Sequence[StoredAttempt] = ()) -> dict[str, float] | None:
-        """What the simulation hides, as it was during dwells; None for a real sensor."""
+    def truth(self, dwells: Sequence[StoredAttempt] = (), dwell_s: float = 0.0) -> dict[str, float] | None:
+        """What the simulation hides, as it was in the last `dwell_s` of dwells; None for a real sensor."""
         if self.world is None:
             return None
-        dwell_s = self.settings.dwell_s
         spans = [np.linspace(a.ended_bus_s - dwell_s, a.ended_bus_s, 64) for a in dwells]
         times = np.concatenate(spans) if spans else None
         return dict(self.world.truth(times))

@@ -293,9 +293,11 @@ class TurnProgress(Event):
     Attributes
     ----------
     state : {"rest", "turn", "after"}
-        Rest before the turn, the turn, and what comes once a full turn was made: rest.
+        Rest before the turns, the turns, and what comes once all were made: rest.
     turned_deg, rate_dps : float
         By gravity, counter-clockwise positive: since the beginning, and over the last seconds.
+    turn, turns : int
+        Which full turn is under way, from 1, of how many.
     """
 
     state: Literal["rest", "turn", "after"]
@@ -305,17 +307,31 @@ class TurnProgress(Event):
     lost: int
     turned_deg: float
     rate_dps: float
+    turn: int = 1
+    turns: int = 1
 
 
 @dataclass(frozen=True)
 class TurnDone(Event):
-    """A free turn is complete and on the disk."""
+    """A free turn is complete and on the disk.
+
+    Attributes
+    ----------
+    turned_deg : float
+        From where it began to where it ended.
+    turns : int
+        Full turns, those back included.
+    travelled_deg : float
+        All the way, there and back.
+    """
 
     attempt: int
     turned_deg: float
     length_s: float
     samples: int
     lost: int
+    turns: int
+    travelled_deg: float
 
 
 @dataclass(frozen=True)

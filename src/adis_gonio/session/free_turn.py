@@ -1,9 +1,9 @@
-"""The session of a free turn: one continuous recording, from a rest through a turn to a rest.
+"""The session of a free turn: one continuous recording, from a rest through turns to a rest.
 
-It is a `SessionRunner` with one place to go to, whose dwell is the whole turn. Every few seconds what was
-recorded goes into the archive as a piece: attempts whose reason is `GOES_ON`, ended by one that is complete
-or says what broke it off. A kill or a power cut loses one piece at most, a session that is resumed asks for
-a new turn, and `turn_pieces.recording_of` gives the best that there is.
+It is a `SessionRunner` with one place to go to, whose dwell is the whole recording. Every few seconds what
+was recorded goes into the archive as a piece: attempts whose reason is `GOES_ON`, ended by one that is
+complete or says what broke it off. A kill or a power cut loses one piece at most, a session that is resumed
+asks for a new turn, and `turn_pieces.recording_of` gives the best that there is.
 """
 
 from __future__ import annotations
@@ -12,6 +12,9 @@ import math
 from collections.abc import Generator, Iterator
 from typing import Literal, Protocol, runtime_checkable
 
+from adis_gonio.counting import counted
+from adis_gonio.errors import UsageError
+from adis_gonio.model.sweeps import Sweeps
 from adis_gonio.session.bench import Bench
 from adis_gonio.session.blocks import Block
 from adis_gonio.session.dwelling import BROKEN_STREAM, TakesDwells, why_broken_off
@@ -25,8 +28,12 @@ from adis_gonio.session.runner import SessionRunner
 from adis_gonio.session.turn_pieces import FREE_TURN, GOES_ON
 
 DURATION_S = 60.0
+TURNS = 2
+"""Each angle is then seen twice, and drift told from calibration."""
+FASTEST_DPS = 45.0
+"""Mean rate that may be asked for: a hand that takes new grips goes at twice its mean."""
 REST_S = 3.0
-"""Rest before the turn and after it."""
+"""Rest before the turns and after them."""
 PIECE_S = 5.0
 """What a kill loses at most."""
 RESTING_DEG = 0.5
@@ -36,16 +43,31 @@ State = Literal["rest", "turn", "after"]
 PLACE = Position(None, 0)
 
 
-def free_turn_plan() -> Plan:
-    """The plan of one free turn."""
-    return Plan(FREE_TURN, (PLACE,))
+def free_turn_plan(turns: int = TURNS, duration_s: float = DURATION_S) -> Plan:
+    """The plan of a free turn: `turns` full ones within one recording of at most `duration_s`.
+
+    Raises
+    ------
+    UsageError
+        No turn, or more than a hand can make slowly in the time.
+    """
+    if turns < 1:
+        raise UsageError(f"turns is {turns}: take 1 or more")
+    rate_dps = 360.0 * turns / (duration_s - 2 * REST_S)
+    if not 0 < rate_dps <= FASTEST_DPS:
+        least_s = 360.0 * turns / FASTEST_DPS + 2 * REST_S
+        raise UsageError(
+            f"{counted(turns, 'turn')} in {duration_s:g} s, rests included, cannot be slow: take"
+            f" {least_s:.0f} s or more (--duration), or fewer turns"
+        )
+    return Plan(FREE_TURN, (PLACE,), turns=turns)
 
 
 @runtime_checkable
 class TurningStage(Protocol):
-    """A stage that a program can turn once all around as a hand would."""
+    """A stage that a program can turn all around as a hand would, one time or several."""
 
-    def turn_freely(self) -> float:
+    def turn_freely(self, turns: int = 1) -> float:
         """Begin, and return the time at which it ends."""
 
 
@@ -54,14 +76,15 @@ class Turn:
 
     Attributes
     ----------
-    turned_deg : float
-        From the start to here, with its sign.
+    wanted : int
+        Full turns to make.
+    sweeps : Sweeps
     """
 
-    def __init__(self) -> None:
-        self.turned_deg = 0.0
+    def __init__(self, wanted: int) -> None:
+        self.wanted = wanted
+        self.sweeps = Sweeps()
         self._before: float | None = None
-        self._spread = [0.0, 0.0]
         self._course: list[tuple[float, float]] = []
 
     def see(self, block: Block) -> None:
@@ -72,16 +95,21 @@ class Turn:
         # Gravity goes backwards through the part: positive is counter-clockwise, as the stage counts.
         angle = -math.degrees(math.atan2(y, x))
         if self._before is not None:
-            self.turned_deg += (angle - self._before + 180) % 360 - 180
+            step = (angle - self._before + 180) % 360 - 180
+            self.sweeps.see(self.sweeps.angle_deg + step)
         self._before = angle
-        self._spread = [min(self._spread[0], self.turned_deg), max(self._spread[1], self.turned_deg)]
         now = float(block.time_s[-1])
         self._course = [(t, a) for t, a in self._course if t > now - REST_S] + [(now, self.turned_deg)]
 
     @property
+    def turned_deg(self) -> float:
+        """From the start to here, with its sign."""
+        return self.sweeps.angle_deg
+
+    @property
     def full(self) -> bool:
-        """True once a full turn was made."""
-        return self._spread[1] - self._spread[0] >= 360.0
+        """True once as many full turns were made as were wanted."""
+        return self.sweeps.full >= self.wanted
 
     @property
     def resting(self) -> bool:
@@ -100,9 +128,11 @@ class Turn:
 class FreeTurnRunner(SessionRunner):
     """Runs the session of a free turn; begin it with `free_turn_plan()`.
 
-    `Settings.dwell_s` is the longest time of the recording; it ends earlier once a full turn was made
-    and the part has rested after it.
+    `Settings.dwell_s` is the longest time of the recording; it ends earlier once the turns were made
+    and the part has rested after them.
     """
+
+    _length_s = 0.0
 
     @property
     def one_recording(self) -> bool:
@@ -140,11 +170,14 @@ class TurnTaking:
         status = bench.source.status()
         number = pieces.write("complete", "", None if status is None else status.word)
         ledger.count(place, number)
+        ledger.recorded_s = pieces.length_s  # it ends with the turns
         turn = pieces.turn
-        yield TurnDone(number, turn.turned_deg, pieces.length_s, pieces.samples, pieces.lost)
+        yield TurnDone(
+            number, turn.turned_deg, pieces.length_s, pieces.samples, pieces.lost,
+            turn.sweeps.full, turn.sweeps.travelled_deg,
+        )  # fmt: skip
         if not turn.full:
-            message = f"it went {abs(turn.turned_deg):.0f}°, no full turn: undo it and turn once all around"
-            yield ledger.problem(Problem("stillness", message, place))
+            yield ledger.problem(Problem("stillness", _too_few(turn), place))
         if pieces.lost:
             yield ledger.problem(Problem("lost", f"{pieces.lost} scans lost during the turn", place))
 
@@ -158,7 +191,7 @@ class TurnTaking:
             if not moved and pieces.length_s >= REST_S:
                 moved = True
                 if isinstance(bench.stage, TurningStage):
-                    bench.stage.turn_freely()
+                    bench.stage.turn_freely(turn.wanted)
                     yield StageMoved(PLACE)
             reached: State = "after" if turn.full else "turn"
             yield TurnProgress(
@@ -169,6 +202,8 @@ class TurnTaking:
                 pieces.lost,
                 turn.turned_deg,
                 turn.rate_dps,
+                min(turn.sweeps.full + 1, turn.wanted),
+                turn.wanted,
             )
             if self._questions.interrupted:
                 return self._questions.why_interrupted
@@ -178,11 +213,21 @@ class TurnTaking:
         return BROKEN_STREAM
 
 
+def _too_few(turn: Turn) -> str:
+    """What is said where fewer full turns were seen than were asked for."""
+    if not turn.sweeps.full:
+        return f"it went {turn.sweeps.span_deg:.0f}°, no full turn: undo it and turn all around"
+    return (
+        f"{turn.sweeps.full} of {counted(turn.wanted, 'turn')} seen: used with the uncertainty that gives;"
+        " undo it and turn again, or ask for --turns 1"
+    )
+
+
 class _Pieces:
     """What was recorded and goes to the archive piece by piece."""
 
     def __init__(self, bench: Bench, ledger: Ledger, place: int) -> None:
-        self.place, self.turn = place, Turn()
+        self.place, self.turn = place, Turn(max(ledger.plan.turns, 1))
         self.samples = self.lost = 0
         self.length_s = 0.0
         self._bench, self._ledger = bench, ledger
@@ -222,4 +267,4 @@ def runner_of(plan: Plan) -> type[SessionRunner]:
     return FreeTurnRunner if plan.name == FREE_TURN else SessionRunner
 
 
-__all__ = ["DURATION_S", "FREE_TURN", "FreeTurnRunner", "free_turn_plan", "runner_of"]
+__all__ = ["DURATION_S", "FREE_TURN", "TURNS", "FreeTurnRunner", "free_turn_plan", "runner_of"]

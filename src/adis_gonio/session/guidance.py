@@ -37,11 +37,16 @@ SPACE = (
 )
 
 
-TURN_TO_DO = (
-    "lay the part at rest; press Enter, leave it alone for 3 s, turn it slowly once all around"
-    " (about 6 °/s; stops to change your grip do no harm) and let it rest again"
-)
-"""What to do for a free turn."""
+def turn_to_do(turns: int) -> str:
+    """What to do for a free turn of so many full turns, in one line."""
+    if turns > 1:
+        ways = f"{turns} times all around in the time, on and on, or forth and back where a cable wants it"
+    else:
+        ways = "once all around"
+    return (
+        f"lay the part at rest; press Enter, leave it alone for 3 s, turn it slowly {ways}"
+        " (stops to change your grip do no harm) and let it rest again"
+    )
 
 
 def drawing(plan: Plan) -> tuple[str, ...]:
@@ -98,4 +103,4 @@ _ROUND_DEG = 10.0
 """Nearer to the vertical than this an arrow just points up or down."""
 
 
-__all__ = ["drawing", "to_do"]
+__all__ = ["drawing", "to_do", "turn_to_do"]

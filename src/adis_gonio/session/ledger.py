@@ -22,6 +22,8 @@ class Ledger:
     Attributes
     ----------
     plan : Plan
+    recorded_s : float or None
+        Length of what was recorded, where that is not what the settings say.
         As it was extended.
     done : dict
         Number of the attempt that counts, by place.
@@ -37,6 +39,7 @@ class Ledger:
         self.archive = archive
         self.header = archive.header()
         self.plan = archive.plan()
+        self.recorded_s: float | None = None
         self.done = {attempt.place: attempt.number for attempt in archive.dwells()}
         self.skipped = archive.skipped()
         self.faulty = {attempt.place for attempt in archive.faulty()}

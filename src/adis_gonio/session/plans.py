@@ -82,22 +82,25 @@ class Plan:
     ----------
     plane : {"xy", "none"}
         Plane of rotation, or none for attitudes anywhere in space.
+    turns : int
+        Full turns of a continuous recording; 0 where the positions are what is visited.
     """
 
     name: str
     positions: tuple[Position, ...]
     plane: Plane = "xy"
+    turns: int = 0
 
     def __len__(self) -> int:
         return len(self.positions)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """JSON form; `turns` where there are any."""
         return {
             "name": self.name,
             "plane": self.plane,
             "positions": [asdict(position) for position in self.positions],
-        }
+        } | ({"turns": self.turns} if self.turns else {})
 
     def ordered(self, order: Order, rng: np.random.Generator) -> Plan:
         """The same positions in another order, with the directions of approach that it leads to.
@@ -129,7 +132,7 @@ class Plan:
     def from_dict(cls, data: Mapping[str, Any]) -> Plan:
         """Plan from its JSON form."""
         positions = tuple(_position(entry) for entry in data["positions"])
-        return cls(data["name"], positions, data["plane"])
+        return cls(data["name"], positions, data["plane"], data.get("turns", 0))
 
 
 def _position(entry: Mapping[str, Any]) -> Position:

@@ -273,7 +273,9 @@ class SessionRunner(Operator):
             pass
         bench.close()  # what was changed for the scans alone is set back first
         ledger.note("registers-after", bench.source.registers())
-        ledger.note("truth", bench.truth(self._archive.dwells()))
+        ledger.note(
+            "truth", bench.truth(self._archive.dwells(), ledger.recorded_s or bench.settings.dwell_s)
+        )
         ledger.note("finished", {"complete": complete})
         return Finished(
             str(self._archive.path), complete, len(ledger.done), len(ledger.skipped), len(ledger.plan)

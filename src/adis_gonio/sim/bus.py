@@ -292,11 +292,11 @@ class SimStage:
             self._require_open()
             self._bus._set_now(self._stage.orient(self._bus.now_s(), np.asarray(vector, np.float64)))
 
-    def turn_freely(self) -> float:
-        """Begin a turn by hand; returns when it ends, on the bus's clock, which stands still."""
+    def turn_freely(self, turns: int = 1) -> float:
+        """Begin turns by hand; returns when they end, on the bus's clock, which stands still."""
         with self._bus._lock:
             self._require_open()
-            return self._stage.turn_freely(self._bus.now_s())
+            return self._stage.turn_freely(self._bus.now_s(), turns)
 
     def _require_open(self) -> None:
         if self._bus.closed:

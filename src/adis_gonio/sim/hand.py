@@ -1,4 +1,4 @@
-"""A hand that turns the stage once, slowly: where the part points, how fast, and what shakes it.
+"""A hand that turns the stage slowly, once or several times: where the part is, how fast, what shakes it.
 
 What is known of hands, and how it stands here
     A hand turns as far as the wrist goes, stops, takes a new grip and goes on: segments of 40 to 120° with
@@ -60,7 +60,7 @@ class _Lines:
 
 
 class HandTurn:
-    """One turn by hand; times are counted from its beginning.
+    """Turns by hand; times are counted from their beginning.
 
     Parameters
     ----------
@@ -68,26 +68,35 @@ class HandTurn:
         Those that begin with `hand_`, and `axis_wobble_deg`.
     rng : Generator
         Draws this hand.
+    turns : int
+        How often it goes as far as the settings say, in the time that they say; where they want it
+        (`hand_returns`), every other time back.
+
+    Attributes
+    ----------
+    total_rad : float
+        From the beginning to the end, with its sign.
+    length_s : float
     """
 
-    def __init__(self, settings: WorldSettings, rng: np.random.Generator) -> None:
+    def __init__(self, settings: WorldSettings, rng: np.random.Generator, turns: int = 1) -> None:
         self._settings = settings
-        total = float(np.radians(settings.hand_turn_deg))
-        spans = _segments(abs(settings.hand_turn_deg), rng)
+        spans, ways = _grips(settings, rng, turns)
         pauses = rng.uniform(*_PAUSE_S, len(spans)) * settings.hand_pauses
         moving_s = max(settings.hand_turn_s - float(pauses[:-1].sum()), 0.2 * settings.hand_turn_s)
         # Longer segments take longer, and no two are equally fast.
         shares = spans * rng.uniform(0.8, 1.25, len(spans))
         lengths = moving_s * shares / shares.sum()
         begins = np.concatenate([[0.0], np.cumsum(lengths + pauses)[:-1]])
-        self._segments = list(zip(begins, lengths, total * spans / spans.sum(), strict=True))
+        self._segments = list(zip(begins, lengths, np.radians(ways), strict=True))
+        self.total_rad = float(np.radians(ways).sum())
         self.length_s = float(begins[-1] + lengths[-1])
         self._uneven = _Lines.drawn(rng, _SUBMOVEMENT_HZ)
         self._tremor = _Lines.drawn(rng, _TREMOR_HZ)
         self._shaking = [_Lines.drawn(rng, _TREMOR_HZ) for _ in range(3)]
         self._sway = _Lines.drawn(rng, _SWAY_HZ)
         self._wobble_phase = rng.uniform(0, 2 * np.pi, 2)
-        speed = abs(total) / self.length_s
+        speed = float(np.radians(np.abs(ways)).sum()) / self.length_s
         self._uneven_rad = settings.hand_unevenness * speed / np.sqrt(self._uneven.mean_square_rate)
         self._tremor_rad = np.radians(settings.hand_tremor_dps) / np.sqrt(self._tremor.mean_square_rate)
 
@@ -132,6 +141,17 @@ class HandTurn:
         up = (up[0], up[1] * scale, up[2] * scale**2)
         down = (down[0], -down[1] * scale, down[2] * scale**2)
         return _product(up, down)
+
+
+def _grips(settings: WorldSettings, rng: np.random.Generator, turns: int) -> tuple[Floats, Floats]:
+    """Spans (k,) of the grips as they come, and how far (k,) each turns the part, in degrees."""
+    turn_deg = settings.hand_turn_deg
+    if not settings.hand_returns:
+        spans = _segments(turns * abs(turn_deg), rng)
+        return spans, turns * turn_deg * spans / spans.sum()
+    each = [_segments(abs(turn_deg), rng) for _ in range(turns)]
+    ways = [(-1) ** k * turn_deg * spans / spans.sum() for k, spans in enumerate(each)]
+    return np.concatenate(each), np.concatenate(ways)
 
 
 def _segments(turn_deg: float, rng: np.random.Generator) -> Floats:

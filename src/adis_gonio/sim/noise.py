@@ -56,6 +56,13 @@ class RateWalk:
         weight = (place - index)[:, None]
         return np.asarray(self._grid[index] + weight * (self._grid[index + 1] - self._grid[index]))
 
+    def lived(self, time_s: Floats) -> Floats:
+        """Values (m, 3) on the grid points nearest to those of the times (n,) that have been."""
+        if self._start_s is None:
+            return np.empty((0, 3))
+        index = np.unique(np.rint((time_s - self._start_s) / self._STEP_S).astype(np.int64))
+        return np.asarray(self._grid[index[(index >= 0) & (index < len(self._grid))]], np.float64)
+
 
 class Flicker:
     """Noise of a spectrum 1/f, as a sum of first-order processes with corners an octave apart.

@@ -104,8 +104,9 @@ class WorldSettings:
         that was added follows the variance (`vibration_rectification`).
     lever_x_mm, lever_y_mm : float
         Where the part is, from the stage's axis, along its own X and Y: it feels the turn's acceleration.
-    hand_turn_deg, hand_turn_s, hand_pauses : float
-        A turn by hand (`hand.HandTurn`): how far, how long, and how long it pauses between grips (1 usual).
+    hand_turn_deg, hand_turn_s, hand_pauses, hand_returns : float
+        A turn by hand (`hand.HandTurn`): how far each goes, how long all of them take, how long the hand
+        pauses between grips (1 usual), and whether (not 0) every second turn goes back.
     hand_unevenness, hand_tremor_dps, hand_vibration_mg : float
         Relative unevenness of its speed, rate of turn (rms) of its tremor, linear vibration (rms an axis).
     hand_sway_deg, axis_wobble_deg : float
@@ -182,6 +183,7 @@ class WorldSettings:
     hand_turn_deg: float = 365.0
     hand_turn_s: float = 50.0
     hand_pauses: float = 1.0
+    hand_returns: float = 0.0
     hand_unevenness: float = 0.15
     hand_tremor_dps: float = 1.0
     hand_vibration_mg: float = 3.0

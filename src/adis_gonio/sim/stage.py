@@ -189,8 +189,13 @@ class Stage:
         tilted = wanted / norm + np.cross(sigma * self._rng.standard_normal(3), wanted / norm)
         return self._turn(start_s, tilted / np.linalg.norm(tilted), float("nan"), 0.0, 0)
 
-    def turn_freely(self, start_s: float) -> float:
-        """Begin a turn by hand, of which nobody declares an angle; returns the time at which it ends.
+    def turn_freely(self, start_s: float, turns: int = 1) -> float:
+        """Begin turns by hand, of which nobody declares an angle; returns the time at which they end.
+
+        Parameters
+        ----------
+        turns : int
+            How often the hand goes `hand_turn_deg`, all within `hand_turn_s`.
 
         Raises
         ------
@@ -204,8 +209,8 @@ class Stage:
                 "the part stands in space: turn it to an angle of the stage before a free turn"
             )
         self._moves += 1
-        hand = HandTurn(self._settings, self._hands)
-        to_rad = last.to_rad + float(np.radians(self._settings.hand_turn_deg))
+        hand = HandTurn(self._settings, self._hands, turns)
+        to_rad = last.to_rad + hand.total_rad
         approach = 1 if to_rad >= last.to_rad else -1
         end_s = start_s + hand.length_s
         leg = self._planar(

@@ -162,22 +162,25 @@ class World:
 
         `delta_k` (1), `delta_phi` (degree), `alpha` (degree), `scale_x…` (the gain, 1 is perfect),
         `skew_xy…` (degree, 90° minus the angle between the axes), `bias_x…` (mg),
-        `bias_temperature_x…` (mg/°C), `scale_temperature_x…` (1/°C), and the parameters of added effects
-        as `effect.parameter` in the effect's units.
+        `bias_temperature_x…` (mg/°C), `scale_temperature_x…` (1/°C), `lever_x`, `lever_y` (mm), of the
+        gyros `gyro_scale_x…` (the gain about the own axis), `gyro_bias_x…` (°/s, without what gravity
+        adds), `g_sensitivity_xy…` (°/s/g), `gyro_latency` (s, against the accelerometers), and the
+        parameters of added effects as `effect.parameter` in the effect's units.
 
         Parameters
         ----------
         time_s : (n,) float or None
-            Times to whose mean temperature the biases and gains belong; the biases hold the mean of
-            the flicker that was lived through then. None: 25 °C and no flicker.
+            Times to whose mean temperature and supply the biases and gains belong; the biases hold the
+            mean of the flicker and walk that were lived through then. None: 25 °C, 5 V and neither.
         """
         result = dict(self._hidden)
-        warm, wander = 0.0, np.zeros(3)
+        warm, wander = 0.0, np.zeros(6)
         if time_s is not None:
             warm = float(np.mean(self.temperature_c(time_s))) - REFERENCE_C
             lived = np.empty((0, 6)) if self._flicker is None else self._flicker.lived(time_s)
             if len(lived):
-                wander = lived[:, :3].mean(axis=0)
+                wander = lived.mean(axis=0)
+        result |= self._gyro_truth(time_s, wander[3:])
         for k, axis in enumerate(AXES):
             result[f"scale_{axis}"] *= 1 + float(self._scale_tempco[k]) * warm
             result[f"bias_{axis}"] = float(self._bias[k] + self._tempco[k] * warm + wander[k])
@@ -189,6 +192,23 @@ class World:
             for parameter, value in zip(effect.parameters, values, strict=True):
                 result[f"{effect.name}.{parameter.name}"] = float(value)
         return result
+
+    def _gyro_truth(self, time_s: Floats | None, wander_dps: Floats) -> dict[str, float]:
+        """Faults of the gyros, and the lever arm, by the names that the fit of a free turn uses."""
+        bias = self._gyro_bias + wander_dps
+        if time_s is not None:
+            bias = bias + self._supply_effect * (float(np.mean(self.supply_v(time_s))) - REFERENCE_V)
+            walked = self._rate_walk.lived(time_s)
+            if len(walked):
+                bias = bias + walked.mean(axis=0)
+        per_g = self._gyro_cross_g + np.diag(np.full(3, self._g_effect))
+        result = {"lever_x": self.settings.lever_x_mm, "lever_y": self.settings.lever_y_mm}
+        for k, axis in enumerate(AXES):
+            result[f"gyro_scale_{axis}"] = float(self._gyro_axes[k, k])
+            result[f"gyro_bias_{axis}"] = float(bias[k])
+            for j, other in enumerate(AXES):
+                result[f"g_sensitivity_{axis}{other}"] = float(per_g[k, j])
+        return result | {"gyro_latency": 0.0}  # gyros and accelerometers pass the same filter
 
     def temperature_c(self, time_s: Floats) -> Floats:
         """Temperature of the part (n,) in °C: ambient profile and self-heating."""

@@ -147,7 +147,7 @@ class PlainBench:
                 pass
 
     def _ask_position(self, event: PositionAsked) -> None:
-        from adis_gonio.session.guidance import TURN_TO_DO, drawing, to_do
+        from adis_gonio.session.guidance import drawing, to_do, turn_to_do
 
         if not self._drawn:
             self._drawn = True
@@ -160,7 +160,7 @@ class PlainBench:
         keys |= {"p": runner.pause, "q": self._end}
         todo = to_do(event.position, self._here, reverse=runner.reversed)
         if runner.one_recording:
-            todo = TURN_TO_DO
+            todo = turn_to_do(max(self._plan.turns, 1))
         left = time_left(event.time_left_s)
         others = ", ".join(f"{key} {_MEANING[key]}" for key in keys if key) + ", n note"
         text = f"{event.number} of {event.total}{left}: {todo} and press Enter ({others})"

@@ -39,7 +39,8 @@ def dwell_shown(what: str, elapsed_s: float, length_s: float) -> Shown:
 
 def turn_shown(event: TurnProgress) -> Shown:
     """A free turn as it goes on."""
-    what = {"rest": "at rest", "turn": "turn", "after": "let rest"}[event.state]
+    turn = "turn" if event.turns == 1 else f"turn {event.turn} of {event.turns}"
+    what = {"rest": "at rest", "turn": turn, "after": "let rest"}[event.state]
     note = f"{event.turned_deg:+.0f}°, {event.rate_dps:+.1f} °/s, {event.elapsed_s:.0f} s"
     return what, note, event.elapsed_s, event.length_s
 
@@ -47,7 +48,8 @@ def turn_shown(event: TurnProgress) -> Shown:
 def turn_done(event: TurnDone) -> str:
     """What was recorded of a free turn."""
     lost = f", {event.lost} lost" if event.lost else ""
-    return f"  turned {event.turned_deg:+.0f}° in {event.length_s:.0f} s, {event.samples} scans{lost}"
+    turns = f"{counted(event.turns, 'full turn')}, {event.travelled_deg:.0f}° in all,"
+    return f"  {turns} in {event.length_s:.0f} s, {event.samples} scans{lost}"
 
 
 def configured(event: Configured) -> list[str]:
