@@ -177,6 +177,9 @@ def test_a_bench_that_there_is_not_is_refused():
     for wrong in ({"fixture_deg": -1}, {"fixture_deg": math.inf}, {"fixture_deg": 0, "noise_mg": -1}):
         with pytest.raises(UsageError):
             Bench(**wrong)
+    for wrong in ({"start_deg": math.nan}, {"gravity_mps2": 0.0}, {"gravity_mps2": math.nan}):
+        with pytest.raises(UsageError, match=r"start|gravity"):
+            Bench(0.02, **wrong)
     with pytest.raises(UsageError, match="both 0"):
         Bench(0.0, noise_mg=0.0, flicker_mg=0.0)
     for minutes in (0.1, 1000.0, math.nan):
