@@ -25,7 +25,8 @@ from adis_gonio.sensor.variants import VARIANTS, Variant, variant
 from adis_gonio.session.plans import Plan
 from adis_gonio.session.settings import TURN_S, Settings, expected_each_s
 
-LONGEST_FIXTURE_DEG = 45.0
+# Beyond, the fit takes the start angle for not determined, and the angle's u would leave it out.
+LONGEST_FIXTURE_DEG = 5.0
 LARGEST_NOISE_MG = 10_000.0
 LARGEST_START_DEG = 3600.0
 
