@@ -88,6 +88,9 @@ def test_simulate_and_template_take_the_file_too(made, tmp_path):
         (["--positions", "8", "--sensor", "adis9"], "adis9"),
         (["--positions", "8", "--fixture", "free"], "fixture is inf"),
         (["--angle-error", "nan"], "angle-error is nan"),
+        (["--positions", "4", "--noise", "1e300"], "noise_mg is 1e+300: take 0 to 10000 mg"),
+        (["--positions", "4", "--start", "nan"], "start is nan°"),
+        (["--positions", "4", "--start", "1e300"], "start is 1e+300°"),
     ],
 )
 def test_wrong_usage_is_one_line(words, told, capsys):

@@ -65,7 +65,9 @@ def changed(*keys, to):
     [
         ([], "schema is not"),
         (changed("schema", to="x"), "schema is not"),
-        (changed("version", to=2), "version is 2"),
+        (changed("version", to=2), "version is 2, .*: update adis-gonio"),
+        (changed("version", to=0), "version is 0, .*: take 1"),
+        (changed("version", to=True), "version is True"),
         (changed("version", to=None), "version is missing"),
         (changed("name", to="tumble"), "name is 'tumble'"),
         (changed("name", to="two words"), "name is 'two words'"),
@@ -94,6 +96,12 @@ def test_what_is_wrong_is_told_in_one_line_by_its_field(document, told, tmp_path
         read_plan(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
+
+
+def test_a_byte_order_mark_is_no_reason_to_refuse_a_plan(tmp_path):
+    path = tmp_path / "notepad.json"
+    path.write_text(json.dumps(document_of(plan("tumble")) | {"name": "mine"}), encoding="utf-8-sig")
+    assert len(read_plan(path)) == len(plan("tumble"))
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe\x00", b"[" * 100_000])

@@ -10,8 +10,10 @@ from adis_gonio.errors import UsageError
 from adis_gonio.planning import Bench, best_plan, fewest, within
 from adis_gonio.planning.best import even, interleaved
 from adis_gonio.planning.candidates import candidates
-from adis_gonio.planning.imagined import imagined
+from adis_gonio.planning.imagined import LONGEST_FIXTURE_DEG, imagined
+from adis_gonio.planning.prediction import reach_of
 from adis_gonio.planning.search import search
+from adis_gonio.session.plans import plan
 
 QUIET = Bench(0.02, flicker_mg=0.0)
 
@@ -173,10 +175,19 @@ def test_what_cannot_be_searched_for_is_told_in_one_line(arguments, told):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("name", ["four-position", "tumble"])
+def test_the_worst_stage_that_is_taken_is_still_in_the_angles_uncertainty(name):
+    at_1, at_most = (reach_of(plan(name), Bench(deg)).angle.u for deg in (1.0, LONGEST_FIXTURE_DEG))
+    assert at_most == pytest.approx(LONGEST_FIXTURE_DEG * at_1, rel=0.01)
+
+
 def test_a_bench_that_there_is_not_is_refused():
     for wrong in ({"fixture_deg": -1}, {"fixture_deg": math.inf}, {"fixture_deg": 0, "noise_mg": -1}):
         with pytest.raises(UsageError):
             Bench(**wrong)
+    for wrong in ({"start_deg": math.nan}, {"gravity_mps2": 0.0}, {"gravity_mps2": math.nan}):
+        with pytest.raises(UsageError, match=r"start|gravity"):
+            Bench(0.02, **wrong)
     with pytest.raises(UsageError, match="both 0"):
         Bench(0.0, noise_mg=0.0, flicker_mg=0.0)
     for minutes in (0.1, 1000.0, math.nan):

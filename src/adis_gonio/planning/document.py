@@ -68,7 +68,7 @@ def read_plan(path: str | Path) -> Plan:
     try:
         if path.stat().st_size > LARGEST_BYTES:
             raise DataError(f"{path}: is no plan: it has more than {LARGEST_BYTES // 1_000_000} MB")
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ValueError, RecursionError) as error:
@@ -87,11 +87,11 @@ def plan_from(document: Any, name: str = "plan") -> Plan:
     """
     if not isinstance(document, Mapping) or document.get("schema") != SCHEMA:
         raise DataError(f"{name}: schema is not '{SCHEMA}'; make a plan with adis-gonio plan -o NAME.json")
-    if document.get("version") != VERSION:
-        raise DataError(
-            f"{name}: version is {_shown(document.get('version'))}, this program reads {VERSION}: "
-            "update adis-gonio"
-        )
+    version = document.get("version")
+    if isinstance(version, bool) or version != VERSION:
+        newer = isinstance(version, int) and version > VERSION
+        cure = "update adis-gonio" if newer else f"take {VERSION}"
+        raise DataError(f"{name}: version is {_shown(version)}, this program reads {VERSION}: {cure}")
     called = document.get("name")
     if not isinstance(called, str) or not _NAME.fullmatch(called):
         raise DataError(f"{name}: name is {_shown(called)}: take a word of letters, digits and . + - _")

@@ -25,7 +25,10 @@ from adis_gonio.sensor.variants import VARIANTS, Variant, variant
 from adis_gonio.session.plans import Plan
 from adis_gonio.session.settings import TURN_S, Settings, expected_each_s
 
-LONGEST_FIXTURE_DEG = 45.0
+# Beyond, the fit takes the start angle for not determined, and the angle's u would leave it out.
+LONGEST_FIXTURE_DEG = 5.0
+LARGEST_NOISE_MG = 10_000.0
+LARGEST_START_DEG = 3600.0
 
 
 @dataclass(frozen=True)
@@ -69,8 +72,14 @@ class Bench:
             raise UsageError(f"fixture is {self.fixture_deg:g}°: take 0 to {LONGEST_FIXTURE_DEG:g}°")
         for name in ("noise_mg", "flicker_mg"):
             value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value >= 0):
-                raise UsageError(f"{name} is {value:g}: take 0 mg or more")
+            if value is not None and not 0 <= value <= LARGEST_NOISE_MG:
+                raise UsageError(f"{name} is {value:g}: take 0 to {LARGEST_NOISE_MG:g} mg")
+        if not -LARGEST_START_DEG <= self.start_deg <= LARGEST_START_DEG:
+            raise UsageError(
+                f"start is {self.start_deg:g}°: take -{LARGEST_START_DEG:g} to {LARGEST_START_DEG:g}°"
+            )
+        if not (math.isfinite(self.gravity_mps2) and self.gravity_mps2 > 0):
+            raise UsageError(f"gravity is {self.gravity_mps2:g} m/s²: take a value above 0")
         if self.white_mg == 0 and self.floor_mg == 0:
             raise UsageError("noise_mg and flicker_mg are both 0: of no noise nothing is to be predicted")
 
