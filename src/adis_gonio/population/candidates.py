@@ -57,7 +57,7 @@ def candidates_of(columns: Sequence[Column]) -> list[Candidate]:
     out = []
     for kind, index in by_kind.items():
         if kind[1]:
-            share = limits.named_share * weight[kind] / sum(weight.values())
+            share = (1 - limits.nameless_share) * weight[kind] / sum(weight.values())
         else:
             share = limits.nameless_share / (len(by_kind) - len(named))
         blocks = list(_blocks(kind[0] if kind[1] else "", index, columns))

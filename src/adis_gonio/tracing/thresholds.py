@@ -27,15 +27,14 @@ class Limits:
     """Every number of the trace that is not arithmetic; see the table's columns in docs/thresholds.md."""
 
     # Prior
-    named_share: float = number(
-        0.7,
-        "chosen",
-        "prior share of the effects that a session can show; nameless functions have the rest",
+    effect_share: float = number(
+        0.035,
+        "measured",
+        "prior share of an effect, whatever else a session can show (scripts/trace_level.py)",
     )
-    bias_share: float = number(
-        0.25,
-        "chosen",
-        "prior share of a bias beside that: every sensor has one, and nothing competes with it",
+    nameless_share: float = number(0.3, "chosen", "prior share of all functions without a name together")
+    bias_weight: float = number(
+        6.0, "chosen", "prior weight of a bias against another effect: every sensor has one"
     )
     quadratic_weight: float = number(
         1.5,
@@ -170,11 +169,6 @@ class Limits:
     fold_active: int = number(150, "effort", "candidates that are tried again inside a fold")
     permutations: int = number(400, "effort", "permutations of a dependence")
     grid: int = number(9, "effort", "values of a time constant")
-
-    @property
-    def nameless_share(self) -> float:
-        """Prior share of all functions without a name."""
-        return 1 - self.named_share
 
 
 limits = Limits()

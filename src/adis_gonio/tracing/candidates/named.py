@@ -20,14 +20,15 @@ from adis_gonio.tracing.thresholds import limits
 def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
     """Candidates, and the reason for every effect that cannot be one.
 
-    Each effect has a share of the prior; its variants (axes, dwell, degree, shape) divide it evenly, its
-    numbers of cycles by 1/n: in every octave of them there is one as likely.
+    Each effect has its share of the prior, whatever else the session can show; its variants (axes, dwell,
+    degree, shape) divide it evenly, its numbers of cycles by 1/n: in every octave of them there is one as
+    likely.
     """
     terms: list[NamedTerm] = []
     missing: dict[str, str] = {}
     kinds = catalogue()
-    weights = dict.fromkeys(kinds, 1.0) | {"quadratic": limits.quadratic_weight}
-    total = sum(weight for name, weight in weights.items() if name != "bias")
+    common = {"bias": limits.bias_weight, "quadratic": limits.quadratic_weight}
+    weights = dict.fromkeys(kinds, 1.0) | common
     for name, kind in kinds.items():
         if kind.enters is Enters.SAMPLES or kind.within_dwell:
             missing[name] = "looked for within the dwells"
@@ -41,8 +42,7 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
             continue
         variants = list(_variants(kind, data))
         parts = np.array([1 / getattr(effect, "cycles", 1) for effect, _ in variants])
-        share = limits.bias_share if name == "bias" else limits.named_share * weights[name] / total
-        shares = share * parts / parts.sum()
+        shares = limits.effect_share * weights[name] * parts / parts.sum()
         for (effect, shapes), part in zip(variants, shares, strict=True):
             label = effect.name
             if effect.axes:

@@ -7,7 +7,6 @@ sum of squares of its scores and a search needs nothing but dot products of colu
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -139,7 +138,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
         dof=len(y) - base.shape[1],
         back=tuple(blocks[k][1] for k in chosen),
         hidden=tuple(term for k, term in enumerate(terms) if k not in blocks),
-        cost=_costs([terms[k] for k in chosen]),
+        cost=np.array([terms[k].cost for k in chosen]),
         column_price=_column_prices(together, first),
     )
 
@@ -188,15 +187,6 @@ def _orthonormal_blocks(
                 block = stack[k] @ half
             blocks[member] = block, half / length[index[k]][:, None]
     return blocks
-
-
-def _costs(seen: Sequence[Term]) -> Floats:
-    """−ln of the prior shares (M,): those of names that are not to be seen go to the others."""
-    cost = np.array([term.cost for term in seen])
-    named = np.array([term.name not in (None, "bias") for term in seen], dtype=bool)
-    if named.any():
-        cost[named] += math.log(float(np.exp(-cost[named]).sum()) / limits.named_share)
-    return cost
 
 
 def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
