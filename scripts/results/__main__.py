@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from section import Effort, Section, loaded
 
-SECTIONS: tuple[str, ...] = ("paper", "angle", "plan", "free_turn", "population", "fleet", "bench")
+SECTIONS: tuple[str, ...] = ("paper", "angle", "plan", "free_turn", "population")
 """Modules beside this one, each with `run(effort) -> Section`, in the order of the index."""
 FOLDER = Path(__file__).parents[2] / "docs" / "results"
 

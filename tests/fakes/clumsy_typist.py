@@ -228,7 +228,8 @@ def by_typing(task: Task, folder: Path, manner: Manner | None = None) -> Outcome
             return outcome
         _check_words(running, status, path, outcome)
         outcome.complete = _complete(path)
-        if outcome.complete or person.exhausted or not person.comes_back():
+        interrupted = status == 130  # perhaps after the last dwell: then the answer has not been seen
+        if (outcome.complete and not interrupted) or person.exhausted or not person.comes_back():
             break
     if person.exhausted or outcome.runs == MOST_RUNS:
         outcome.trouble.append("dead end")

@@ -81,10 +81,10 @@ def test_archive_filters(sessions, capsys, option, value):
 
 def test_archive_in_words_names_the_copy_and_the_broken_files(sessions, capsys):
     assert main(["archive", str(sessions)]) == 0
-    said = capsys.readouterr().out
-    assert re.search(r"the same file, counted once: .*2016\.session.*copy\.session", said)
-    assert re.search(r"not used: .*list\.csv", said)
-    assert f"{len(YEARS) + 1} sessions, 2 files not used" in said
+    said = re.sub(r"\s", "", capsys.readouterr().out)  # long paths are folded
+    assert re.search(r"thesamefile,countedonce:.*2016\.session.*copy\.session", said)
+    assert re.search(r"notused:.*list\.csv", said)
+    assert f"{len(YEARS) + 1}sessions,2filesnotused" in said
 
 
 def test_archive_shows_names_of_files_whole_and_a_link_that_leads_nowhere(tmp_path, capsys):

@@ -334,7 +334,7 @@ def test_bad_settings_are_refused_in_one_line(options, message):
 def test_every_setting_is_described_and_named_with_its_unit():
     text = WorldSettings.__doc__
     units = ("mg", "deg", "dps", "c", "s", "v", "hz", "mps2", "h", "g", "mm")
-    pure = ("delta_k", "scale_y", "scale_z", "hand_pauses", "hand_unevenness")
+    pure = ("delta_k", "scale_y", "scale_z", "hand_pauses", "hand_returns", "hand_unevenness")
     for entry in fields(WorldSettings):
         stem = entry.name
         for axis in ("_y_", "_z_"):

@@ -201,7 +201,8 @@ class BenchApp(App[None]):
 
     def tick(self) -> None:
         """Take what the runner has told since, and show it."""
-        if (size := self.terminal_size()) != self.size:
+        size = self.terminal_size()
+        if size != self.size or any(screen.size != size for screen in self.screen_stack):
             self.post_message(ui.Resize(size, size))
         ended = self._ended.is_set()  # before the queue is looked at: nothing comes after
         while not self._events.empty():
