@@ -37,6 +37,8 @@ class Terminal:
         self._command = [tmux() or "tmux", "-f", "/dev/null", "-S", str(folder / "tmux")]
         self._environment = {**os.environ, **environment, "PS1": "ready> ", "LC_ALL": "C.UTF-8"}
         self._environment.pop("TMUX", None)
+        # As of a shell that exports them: what starts in it must ask the terminal itself.
+        self._environment |= {"COLUMNS": str(columns), "LINES": str(rows)}
         size = ["-x", str(columns), "-y", str(rows)]
         self._tmux(
             "new-session", "-d", *size, "env", "TERM=screen-256color", "bash", "--norc", "--noprofile"

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import queue
-import shutil
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -196,13 +197,17 @@ class BenchApp(App[None]):
         self.call_after_refresh(self.show)
 
     def terminal_size(self) -> Size:
-        """What the terminal has now, whether or not a signal told of it."""
-        return self.size if self.is_headless else Size(*shutil.get_terminal_size())
+        """What the terminal has now, whatever a signal or a shell's COLUMNS and LINES tell of it."""
+        if self.is_headless or sys.__stderr__ is None:
+            return self.size
+        try:
+            return Size(*os.get_terminal_size(sys.__stderr__.fileno()))
+        except (OSError, ValueError):  # no terminal that can be asked
+            return self.size
 
     def tick(self) -> None:
         """Take what the runner has told since, and show it."""
-        size = self.terminal_size()
-        if size != self.size or any(screen.size != size for screen in self.screen_stack):
+        if (size := self.terminal_size()) != self.size:
             self.post_message(ui.Resize(size, size))
         ended = self._ended.is_set()  # before the queue is looked at: nothing comes after
         while not self._events.empty():
