@@ -121,7 +121,7 @@ def _fixed(value: float) -> str:
 
 def _table(done: Study) -> Section:
     head = (
-        "",
+        "row",
         "measured",
         "paper's method, printed",
         "ours",
@@ -232,7 +232,7 @@ def _ours(cells: Sequence[Cell]) -> Series:
 
 
 def _others(done: Study) -> Section:
-    head = ["", *(NAMES[method] for method in METHODS)]
+    head = ["row", *(NAMES[method] for method in METHODS)]
     rows = []
     for cell in done.table.cells:
         name = f"{cell.row.name}{'' if cell.row.unit == '1' else ' / ' + cell.row.unit}".replace("deg", "°")
@@ -345,7 +345,7 @@ def _ratios(done: Study, key: str, name: str) -> Table:
 
 
 def _checked(done: Study) -> Section:
-    head = ("point", "", *(NAMES[m] for m in METHODS if m != TRACED), "p")
+    head = ("point", "value", *(NAMES[m] for m in METHODS if m != TRACED), "p")
     rows: list[list[str]] = []
     for one in done.map.checked:
         rows += _checked_rows(one)
@@ -418,7 +418,7 @@ def _open(done: Study) -> Section:
 
 def _question(one: Ambiguity) -> Section:
     rows = [(value.name, value_text(value)) for value in one.values]
-    table = Table(("", "value"), rows, numeric=(1,))
+    table = Table(("reading", "value"), rows, numeric=(1,))
     return Section(one.what, words=(f"Read as: {one.reading}", one.why), tables=(table,) if rows else ())
 
 
