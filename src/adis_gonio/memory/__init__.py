@@ -5,7 +5,9 @@ Names are imported when first used, so that the package itself costs nothing.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from adis_gonio.lazy_names import lazily
 
 _HOMES = {
     "Due": "intervals_due",
@@ -49,12 +51,4 @@ if TYPE_CHECKING:
     from adis_gonio.memory.summary import summarised as summarised
 
 
-def __getattr__(name: str) -> Any:
-    """Import a public name from its home when it is first asked for (PEP 562)."""
-    if name in _HOMES:
-        import importlib
-
-        value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
-        globals()[name] = value
-        return value
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+__getattr__ = lazily(__name__, _HOMES)

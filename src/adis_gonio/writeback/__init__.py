@@ -7,7 +7,9 @@ whoever only asks for `offsets_in_force` loads no driver.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from adis_gonio.lazy_names import lazily
 
 _HOMES = {
     "OffsetWriter": "writer",
@@ -42,12 +44,4 @@ if TYPE_CHECKING:
     from adis_gonio.writeback.writer import WriteSettings as WriteSettings
 
 
-def __getattr__(name: str) -> Any:
-    """Import a public name from its home when it is first asked for (PEP 562)."""
-    if name in _HOMES:
-        import importlib
-
-        value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
-        globals()[name] = value
-        return value
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+__getattr__ = lazily(__name__, _HOMES)
