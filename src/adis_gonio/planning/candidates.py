@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -224,14 +224,3 @@ def _refuse_hidden(term: NamedTerm, base: Floats, columns: Floats) -> None:
             f"beware: {term.name} lies in the model that every session fits, so that no plan can show it: "
             "leave it out"
         )
-
-
-def with_angles(choices: Candidates, chosen: NDArray[np.bool_]) -> Candidates:
-    """The same with some of the positions (m,)."""
-    return replace(
-        choices,
-        angle_deg=choices.angle_deg[chosen],
-        approach=choices.approach[chosen],
-        columns=choices.columns[:, chosen],
-        noise=choices.noise[chosen],
-    )
