@@ -10,18 +10,17 @@ Each page ends with the command and the seed that make it again.
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import secrets
 import sys
 from pathlib import Path
-from types import ModuleType
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from section import Effort, Section, loaded
+from results import SECTIONS
+from results.section import Effort, Section
 
-SECTIONS: tuple[str, ...] = ("paper", "angle", "plan", "free_turn", "population")
-"""Modules beside this one, each with `run(effort) -> Section`, in the order of the index."""
 FOLDER = Path(__file__).parents[2] / "docs" / "results"
 
 
@@ -35,11 +34,6 @@ def write(name: str, section: Section, effort: Effort, folder: Path) -> None:
     (folder / f"{name}.json").write_text(text, encoding="utf-8")
     for figure, svg in section.figures.items():
         (folder / f"{name}-{figure}.svg").write_text(svg, encoding="utf-8")
-
-
-def section(name: str) -> ModuleType:
-    """A section's module."""
-    return loaded(Path(__file__).with_name(f"{name}.py"), f"{name}_section")
 
 
 def main() -> int:
@@ -57,7 +51,7 @@ def main() -> int:
     options.output.mkdir(parents=True, exist_ok=True)
     effort = Effort(options.fast, options.seed, options.jobs)
     for name in options.sections or SECTIONS:
-        write(name, section(name).run(effort), effort, options.output)
+        write(name, importlib.import_module(f"results.{name}").run(effort), effort, options.output)
         print(f"{name}: written to {options.output}")
     return 0
 

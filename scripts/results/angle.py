@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from section import Effort, Section
-from section import table as markdown
-
 from adis_gonio.report.svg import ROLES, Series, plot
 from efficiency import CASES, POSITIONS, REPORTED, SPATIAL, Case, Floats, Line, lines, pooled, run_all
+from results.section import Effort, Section
+from results.section import table as markdown
 from shown_angle import ORDER, PLACES_DEG, Cell, Figures, Shown, cells, figures, measure_all
 
 FIXTURES_DEG = (0.0, 0.02, 0.1)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from section import Effort, Section, script
+import bench
+from results.section import Effort, Section
 
 SAMPLES = 10**8
 """The full run streams so many samples through the segmentation: about five minutes."""
@@ -36,16 +37,15 @@ Versions and machine: {machine}.
 
 def run(effort: Effort) -> Section:
     """All benchmarks whose baselines are installed; what is left out is said."""
-    program = script("bench")
-    names = [name for name in program.BENCHMARKS if not program.absent([name])]
-    missing = program.absent(list(program.BENCHMARKS))
+    names = [name for name in bench.BENCHMARKS if not bench.absent([name])]
+    missing = bench.absent(list(bench.BENCHMARKS))
     what = "`python scripts/bench.py` measures it." + (
         f" Left out, since not installed: {', '.join(missing)} (extra `baselines`)." if missing else ""
     )
-    samples = program.SAMPLES_FAST if effort.fast else SAMPLES
-    rows = program.measure(names, effort.seed, fast=effort.fast, samples=samples)
-    machine = program.machine()
+    samples = bench.SAMPLES_FAST if effort.fast else SAMPLES
+    rows = bench.measure(names, effort.seed, fast=effort.fast, samples=samples)
+    machine = bench.machine()
     listed = ", ".join(f"{key} {value}" for key, value in machine.items())
-    text = _TEXT.format(what=what, table=program.table(rows), machine=listed)
+    text = _TEXT.format(what=what, table=bench.table(rows), machine=listed)
     document = {"machine": machine, "missing": missing, "rows": [row.as_dict() for row in rows]}
     return Section("Speed", text, document)

@@ -9,12 +9,12 @@ import time
 from pathlib import Path
 
 import numpy as np
-from section import Effort, Section, table
 
 from adis_gonio.fleet import LocalPool, Options, files_of, run_fleet, summarise, survey
 from adis_gonio.fleet.columns import COLUMNS
 from adis_gonio.fleet.outputs import Outcome
 from adis_gonio.fleet.pool import cores
+from results.section import Effort, Section, table
 
 STAGES, OPERATORS = 4, 3
 POSITIONS, SAMPLES = 12, 200

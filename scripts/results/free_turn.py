@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from section import Effort, Section, script
+
+import free_turn_statistics as hands
+from results.section import Effort, Section
 
 HANDS, BESIDE = 500, 60
 _LABELS = {
@@ -20,7 +22,6 @@ _LABELS = {
 
 def run(effort: Effort) -> Section:
     """Simulated hands, two turns each; some of the parts turned forth and back, and once, beside them."""
-    hands = script("free_turn")
     beside = effort.sessions(BESIDE, 2)
     return section_of(
         hands.run(effort.sessions(HANDS, 4), effort.seed, effort.jobs, 2),
@@ -33,7 +34,6 @@ def section_of(
     twice: Sequence[Mapping[str, Any]], back: Sequence[Mapping[str, Any]], once: Sequence[Mapping[str, Any]]
 ) -> Section:
     """The page of results by hand: two turns on, forth and back, and one turn."""
-    hands = script("free_turn")
     two, to_and_fro, one = (hands.summary(rows) for rows in (twice, back, once))
     met = "met" if two["ratio_95"][1] <= two["target_ratio"] else "not shown to be met"
     coverage = "\n".join(

@@ -5,12 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from section import Effort, Section
-
 from adis_gonio.paper import reproduce
 from adis_gonio.paper.page import figures_3, map_figures, sections
 from adis_gonio.report.parts import Section as Part
 from adis_gonio.report.parts import Table
+from results.section import Effort, Section
 
 
 def run(effort: Effort) -> Section:

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 import numpy as np
-from section import Effort, Section, svg, table
 
 import plan_statistics as statistics
 from plan_statistics import APART, CLOSE, TIMES, Line
+from results.section import Effort, Section, svg, table
 
 CASE, CHIP_FIXTURE_DEG = "best 12", 0.05
 TARGET = ("two-position", "four-position", "mmpm", "tumble 12", "best 12", "best 24")

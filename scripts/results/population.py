@@ -6,17 +6,18 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from section import Effort, Section, script, svg, table
+from results.section import Effort, Section, svg, table
 
 UNITS = 200
 
 
 def run(effort: Effort) -> Section:
     """A hundred populations with an effect and a hundred without, and some that should mislead."""
-    drawn = script("population")
+    from population_statistics import outcomes
+
     units = effort.sessions(UNITS, 60)
     populations = effort.sessions(100, 2)
-    return section_of(drawn.outcomes(populations, units, effort.seed, effort.jobs), units)
+    return section_of(outcomes(populations, units, effort.seed, effort.jobs), units)
 
 
 def section_of(every: Sequence[Any], units: int) -> Section:

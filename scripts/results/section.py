@@ -1,17 +1,13 @@
 """What a section of the results is: text, numbers and figures, and how much work they may take.
 
-And what several sections need to make them: tables, figures' text, the scripts that do the work.
+And what several sections need to make them: tables, figures' text.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import io
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -78,19 +74,3 @@ def svg(figure: Figure) -> str:
     text = io.StringIO()
     figure.savefig(text, format="svg", metadata={"Date": None})
     return text.getvalue()
-
-
-def script(name: str) -> ModuleType:
-    """`scripts/NAME.py`, which may have the name of a section."""
-    return loaded(Path(__file__).parents[1] / f"{name}.py", f"{name}_script")
-
-
-def loaded(path: Path, name: str) -> ModuleType:
-    """A file as the module NAME, loaded once: sections and scripts share names, which `import` mixes up."""
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, path)
-        if spec is None or spec.loader is None:
-            raise ImportError(str(path))
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]

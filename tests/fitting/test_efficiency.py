@@ -1,14 +1,10 @@
 """`ml` reaches the Cramér–Rao bound, in the plane and in space; what does not is seen."""
 
-import importlib
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-sys.path.append(str(Path(__file__).resolve().parents[2] / "scripts"))
-efficiency = importlib.import_module("efficiency")
+import efficiency
+
 Case = efficiency.Case
 
 CASES = [

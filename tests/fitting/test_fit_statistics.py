@@ -1,17 +1,9 @@
 """The statistics script's targets on fewer sessions, each method's with a fixed seed."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "fit_statistics.py"
-spec = importlib.util.spec_from_file_location("fit_statistics", SCRIPT)
-statistics = importlib.util.module_from_spec(spec)
-sys.modules["fit_statistics"] = statistics
-spec.loader.exec_module(statistics)
+import fit_statistics as statistics
 
 
 @pytest.mark.parametrize("name", list(statistics.SETUPS))

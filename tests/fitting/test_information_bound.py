@@ -1,20 +1,15 @@
 """The bound of scripts/information_bound.py, held to likelihoods, formulas and draws of other making."""
 
-import importlib
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+import efficiency
+import information_bound as bound
 from adis_gonio.fitting import fit
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim.noise import Flicker
-
-sys.path.append(str(Path(__file__).resolve().parents[2] / "scripts"))
-bound = importlib.import_module("information_bound")
-efficiency = importlib.import_module("efficiency")
 
 TRUTH = np.array([0.7, 1.004, 0.995, 0.006, 12.0, -20.0])
 ANGLES = np.radians(np.arange(0, 360, 45.0))

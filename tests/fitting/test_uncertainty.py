@@ -1,27 +1,19 @@
 """u, degrees of freedom, k and U: against GTC, against simulation, and the budget against both."""
 
-import importlib.util
 import json
 import math
-import sys
-from pathlib import Path
 
 import GTC
 import numpy as np
 import pytest
 from scipy import stats
 
+import coverage_of_u as coverage
 from adis_gonio import fit
 from adis_gonio.estimation.intervals import coverage_factor, effective_dof, factor_over
 from adis_gonio.fitting.monte_carlo import monte_carlo
 from adis_gonio.fitting.sources import GRAVITY, SOURCES
 from adis_gonio.model.records import Dwell, Session
-
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "coverage.py"
-spec = importlib.util.spec_from_file_location("coverage_of_u", SCRIPT)
-coverage = importlib.util.module_from_spec(spec)
-sys.modules["coverage_of_u"] = coverage
-spec.loader.exec_module(coverage)
 
 G = 1000.0
 FOUR, NINE = (0, 90, 180, 270), tuple(range(0, 360, 40))

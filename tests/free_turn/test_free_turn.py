@@ -1,16 +1,16 @@
 """The estimate of a free turn: right values, honest uncertainties, refusals that say what to do.
 
-Recordings are those of `scripts/free_turn.py`: a hand in the simulator, through the chip's filter.
+Recordings are those of `scripts/free_turn_statistics.py`: a hand in the simulator, through the chip's
+filter.
 """
 
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+import free_turn_statistics as script
 from adis_gonio.answer import Answer
 from adis_gonio.errors import FitError
 from adis_gonio.fitting import applicable_methods, fit
@@ -20,9 +20,6 @@ from adis_gonio.free_turn.windows import Windows
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.tracing import trace
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-import free_turn as script
 
 SEED = 11
 

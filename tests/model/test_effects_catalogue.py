@@ -1,12 +1,12 @@
 """The catalogue as a whole: names, bounds, derivatives, covariates; every effect is walked."""
 
 import dataclasses
-import importlib.util
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import effects_page
 from adis_gonio.errors import UsageError
 from adis_gonio.model.effects import BUILT_IN, Conditions, Effect, Enters, Parameter, effect
 
@@ -276,10 +276,7 @@ def test_parameter_outside_its_bounds_is_refused():
 
 
 def test_page_of_the_effects_is_up_to_date():
-    spec = importlib.util.spec_from_file_location("effects_page", ROOT / "scripts" / "effects_page.py")
-    page = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(page)
-    text = page.render()
-    assert page.PAGE.read_text(encoding="utf-8") == text, "run python scripts/effects_page.py"
+    text = effects_page.render()
+    assert effects_page.PAGE.read_text(encoding="utf-8") == text, "run python scripts/effects_page.py"
     for name in NAMES:
         assert f"### `{name}`" in text

@@ -1,13 +1,11 @@
 """What is predicted comes: against sessions drawn by other means, and through the simulated chip."""
 
-import importlib.util
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+import plan_statistics as statistics
 from adis_gonio.errors import UsageError
 from adis_gonio.estimation import readings_of
 from adis_gonio.fitting import fit
@@ -16,12 +14,6 @@ from adis_gonio.planning.imagined import imagined
 from adis_gonio.sensor import open_sensor
 from adis_gonio.session import SessionRunner, load_session, plan
 from adis_gonio.tracing import trace_readings
-
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "plan_statistics.py"
-spec = importlib.util.spec_from_file_location("plan_statistics", SCRIPT)
-statistics = importlib.util.module_from_spec(spec)
-sys.modules["plan_statistics"] = statistics
-spec.loader.exec_module(statistics)
 
 
 def test_the_flicker_that_is_drawn_has_the_allan_deviation_it_is_asked_for():

@@ -1,6 +1,5 @@
 """Large files: memory grows with the numbers alone, progress is told, Ctrl-C ends at once."""
 
-import importlib.util
 import signal
 import subprocess
 import sys
@@ -9,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import large_file
 from adis_gonio.budget import Budget, within
 from adis_gonio.estimation import spectrum
 from adis_gonio.fitting import fit
@@ -16,9 +16,6 @@ from adis_gonio.session.loading import load_session
 from programs import running
 
 ROOT = Path(__file__).parents[2]
-_SPEC = importlib.util.spec_from_file_location("large_file", ROOT / "scripts" / "large_file.py")
-large_file = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(large_file)
 
 ALLOWED_MB, ROWS = 600, 5_000_000
 """What a file of seven columns may take: 280 MB of it are the numbers."""

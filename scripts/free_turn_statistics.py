@@ -1,6 +1,6 @@
 """The free turn against the truth and against a session of dwells, on simulated hands.
 
-    python scripts/free_turn.py --hands 500 --seed 1 --jobs 2 --turns 2
+    python scripts/free_turn_statistics.py --hands 500 --seed 1 --jobs 2 --turns 2
 
 Each hand turns a part of its own (`sim/hand.py`) twice or as often as asked, on and on or forth and back,
 in 60 s of recording, rests included; gyro and accelerometers have the faults of `hand_of`. The same part is

@@ -1,6 +1,5 @@
 """The results: the fast part of every section is made, and each has its page in the documentation."""
 
-import importlib.util
 import json
 import re
 import subprocess
@@ -10,26 +9,10 @@ from xml.etree import ElementTree
 
 import pytest
 
+from results import SECTIONS
+
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "docs" / "results"
-
-
-def sections():
-    """Names in the script's order."""
-    folder = ROOT / "scripts" / "results"
-    spec = importlib.util.spec_from_file_location("results_main", folder / "__main__.py")
-    module = importlib.util.module_from_spec(spec)
-    kept, beside = list(sys.path), sys.modules.get("section")
-    try:
-        spec.loader.exec_module(module)
-    finally:  # its neighbours have short names that others may want
-        sys.path[:] = kept
-        if beside is None:
-            sys.modules.pop("section", None)
-    return module.SECTIONS
-
-
-SECTIONS = sections()
 
 
 def check_files(name, folder, command):

@@ -1,6 +1,6 @@
 """Populations of weak effects, and what the population trace says of them.
 
-    python scripts/population.py --populations 100 --units 200 --jobs 2 --seed 1
+    python scripts/population_statistics.py --populations 100 --units 200 --jobs 2 --seed 1
 
 Sessions are drawn by the tests' own physics (tests/tracing: plans, noise and effects written apart from
 the product). An effect is put into a share of the units at a multiple of each session's own detection

@@ -9,8 +9,8 @@ calibrated goniometer shows for a fresh reading somewhere on the turn, each with
 * `unknown`: nine averaged readings without one, estimated from the residual;
 * `blind`: 0° and 90° of an ADIS16354 with a bias that nobody saw, as large as the part's figure says.
 
-    python scripts/coverage.py                 # 4000 sessions of a fresh seed
-    python scripts/coverage.py --sessions 400 --seed 1
+    python scripts/coverage_of_u.py                 # 4000 sessions of a fresh seed
+    python scripts/coverage_of_u.py --sessions 400 --seed 1
 
 Exits with 1 where the coverage of all kinds together is not 94 to 96 %, or that of one kind is off by more
 than its own error.

@@ -1,16 +1,14 @@
 """Error of the shown angle by method against the bound, and the section of the results that shows it."""
 
-import importlib
 import re
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
-sys.path += [str(SCRIPTS), str(SCRIPTS / "results")]
-shown_angle = importlib.import_module("shown_angle")
+import shown_angle
+from results import angle
+from results.section import Effort
+
 Cell = shown_angle.Cell
 
 
@@ -57,8 +55,7 @@ def test_the_bound_grows_by_the_effects_that_have_to_be_found():
 
 
 def test_the_section_names_its_figures_and_holds_every_method():
-    section = importlib.import_module("section")
-    made = importlib.import_module("angle").run(section.Effort(fast=True, seed=1))
+    made = angle.run(Effort(fast=True, seed=1))
     named = set(re.findall(r"\(angle-(\w+)\.svg\)", made.markdown))
     assert named == set(made.figures)
     assert all(svg.startswith("<svg") for svg in made.figures.values())
