@@ -59,17 +59,21 @@ def dense(bench, angles_deg, order_s):
     samples = bench.samples
     white = (4.7**2 + 0.4672**2 / 12) / samples
     fixture = math.radians(bench.fixture_deg) ** 2
-    # Barnes: the covariance of means of 1/f noise by numerical integration of −ln|t − t'| over both dwells.
-    fine = (np.arange(400) + 0.5) / 400 * 10.0
-    mean_log = np.zeros((n, n))
-    for i, j in itertools.product(range(n), repeat=2):
+    # Barnes: the covariance of means of 1/f noise by numerical integration of −ln|t − t'| over both spans:
+    # the dwells, and the session with as long a time after it, whose mean the bias is.
+    twice = 2 * (order_s.max() + 10.0 - order_s.min())
+    starts, lengths = np.append(order_s, order_s.min()), np.append(np.full(n, 10.0), twice)
+    mean_log = np.zeros((n + 1, n + 1))
+    for i, j in itertools.product(range(n + 1), repeat=2):
         if i == j:
-            mean_log[i, j] = math.log(10.0) - 1.5
+            mean_log[i, j] = math.log(lengths[i]) - 1.5
         else:
-            gap = np.abs(order_s[i] + fine[:, None] - order_s[j] - fine[None, :])
-            mean_log[i, j] = np.log(gap).mean()
-    about = np.eye(n) - 1 / n
-    slow = bench.floor_mg**2 * (-about @ mean_log @ about / (2 * math.log(2)) + 0.5)
+            # Unlike numbers of steps, so that no two points meet.
+            one, two = ((np.arange(m) + 0.5) / m for m in (2000, 2011))
+            gap = starts[i] + lengths[i] * one[:, None] - starts[j] - lengths[j] * two[None, :]
+            mean_log[i, j] = np.log(np.abs(gap)).mean()
+    about = np.concatenate([np.eye(n), -np.ones((n, 1))], axis=1)
+    slow = bench.floor_mg**2 * (-about @ mean_log @ about.T / (2 * math.log(2)))
     covariance = white * np.eye(2 * n) + fixture * tangent @ tangent.T + np.kron(slow, np.eye(2))
     return jacobian.T @ np.linalg.solve(covariance, jacobian)
 
