@@ -12,7 +12,7 @@ from typing import Any
 from adis_gonio.counting import counted
 from adis_gonio.errors import DataError, UsageError
 from adis_gonio.jsonable import finite
-from adis_gonio.output import replacing
+from adis_gonio.output import ends_in, replacing
 from adis_gonio.session.plans import MOST_POSITIONS, PLAN_NAMES, Plan, Position, plan, with_checks
 
 SCHEMA = "adis-gonio/plan"
@@ -175,7 +175,7 @@ def plan_by(name: str, positions: int | None = None, check: int = 0) -> Plan:
     UsageError
         No such plan, or a number that it does not allow.
     """
-    if name in PLAN_NAMES or not (name.endswith(".json") or "/" in name or Path(name).is_file()):
+    if name in PLAN_NAMES or not (ends_in(name, ".json") or "/" in name or Path(name).is_file()):
         return plan(name, positions, check)
     made = read_plan(name)
     if positions is not None:
