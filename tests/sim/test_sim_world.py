@@ -184,10 +184,10 @@ class Square(Effect):
     def parameters(self):
         return tuple(Parameter(f"k_{axis}", "mg/g2", -100, 100, 5.0) for axis in self.axes)
 
-    def reading_mg(self, values, ideal_mg, conditions):
-        added = np.zeros_like(ideal_mg)
+    def reading(self, values, ideal, conditions):
+        added = np.zeros_like(ideal)
         for k, column in enumerate("xyz".index(axis) for axis in self.axes):
-            added[:, column] = values[k] * (ideal_mg[:, column] / 1000) ** 2
+            added[:, column] = values[k] * (ideal[:, column] / 1000) ** 2
         return added
 
 
@@ -243,9 +243,9 @@ class Everything(Effect):
     def parameters(self):
         return ()
 
-    def reading_mg(self, values, ideal_mg, conditions):
+    def reading(self, values, ideal, conditions):
         self.seen.append(conditions)
-        return np.zeros_like(ideal_mg)
+        return np.zeros_like(ideal)
 
 
 def test_an_effect_of_the_reading_is_added_on_its_axes():

@@ -264,7 +264,7 @@ class World:
         if conditions is not None:
             for effect, values in self.effects:
                 if effect.enters is Enters.READING:
-                    accel += effect.reading_mg(values, ideal, conditions)
+                    accel += effect.reading(values, ideal, conditions)
         accel += flicker[:, :3]
         accel[:, :2] += motion.ringing_mg[:, None]
         if self._lever_m.any():
