@@ -1,4 +1,4 @@
-"""Readings: a dwell's mean with its covariance, degrees of freedom and conditions, in mg.
+"""Readings: a mean with its covariance, degrees of freedom and conditions, in its measurement's unit.
 
 The covariance of a reading has three parts.
 
@@ -222,8 +222,18 @@ class Readings:
 
     @property
     def free(self) -> bool:
-        """True where no declared angle carries information."""
-        return bool(np.isinf(self.fixture).all())
+        """True where attitudes are unknown and no declared angle carries information."""
+        return self.model.freedom > 0 and bool(np.isinf(self.fixture).all())
+
+    @property
+    def equations_each(self) -> int:
+        """Equations that a reading gives: one where its attitude is free, else one an axis."""
+        return 1 if self.free else self.axes
+
+    @property
+    def by_axis(self) -> bool:
+        """False where only the length of a reading carries information."""
+        return self.model.freedom < 2
 
     @cached_property
     def visible(self) -> NDArray[np.bool_]:
