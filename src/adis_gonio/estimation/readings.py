@@ -1,4 +1,4 @@
-"""Readings: a dwell's mean with its covariance, degrees of freedom and conditions, in mg.
+"""Readings: a mean with its covariance, degrees of freedom and conditions, in its measurement's unit.
 
 The covariance of a reading has three parts.
 
@@ -70,7 +70,7 @@ class Unit:
     Attributes
     ----------
     name : str
-        `mg` (any unit of known size), or `counts`.
+        `mg` or `dps` (any unit of known size), or `counts`.
     zero, per_mg : (axes,) float
         File's value at zero, and counts per mg; both rough for counts, 0 and 1 for mg.
     scale : float
@@ -89,7 +89,7 @@ class Unit:
     @property
     def known(self) -> bool:
         """False for counts, where the zero of an axis is part of the unit."""
-        return self.name == "mg"
+        return self.name != "counts"
 
 
 def in_mg(axes: int, scale: float = 1.0) -> Unit:
@@ -222,8 +222,18 @@ class Readings:
 
     @property
     def free(self) -> bool:
-        """True where no declared angle carries information."""
-        return bool(np.isinf(self.fixture).all())
+        """True where attitudes are unknown and no declared angle carries information."""
+        return self.model.freedom > 0 and bool(np.isinf(self.fixture).all())
+
+    @property
+    def equations_each(self) -> int:
+        """Equations that a reading gives: one where its attitude is free, else one an axis."""
+        return 1 if self.free else self.axes
+
+    @property
+    def by_axis(self) -> bool:
+        """False where only the length of a reading carries information."""
+        return self.model.freedom < 2
 
     @cached_property
     def visible(self) -> NDArray[np.bool_]:
