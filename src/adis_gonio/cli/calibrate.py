@@ -126,7 +126,7 @@ def command(
     a minute, on and on or forth and back; or --turns N.
 
     --plan gyro-turns calibrates the gyros on a level table: whole turns both ways, from a mark back to it,
-    with the X, the Y and the Z arrow up (--positions 6: and down).
+    with the X, the Y and the Z arrow up (down it only rests; --positions 3 leaves that out).
 
     With --trace the session then says which further positions would decide what is still open, and goes on
     with them until the model is adequate or no position is expected to show more.
@@ -367,13 +367,13 @@ def _free_turn(turns: int | None, positions: int | None, duration_s: float | Non
     return free_turn_plan(TURNS if turns is None else turns, length_s), length_s
 
 
-def _gyro_turns(turns: int | None, set_ups: int | None, duration_s: float | None) -> Plan:
+def _gyro_turns(turns: int | None, faces: int | None, duration_s: float | None) -> Plan:
     """Plan of whole turns, which take what time they take."""
     from adis_gonio.session.gyro_turns import TURNS, gyro_turns_plan
 
     if duration_s is not None:
         raise UsageError("--duration is that of a free turn: give --plan free-turn")
-    return gyro_turns_plan(TURNS if turns is None else turns, 3 if set_ups is None else set_ups)
+    return gyro_turns_plan(TURNS if turns is None else turns, 6 if faces is None else faces)
 
 
 def _positions(

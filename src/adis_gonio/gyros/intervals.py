@@ -154,15 +154,47 @@ def rate_intervals(session: Session) -> RateIntervals:
     by_position = {dwell.position: k for k, dwell in enumerate(dwells)}
     turns = [t for t in session.turns if t.before in by_position and t.position in by_position]
     triad = triad_of(session) if turns else None
-    made, refused = [], []
+    made: list[_Interval] = []
+    refused: dict[str, list[int]] = {}
+    alike, whole = _alike(turns), any(turn.turned_deg is not None for turn in turns)
     for turn in turns:
         before, after = dwells[by_position[turn.before]], dwells[by_position[turn.position]]
-        found = _turned(session, turn, before, after, scale, sampling, triad)
-        if isinstance(found, str):
-            refused.append(f"turn to dwell {turn.position}: {found}")
-        else:
+        own = None if triad is None else triad.shared_by(alike[turn.position])
+        found = _turned(session, turn, before, after, scale, sampling, own)
+        if not isinstance(found, str):
             made.append(found)
-    return _joined(at_rest, made, noise, sampling, session, tuple(refused), triad)
+        elif (
+            turn.turned_deg is not None or not whole
+        ):  # how a part is laid down between whole turns is free
+            refused.setdefault(found, []).append(turn.position)
+    return _joined(at_rest, made, noise, sampling, session, _in_words(refused), triad)
+
+
+def _in_words(refused: dict[str, list[int]]) -> tuple[str, ...]:
+    """Turns that were refused, those for one reason together."""
+    return tuple(
+        f"turn{'s' if len(ends) > 1 else ''} to dwell {', '.join(map(str, ends))}: {why}"
+        for why, ends in refused.items()
+    )
+
+
+def _alike(turns: Sequence[Turn]) -> dict[int, int]:
+    """How many whole turns follow one another with the part as it lies, by where each ends.
+
+    They share what is not known of the direction of their axis.
+    """
+    alike: dict[int, int] = {}
+    group: list[Turn] = []
+    for turn in [*turns, None]:
+        whole = turn is not None and turn.turned_deg is not None
+        if turn is None or not whole or (group and group[-1].position != turn.before):
+            alike |= {one.position: len(group) for one in group}
+            group = []
+        if turn is not None and whole:
+            group.append(turn)
+        elif turn is not None:
+            alike[turn.position] = 1
+    return alike
 
 
 def _refuse_not_finite(source: str, dwells: Sequence[Dwell], rows: Sequence[Floats]) -> None:

@@ -4,17 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from adis_gonio.errors import AdisGonioError
 from adis_gonio.estimation.readings import Readings, mg_per_unit, readings_of
+from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Floats, Session
 from adis_gonio.sensor.variants import VARIANTS
 
 CONSISTENT = 4.0
 """Standard uncertainties within which a declared turn and gravity's may be averaged."""
+_NOT_CALIBRATED = (
+    "the accelerometers' biases are not determined: u of the directions of axes holds what they may be;"
+    " rest each arrow up and down"
+)
+_NOT_SQUARE = (
+    "the angles between the accelerometers are not determined: u of the directions of axes holds what they"
+    " may be; rest the part with gravity shared between two axes"
+)
 UNKNOWN_LEAN_DEG = 0.25
 UNKNOWN_BIAS_MG = 50.0
 """Of a sensor without figures (one real ADIS16350 showed +57 mg)."""
@@ -44,6 +53,10 @@ class Triad:
     gravity: dict[int, Floats]
     notes: tuple[str, ...] = ()
 
+    def shared_by(self, turns: int) -> Triad:
+        """The same for one of some turns that share a direction: each alone knows less than all."""
+        return replace(self, u_rad=self.u_rad * math.sqrt(turns))
+
 
 def triad_of(session: Session) -> Triad | None:
     """The accelerometers of a session by its own fit, as read where there can be none.
@@ -58,13 +71,16 @@ def triad_of(session: Session) -> Triad | None:
         from adis_gonio.api import fit
 
         result = fit(session, method="ml")
-        calibration = result.calibration()
     except AdisGonioError:
         return _as_read(session)
     u_mg = np.sqrt(np.diagonal(readings.covariance, axis1=1, axis2=2).mean(axis=0))
     held = any(name.startswith("bias") for name in result.undetermined)
     g = session.gravity_mg
     if readings.planar:
+        try:
+            calibration = result.calibration()
+        except AdisGonioError:
+            return _as_read(session)
         shown = calibration.angle(readings.mean, reading_u=list(u_mg))
         unseen = math.degrees(_bias_mg(session) / g) if held else 0.0
         u = np.hypot(np.asarray(shown.u_deg), unseen)
@@ -76,14 +92,23 @@ def triad_of(session: Session) -> Triad | None:
         )
         rough = _as_read(session)
         return Triad(rough.direction, rough.u_rad, psi, rough.gravity, notes)
-    directions = calibration.apply(readings.mean)
+    found = {one.name: one.value for one in result.parameters}
+    base = np.array([found.get(p.name, p.nominal) / p.per_natural for p in readings.model.parameters])
+    bias = np.array([found.get(f"bias_{axis}", 0.0) for axis in AXES])
+
+    def direction(force_mg: Floats) -> Floats:
+        return readings.model.calibrated(base, force_mg - bias)
+
     u_rad = float(np.linalg.norm(u_mg)) / g
-    if held or sum(one.name.startswith("bias") for one in result.parameters) < 3:
+    told: tuple[str, ...] = ()
+    if sum(name.startswith("bias") for name in found) < len(AXES):
         u_rad = math.hypot(u_rad, _rough_u_rad(session))
-    elif len(result.parameters) < 9:
+        told = (_NOT_CALIBRATED,)
+    elif sum(name.startswith("skew") for name in found) < len(AXES):
         u_rad = math.hypot(u_rad, _lean_rad(session))
-    gravity = dict(zip(readings.position.tolist(), directions, strict=True))
-    return Triad(lambda force: calibration.apply(1e3 * force), u_rad, None, gravity)
+        told = (_NOT_SQUARE,)
+    gravity = dict(zip(readings.position.tolist(), direction(readings.mean), strict=True))
+    return Triad(lambda force: direction(1e3 * force), u_rad, None, gravity, told)
 
 
 def _with_declared(readings: Readings, psi: Floats, u: Floats) -> dict[int, tuple[float, float]]:
@@ -116,8 +141,7 @@ def _as_read(session: Session) -> Triad:
         gravity = {
             d.position: per_g * d.accel.mean(axis=0) for d in session.dwells if d.accel.shape[1] == 3
         }
-    note = "the accelerometers are not calibrated: the directions of axes are as uncertain as they are"
-    return Triad(lambda force: force, _rough_u_rad(session), None, gravity, (note,))
+    return Triad(lambda force: force, _rough_u_rad(session), None, gravity, (_NOT_CALIBRATED,))
 
 
 def _rough_u_rad(session: Session) -> float:

@@ -1,7 +1,7 @@
 """The session of gyro turns: on a level table, whole turns from a mark back to it, about each axis.
 
-Each of three set-ups (the X, the Y, the Z arrow up; of six, each of them down as well) is a dwell, some
-whole turns counter-clockwise, a dwell, as many clockwise, a dwell. It is a `SessionRunner` whose way from
+With the X, the Y and the Z arrow up: a dwell, some whole turns counter-clockwise, a dwell, as many
+clockwise, a dwell, and another with the arrow down. It is a `SessionRunner` whose way from
 one dwell to the next is recorded: an attempt whose reason is `TURNED` holds the turn, the dwell after it is
 an attempt like any other. What has been done is judged by the gyros as soon as the part rests again, so
 that a turn that is no good is made again at once. A kill loses the turn in hand; resumed, the session asks
@@ -59,28 +59,30 @@ _DOWN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 """What an ideal sensor reads with its X, Y, Z arrow up, or down."""
 
 
-def gyro_turns_plan(turns: int = TURNS, set_ups: int = 3) -> Plan:
-    """Set-ups, each with so many whole turns both ways.
+def gyro_turns_plan(turns: int = TURNS, faces: int = 6) -> Plan:
+    """Each arrow up, with so many whole turns both ways.
 
     Parameters
     ----------
-    set_ups : {3, 6}
-        Each arrow up; or each up and down, which tells zero rates from g-sensitivities and takes the
-        accelerometers' biases out of the directions.
+    faces : {6, 3}
+        Each arrow down as well, at rest, which tells zero rates from g-sensitivities and finds the
+        accelerometers' biases, by which the direction of an axis is known; or up alone.
 
     Raises
     ------
     UsageError
-        No turn, more than can be counted, or another number of set-ups.
+        No turn, more than can be counted, or another number of faces.
     """
-    if set_ups not in (3, 6):
-        raise UsageError(f"positions is {set_ups}: gyro turns take 3 (each arrow up) or 6 (and down)")
+    if faces not in (3, 6):
+        raise UsageError(f"positions is {faces}: take 6 (each arrow up and down) or 3 (each up)")
     if not 1 <= turns <= MOST_TURNS:
         raise UsageError(f"turns is {turns}: take 1 to {MOST_TURNS} each way, such as {TURNS}")
     places: list[Position] = []
-    for up in (*_UP, *_DOWN)[:set_ups]:
+    for up, down in zip(_UP, _DOWN, strict=True):
         places.append(Position(None, 0, direction=up))
         places += [Position(None, 0, turned_deg=sign * 360.0 * turns) for sign in (1.0, -1.0)]
+        if faces == 6:
+            places.append(Position(None, 0, direction=down))
     return Plan(GYRO_TURNS, tuple(places), "none")
 
 
