@@ -7,7 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adis_gonio.estimation.values import Value
+from adis_gonio.fitting.gyro import fit_gyro
 from adis_gonio.gyros import rate_intervals
+from adis_gonio.gyros.alignment import alignment, rotation_and_skews_deg
 from adis_gonio.gyros.integral import Integral, Path, Sampling, integral_over, integrate
 from adis_gonio.model.records import Dwell, Floats, Session
 from adis_gonio.model.turns import Turn
@@ -263,6 +266,46 @@ _SPHERE = [
     (0, 0, -1), (1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (1, 1, 0), (-1, 0, 1),
     (0, 1, -1), (1, -1, 1), (-1, 1, -1), (1, 1, 1),
 ]  # fmt: skip
+
+
+def test_a_planar_sessions_turns_determine_the_gain_of_z_and_say_what_they_do_not():
+    recorder = planar(3, [0, 90, 180, 270, 180, 90, 0], gyro_scale_z=1.01)
+    result = fit_gyro(recorder.session(fixture_sigma_deg=0.02))
+    gain = result["gyro_scale_z"]
+    assert abs(gain.value - 1.01) < 3 * gain.u
+    assert gain.u < 0.002
+    assert {"gyro_scale_x", "gyro_scale_y", "gyro_misalignment_zx"} <= set(result.undetermined)
+    assert "gyro_scale_x" not in result
+    assert any("turn the part by whole turns about each axis" in line for line in result.warnings)
+    assert result.triad is None
+
+
+def test_the_triads_rotation_is_told_from_the_angles_between_its_axes():
+    """Against a rotation made by scipy, and axes made lean by hand."""
+    from scipy.spatial.transform import Rotation
+
+    turned = np.array([0.3, -0.5, 0.8])
+    square = Rotation.from_rotvec(turned, degrees=True).as_matrix().T
+    lean = np.array([[0.0, 0.002, -0.001], [0.002, 0.0, 0.003], [-0.001, 0.003, 0.0]])
+    rows = (np.eye(3) + lean) @ square
+    rows /= np.linalg.norm(rows, axis=1)[:, None]
+    leans = np.degrees(np.arcsin(rows * (1 - np.eye(3))))
+    found = rotation_and_skews_deg(leans)
+    assert found[:3] == pytest.approx(turned, abs=2e-3)
+    between = [90 - np.degrees(np.arccos(rows[i] @ rows[j])) for i, j in ((0, 1), (0, 2), (1, 2))]
+    assert found[3:] == pytest.approx(between, abs=1e-9)
+
+
+def test_the_alignment_needs_all_six_misalignments_and_carries_their_covariance():
+    names = [f"gyro_misalignment_{a}{b}" for a in "xyz" for b in "xyz" if a != b]
+    values = {name: Value(0.0, 0.1, "deg") for name in names}
+    found = alignment(values, 0.01 * np.eye(6), names)
+    assert found is not None
+    # A rotation is half the difference of two leans, a skew their sum.
+    assert found["triad_rotation_z"].u == pytest.approx(0.1 / np.sqrt(2), rel=1e-3)
+    assert found["gyro_skew_xy"].u == pytest.approx(0.1 * np.sqrt(2), rel=1e-3)
+    del values[names[0]]
+    assert alignment(values, 0.01 * np.eye(6), names) is None
 
 
 # -- sessions --------------------------------------------------------------------------------------

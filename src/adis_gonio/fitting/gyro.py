@@ -117,7 +117,7 @@ class GyroFit:
 
     @cached_property
     def triad(self) -> dict[str, Value] | None:
-        """`triad_rotation_x…` against the accelerometers and `gyro_skew_xy…` in deg; None where not seen."""
+        """`triad_rotation_x…` against the accelerometers, `gyro_skew_xy…`, in deg; None where not seen."""
         return alignment(self.parameters, self.covariance, list(self.parameters))
 
     @property

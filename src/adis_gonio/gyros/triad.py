@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -52,10 +52,6 @@ class Triad:
     psi_deg: dict[int, tuple[float, float]] | None
     gravity: dict[int, Floats]
     notes: tuple[str, ...] = ()
-
-    def shared_by(self, turns: int) -> Triad:
-        """The same for one of some turns that share a direction: each alone knows less than all."""
-        return replace(self, u_rad=self.u_rad * math.sqrt(turns))
 
 
 def triad_of(session: Session) -> Triad | None:
