@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import gyro_scale_statistics as hands
-from results.section import Effort, Section
+from results.section import Effort, Section, table
 
 HANDS = 500
 
@@ -22,40 +22,48 @@ def section_of(rows: Sequence[Mapping[str, Any]]) -> Section:
     """The page."""
     found = hands.summary(rows)
     ratio, share = found["u_over_bound"], found["share_of_bound"]
-    met = "met" if found["u_rms"] / found["bound_rms"] <= found["target_ratio"] else "not met"
+    over = found["u_rms"] / found["bound_rms"]
+    met = "met" if over <= found["target_ratio"] else "not met"
+    rows_told = [
+        ("coverage of U (95 %), gains", f"{_percent(found['coverage'])} ± {_percent(found['coverage_u'])}"),
+        ("coverage of U (95 %), misalignments", _percent(found["coverage_of_misalignment"])),
+        ("u of a gain, rms", f"{100 * found['u_rms']:.4f} %"),
+        ("error of a gain, rms", f"{100 * found['error_rms']:.4f} %"),
+        ("bound of a gain, rms", f"{100 * found['bound_rms']:.4f} %"),
+        (f"u over bound, rms over rms (target {found['target_ratio']}: {met})", f"{over:.2f}"),
+        ("u over bound of its session, median", f"{ratio['median']:.2f}"),
+        ("the same, 95 % quantile and largest", f"{ratio['quantile_95']:.2f}, {ratio['max']:.2f}"),
+        ("scatter over stated u", f"{found['scatter_over_u']:.2f}"),
+        ("u of a misalignment, median", f"{found['misalignment_u_deg']:.3f}°"),
+        ("refused", str(len(found["refused"]))),
+    ]
+    told = "\n".join(table(("figure", "value"), rows_told))
     markdown = f"""
 ## Gyro scale from hand turns
 
-{found["hands"]} simulated hands turn a part of their own on a table as `calibrate --plan gyro-turns` asks for:
-{hands.TURNS} whole turns each way with the X, the Y and the Z arrow up, between rests of {hands.DWELL_S:.0f} s, at
-{found["rate_dps"]:.0f} °/s on the average of a turn and its rests, {found["length_s"] / 60:.0f} minutes in all. Gains,
-misalignments and g-sensitivities are hidden, the accelerometers' biases and skews too; the gyros have white noise and
-1/f noise (0.015 °/s). The bound is the Cramér–Rao bound of the gain of that very session.
+{found["hands"]} simulated hands turn a part of their own on a table as `calibrate --plan gyro-turns` asks
+for: {hands.TURNS} whole turns each way with the X, the Y and the Z arrow up, between rests of
+{hands.DWELL_S:.0f} s, at {found["rate_dps"]:.0f} °/s on the average of a turn and its rests,
+{found["length_s"] / 60:.0f} minutes in all. Gains, misalignments and g-sensitivities are hidden, the
+accelerometers' biases and skews too; the gyros have white noise and 1/f noise (0.015 °/s). The bound is the
+Cramér–Rao bound of the gain of that very session.
 
-| | |
-|---|---|
-| coverage of U (95 %), gains | {100 * found["coverage"]:.1f} ± {100 * found["coverage_u"]:.1f} % |
-| coverage of U (95 %), misalignments | {100 * found["coverage_of_misalignment"]:.1f} % |
-| u of a gain, rms | {1e2 * found["u_rms"]:.4f} % |
-| error of a gain, rms | {1e2 * found["error_rms"]:.4f} % |
-| bound of a gain, rms | {1e2 * found["bound_rms"]:.4f} % |
-| u over bound, rms over rms (target {found["target_ratio"]}: {met}) | {found["u_rms"] / found["bound_rms"]:.2f} |
-| u over bound of the session: median, 95 % quantile, largest | {ratio["median"]:.2f}, {ratio["quantile_95"]:.2f}, \
-{ratio["max"]:.2f} |
-| error over bound, rms | {found["error_over_bound"]:.2f} |
-| scatter over stated u | {found["scatter_over_u"]:.2f} |
-| u of a misalignment, median | {found["misalignment_u_deg"]:.3f}° |
-| refused | {len(found["refused"])} |
+{told}
 
-What limits a gain from ten turns: of the bound's variance 1/f noise has {100 * share["flicker"]:.0f} %, white noise
-{100 * share["white"]:.0f} %, the marks (0.05°) {100 * share["marks"]:.0f} %. A zero rate that wanders by a hundredth of
-a degree a second for half a minute is a third of a degree in 1800°: what helps is to turn faster, as far as the range
-allows, not longer. Misalignments are limited by the angles between the accelerometers, which this plan does not
-measure.
+What limits a gain from ten turns: of the bound's variance 1/f noise has {_percent(share["flicker"])}, white
+noise {_percent(share["white"])}, the marks (0.05°) {_percent(share["marks"])}. A zero rate that wanders by
+a hundredth of a degree a second for half a minute is a third of a degree in 1800°: what helps is to turn
+faster, as far as the range allows, not longer. Where a session's rests show more 1/f noise than the
+sensor's figure, u follows what they show, and is above that session's bound. Misalignments are limited by
+the angles between the accelerometers, which this plan does not measure.
 
 ![Error of the gains over their bound](gyros-errors.svg)
 """
     return Section("Gyros", markdown, {"gyro_scale": found}, {"errors": _figure(rows)})
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
 
 
 def _figure(rows: Sequence[Mapping[str, Any]]) -> str:
