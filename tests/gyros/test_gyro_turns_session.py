@@ -20,7 +20,7 @@ from adis_gonio.session.gyro_turns import GyroTurnsRunner, gyro_turns_plan
 from adis_gonio.session.plans import Plan, Position
 from adis_gonio.session.plans import plan as plan_by_name
 from adis_gonio.session.view import ArchiveView
-from session.hand_bench import hand_sensor
+from session.hand_bench import Hand, hand_sensor
 
 URL = (
     "sim:?seed=11&hand_moves=1&move_speed_dps=80&gyro_scale_x=1.01&gyro_scale_y=0.985&gyro_scale_z=1.004"
@@ -276,3 +276,58 @@ def test_a_part_on_the_wrong_face_is_asked_again(tmp_path):
     assert [guard.kind for guard in operator.guards] == ["upside_down"]
     assert "the X arrow does not point up" in operator.guards[0].message
     assert session.dwells[0].accel.mean(axis=0)[0] < -2000
+
+
+# -- turns of sessions on the stage ------------------------------------------------------------------
+
+
+def test_turns_that_are_recorded_on_the_stage_give_the_gain_of_z(tmp_path):
+    path = tmp_path / "stage.session"
+    url = "sim:?seed=1&hand_moves=1&gyro_scale_z=1.01&gyro_instability_dps=0.003"
+    options = ["--plan", "four-position", "--dwell", "2", "--record-turns", "--auto", "-o", str(path)]
+    answer = CliRunner().invoke(app, ["calibrate", url, *options, "--json"])
+    assert answer.exit_code == 0, answer.output
+    gyros = CliRunner().invoke(app, ["fit", str(path), "--sensor-part", "gyro", "--json"])
+    document = json.loads(gyros.stdout)
+    assert document["turns_used"] == 3
+    gain = document["parameters"]["gyro_scale_z"]
+    assert abs(gain["value"] - 1.01) < 4 * gain["u"]
+    assert gain["u"] < 0.003
+
+
+def test_a_session_whose_turns_are_recorded_resumes_to_the_same_samples(tmp_path):
+    whole, broken = tmp_path / "whole.session", tmp_path / "broken.session"
+    settings = Settings(dwell_s=0.5, settle_s=0.1, turns=True)
+    for path, until in ((whole, 9), (broken, 2)):
+        with open_sensor("sim:?seed=1&hand_moves=1") as sensor:
+            runner = SessionRunner.begin(sensor, path, plan_by_name("four-position"), settings, auto=True)
+            for event in runner.run():
+                if isinstance(event, PositionAsked) and event.place == until:
+                    runner.stop()
+    with open_sensor("sim:?seed=1&hand_moves=1") as sensor:
+        list(SessionRunner.resume(sensor, broken, auto=True).run())
+    one, other = load_session(broken), load_session(whole)
+    for mine, theirs in zip((*one.dwells, *one.turns[2:]), (*other.dwells, *other.turns[2:]), strict=True):
+        assert np.array_equal(mine.gyro, theirs.gyro)
+
+
+def test_turns_by_hand_are_kept_where_that_is_wanted_and_only_there(tmp_path):
+    held = {}
+    for wanted in (True, False):
+        path = tmp_path / f"{wanted}.session"
+        with hand_sensor() as sensor:
+            settings = Settings(dwell_s=0.5, settle_s=0.1, turns=wanted)
+            runner = SessionRunner.begin(
+                sensor, path, plan_by_name("four-position"), settings, fixture_sigma_deg=0.02
+            )
+            operator = Hand(sensor)
+            for event in runner.run():
+                operator.see(runner, event)
+        held[wanted] = load_session(path)
+    found = rate_intervals(held[True])
+    angle = (found.rotation_dps * found.length_s[:, None])[found.turn, 2]
+    assert angle == pytest.approx([90, 90, 90], abs=1)
+    missing = rate_intervals(held[False])
+    assert not missing.turn.any()
+    assert missing.refused == ("turns to dwell 1, 2, 3: the part was turned while nothing was recorded",)
+    assert "turns" not in held[False].facts["settings"]

@@ -81,6 +81,7 @@ _METADATA = {
 @click.option(
     "--range", "range_dps", type=int, default=300, show_default=True, help="Gyros: 300, 150, 75 °/s."
 )
+@click.option("--record-turns", "record_turns", is_flag=True, help="Keep the turns between dwells: gyros.")
 @poll_option
 @click.option("--gravity", "gravity_mps2", type=gravity, help="Local gravity in m/s² (default 9.80665).")
 @click.option("--latitude", type=float, help="Latitude in degrees: gravity of the ellipsoid there.")
@@ -318,6 +319,7 @@ def _runner(
         filter_m=options["filter_m"],
         gyro_range_dps=options["range_dps"],
         data_ready=False if options["poll"] else None,
+        turns=options["record_turns"],
     )
     return runner_of(chosen).begin(
         sensor,

@@ -45,6 +45,17 @@ class World(Protocol):
 
 
 @runtime_checkable
+class WatchedStage(SpatialStage, Protocol):
+    """A stage whose moves can be looked on at: the clock goes on by what is scanned meanwhile."""
+
+    def begin_move(self, angle_deg: float, approach: int = 0) -> float:
+        """Begin to go to an angle; return the time at which it ends."""
+
+    def begin_orient(self, vector: Sequence[float]) -> float:
+        """Begin to go where an ideal sensor reads along a vector (3,)."""
+
+
+@runtime_checkable
 class TurnTable(Stage, Protocol):
     """A stage that can also turn the part about the vertical, while others look on."""
 
@@ -241,6 +252,8 @@ class Bench:
                 return False
             self.stage.begin_turn(move.turned_deg)
             return True
+        if self.settings.turns and isinstance(self.stage, WatchedStage):
+            return self._begin(self.stage, move)
         if self.stage is not None and move.angle_deg is not None:
             self.stage.move_to(move.angle_deg, move.approach)
             return True
@@ -248,6 +261,15 @@ class Bench:
             self._spatial.orient(move.direction)
             return True
         return False
+
+    @staticmethod
+    def _begin(stage: WatchedStage, move: Move) -> bool:
+        """Begin a move that is scanned."""
+        if move.angle_deg is not None:
+            stage.begin_move(move.angle_deg, move.approach)
+        elif move.direction is not None:
+            stage.begin_orient(move.direction)
+        return move.angle_deg is not None or move.direction is not None
 
     @property
     def _spatial(self) -> SpatialStage | None:

@@ -303,6 +303,18 @@ class SimStage:
             about = None if axis is None else np.asarray(axis, np.float64)
             self._bus._set_now(self._stage.turn_about(self._bus.now_s(), angle_deg, about))
 
+    def begin_move(self, angle_deg: float, approach: int = 0) -> float:
+        """As `move_to`, but the bus's clock stands still, so that the move can be recorded."""
+        with self._bus._lock:
+            self._require_open()
+            return self._stage.move_to(self._bus.now_s(), angle_deg, approach)
+
+    def begin_orient(self, vector: Sequence[float] | Floats) -> float:
+        """As `orient`, but the bus's clock stands still; when it ends."""
+        with self._bus._lock:
+            self._require_open()
+            return self._stage.orient(self._bus.now_s(), np.asarray(vector, np.float64))
+
     def begin_turn(self, angle_deg: float) -> float:
         """Begin to turn the part about the vertical (counter-clockwise positive); returns when it ends.
 
