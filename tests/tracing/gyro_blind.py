@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 KINDS = ("none", "one", "two", "uncatalogued")
 RATE_HZ = 100.0
-MARK_DEG = 0.05
+MARK_DEG = 0.1
 """Standard deviation of the place to which the part is set back after a whole turn."""
 TELLABLE = 9.0
 """Noncentrality below which two causes are the same to a session: three standard uncertainties."""
@@ -37,6 +37,8 @@ class Rows:
     force_g: Floats
     rate_dps: Floats
     turn: NDArray[np.bool_]
+    middle: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of the session: medians of its times, temperatures and supplies."""
 
 
 Basis = Callable[[Rows, int], Floats]
@@ -82,19 +84,21 @@ PARAMETERS = {
     "gyro_scale_temperature": ("gyro_scale_temperature_{}",),
 }
 NAMELESS: dict[str, tuple[Basis, tuple[str, ...]]] = {
-    "a step in time": (_column(lambda rows, gyro: (rows.time_s > np.median(rows.time_s)) * 1.0), ("time",)),
+    "a step in time": (_column(lambda rows, gyro: (rows.time_s > rows.middle[0]) * 1.0), ("time",)),
     "an oscillation in time": (
-        _column(lambda rows, gyro: np.sin(2 * np.pi * 1.7 * rows.time_s / rows.time_s.max())), ("time",)
+        _column(lambda rows, gyro: np.sin(np.pi * 1.7 * rows.time_s / rows.middle[0])), ("time",)
     ),
-    "a product of forces": (_column(lambda rows, gyro: rows.force_g[:, 0] * rows.force_g[:, 1]), ("force",)),
+    "a product of forces": (
+        _column(lambda rows, gyro: rows.force_g[:, 0] * rows.force_g[:, 1]), ("force",)
+    ),
     "the modulus of a force": (_column(lambda rows, gyro: np.abs(rows.force_g[:, 1])), ("force",)),
     "the cube of a force": (_column(lambda rows, gyro: rows.force_g[:, 0] ** 3), ("force",)),
     "a knee in temperature": (
-        _column(lambda rows, gyro: np.maximum(rows.temperature_c - np.median(rows.temperature_c), 0.0)),
+        _column(lambda rows, gyro: np.maximum(rows.temperature_c - rows.middle[1], 0.0)),
         ("temperature",),
     ),
     "a step in the supply": (
-        _column(lambda rows, gyro: (rows.supply_v > np.median(rows.supply_v)) * 1.0), ("supply",)
+        _column(lambda rows, gyro: (rows.supply_v > rows.middle[2]) * 1.0), ("supply",)
     ),
 }  # fmt: skip
 
@@ -176,18 +180,18 @@ def _bench(rng: np.random.Generator, table: bool) -> tuple[Rows, Floats]:
         gap = np.where(np.arange(len(up)) % 5 == 4, rng.uniform(10, 30), 0.0)
     start = np.concatenate([[0.0], np.cumsum(length + gap)[:-1]])
     time = start + length / 2
+    time -= time[0]  # as the trace counts it: from the middle of the first interval
     number = np.cumsum(~turn) - 1.0 - 0.5 * turn * 0
     span = time[-1]
     temperature = 30 + 6 * np.sin(2 * np.pi * rng.uniform(0.8, 1.6) * time / span + rng.uniform(0, 6))
     temperature += rng.normal(0, 0.5, len(time))
     supply = 5 + 0.1 * rng.normal(size=len(time))
     rate = np.where(turn, sense * 360 / length, 0.0)[:, None] * up
-    return Rows(time, np.where(turn, -1.0, number), temperature, supply, -up, rate, turn), length
+    middle = (float(np.median(time)), float(np.median(temperature)), float(np.median(supply)))
+    return Rows(time, np.where(turn, -1.0, number), temperature, supply, -up, rate, turn, middle), length
 
 
-def _causes(
-    rng: np.random.Generator, kind: str, rows: Rows, u: Floats, table: bool
-) -> tuple[Cause, ...]:
+def _causes(rng: np.random.Generator, kind: str, rows: Rows, u: Floats, table: bool) -> tuple[Cause, ...]:
     if kind == "uncatalogued":
         name = str(rng.choice(list(NAMELESS)))
         basis, covariates = NAMELESS[name]
@@ -245,8 +249,8 @@ def _session(
     number = -1
     for k, length in enumerate(lengths):
         n = round(length * RATE_HZ)
-        time = rows.time_s[k] - length / 2 + np.arange(n) / RATE_HZ
-        around = _samples(rows, k, time)
+        time = rows.time_s[k] + (lengths[0] - length) / 2 + np.arange(n) / RATE_HZ
+        around = _samples(rows, k, time - lengths[0] / 2)
         if rows.turn[k]:
             profile = 1 - np.cos(2 * np.pi * (np.arange(n) + 0.5) / n)
             profile *= 1 + 0.2 * np.sin(2 * np.pi * 3 * (np.arange(n) + 0.5) / n)
@@ -254,7 +258,9 @@ def _session(
             off = rng.normal(0, MARK_DEG * np.sqrt(2))
             size = np.linalg.norm(rows.rate_dps[k])
             turned = size + off / length
-            around = Rows(**{**vars(around), "rate_dps": profile[:, None] * rows.rate_dps[k] * turned / size})
+            around = Rows(
+                **{**vars(around), "rate_dps": profile[:, None] * rows.rate_dps[k] * turned / size}
+            )
         gyro = around.rate_dps + zero + sum((c.added(around) for c in causes), np.zeros((n, 3)))
         gyro = gyro + rng.normal(0, noise, (n, 3))
         accel = 1000 * around.force_g + rng.normal(0, 2.0, (n, 3))
@@ -272,20 +278,21 @@ def _session(
         accel_unit="mg",
         fixture_sigma_deg=float("inf"),
         plane="none",
-        turns=tuple(turns),
+        turns_from=lambda: tuple(turns),
     )
 
 
 def _samples(rows: Rows, k: int, time: Floats) -> Rows:
     n = len(time)
     return Rows(
-        time - rows.time_s[0],
+        time,
         np.full(n, rows.number[k]),
         np.full(n, rows.temperature_c[k]),
         np.full(n, rows.supply_v[k]),
         np.tile(rows.force_g[k], (n, 1)),
         np.tile(rows.rate_dps[k], (n, 1)),
         np.full(n, rows.turn[k]),
+        rows.middle,
     )
 
 
@@ -376,7 +383,9 @@ def _innocent(blind: Blind, name: str) -> bool:
     return any(_unexplained(blind, cause, [name]) < TELLABLE for cause in blind.causes)
 
 
-def _coverage(blind: Blind, answer: Mapping[str, Any], claimed: Sequence[str]) -> tuple[tuple[str, bool], ...]:
+def _coverage(
+    blind: Blind, answer: Mapping[str, Any], claimed: Sequence[str]
+) -> tuple[tuple[str, bool], ...]:
     """Parameters of a single cause that was found alone, and whether 95 % intervals hold the truth."""
     if len(blind.causes) != 1 or tuple(claimed) != (blind.causes[0].name,):
         return ()
@@ -398,8 +407,7 @@ def _ratio(blind: Blind, answer: Mapping[str, Any]) -> float:
     after = answer["error"]["after"]["heldout_rms_dps"]
     if not blind.check.any() or after is None:
         return float("nan")
-    dwells = [d for d in blind.session.dwells]
-    mean = np.array([d.gyro.mean(axis=0) for d in dwells])
+    mean = np.array([dwell.gyro.mean(axis=0) for dwell in blind.session.dwells])
     kept, left = ~blind.check, []
     for gyro in range(3):
         columns = [np.ones((len(mean), 1))]
