@@ -264,6 +264,22 @@ def test_the_commands_take_the_part_and_the_accelerometers_stay_as_they_were(rec
     assert document["method"] == "ml"
 
 
+def test_the_simulated_world_runs_the_same_effects_and_its_accelerometers_do_not_feel_them():
+    from adis_gonio.model.effects import parse_effect
+    from adis_gonio.sim import World
+
+    time = np.arange(200) / 819.2
+    plain, moved = (
+        World(seed=5, effects=e).sample(time)
+        for e in ((), (parse_effect("g_sensitivity:g_sensitivity_yx=0.3"),))
+    )
+    np.testing.assert_array_equal(plain.accel_mg, moved.accel_mg)
+    np.testing.assert_allclose(
+        (moved.gyro_dps - plain.gyro_dps)[:, 1], 3e-4 * plain.accel_mg[:, 0], atol=1e-9
+    )
+    np.testing.assert_array_equal(plain.gyro_dps[:, [0, 2]], moved.gyro_dps[:, [0, 2]])
+
+
 class Ambient(MeanRate):
     """An invented third kind of reading: three light sensors, which have effects of no other part."""
 
@@ -278,6 +294,7 @@ class Ambient(MeanRate):
 def test_the_engine_traces_a_third_kind_of_reading_without_a_change_in_it(monkeypatch):
     """Its unit ends the names of the errors, its effects alone are offered, forms without a name too."""
     from dataclasses import dataclass
+
     from adis_gonio.model.effects import registry
     from adis_gonio.model.effects.base import Parameter
     from adis_gonio.model.effects.families import LinearAxisEffect

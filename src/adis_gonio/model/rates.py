@@ -76,7 +76,7 @@ class MeanRate(Measurement):
         """Intervals at rest: turns about an axis are the only ones that show its gain."""
         if conditions.rate_dps is None:
             return super().by_pose(conditions)
-        return ~conditions.rate_dps.any(axis=1)
+        return np.asarray(~conditions.rate_dps.any(axis=1))
 
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
