@@ -90,6 +90,7 @@ def test_trace_of_the_recording_names_the_causes_and_says_what_stays_open(record
     assert names["g_sensitivity"]["parameters"]["g_sensitivity_yz"]["value"] == pytest.approx(
         0.28, abs=0.03
     )
+    assert all(name.startswith("g_sensitivity_") for name in names["g_sensitivity"]["parameters"])
     before, after = (document["error"][when]["heldout_by_axis_dps"] for when in ("before", "after"))
     assert before["y"] > 0.23
     assert after["y"] <= 0.053
