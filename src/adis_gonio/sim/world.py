@@ -21,6 +21,7 @@ What the gyros read is said in `gyro_settings`; their faults live in `gyros`, th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -267,7 +268,7 @@ class World:
         accel = ideal * (1 + self._scale_tempco * warm) + self._bias + self._tempco * warm
         if conditions is not None:
             for effect, values in self.effects:
-                if effect.enters is Enters.READING:
+                if effect.enters is Enters.READING and effect.of_part("accelerometer"):
                     accel += effect.reading(values, ideal, conditions)
         accel += flicker[:, :3]
         accel[:, :2] += motion.ringing_mg[:, None]
@@ -290,6 +291,8 @@ class World:
         felt = Felt(self._rate_dps(motion), ideal, force, dies, supply, time_s)
         gyro = self.gyros.read(felt) + flicker[:, 3:] + noise[:, 3:6]
         gyro += self.gyros.of_supply(supply)
+        if conditions is not None:
+            gyro += self._gyro_effects(felt.rate_dps, accel, conditions)
         return Inputs(
             accel,
             gyro,
@@ -336,6 +339,12 @@ class World:
         felt = np.zeros((len(spin), 3))
         felt[:, 0], felt[:, 1] = x, y
         return felt * (1000.0 / STANDARD_GRAVITY_MPS2)
+
+    def _gyro_effects(self, rate_dps: Floats, accel: Floats, conditions: Conditions) -> Floats:
+        """What effects of the gyros alone add (n, 3) in °/s."""
+        own = [(e, v) for e, v in self.effects if e.enters is Enters.READING and "gyro" in e.parts]
+        felt = replace(conditions, force_g=1e-3 * accel, rate_dps=rate_dps) if own else conditions
+        return sum((e.reading(v, rate_dps, felt) for e, v in own), np.zeros_like(rate_dps))
 
     def _ideal(self, direction: Floats) -> Floats:
         ideal = np.empty_like(direction)
