@@ -49,6 +49,14 @@ class Figure:
     middle: float = 0.0
     most: float = 0.0
 
+    @property
+    def described(self) -> str:
+        """How it is drawn, in words."""
+        if self.law == "uniform":
+            return f"uniform, {self.middle:g} ± {self.size:g}"
+        bound = f", at most {self.most:g} away" if self.most else ""
+        return f"normal, {self.middle:g}, σ {self.size:g}{bound}"
+
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
         """Values by setting."""
         n = len(self.axes)
