@@ -24,9 +24,8 @@ GYRO = ("gyro",)
 
 def _die_c(axis: int, conditions: Conditions) -> Floats:
     """Temperature (n,) of the gyro's own die; of the only thermometer where there is but one."""
-    if conditions.temperatures_c is not None:
-        return conditions.temperatures_c[:, axis]
-    return conditions.covariate("temperature_c")
+    mean = conditions.covariate("temperature_c")
+    return mean if conditions.temperatures_c is None else conditions.temperatures_c[:, axis]
 
 
 @dataclass(frozen=True)
@@ -212,13 +211,16 @@ class GyroMisalignment(AxisEffect):
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """What the leans add, (n, 3) in °/s."""
         rate = conditions.covariate("rate_dps")
+        self.columns_of(ideal)
         added = np.zeros(ideal.shape)
         sines = np.sin(np.deg2rad(values))
         squares = np.zeros(len(AXES))
         for sine, (i, p) in zip(sines, self._pairs(), strict=True):
             added[:, i] += sine * rate[:, p]
             squares[i] += sine**2
-        return added - (1 - np.sqrt(1 - squares)) * rate
+        for i in self.columns_of(ideal):
+            added[:, i] -= (1 - np.sqrt(1 - squares[i])) * rate[:, i]
+        return added
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Derivative (n, 3, p) per degree."""
@@ -255,7 +257,6 @@ class GyroDrift(LinearAxisEffect):
         "`gyro_bias_temperature` needs the temperature to fall; pauses of different length between dwells "
         "tell time from the number of the dwell."
     )
-    needs = ("order",)
     parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"steps": (0, 1)}
     coefficients: ClassVar[tuple[Parameter, ...]] = (
@@ -335,9 +336,9 @@ class GyroAsymmetry(LinearAxisEffect):
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Modulus of the true rate about the axis."""
-        if conditions.abs_rate_dps is not None:
-            return (conditions.abs_rate_dps[:, axis],)
-        return (np.abs(conditions.covariate("rate_dps")[:, axis]),)
+        rate = conditions.covariate("rate_dps")
+        modulus = np.abs(rate) if conditions.abs_rate_dps is None else conditions.abs_rate_dps
+        return (modulus[:, axis],)
 
 
 class GyroOutlierDwell(OutlierDwell):

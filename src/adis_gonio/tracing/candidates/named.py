@@ -68,6 +68,9 @@ def covariates_of(kind: type[Effect]) -> tuple[str, ...]:
     }
     known = {
         "bias_drift": ("time",),
+        "gyro_drift": ("time",),
+        "gyro_warm_up": ("time",),
+        "gyro_scale_temperature": ("temperature",),
         "scale_drift": ("time",),
         "creep": ("previous_angle",),
         "warm_up": ("time",),
