@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from adis_gonio.errors import UsageError
+from adis_gonio.model.effects import parse_effect
 from adis_gonio.sensor import Adis16354
 from adis_gonio.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
 from adis_gonio.sim import SimBus, World, WorldSettings
@@ -99,12 +100,14 @@ def test_the_supply_moves_each_gyro_by_its_own():
     assert rest(sensor)[0] == pytest.approx([0.6, 0.0, -0.4], abs=0.01)
 
 
-def test_forces_move_the_gyros_by_nine_linear_and_three_quadratic_figures():
+def test_forces_move_the_gyros_by_nine_linear_and_nine_quadratic_figures():
     rng = np.random.default_rng(3)
-    per_g, per_g2 = rng.normal(0, 0.3, (3, 3)), np.array([0.2, -0.1, 0.3])
+    per_g, per_g2 = rng.normal(0, 0.3, (3, 3)), rng.normal(0, 0.3, (3, 3))
     given = {f"gyro_g_sensitivity_{a}{b}_dps_per_g": per_g[k, j]
              for k, a in enumerate("xyz") for j, b in enumerate("xyz")}  # fmt: skip
-    sensor = part(**given, **three("gyro_g2_sensitivity_{}_dps_per_g2", per_g2))
+    given |= {f"gyro_g2_sensitivity_{a}{b}_dps_per_g2": per_g2[k, j]
+              for k, a in enumerate("xyz") for j, b in enumerate("xyz")}  # fmt: skip
+    sensor = part(**given)
     readings, forces = [], []
     for face in FACES:
         sensor.bus.stage.orient(face)
@@ -113,12 +116,12 @@ def test_forces_move_the_gyros_by_nine_linear_and_three_quadratic_figures():
         forces.append(accel / 1000)
     forces, readings = np.array(forces), np.array(readings)
     for k in range(3):
-        design = np.column_stack([forces, forces[:, k] ** 2])
+        design = np.column_stack([forces, forces**2])
         found = np.linalg.lstsq(design, readings[:, k], rcond=None)[0]
-        assert found == pytest.approx([*per_g[k], per_g2[k]], abs=0.01)
+        assert found == pytest.approx([*per_g[k], *per_g2[k]], abs=0.01)
     truth = sensor.bus.world.truth()
     assert [truth[f"g_sensitivity_{a}{b}"] for a in "xyz" for b in "xyz"] == pytest.approx(per_g.ravel())
-    assert [truth[f"g2_sensitivity_{a}"] for a in "xyz"] == pytest.approx(per_g2)
+    assert [truth[f"g2_sensitivity_{a}{b}"] for a in "xyz" for b in "xyz"] == pytest.approx(per_g2.ravel())
 
 
 def test_the_earth_turns_the_gyro_that_points_up():
@@ -149,6 +152,7 @@ def test_turns_about_three_axes_show_the_gyros_directions_and_the_triads_rotatio
     truth = sensor.bus.world.truth()
     for k, a in enumerate("xyz"):
         assert truth[f"gyro_scale_{a}"] == pytest.approx(expected[k, k])
+        assert truth[f"gyro_scale_error_{a}"] == pytest.approx((0.02, -0.01, 0.01)[k])
         for j, b in enumerate("xyz"):
             if j != k:
                 sine = expected[k, j] / np.linalg.norm(expected[k])
@@ -311,6 +315,36 @@ def test_how_long_an_autonull_averages_is_a_figure_of_the_chip(average_s, least)
     assert np.std(nulls) == pytest.approx(2.0 * least, rel=0.3)
 
 
+# -- effects of the catalogue -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("effect", "face", "conditions", "expected"),
+    [
+        ("gyro_bias_temperature:gyro_bias_temperature_y=0.1", (0, 0, -1), {"ambient_c": 35.0}, (0, 1.0, 0)),
+        ("g_sensitivity:g_sensitivity_yz=0.4", (0, 0, -1), {}, (0, -0.4, 0)),
+        ("g2_sensitivity:g2_sensitivity_xz=0.4", (0, 0, -1), {}, (0.4, 0, 0)),
+        ("gyro_supply:gyro_supply_x=2", (0, 0, -1), {"supply_v": 5.1}, (0.2, 0, 0)),
+    ],
+)
+def test_effects_of_gyros_change_the_gyros_and_nothing_else(effect, face, conditions, expected):
+    effects = [parse_effect(effect)]
+    settings = WorldSettings(**(PERFECT | conditions))
+    plain, changed = (Adis16354(SimBus(settings, seed=1, effects=given)) for given in ((), effects))
+    for sensor in (plain, changed):
+        sensor.bus.stage.orient(face)
+    (without, same, _), (found, accel, _) = rest(plain), rest(changed)
+    assert found - without == pytest.approx(expected, abs=0.005)
+    assert accel == pytest.approx(same, abs=1e-9)
+
+
+def test_an_effect_of_the_gain_shows_in_turns():
+    effects = [parse_effect("gyro_scale:gyro_scale_error_z=0.01", "z")]
+    sensor = Adis16354(SimBus(WorldSettings(**PERFECT), seed=1, effects=effects))
+    sensor.bus.stage.orient((0.0, 0.0, -1.0))
+    assert turned(sensor, 720.0)[2] == pytest.approx(720.0 * 1.01, abs=0.2)
+
+
 # -- the draw -------------------------------------------------------------------------------------------
 
 
@@ -371,5 +405,5 @@ def test_the_truth_of_a_time_is_what_the_gyros_read_at_rest_then():
     truth = sensor.bus.world.truth(np.linspace(begin, sensor.bus.now_s(), 50))
     for k, axis in enumerate("xyz"):
         force = [truth[f"g_sensitivity_{axis}{other}"] for other in "xyz"] @ accel / 1000
-        square = truth[f"g2_sensitivity_{axis}"] * (accel[k] / 1000) ** 2
+        square = [truth[f"g2_sensitivity_{axis}{other}"] for other in "xyz"] @ (accel / 1000) ** 2
         assert gyros[k] == pytest.approx(truth[f"gyro_bias_{axis}"] + force + square, abs=0.01)

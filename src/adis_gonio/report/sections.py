@@ -23,6 +23,7 @@ from adis_gonio.report import words
 from adis_gonio.report.numbers import SPACE, number, p_text, percent, uncertain, with_unit
 from adis_gonio.report.parts import Figure, KeyFigure, Section, Table
 from adis_gonio.report.svg import Role, Series, Style, plot
+from adis_gonio.sensor.settings import compensations
 from adis_gonio.tracing.outcome.figures import Panel, Views
 from adis_gonio.tracing.outcome.result import TraceResult, Value, WithinFinding
 
@@ -434,6 +435,7 @@ def _facts(
         if configuration.get("sample_rate_hz")
         else ("sample rate", ""),
         ("filter", f"2^{configuration['filter_m']} taps, twice" if "filter_m" in configuration else ""),
+        ("the chip compensates", "\n".join(compensations(configuration))),
         ("unit of the accelerations", session.accel_unit),
         ("plane of rotation", "xy" if session.plane == "xy" else "none: attitudes in space"),
         ("standard uncertainty of a declared angle", _fixture(session.fixture_sigma_deg)),

@@ -124,6 +124,21 @@ class Configuration:
         return asdict(self) | {"sample_rate_hz": self.sample_rate_hz}
 
 
+def compensations(configuration: Mapping[str, Any]) -> tuple[str, ...]:
+    """What the chip takes off its own readings, in words.
+
+    Parameters
+    ----------
+    configuration : mapping
+        JSON form of a `Configuration`, or of something else that measures; nothing is known then.
+    """
+    known = {
+        "linear_g": "gyros for linear acceleration (MSC_CTRL[7])",
+        "origin": "accelerometers for their places (MSC_CTRL[6])",
+    }
+    return tuple(words for name, words in known.items() if configuration.get(name))
+
+
 def sens_avg_word(gyro_range_dps: int, filter_m: int) -> int:
     """Word of SENS_AVG.
 

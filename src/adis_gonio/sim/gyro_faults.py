@@ -49,6 +49,14 @@ class Figure:
     middle: float = 0.0
     most: float = 0.0
 
+    @property
+    def described(self) -> str:
+        """How it is drawn, in words."""
+        if self.law == "uniform":
+            return f"uniform, {self.middle:g} ± {self.size:g}"
+        bound = f", at most {self.most:g} away" if self.most else ""
+        return f"normal, {self.middle:g}, σ {self.size:g}{bound}"
+
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
         """Values by setting."""
         n = len(self.axes)
@@ -76,7 +84,7 @@ FIGURES: tuple[Figure, ...] = (
     Figure("gyro_misalignment_{}_deg", _OTHERS, "uniform", 0.25, "CHIP: non-orthogonality ±0.25°", "B"),
     Figure("gyro_triad_{}_deg", AXES, "uniform", 0.5, "CHIP: axis to frame ±0.5°", "B"),
     Figure("gyro_g_sensitivity_{}_dps_per_g", _ALL, "normal", 0.05, "CHIP: 0.05 °/s/g", "B"),
-    Figure("gyro_g2_sensitivity_{}_dps_per_g2", AXES, "normal", 0.01, _PART, "D"),
+    Figure("gyro_g2_sensitivity_{}_dps_per_g2", _ALL, "normal", 0.01, _PART, "D"),
     Figure("gyro_supply_{}_dps_per_v", AXES, "normal", 0.25, "CHIP: 0.25 °/s/V", "B"),
     Figure("gyro_rate_walk_dps_per_rt_s{}", _ONE, "uniform", 5e-4, _PART, "D", middle=5e-4),
     Figure("gyro_range_gain_{}", ("150", "75"), "normal", 1e-3, _PART, "D", middle=1.0),

@@ -12,7 +12,7 @@ class GyroSettings:
     A gyro reads, in °/s::
 
         (1 + s (T − 25 °C)) (r + a |r|) + b + t (T − 25 °C) + w exp(−time since power-on / τ)
-            + G f + c f² + v (supply − 5 V)
+            + G f + C f² + v (supply − 5 V)
 
     with the rate `r` that its own gain and direction make of the turn, the temperature `T` of its own die,
     and the force `f` in g as ideal accelerometers read it: level with Z up −1 on z. To it come rate walk,
@@ -47,8 +47,8 @@ class GyroSettings:
         The same of one gyro.
     gyro_g_sensitivity_xy_dps_per_g, … : float
         What a force along the second axis adds to the first gyro.
-    gyro_g2_sensitivity_x_dps_per_g2, … : float
-        What the square of the force along the own axis adds (`c`): rectification.
+    gyro_g2_sensitivity_xx_dps_per_g2, … : float
+        What the square of the force along the second axis adds to the first gyro (`C`): rectification.
     gyro_supply_dps_per_v, gyro_supply_x_dps_per_v, … : float or None
         What a supply other than 5 V adds (`v`), of all and of each.
     gyro_range_gain_150, gyro_range_gain_75 : float
@@ -113,9 +113,15 @@ class GyroSettings:
     gyro_g_sensitivity_zx_dps_per_g: float = 0.0
     gyro_g_sensitivity_zy_dps_per_g: float = 0.0
     gyro_g_sensitivity_zz_dps_per_g: float | None = None
-    gyro_g2_sensitivity_x_dps_per_g2: float = 0.0
-    gyro_g2_sensitivity_y_dps_per_g2: float = 0.0
-    gyro_g2_sensitivity_z_dps_per_g2: float = 0.0
+    gyro_g2_sensitivity_xx_dps_per_g2: float = 0.0
+    gyro_g2_sensitivity_xy_dps_per_g2: float = 0.0
+    gyro_g2_sensitivity_xz_dps_per_g2: float = 0.0
+    gyro_g2_sensitivity_yx_dps_per_g2: float = 0.0
+    gyro_g2_sensitivity_yy_dps_per_g2: float = 0.0
+    gyro_g2_sensitivity_yz_dps_per_g2: float = 0.0
+    gyro_g2_sensitivity_zx_dps_per_g2: float = 0.0
+    gyro_g2_sensitivity_zy_dps_per_g2: float = 0.0
+    gyro_g2_sensitivity_zz_dps_per_g2: float = 0.0
     gyro_supply_dps_per_v: float | None = None
     gyro_supply_x_dps_per_v: float | None = None
     gyro_supply_y_dps_per_v: float | None = None

@@ -76,7 +76,8 @@ class GyroTriad:
         self.per_g = np.array(per_g).reshape(3, 3)
         """Linear g-sensitivity (3, 3) in °/s/g: the first index is the gyro's."""
         self._per_v = np.array([_or(self._given(f"gyro_supply_{a}_dps_per_v"), supply) for a in AXES])
-        self._per_g2 = self._by_axis("gyro_g2_sensitivity_{}_dps_per_g2")
+        per_g2 = [getattr(settings, f"gyro_g2_sensitivity_{pair}_dps_per_g2") for pair in PAIRS]
+        self._per_g2 = np.array(per_g2).reshape(3, 3)
         self._tempco = self._by_axis("gyro_bias_tempco_{}_dps_per_c")
         self._scale_tempco = 1e-6 * self._by_axis("gyro_scale_tempco_{}_ppm_per_c")
         self._warm_up = self._by_axis("gyro_warm_up_{}_dps")
@@ -111,8 +112,9 @@ class GyroTriad:
             if self.per_g[k, j]:
                 gyro[:, k] += 1e-3 * self.per_g[k, j] * felt.force_mg[:, j]
         gyro += self._walk.at(felt.time_s)
-        if self._per_g2.any():
-            gyro += self._per_g2 * (1e-3 * felt.force_mg) ** 2
+        for (k, j), per_g2 in np.ndenumerate(self._per_g2):
+            if per_g2:
+                gyro[:, k] += per_g2 * (1e-3 * felt.force_mg[:, j]) ** 2
         if self._tempco.any():
             gyro += self._tempco * (felt.dies_c - REFERENCE_C)
         if self._warm_up.any():
@@ -161,14 +163,15 @@ class GyroTriad:
             for j, other in enumerate(AXES):
                 result[f"g_sensitivity_{axis}{other}"] = float(self.per_g[k, j])
         for k, axis in enumerate(AXES):
+            result[f"gyro_scale_error_{axis}"] = float(gains[k] - 1)
             result[f"gyro_scale_temperature_{axis}"] = float(self._scale_tempco[k])
             result[f"gyro_bias_temperature_{axis}"] = float(self._tempco[k])
             result[f"gyro_warm_up_{axis}"] = float(self._warm_up[k])
             result[f"gyro_asymmetry_{axis}"] = float(self._asymmetry[k])
-            result[f"g2_sensitivity_{axis}"] = float(self._per_g2[k])
             result[f"gyro_supply_{axis}"] = float(self._per_v[k])
             for j, other in enumerate(AXES):
                 result[f"g_sensitivity_left_{axis}{other}"] = float(left[k, j])
+                result[f"g2_sensitivity_{axis}{other}"] = float(self._per_g2[k, j])
                 if j != k:
                     result[f"gyro_misalignment_{axis}{other}"] = float(leans[k, j])
         return result | {
@@ -189,7 +192,9 @@ class GyroTriad:
         if len(walked):
             bias = bias + walked.mean(axis=0)
         for k, axis in enumerate(AXES):
-            result[f"gyro_scale_{axis}"] *= 1 + float(self._scale_tempco[k] * warm[k])
+            warmer = 1 + float(self._scale_tempco[k] * warm[k])
+            result[f"gyro_scale_{axis}"] *= warmer
+            result[f"gyro_scale_error_{axis}"] = (1 + result[f"gyro_scale_error_{axis}"]) * warmer - 1
             result[f"gyro_bias_{axis}"] = float(bias[k])
         return result
 

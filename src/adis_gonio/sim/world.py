@@ -165,9 +165,10 @@ class World:
         `delta_k` (1), `delta_phi` (degree), `alpha` (degree), `scale_x…` (the gain, 1 is perfect),
         `skew_xy…` (degree, 90° minus the angle between the axes), `bias_x…` (mg),
         `bias_temperature_x…` (mg/°C), `scale_temperature_x…` (1/°C), `lever_x`, `lever_y` (mm), of the
-        gyros `gyro_scale_x…` (the gain about the own axis), `gyro_misalignment_xy…` (degree, towards the
+        gyros `gyro_scale_x…` (the gain about the accelerometer's axis), `gyro_scale_error_x…` (1, what the
+        gain about the gyro's own axis has more than 1), `gyro_misalignment_xy…` (degree, towards the
         axes of the accelerometers), `gyro_bias_x…` (°/s, without what gravity adds), `g_sensitivity_xy…`
-        (°/s/g, `g_sensitivity_left_xy…` with MSC_CTRL[7] set), `g2_sensitivity_x…` (°/s/g²),
+        (°/s/g, `g_sensitivity_left_xy…` with MSC_CTRL[7] set), `g2_sensitivity_xy…` (°/s/g²),
         `gyro_scale_temperature_x…` (1/°C), `gyro_bias_temperature_x…` (°/s/°C), `gyro_asymmetry_x…` (1),
         `gyro_supply_x…` (°/s/V), `gyro_warm_up_x…` (°/s at power-on) and `gyro_warm_up_tau` (s),
         `gyro_range_gain_150` and `…_75` (1), `gyro_latency` (s, against the accelerometers), and the
@@ -260,15 +261,16 @@ class World:
         noise = self._white.next(n)
         flicker = self._flicker_at(time_s)
         vibration = self._vibration_mg(motion.order)
-        conditions = self._conditions(time_s, motion, temperature, supply, vibration)
+        dies = temperature[:, None] if self._dies.alike else self.die_temperature_c(time_s)
+        conditions = self._conditions(time_s, motion, dies, supply, vibration)
 
         direction = self._turned(motion.direction, conditions)
         ideal = self._ideal(direction)
         warm = (temperature - REFERENCE_C)[:, None]
         accel = ideal * (1 + self._scale_tempco * warm) + self._bias + self._tempco * warm
         if conditions is not None:
-            for effect, values in self.effects:
-                if effect.enters is Enters.READING and effect.of_part("accelerometer"):
+            for effect, values in self._of_part("accelerometer"):
+                if effect.enters is Enters.READING:
                     accel += effect.reading(values, ideal, conditions)
         accel += flicker[:, :3]
         accel[:, :2] += motion.ringing_mg[:, None]
@@ -286,13 +288,10 @@ class World:
                 if effect.enters is Enters.SAMPLES:
                     accel = effect.samples_mg(values, accel, conditions, rng)
 
-        dies = temperature[:, None] if self._dies.alike else self.die_temperature_c(time_s)
         force = ideal if moving is None else ideal + moving
         felt = Felt(self._rate_dps(motion), ideal, force, dies, supply, time_s)
-        gyro = self.gyros.read(felt) + flicker[:, 3:] + noise[:, 3:6]
+        gyro = self._read_gyros(felt, conditions) + flicker[:, 3:] + noise[:, 3:6]
         gyro += self.gyros.of_supply(supply)
-        if conditions is not None:
-            gyro += self._gyro_effects(felt.rate_dps, accel, conditions)
         return Inputs(
             accel,
             gyro,
@@ -301,6 +300,21 @@ class World:
             np.full(n, self.settings.aux_v),
             places,
         )
+
+    def _read_gyros(self, felt: Felt, conditions: Conditions | None) -> Floats:
+        """Readings (n, 3) of the gyros with the effects that were added to them."""
+        gyro = self.gyros.read(felt)
+        effects = self._of_part("gyro")
+        if conditions is None or not effects:
+            return gyro
+        conditions = replace(conditions, force_g=felt.force_mg / 1000.0)
+        for effect, values in effects:
+            gyro += effect.reading(values, gyro, conditions)
+        return gyro
+
+    def _of_part(self, part: str) -> list[tuple[Effect, Floats]]:
+        """Effects that change the readings of a part of the sensor; one of both is the accelerometers'."""
+        return [(effect, values) for effect, values in self.effects if effect.parts[0] == part]
 
     def _rate_dps(self, motion: Motion) -> Floats:
         """Rate (n, 3) of turn against the stars, as far as it is simulated."""
@@ -339,12 +353,6 @@ class World:
         felt = np.zeros((len(spin), 3))
         felt[:, 0], felt[:, 1] = x, y
         return felt * (1000.0 / STANDARD_GRAVITY_MPS2)
-
-    def _gyro_effects(self, rate_dps: Floats, accel: Floats, conditions: Conditions) -> Floats:
-        """What effects of the gyros alone add (n, 3) in °/s."""
-        own = [(e, v) for e, v in self.effects if e.enters is Enters.READING and "gyro" in e.parts]
-        felt = replace(conditions, force_g=1e-3 * accel, rate_dps=rate_dps) if own else conditions
-        return sum((e.reading(v, rate_dps, felt) for e, v in own), np.zeros_like(rate_dps))
 
     def _ideal(self, direction: Floats) -> Floats:
         ideal = np.empty_like(direction)
@@ -393,11 +401,12 @@ class World:
         return np.asarray(self._levels_mg[order.astype(np.int64)], np.float64)
 
     def _conditions(
-        self, time_s: Floats, motion: Motion, temperature: Floats, supply: Floats, vibration: Floats
+        self, time_s: Floats, motion: Motion, dies_c: Floats, supply: Floats, vibration: Floats
     ) -> Conditions | None:
         if not self.effects:
             return None
         turned_s, directions = self.stage.course()
+        rate = self._rate_dps(motion)
         history_s = np.arange(0.0, max(float(time_s[-1]), 0.0) + 2 * _HISTORY_STEP_S, _HISTORY_STEP_S)
         return Conditions(
             time_s=time_s,
@@ -406,11 +415,15 @@ class World:
             approach=motion.approach,
             previous_angle_rad=motion.previous_angle_rad,
             time_in_dwell_s=motion.time_in_dwell_s,
-            temperature_c=temperature,
+            temperature_c=self.temperature_c(time_s),
             supply_v=supply,
             temperature_history=(history_s, self.temperature_c(history_s)),
             load_history=(turned_s, self._ideal(directions)),
             variance_mg2=np.repeat((self._noise_mg**2 + vibration**2)[:, None], 3, axis=1),
+            temperatures_c=np.broadcast_to(dies_c, rate.shape),
+            force_g=self._ideal(motion.direction) / 1000.0,
+            rate_dps=rate,
+            abs_rate_dps=np.abs(rate),
         )
 
 

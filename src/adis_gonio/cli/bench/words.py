@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from adis_gonio.counting import counted
+from adis_gonio.sensor.settings import compensations
 
 if TYPE_CHECKING:
     from adis_gonio.session.events import (
@@ -59,6 +60,9 @@ def configured(event: Configured) -> list[str]:
     filtered = "" if filter_m is None else f", filter 2 × {2**filter_m} taps"
     changed = ", ".join(f"{name} {a} → {b}" for name, (a, b) in event.changed.items())
     lines = [f"  {rate:.1f} samples/s{filtered}" + (f"; changed {changed}" if changed else "")]
+    compensated = compensations(event.configuration)
+    if compensated:
+        lines.append(f"  the chip compensates {', '.join(compensated)}")
     if event.why_polled:
         lines.append(f"  scans are polled: {event.why_polled}")
     return lines
