@@ -1,0 +1,349 @@
+"""Which positions are wrong, and how: the search over patterns, and what is said of those that stand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import logsumexp
+
+from adis_gonio.model.measurement import wrap_rad
+from adis_gonio.model.records import Floats
+from adis_gonio.slips.angles import Angles
+from adis_gonio.slips.evidence import Scatter, Weighed, Whitened, scatters, weigh
+from adis_gonio.slips.faults import ACCUSED, Name, Pattern, patterns_of
+from adis_gonio.slips.finding import Angle, PositionFinding
+from adis_gonio.slips.meant import may_have_been_meant
+from adis_gonio.slips.rows import BASE, Calibration, Rows, calibrated_by_length, common_zero, rows_at
+
+CERTAIN = 0.99
+"""Posterior from which a position is accused."""
+SET_LEVEL = 0.95
+"""Probability that a set of names holds."""
+MOST_FAULTS = 6
+LARGEST = 120
+"""Dwells beyond which a session is not looked at: the covariance of all rows is worked out as a whole."""
+LEAST = 3
+"""Dwells from which one can be wrong and the others right; with a gyro two."""
+SETTLED_RAD = math.radians(0.01)
+"""A calibration that moves the angles by less is not improved upon."""
+POWER = 2.326
+"""Standard deviations of 99 % power."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What the three angles say of a session.
+
+    Attributes
+    ----------
+    findings : tuple of PositionFinding
+        Accused positions, in their order.
+    detectable_deg : mapping of int to float
+        Smallest slip before each position (from the second on) that is accused with 99 % power.
+    scatter_deg : float
+        Standard deviation of a position, beyond what was found.
+    """
+
+    findings: tuple[PositionFinding, ...] = ()
+    detectable_deg: dict[int, float] = field(default_factory=dict)
+    scatter_deg: float = math.nan
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """One line each, swaps once."""
+        said = {}
+        for found in self.findings:
+            key = (found.finding, *sorted((found.position, *found.others)))
+            said.setdefault(key, found.sentence)
+        return tuple(said.values())
+
+
+@dataclass(frozen=True)
+class _State:
+    """Faults that are taken as known, beside which the next one is looked for."""
+
+    accepted: tuple[Pattern, ...]
+    error_rad: Floats
+    known: Floats
+
+    @classmethod
+    def of(cls, rows: Rows, accepted: Sequence[Pattern]) -> _State:
+        error = sum((p.error_rad for p in accepted), np.zeros(len(rows)))
+        columns = [p.columns for p in accepted]
+        known = np.hstack(columns) if columns else np.zeros((len(rows.stands), 0))
+        return cls(tuple(accepted), error, known)
+
+    def zero_rad(self, rows: Rows) -> float:
+        return common_zero(wrap_rad(rows.seen_rad + self.error_rad)[rows.declared])
+
+
+def diagnose(angles: Angles) -> Diagnosis:
+    """Weigh every fault of `faults` on every position; name those that are certain."""
+    if not _enough(angles):
+        return Diagnosis()
+    grid = scatters(angles.fixture_rad)
+    calibration = calibrated_by_length(angles)
+    rows = rows_at(angles, calibration)
+    accepted, last = _search(rows, grid)
+    moved = _recalibrated(rows, calibration, accepted, last.scatter)
+    if _apart(rows, calibration, moved) > SETTLED_RAD:
+        rows = rows_at(angles, moved)
+        accepted, last = _search(rows, grid)
+    findings = _findings(angles, rows, grid, accepted)
+    plain = Whitened(rows, last.scatter, _State.of(rows, accepted).known)
+    return Diagnosis(
+        tuple(sorted(findings, key=lambda found: found.position)),
+        _detectable(angles, plain),
+        math.degrees(last.scatter.position_rad),
+    )
+
+
+def _enough(angles: Angles) -> bool:
+    declared = int(np.isfinite(angles.declared_rad).sum())
+    watched = angles.turns is not None and bool(np.isfinite(angles.turns.angle_rad).any())
+    return LEAST - watched <= declared and len(angles) <= LARGEST
+
+
+def _search(rows: Rows, grid: Sequence[Scatter]) -> tuple[list[Pattern], Weighed]:
+    """Faults one after another, the most probable first, until none more is probable."""
+    accepted: list[Pattern] = []
+    while True:
+        state = _State.of(rows, accepted)
+        patterns = _others(patterns_of(rows, state.error_rad), accepted)
+        weighed = weigh(rows, grid, patterns, state.error_rad, state.zero_rad(rows), state.known)
+        best = weighed.best
+        if best is None or len(accepted) == MOST_FAULTS:
+            return accepted, weighed
+        accepted.append(patterns[best[0]])
+
+
+def _others(patterns: Sequence[Pattern], accepted: Sequence[Pattern]) -> list[Pattern]:
+    """Patterns that no accepted one holds already."""
+    taken = {(p.name, p.dwells) for p in accepted}
+    return [p for p in patterns if (p.name, p.dwells) not in taken]
+
+
+def _recalibrated(
+    rows: Rows, calibration: Calibration, accepted: Sequence[Pattern], scatter: Scatter
+) -> Calibration:
+    mean, _ = _posterior(rows, accepted, scatter)
+    return calibration.moved(mean[1 : 1 + BASE])
+
+
+def _apart(rows: Rows, one: Calibration, other: Calibration) -> float:
+    """Most that two calibrations differ in an angle."""
+    step = other.values - one.values
+    return float(np.abs(rows.design[: len(rows), 1 : 1 + BASE] @ step).max())
+
+
+def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: Scatter) -> tuple[Floats, Floats]:
+    """Mean (p + q,) and covariance of all columns' values."""
+    state = _State.of(rows, accepted)
+    white = Whitened(rows, scatter, state.known)
+    z = white.white(white.mean_of(rows.observed(state.error_rad, state.zero_rad(rows))[:, None]))[:, 0]
+    spread = white.white(white.design * white.prior_sd**2)
+    mean = spread.T @ z
+    mean[: len(rows.prior_mean)] += rows.prior_mean
+    return mean, np.diag(white.prior_sd**2) - spread.T @ spread
+
+
+# -- what is said --------------------------------------------------------------------------------------
+
+
+def _findings(
+    angles: Angles, rows: Rows, grid: Sequence[Scatter], accepted: Sequence[Pattern]
+) -> list[PositionFinding]:
+    found = []
+    for pattern in accepted:
+        if pattern.name not in ACCUSED:
+            continue
+        rest = [other for other in accepted if other is not pattern]
+        state = _State.of(rows, rest)
+        patterns = _others(patterns_of(rows, state.error_rad), rest)
+        weighed = weigh(rows, grid, patterns, state.error_rad, state.zero_rad(rows), state.known)
+        best = weighed.best
+        if best is None:
+            continue
+        accusing = [v for (_, name), v in weighed.named.items() if name in ACCUSED]
+        total = logsumexp([weighed.none, *weighed.named.values()])
+        probability = float(np.exp(logsumexp(accusing) - total))
+        if probability < CERTAIN or best[1] not in ACCUSED:
+            continue
+        chosen = patterns[best[0]]
+        names = _set_of_names(weighed, total)
+        speaker = _Speaker(angles, rows, [*rest, chosen], chosen, weighed.scatter)
+        found += speaker.findings(best[1], probability, names)
+    return _once(found)
+
+
+def _once(found: Sequence[PositionFinding]) -> list[PositionFinding]:
+    """Each position under each name once."""
+    return list({(one.position, one.finding): one for one in found}.values())
+
+
+def _set_of_names(weighed: Weighed, total: float) -> tuple[tuple[Name, float], ...]:
+    """Names by their share of what is not innocent, the smallest set that holds 95 % of it."""
+    shares: dict[Name, float] = {}
+    for (_, name), value in weighed.named.items():
+        if name in ACCUSED:
+            shares[name] = shares.get(name, 0.0) + math.exp(value - total)
+    whole = sum(shares.values())
+    ordered = sorted(shares.items(), key=lambda item: -item[1])
+    held, kept = 0.0, []
+    for name, share in ordered:
+        kept.append((name, share / whole))
+        held += share / whole
+        if held >= SET_LEVEL:
+            break
+    return tuple(kept)
+
+
+@dataclass(frozen=True)
+class _Speaker:
+    """Says where the accused positions of one pattern stood, given all that was found."""
+
+    angles: Angles
+    rows: Rows
+    accepted: list[Pattern]
+    pattern: Pattern
+    scatter: Scatter
+
+    def findings(
+        self, name: Name, probability: float, names: tuple[tuple[Name, float], ...]
+    ) -> list[PositionFinding]:
+        mean, covariance = _posterior(self.rows, self.accepted, self.scatter)
+        error = self._error(mean, covariance)
+        return [self._finding(k, name, probability, names, mean, covariance, error)
+                for k in self.pattern.dwells]  # fmt: skip
+
+    def _error(self, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+        """e (n,) by the patterns, and the variance of the one free amplitude of this pattern's."""
+        state = _State.of(self.rows, self.accepted)
+        error, first = state.error_rad.copy(), len(self.rows.prior_mean)
+        variance = 0.0
+        for p in self.accepted:
+            q = p.columns.shape[1]
+            if q == 1:
+                error += p.unit * mean[first]
+                if p is self.pattern:
+                    variance = float(covariance[first, first])
+            first += q
+        return error, np.array(variance)
+
+    def _finding(
+        self,
+        k: int,
+        name: Name,
+        probability: float,
+        names: tuple[tuple[Name, float], ...],
+        mean: Floats,
+        covariance: Floats,
+        error: tuple[Floats, Floats],
+    ) -> PositionFinding:
+        number = self.angles.position
+        declared = float(np.degrees(self.rows.declared_rad[k]))
+        gravity = self._gravity(k, mean, covariance)
+        gyro = self._gyro(k, mean, covariance, error[0])
+        stood = _together([gravity, gyro], error[0][k])
+        if name == "gravity_wrong":
+            stood = gyro or (0.0, math.degrees(self.scatter.position_rad))
+        size = stood
+        if name in ("slipped", "reversed"):
+            size = (math.degrees(error[0][k]), math.degrees(math.sqrt(max(float(error[1]), 0.0))))
+        others = [number[j] for j in self.pattern.dwells if j != k]
+        if name in ("slipped", "reversed"):
+            others = list(number[k + 1 :])
+        return PositionFinding(
+            number[k],
+            name,
+            declared if self.rows.declared[k] else None,
+            _at(declared, gravity),
+            None if gyro is None else _at(declared, gyro),
+            _at(declared, stood),
+            size,
+            self._meant(k, name, declared, stood),
+            tuple(others),
+            probability,
+            names,
+        )
+
+    def _meant(self, k: int, name: Name, declared: float, stood: Angle) -> float | None:
+        """What was meant: of a swap the other's angle, else what is on the list or whole and near."""
+        if name == "swapped":
+            other = next(j for j in self.pattern.dwells if j != k)
+            return float(np.degrees(self.rows.declared_rad[other]))
+        if name != "mistyped":
+            return None
+        others = np.degrees(self.rows.declared_rad[self.rows.declared])
+        listed = may_have_been_meant(declared, [round(float(v), 9) for v in others])
+        near = math.hypot(stood[1], math.degrees(self.scatter.position_rad))
+        angle = declared + stood[0]
+        for candidates in (listed, (float(round(angle)),)):
+            off = [abs((c - angle + 180) % 360 - 180) for c in candidates]
+            if off and min(off) < 3 * near:
+                return round(candidates[int(np.argmin(off))], 6)
+        return None
+
+    def _gravity(self, k: int, mean: Floats, covariance: Floats) -> Angle:
+        """e by the reading alone, with the calibration by all others, in degrees."""
+        rows, state = self.rows, _State.of(self.rows, self.accepted)
+        zero = state.zero_rad(rows)
+        columns = rows.design[k]
+        p = len(columns)
+        about = wrap_rad(rows.seen_rad[k] + state.error_rad[k] - zero)
+        e = state.error_rad[k] - (about - float(columns @ mean[:p]))
+        own = float(rows.noise[k, k]) + self.scatter.reading**2
+        u = math.sqrt(own + float(columns @ covariance[:p, :p] @ columns))
+        return math.degrees(float(wrap_rad(np.array(e)))), math.degrees(u)
+
+    def _gyro(self, k: int, mean: Floats, covariance: Floats, error: Floats) -> Angle | None:
+        """e by the turn from the dwell before, or to the one after where that was not watched."""
+        rows, n = self.rows, len(self.rows)
+        for dwell, sign in ((k, 1.0), (k + 1, -1.0)):
+            found = np.flatnonzero(rows.turn == dwell)
+            if not found.size:
+                continue
+            row = 2 * n + int(found[0])
+            columns = rows.design[row]
+            p = len(columns)
+            start = error[dwell - 1] if sign > 0 else error[dwell]
+            asked = rows.declared_rad[dwell] - rows.declared_rad[dwell - 1]
+            turned = float(rows.gyro_rad[int(found[0])] - columns @ mean[:p])
+            e = start + sign * (turned - asked)
+            spread = float(rows.noise[row, row]) + self.scatter.position_rad**2
+            u = math.sqrt(spread + float(columns @ covariance[:p, :p] @ columns))
+            return math.degrees(float(wrap_rad(np.array(e)))), math.degrees(u)
+        return None
+
+
+def _together(found: Sequence[Angle | None], near_rad: float) -> Angle:
+    """Weighted mean of angles in degrees, on the turn of the first."""
+    known = [one for one in found if one is not None]
+    weights = np.array([1 / max(u, 1e-6) ** 2 for _, u in known])
+    first = known[0][0]
+    values = np.array([first + (value - first + 180) % 360 - 180 for value, _ in known])
+    return float((weights * values).sum() / weights.sum()), float(1 / math.sqrt(weights.sum()))
+
+
+def _at(declared_deg: float, error: Angle) -> Angle:
+    return declared_deg + error[0], error[1]
+
+
+def _detectable(angles: Angles, white: Whitened) -> dict[int, float]:
+    """Slip before each position whose likelihood outweighs its prior with 99 % power, in degrees."""
+    found = {}
+    n = len(white.rows)
+    for k in range(1, n):
+        unit = (np.arange(n) >= k).astype(float)
+        column = white.white((white.rows.stands @ unit)[:, None])[:, 0]
+        u = 1 / math.sqrt(max(float(column @ column), 1e-30))
+        # ln of prior odds and of the spread of sizes: that of `faults`, rounded up.
+        needed = math.sqrt(2 * (math.log(CERTAIN / (1 - CERTAIN)) + math.log(100 * n) + 3.0))
+        found[angles.position[k]] = math.degrees(u) * (needed + POWER)
+    return found
+
+
+__all__ = ["CERTAIN", "Diagnosis", "diagnose"]

@@ -1,0 +1,243 @@
+"""How probable the rows are under each pattern, calibration and scatter averaged over.
+
+The marginal likelihood of a linear Gaussian model: what is unknown of the calibration, of the gyro and of
+the catalogue's effects has a prior and is integrated in closed form; how far positions and readings scatter
+beyond what is stated is averaged over a grid. So the gyro's gain, its g-sensitivity and the fixture are
+nuisances of one likelihood, and none of them is a threshold.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import logsumexp
+
+from adis_gonio.model.records import Floats
+from adis_gonio.slips.faults import PUSH_MG, Name, Pattern
+from adis_gonio.slips.rows import Rows
+
+NOWHERE_RAD = 10.0
+"""Standard deviation of the error of an angle that is not declared."""
+MORE_RAD = tuple(math.radians(value) for value in (0.0, 0.05, 0.2, 0.8))
+"""Scatter of positions beyond a stated fixture, and what it is where none is stated (0: 0.01°)."""
+MORE_STATED, MORE_UNSTATED = (0.6, 0.2, 0.15, 0.05), (0.25, 0.25, 0.25, 0.25)
+LEAST_RAD = math.radians(0.01)
+ROUGH = (0.0, 0.001, 0.005)
+"""Scatter of readings beyond their noise, in g."""
+ROUGH_PRIOR = (0.6, 0.3, 0.1)
+LARGER = (1.0, 8.0)
+"""Factor on the size of the catalogue's effects."""
+LARGER_PRIOR = (0.7, 0.3)
+GYRO_FAILS = 0.01
+"""Prior probability that a session's gyro says nothing at all: another unit, another axis, dead."""
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """One point of the grid, with the logarithm of its prior."""
+
+    position_rad: float
+    reading: float
+    effects: float
+    log_prior: float
+
+
+def scatters(fixture_rad: float | None) -> list[Scatter]:
+    """The grid."""
+    more = MORE_UNSTATED if fixture_rad is None else MORE_STATED
+    stated = LEAST_RAD if fixture_rad is None else max(fixture_rad, LEAST_RAD / 10)
+    return [
+        Scatter(math.hypot(stated, a), b, c, math.log(pa * pb * pc))
+        for (a, pa), (b, pb), (c, pc) in itertools.product(
+            zip(MORE_RAD, more, strict=True),
+            zip(ROUGH, ROUGH_PRIOR, strict=True),
+            zip(LARGER, LARGER_PRIOR, strict=True),
+        )
+    ]
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """Rows under one scatter, beside errors that are taken as known but for their size.
+
+    Attributes
+    ----------
+    known : (m, q) float
+        Directions in which those errors are free.
+    """
+
+    rows: Rows
+    scatter: Scatter
+    known: Floats
+
+    @cached_property
+    def design(self) -> Floats:
+        """All columns with a prior (m, p + q)."""
+        return np.hstack([self.rows.design, self.known])
+
+    @cached_property
+    def prior_sd(self) -> Floats:
+        """Of their values."""
+        sd = self.rows.prior_sd * np.where(self.rows.effect, self.scatter.effects, 1.0)
+        return np.concatenate([sd, np.full(self.known.shape[1], np.pi)])
+
+    @cached_property
+    def position_sd(self) -> Floats:
+        """Standard deviation (n,) of e where nothing is wrong."""
+        return np.where(self.rows.declared, self.scatter.position_rad, NOWHERE_RAD)
+
+    @cached_property
+    def noise(self) -> Floats:
+        """Covariance (m, m) without the columns."""
+        n = len(self.rows)
+        turned = self.rows.stands * self.position_sd
+        added = np.zeros(len(self.rows.stands))
+        added[: 2 * n] = self.scatter.reading**2
+        return np.asarray(self.rows.noise + turned @ turned.T + np.diag(added))
+
+    @cached_property
+    def root(self) -> Floats:
+        """Cholesky factor of the covariance of the rows."""
+        spread = self.design * self.prior_sd
+        return np.asarray(np.linalg.cholesky(self.noise + spread @ spread.T))
+
+    @cached_property
+    def log_scale(self) -> float:
+        """ln of the density at zero."""
+        root = self.root
+        return float(-np.log(np.diag(root)).sum() - 0.5 * len(root) * math.log(2 * math.pi))
+
+    def white(self, values: Floats) -> Floats:
+        """Values (m, …) with unit covariance."""
+        return np.asarray(solve_triangular(self.root, values, lower=True))
+
+    def mean_of(self, values: Floats) -> Floats:
+        """What the columns would read (m, …) at their prior mean, taken off."""
+        mean = self.rows.design @ self.rows.prior_mean
+        return np.asarray(values - mean[:, None])
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """Patterns weighed against none.
+
+    Attributes
+    ----------
+    none : float
+        ln of the probability that nothing more is wrong, not normalized.
+    named : mapping of (int, Name) to float
+        The same of each pattern, by its number, under each of its names.
+    scatter : Scatter
+        The grid's most probable point under the best of them.
+    """
+
+    none: float
+    named: dict[tuple[int, Name], float]
+    scatter: Scatter
+
+    @property
+    def best(self) -> tuple[int, Name] | None:
+        """The most probable pattern and name; None where nothing more is more probable."""
+        if not self.named:
+            return None
+        key = max(self.named, key=self.named.__getitem__)
+        return key if self.named[key] > self.none else None
+
+
+def weigh(
+    rows: Rows,
+    grid: Sequence[Scatter],
+    patterns: Sequence[Pattern],
+    error_rad: Floats,
+    zero_rad: float,
+    known: Floats,
+) -> Weighed:
+    """Weigh patterns beside errors (n,) that are known up to `known` (m, q), with the gyro and without."""
+    parts = [_weighed(rows, grid, patterns, error_rad, zero_rad, known)]
+    shares = [0.0]
+    if len(rows.turn):
+        bare = rows.without_gyro()
+        # A gyro that says nothing shows any angle.
+        shares = [math.log(1 - GYRO_FAILS), math.log(GYRO_FAILS) - len(rows.turn) * math.log(2 * math.pi)]
+        cut = known[: len(bare.stands)]
+        parts.append(_weighed(bare, grid, patterns, error_rad, zero_rad, cut))
+    total = np.array(
+        [logsumexp(part + share, axis=1) for part, share in zip((p for p, _ in parts), shares, strict=True)]
+    )
+    logs = logsumexp(total, axis=0)
+    keys = parts[0][1]
+    named = {key: float(value) for key, value in zip(keys, logs[1:], strict=True)}
+    column = int(np.argmax(logs))
+    best = int(np.argmax(parts[0][0][column]))
+    return Weighed(float(logs[0]), named, grid[best])
+
+
+def _weighed(
+    rows: Rows,
+    grid: Sequence[Scatter],
+    patterns: Sequence[Pattern],
+    error_rad: Floats,
+    zero_rad: float,
+    known: Floats,
+) -> tuple[Floats, list[tuple[int, Name]]]:
+    """ln of prior times likelihood (1 + names, grid): of no pattern, then of each pattern and name."""
+    m = len(rows.stands)
+    none = rows.observed(error_rad, zero_rad)
+    left = np.stack(
+        [none, *(rows.observed(error_rad + p.error_rad, p.zero_rad) for p in patterns)], axis=1
+    )
+    first = np.zeros((m, 1 + len(patterns)))
+    second = np.zeros((m, 1 + len(patterns)))
+    for k, pattern in enumerate(patterns):
+        free = pattern.columns[:m]
+        if free.shape[1] > 0:
+            first[:, 1 + k] = free[:, 0]
+        if free.shape[1] > 1:
+            second[:, 1 + k] = free[:, 1]
+    keys = [(k, name) for k, pattern in enumerate(patterns) for name in pattern.names]
+    out = np.empty((1 + len(keys), len(grid)))
+    for g, scatter in enumerate(grid):
+        white = Whitened(rows, scatter, known)
+        z, v, w = white.white(white.mean_of(left)), white.white(first), white.white(second)
+        plain = white.log_scale + scatter.log_prior - 0.5 * (z * z).sum(axis=0)
+        moments = [(v * v).sum(axis=0), (v * z).sum(axis=0), (w * w).sum(axis=0), (w * z).sum(axis=0),
+                   (v * w).sum(axis=0)]  # fmt: skip
+        out[0, g] = plain[0]
+        for row, (k, name) in enumerate(keys, 1):
+            own = [float(moment[1 + k]) for moment in moments]
+            out[row, g] = plain[1 + k] + _of_name(patterns[k], name, own)
+    return out, keys
+
+
+def _of_name(pattern: Pattern, name: Name, moments: list[float]) -> float:
+    """ln of the prior and of what the free directions add to the likelihood."""
+    log_prior, amplitude = pattern.names[name]
+    vv, vz, ww, wz, vw = moments
+    if pattern.columns.shape[1] == 2:
+        return log_prior + _pushes(vv, vz, ww, wz, vw)
+    if amplitude is None:
+        return log_prior
+    if vv <= 0.0:  # without the gyro nothing shows what it did
+        return log_prior
+    # What is left is column · step where the pattern is right but for the size looked at.
+    step = vz / vv
+    total = pattern.amplitude + step
+    return log_prior + 0.5 * vz * step + amplitude(total, 1 / math.sqrt(vv))
+
+
+def _pushes(vv: float, vz: float, ww: float, wz: float, vw: float) -> float:
+    """ln of the likelihood gained by two free directions with Gaussian priors of several sizes."""
+    gains = []
+    for size_mg in PUSH_MG:
+        inverse = (1000.0 / size_mg) ** 2
+        a, d = vv + inverse, ww + inverse
+        det = a * d - vw * vw
+        fit = (d * vz * vz - 2 * vw * vz * wz + a * wz * wz) / det
+        gains.append(0.5 * fit - 0.5 * math.log(det) + math.log(inverse))
+    return float(logsumexp(gains)) - math.log(len(gains))
