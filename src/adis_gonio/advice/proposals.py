@@ -563,7 +563,7 @@ def _predict_rows(imagined: Readings, inflation: float, hypotheses: list[Hypothe
     means, roots = [], []
     for h, fit in zip(hypotheses, fits, strict=True):
         columns = _columns(fit, whiten)
-        mean = np.einsum("nrk,nk->nr", whiten, fit.predicted_mg) + columns @ h.shift
+        mean = np.einsum("nrk,nk->nr", whiten, fit.predicted) + columns @ h.shift
         means.append(np.clip(np.nan_to_num(mean, posinf=FAR, neginf=-FAR), -FAR, FAR))
         roots.append(np.clip(columns @ h.root, -FAR, FAR))
     return _Predicted(means, roots)
@@ -572,7 +572,7 @@ def _predict_rows(imagined: Readings, inflation: float, hypotheses: list[Hypothe
 def _imagining(fit: Fit, imagined: Readings) -> Fit:
     """The same values at the attitudes that imagined dwells are asked for."""
     n = len(imagined)
-    attitude = np.zeros(n) if imagined.planar else imagined.mean_mg / imagined.gravity_mg
+    attitude = np.zeros(n) if imagined.planar else imagined.mean / imagined.gravity_mg
     return Fit(imagined, fit.terms, Values(fit.values.base, attitude, fit.values.terms), fit.with_prior)
 
 

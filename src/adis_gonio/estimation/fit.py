@@ -89,7 +89,7 @@ class Fit:
     @classmethod
     def begin(cls, data: Readings, *, with_prior: bool = True) -> Fit:
         """The base model at rough values, not yet refitted."""
-        base, attitude = data.model.begin(data.mean_mg, data.turn_rad, np.isfinite(data.angle_rad))
+        base, attitude = data.model.begin(data.mean, data.turn_rad, np.isfinite(data.angle_rad))
         return cls(data, (), Values(base, attitude), with_prior)
 
     def having(self, terms: Sequence[Term], values: Sequence[Floats]) -> Fit:
@@ -113,43 +113,43 @@ class Fit:
         turn = self.data.turn_rad
         for term, own in zip(self.terms, self.values.terms, strict=True):
             if term.enters_angle:
-                turn = turn + term.added(own, self.data.mean_mg, self.data.conditions)
+                turn = turn + term.added(own, self.data.mean, self.data.conditions)
         return turn
 
     @cached_property
-    def ideal_mg(self) -> Floats:
+    def ideal(self) -> Floats:
         """What the axes should read (n, axes), gain and misalignment in it."""
-        return self.data.model.ideal_mg(self.values.base, self.values.attitude, self.turn_rad)
+        return self.data.model.ideal(self.values.base, self.values.attitude, self.turn_rad)
 
     @cached_property
-    def tangent_mg(self) -> Floats:
+    def tangent(self) -> Floats:
         """∂ideal/∂attitude (n, axes, freedom) in mg per rad."""
-        return self.data.model.tangent_mg(self.values.base, self.values.attitude, self.turn_rad)
+        return self.data.model.tangent(self.values.base, self.values.attitude, self.turn_rad)
 
     @cached_property
-    def predicted_mg(self) -> Floats:
+    def predicted(self) -> Floats:
         """Prediction (n, axes) at the attitudes."""
-        predicted = self.ideal_mg
+        predicted = self.ideal
         for term, own in zip(self.terms, self.values.terms, strict=True):
             if not term.enters_angle:
-                predicted = predicted + term.added(own, self.ideal_mg, self.data.conditions)
+                predicted = predicted + term.added(own, self.ideal, self.data.conditions)
         return predicted
 
     @property
-    def residual_mg(self) -> Floats:
+    def misfit(self) -> Floats:
         """Reading minus prediction (n, axes)."""
-        return self.data.mean_mg - self.predicted_mg
+        return self.data.mean - self.predicted
 
     @cached_property
-    def left_mg(self) -> Floats:
+    def left(self) -> Floats:
         """The same with the attitudes' own part added back, so that it belongs to declared angles."""
         deviation = self.data.model.deviation_rad(self.values.attitude)
-        return self.residual_mg + (self.tangent_mg @ deviation[:, :, None])[:, :, 0]
+        return self.misfit + (self.tangent @ deviation[:, :, None])[:, :, 0]
 
-    def added_mg(self, index: int) -> Floats:
+    def added(self, index: int) -> Floats:
         """What a term adds to the readings (n, axes), to first order where it turns the part."""
         term, own = self.terms[index], self.values.terms[index]
-        added = term.added(own, self.ideal_mg, self.data.conditions)
+        added = term.added(own, self.ideal, self.data.conditions)
         return self.as_readings(term, added[..., None])[:, :, 0]
 
     # -- whitening ---------------------------------------------------------------------------------
@@ -158,7 +158,7 @@ class Fit:
     def whitener(self) -> Floats:
         """What whitens a reading dwell by dwell, (n, rows, axes) in 1/mg."""
         root = self.data.own_root
-        along = root @ self.tangent_mg
+        along = root @ self.tangent
         if along.shape[2] == 0:
             return root
         if along.shape[2] == 2:
@@ -180,7 +180,7 @@ class Fit:
     @cached_property
     def _shared(self) -> tuple[Floats, Floats] | None:
         """A (n·rows, k) and the middle V g(λ) Vᵀ (k, k), with Aᵀ A = V λ Vᵀ."""
-        slow = self.data.slow_mg
+        slow = self.data.slow
         if slow is None or not slow.shape[2]:
             return None
         rows = (self.whitener @ slow).reshape(-1, slow.shape[2])
@@ -188,18 +188,18 @@ class Fit:
         root = np.sqrt(1 + np.maximum(values, 0.0))
         return rows, (vectors / (root * (root + 1))) @ vectors.T
 
-    def white(self, columns_mg: Floats) -> Floats:
+    def white(self, columns: Floats) -> Floats:
         """Columns (n·rows, d), whitened, of what stands in readings (n, axes, d) in mg."""
-        whitened = self.white_by_dwell(columns_mg)
-        flat: Floats = whitened.reshape(whitened.shape[0] * whitened.shape[1], columns_mg.shape[2])
+        whitened = self.white_by_dwell(columns)
+        flat: Floats = whitened.reshape(whitened.shape[0] * whitened.shape[1], columns.shape[2])
         if self._shared is None:
             return flat
         rows, middle = self._shared
         return flat - rows @ (middle @ (rows.T @ flat))
 
-    def white_by_dwell(self, columns_mg: Floats) -> Floats:
+    def white_by_dwell(self, columns: Floats) -> Floats:
         """The same (n, rows, d) without what dwells share."""
-        whitened: Floats = self.whitener @ columns_mg
+        whitened: Floats = self.whitener @ columns
         return whitened
 
     def by_reading(self, slope: Floats) -> Floats:
@@ -213,7 +213,7 @@ class Fit:
     @cached_property
     def residual(self) -> Floats:
         """Whitened residual (n, rows)."""
-        return self.white(self.left_mg[:, :, None]).reshape(len(self.data), -1)
+        return self.white(self.left[:, :, None]).reshape(len(self.data), -1)
 
     # -- columns -----------------------------------------------------------------------------------
 
@@ -222,17 +222,17 @@ class Fit:
         if not term.enters_angle:
             return columns
         if not isinstance(self.data.model, PlanarTurn):
-            return np.zeros((*self.ideal_mg.shape, columns.shape[1]))
-        return self.tangent_mg * columns[:, None, :]
+            return np.zeros((*self.ideal.shape, columns.shape[1]))
+        return self.tangent * columns[:, None, :]
 
     def candidate(self, term: Term) -> Floats:
         """Columns (n, axes, d) in mg of a term by its amplitudes, at amplitude zero."""
-        return self.as_readings(term, term.columns(self.ideal_mg, self.data.conditions))
+        return self.as_readings(term, term.columns(self.ideal, self.data.conditions))
 
     @cached_property
     def base_columns(self) -> Floats:
         """∂reading/∂base (n, axes, p) in mg; zero for parameters that the dwells do not show."""
-        columns = self.data.model.columns_mg(self.values.base, self.values.attitude, self.turn_rad)
+        columns = self.data.model.columns(self.values.base, self.values.attitude, self.turn_rad)
         columns[:, :, ~self.data.visible] = 0.0
         return columns
 
@@ -241,7 +241,7 @@ class Fit:
         """∂reading/∂parameter (n, axes, p + q) in mg."""
         blocks = [self.base_columns]
         for term, own in zip(self.terms, self.values.terms, strict=True):
-            blocks.append(self.as_readings(term, term.derivative(own, self.ideal_mg, self.data.conditions)))
+            blocks.append(self.as_readings(term, term.derivative(own, self.ideal, self.data.conditions)))
         return np.concatenate(blocks, axis=2)
 
     @cached_property
@@ -254,9 +254,9 @@ class Fit:
         target = self.residual.ravel()
         blocks = []
         for index, (term, own) in enumerate(zip(self.terms, self.values.terms, strict=True)):
-            derivative = term.derivative(own, self.ideal_mg, self.data.conditions)
+            derivative = term.derivative(own, self.ideal, self.data.conditions)
             blocks.append(self.white(self.as_readings(term, derivative[..., term.amplitude_index(own)])))
-            target = target + self.white(self.added_mg(index)[:, :, None])[:, 0]
+            target = target + self.white(self.added(index)[:, :, None])[:, 0]
         return self.white(self.base_columns), blocks, target
 
     # -- how well ----------------------------------------------------------------------------------
@@ -359,9 +359,9 @@ class Fit:
         with np.errstate(divide="ignore"):
             precision = np.where(fixed, 0.0, 1 / data.fixture**2)
         for _ in range(passes):
-            along = data.root @ fit.tangent_mg
+            along = data.root @ fit.tangent
             pull = data.model.deviation_rad(fit.values.attitude)
-            right = (along.transpose(0, 2, 1) @ (data.root @ fit.residual_mg[:, :, None]))[:, :, 0]
+            right = (along.transpose(0, 2, 1) @ (data.root @ fit.misfit[:, :, None]))[:, :, 0]
             right = right - precision[:, None] * pull
             gram = along.transpose(0, 2, 1) @ along + precision[:, None, None] * np.eye(freedom)
             if freedom == 1:
@@ -454,9 +454,9 @@ class Fit:
 
     def _placed_on(self, data: Readings, terms: Sequence[Term] | None) -> Fit:
         model = data.model
-        _, attitude = model.begin(data.mean_mg, data.turn_rad, np.isfinite(data.angle_rad))
+        _, attitude = model.begin(data.mean, data.turn_rad, np.isfinite(data.angle_rad))
         if isinstance(model, PlanarTurn):
-            shown = np.arctan2(data.mean_mg[:, 1], data.mean_mg[:, 0]) - self.values.base[0]
+            shown = np.arctan2(data.mean[:, 1], data.mean[:, 0]) - self.values.base[0]
             attitude = np.where(np.isfinite(data.angle_rad), 0.0, shown)
         values = replace(self.values, attitude=attitude)
         return Fit(data, self.terms if terms is None else tuple(terms), values, self.with_prior)

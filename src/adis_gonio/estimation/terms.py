@@ -66,7 +66,7 @@ class Term(ABC):
         """True where it turns the part, False where it adds to readings."""
 
     @abstractmethod
-    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
         """Columns by its amplitudes: (n, axes, d) in mg, or (n, d) in rad."""
 
     @abstractmethod
@@ -74,11 +74,11 @@ class Term(ABC):
         """Values (p,) of all its parameters at the amplitudes (d,) that the search found."""
 
     @abstractmethod
-    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """What it adds: (n, axes) in mg, or (n,) in rad."""
 
     @abstractmethod
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """∂added/∂values: (n, axes, p) or (n, p)."""
 
     def amplitude_index(self, values: Floats) -> list[int]:
@@ -141,10 +141,10 @@ class NamedTerm(Term):
         """As `amplitudes`."""
         return self.amplitudes
 
-    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
         """Derivative by the amplitudes at amplitude zero."""
         values = self.start(np.zeros(len(self.amplitudes)))
-        return self.effect.derivative(values, ideal_mg, conditions)[..., self.amplitudes]
+        return self.effect.derivative(values, ideal, conditions)[..., self.amplitudes]
 
     def start(self, amplitudes: Floats) -> Floats:
         """Amplitudes found, shapes of the grid."""
@@ -154,15 +154,15 @@ class NamedTerm(Term):
             values[index] = shape
         return values
 
-    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """As the effect says."""
         if self.enters_angle:
             return self.effect.attitude_rad(values, conditions)
-        return self.effect.reading_mg(values, ideal_mg, conditions)
+        return self.effect.reading(values, ideal, conditions)
 
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """As the effect says."""
-        return self.effect.derivative(values, ideal_mg, conditions)
+        return self.effect.derivative(values, ideal, conditions)
 
     def bounds(self) -> Floats:
         """Physical bounds of the catalogue."""
@@ -275,9 +275,9 @@ class NamelessTerm(Term):
         }[self.where]
         return f"{head} follows {self.basis.form}"
 
-    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
         """Basis functions; amplitudes in mg, at 1 g for a gain or misalignment, in mrad for the angle."""
-        n, k = ideal_mg.shape
+        n, k = ideal.shape
         if self.basis.common is not None:
             common = self.basis.over(conditions)
             if self.where == "angle":
@@ -285,12 +285,12 @@ class NamelessTerm(Term):
             by_axis = [common] * len(self.axes)
         else:
             assert self.basis.by_axis is not None
-            by_axis = [self.basis.by_axis(ideal_mg / 1000.0, axis) for axis in self.axes]
+            by_axis = [self.basis.by_axis(ideal / 1000.0, axis) for axis in self.axes]
         q = by_axis[0].shape[1]
         if self.where == "misalignment":
             others = {axis: [j for j in range(k) if j != axis] for axis in self.axes}
             by_axis = [
-                np.concatenate([rows * (ideal_mg[:, j, None] / 1000.0) for j in others[axis]], axis=1)
+                np.concatenate([rows * (ideal[:, j, None] / 1000.0) for j in others[axis]], axis=1)
                 for rows, axis in zip(by_axis, self.axes, strict=True)
             ]
             q = by_axis[0].shape[1]
@@ -298,7 +298,7 @@ class NamelessTerm(Term):
         for j, axis in enumerate(self.axes):
             rows = by_axis[j]
             if self.where == "gain":
-                rows = rows * (ideal_mg[:, axis, None] / 1000.0)
+                rows = rows * (ideal[:, axis, None] / 1000.0)
             out[:, axis, q * j : q * (j + 1)] = rows
         return out
 
@@ -306,11 +306,11 @@ class NamelessTerm(Term):
         """The amplitudes: there are no shapes."""
         return np.array(amplitudes, dtype=float)
 
-    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Columns times amplitudes."""
-        total: Floats = self.columns(ideal_mg, conditions) @ values
+        total: Floats = self.columns(ideal, conditions) @ values
         return total
 
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """The columns: a nameless term is linear."""
-        return self.columns(ideal_mg, conditions)
+        return self.columns(ideal, conditions)

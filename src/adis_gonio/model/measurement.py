@@ -86,7 +86,7 @@ class Measurement(ABC):
     axes : int
         Columns of a reading.
     freedom : int
-        Unknown directions in which the attitude of a dwell may move: columns of `tangent_mg`.
+        Unknown directions in which the attitude of a dwell may move: columns of `tangent`.
     """
 
     parameters: ClassVar[tuple[BaseParameter, ...]]
@@ -109,7 +109,7 @@ class Measurement(ABC):
 
     @abstractmethod
     def begin(
-        self, reading_mg: Floats, turn_rad: Floats, declared: NDArray[np.bool_]
+        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_]
     ) -> tuple[Floats, Floats]:
         """Rough base parameters (p,) and attitudes of readings (n, axes).
 
@@ -122,15 +122,15 @@ class Measurement(ABC):
         """
 
     @abstractmethod
-    def ideal_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+    def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """Readings (n, axes) in mg at attitudes, the part turned by (n,) rad beyond them."""
 
     @abstractmethod
-    def tangent_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+    def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """∂ideal/∂attitude, (n, axes, freedom) in mg per rad."""
 
     @abstractmethod
-    def columns_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+    def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """∂ideal/∂base, (n, axes, p) in mg per natural unit."""
 
     @abstractmethod
@@ -142,10 +142,10 @@ class Measurement(ABC):
         return np.zeros((len(attitude), self.freedom))
 
     @abstractmethod
-    def calibrated(self, base: Floats, reading_mg: Floats) -> Floats:
+    def calibrated(self, base: Floats, reading: Floats) -> Floats:
         """Gravity that a calibrated sensor computes from readings (n, axes), in units of local gravity."""
 
-    def visible(self, reading_mg: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Base parameters (p,) that these dwells can show at all."""
         return np.ones(len(self.parameters), dtype=bool)
 
@@ -172,10 +172,10 @@ class PlanarTurn(Measurement):
     freedom = 1
 
     def begin(
-        self, reading_mg: Floats, turn_rad: Floats, declared: NDArray[np.bool_]
+        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_]
     ) -> tuple[Floats, Floats]:
         """By linear least squares on cosine and sine; nominal where fewer than two angles are declared."""
-        reading = reading_mg / self.gravity_mg
+        reading = reading / self.gravity_mg
         shown = np.arctan2(reading[:, 1], reading[:, 0])
         theta = -turn_rad[declared]
         design = np.column_stack([np.cos(theta), np.sin(theta)])
@@ -191,26 +191,26 @@ class PlanarTurn(Measurement):
         attitude = np.where(declared, 0.0, wrap_rad(shown - base[0] - turn_rad))
         return base, attitude
 
-    def ideal_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+    def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """K_x G cos ψ and K_y G sin(ψ + Δφ)."""
         alpha, k_x, k_y, skew = base
         psi = alpha + turn_rad + attitude
         ideal: Floats = self.gravity_mg * np.stack([k_x * np.cos(psi), k_y * np.sin(psi + skew)], axis=1)
         return ideal
 
-    def tangent_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+    def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """−K_x G sin ψ and K_y G cos(ψ + Δφ)."""
         alpha, k_x, k_y, skew = base
         psi = alpha + turn_rad + attitude
         slope = self.gravity_mg * np.stack([-k_x * np.sin(psi), k_y * np.cos(psi + skew)], axis=1)
         return np.asarray(slope[:, :, None])
 
-    def columns_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+    def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """By α, K_x, K_y, Δφ."""
         alpha, _, k_y, skew = base
         psi = alpha + turn_rad + attitude
         columns = np.zeros((len(psi), 2, 4))
-        columns[:, :, 0] = self.tangent_mg(base, attitude, turn_rad)[:, :, 0]
+        columns[:, :, 0] = self.tangent(base, attitude, turn_rad)[:, :, 0]
         columns[:, 0, 1] = self.gravity_mg * np.cos(psi)
         columns[:, 1, 2] = self.gravity_mg * np.sin(psi + skew)
         columns[:, 1, 3] = self.gravity_mg * k_y * np.cos(psi + skew)
@@ -224,18 +224,18 @@ class PlanarTurn(Measurement):
         """δ itself."""
         return np.asarray(attitude[:, None])
 
-    def calibrated(self, base: Floats, reading_mg: Floats) -> Floats:
+    def calibrated(self, base: Floats, reading: Floats) -> Floats:
         """Gravity (n, 2), the y axis squared up."""
         _, k_x, k_y, skew = base
-        x, y = reading_mg[..., 0] / (self.gravity_mg * k_x), reading_mg[..., 1] / (self.gravity_mg * k_y)
+        x, y = reading[..., 0] / (self.gravity_mg * k_x), reading[..., 1] / (self.gravity_mg * k_y)
         return np.stack([x, (y - x * math.sin(skew)) / math.cos(skew)], axis=-1)
 
-    def angle_rad(self, base: Floats, reading_mg: Floats) -> Floats:
+    def angle_rad(self, base: Floats, reading: Floats) -> Floats:
         """Angle ψ (n,) in rad that the calibrated goniometer shows for readings free of their effects."""
-        gravity = self.calibrated(base, reading_mg)
+        gravity = self.calibrated(base, reading)
         return np.asarray(np.arctan2(gravity[..., 1], gravity[..., 0]))
 
-    def visible(self, reading_mg: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """All, but for the start angle where no angle is declared: it is then part of the attitudes."""
         return np.array([bool(declared.any()), True, True, True])
 
@@ -266,22 +266,22 @@ class FreeAttitude(Measurement):
     freedom = 2
 
     def begin(
-        self, reading_mg: Floats, turn_rad: Floats, declared: NDArray[np.bool_]
+        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_]
     ) -> tuple[Floats, Floats]:
         """One gain for all axes, and the directions of the readings."""
-        length = np.linalg.norm(reading_mg, axis=1, keepdims=True)
+        length = np.linalg.norm(reading, axis=1, keepdims=True)
         gain = float(length.mean()) / self.gravity_mg
-        return np.array([gain, gain, gain, 0.0, 0.0, 0.0]), reading_mg / length
+        return np.array([gain, gain, gain, 0.0, 0.0, 0.0]), reading / length
 
-    def ideal_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+    def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """G diag(K) D u."""
         return np.asarray(self.gravity_mg * attitude @ sensitivity(base).T)
 
-    def tangent_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+    def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """Along two directions across u."""
         return np.asarray(self.gravity_mg * np.einsum("jk,nkm->njm", sensitivity(base), across(attitude)))
 
-    def columns_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+    def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """By three gains and three skews."""
         columns = np.zeros((len(attitude), 3, 6))
         ideal = self.gravity_mg * attitude @ axes_matrix(base[3:]).T
@@ -296,16 +296,16 @@ class FreeAttitude(Measurement):
         turned = attitude + (across(attitude) @ step[:, :, None])[:, :, 0]
         return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
 
-    def calibrated(self, base: Floats, reading_mg: Floats) -> Floats:
+    def calibrated(self, base: Floats, reading: Floats) -> Floats:
         """Gravity (n, 3)."""
-        return np.asarray(reading_mg / self.gravity_mg @ np.linalg.inv(sensitivity(base)).T)
+        return np.asarray(reading / self.gravity_mg @ np.linalg.inv(sensitivity(base)).T)
 
-    def visible(self, reading_mg: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Gains that a pose shows, and skews that are no sum of gains and biases: see `SEEN`.
 
         The norm of a reading changes by u_i² with a gain, u_i u_j with a skew and u_i with a bias.
         """
-        unit = reading_mg / np.maximum(np.linalg.norm(reading_mg, axis=1, keepdims=True), 1e-300)
+        unit = reading / np.maximum(np.linalg.norm(reading, axis=1, keepdims=True), 1e-300)
         seen = np.zeros(6, dtype=bool)
         seen[:3] = np.sqrt((unit**4).mean(axis=0)) >= SEEN
         beside = np.column_stack([unit**2, unit])

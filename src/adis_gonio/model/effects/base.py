@@ -217,23 +217,23 @@ class Effect(ABC):
         """Angle (n,) in rad that is added to the true angle of the part; `Enters.ATTITUDE` only."""
         return np.zeros(len(conditions))
 
-    def reading_mg(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """What is added to the readings, (n, axes) in mg; `Enters.READING` only.
 
         Parameters
         ----------
         values : (p,) float
             Parameters in the order of `parameters`.
-        ideal_mg : (n, axes) float
+        ideal : (n, axes) float
             What each axis of the sensor should read (after gain and misalignment), in mg; two columns
             x, y or three x, y, z.
 
         Raises
         ------
         UsageError
-            A covariate was not recorded, or `ideal_mg` has no column for one of the axes.
+            A covariate was not recorded, or `ideal` has no column for one of the axes.
         """
-        return np.zeros_like(ideal_mg)
+        return np.zeros_like(ideal)
 
     def samples_mg(
         self, values: Floats, samples_mg: Floats, conditions: Conditions, rng: np.random.Generator
@@ -241,8 +241,8 @@ class Effect(ABC):
         """Changed samples (n, axes) in mg; `Enters.SAMPLES` only."""
         return samples_mg
 
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
-        """∂(attitude_rad or reading_mg)/∂parameters.
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """∂(attitude_rad or reading)/∂parameters.
 
         By central differences unless an effect overrides it, as every effect of this package does.
 
@@ -266,9 +266,7 @@ class Effect(ABC):
             if self.enters is Enters.ATTITUDE:
                 difference = self.attitude_rad(up, conditions) - self.attitude_rad(down, conditions)
             else:
-                difference = self.reading_mg(up, ideal_mg, conditions) - self.reading_mg(
-                    down, ideal_mg, conditions
-                )
+                difference = self.reading(up, ideal, conditions) - self.reading(down, ideal, conditions)
             columns.append(difference / (2 * step))
         return np.stack(columns, axis=-1)
 

@@ -190,7 +190,7 @@ class OutlierDwell(LinearAxisEffect):
     needs = ("order",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("offset", "mg", -4000.0, 4000.0, 5.0),)
 
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """One in the dwell, zero elsewhere."""
         return ((conditions.covariate("order") == self.dwell).astype(float),)
 

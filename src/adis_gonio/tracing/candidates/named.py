@@ -98,7 +98,7 @@ def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tupl
     ):
         # Of one reading with a free attitude only the norm is seen: one number, which the axis nearest to
         # gravity gets.
-        nearest = np.abs(data.mean_mg).argmax(axis=1)
+        nearest = np.abs(data.mean).argmax(axis=1)
         for k in np.flatnonzero(~data.check):
             choice = {"dwell": int(data.conditions.order[k])}
             yield kind((letters[nearest[k]],), **choice), ()

@@ -141,7 +141,7 @@ def _values(conditions: Conditions, data: Readings, name: str) -> Floats | None:
     """Covariate (n,) in the unit of a figure; None where it was not recorded."""
     if name.startswith("reading_"):
         axis = AXES.index(name[-1])
-        return data.mean_mg[:, axis] / 1000.0
+        return data.mean[:, axis] / 1000.0
     if name == "time":
         return conditions.time_s / 60.0
     if name in ("angle", "previous_angle"):
@@ -209,21 +209,21 @@ def _left_over(fit: Fit, quantity: str, others: Readings | None = None) -> Float
         turned = fit.angle_error_rad(data)
         assert turned is not None
         return np.degrees(np.mod(turned + np.pi, 2 * np.pi) - np.pi)
-    left = fit.residual_mg if others is None else leave(fit, others).residual_mg
+    left = fit.misfit if others is None else leave(fit, others).residual
     if quantity == "norm":
         return np.asarray((left * _along(data)).sum(axis=1))
     return np.asarray(left[:, AXES.index(quantity[-1])])
 
 
 def _along(data: Readings) -> Floats:
-    return np.asarray(data.mean_mg / np.linalg.norm(data.mean_mg, axis=1, keepdims=True))
+    return np.asarray(data.mean / np.linalg.norm(data.mean, axis=1, keepdims=True))
 
 
 def _uncertainty(fit: Fit, quantity: str) -> Floats:
     """Standard uncertainty (n,) of a quantity of the dwells that were fitted."""
     data = fit.data
     if quantity == "angle":
-        slope = np.linalg.norm(data.root @ fit.tangent_mg, axis=1)[:, 0]
+        slope = np.linalg.norm(data.root @ fit.tangent, axis=1)[:, 0]
         fixture = np.where(np.isfinite(data.fixture), data.fixture, 0.0)
         return np.asarray(np.degrees(np.hypot(1 / slope, fixture)))
     if quantity == "norm":

@@ -104,7 +104,7 @@ def _kinds(data: Readings) -> Iterator[Kind]:
 
 def _price(data: Readings) -> float:
     """Of one parameter that is set at its best, and of having thought of it."""
-    return -math.log(limits.scatter_prior) + 0.5 * math.log(max(data.mean_mg.size, 2))
+    return -math.log(limits.scatter_prior) + 0.5 * math.log(max(data.mean.size, 2))
 
 
 def _evidence(selection: Selection) -> float:
@@ -201,7 +201,7 @@ def _restricted(fit: Fit, *, base_only: bool = False) -> float:
     data = fit.data
     covariance = data.own_covariance
     if fit.data.planar and not data.free:
-        tangent = fit.tangent_mg
+        tangent = fit.tangent
         fixture = np.where(np.isfinite(data.fixture), data.fixture, 0.0)
         covariance = covariance + (fixture**2)[:, None, None] * (tangent @ tangent.transpose(0, 2, 1))
     if data.free:

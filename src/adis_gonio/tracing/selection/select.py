@@ -194,7 +194,7 @@ def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
     theta = data.conditions.angle_rad
     if not data.planar or theta is None or data.free or len(data) < limits.gross_dwells:
         return {}
-    reading = data.mean_mg - _robust_bias(data, theta)
+    reading = data.mean - _robust_bias(data, theta)
     shown = np.arctan2(reading[:, 1], reading[:, 0]) + theta
     middle = np.angle(np.exp(1j * shown).sum())
     off = np.angle(np.exp(1j * (shown - middle)))
@@ -228,8 +228,8 @@ def _robust_bias(data: Readings, theta: Floats) -> Floats:
     for _ in range(4):
         if np.linalg.svd(design[kept], compute_uv=False)[-1] < 0.3:
             return np.zeros(2)
-        solved = np.linalg.lstsq(design[kept], data.mean_mg[kept], rcond=None)[0]
-        left = np.linalg.norm(data.mean_mg - design @ solved, axis=1)
+        solved = np.linalg.lstsq(design[kept], data.mean[kept], rcond=None)[0]
+        left = np.linalg.norm(data.mean - design @ solved, axis=1)
         kept = left <= 4 * np.median(left)
         bias = solved[2]
     return np.asarray(bias)
@@ -293,7 +293,7 @@ def beyond_bounds(data: Readings, problem: LinearProblem, chosen: Sequence[int])
             values, (low, high) = term.start(own), term.bounds().T
             beyond = bool(((values < low) | (values > high)).any())
         else:
-            added = term.added(term.start(own), data.mean_mg, data.conditions)
+            added = term.added(term.start(own), data.mean, data.conditions)
             added = added * data.gravity_mg if term.enters_angle else added
             beyond = bool(np.abs(added).max() > limits.largest_g * data.gravity_mg)
             beyond |= bool(np.ptp(added, axis=0).max() > _steepest_mg(data, term))

@@ -43,15 +43,15 @@ class AveragedTerm(NamelessTerm):
         """Form of the member with the largest weight."""
         return max(self.members, key=lambda member: member[0])[1].form
 
-    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Weighted mean of what the members add."""
-        parts = [weight * term.added(own, ideal_mg, conditions) for weight, term, own in self.members]
+        parts = [weight * term.added(own, ideal, conditions) for weight, term, own in self.members]
         total: Floats = np.sum(parts, axis=0)
         return total
 
-    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
         """No columns."""
-        n, axes = ideal_mg.shape
+        n, axes = ideal.shape
         return np.zeros((n, 0) if self.enters_angle else (n, axes, 0))
 
 
@@ -253,7 +253,7 @@ def _possible(selection: Selection, terms: Sequence[NamelessTerm], values: Float
     at, data = 0, selection.data
     for term in terms:
         width = _width(selection.fit, term)
-        added = term.added(values[at : at + width], selection.fit.ideal_mg, data.conditions)
+        added = term.added(values[at : at + width], selection.fit.ideal, data.conditions)
         if np.abs(added).max() > limits.largest_g * (1.0 if term.enters_angle else data.gravity_mg):
             return False
         at += width
@@ -261,7 +261,7 @@ def _possible(selection: Selection, terms: Sequence[NamelessTerm], values: Float
 
 
 def _width(fit: Fit, term: NamelessTerm) -> int:
-    return int(term.columns(fit.ideal_mg, fit.data.conditions).shape[-1])
+    return int(term.columns(fit.ideal, fit.data.conditions).shape[-1])
 
 
 def _ridge(

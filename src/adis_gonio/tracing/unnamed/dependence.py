@@ -74,7 +74,7 @@ def _covariates(data: Readings) -> dict[str, Floats]:
         )
     if c.angle_rad is None:
         for k, letter in enumerate(AXES[: data.axes]):
-            out[f"reading_{letter}"] = data.mean_mg[:, k : k + 1]
+            out[f"reading_{letter}"] = data.mean[:, k : k + 1]
     return {name: u for name, u in out.items() if np.ptp(u, axis=0).max() > 0}
 
 

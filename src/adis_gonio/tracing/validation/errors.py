@@ -133,7 +133,7 @@ def error_figures(
             design += "; effects chosen anew in each fold"
             if fold.averaged is None:
                 parts = counted(cross_validate(data, designs, _keeping(fits[-1])), counts)
-                again = rms(np.concatenate([part.residual_mg for part in parts]), data.planar)
+                again = rms(np.concatenate([part.residual for part in parts]), data.planar)
                 design += f", {again:.3g} mg with those found kept"
     figures = [_figures(fit, measured, left) for fit, left in zip(fits, lefts, strict=True)]
     return [*figures[:-1], replace(figures[-1], heldout_kept_mg=again)], design
@@ -152,11 +152,11 @@ def without_folds(
 
 
 def _figures(fit: Fit, measured: Readings, left: Sequence[Left]) -> ErrorFigures:
-    residual = [part.residual_mg for part in left]
+    residual = [part.residual for part in left]
     turned = [part.angle_rad for part in left if part.angle_rad is not None]
     chi2 = fit.chi2 if fit.data is measured else chi2_of_measured(fit, measured)
     return ErrorFigures(
-        residual_rms_mg=rms(fit.residual_mg, fit.data.planar),
+        residual_rms_mg=rms(fit.misfit, fit.data.planar),
         heldout_rms_mg=rms(np.concatenate(residual), fit.data.planar) if residual else None,
         angle_rms_deg=_rms_deg(turned),
         chi2_per_dof=chi2 / fit.dof if fit.data.noise_known and fit.dof > 0 else None,
@@ -218,7 +218,7 @@ def guarding(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[floa
     counts = less_unknown(counts, lefts[-1])
     for left in lefts:
         parts = counted(left, counts)
-        out.append(rms(np.concatenate([part.residual_mg for part in parts]), data.planar))
+        out.append(rms(np.concatenate([part.residual for part in parts]), data.planar))
     return out
 
 
