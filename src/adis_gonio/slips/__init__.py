@@ -1,4 +1,4 @@
-"""Slips, mistyped and swapped positions: declared angle, gravity's and the gyro's held against each other."""
+"""Slips, mistyped and swapped positions: declared angle against gravity's and the gyro's."""
 
 from __future__ import annotations
 

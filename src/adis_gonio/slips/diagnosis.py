@@ -7,16 +7,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import logsumexp
 
 from adis_gonio.model.measurement import wrap_rad
 from adis_gonio.model.records import Floats
 from adis_gonio.slips.angles import Angles
-from adis_gonio.slips.evidence import Scatter, Weighed, Whitened, scatters, weigh
+from adis_gonio.slips.evidence import Beside, Scatter, Weighed, Whitened, scatters, weigh
 from adis_gonio.slips.faults import ACCUSED, Name, Pattern, patterns_of
-from adis_gonio.slips.finding import Angle, PositionFinding
+from adis_gonio.slips.finding import Angle, Named, PositionFinding
 from adis_gonio.slips.meant import may_have_been_meant
-from adis_gonio.slips.rows import BASE, Calibration, Rows, calibrated_by_length, common_zero, rows_at
+from adis_gonio.slips.rows import BASE, Calibration, Rows, calibrated_by_length, rows_at
+from adis_gonio.slips.sight import Sight
 
 CERTAIN = 0.99
 """Posterior from which a position is accused."""
@@ -27,10 +27,8 @@ LARGEST = 120
 """Dwells beyond which a session is not looked at: the covariance of all rows is worked out as a whole."""
 LEAST = 3
 """Dwells from which one can be wrong and the others right; with a gyro two."""
-SETTLED_RAD = math.radians(0.01)
-"""A calibration that moves the angles by less is not improved upon."""
-POWER = 2.326
-"""Standard deviations of 99 % power."""
+SETTLED_RAD = math.radians(0.5)
+"""A calibration that moves the angles by less is not improved upon: its square is 0.004°."""
 
 
 @dataclass(frozen=True)
@@ -41,43 +39,28 @@ class Diagnosis:
     ----------
     findings : tuple of PositionFinding
         Accused positions, in their order.
-    detectable_deg : mapping of int to float
-        Smallest slip before each position (from the second on) that is accused with 99 % power.
     scatter_deg : float
         Standard deviation of a position, beyond what was found.
+    sight : Sight or None
+        What would have been seen; None where nothing was looked at.
     """
 
     findings: tuple[PositionFinding, ...] = ()
-    detectable_deg: dict[int, float] = field(default_factory=dict)
     scatter_deg: float = math.nan
+    sight: Sight | None = field(default=None, repr=False, compare=False)
+
+    def detectable_deg(self, name: Name = "slipped") -> dict[int, float]:
+        """Smallest error of a name at each position that is accused with 99 % power; inf: none is."""
+        return {} if self.sight is None else self.sight.detectable_deg(name, CERTAIN)
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """One line each, swaps once."""
-        said = {}
+        said: dict[tuple[object, ...], str] = {}
         for found in self.findings:
             key = (found.finding, *sorted((found.position, *found.others)))
             said.setdefault(key, found.sentence)
         return tuple(said.values())
-
-
-@dataclass(frozen=True)
-class _State:
-    """Faults that are taken as known, beside which the next one is looked for."""
-
-    accepted: tuple[Pattern, ...]
-    error_rad: Floats
-    known: Floats
-
-    @classmethod
-    def of(cls, rows: Rows, accepted: Sequence[Pattern]) -> _State:
-        error = sum((p.error_rad for p in accepted), np.zeros(len(rows)))
-        columns = [p.columns for p in accepted]
-        known = np.hstack(columns) if columns else np.zeros((len(rows.stands), 0))
-        return cls(tuple(accepted), error, known)
-
-    def zero_rad(self, rows: Rows) -> float:
-        return common_zero(wrap_rad(rows.seen_rad + self.error_rad)[rows.declared])
 
 
 def diagnose(angles: Angles) -> Diagnosis:
@@ -93,11 +76,10 @@ def diagnose(angles: Angles) -> Diagnosis:
         rows = rows_at(angles, moved)
         accepted, last = _search(rows, grid)
     findings = _findings(angles, rows, grid, accepted)
-    plain = Whitened(rows, last.scatter, _State.of(rows, accepted).known)
     return Diagnosis(
         tuple(sorted(findings, key=lambda found: found.position)),
-        _detectable(angles, plain),
         math.degrees(last.scatter.position_rad),
+        Sight(angles.position, rows, tuple(grid), Beside.of(rows, accepted)),
     )
 
 
@@ -111,9 +93,9 @@ def _search(rows: Rows, grid: Sequence[Scatter]) -> tuple[list[Pattern], Weighed
     """Faults one after another, the most probable first, until none more is probable."""
     accepted: list[Pattern] = []
     while True:
-        state = _State.of(rows, accepted)
-        patterns = _others(patterns_of(rows, state.error_rad), accepted)
-        weighed = weigh(rows, grid, patterns, state.error_rad, state.zero_rad(rows), state.known)
+        beside = Beside.of(rows, accepted)
+        patterns = _others(patterns_of(rows, beside.error_rad), accepted)
+        weighed = weigh(rows, grid, patterns, beside)
         best = weighed.best
         if best is None or len(accepted) == MOST_FAULTS:
             return accepted, weighed
@@ -141,9 +123,9 @@ def _apart(rows: Rows, one: Calibration, other: Calibration) -> float:
 
 def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: Scatter) -> tuple[Floats, Floats]:
     """Mean (p + q,) and covariance of all columns' values."""
-    state = _State.of(rows, accepted)
-    white = Whitened(rows, scatter, state.known)
-    z = white.white(white.mean_of(rows.observed(state.error_rad, state.zero_rad(rows))[:, None]))[:, 0]
+    beside = Beside.of(rows, accepted)
+    white = Whitened(rows, scatter, beside.known)
+    z = white.white(white.mean_of(beside.left(rows)[:, None]))[:, 0]
     spread = white.white(white.design * white.prior_sd**2)
     mean = spread.T @ z
     mean[: len(rows.prior_mean)] += rows.prior_mean
@@ -161,19 +143,19 @@ def _findings(
         if pattern.name not in ACCUSED:
             continue
         rest = [other for other in accepted if other is not pattern]
-        state = _State.of(rows, rest)
-        patterns = _others(patterns_of(rows, state.error_rad), rest)
-        weighed = weigh(rows, grid, patterns, state.error_rad, state.zero_rad(rows), state.known)
+        beside = Beside.of(rows, rest)
+        patterns = _others(patterns_of(rows, beside.error_rad), rest)
+        weighed = weigh(rows, grid, patterns, beside)
         best = weighed.best
         if best is None:
             continue
         accusing = [v for (_, name), v in weighed.named.items() if name in ACCUSED]
-        total = logsumexp([weighed.none, *weighed.named.values()])
-        probability = float(np.exp(logsumexp(accusing) - total))
+        total = np.logaddexp.reduce([weighed.none, *weighed.named.values()])
+        probability = float(np.exp(np.logaddexp.reduce(accusing) - total))
         if probability < CERTAIN or best[1] not in ACCUSED:
             continue
         chosen = patterns[best[0]]
-        names = _set_of_names(weighed, total)
+        names = _set_of_names(angles.position, patterns, weighed)
         speaker = _Speaker(angles, rows, [*rest, chosen], chosen, weighed.scatter)
         found += speaker.findings(best[1], probability, names)
     return _once(found)
@@ -184,18 +166,18 @@ def _once(found: Sequence[PositionFinding]) -> list[PositionFinding]:
     return list({(one.position, one.finding): one for one in found}.values())
 
 
-def _set_of_names(weighed: Weighed, total: float) -> tuple[tuple[Name, float], ...]:
-    """Names by their share of what is not innocent, the smallest set that holds 95 % of it."""
-    shares: dict[Name, float] = {}
-    for (_, name), value in weighed.named.items():
-        if name in ACCUSED:
-            shares[name] = shares.get(name, 0.0) + math.exp(value - total)
-    whole = sum(shares.values())
-    ordered = sorted(shares.items(), key=lambda item: -item[1])
+def _set_of_names(
+    position: Sequence[int], patterns: Sequence[Pattern], weighed: Weighed
+) -> tuple[Named, ...]:
+    """Names by their share of what accuses, the smallest set that holds 95 % of it."""
+    accusing = {key: value for key, value in weighed.named.items() if key[1] in ACCUSED}
+    total = np.logaddexp.reduce(list(accusing.values()))
+    ordered = sorted(accusing.items(), key=lambda item: -item[1])
     held, kept = 0.0, []
-    for name, share in ordered:
-        kept.append((name, share / whole))
-        held += share / whole
+    for (k, name), value in ordered:
+        share = math.exp(value - total)
+        kept.append(Named(name, tuple(position[j] for j in patterns[k].dwells), share))
+        held += share
         if held >= SET_LEVEL:
             break
     return tuple(kept)
@@ -211,18 +193,19 @@ class _Speaker:
     pattern: Pattern
     scatter: Scatter
 
-    def findings(
-        self, name: Name, probability: float, names: tuple[tuple[Name, float], ...]
-    ) -> list[PositionFinding]:
+    @property
+    def _beside(self) -> Beside:
+        return Beside.of(self.rows, self.accepted)
+
+    def findings(self, name: Name, probability: float, names: tuple[Named, ...]) -> list[PositionFinding]:
         mean, covariance = _posterior(self.rows, self.accepted, self.scatter)
         error = self._error(mean, covariance)
         return [self._finding(k, name, probability, names, mean, covariance, error)
                 for k in self.pattern.dwells]  # fmt: skip
 
     def _error(self, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
-        """e (n,) by the patterns, and the variance of the one free amplitude of this pattern's."""
-        state = _State.of(self.rows, self.accepted)
-        error, first = state.error_rad.copy(), len(self.rows.prior_mean)
+        """E (n,) by the patterns, and the variance of the one free amplitude of this pattern's."""
+        error, first = self._beside.error_rad.copy(), len(self.rows.prior_mean)
         variance = 0.0
         for p in self.accepted:
             q = p.columns.shape[1]
@@ -238,7 +221,7 @@ class _Speaker:
         k: int,
         name: Name,
         probability: float,
-        names: tuple[tuple[Name, float], ...],
+        names: tuple[Named, ...],
         mean: Floats,
         covariance: Floats,
         error: tuple[Floats, Floats],
@@ -288,19 +271,18 @@ class _Speaker:
         return None
 
     def _gravity(self, k: int, mean: Floats, covariance: Floats) -> Angle:
-        """e by the reading alone, with the calibration by all others, in degrees."""
-        rows, state = self.rows, _State.of(self.rows, self.accepted)
-        zero = state.zero_rad(rows)
+        """E by the reading alone, with the calibration by all others, in degrees."""
+        rows, beside = self.rows, self._beside
         columns = rows.design[k]
         p = len(columns)
-        about = wrap_rad(rows.seen_rad[k] + state.error_rad[k] - zero)
-        e = state.error_rad[k] - (about - float(columns @ mean[:p]))
+        about = wrap_rad(rows.seen_rad[k] + beside.error_rad[k] - beside.zero_rad)
+        e = beside.error_rad[k] - (about - float(columns @ mean[:p]))
         own = float(rows.noise[k, k]) + self.scatter.reading**2
         u = math.sqrt(own + float(columns @ covariance[:p, :p] @ columns))
         return math.degrees(float(wrap_rad(np.array(e)))), math.degrees(u)
 
     def _gyro(self, k: int, mean: Floats, covariance: Floats, error: Floats) -> Angle | None:
-        """e by the turn from the dwell before, or to the one after where that was not watched."""
+        """E by the turn from the dwell before, or to the one after where that was not watched."""
         rows, n = self.rows, len(self.rows)
         for dwell, sign in ((k, 1.0), (k + 1, -1.0)):
             found = np.flatnonzero(rows.turn == dwell)
@@ -330,20 +312,6 @@ def _together(found: Sequence[Angle | None], near_rad: float) -> Angle:
 
 def _at(declared_deg: float, error: Angle) -> Angle:
     return declared_deg + error[0], error[1]
-
-
-def _detectable(angles: Angles, white: Whitened) -> dict[int, float]:
-    """Slip before each position whose likelihood outweighs its prior with 99 % power, in degrees."""
-    found = {}
-    n = len(white.rows)
-    for k in range(1, n):
-        unit = (np.arange(n) >= k).astype(float)
-        column = white.white((white.rows.stands @ unit)[:, None])[:, 0]
-        u = 1 / math.sqrt(max(float(column @ column), 1e-30))
-        # ln of prior odds and of the spread of sizes: that of `faults`, rounded up.
-        needed = math.sqrt(2 * (math.log(CERTAIN / (1 - CERTAIN)) + math.log(100 * n) + 3.0))
-        found[angles.position[k]] = math.degrees(u) * (needed + POWER)
-    return found
 
 
 __all__ = ["CERTAIN", "Diagnosis", "diagnose"]

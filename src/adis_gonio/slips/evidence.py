@@ -11,22 +11,22 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.special import logsumexp
 
+from adis_gonio.model.measurement import wrap_rad
 from adis_gonio.model.records import Floats
 from adis_gonio.slips.faults import PUSH_MG, Name, Pattern
-from adis_gonio.slips.rows import Rows
+from adis_gonio.slips.rows import Rows, common_zero
 
 NOWHERE_RAD = 10.0
 """Standard deviation of the error of an angle that is not declared."""
 MORE_RAD = tuple(math.radians(value) for value in (0.0, 0.05, 0.2, 0.8))
 """Scatter of positions beyond a stated fixture, and what it is where none is stated (0: 0.01°)."""
-MORE_STATED, MORE_UNSTATED = (0.6, 0.2, 0.15, 0.05), (0.25, 0.25, 0.25, 0.25)
+MORE_STATED, MORE_UNSTATED = (0.8, 0.12, 0.06, 0.02), (0.25, 0.25, 0.25, 0.25)
 LEAST_RAD = math.radians(0.01)
 ROUGH = (0.0, 0.001, 0.005)
 """Scatter of readings beyond their noise, in g."""
@@ -60,6 +60,38 @@ def scatters(fixture_rad: float | None) -> list[Scatter]:
             zip(LARGER, LARGER_PRIOR, strict=True),
         )
     ]
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Faults that are taken as known, beside which the next one is looked for.
+
+    Attributes
+    ----------
+    error_rad : (n,) float
+        Errors that they bring, at the sizes at which they were looked at.
+    zero_rad : float
+        α without them.
+    known : (m, q) float
+        Directions in which their sizes are free.
+    """
+
+    error_rad: Floats
+    zero_rad: float
+    known: Floats
+
+    @classmethod
+    def of(cls, rows: Rows, accepted: Sequence[Pattern]) -> Beside:
+        """Of patterns that were accepted; of none the session as it is declared."""
+        error = sum((p.error_rad for p in accepted), np.zeros(len(rows)))
+        zero = common_zero(wrap_rad(rows.seen_rad + error)[rows.declared])
+        return cls(
+            error, zero, np.hstack([np.zeros((len(rows.stands), 0)), *(p.columns for p in accepted)])
+        )
+
+    def left(self, rows: Rows) -> Floats:
+        """What is left (m,) of the rows."""
+        return rows.observed(self.error_rad, self.zero_rad)
 
 
 @dataclass(frozen=True)
@@ -109,7 +141,7 @@ class Whitened:
 
     @cached_property
     def log_scale(self) -> float:
-        """ln of the density at zero."""
+        """Ln of the density at zero."""
         root = self.root
         return float(-np.log(np.diag(root)).sum() - 0.5 * len(root) * math.log(2 * math.pi))
 
@@ -143,54 +175,47 @@ class Weighed:
 
     @property
     def best(self) -> tuple[int, Name] | None:
-        """The most probable pattern and name; None where nothing more is more probable."""
-        if not self.named:
+        """The most probable pattern under all its names, with the best of them; None: no more is wrong."""
+        whole: dict[int, float] = {}
+        for (k, _), value in self.named.items():
+            whole[k] = float(np.logaddexp(whole.get(k, -math.inf), value))
+        if not whole:
             return None
-        key = max(self.named, key=self.named.__getitem__)
-        return key if self.named[key] > self.none else None
+        chosen = max(whole, key=whole.__getitem__)
+        if whole[chosen] <= self.none:
+            return None
+        names = {name: value for (k, name), value in self.named.items() if k == chosen}
+        return chosen, max(names, key=names.__getitem__)
 
 
-def weigh(
-    rows: Rows,
-    grid: Sequence[Scatter],
-    patterns: Sequence[Pattern],
-    error_rad: Floats,
-    zero_rad: float,
-    known: Floats,
-) -> Weighed:
-    """Weigh patterns beside errors (n,) that are known up to `known` (m, q), with the gyro and without."""
-    parts = [_weighed(rows, grid, patterns, error_rad, zero_rad, known)]
+def weigh(rows: Rows, grid: Sequence[Scatter], patterns: Sequence[Pattern], beside: Beside) -> Weighed:
+    """Weigh patterns beside what is known already, with the gyro and without."""
+    parts = [_weighed(rows, grid, patterns, beside)]
     shares = [0.0]
     if len(rows.turn):
         bare = rows.without_gyro()
         # A gyro that says nothing shows any angle.
         shares = [math.log(1 - GYRO_FAILS), math.log(GYRO_FAILS) - len(rows.turn) * math.log(2 * math.pi)]
-        cut = known[: len(bare.stands)]
-        parts.append(_weighed(bare, grid, patterns, error_rad, zero_rad, cut))
-    total = np.array(
-        [logsumexp(part + share, axis=1) for part, share in zip((p for p, _ in parts), shares, strict=True)]
+        parts.append(
+            _weighed(bare, grid, patterns, replace(beside, known=beside.known[: len(bare.stands)]))
+        )
+    logs = np.logaddexp.reduce(
+        [share + np.logaddexp.reduce(part, axis=1) for (part, _), share in zip(parts, shares, strict=True)]
     )
-    logs = logsumexp(total, axis=0)
     keys = parts[0][1]
     named = {key: float(value) for key, value in zip(keys, logs[1:], strict=True)}
-    column = int(np.argmax(logs))
-    best = int(np.argmax(parts[0][0][column]))
+    best = int(np.argmax(parts[0][0][int(np.argmax(logs))]))
     return Weighed(float(logs[0]), named, grid[best])
 
 
 def _weighed(
-    rows: Rows,
-    grid: Sequence[Scatter],
-    patterns: Sequence[Pattern],
-    error_rad: Floats,
-    zero_rad: float,
-    known: Floats,
+    rows: Rows, grid: Sequence[Scatter], patterns: Sequence[Pattern], beside: Beside
 ) -> tuple[Floats, list[tuple[int, Name]]]:
-    """ln of prior times likelihood (1 + names, grid): of no pattern, then of each pattern and name."""
+    """Ln of prior times likelihood (1 + names, grid): of no pattern, then of each pattern and name."""
     m = len(rows.stands)
-    none = rows.observed(error_rad, zero_rad)
+    error = beside.error_rad
     left = np.stack(
-        [none, *(rows.observed(error_rad + p.error_rad, p.zero_rad) for p in patterns)], axis=1
+        [beside.left(rows), *(rows.observed(error + p.error_rad, p.zero_rad) for p in patterns)], axis=1
     )
     first = np.zeros((m, 1 + len(patterns)))
     second = np.zeros((m, 1 + len(patterns)))
@@ -201,43 +226,43 @@ def _weighed(
         if free.shape[1] > 1:
             second[:, 1 + k] = free[:, 1]
     keys = [(k, name) for k, pattern in enumerate(patterns) for name in pattern.names]
-    out = np.empty((1 + len(keys), len(grid)))
+    plain = np.empty((1 + len(patterns), len(grid)))
+    moments = np.empty((5, 1 + len(patterns), len(grid)))
     for g, scatter in enumerate(grid):
-        white = Whitened(rows, scatter, known)
+        white = Whitened(rows, scatter, beside.known)
         z, v, w = white.white(white.mean_of(left)), white.white(first), white.white(second)
-        plain = white.log_scale + scatter.log_prior - 0.5 * (z * z).sum(axis=0)
-        moments = [(v * v).sum(axis=0), (v * z).sum(axis=0), (w * w).sum(axis=0), (w * z).sum(axis=0),
-                   (v * w).sum(axis=0)]  # fmt: skip
-        out[0, g] = plain[0]
-        for row, (k, name) in enumerate(keys, 1):
-            own = [float(moment[1 + k]) for moment in moments]
-            out[row, g] = plain[1 + k] + _of_name(patterns[k], name, own)
-    return out, keys
+        plain[:, g] = white.log_scale + scatter.log_prior - 0.5 * (z * z).sum(axis=0)
+        for k, (a, b) in enumerate(((v, v), (v, z), (w, w), (w, z), (v, w))):
+            moments[k, :, g] = (a * b).sum(axis=0)
+    named = [plain[1 + k] + _of_name(patterns[k], name, moments[:, 1 + k]) for k, name in keys]
+    return np.vstack([plain[:1], *named]), keys
 
 
-def _of_name(pattern: Pattern, name: Name, moments: list[float]) -> float:
-    """ln of the prior and of what the free directions add to the likelihood."""
+def _of_name(pattern: Pattern, name: Name, moments: Floats) -> Floats:
+    """Ln of the prior and of what the free directions add to the likelihood, over the grid.
+
+    Parameters
+    ----------
+    moments : (5, grid) float
+        Of the whitened directions v and w and what is left, z: vv, vz, ww, wz, vw.
+    """
     log_prior, amplitude = pattern.names[name]
     vv, vz, ww, wz, vw = moments
     if pattern.columns.shape[1] == 2:
-        return log_prior + _pushes(vv, vz, ww, wz, vw)
-    if amplitude is None:
-        return log_prior
-    if vv <= 0.0:  # without the gyro nothing shows what it did
-        return log_prior
+        return np.asarray(log_prior + _pushes(vv, vz, ww, wz, vw))
+    if amplitude is None or not vv.any():  # without the gyro nothing shows what it did
+        return np.full(len(vv), log_prior)
     # What is left is column · step where the pattern is right but for the size looked at.
     step = vz / vv
-    total = pattern.amplitude + step
-    return log_prior + 0.5 * vz * step + amplitude(total, 1 / math.sqrt(vv))
+    found = amplitude(pattern.amplitude + step, 1 / np.sqrt(vv))
+    return np.asarray(log_prior + 0.5 * vz * step + found)
 
 
-def _pushes(vv: float, vz: float, ww: float, wz: float, vw: float) -> float:
-    """ln of the likelihood gained by two free directions with Gaussian priors of several sizes."""
-    gains = []
-    for size_mg in PUSH_MG:
-        inverse = (1000.0 / size_mg) ** 2
-        a, d = vv + inverse, ww + inverse
-        det = a * d - vw * vw
-        fit = (d * vz * vz - 2 * vw * vz * wz + a * wz * wz) / det
-        gains.append(0.5 * fit - 0.5 * math.log(det) + math.log(inverse))
-    return float(logsumexp(gains)) - math.log(len(gains))
+def _pushes(vv: Floats, vz: Floats, ww: Floats, wz: Floats, vw: Floats) -> Floats:
+    """Ln of the likelihood gained by two free directions with Gaussian priors of several sizes."""
+    inverse = (1000.0 / np.array(PUSH_MG)[:, None]) ** 2
+    a, d = vv + inverse, ww + inverse
+    det = a * d - vw * vw
+    fit = (d * vz * vz - 2 * vw * vz * wz + a * wz * wz) / det
+    gains = 0.5 * fit - 0.5 * np.log(det) + np.log(inverse)
+    return np.asarray(np.logaddexp.reduce(gains, axis=0) - math.log(len(gains)))

@@ -17,7 +17,7 @@ nothing, and where two names predict the same they alone decide, which the set o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -54,8 +54,8 @@ PUSH_MG = (10.0, 50.0, 250.0)
 NEAR_RAD = math.radians(6.0)
 """A swap is looked at where gravity shows both angles as near as this, before anything is calibrated."""
 
-AmplitudePrior = Callable[[float, float], float]
-"""(estimate, its standard uncertainty) → ln ∫ exp(−(a − estimate)²/2u²) p(a) da."""
+AmplitudePrior = Callable[[Floats, Floats], Floats]
+"""(estimates (g,), their standard uncertainties (g,)) → ln ∫ exp(−(a − estimate)²/2u²) p(a) da."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def _slipped(rows: Rows, seen: Floats) -> Iterator[Pattern]:
         if not (declared & later).any() or not (declared & ~later).any():
             continue
         zero = common_zero(seen[declared & ~later])
-        amplitude = -float(wrap_rad(common_zero(seen[declared & later]) - zero))
+        amplitude = -float(wrap_rad(np.array(common_zero(seen[declared & later]) - zero)))
         unit = later.astype(float)
         names: dict[Name, tuple[float, AmplitudePrior | None]] = {"slipped": (prior, _any_size)}
         yield Pattern((k,), amplitude * unit, rows.stands @ unit[:, None], unit, amplitude, names, zero)
@@ -197,23 +197,22 @@ def _gyro(rows: Rows, zero: float) -> Iterator[Pattern]:
 # -- priors of amplitudes ------------------------------------------------------------------------------
 
 
-def _any_size(estimate: float, u: float) -> float:
+def _any_size(estimate: Floats, u: Floats) -> Floats:
     """Each order of magnitude of a slip is as likely as another, up to half a turn."""
-    size = max(abs(float(wrap_rad(estimate))), u, LEAST_SLIP_RAD)
+    size = np.maximum(np.maximum(np.abs(wrap_rad(estimate)), u), LEAST_SLIP_RAD)
     density = 1 / (2 * size * (1 + math.log(math.pi / LEAST_SLIP_RAD)))
-    return math.log(density * u * math.sqrt(2 * math.pi))
+    return np.asarray(np.log(density * u * math.sqrt(2 * math.pi)))
 
 
-def _typed(listed: Sequence[float] | Floats, declared_deg: float, estimate: float, u: float) -> float:
+def _typed(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
     """On the list, a whole degree, or anywhere."""
     spread = u * math.sqrt(2 * math.pi)
-    masses = np.exp(-0.5 * (wrap_rad(np.asarray(listed) - estimate) / u) ** 2)
-    meant = declared_deg + math.degrees(estimate)
-    off = math.radians(meant - round(meant))
-    whole = math.exp(-0.5 * (off / u) ** 2) / 360 if u < math.radians(0.3) else spread / (2 * math.pi)
+    on_list = np.exp(-0.5 * (wrap_rad(listed_rad[:, None] - estimate) / u) ** 2).mean(axis=0)
+    meant = declared_deg + np.degrees(estimate)
+    off = np.radians(meant - np.rint(meant))
     anywhere = spread / (2 * math.pi)
-    on_list = float(masses.sum()) / max(len(masses), 1)
-    return math.log(LISTED * on_list + WHOLE * whole + (1 - LISTED - WHOLE) * anywhere)
+    whole = np.where(u < math.radians(0.3), np.exp(-0.5 * (off / u) ** 2) / 360, anywhere)
+    return np.asarray(np.log(LISTED * on_list + WHOLE * whole + (1 - LISTED - WHOLE) * anywhere))
 
 
 __all__ = ["ACCUSED", "PUSH_MG", "SHARE", "Name", "Pattern", "patterns_of"]

@@ -22,6 +22,27 @@ MEANINGS: dict[Name, str] = {
 
 
 @dataclass(frozen=True)
+class Named:
+    """One name of a set.
+
+    Attributes
+    ----------
+    positions : tuple of int
+        That it accuses; of what lasts the first one.
+    probability : float
+        Of all that may be wrong here.
+    """
+
+    name: Name
+    positions: tuple[int, ...]
+    probability: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of `names`."""
+        return {"name": self.name, "positions": list(self.positions), "probability": self.probability}
+
+
+@dataclass(frozen=True)
 class PositionFinding:
     """One position that is not where it was declared, or whose reading is wrong.
 
@@ -46,8 +67,9 @@ class PositionFinding:
         Other positions that the same fault touches: the second of a swap, all that follow a slip.
     probability : float
         That something is wrong here.
-    names : tuple of (Name, float)
-        The smallest set of names that holds 95 % of it, the most probable first.
+    names : tuple of Named
+        The smallest set of names that holds 95 % of it, the most probable first; what an error of the first
+        or the last position does, a slip beside it does as well.
     """
 
     position: int
@@ -60,7 +82,7 @@ class PositionFinding:
     meant_deg: float | None
     others: tuple[int, ...]
     probability: float
-    names: tuple[tuple[Name, float], ...]
+    names: tuple[Named, ...]
 
     @property
     def correction(self) -> str | None:
@@ -114,7 +136,14 @@ class PositionFinding:
 
     @property
     def _named(self) -> str:
-        return " or ".join(MEANINGS[name] for name, _ in self.names)
+        """The name that stands first, then the others of the set."""
+        own = [MEANINGS[self.finding]]
+        for named in self.names:
+            if named.name == self.finding:
+                continue
+            here = self.position in named.positions
+            own.append(MEANINGS[named.name] + ("" if here else f" before position {named.positions[0]}"))
+        return ", or ".join(dict.fromkeys(own))
 
     def as_dict(self) -> dict[str, Any]:
         """One entry of `positions`."""
@@ -134,7 +163,7 @@ class PositionFinding:
             "meant_deg": self.meant_deg,
             "others": list(self.others),
             "probability": self.probability,
-            "names": [{"name": name, "probability": share} for name, share in self.names],
+            "names": [name.as_dict() for name in self.names],
             "angles": self.correction,
             "sentence": self.sentence,
         }
@@ -156,4 +185,4 @@ def _signed(angle: Angle) -> str:
     return f"{angle[0]:+.2f}° ± {max(angle[1], 0.005):.2f}°"
 
 
-__all__ = ["MEANINGS", "Angle", "PositionFinding"]
+__all__ = ["MEANINGS", "Angle", "Named", "PositionFinding"]

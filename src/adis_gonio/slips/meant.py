@@ -11,8 +11,8 @@ LARGEST_DEG = 360.0
 def may_have_been_meant(declared_deg: float, others_deg: Iterable[float] = ()) -> tuple[float, ...]:
     """Angles that become `declared_deg` by one mistake, without itself.
 
-    A sign, a quarter or half turn (90 for 270), two digits exchanged, one digit wrong, dropped or doubled, a
-    decimal point misplaced; or the angle of another position of the session.
+    A sign, a quarter or half turn (90 for 270), two digits exchanged, one digit wrong, dropped or doubled,
+    a decimal point misplaced; or the angle of another position of the session.
     """
     text = f"{abs(declared_deg):g}"
     sign = -1.0 if declared_deg < 0 else 1.0

@@ -144,12 +144,12 @@ def _local(angles: Angles, calibration: Calibration) -> _Local:
     base = np.concatenate([[0.0], calibration.values[:3]])
     psi = model.angle_rad(base, angles.reading_mg - calibration.values[3:])
     zero = np.zeros(len(angles))
-    ideal = model.ideal_mg(base, psi, zero)
-    tangent = model.tangent_mg(base, psi, zero)[:, :, 0]
+    ideal = model.ideal(base, psi, zero)
+    tangent = model.tangent(base, psi, zero)[:, :, 0]
     square = (tangent**2).sum(axis=1, keepdims=True)
     across = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1) / np.sqrt(square) / angles.gravity_mg
     columns = np.concatenate(
-        [model.columns_mg(base, psi, zero)[:, :, 1:], np.tile(np.eye(2), (len(angles), 1, 1))], axis=2
+        [model.columns(base, psi, zero)[:, :, 1:], np.tile(np.eye(2), (len(angles), 1, 1))], axis=2
     )
     left = angles.reading_mg - ideal - calibration.values[3:]
     return _Local(psi, tangent / square, across, left, columns, ideal)
@@ -247,9 +247,10 @@ def _turns(angles: Angles) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
 
 
 def _beside(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
-    """Columns of the catalogue's effects: on readings (n, 2, q) in mg and on ψ (n, r), and sizes (q + r,)."""
+    """Effects of the catalogue: columns on readings (n, 2, q) in mg and on ψ (n, r), sizes (q + r,)."""
     conditions = _by_gravity(angles.conditions, near, angles)
-    added, turned = [], []
+    added: list[Floats] = []
+    turned: list[Floats] = []
     sizes: dict[bool, list[float]] = {False: [], True: []}
     for name, kind in catalogue().items():
         if name in NOT_BESIDE or kind.enters is Enters.SAMPLES or kind.within_dwell:
