@@ -34,6 +34,8 @@ ROUGH_PRIOR = (0.6, 0.3, 0.1)
 LARGER = (1.0, 8.0)
 """Factor on the size of the catalogue's effects."""
 LARGER_PRIOR = (0.7, 0.3)
+NEGLIGIBLE = 40.0
+"""Nats below the best at which an account is not worked out for all patterns."""
 GYRO_FAILS = 0.01
 """Prior probability that a session's gyro says nothing at all: another unit, another axis, dead."""
 
@@ -145,9 +147,13 @@ class Whitened:
         root = self.root
         return float(-np.log(np.diag(root)).sum() - 0.5 * len(root) * math.log(2 * math.pi))
 
+    @cached_property
+    def _inverse(self) -> Floats:
+        return np.asarray(solve_triangular(self.root, np.eye(len(self.root)), lower=True))
+
     def white(self, values: Floats) -> Floats:
         """Values (m, …) with unit covariance."""
-        return np.asarray(solve_triangular(self.root, values, lower=True))
+        return np.asarray(self._inverse @ values)
 
     def mean_of(self, values: Floats) -> Floats:
         """What the columns would read (m, …) at their prior mean, taken off."""
@@ -190,22 +196,34 @@ class Weighed:
 
 def weigh(rows: Rows, grid: Sequence[Scatter], patterns: Sequence[Pattern], beside: Beside) -> Weighed:
     """Weigh patterns beside what is known already, with the gyro and without."""
-    parts = [_weighed(rows, grid, patterns, beside)]
-    shares = [0.0]
+    table, keys = _weighed(rows, grid, patterns, beside)
+    logs = np.logaddexp.reduce(table, axis=1)
     if len(rows.turn):
-        bare = rows.without_gyro()
-        # A gyro that says nothing shows any angle.
-        shares = [math.log(1 - GYRO_FAILS), math.log(GYRO_FAILS) - len(rows.turn) * math.log(2 * math.pi)]
-        parts.append(
-            _weighed(bare, grid, patterns, replace(beside, known=beside.known[: len(bare.stands)]))
-        )
-    logs = np.logaddexp.reduce(
-        [share + np.logaddexp.reduce(part, axis=1) for (part, _), share in zip(parts, shares, strict=True)]
-    )
-    keys = parts[0][1]
+        logs = _or_without_gyro(rows, grid, patterns, beside, logs + math.log(1 - GYRO_FAILS), keys)
     named = {key: float(value) for key, value in zip(keys, logs[1:], strict=True)}
-    best = int(np.argmax(parts[0][0][int(np.argmax(logs))]))
+    best = int(np.argmax(table[int(np.argmax(logs))]))
     return Weighed(float(logs[0]), named, grid[best])
+
+
+def _or_without_gyro(
+    rows: Rows,
+    grid: Sequence[Scatter],
+    patterns: Sequence[Pattern],
+    beside: Beside,
+    logs: Floats,
+    keys: list[tuple[int, Name]],
+) -> Floats:
+    """The same (1 + names,) where the gyro may say nothing: it then shows any angle."""
+    bare = rows.without_gyro()
+    share = math.log(GYRO_FAILS) - len(rows.turn) * math.log(2 * math.pi)
+    cut = replace(beside, known=beside.known[: len(bare.stands)])
+    top = int(np.argmax(logs))
+    one = patterns if top == 0 else [patterns[keys[top - 1][0]]]
+    first, _ = _weighed(bare, grid, one[:1], cut)
+    if share + float(np.logaddexp.reduce(first, axis=1).max()) < float(logs.max()) - NEGLIGIBLE:
+        return logs
+    table, _ = _weighed(bare, grid, patterns, cut)
+    return np.asarray(np.logaddexp(logs, share + np.logaddexp.reduce(table, axis=1)))
 
 
 def _weighed(
@@ -225,12 +243,15 @@ def _weighed(
             first[:, 1 + k] = free[:, 0]
         if free.shape[1] > 1:
             second[:, 1 + k] = free[:, 1]
+    twice = second.any(axis=0)
     keys = [(k, name) for k, pattern in enumerate(patterns) for name in pattern.names]
     plain = np.empty((1 + len(patterns), len(grid)))
     moments = np.empty((5, 1 + len(patterns), len(grid)))
     for g, scatter in enumerate(grid):
         white = Whitened(rows, scatter, beside.known)
-        z, v, w = white.white(white.mean_of(left)), white.white(first), white.white(second)
+        z, v = white.white(white.mean_of(left)), white.white(first)
+        w = np.zeros_like(v)
+        w[:, twice] = white.white(second[:, twice])
         plain[:, g] = white.log_scale + scatter.log_prior - 0.5 * (z * z).sum(axis=0)
         for k, (a, b) in enumerate(((v, v), (v, z), (w, w), (w, z), (v, w))):
             moments[k, :, g] = (a * b).sum(axis=0)

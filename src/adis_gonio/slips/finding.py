@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,7 +89,11 @@ class PositionFinding:
     def correction(self) -> str | None:
         """Value of `--angles` that mends the session; None where the position has to be repeated."""
         match self.finding:
-            case "mistyped" | "misset" | "swapped":
+            case "swapped":
+                return (
+                    f"{self.position}={_plain(self.meant_deg)},{self.others[0]}={_plain(self.declared_deg)}"
+                )
+            case "mistyped" | "misset":
                 value = self.angle_deg[0] if self.meant_deg is None else self.meant_deg
                 return f"{self.position}={_plain(value)}"
             case "slipped":
@@ -169,12 +174,17 @@ class PositionFinding:
         }
 
 
+def listed(findings: Sequence[PositionFinding]) -> dict[str, Any]:
+    """The key `positions` of a result's JSON; nothing where nothing was found."""
+    return {"positions": [found.as_dict() for found in findings]} if findings else {}
+
+
 def _range(first: int, others: tuple[int, ...]) -> str:
     return f"{first}-{others[-1]}" if others else str(first)
 
 
-def _plain(value: float) -> str:
-    return f"{round(value, 3):g}"
+def _plain(value: float | None) -> str:
+    return "" if value is None else f"{round(value, 3):g}"
 
 
 def _stated(angle: Angle) -> str:
@@ -185,4 +195,4 @@ def _signed(angle: Angle) -> str:
     return f"{angle[0]:+.2f}° ± {max(angle[1], 0.005):.2f}°"
 
 
-__all__ = ["MEANINGS", "Angle", "Named", "PositionFinding"]
+__all__ = ["MEANINGS", "Angle", "Named", "PositionFinding", "listed"]

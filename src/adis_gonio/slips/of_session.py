@@ -43,6 +43,12 @@ def positions_of(session: Session) -> Diagnosis:
     return kept
 
 
+def in_context(session: Session, error: Exception) -> str:
+    """Message of a failed fit with its file, and with what is wrong with positions, which may be why."""
+    told = "; ".join((str(error), *positions_of(session).sentences))
+    return f"{session.source}: {told}" if session.source else told
+
+
 def angles_of(session: Session) -> Angles | None:
     """Declared angles, readings and increments; None where no declared angle could be wrong."""
     if session.plane != "xy" or session.free_attitudes or not 2 <= len(session.dwells) <= LARGEST:
@@ -164,4 +170,4 @@ def _stayed(path: Path, sampling: Sampling) -> bool:
     return bool((np.abs(means) <= allowed).all())
 
 
-__all__ = ["angles_of", "positions_of"]
+__all__ = ["angles_of", "in_context", "positions_of"]
