@@ -20,7 +20,7 @@ class ZeroRate(Measurement):
     axes = 3
     freedom = 0
 
-    def begin(self, reading, turn_rad, declared):
+    def begin(self, reading, turn_rad, declared, conditions):
         return reading.mean(axis=0), np.zeros((len(reading), 0))
 
     def ideal(self, base, attitude, turn_rad):
@@ -78,4 +78,4 @@ def test_a_zero_that_follows_the_temperature_is_traced_and_what_looks_like_it_is
     (values,) = final.values.terms
     u = float(np.sqrt(final.covariance[3, 3]))
     assert abs(values[0] - 1.0) < 4 * u
-    assert result.after.heldout_rms_mg < 0.8 * result.before.heldout_rms_mg
+    assert result.after.heldout_rms < 0.8 * result.before.heldout_rms

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.errors import FitError
-from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.fit import Fit, adequacy
 from adis_gonio.estimation.readings import Readings, from_means
 from adis_gonio.model.effects import Conditions, Enters, effect
 from adis_gonio.tracing import trace_readings
@@ -17,7 +17,7 @@ from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.selection.design import amplitudes, linearise, span
 from adis_gonio.tracing.selection.search import price, search
-from adis_gonio.tracing.selection.select import adequacy, select
+from adis_gonio.tracing.selection.select import select
 
 G = 1000.0
 
@@ -201,7 +201,7 @@ def test_one_catalogued_effect_is_found_alone(
     for key, value in values.items():
         stated = result.found[0].parameters[key]
         assert abs(stated.value - value) < 3.5 * stated.u
-    assert result.after.heldout_rms_mg < result.before.heldout_rms_mg
+    assert result.after.heldout_rms < result.before.heldout_rms
 
 
 @pytest.mark.parametrize(
@@ -219,7 +219,7 @@ def test_a_cause_outside_the_catalogue_is_unnamed_with_its_covariate(covariate, 
     assert result.found == ()
     assert result.unnamed is not None
     assert result.unnamed.covariates == (covariate,)
-    assert result.after.residual_rms_mg < result.before.residual_rms_mg
+    assert result.after.residual_rms < result.before.residual_rms
 
 
 def test_temperature_that_only_rises_with_time_is_not_called_found_by_one_name() -> None:
@@ -248,7 +248,7 @@ def test_check_dwells_take_no_part() -> None:
     broken[data.check] += 50.0
     other = trace_readings(replace(data, mean=broken))
     assert [f.as_dict() for f in other.found] == [f.as_dict() for f in result.found]
-    assert other.after.heldout_rms_mg > 10 * result.after.heldout_rms_mg
+    assert other.after.heldout_rms > 10 * result.after.heldout_rms
     assert "5 check dwells" in result.heldout_design
 
 

@@ -54,7 +54,7 @@ def test_bias_and_curvature_stand_whatever_else_comes_in(seed: int) -> None:
     result = trace(forth_and_back(k2_x=3.0, seed=seed))
     assert {"bias", "quadratic"} <= {finding.effect for finding in result.found}
     assert not {"bias", "quadratic"} & set(result.reasons)
-    assert result.after.heldout_rms_mg < 0.1 * result.before.heldout_rms_mg
+    assert result.after.heldout_rms < 0.1 * result.before.heldout_rms
 
 
 def test_an_uncertain_effect_is_open_and_no_finding() -> None:

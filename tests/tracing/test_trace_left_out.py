@@ -92,7 +92,7 @@ def test_the_corrected_model_does_not_run_off_where_dwells_are_left_out(
     result = trace(load_session(path))
     assert result.unnamed is not None
     assert covariate in result.unnamed.covariates
-    assert result.after.heldout_rms_mg < most * result.before.heldout_rms_mg
+    assert result.after.heldout_rms < most * result.before.heldout_rms
 
 
 def test_advice_survives_a_model_of_thirteen_columns(tmp_path: Path) -> None:

@@ -148,7 +148,7 @@ def test_a_wavy_zero_is_unnamed_and_its_held_out_error_falls_towards_the_noise(s
     assert not result.found
     assert result.unnamed is not None
     assert "temperature" in result.unnamed.covariates
-    assert result.after.heldout_rms_mg < 0.5 * result.before.heldout_rms_mg
+    assert result.after.heldout_rms < 0.5 * result.before.heldout_rms
 
 
 def test_a_lean_that_follows_temperature_by_no_line_is_said_to_be_one() -> None:

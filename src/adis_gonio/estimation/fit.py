@@ -27,12 +27,13 @@ from numpy.typing import NDArray
 from adis_gonio.errors import UsageError
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
-from adis_gonio.model.measurement import PlanarTurn
+from adis_gonio.model.measurement import MG_PER_G, Measurement, PlanarTurn
 from adis_gonio.model.records import Floats
 
-NAMELESS_SPREAD = 100.0
-"""Prior standard deviation of an amplitude without a name (mg, mrad): where time and the position before
-run together, their difference and a gain of twenty would cancel."""
+NAMELESS_SPREAD = 0.1
+"""Prior standard deviation of an amplitude without a name, in `Measurement.full` (100 mg; 100 mrad at the
+angle): where time and the position before run together, their difference and a gain of twenty would
+cancel."""
 _DAMPING = (1.0, 0.5, 0.2, 0.05, 0.01)
 _RUN_AWAY = 1e100
 """Slope whose square is on the way out of the numbers that there are."""
@@ -89,7 +90,9 @@ class Fit:
     @classmethod
     def begin(cls, data: Readings, *, with_prior: bool = True) -> Fit:
         """The base model at rough values, not yet refitted."""
-        base, attitude = data.model.begin(data.mean, data.turn_rad, np.isfinite(data.angle_rad))
+        base, attitude = data.model.begin(
+            data.mean, data.turn_rad, np.isfinite(data.angle_rad), data.conditions
+        )
         return cls(data, (), Values(base, attitude), with_prior)
 
     def having(self, terms: Sequence[Term], values: Sequence[Floats]) -> Fit:
@@ -123,7 +126,7 @@ class Fit:
 
     @cached_property
     def tangent(self) -> Floats:
-        """∂ideal/∂attitude (n, axes, freedom) in mg per rad."""
+        """∂ideal/∂attitude (n, axes, freedom) per rad."""
         return self.data.model.tangent(self.values.base, self.values.attitude, self.turn_rad)
 
     @cached_property
@@ -156,7 +159,7 @@ class Fit:
 
     @cached_property
     def whitener(self) -> Floats:
-        """What whitens a reading dwell by dwell, (n, rows, axes) in 1/mg."""
+        """What whitens a reading dwell by dwell, (n, rows, axes)."""
         root = self.data.own_root
         along = root @ self.tangent
         if along.shape[2] == 0:
@@ -189,7 +192,7 @@ class Fit:
         return rows, (vectors / (root * (root + 1))) @ vectors.T
 
     def white(self, columns: Floats) -> Floats:
-        """Columns (n·rows, d), whitened, of what stands in readings (n, axes, d) in mg."""
+        """Columns (n·rows, d), whitened, of what stands in readings (n, axes, d)."""
         whitened = self.white_by_dwell(columns)
         flat: Floats = whitened.reshape(whitened.shape[0] * whitened.shape[1], columns.shape[2])
         if self._shared is None:
@@ -203,7 +206,7 @@ class Fit:
         return whitened
 
     def by_reading(self, slope: Floats) -> Floats:
-        """∂(slopeᵀ · whitened readings)/∂reading, (d, n, axes) per mg, of `slope` (n·rows, d)."""
+        """∂(slopeᵀ · whitened readings)/∂reading, (d, n, axes), of `slope` (n·rows, d)."""
         if self._shared is not None:
             rows, middle = self._shared
             slope = slope - rows @ (middle @ (rows.T @ slope))
@@ -218,7 +221,7 @@ class Fit:
     # -- columns -----------------------------------------------------------------------------------
 
     def as_readings(self, term: Term, columns: Floats) -> Floats:
-        """Columns of a term in readings (n, axes, d) in mg, whatever it enters by."""
+        """Columns of a term in readings (n, axes, d), whatever it enters by."""
         if not term.enters_angle:
             return columns
         if not isinstance(self.data.model, PlanarTurn):
@@ -226,19 +229,19 @@ class Fit:
         return self.tangent * columns[:, None, :]
 
     def candidate(self, term: Term) -> Floats:
-        """Columns (n, axes, d) in mg of a term by its amplitudes, at amplitude zero."""
+        """Columns (n, axes, d) of a term by its amplitudes, at amplitude zero."""
         return self.as_readings(term, term.columns(self.ideal, self.data.conditions))
 
     @cached_property
     def base_columns(self) -> Floats:
-        """∂reading/∂base (n, axes, p) in mg; zero for parameters that the dwells do not show."""
+        """∂reading/∂base (n, axes, p); zero for parameters that the dwells do not show."""
         columns = self.data.model.columns(self.values.base, self.values.attitude, self.turn_rad)
         columns[:, :, ~self.data.visible] = 0.0
         return columns
 
     @cached_property
     def columns(self) -> Floats:
-        """∂reading/∂parameter (n, axes, p + q) in mg."""
+        """∂reading/∂parameter (n, axes, p + q)."""
         blocks = [self.base_columns]
         for term, own in zip(self.terms, self.values.terms, strict=True):
             blocks.append(self.as_readings(term, term.derivative(own, self.ideal, self.data.conditions)))
@@ -312,7 +315,7 @@ class Fit:
         model = self.data.model
         spreads = [np.array([parameter.spread for parameter in model.parameters])]
         for term, own in zip(self.terms, self.values.terms, strict=True):
-            loose = NAMELESS_SPREAD if term.name is None else np.inf
+            loose = nameless_spread(model, term) if term.name is None else np.inf
             spreads.append(np.full(len(own), loose if term.prior_sd is None else term.prior_sd))
         precision = 1 / np.concatenate(spreads) if self.with_prior else np.zeros(sum(map(len, spreads)))
         centre = np.zeros(len(precision))
@@ -454,7 +457,7 @@ class Fit:
 
     def _placed_on(self, data: Readings, terms: Sequence[Term] | None) -> Fit:
         model = data.model
-        _, attitude = model.begin(data.mean, data.turn_rad, np.isfinite(data.angle_rad))
+        _, attitude = model.begin(data.mean, data.turn_rad, np.isfinite(data.angle_rad), data.conditions)
         if isinstance(model, PlanarTurn):
             shown = np.arctan2(data.mean[:, 1], data.mean[:, 0]) - self.values.base[0]
             attitude = np.where(np.isfinite(data.angle_rad), 0.0, shown)
@@ -472,6 +475,22 @@ class Fit:
         there = self.on(data)
         rest = self.white_by_dwell(self.columns)
         return foreseen(rest.reshape(-1, rest.shape[2]), there.white_by_dwell(there.columns), most)
+
+
+def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
+    """p-value of a residual against the noise that was measured within the dwells."""
+    from scipy import stats
+
+    if dof <= 0:
+        return 1.0
+    if np.isinf(noise_dof):
+        return float(stats.chi2.sf(chi2, dof))
+    return float(stats.f.sf(chi2 / dof, dof, max(noise_dof, 1.0)))
+
+
+def nameless_spread(model: Measurement, term: Term) -> float:
+    """Prior standard deviation of the amplitudes of a term without a name, in the term's unit."""
+    return NAMELESS_SPREAD * (MG_PER_G if term.enters_angle else model.full)
 
 
 def foreseen(rest: Floats, left: Floats, most: float) -> NDArray[np.bool_]:

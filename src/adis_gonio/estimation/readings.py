@@ -1,4 +1,4 @@
-"""Readings: a dwell's mean with its covariance, degrees of freedom and conditions, in mg.
+"""Readings: a mean with its covariance, degrees of freedom and conditions, in its measurement's unit.
 
 The covariance of a reading has three parts.
 
@@ -70,7 +70,7 @@ class Unit:
     Attributes
     ----------
     name : str
-        `mg` (any unit of known size), or `counts`.
+        `mg` or `dps` (any unit of known size), or `counts`.
     zero, per_mg : (axes,) float
         File's value at zero, and counts per mg; both rough for counts, 0 and 1 for mg.
     scale : float
@@ -89,7 +89,7 @@ class Unit:
     @property
     def known(self) -> bool:
         """False for counts, where the zero of an axis is part of the unit."""
-        return self.name == "mg"
+        return self.name != "counts"
 
 
 def in_mg(axes: int, scale: float = 1.0) -> Unit:
@@ -222,8 +222,18 @@ class Readings:
 
     @property
     def free(self) -> bool:
-        """True where no declared angle carries information."""
-        return bool(np.isinf(self.fixture).all())
+        """True where attitudes are unknown and no declared angle carries information."""
+        return self.model.freedom > 0 and bool(np.isinf(self.fixture).all())
+
+    @property
+    def equations_each(self) -> int:
+        """Equations that a reading gives: one where its attitude is free, else one an axis."""
+        return 1 if self.free else self.axes
+
+    @property
+    def by_axis(self) -> bool:
+        """False where only the length of a reading carries information."""
+        return self.model.freedom < 2
 
     @cached_property
     def visible(self) -> NDArray[np.bool_]:
@@ -352,13 +362,13 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
 
 def _as_another(session: Session, length: float) -> str:
     """The units in which readings `length` g long would be 1 g long, and how to say so."""
-    own = _mg_per_unit(session)
+    own = mg_per_unit(session)
     fits = [
         unit
         for unit in ACCEL_UNITS
         if unit != "counts"
         and (unit != "lsb" or session.sensor in VARIANTS)
-        and 1 / OFF_UNIT < length * _mg_per_unit(replace(session, accel_unit=unit)) / own < OFF_UNIT
+        and 1 / OFF_UNIT < length * mg_per_unit(replace(session, accel_unit=unit)) / own < OFF_UNIT
     ]
     if not fits:
         return ""
@@ -419,7 +429,7 @@ def reduced(session: Session) -> Readings:
     source = session.source or "session"
     axes = 2 if session.plane == "xy" else 3
     dwells, converter, notes = _usable(session, axes)
-    scale = _mg_per_unit(session)
+    scale = mg_per_unit(session)
     n = len(dwells)
     mean = np.array([d.accel[0, :axes] if len(d) == 1 else d.accel[:, :axes].mean(axis=0) for d in dwells])
     mean = mean * scale
@@ -509,7 +519,7 @@ def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[s
         raise DataError(f"{source}: plane none needs three axes, there are two")
     converter = converter_of([replace(dwell, accel=dwell.accel[:, :axes]) for dwell in dwells])
     limits = converter.limits
-    refuse_dead_data(session, limits, None if session.accel_unit == "counts" else _mg_per_unit(session))
+    refuse_dead_data(session, limits, None if session.accel_unit == "counts" else mg_per_unit(session))
     if len(dwells) > 1:  # of one pose there is nothing else to look at
         dwells = [dwell for dwell in dwells if dwell.position not in converter.spoiled]
     if not dwells:
@@ -629,7 +639,14 @@ def _loads(dwells: list[Dwell], mean: Floats, start: float) -> tuple[Floats, Flo
     return (times, loads) if (np.diff(times) > 0).all() else None
 
 
-def _mg_per_unit(session: Session) -> float:
+def mg_per_unit(session: Session) -> float:
+    """Size in mg of one of the accelerometers' numbers; 1 for counts, which have none.
+
+    Raises
+    ------
+    DataError
+        LSB of a sensor whose LSB is not known.
+    """
     if session.accel_unit == "lsb":
         if session.sensor not in VARIANTS:
             raise DataError(

@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters
+from adis_gonio.model.measurement import MG_PER_G
 from adis_gonio.model.records import Floats
 
 Where = Literal["bias", "gain", "misalignment", "angle"]
@@ -67,7 +68,7 @@ class Term(ABC):
 
     @abstractmethod
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Columns by its amplitudes: (n, axes, d) in mg, or (n, d) in rad."""
+        """Columns by its amplitudes: (n, axes, d) in the readings' unit, or (n, d) in rad."""
 
     @abstractmethod
     def start(self, amplitudes: Floats) -> Floats:
@@ -75,7 +76,7 @@ class Term(ABC):
 
     @abstractmethod
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """What it adds: (n, axes) in mg, or (n,) in rad."""
+        """What it adds: (n, axes) in the readings' unit, or (n,) in rad."""
 
     @abstractmethod
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
@@ -193,7 +194,7 @@ class Basis:
     common : callable or None
         Conditions → (n, q): the same on every axis.
     by_axis : callable or None
-        (ideal in g (n, axes), axis) → (n, q): functions of the readings.
+        (stimulus (n, axes), axis) → (n, q): functions of what an axis answers to, in g for accelerometers.
     approximates : bool
         True for polynomials and harmonics that stand for a function without a formula.
     with_constant : bool
@@ -227,6 +228,11 @@ class Basis:
         return self._last[0][1]
 
 
+def in_g(ideal: Floats, conditions: Conditions) -> Floats:
+    """What the gains of accelerometers multiply: the ideal readings (n, axes) in g."""
+    return ideal / MG_PER_G
+
+
 @dataclass(frozen=True)
 class NamelessTerm(Term):
     """A point of the grammar.
@@ -240,6 +246,8 @@ class NamelessTerm(Term):
     basis : Basis
     shrinkage : float or None
         Prior standard deviation of each amplitude: the functions are then features of a Gaussian process.
+    stimulus : callable
+        (ideal, conditions) → (n, axes): what gains multiply, as `Measurement.stimulus`.
     """
 
     where: Where
@@ -247,6 +255,7 @@ class NamelessTerm(Term):
     basis: Basis
     tangent_rad: float = field(default=1e-3, repr=False)
     shrinkage: float | None = None
+    stimulus: Callable[[Floats, Conditions], Floats] = field(default=in_g, repr=False, compare=False)
 
     @property
     def prior_sd(self) -> float | None:
@@ -276,8 +285,9 @@ class NamelessTerm(Term):
         return f"{head} follows {self.basis.form}"
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Basis functions; amplitudes in mg, at 1 g for a gain or misalignment, in mrad for the angle."""
+        """Basis functions; amplitudes in the readings' unit, for a gain at full stimulus; angle in mrad."""
         n, k = ideal.shape
+        driven = self.stimulus(ideal, conditions)
         if self.basis.common is not None:
             common = self.basis.over(conditions)
             if self.where == "angle":
@@ -285,12 +295,12 @@ class NamelessTerm(Term):
             by_axis = [common] * len(self.axes)
         else:
             assert self.basis.by_axis is not None
-            by_axis = [self.basis.by_axis(ideal / 1000.0, axis) for axis in self.axes]
+            by_axis = [self.basis.by_axis(driven, axis) for axis in self.axes]
         q = by_axis[0].shape[1]
         if self.where == "misalignment":
             others = {axis: [j for j in range(k) if j != axis] for axis in self.axes}
             by_axis = [
-                np.concatenate([rows * (ideal[:, j, None] / 1000.0) for j in others[axis]], axis=1)
+                np.concatenate([rows * driven[:, j, None] for j in others[axis]], axis=1)
                 for rows, axis in zip(by_axis, self.axes, strict=True)
             ]
             q = by_axis[0].shape[1]
@@ -298,7 +308,7 @@ class NamelessTerm(Term):
         for j, axis in enumerate(self.axes):
             rows = by_axis[j]
             if self.where == "gain":
-                rows = rows * (ideal[:, axis, None] / 1000.0)
+                rows = rows * driven[:, axis, None]
             out[:, axis, q * j : q * (j + 1)] = rows
         return out
 

@@ -30,7 +30,7 @@ MARGIN_S = 1.0
 WINDOW_S = 0.1
 """Means over this tell motion from rest."""
 MOVING_DPS = 1.0
-"""A mean above this is motion; a part at rest shows less, whatever its attitude (g-sensitivity among it)."""
+"""A mean above this is motion; a part at rest shows less, whatever its attitude."""
 MOVING_NOISE = 6.0
 """The same in standard deviations of the mean."""
 HELD_NOISE = 6.0
@@ -67,12 +67,12 @@ class Sampling:
     @property
     def delay_s(self) -> float:
         """By which the filter delays what it shows: N − 1 samples."""
-        return (2**self.filter_m - 1) * self.period_s
+        return float((2**self.filter_m - 1) * self.period_s)
 
     @property
     def window(self) -> int:
         """Samples whose mean tells motion from rest; no fewer than the filter mixes."""
-        return max(8, round(WINDOW_S / self.period_s), 2 * 2**self.filter_m - 1)
+        return max(8, round(WINDOW_S / self.period_s), int(2 * 2**self.filter_m - 1))
 
     @property
     def moving_dps(self) -> Floats:
@@ -177,7 +177,7 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
     edge = sampling.window // 2
     if moving[begin : begin + edge].any() or moving[end - edge + 1 : end + 1].any():
         return "the part was moving already where the recording begins, or still where it ends"
-    return _sum(path, sampling, begin, end)
+    return integral_over(path, sampling, begin, end)
 
 
 def _moving(path: Path, sampling: Sampling) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -223,7 +223,8 @@ def _holds_nothing(path: Path, sampling: Sampling, low: int, high: int, zero_dps
     return bool((held < HELD_NOISE * u).all())
 
 
-def _sum(path: Path, sampling: Sampling, begin: int, end: int) -> Integral | str:
+def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integral | str:
+    """Integral from one sample to another, wherever they lie; where there can be none, why not."""
     rows = slice(begin, end + 1)
     time, rate, force = path.time_s[rows], path.rate_dps[rows], path.force_g[rows]
     steps, length = np.diff(time), float(time[-1] - time[0])
@@ -272,7 +273,8 @@ def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, in
     covariance = np.zeros((3, 3))
     if not gaps.size:
         return covariance, 0
-    path = np.concatenate([np.zeros((1, 3)), np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(time)[:, None], 0)])
+    means = (rate[1:] + rate[:-1]) / 2
+    path = np.concatenate([np.zeros((1, 3)), np.cumsum(means * np.diff(time)[:, None], axis=0)])
     for size in np.unique(lost[gaps]).tolist():
         width = size + 1
         span = time[width:] - time[:-width]

@@ -1,15 +1,15 @@
 """Rate intervals: means of the three gyros over dwells and turns, with what the part truly turned.
 
-A dwell is an interval in which nothing turns; a turn is one whose true rotation is known (`reference`). Both
-are means over time, and for all that is linear in the rate (gain, direction of the axis, zero rate,
+A dwell is an interval in which nothing turns; a turn is one whose true rotation is known (`reference`).
+Both are means over time, and for all that is linear in the rate (gain, direction of the axis, zero rate,
 g-sensitivity) the mean is all that counts, however unevenly a hand turns. What is not linear is kept as a
 fact of the interval: the mean of |rate| (`abs_dps`), which an asymmetry of the gain multiplies, and the
 largest rate; turns that went beyond the range are refused.
 
 Noise of a mean is the spectral density at frequency zero of the dwells' own samples over the number of
-samples (as for the accelerometers, `estimation.spectrum`), in dwells with what quantization leaves, in turns
-with what bridges over lost scans leave. 1/f noise, which intervals share, is not in it: `allan_dps2` has its
-Allan variance, and `drift` what it does to these intervals.
+samples (as for the accelerometers, `estimation.spectrum`), in dwells with what quantization leaves, in
+turns with what bridges over lost scans leave. 1/f noise, which intervals share, is not in it: `allan_dps2`
+has its Allan variance, and `drift` what it does to these intervals.
 """
 
 from __future__ import annotations
@@ -22,15 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.counting import counted
-from adis_gonio.errors import DataError, FitError
+from adis_gonio.errors import DataError
 from adis_gonio.estimation.converter import steps_of
 from adis_gonio.estimation.flicker import spans
-from adis_gonio.estimation.readings import (
-    _mg_per_unit,
-    flicker_parts,
-    left_by_quantization,
-    readings_of,
-)
+from adis_gonio.estimation.readings import flicker_parts, left_by_quantization, mg_per_unit
 from adis_gonio.estimation.spectrum import MeanNoise, noise_of_means
 from adis_gonio.gyros.integral import Integral, Path, Sampling, integrate, period_of
 from adis_gonio.gyros.reference import (
@@ -146,12 +141,10 @@ def rate_intervals(session: Session) -> RateIntervals:
     dwells = [dwell for dwell in session.dwells if dwell.gyro is not None and len(dwell) > 1]
     if not dwells:
         raise DataError(
-            f"{source}: no dwell holds samples of the gyros (gx, gy, gz); record them, or name their columns"
+            f"{source}: no dwell holds samples of the gyros (gx, gy, gz): record them, or name the columns"
         )
     if session.gyro_unit == "counts":
-        raise DataError(
-            f"{source}: gyros in counts have no known scale; state gyro_unit dps or radps"
-        )
+        raise DataError(f"{source}: gyros in counts have no known scale; state gyro_unit dps or radps")
     scale = DPS_PER_RADPS if session.gyro_unit == "radps" else 1.0
     rows = [np.asarray(dwell.gyro) for dwell in dwells]
     _refuse_not_finite(source, dwells, rows)
@@ -235,7 +228,7 @@ def _of_dwells(
     noise: MeanNoise,
     sampling: Sampling,
 ) -> list[_Interval]:
-    per_g = 1e-3 * _mg_per_unit(session) if session.accel_unit != "counts" else math.nan
+    per_g = 1e-3 * mg_per_unit(session) if session.accel_unit != "counts" else math.nan
     steps = np.full(3, _step(session)) if session.gyro_unit == "dps" else steps_of(rows)
     rounding = left_by_quantization(rows, np.full(3, scale), scale * steps)
     begin, end = spans([dwell.time_s for dwell in dwells])
@@ -320,7 +313,7 @@ def _path(session: Session, turn: Turn, before: Dwell, after: Dwell, scale: floa
     if turn.gyro is None or not len(turn) or before.gyro is None or after.gyro is None:
         return None
     ends = slice(-1, None), slice(None, 1)
-    per_g = 1e-3 * _mg_per_unit(session) if session.accel_unit != "counts" else math.nan
+    per_g = 1e-3 * mg_per_unit(session) if session.accel_unit != "counts" else math.nan
     time = np.concatenate([before.time_s[ends[0]], turn.time_s, after.time_s[ends[1]]])
     if not (np.diff(time) > 0).all():
         return None
@@ -415,6 +408,3 @@ def summary(intervals: RateIntervals) -> str:
     turns = int(intervals.turn.sum())
     told = f"{counted(len(intervals) - turns, 'dwell')} and {counted(turns, 'turn')}"
     return told + (f", {counted(len(intervals.refused), 'turn')} refused" if intervals.refused else "")
-
-
-__all__ = ["FitError", "RateIntervals", "rate_intervals", "readings_of", "summary"]

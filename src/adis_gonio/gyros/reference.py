@@ -3,12 +3,13 @@
 Gravity on both sides
     Where the axis does not stand upright, the angle between the two gravities about it is how far the part
     turned, but for whole turns, which the gyro itself counts. On a stage (plane xy) the axis is z of the
-    frame, and ψ falls as the part turns on; declared angles add what the fixture is worth. In space the axis is the gyro's own: the angle about it is observed, its direction is not.
+    frame, and ψ falls as the part turns on; declared angles add what the fixture is worth. In space the
+    axis is the gyro's own: the angle about it is observed, its direction is not.
 Whole turns
     On a level table the axis is vertical and gravity shows nothing of the angle. From a mark back to the
     mark it is a whole number of turns: exact without any reference, but for how well the mark is met. The
     direction of the axis is that in which the accelerometers stay the same while the part turns: they read
-    c + a cos θ + b sin θ (the table's tilt) + d ω² + e dω/dt (a part away from the axis), and c lies along it.
+    c + a cos θ + b sin θ (the table's tilt) + d ω² + e dω/dt (a part away from the axis), c along it.
 
 A rotation vector is the integral of the rate as it stands where the axis stays the same in the part, as on
 a stage and on a table. A turn about an axis that wanders more than `STRAIGHT` allows is refused in space.
@@ -117,7 +118,9 @@ def in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -
     return Reference("gravity", angle * axis, covariance, turns)
 
 
-def whole_turns(integral: Integral, steady: Floats, u_mark_deg: float, u_axis_rad: float) -> Reference | str:
+def whole_turns(
+    integral: Integral, steady: Floats, u_mark_deg: float, u_axis_rad: float
+) -> Reference | str:
     """Whole turns about the vertical, from a mark back to it.
 
     Parameters
@@ -135,7 +138,7 @@ def whole_turns(integral: Integral, steady: Floats, u_mark_deg: float, u_axis_ra
     turns = round(seen / 360.0)
     if turns == 0 or abs(seen / 360.0 - turns) > NOT_WHOLE:
         return (
-            f"the gyro turned {seen:.0f}° about the vertical, which is not a whole number of turns: begin and"
+            f"the gyro turned {seen:.0f}° about the vertical, which is no whole number of turns: begin and"
             " end at the mark"
         )
     if float(np.linalg.norm(integral.turned_deg - seen * up)) > 0.2 * abs(seen):

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from adis_gonio.errors import AdisGonioError
-from adis_gonio.estimation.readings import Readings, readings_of
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats, Session
+from adis_gonio.estimation.readings import Readings, mg_per_unit, readings_of
+from adis_gonio.model.records import Floats, Session
 from adis_gonio.sensor.variants import VARIANTS
 
 CONSISTENT = 4.0
@@ -64,7 +64,7 @@ def triad_of(session: Session) -> Triad | None:
     held = any(name.startswith("bias") for name in result.undetermined)
     g = session.gravity_mg
     if readings.planar:
-        shown = calibration.angle(readings.mean_mg, reading_u=list(u_mg))
+        shown = calibration.angle(readings.mean, reading_u=list(u_mg))
         unseen = math.degrees(_bias_mg(session) / g) if held else 0.0
         u = np.hypot(np.asarray(shown.u_deg), unseen)
         psi = _with_declared(readings, np.asarray(shown.angle_deg), u)
@@ -75,7 +75,7 @@ def triad_of(session: Session) -> Triad | None:
         )
         rough = _as_read(session)
         return Triad(rough.direction, rough.u_rad, psi, rough.gravity, notes)
-    directions = calibration.apply(readings.mean_mg)
+    directions = calibration.apply(readings.mean)
     u_rad = float(np.linalg.norm(u_mg)) / g
     if held or len(result.parameters) < 9:
         u_rad = math.hypot(u_rad, _rough_u_rad(session))
@@ -107,11 +107,9 @@ def _with_declared(readings: Readings, psi: Floats, u: Floats) -> dict[int, tupl
 
 def _as_read(session: Session) -> Triad:
     """The accelerometers without calibration; u is what a part's biases and axes may be."""
-    from adis_gonio.estimation.readings import _mg_per_unit
-
     gravity: dict[int, Floats] = {}
     if session.accel_unit != "counts":
-        per_g = 1e-3 * _mg_per_unit(session)
+        per_g = 1e-3 * mg_per_unit(session)
         gravity = {
             d.position: per_g * d.accel.mean(axis=0) for d in session.dwells if d.accel.shape[1] == 3
         }
@@ -128,6 +126,3 @@ def _rough_u_rad(session: Session) -> float:
 def _bias_mg(session: Session) -> float:
     variant = VARIANTS.get(session.sensor)
     return UNKNOWN_BIAS_MG if variant is None else variant.performance.initial_bias_mg
-
-
-__all__ = ["STANDARD_GRAVITY_MPS2", "Triad", "triad_of"]

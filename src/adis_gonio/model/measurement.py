@@ -15,16 +15,18 @@ U_y = K_y G sin(ψ + Δφ) + b_y: Δφ *is* skew_xy, and K_x = K_y (1 + ΔK). A 
 seen by gravity alone, which is why D has three angles and not six.
 
 A `Measurement` is this with what is unknown of each dwell (its *attitude*), as an object: `PlanarTurn` and
-`FreeAttitude` here, and whatever else gives readings (a gyro's zero rate) as another subclass. Angles are
-radians inside; `BaseParameter.unit` is what a result is stated in (degrees).
+`FreeAttitude` here, the gyros' `MeanRate` in `model.rates`, and whatever else gives readings as another
+subclass. What fit and trace have to know of a kind of readings is a fact of its object: its unit, how large
+it can be, what drives it. Angles are radians inside; `BaseParameter.unit` is what a result is stated in.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,10 @@ from numpy.typing import NDArray
 from adis_gonio.errors import UsageError
 from adis_gonio.model.records import Floats
 
+if TYPE_CHECKING:
+    from adis_gonio.model.effects.base import Conditions
+
+MG_PER_G = 1000.0
 SKEW_AXES: tuple[tuple[int, int], ...] = ((0, 1), (0, 2), (1, 2))
 """Axes that skew_xy, skew_xz and skew_yz lie between."""
 
@@ -50,7 +56,7 @@ class BaseParameter:
     Attributes
     ----------
     unit : str
-        Unit in results: `deg` (radians inside) or `1`.
+        Unit in results: `deg` (radians inside), `1`, or the measurement's own.
     nominal : float
         Of a perfect part, in natural units (rad, 1).
     spread : float
@@ -74,7 +80,7 @@ class BaseParameter:
     def stated(self, value: float) -> float:
         """Value in `unit`; the start angle within ±180°."""
         out = value * self.per_natural
-        return (out + 180) % 360 - 180 if math.isinf(self.spread) else out
+        return (out + 180) % 360 - 180 if self.unit == "deg" and math.isinf(self.spread) else out
 
 
 class Measurement(ABC):
@@ -87,11 +93,57 @@ class Measurement(ABC):
         Columns of a reading.
     freedom : int
         Unknown directions in which the attitude of a dwell may move: columns of `tangent`.
+    part : str
+        Part of the sensor that it is of: effects name theirs (`Effect.parts`).
+    unit : str
+        Of readings, and of what effects add to them.
+    full : float
+        What counts as one in a function without a name, in `unit`: an amplitude is what it adds there.
+    driven_by : tuple of str
+        What functions without a name may follow besides the conditions: `reading`, `force`, `rotation`.
+    steepest : mapping of str to (str, str)
+        Covariates whose influence has a bound: rows of the conditions, and the effect whose first
+        coefficient is bounded. A temperature that is constant but for its noise stands out in one dwell by
+        chance.
+    named_forms : mapping of str to tuple of str
+        Places (`bias`, `gain`, `misalignment`) at which the catalogue has the line of a covariate.
     """
 
     parameters: ClassVar[tuple[BaseParameter, ...]]
     axes: ClassVar[int]
     freedom: ClassVar[int]
+    part: ClassVar[str] = "accelerometer"
+    unit: ClassVar[str] = "mg"
+    full: ClassVar[float] = MG_PER_G
+    driven_by: ClassVar[tuple[str, ...]] = ("reading",)
+    steepest: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "temperature": ("temperature_c", "bias_temperature"),
+        "supply": ("supply_v", "supply_bias"),
+    }
+    named_forms: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "time": ("bias", "gain"),
+        "temperature": ("bias", "gain", "misalignment"),
+        "supply": ("bias", "gain"),
+        "temperature_rate": ("bias",),
+    }
+
+    @property
+    def size(self) -> float:
+        """What a reading is large against, in `unit`: that of gravity."""
+        return self.full
+
+    @property
+    def constant(self) -> bool:
+        """True where a constant on each axis is a base parameter."""
+        return False
+
+    def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
+        """What gains multiply (n, axes), in units of `full`."""
+        return ideal / self.full
+
+    def pose(self, reading: Floats, conditions: Conditions) -> Floats | None:
+        """Direction of gravity (n, axes) in the part, of unit length; None where nothing tells it."""
+        return np.asarray(reading / np.linalg.norm(reading, axis=1, keepdims=True))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -109,7 +161,7 @@ class Measurement(ABC):
 
     @abstractmethod
     def begin(
-        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_]
+        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
         """Rough base parameters (p,) and attitudes of readings (n, axes).
 
@@ -119,19 +171,21 @@ class Measurement(ABC):
             −θ where `declared`, else 0.
         declared : (n,) bool
             Dwells whose angle is declared.
+        conditions : Conditions
+            What surrounded them.
         """
 
     @abstractmethod
     def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Readings (n, axes) in mg at attitudes, the part turned by (n,) rad beyond them."""
+        """Readings (n, axes) in `unit` at attitudes, the part turned by (n,) rad beyond them."""
 
     @abstractmethod
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """∂ideal/∂attitude, (n, axes, freedom) in mg per rad."""
+        """∂ideal/∂attitude, (n, axes, freedom) in `unit` per rad."""
 
     @abstractmethod
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """∂ideal/∂base, (n, axes, p) in mg per natural unit."""
+        """∂ideal/∂base, (n, axes, p) in `unit` per natural unit."""
 
     @abstractmethod
     def moved(self, attitude: Floats, step: Floats) -> Floats:
@@ -143,7 +197,7 @@ class Measurement(ABC):
 
     @abstractmethod
     def calibrated(self, base: Floats, reading: Floats) -> Floats:
-        """Gravity that a calibrated sensor computes from readings (n, axes), in units of local gravity."""
+        """What a calibrated sensor computes from readings (n, axes): gravity in units of the local one."""
 
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Base parameters (p,) that these dwells can show at all."""
@@ -171,8 +225,13 @@ class PlanarTurn(Measurement):
     axes = 2
     freedom = 1
 
+    @property
+    def size(self) -> float:
+        """Local gravity."""
+        return self.gravity_mg
+
     def begin(
-        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_]
+        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
         """By linear least squares on cosine and sine; nominal where fewer than two angles are declared."""
         reading = reading / self.gravity_mg
@@ -265,8 +324,13 @@ class FreeAttitude(Measurement):
     axes = 3
     freedom = 2
 
+    @property
+    def size(self) -> float:
+        """Local gravity."""
+        return self.gravity_mg
+
     def begin(
-        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_]
+        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
         """One gain for all axes, and the directions of the readings."""
         length = np.linalg.norm(reading, axis=1, keepdims=True)

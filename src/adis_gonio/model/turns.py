@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from adis_gonio.counting import counted
@@ -53,7 +54,7 @@ class Turn:
 def turns_of_recording(recording: Dwell, dwells: Sequence[Dwell]) -> tuple[Turn, ...]:
     """Turns of a continuous recording between its dwells; views of its rows, no copies."""
     made = []
-    for before, after in zip(dwells[:-1], dwells[1:], strict=True):
+    for before, after in pairwise(dwells):
         low = int(recording.time_s.searchsorted(before.time_s[-1], side="right"))
         high = int(recording.time_s.searchsorted(after.time_s[0], side="left"))
         rows = slice(low, max(low, high))

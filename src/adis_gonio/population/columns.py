@@ -79,7 +79,7 @@ def columns_of(data: Readings) -> tuple[list[tuple[Term, list[Column]]], dict[st
     """Terms with their columns, one a column of the term, and why other effects have none."""
     missing: dict[str, str] = {}
     out: list[tuple[Term, list[Column]]] = []
-    for name, kind in catalogue().items():
+    for name, kind in catalogue("accelerometer").items():
         reason = _why_not(kind, data)
         if reason:
             missing[name] = reason

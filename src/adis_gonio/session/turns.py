@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,7 @@ class ArchivedTurns:
             of_number = {attempt.number: attempt for attempt in stored}
             dwells = [of_number[number] for number in self.attempts]
             made = []
-            for k, (before, after) in enumerate(zip(dwells[:-1], dwells[1:], strict=True)):
+            for k, (before, after) in enumerate(pairwise(dwells)):
                 blocks = list(_between(view, stored, before, after))
                 declared = plan.positions[after.place].turned_deg if after.place < len(plan) else None
                 # A mark is reached from the place before it alone: of anything else nobody says how far.
@@ -50,9 +51,8 @@ def _between(
 ) -> Iterator[Block]:
     """Scans from the end of a dwell to the beginning of another, in order.
 
-    Attempts in between (interrupted ones, dwells that were repeated) belong to it with all their scans. Those
-    of another run than the second dwell's are on a clock that stood still in between: they are left out, and
-    the gap tells.
+    Attempts in between (interrupted ones, dwells that were repeated) belong to it with all their scans.
+    Those of another run than the second dwell's are of another stream: left out, and the gap tells.
     """
     if before.run == after.run:
         yield from _part(view, before, last=True)

@@ -1,8 +1,8 @@
 """A trace and what declared, gravity's and the gyro's angles say of the positions: one story.
 
-An effect of one dwell (`position_slip`, `outlier_dwell`) that the three angles rule out is no candidate. A
-part that slipped for all that followed has no name among the effects: the trace is then of the session as the
-part stood, and says so.
+An effect of one dwell (`position_slip`, `outlier_dwell`) that the three angles rule out is no candidate.
+A part that slipped for all that followed has no name among the effects: the trace is then of the session as
+the part stood, and says so.
 """
 
 from __future__ import annotations

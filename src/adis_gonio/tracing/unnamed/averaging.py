@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adis_gonio.estimation.fit import NAMELESS_SPREAD, Fit
+from adis_gonio.estimation.fit import Fit, nameless_spread
 from adis_gonio.estimation.terms import Basis, NamelessTerm, Term, Where
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
@@ -254,7 +254,7 @@ def _possible(selection: Selection, terms: Sequence[NamelessTerm], values: Float
     for term in terms:
         width = _width(selection.fit, term)
         added = term.added(values[at : at + width], selection.fit.ideal, data.conditions)
-        if np.abs(added).max() > limits.largest_g * (1.0 if term.enters_angle else data.gravity_mg):
+        if np.abs(added).max() > limits.largest * (1.0 if term.enters_angle else data.model.size):
             return False
         at += width
     return True
@@ -277,7 +277,7 @@ def _ridge(
     columns = np.concatenate([fixed, *blocks], axis=1)
     priors = [np.zeros(fixed.shape[1])]
     for term, block in zip(terms, blocks, strict=True):
-        held = np.sqrt(selection.inflation) / (term.shrinkage or NAMELESS_SPREAD)
+        held = np.sqrt(selection.inflation) / (term.shrinkage or nameless_spread(fit.data.model, term))
         priors.append(np.full(block.shape[1], held))
     precision = np.concatenate(priors)
     stacked = np.concatenate([columns, np.diag(precision)[precision > 0]])

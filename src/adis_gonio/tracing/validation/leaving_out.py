@@ -76,7 +76,7 @@ class _Bounded(Term):
     ----------
     term : Term
     low, high : (axes,) or () float
-        Bounds of what it adds, in mg or rad.
+        Bounds of what it adds, in the readings' unit or rad.
     """
 
     term: Term
@@ -135,10 +135,10 @@ def leave(fit: Fit, data: Readings, terms: Sequence[Term] | None = None) -> Left
     return Left(there.misfit, turned, np.ones(len(data), dtype=bool))
 
 
-def rms(residual: Floats, planar: bool) -> float:
-    """Root mean square: over readings of both axes in the plane, of the norm's residual in space."""
+def rms(residual: Floats, by_axis: bool) -> float:
+    """Root mean square: over the readings of all axes, or of the norm's residual (`Readings.by_axis`)."""
     squares = residual**2
-    return float(np.sqrt(squares.mean() if planar else squares.sum(axis=1).mean()))
+    return float(np.sqrt(squares.mean() if by_axis else squares.sum(axis=1).mean()))
 
 
 def folds(data: Readings) -> dict[str, list[NDArray[np.bool_]]]:
@@ -171,9 +171,11 @@ def _about_axes(data: Readings) -> list[NDArray[np.bool_]]:
         apart = np.abs(np.mod(theta[:, None] - theta[None, :] + np.pi, 2 * np.pi) - np.pi)
         if 2 * int(((apart < np.deg2rad(limits.repeated_deg)).sum(axis=1) > 1).sum()) < len(data):
             return []
-    size = np.abs(data.mean)
-    nearest = size.argmax(axis=1)
-    up = np.take_along_axis(data.mean, nearest[:, None], axis=1)[:, 0] > 0
+    pose = data.model.pose(data.mean, data.conditions)
+    if pose is None:
+        return []
+    nearest = np.abs(pose).argmax(axis=1)
+    up = np.take_along_axis(pose, nearest[:, None], axis=1)[:, 0] > 0
     groups = 2 * nearest + up
     return [groups == group for group in np.unique(groups)]
 
@@ -215,7 +217,7 @@ def determined(
         Terms whose columns are determined as well.
     """
     begun = Fit.begin(data)
-    zero = np.tile(data.gravity_mg * np.eye(data.axes), (len(data), 1, 1))
+    zero = np.tile(data.model.size * np.eye(data.axes), (len(data), 1, 1))
     more = [begun.candidate(term) for term in beside]
     columns = begun.white_by_dwell(np.concatenate([begun.base_columns, zero, *more], axis=2))
     out = np.zeros(len(data), dtype=bool)
@@ -227,7 +229,9 @@ def determined(
 def _poses_repeat(data: Readings, blocks: list[NDArray[np.bool_]]) -> bool:
     """True where every dwell left out has a neighbour: 2.5 steps of angle, in space 45° away."""
     if not data.planar:
-        unit = data.mean / np.linalg.norm(data.mean, axis=1, keepdims=True)
+        unit = data.model.pose(data.mean, data.conditions)
+        if unit is None:
+            return False
         near = np.arccos(np.clip(unit @ unit.T, -1, 1)) < np.pi / 4
         return all(bool(near[np.ix_(b, ~b)].any(axis=1).all()) for b in blocks)
     theta = data.conditions.angle_rad
