@@ -227,10 +227,10 @@ class _Speaker:
         error: tuple[Floats, Floats],
     ) -> PositionFinding:
         number = self.angles.position
-        declared = float(np.degrees(self.rows.declared_rad[k]))
+        declared = _degrees(self.rows.declared_rad[k])
         gravity = self._gravity(k, mean, covariance)
         gyro = self._gyro(k, mean, covariance, error[0])
-        stood = _together([gravity, gyro], error[0][k])
+        stood = _together([gravity, gyro])
         if name == "gravity_wrong":
             stood = gyro or (0.0, math.degrees(self.scatter.position_rad))
         size = stood
@@ -257,17 +257,20 @@ class _Speaker:
         """What was meant: of a swap the other's angle, else what is on the list or whole and near."""
         if name == "swapped":
             other = next(j for j in self.pattern.dwells if j != k)
-            return float(np.degrees(self.rows.declared_rad[other]))
+            return _degrees(self.rows.declared_rad[other])
         if name != "mistyped":
             return None
-        others = np.degrees(self.rows.declared_rad[self.rows.declared])
-        listed = may_have_been_meant(declared, [round(float(v), 9) for v in others])
-        near = math.hypot(stood[1], math.degrees(self.scatter.position_rad))
+        others = [
+            _degrees(v) for j, v in enumerate(self.rows.declared_rad) if self.rows.declared[j] and j != k
+        ]
+        near = 3 * math.hypot(stood[1], math.degrees(self.scatter.position_rad))
         angle = declared + stood[0]
-        for candidates in (listed, (float(round(angle)),)):
-            off = [abs((c - angle + 180) % 360 - 180) for c in candidates]
-            if off and min(off) < 3 * near:
-                return round(candidates[int(np.argmin(off))], 6)
+        for candidates in (may_have_been_meant(declared, others), (float(round(angle)),)):
+            off = {c: abs((c - angle + 180) % 360 - 180) for c in candidates}
+            good = [c for c in candidates if off[c] < near]
+            if good:
+                # Of 270 and -90 the one that is among the others.
+                return min(good, key=lambda c: (_outside(c, others), off[c]))
         return None
 
     def _gravity(self, k: int, mean: Floats, covariance: Floats) -> Angle:
@@ -301,7 +304,16 @@ class _Speaker:
         return None
 
 
-def _together(found: Sequence[Angle | None], near_rad: float) -> Angle:
+def _degrees(angle_rad: float) -> float:
+    return round(math.degrees(angle_rad), 9)
+
+
+def _outside(angle_deg: float, others_deg: Sequence[float]) -> float:
+    """How far an angle lies outside of the range of others."""
+    return max(0.0, min(others_deg) - angle_deg, angle_deg - max(others_deg))
+
+
+def _together(found: Sequence[Angle | None]) -> Angle:
     """Weighted mean of angles in degrees, on the turn of the first."""
     known = [one for one in found if one is not None]
     weights = np.array([1 / max(u, 1e-6) ** 2 for _, u in known])
