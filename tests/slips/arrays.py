@@ -1,4 +1,4 @@
-"""Three angles of a turn as plain arrays, by an equation of their own: no code of the package makes them."""
+"""Three angles of a turn as plain arrays, by equations of their own and no code of the package."""
 
 from __future__ import annotations
 
@@ -50,7 +50,8 @@ def angles(
         reading,
         np.tile(0.04 * np.eye(2), (n, 1, 1)),
         Conditions(
-            time_s=10 * order, angle_rad=theta, order=order, previous_angle_rad=np.r_[theta[:1], theta[:-1]],
+            time_s=10 * order, angle_rad=theta, order=order,
+            previous_angle_rad=np.r_[theta[:1], theta[:-1]],
             approach=None if approach is None else np.asarray(approach, float),
         ),
         1000.0,
