@@ -36,13 +36,15 @@ def section_of(rows: Sequence[Row], still: Sequence[Row]) -> Section:
     slips = [row for row in rows if row["fault"] == "slipped"]
     from_deg = _from(slips, "size_deg")
     ratio = _from([row for row in rows if row["fault"] is not None], "ratio")
+    faulty, good = with_gyros["faulty"], with_gyros["good"]
+    seen, right, alike = (with_gyros[f"{k}detectable"] for k in ("", "right_of_", "alike_of_"))
     lines = [
-        f"{with_gyros['faulty']} sessions in which one thing is wrong and {with_gyros['good']} in which",
-        "nothing is: 8 to 24 positions (around, there and back, shuffled) that a hand moves a part through, a",
-        "fixture of 0.02° to 0.3°, a drifting temperature, and gyros with gain (1 %), misalignment,",
-        "g-sensitivity, 1/f drift and random walk; slips come during a move or after it. *Right*: this name,",
-        f"this position and nothing else accused, the angle within {sessions.WITHIN:g} u. *In the set*: another",
-        "name stands first that predicts the same (of the first or last position), the true one beside it.",
+        f"{faulty} sessions in which one thing is wrong and {good} in which nothing is: 8 to 24 positions",
+        "(around, there and back, shuffled) that a hand moves a part through, a fixture of 0.02° to 0.3°,",
+        "a drifting temperature, and gyros with gain (1 %), misalignment, g-sensitivity, 1/f drift and",
+        "random walk; slips come during a move or after it. *Right*: this name, this position, nothing",
+        f"else accused, the angle within {sessions.WITHIN:g} u. *In the set*: another name stands first that",
+        "predicts the same (of the first or last position), the true one beside it.",
         "",
         *table(
             (
@@ -57,17 +59,17 @@ def section_of(rows: Sequence[Row], still: Sequence[Row]) -> Section:
             [*(_line(name, with_gyros, without) for name in sessions.FAULTS), _total(with_gyros, without)],
         ),
         "",
-        f"Accused in sessions in which nothing is wrong: {with_gyros['accused']} of {with_gyros['good']};",
+        f"Accused in sessions in which nothing is wrong: {with_gyros['accused']} of {good};",
         f"without gyros {without['accused']} of {without['good']}.",
         "",
         "## From which size",
         "",
-        "Each session says the size from which it would have accused an error with 99 % power. Of errors above",
-        f"their own session's: right {with_gyros['right_of_detectable']}, in the set"
-        f" {with_gyros['alike_of_detectable']}, of {with_gyros['detectable']}. Right or in the set in at least",
-        f"{100 * WANTED:g} % of all errors larger than {_stated(ratio, ' times that size')}; of slips from"
-        f" {_stated(from_deg, '°')} on, over all these fixtures. What is smaller is what the fixture's stated",
-        "uncertainty, or twice it, does to a good session as well, and is not accused.",
+        "Each session says from which size on it would have accused an error with 99 % power.",
+        f"Of errors above their own session's: right {right}, in the set {alike}, of {seen}.",
+        f"Right or in the set in at least {100 * WANTED:g} % of all errors larger than",
+        f"{_stated(ratio, ' times that size')}; of slips larger than {_stated(from_deg, '°')}, over all",
+        "these fixtures. What is smaller is what twice the fixture's stated uncertainty does to a good",
+        "session as well, and is not accused.",
         "",
         "![Slips by their size and the fixture](slips-sizes.svg)",
     ]

@@ -15,6 +15,7 @@ from adis_gonio.fitting import fit
 from adis_gonio.session.overrides import AngleChange, Overrides
 from adis_gonio.slips.of_session import angles_of, positions_of
 from fakes import planar_session as planar
+from session.hand_bench import by_hand, hand_sensor
 from slip_statistics import session_of
 from tracing.test_trace_sceptic import written
 
@@ -60,6 +61,20 @@ def test_a_failed_fit_says_which_position_is_wrong_and_the_override_mends_it(mis
     assert "positions" not in mended.as_dict()
     old = session.dwells[k].angle_deg
     assert mended.overrides["angles"] == {"old": {str(k): old}, "new": {str(k): one.meant_deg}}
+
+
+def test_a_session_file_has_its_gyros_as_witnesses(tmp_path):
+    path = tmp_path / "bench.session"
+    with hand_sensor() as sensor:
+        by_hand(sensor, path)
+    session = load_session(path)
+    angles = angles_of(session)
+    assert np.isfinite(angles.turns.angle_rad).all()
+    assert not positions_of(session).findings
+    wrong = load_session(path, Overrides(angles=(AngleChange(2, 2, 108.0),)))
+    (one,) = positions_of(wrong).findings
+    assert (one.finding, one.position, one.meant_deg) == ("mistyped", 2, 180.0)
+    assert abs(one.gyro_deg[0] - 180.0) < 4 * one.gyro_deg[1]
 
 
 @pytest.fixture

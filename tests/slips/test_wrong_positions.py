@@ -129,11 +129,22 @@ def test_backlash_there_and_back_is_no_slip():
     ).findings
 
 
-def test_with_few_positions_the_gyro_tells_what_gravity_cannot():
-    """Of three positions gravity explains a wrong one by a part that is askew."""
-    declared, stood = np.array([0.0, 90.0, 180.0]), np.array([0.0, 78.0, 180.0])
-    told = diagnose(angles(stood, declared)).findings
-    assert [(one.position, one.gyro_deg is not None) for one in told] == [(1, True)]
+@pytest.mark.parametrize("gyro", [True, False])
+def test_of_two_positions_only_a_gyro_is_a_witness(gyro):
+    found = diagnose(angles([0.0, 80.0], [0.0, 90.0], gyro=gyro)).findings
+    assert bool(found) == gyro
+
+
+def test_gravity_alone_cannot_tell_a_small_push_from_a_turn_where_its_length_stays():
+    """Along the circle: of this reading only the gyro knows that the part was not turned."""
+    psi = np.radians(2.5 - 150.0)
+    push = {5: tuple(30.0 * np.array([-np.sin(psi), np.cos(psi)]))}
+    names = []
+    for gyro in (True, False):
+        (one,) = diagnose(angles(AROUND, AROUND, push_mg=push, gyro=gyro)).findings
+        names.append({named.name for named in one.names})
+    assert names[0] == {"gravity_wrong"}
+    assert names[1] >= {"gravity_wrong", "misset"}
 
 
 def test_what_a_session_could_show_is_said_and_holds():

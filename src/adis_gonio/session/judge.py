@@ -109,6 +109,11 @@ class Judge:
         self._learn(self._taken[-1])
         self.turning.rest(scans)
 
+    def last_turn(self) -> tuple[int, Turn] | None:
+        """Turn into the newest dwell, and the place from which it was watched; None where nobody did."""
+        last = self._taken[-1] if self._taken else None
+        return None if last is None or last.turn is None or last.since is None else (last.since, last.turn)
+
     def forget_turn(self) -> None:
         """Nobody has watched the part since the last dwell."""
         self.turning = Turning(self._longest_gap_s)

@@ -76,7 +76,8 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
     by_position = {dwell.position: dwell for dwell in session.dwells if dwell.gyro is not None}
     dwells = [by_position[p] for p in readings.position.tolist() if p in by_position]
     turns = {(turn.before, turn.position): turn for turn in session.turns if turn.gyro is not None}
-    if not turns or not dwells:
+    noted = _noted(session)
+    if not dwells or not (turns or noted):
         return None
     sampling, zero_dps2 = _sampling(session, dwells)
     pairs = list(zip(readings.position[:-1].tolist(), readings.position[1:].tolist(), strict=True))
@@ -87,7 +88,23 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
             path = _path(session, turns[pair], *ends, 1e-3 * readings.unit.scale)
             found = None if path is None else _turned(path, sampling, zero_dps2)
             rows[k] = np.nan if found is None else found
+        if not np.isfinite(rows[k, 0]) and pair in noted:
+            rows[k] = (*noted[pair], 0.0, 0.0)
     return Increments(np.radians(rows[:, 0]), np.radians(rows[:, 1]), rows[:, 2:])
+
+
+def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
+    """Angle about z and its u in degrees between two dwells, as the bench had them while it watched.
+
+    The g-sensitivity is in that u.
+    """
+    dwells = session.facts.get("dwells") or []
+    number = {entry["attempt"]: k for k, entry in enumerate(dwells)}
+    return {
+        (number[entry["since"]], number[entry["attempt"]]): (entry["angle_deg"][2], entry["u_deg"])
+        for entry in session.facts.get("turned") or []
+        if entry["since"] in number and entry["attempt"] in number
+    }
 
 
 def _scale(session: Session) -> float:

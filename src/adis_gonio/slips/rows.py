@@ -252,7 +252,7 @@ def _beside(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
     added: list[Floats] = []
     turned: list[Floats] = []
     sizes: dict[bool, list[float]] = {False: [], True: []}
-    for name, kind in catalogue().items():
+    for name, kind in catalogue(PlanarTurn.part).items():
         if name in NOT_BESIDE or kind.enters is Enters.SAMPLES or kind.within_dwell:
             continue
         if conditions.lacks(kind.needs):
