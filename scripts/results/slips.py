@@ -43,8 +43,8 @@ def section_of(rows: Sequence[Row], still: Sequence[Row]) -> Section:
         "(around, there and back, shuffled) that a hand moves a part through, a fixture of 0.02° to 0.3°,",
         "a drifting temperature, and gyros with gain (1 %), misalignment, g-sensitivity, 1/f drift and",
         "random walk; slips come during a move or after it. *Right*: this name, this position, nothing",
-        f"else accused, the angle within {sessions.WITHIN:g} u. *In the set*: another name stands first that",
-        "predicts the same (of the first or last position), the true one beside it.",
+        f"else accused, the angle within {sessions.WITHIN:g} u. *In the set*: another name stands first",
+        "that predicts the same (of the first or last position), the true one beside it.",
         "",
         *table(
             (
