@@ -260,7 +260,13 @@ def _with_notes(best: FitResult, given: FitResult) -> FitResult:
     if best.method == given.method:
         return given
     notes = given.session_notes
-    return replace(best, warnings=(*notes, *best.warnings), session_notes=notes, session=given.session)
+    return replace(
+        best,
+        warnings=(*notes, *best.warnings),
+        session_notes=notes,
+        session=given.session,
+        position_findings=given.position_findings,
+    )
 
 
 def _of_trace(session: Readings, trace: TraceResult) -> Prediction | None:

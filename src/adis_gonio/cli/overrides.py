@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -16,7 +17,7 @@ from adis_gonio.model.records import ACCEL_UNITS, SENSORS
 
 if TYPE_CHECKING:
     from adis_gonio.model.records import Session
-    from adis_gonio.session.overrides import Overrides
+    from adis_gonio.session.overrides import AngleChange, Overrides
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -80,6 +81,28 @@ def _columns(text: str) -> dict[str, str]:
     return columns
 
 
+_ANGLE = re.compile(r"(\d+)(?:-(\d+))?\s*(\+?=)\s*(\S+)")
+
+
+def _angles(text: str) -> tuple[AngleChange, ...]:
+    """Changes from `position=degrees,…`; `first-last+=degrees` adds to the declared ones."""
+    from adis_gonio.session.overrides import AngleChange
+
+    changes = []
+    for part in text.split(","):
+        found = _ANGLE.fullmatch(part.strip())
+        value = None if found is None else _number(found[4])
+        if found is None or value is None or not math.isfinite(value):
+            raise click.BadParameter(
+                f"'{part.strip()}': write position=degrees, such as 7=210, or 7-12+=1.5 to add to several"
+            )
+        first, last = int(found[1]), int(found[2] or found[1])
+        if last < first:
+            raise click.BadParameter(f"'{part.strip()}': the second position is before the first")
+        changes.append(AngleChange(first, last, value, added=found[3] == "+="))
+    return tuple(changes)
+
+
 def _number(text: str) -> float | None:
     try:
         return float(text)
@@ -96,6 +119,7 @@ def override_options(function: F) -> F:
 
         taken = {name: arguments.pop(name) for name in _NAMES}
         taken["columns"] = taken["columns"] or {}
+        taken["angles"] = taken["angles"] or ()
         return function(overrides=Overrides(**taken), **arguments)
 
     for option in reversed(_OPTIONS):
@@ -114,6 +138,12 @@ _OPTIONS = (
         metavar="DEGREES",
         help="Standard uncertainty of a stage angle was this, degrees; free: angles are unknown.",
     ),
+    click.option(
+        "--angles",
+        type=_angles,
+        metavar="POSITION=DEGREES,…",
+        help="Positions stood at other angles than declared, such as 7=210; 7-12+=1.5 adds to several.",
+    ),
     click.option("--reverse", is_flag=True, help="The stage turned the other way than declared."),
     click.option(
         "--unit", "accel_unit", type=unit, metavar=UNITS, help="Unit of the file's accelerations."
@@ -126,7 +156,7 @@ _OPTIONS = (
         help="A CSV's own names of columns, such as time=t,ax=Acc_X,ay=Acc_Y.",
     ),
 )
-_NAMES = ("gravity_mps2", "fixture_sigma_deg", "reverse", "accel_unit", "sensor", "columns")
+_NAMES = ("gravity_mps2", "fixture_sigma_deg", "angles", "reverse", "accel_unit", "sensor", "columns")
 
 
 def load(path: Path, overrides: Overrides) -> Session:

@@ -24,6 +24,7 @@ from adis_gonio.fitting.likelihood import fit_ml
 from adis_gonio.fitting.result import FitResult
 from adis_gonio.model.provenance import provenance_of
 from adis_gonio.model.records import Floats, Session
+from adis_gonio.slips.of_session import in_context, positions_of
 
 METHODS = ("paper", "two-position", "four-position", "mmpm", "ml")
 """Names of the methods."""
@@ -74,14 +75,15 @@ def fit(session: Session, method: str | None = None) -> FitResult:
     try:
         result = fit_of(readings, method)
     except FitError as error:
-        if not session.source:
-            raise
-        raise type(error)(f"{session.source}: {error}") from error
+        raise type(error)(in_context(session, error)) from error
+    positions = positions_of(session)
+    notes = (*session.notes, *positions.sentences)
     return replace(
         result,
-        warnings=(*session.notes, *result.warnings),
+        warnings=(*notes, *result.warnings),
         session=readings,
-        session_notes=session.notes,
+        session_notes=notes,
+        position_findings=positions.findings,
         overrides=session.facts.get("overrides", {}),
         provenance=provenance_of(session),
     )

@@ -15,6 +15,7 @@ from adis_gonio.estimation.values import Value
 from adis_gonio.model.provenance import Provenance
 from adis_gonio.model.records import Floats
 from adis_gonio.showing import html_table, parameter_frame, with_u
+from adis_gonio.slips.finding import listed
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from adis_gonio.fitting.sources import Sources
     from adis_gonio.fitting.standing import Standing
     from adis_gonio.fitting.uncertainty_budget import BudgetRow
+    from adis_gonio.slips import PositionFinding
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,9 @@ class FitResult:
     session : Readings or None
         All readings of the session, on which methods are compared.
     session_notes : tuple of str
-        What the reader of the file had to tell; the first of `warnings`.
+        What the reader of the file had to tell, and what is wrong with positions; the first of `warnings`.
+    position_findings : tuple of PositionFinding
+        Positions that are not where they were declared (`adis_gonio.slips`).
     """
 
     method: str
@@ -142,6 +146,7 @@ class FitResult:
     origin: Origin | None = field(default=None, repr=False, compare=False)
     session: Readings | None = field(default=None, repr=False, compare=False)
     session_notes: tuple[str, ...] = ()
+    position_findings: tuple[PositionFinding, ...] = ()
 
     def __getitem__(self, name: str) -> Estimate:
         """Estimate by name; `KeyError` where the session does not determine it."""
@@ -300,4 +305,5 @@ class FitResult:
             "reference_temperature_c": self.reference_temperature_c,
             "positions_used": len(self.positions),
             "overrides": dict(self.overrides),
+            **listed(self.position_findings),
         }

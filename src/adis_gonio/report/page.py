@@ -11,7 +11,9 @@ from adis_gonio.model.records import Session
 from adis_gonio.report import sections as make
 from adis_gonio.report import words
 from adis_gonio.report.parts import Section
+from adis_gonio.report.positions import positions
 from adis_gonio.report.render import render
+from adis_gonio.slips import PositionFinding
 from adis_gonio.tracing.outcome.figures import Views
 from adis_gonio.tracing.outcome.result import TraceResult
 
@@ -51,6 +53,7 @@ def build_page(
     given = None if best is None else Answer.of(best, result, own=False)
     body = [make.answer(given)] if given is not None else []
     body += [make.summary(traced, fits, views)]
+    body += positions(result.position_findings if result is not None else _of_fits(fits))
     if given is not None:
         body += [make.budget(given), make.scores(given)]
     body += [make.fitted(fits, failures or {})]
@@ -74,3 +77,7 @@ def build_page(
         sections=body,
         closing="This page is made from the session's file alone and can be made again from it.",
     )
+
+
+def _of_fits(fits: Sequence[FitResult]) -> tuple[PositionFinding, ...]:
+    return next((fit.position_findings for fit in fits if fit.position_findings), ())

@@ -220,6 +220,7 @@ class Dwelling:
         doubted = self._guarding.complete(number)
         ledger.count(place, number)
         self._knowledge.learn(place, recording.position, scans, doubted=doubted)
+        self._note_turn(number)
         mean = vector(scans.accel_mg.mean(axis=0))
         yield DwellDone(place, recording.position, number, len(scans), scans.lost, mean, alarms)
         found = problems(place, scans, status)
@@ -229,6 +230,16 @@ class Dwelling:
         running = self._knowledge.running()
         if running is not None and ledger.done.get(place) == number:
             yield running
+
+    def _note_turn(self, number: int) -> None:
+        """Keep the gyros' integral since the dwell before: samples of the time of a question are not."""
+        judge, done = self._knowledge.judge, self._ledger.done
+        watched = None if judge is None else judge.last_turn()
+        if watched is not None and watched[0] in done:
+            since, turn = watched
+            angle = [float(angle) for angle in turn.angle_deg]
+            kept = {"attempt": number, "since": done[since], "angle_deg": angle, "u_deg": turn.zero_u_deg}
+            self._ledger.note("turned", kept)
 
 
 def why_broken_off(error: BaseException) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,8 @@ from adis_gonio.session.guards import (
     judge_turn,
 )
 from adis_gonio.session.plans import Position
-from adis_gonio.session.turning import Turning
+from adis_gonio.session.three_angles import Stand, diagnosed, with_three_angles
+from adis_gonio.session.turning import Turn, Turning
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,9 @@ class _Taken:
     position: Position
     mean_mg: Floats
     doubted: bool
+    turn: Turn | None = None
+    since: int | None = None
+    """Place of the dwell from which `turn` was watched."""
 
 
 class Judge:
@@ -55,6 +59,7 @@ class Judge:
         self._taken: list[_Taken] = []
         self._longest_gap_s = longest_gap_s
         self.turning = Turning(longest_gap_s)
+        self._turned: tuple[Turn | None, int | None] = (None, None)
         self._rebuild()
 
     def settled(self, position: Position, accel_mg: Floats) -> Guard | None:
@@ -66,19 +71,22 @@ class Judge:
             return level
         if not self._expected.begun:
             return judge_start(accel_mg, position.angle_deg, self.sense)
-        before = self._taken[-1]
+        before, turn = self._taken[-1], self.turning.turn()
+        self._turned = (turn, before.place)
         reversed_off = self._other.off(accel_mg, position.angle_deg) if self._may_be_reversed else None
-        return judge_turn(
+        guard = judge_turn(
             Reading(
                 self._asked_deg(position),
                 position.angle_deg,
                 turned_deg(before.mean_mg, accel_mg, self.sense),
                 self._expected.off(accel_mg, position.angle_deg),
                 reversed_off,
-                self.turning.turn(),
+                turn,
                 self.sense,
             )
         )
+        stands = self._stands(position, accel_mg)
+        return with_three_angles(guard, diagnosed(stands, self._spread, self.sense), stands, self.sense)
 
     def turned(self, place: int, position: Position, accel_mg: Floats) -> TurnMeasured | None:
         """The turn since the dwell before; None before the first."""
@@ -96,9 +104,15 @@ class Judge:
     def done(self, place: int, position: Position, scans: Block, *, doubted: bool) -> None:
         """Learn from a complete dwell; one that was doubted and kept teaches nothing but where it was."""
         mean = np.asarray(scans.accel_mg.mean(axis=0))
-        self._taken.append(_Taken(place, position, mean, doubted))
+        self._taken.append(_Taken(place, position, mean, doubted, *self._turned))
+        self._turned = (None, None)
         self._learn(self._taken[-1])
         self.turning.rest(scans)
+
+    def last_turn(self) -> tuple[int, Turn] | None:
+        """Turn into the newest dwell, and the place from which it was watched; None where nobody did."""
+        last = self._taken[-1] if self._taken else None
+        return None if last is None or last.turn is None or last.since is None else (last.since, last.turn)
 
     def forget_turn(self) -> None:
         """Nobody has watched the part since the last dwell."""
@@ -121,6 +135,17 @@ class Judge:
     def angle_deg(self, accel_mg: Floats) -> float | None:
         """Live angle by gravity as the stage counts, within ±180°; None with free attitudes."""
         return self._expected.angle_deg(accel_mg) if self._planar else None
+
+    def _stands(self, position: Position, accel_mg: Floats) -> list[Stand]:
+        """Where the part stood in all dwells, and stands now."""
+        stands: list[Stand] = []
+        before: _Taken | None = None
+        for taken in self._taken:
+            angle = None if taken.doubted else taken.position.angle_deg
+            watched = taken.turn if before is not None and taken.since == before.place else None
+            stands.append(Stand(angle, taken.mean_mg, watched, taken.position.approach))
+            before = taken
+        return [*stands, Stand(position.angle_deg, accel_mg, self._turned[0], position.approach)]
 
     def _rebuild(self) -> None:
         self._expected = Expectation(self._spread, self.sense)
@@ -158,7 +183,7 @@ def _direction(position: Position) -> Floats | None:
 
 
 def _doubtful(taken: _Taken) -> _Taken:
-    return _Taken(-1, taken.position, taken.mean_mg, doubted=True)
+    return replace(taken, place=-1, doubted=True)
 
 
 __all__ = ["Judge"]

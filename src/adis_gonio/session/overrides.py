@@ -13,6 +13,37 @@ from adis_gonio.model.records import ACCEL_UNITS, SENSORS, AccelUnit, Dwell, Ses
 
 
 @dataclass(frozen=True)
+class AngleChange:
+    """Another declared angle for one position, or for several in a row.
+
+    Attributes
+    ----------
+    first, last : int
+        Numbers of the dwells.
+    degrees : float
+        The angle, or what is added to the declared ones.
+    added : bool
+    """
+
+    first: int
+    last: int
+    degrees: float
+    added: bool = False
+
+    def __str__(self) -> str:
+        where = str(self.first) if self.first == self.last else f"{self.first}-{self.last}"
+        return f"{where}{'+=' if self.added else '='}{self.degrees:g}"
+
+    def angle_deg(self, dwell: Dwell) -> float | None:
+        """Declared angle of a dwell after it."""
+        if not self.first <= dwell.position <= self.last:
+            return dwell.angle_deg
+        if not self.added:
+            return self.degrees
+        return None if dwell.angle_deg is None else dwell.angle_deg + self.degrees
+
+
+@dataclass(frozen=True)
 class Overrides:
     """Corrections to what a session's file states; None, False or empty leaves it as it is.
 
@@ -29,6 +60,9 @@ class Overrides:
     reverse : bool
         The stage turned the other way than declared: angles change their sign, and with them the
         directions from which they were reached.
+    angles : tuple of AngleChange
+        Declared angles that were mistyped or where the part has slipped, as the session has them (before
+        `reverse`).
     accel_unit : str or None
         Unit of the accelerations; goes before a unit in the file's header.
     sensor : str or None
@@ -47,6 +81,7 @@ class Overrides:
     accel_unit: AccelUnit | None = None
     sensor: str | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
+    angles: tuple[AngleChange, ...] = ()
 
     def __post_init__(self) -> None:
         if self.gravity_mps2 is not None and not 0 < self.gravity_mps2 < math.inf:
@@ -66,7 +101,7 @@ class Overrides:
         Raises
         ------
         UsageError
-            An angle is to be reversed where none is declared.
+            An angle is to be reversed where none is declared; a position is changed that is not there.
         """
         changes: dict[str, dict[str, Any]] = {}
         for name in ("gravity_mps2", "fixture_sigma_deg", "accel_unit", "sensor"):
@@ -74,11 +109,18 @@ class Overrides:
             if new is not None and new != old:
                 changes[name] = {"old": old, "new": new}
         settings = {name: change["new"] for name, change in changes.items()}
+        if self.angles:
+            dwells = self._changed_angles(session)
+            old = {str(d.position): d.angle_deg for d in session.dwells}
+            new = {str(d.position): d.angle_deg for d in dwells if d.angle_deg != old[str(d.position)]}
+            if new:
+                changes["angles"] = {"old": {k: old[k] for k in new}, "new": new}
+            settings["dwells"] = dwells
         if self.reverse:
             if all(dwell.angle_deg is None for dwell in session.dwells):
                 raise UsageError(f"{session.source}: no angle is declared, there is nothing to reverse")
             changes["reverse"] = {"old": False, "new": True}
-            settings["dwells"] = tuple(map(_reversed, session.dwells))
+            settings["dwells"] = tuple(map(_reversed, settings.get("dwells", session.dwells)))
         if self.columns:
             changes["columns"] = {"old": {}, "new": dict(self.columns)}
         if not changes:
@@ -90,6 +132,21 @@ class Overrides:
             facts={**session.facts, "overrides": document},
             **settings,
         )
+
+    def _changed_angles(self, session: Session) -> tuple[Dwell, ...]:
+        source = session.source or "session"
+        if session.plane != "xy" or not session.dwells:
+            raise UsageError(f"{source}: has no declared angles of a plane, --angles changes nothing")
+        numbers = {dwell.position for dwell in session.dwells}
+        dwells = session.dwells
+        for change in self.angles:
+            if not any(change.first <= number <= change.last for number in numbers):
+                raise UsageError(
+                    f"{source}: --angles {change}: there is no such position; numbers go from"
+                    f" {min(numbers)} to {max(numbers)}"
+                )
+            dwells = tuple(replace(dwell, angle_deg=change.angle_deg(dwell)) for dwell in dwells)
+        return dwells
 
 
 def _reversed(dwell: Dwell) -> Dwell:
@@ -118,7 +175,13 @@ def _words(name: str, old: Any, new: Any) -> str:
             return f"sensor {new} instead of {old}"
         case "reverse":
             return "the stage turned the other way: declared angles and approaches with the opposite sign"
+        case "angles":
+            return "declared angles: " + ", ".join(_angle_words(k, old[k], new[k]) for k in new)
     return "columns " + ", ".join(f"{mine} = '{theirs}'" for mine, theirs in new.items())
+
+
+def _angle_words(position: str, old: float | None, new: float) -> str:
+    return f"position {position} {new:g}° instead of {'none' if old is None else f'{old:g}°'}"
 
 
 def _degrees(sigma: float | None) -> str:

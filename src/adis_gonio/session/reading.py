@@ -28,6 +28,7 @@ def read_session(path: str | Path) -> Session:
     STATUS and alarms of each), `reversed` (True where the stage's angles were taken with the other sign),
     `doubts` (why the result cannot be right: what was kept against a guard), `remarks` (the operator's),
     `scanning` (how scans were got), `problems`, `advised` (what an advisor asked for, round by round),
+    `turned` (the gyros' integrals between dwells, as the bench had them),
     `offset_writes` (what `adis_gonio.writeback` has written to the sensor since, step by step),
     `complete`, and for simulated sessions alone `truth`, which no fit may use.
 
@@ -63,6 +64,7 @@ def read_session(path: str | Path) -> Session:
             "runs": view.runs(),
             "problems": [record.value for record in view.records("problem")],
             "advised": [record.value for record in view.records("advised")],
+            "turned": [record.value for record in view.records("turned")],
             "reversed": bool(view.last("reversed")),
             "doubts": view.doubts(),
             "remarks": [record.value for record in view.records("remark")],

@@ -30,10 +30,13 @@ class Turn:
         About x, y, z of the part, right-handed about the drawn axes.
     u_deg : float
         Standard uncertainty of each.
+    zero_u_deg : float
+        The part of it that noise and the zero have, without the gain.
     """
 
     angle_deg: Floats
     u_deg: float
+    zero_u_deg: float
 
 
 class Turning:
@@ -92,7 +95,8 @@ class Turning:
             return None
         wander = math.hypot(INSTABILITY_DPS, G_SENSITIVITY_DPS) * self._length_s
         noise = GYRO_NOISE_DPS * math.sqrt(self._period_s * self._length_s)
-        return Turn(self._angle, math.hypot(wander, noise, SCALE_ERROR * self._travel))
+        zero = math.hypot(wander, noise)
+        return Turn(self._angle, math.hypot(zero, SCALE_ERROR * self._travel), zero)
 
 
 def _rates(block: Block) -> Floats | None:

@@ -6,7 +6,7 @@ Session ─ readings ─▶ candidates ─▶ selection ─▶ validation ─▶
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from adis_gonio.budget import attempt, current, spent, within
@@ -18,6 +18,8 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
 from adis_gonio.model.provenance import provenance_of
 from adis_gonio.model.records import Session
+from adis_gonio.slips import Diagnosis
+from adis_gonio.slips.of_session import in_context, positions_of
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.detect import detectable
@@ -33,6 +35,7 @@ from adis_gonio.tracing.outcome.findings import (
 )
 from adis_gonio.tracing.outcome.naming import judge
 from adis_gonio.tracing.outcome.openings import undecided
+from adis_gonio.tracing.outcome.positions import as_the_part_stood, ruled_out, with_positions
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, Measurement, Step, Stopped, TraceResult
 from adis_gonio.tracing.outcome.sets import credible_sets
 from adis_gonio.tracing.outcome.shares import excesses, shares, unnamed_with_share, with_shares
@@ -103,11 +106,13 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
         return _stamped(trace_series(session, max_effects), checked=True)
     from adis_gonio.dwells.second_pass import with_second_pass
 
+    positions = positions_of(session) if own else Diagnosis()
+    session = as_the_part_stood(session, positions)
     data = readings_of_part(session, part)
     try:
-        result = trace_readings(data, max_effects)
+        result = with_positions(trace_readings(data, max_effects, ruled_out(data, positions)), positions)
     except FitError as error:
-        raise FitError(f"{session.source}: {error}" if session.source else str(error)) from error
+        raise FitError(in_context(session, error)) from error
     checked = result.stopped is None or result.stopped.checked
     if own:
         result = attempt(
@@ -122,13 +127,22 @@ def _stamped(result: TraceResult, *, checked: bool) -> TraceResult:
     return replace(result, stopped=Stopped.of(budget, checked=checked)) if budget.left_out else result
 
 
-def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
-    """Trace readings; see `trace`."""
+def trace_readings(
+    data: Readings, max_effects: int = 6, impossible: Collection[tuple[str, int]] = ()
+) -> TraceResult:
+    """Trace readings; see `trace`.
+
+    Parameters
+    ----------
+    impossible : collection of (str, int)
+        Effects of one dwell, by the dwell's order, that something besides the readings rules out.
+    """
     from adis_gonio.advice.words import advise  # next door, and it looks in here
 
     training, checking = data.training, data.checking
     _enough(training)
     named, missing = named_terms(training)
+    named = [term for term in named if (term.name, term.dwell) not in impossible]
     terms: list[Term] = [*named, *nameless_terms(training)]
     measured = training
     selection, scatter = _searched(training, terms, max_effects)

@@ -212,6 +212,7 @@ def _lacks(session: Session, result: FitResult) -> list[str]:
             f"chi2 is {result.chi2:.4g} for {result.dof} degrees of freedom, the model lacks"
             f" {result.extra_mg:.2g} mg a reading"
         )
+    lacks += dict.fromkeys(found.sentence for found in result.position_findings)
     rounds = session.facts.get("advised") or []
     summary = rounds[-1].get("summary") if rounds else None
     if summary and summary.get("tested") and not summary.get("adequate"):

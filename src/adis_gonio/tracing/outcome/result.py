@@ -14,6 +14,7 @@ from adis_gonio.estimation.values import Detectable, Value, finite_or_none
 from adis_gonio.model.effects.environment import REFERENCE_C
 from adis_gonio.model.provenance import Provenance
 from adis_gonio.showing import html_table, lines_of, parameter_frame
+from adis_gonio.slips.finding import PositionFinding, listed
 from adis_gonio.tracing.outcome.sets import CredibleSet
 
 if TYPE_CHECKING:
@@ -325,6 +326,8 @@ class TraceResult:
         Where the readings come from; None where no session was given.
     overrides : mapping
         What was stated otherwise than in the session's file, old and new (`session.overrides`).
+    position_findings : tuple of PositionFinding
+        Positions that are not where they were declared (`adis_gonio.slips`).
     """
 
     adequate: bool
@@ -349,6 +352,7 @@ class TraceResult:
     stopped: Stopped | None = None
     provenance: Provenance | None = field(default=None, repr=False, compare=False)
     overrides: dict[str, Any] = field(default_factory=dict)
+    position_findings: tuple[PositionFinding, ...] = ()
 
     def __repr__(self) -> str:
         found = ", ".join(finding.effect for finding in self.found) or "no effect"
@@ -448,6 +452,7 @@ class TraceResult:
             "reference_temperature_c": self.reference_temperature_c,
             "stopped": None if self.stopped is None else self.stopped.as_dict(),
             "overrides": dict(self.overrides),
+            **listed(self.position_findings),
         }
 
 

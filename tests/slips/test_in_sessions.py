@@ -1,0 +1,185 @@
+"""The same of recorded sessions: by fit, trace, report and command line, corrected by `--angles`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adis_gonio import load_session
+from adis_gonio.cli import main
+from adis_gonio.errors import FitError, UsageError
+from adis_gonio.fitting import fit
+from adis_gonio.session.overrides import AngleChange, Overrides
+from adis_gonio.slips.of_session import angles_of, positions_of
+from fakes import planar_session as planar
+from session.hand_bench import by_hand, hand_sensor
+from slip_statistics import session_of
+from tracing.test_trace_sceptic import written
+
+AROUND = np.arange(12) * 30.0
+
+
+@pytest.fixture(scope="module")
+def mistyped():
+    """A session by hand with gyros, one entry wrong, and the truth."""
+    return session_of(21, "mistyped")
+
+
+def test_the_gyro_between_the_dwells_of_a_recording_is_its_true_turn():
+    session, _ = session_of(5, None)
+    angles = angles_of(session)
+    declared = np.diff(np.degrees(angles.declared_rad))
+    turned = np.degrees(angles.turns.angle_rad)
+    assert np.isfinite(turned).all()
+    left = (turned - declared + 180) % 360 - 180
+    # The gain of 1 % and the fixture twice are what is between them.
+    allowed = 4 * np.hypot(
+        0.01 * turned, np.hypot(np.degrees(angles.turns.u_rad), 1.5 * session.fixture_sigma_deg)
+    )
+    assert (np.abs(left) < allowed + 0.1).all()
+
+
+def test_a_session_without_turns_is_judged_by_gravity_alone(mistyped):
+    session, truth = mistyped
+    still = replace(session, recording=None)
+    assert angles_of(still).turns is None
+    (one,) = positions_of(still).findings
+    assert (one.position, one.gyro_deg) == (truth.positions[0], None)
+
+
+def test_a_failed_fit_says_which_position_is_wrong_and_the_override_mends_it(mistyped):
+    session, truth = mistyped
+    with pytest.raises(FitError, match=rf"position {truth.positions[0]}: declared .* mistyped"):
+        fit(session)
+    (one,) = positions_of(session).findings
+    (k,) = truth.positions
+    change = AngleChange(k, k, one.meant_deg)
+    mended = fit(Overrides(angles=(change,)).apply(session))
+    assert "positions" not in mended.as_dict()
+    old = session.dwells[k].angle_deg
+    assert mended.overrides["angles"] == {"old": {str(k): old}, "new": {str(k): one.meant_deg}}
+
+
+def test_a_session_file_has_its_gyros_as_witnesses(tmp_path):
+    path = tmp_path / "bench.session"
+    with hand_sensor() as sensor:
+        by_hand(sensor, path)
+    session = load_session(path)
+    angles = angles_of(session)
+    assert np.isfinite(angles.turns.angle_rad).all()
+    assert not positions_of(session).findings
+    wrong = load_session(path, Overrides(angles=(AngleChange(2, 2, 108.0),)))
+    (one,) = positions_of(wrong).findings
+    assert (one.finding, one.position, one.meant_deg) == ("mistyped", 2, 180.0)
+    assert abs(one.gyro_deg[0] - 180.0) < 4 * one.gyro_deg[1]
+
+
+@pytest.fixture
+def file(tmp_path):
+    """A file without gyros in which one angle is mistyped."""
+    declared = AROUND.copy()
+    declared[7] = 120.0
+    return written(tmp_path / "typed.csv", declared, AROUND)
+
+
+def run(capsys, *arguments):
+    status = main([*map(str, arguments)])
+    return status, *capsys.readouterr()
+
+
+def test_fit_names_it_and_with_the_advice_taken_says_nothing_more(capsys, file):
+    status, out, _ = run(capsys, "fit", file, "--json")
+    assert status == 0
+    document = json.loads(out)
+    (entry,) = document["positions"]
+    assert (entry["position"], entry["finding"], entry["angles"]) == (7, "mistyped", "7=210")
+    assert entry["sentence"] in document["warnings"]
+    status, out, _ = run(capsys, "fit", file, "--json", "--angles", entry["angles"])
+    document = json.loads(out)
+    assert "positions" not in document
+    assert document["overrides"] == {"angles": {"old": {"7": 120.0}, "new": {"7": 210.0}}}
+    status, out, _ = run(capsys, "fit", file)
+    assert " ".join(entry["sentence"].split()) in " ".join(out.split())
+
+
+def test_a_trace_tells_the_same_story(capsys, file):
+    """Its `position_slip` is of that dwell and size, and its first advice is the correction."""
+    status, out, _ = run(capsys, "trace", file, "--json")
+    assert status == 0
+    document = json.loads(out)
+    (entry,) = document["positions"]
+    (slip,) = [one for one in document["found"] if one["effect"] == "position_slip"]
+    assert slip["parameters"]["dwell"]["value"] == entry["position"] == 7
+    # ψ = α − θ: what stands further on by e has a slip of −e.
+    assert slip["parameters"]["slip"]["value"] == pytest.approx(-entry["error_deg"], abs=0.1)
+    assert "--angles 7=210" in document["next"][0]
+    assert not any("repeat position 7" in text for text in document["next"])
+
+
+def test_a_slip_that_lasts_is_traced_as_the_part_stood(tmp_path, capsys):
+    stood = AROUND + np.where(np.arange(12) >= 5, 8.0, 0.0)
+    file = written(tmp_path / "slipped.csv", AROUND, stood)
+    status, out, _ = run(capsys, "trace", file, "--json")
+    assert status == 0
+    document = json.loads(out)
+    assert [one["finding"] for one in document["positions"]] == ["slipped"]
+    assert document["adequate"]
+    assert {one["effect"] for one in document["found"]} == {"bias"}
+    assert any("traced as the part stood" in note for note in document["notes"])
+
+
+def test_a_good_file_says_nothing_of_positions(tmp_path, capsys):
+    file = written(tmp_path / "good.csv", AROUND)
+    status, out, _ = run(capsys, "fit", file, "--json")
+    assert status == 0
+    assert "positions" not in json.loads(out)
+
+
+def test_the_report_shows_the_three_angles(file):
+    from adis_gonio.report.page import build_page
+
+    session = load_session(file)
+    page = build_page(session, [fit(session)], "not traced here")
+    assert "Positions that are not right" in page
+    assert "210.0" in page
+    good = fit(load_session(file, Overrides(angles=(AngleChange(7, 7, 210.0),))))
+    assert "Positions that are not right" not in build_page(session, [good], "not traced here")
+
+
+# -- the override ----------------------------------------------------------------------------------------
+
+
+def test_angles_are_set_and_added_to_before_a_session_is_reversed(tmp_path):
+    path = tmp_path / "s.csv"
+    path.write_text(planar.text(planar.rows(), "accel_unit: mg", "sensor: generic"), encoding="utf-8")
+    plain = load_session(path)
+    changes = (AngleChange(1, 1, 100.0), AngleChange(1, 2, 0.5, added=True))
+    session = load_session(path, Overrides(angles=changes, reverse=True))
+    before = [dwell.angle_deg for dwell in plain.dwells]
+    after = [dwell.angle_deg for dwell in session.dwells]
+    assert after[1:3] == [-100.5, -(before[2] + 0.5)]
+    assert set(session.facts["overrides"]) == {"angles", "reverse"}
+    assert any("position 1 100.5° instead of" in note for note in session.notes)
+
+
+def test_a_position_that_is_not_there_is_refused(file):
+    with pytest.raises(
+        UsageError, match=r"--angles 44=1: there is no such position; numbers go from 0 to 11"
+    ):
+        load_session(file, Overrides(angles=(AngleChange(44, 44, 1.0),)))
+
+
+@pytest.mark.parametrize("text", ["7", "7=x", "=3", "9-7=3", "7=inf", "a=3", "7==3"])
+def test_what_is_no_correction_is_refused_in_one_line(capsys, file, text):
+    status, _, err = run(capsys, "fit", file, "--angles", text)
+    assert status == 2
+    assert "Traceback" not in err
+
+
+def test_a_range_is_added_to_from_the_command_line(capsys, file):
+    status, out, _ = run(capsys, "fit", file, "--json", "--angles", "7=210, 8-9+=-0.25")
+    assert status == 0
+    assert json.loads(out)["overrides"]["angles"]["new"] == {"7": 210.0, "8": 239.75, "9": 269.75}
