@@ -34,6 +34,9 @@ _QUANTIZATION_LEVEL = 1e-3
 """Chance of a false claim of quantization: it takes most of its certainty from white noise."""
 _ODD = 0.01
 """Adequacy below which a narrower band is tried."""
+_BANDS = ((0.04, 0.3), (0.3, 1.0))
+"""Parts of the band in which records are compared: above their slow noise."""
+_LOUDER = 1.1
 _TRIAL = 1 << 16
 """Samples by which a filter that nobody stated is told."""
 
@@ -178,16 +181,17 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
     flat = [_flat(column) for column in columns]
     rounding, coarse = _rounding(flat, step, m)
     highest = _highest(m)
-    lines: list[Line] = []
+    lines: list[list[Line]] = []
     parts = []
     for record in flat:
         clean, own, masked = without_lines(record, period_s, highest)
-        lines += own
+        lines.append(own)
         parts.append(ordinates(_flat(clean) if own else record, m, period_s, rounding, masked))
-    fitted = _widest(together(parts), highest)
+    quiet = _quiet(parts, highest)
+    fitted = _widest(together([parts[k] for k in quiet]), highest)
     profiles = _profiles(fitted)
     slow = _slow(fitted)
-    ramp = _ramp(fitted, slopes, period_s, rests.unit)
+    ramp = _ramp(fitted, [slopes[k] for k in quiet], period_s, rests.unit)
     found = AxisNoise(
         axis="xyz"[axis],
         parameters=parameters(rests.part, rests.unit, profiles),
@@ -195,12 +199,42 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
         slow_p_value=slow,
         adequacy=fitted.adequacy,
         band_hz=(1 / (2 * rests.longest_s), fitted.band / period_s),
-        lines=_joined(lines),
+        lines=_joined([line for k in quiet for line in lines[k]]),
         step=step,
-        curve=curve(columns, fitted.theta, m, period_s, rounding),
+        curve=curve([columns[k] for k in quiet], fitted.theta, m, period_s, rounding),
         notes=(),
     )
-    return _noted(found, fitted.band < highest, coarse)
+    notes = notes_of(
+        found,
+        narrowed=fitted.band < highest,
+        coarse=coarse,
+        loud=[rests.positions[k] for k in range(len(parts)) if k not in quiet],
+    )
+    return replace(found, notes=tuple(notes))
+
+
+def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
+    """Records as quiet as the quietest: a hand or a shaken table makes others louder.
+
+    From the quietest on, each that is not louder than those before it together, in either of two bands.
+    """
+    bands = [(low * highest, high * highest) for low, high in _BANDS]
+    level = np.empty((len(parts), len(bands)))
+    weight = np.empty_like(level)
+    for row, part in enumerate(parts):
+        for column, (low, high) in enumerate(bands):
+            inside = (part.frequency > low) & (part.frequency <= high)
+            weight[row, column] = max(float(part.weight[inside].sum()), 1e-9)
+            level[row, column] = part.weight[inside] @ part.power[inside] / weight[row, column]
+    order = np.argsort(level.prod(axis=1), kind="stable")
+    kept = [int(order[0])]
+    for k in order[1:].tolist():
+        pool = weight[kept].sum(axis=0)
+        usual = (weight[kept] * level[kept]).sum(axis=0) / pool
+        limit = _LOUDER + 4 * np.sqrt(2 / weight[k] + 2 / pool)
+        if (level[k] <= limit * usual).all():
+            kept.append(k)
+    return sorted(kept)
 
 
 def _profiles(fitted: _Fitted) -> dict[Kind, Profile]:
@@ -237,7 +271,3 @@ def _joined(lines: list[Line]) -> tuple[Line, ...]:
         if all(abs(line.frequency_hz / other.frequency_hz - 1) > 0.01 for other in kept):
             kept.append(line)
     return tuple(sorted(kept, key=lambda one: one.frequency_hz))
-
-
-def _noted(found: AxisNoise, narrowed: bool, coarse: bool) -> AxisNoise:
-    return replace(found, notes=tuple(notes_of(found, narrowed=narrowed, coarse=coarse)))

@@ -169,12 +169,13 @@ class Likelihood:
         starts.append(self.scale / 4)
         return min((self.maximum(start) for start in starts), key=lambda found: found[1])
 
-    def u_squared(self, theta: Floats) -> Floats:
-        """Standard uncertainties (4,) of θ."""
+    def u_squared(self, theta: Floats, index: int) -> float:
+        """Standard uncertainty of θ[index] by the Fisher information, beside what is not zero."""
         _, information = self.slope_and_information(theta)
-        scale = np.where(self._has, self.scale, 0.0)
+        with_it = (theta > 0) | (np.arange(len(theta)) == index)
+        scale = np.where(with_it, self.scale, 0.0)
         inverse = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-13)
-        return np.asarray(scale * np.sqrt(np.maximum(np.diagonal(inverse), 0.0)), np.float64)
+        return float(scale[index] * math.sqrt(max(inverse[index, index], 0.0)))
 
     def slopes(self, theta: Floats) -> list[tuple[float, float]]:
         """Slope of each record's line a sample, and its standard uncertainty."""
@@ -214,7 +215,7 @@ def profile(
     absent, deviance = likelihood.maximum(theta.copy(), {index: 0.0})
     ratio = max(deviance - least, 0.0)
     p_value = 0.5 * float(stats.chi2.sf(ratio, 1)) if theta[index] > 0 else 1.0
-    u_squared = float(likelihood.u_squared(theta)[index])
+    u_squared = likelihood.u_squared(theta, index)
     sigma = math.sqrt(theta[index])
     u = u_squared / (2 * sigma) if sigma > 0 else math.nan
     dof = max(sigma**2 / (2 * u**2), 1.0) if sigma > 0 else 1.0
@@ -261,9 +262,9 @@ def _root_below(beyond: Callable[[float], float], top: float) -> float:
 def _detectable(likelihood: Likelihood, absent: Floats, index: int) -> float:
     """Coefficient that would be claimed in nine of ten such records."""
     at = absent.copy()
-    without = float(likelihood.u_squared(at)[index])
+    without = likelihood.u_squared(at, index)
     size = (NORMAL_95 + _POWER_90) * without
     for _ in range(8):
         at[index] = size
-        size = NORMAL_95 * without + _POWER_90 * float(likelihood.u_squared(at)[index])
+        size = NORMAL_95 * without + _POWER_90 * likelihood.u_squared(at, index)
     return math.sqrt(size)

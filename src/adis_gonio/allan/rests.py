@@ -23,6 +23,8 @@ LEAST = 128
 _GAP = 2.5
 """Sample periods between two samples that end a record."""
 _MANY_LOST = 1e-3
+_SHORT = 4
+"""Part of the longest record below which another takes no part."""
 _FAST = 100_000
 """Samples from which a record is cut to a length that transforms quickly (less than 2 % is lost)."""
 
@@ -106,8 +108,8 @@ def rests_of(session: Session, part: Part) -> Rests:
                 positions.append(dwell.position)
     _refuse_short(records, [series for _, series in held], period_s, where)
     _refuse_stuck(records, where)
+    records, positions, notes = _long(records, positions)
     step = scale * steps_of(records)
-    notes = []
     samples = sum(len(record) for record in records)
     if lost > _MANY_LOST * samples:
         notes.append(f"{counted(lost, 'sample')} of {samples} are missing: high frequencies are less sure")
@@ -162,6 +164,15 @@ def _pieces(time_s: Floats, period_s: float) -> list[slice]:
 
 def _lost(time_s: Floats, period_s: float) -> int:
     return max(0, round(float(time_s[-1] - time_s[0]) / period_s) + 1 - len(time_s))
+
+
+def _long(records: list[Floats], positions: list[int]) -> tuple[list[Floats], list[int], list[str]]:
+    """Without the records that are short against the longest: they say nothing of slow noise."""
+    least = max(len(record) for record in records) / _SHORT
+    kept = [k for k, record in enumerate(records) if len(record) >= least]
+    left = len(records) - len(kept)
+    notes = [f"{counted(left, 'rest')} shorter than a quarter of the longest left out"] if left else []
+    return [records[k] for k in kept], [positions[k] for k in kept], notes
 
 
 def _quick(rows: slice) -> slice:

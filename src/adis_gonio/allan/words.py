@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Sequence
 
 from adis_gonio.allan.result import AllanResult, AxisNoise, NoiseParameter
@@ -12,7 +13,7 @@ PARTS = {"gyro": "gyros", "accelerometer": "accelerometers"}
 _ODD = 0.01
 _FEW_DOF = 3.0
 HEAD = ("", "value", "u", "95 % interval", "ν", "unit")
-_WIDTHS = (21, 10, 10, 20, 7)
+_WIDTHS = (26, 9, 9, 18, 7)
 _MANY_DOF = 9999
 
 
@@ -26,8 +27,11 @@ def name_shown(parameter: NoiseParameter) -> str:
     return parameter.name.replace("_", " ")
 
 
-def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool) -> Iterator[str]:
-    """What a reader of an axis has to know."""
+def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[int]) -> Iterator[str]:
+    """What a reader of an axis has to know; `loud` are the positions of records that were left out."""
+    if loud:
+        which = ", ".join(map(str, loud[:8])) + (", …" if len(loud) > 8 else "")
+        yield f"{counted(len(loud), 'record')} left out, louder than the quietest (positions {which})"
     if coarse:
         yield (
             f"the noise is below half a step of the converter ({number(axis.step)}): what is seen is its"
@@ -61,7 +65,10 @@ def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool) -> Iterator[str]:
 def missing(parameter: NoiseParameter) -> str:
     """What stands for a value that is not there: the limit, and what the records would have shown."""
     found = parameter.profile
-    return f"not present: at most {number(found.high)} (95 %); {number(found.detectable)} would have shown"
+    limit = f"not present: at most {number(found.high)} (95 %)"
+    if parameter.kind == "white":
+        return limit
+    return f"{limit}; {number(found.detectable)} would have shown"
 
 
 def cells(parameter: NoiseParameter) -> Sequence[tuple[str, ...]]:
@@ -97,10 +104,9 @@ def headline(result: AllanResult) -> str:
 def table_lines(result: AllanResult) -> Iterator[str]:
     """The result as lines of at most 80 columns."""
     name = result.title or result.source or "session"
-    yield f"Noise at rest of the {PARTS[result.part]} of {name} ({result.sensor})"
-    yield f"  {headline(result)}"
-    for note in result.notes:
-        yield f"  {note}"
+    yield from _folded(f"Noise at rest of the {PARTS[result.part]} of {name} ({result.sensor})", "")
+    for text in (headline(result), *result.notes):
+        yield from _folded(text)
     for axis in result.axes:
         yield ""
         yield _row((axis.axis.upper(), *HEAD[1:]))
@@ -118,10 +124,8 @@ def table_lines(result: AllanResult) -> Iterator[str]:
 def _row(texts: tuple[str, ...]) -> str:
     name, *numbers, unit = texts
     shown = [f"{text:>{width}}" for text, width in zip(numbers, _WIDTHS[1:], strict=True)]
-    return f"{name:<{_WIDTHS[0]}}{''.join(shown)}  {unit}".rstrip()
+    return f"{name:<{_WIDTHS[0]}}{''.join(shown)} {unit}".rstrip()
 
 
-def _folded(text: str, width: int = 80) -> list[str]:
-    import textwrap
-
-    return textwrap.wrap(text, width, initial_indent="  ", subsequent_indent="    ")
+def _folded(text: str, indent: str = "  ") -> list[str]:
+    return textwrap.wrap(text, 80, initial_indent=indent, subsequent_indent=indent + "  ")
