@@ -1,4 +1,4 @@
 """Sections of docs/results/: `python scripts/results` makes the pages."""
 
-SECTIONS: tuple[str, ...] = ("paper", "angle", "plan", "free_turn", "population", "fleet", "bench")
+SECTIONS: tuple[str, ...] = ("paper", "angle", "plan", "free_turn", "population", "fleet", "allan", "bench")
 """Modules beside this one, each with `run(effort) -> Section`, in the order of the index."""

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from adis_gonio.allan.deviation import curve
-from adis_gonio.allan.likelihood import Likelihood, Profile, profile
+from adis_gonio.allan.likelihood import LEVEL, Likelihood, Profile, profile
 from adis_gonio.allan.lines import Line, without_lines
 from adis_gonio.allan.ordinates import Ordinates, ordinates, together
 from adis_gonio.allan.processes import KINDS, Kind
@@ -22,7 +22,7 @@ from adis_gonio.errors import UsageError
 from adis_gonio.estimation.intervals import NORMAL_95
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.records import Floats, Session
-from adis_gonio.sensor.bartlett import response, rounding_covariance, white_gain
+from adis_gonio.sensor.bartlett import bartlett, response, rounding_covariance, white_gain
 from adis_gonio.sensor.variants import VARIANTS
 
 MOST_M = 6
@@ -30,8 +30,6 @@ _PASSED = 0.01
 """Least |H|² of the chip's filter that is fitted: beyond it rounding and the ends of a record show."""
 _FINE = 0.5
 """Noise in steps of the converter from which rounding adds to it and no more."""
-_QUANTIZATION_LEVEL = 1e-3
-"""Chance of a false claim of quantization: it takes most of its certainty from white noise."""
 _ODD = 0.01
 """Adequacy below which a narrower band is tried."""
 _BANDS = ((0.04, 0.3), (0.3, 1.0))
@@ -44,8 +42,8 @@ _TRIAL = 1 << 16
 def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = None) -> AllanResult:
     """Noise of a part at rest by restricted maximum likelihood, beside its Allan deviation.
 
-    Quantization, white noise (angle or velocity random walk), flicker (bias instability) and rate random
-    walk of IEEE Std 952-1997, Annex C, each with a profile-likelihood interval, or with a limit where the
+    White noise (angle or velocity random walk), flicker (bias instability), rate random walk, and where no
+    filter is known or set quantization, of IEEE Std 952-1997, Annex C, each with a profile-likelihood interval, or with a limit where the
     data do not refuse that it is absent.
 
     Parameters
@@ -83,6 +81,7 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
         title=session.title,
         sensor=session.sensor,
         source=session.source,
+        simulated=bool(session.facts.get("simulated")),
         period_s=rests.period_s,
         filter_m=m,
         filter_known=stated is not None,
@@ -108,10 +107,16 @@ def _flat(record: Floats) -> Floats:
 
 def _rounding(flat: Sequence[Floats], step: float, m: int) -> tuple[Floats, bool]:
     """Autocovariance of the rounding, and whether the converter is too coarse for one."""
-    spread = math.sqrt(float(np.median([np.mean(record**2) for record in flat])))
-    if step <= 0 or spread < _FINE * step:
+    # What changes within the filter's window is white noise: slow noise does not count.
+    lag = 1 << m
+    weights = bartlett(m)
+    shape = np.correlate(weights, weights, "full")[len(weights) - 1 :]
+    kept = float(shape[0] - (shape[lag] if lag < len(shape) else 0.0))
+    change = float(np.median([np.mean((record[lag:] - record[:-lag]) ** 2) / 2 for record in flat]))
+    sigma = math.sqrt(max(change - step**2 / 12, 0.0) / kept)
+    if step <= 0 or sigma * white_gain(m) < _FINE * step:
         return np.zeros(1), step > 0
-    return step**2 * rounding_covariance(m, spread / step / white_gain(m)), False
+    return step**2 * rounding_covariance(m, sigma / step), False
 
 
 def _highest(m: int) -> float:
@@ -145,28 +150,27 @@ class _Fitted:
     likelihood: Likelihood
     theta: Floats
     deviance: float
-    quantization: Profile
     adequacy: float
     band: float
 
 
-def _fitted(data: Ordinates, band: float) -> _Fitted:
-    """Maximum with quantization where it shows, without it elsewhere."""
-    whole = Likelihood(data)
-    theta, deviance = whole.best()
-    first = profile(whole, theta, deviance, 0, level=_QUANTIZATION_LEVEL)
-    if not first.present:
-        whole = Likelihood(data, (0,))
-        theta, deviance = whole.best()
-    return _Fitted(whole, theta, deviance, first, whole.adequacy(theta), band)
+def _fitted(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
+    likelihood = Likelihood(data, [k for k, kind in enumerate(KINDS) if kind not in kinds])
+    theta, deviance = likelihood.best()
+    return _Fitted(likelihood, theta, deviance, likelihood.adequacy(theta), band)
 
 
-def _widest(data: Ordinates, band: float) -> _Fitted:
+def _kinds(m: int) -> Sequence[Kind]:
+    """Processes that a record may have: behind the chip's filter no angle is counted any more."""
+    return KINDS if m == 0 else KINDS[1:]
+
+
+def _widest(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
     """Fit in the widest band, halved from the whole one, that the noises explain; the best one of none."""
     tried = []
     while True:
         inside = data.below(band)
-        tried.append(_fitted(inside, band))
+        tried.append(_fitted(inside, band, kinds))
         if tried[-1].adequacy >= _ODD:
             return tried[-1]
         band /= 2
@@ -188,8 +192,8 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
         lines.append(own)
         parts.append(ordinates(_flat(clean) if own else record, m, period_s, rounding, masked))
     quiet = _quiet(parts, highest)
-    fitted = _widest(together([parts[k] for k in quiet]), highest)
-    profiles = _profiles(fitted)
+    fitted = _widest(together([parts[k] for k in quiet]), highest, _kinds(m))
+    profiles = _profiles(fitted, _kinds(m))
     slow = _slow(fitted)
     ramp = _ramp(fitted, [slopes[k] for k in quiet], period_s, rests.unit)
     found = AxisNoise(
@@ -201,7 +205,7 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
         band_hz=(1 / (2 * rests.longest_s), fitted.band / period_s),
         lines=_joined([line for k in quiet for line in lines[k]]),
         step=step,
-        curve=curve([columns[k] for k in quiet], fitted.theta, m, period_s, rounding),
+        curve=curve([columns[k] for k in quiet], _drawn(fitted, profiles), m, period_s, rounding),
         notes=(),
     )
     notes = notes_of(
@@ -237,11 +241,20 @@ def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
     return sorted(kept)
 
 
-def _profiles(fitted: _Fitted) -> dict[Kind, Profile]:
-    found: dict[Kind, Profile] = {"quantization": fitted.quantization}
-    for index, kind in enumerate(KINDS[1:], 1):
-        found[kind] = profile(fitted.likelihood, fitted.theta, fitted.deviance, index)
-    return found
+def _profiles(fitted: _Fitted, kinds: Sequence[Kind]) -> dict[Kind, Profile]:
+    return {
+        kind: profile(fitted.likelihood, fitted.theta, fitted.deviance, KINDS.index(kind)) for kind in kinds
+    }
+
+
+def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
+    """Squared coefficients of the curve: without what is not present, unless the data need one of both."""
+    lacking = [kind for kind, found in profiles.items() if not found.present and kind != "white"]
+    absent = {KINDS.index(kind): 0.0 for kind in lacking}
+    if {2, 3} <= absent.keys() and _slow(fitted) < LEVEL:
+        absent.pop(2)
+        absent.pop(3)
+    return fitted.likelihood.maximum(fitted.theta.copy(), absent)[0]
 
 
 def _slow(fitted: _Fitted) -> float:

@@ -42,8 +42,6 @@ class Profile:
         That it is absent.
     detectable : float
         Coefficient that this record would have shown with 90 % power.
-    level : float
-        Chance of a false claim at which it counts as present.
     """
 
     value: float
@@ -52,12 +50,11 @@ class Profile:
     high: float
     p_value: float
     detectable: float
-    level: float = LEVEL
 
     @property
     def present(self) -> bool:
         """The data refuse that it is absent."""
-        return self.p_value < self.level
+        return self.p_value < LEVEL
 
     @property
     def dof(self) -> float:
@@ -208,9 +205,7 @@ class Likelihood:
         return float(stats.chi2.sf(distance, dof)) if dof > 0 else 1.0
 
 
-def profile(
-    likelihood: Likelihood, theta: Floats, least: float, index: int, level: float = LEVEL
-) -> Profile:
+def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> Profile:
     """What the likelihood says of one coefficient at its maximum `theta` of deviance `least`."""
     absent, deviance = likelihood.maximum(theta.copy(), {index: 0.0})
     ratio = max(deviance - least, 0.0)
@@ -229,7 +224,7 @@ def profile(
     top = theta[index] + NORMAL_95 * max(u_squared, 1e-12 * likelihood.scale[index])
     high = _root_above(beyond, max(theta[index], 0.0), top)
     low = 0.0
-    if p_value < level:
+    if p_value < LEVEL:
         low = _root_below(beyond, float(theta[index]))
     return Profile(
         value=sigma,
@@ -238,7 +233,6 @@ def profile(
         high=math.sqrt(high),
         p_value=p_value,
         detectable=_detectable(likelihood, absent, index),
-        level=level,
     )
 
 

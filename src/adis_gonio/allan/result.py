@@ -119,6 +119,7 @@ def parameters(part: str, unit: str, profiles: dict[Kind, Profile]) -> tuple[Noi
             kind, _NAMES[part][kind], _UNITS[unit][kind], profiles[kind], _ALSO.get((unit, kind))
         )
         for kind in KINDS
+        if kind in profiles
     )
 
 
@@ -131,7 +132,7 @@ class AxisNoise:
     axis : str
         `x`, `y` or `z`.
     parameters : tuple of NoiseParameter
-        In the order of `processes.KINDS`.
+        In the order of `processes.KINDS`; without quantization behind the chip's filter.
     ramp : Value
         Slope of the records' lines, weighted mean, per second: a drift that is no noise.
     slow_p_value : float
@@ -201,6 +202,8 @@ class AllanResult:
         `dps`, `mg` or `counts`.
     title, sensor, source : str
         Of the session.
+    simulated : bool
+        The file says that nothing was measured.
     period_s : float
         Time between samples.
     filter_m : int
@@ -220,6 +223,7 @@ class AllanResult:
     title: str
     sensor: str
     source: str
+    simulated: bool
     period_s: float
     filter_m: int
     filter_known: bool

@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Sequence
 
+from adis_gonio.allan.likelihood import LEVEL
 from adis_gonio.allan.result import AllanResult, AxisNoise, NoiseParameter
 from adis_gonio.counting import counted
 from adis_gonio.report.numbers import number
@@ -47,7 +48,7 @@ def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[in
             " taken off: a vibration, or its alias"
         )
     flicker, walk = axis["flicker"], axis["walk"]
-    if not flicker.present and not walk.present and axis.slow_p_value < flicker.profile.level:
+    if not flicker.present and not walk.present and axis.slow_p_value < LEVEL:
         yield (
             "there is slow noise, and the records are too short to tell bias instability from random walk:"
             " let it lie still for four times as long"

@@ -24,7 +24,7 @@ def allan_page(result: AllanResult) -> str:
         "Noise at rest",
         f"{said.PARTS[result.part]} of {name}",
         shape=result.sensor,
-        simulated=False,
+        simulated=result.simulated,
         begun="",
         software=f"adis-gonio {__version__}",
         sections=[head, *(_section(result, axis) for axis in result.axes)],
