@@ -8,7 +8,7 @@ from typing import Any
 import allan_statistics as allan
 from results.section import Effort, Section, table
 
-SESSIONS = 80
+SESSIONS = 40
 _NAMES = {
     "quantization": "quantization",
     "white": "random walk N",
@@ -26,7 +26,7 @@ def run(effort: Effort) -> Section:
 def section_of(cases: Mapping[str, Mapping[str, Any]]) -> Section:
     """The page of a summary."""
     markdown = f"""
-Simulated records at rest, three axes each, {allan.LSB_DPS}° a second to the converter's step, 100 samples a
+Simulated records at rest, three axes each, {allan.LSB_DPS} °/s to the converter's step, 100 samples a
 second (the simulator's: 819.2); truth, generator and sizes stand in `scripts/allan_statistics.py`. The noise
 is written there from IEEE Std 952-1997, Annex C, in one case by the package's own simulator.
 
@@ -49,8 +49,8 @@ Claims of noise that the record does not have; each is made at a level of 2.5 %.
 
 Median error and rms error, relative to the truth, of what was claimed; beside it N, floor and K read off
 allantools' overlapping Allan deviation where its slope is nearest to −½, 0 and +½, as is usual. Such a
-reading always gives a bias instability, present or not, and behind a filter it takes the filter's own slopes
-for noise.
+reading always gives a bias instability, present or not, and behind a filter it takes the filter's own
+slopes for noise.
 
 {_lines(_peers(cases))}
 

@@ -43,8 +43,8 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
     """Noise of a part at rest by restricted maximum likelihood, beside its Allan deviation.
 
     White noise (angle or velocity random walk), flicker (bias instability), rate random walk, and where no
-    filter is known or set quantization, of IEEE Std 952-1997, Annex C, each with a profile-likelihood interval, or with a limit where the
-    data do not refuse that it is absent.
+    filter is known or set quantization, of IEEE Std 952-1997, Annex C: each with a profile-likelihood
+    interval, or with a limit where the data do not refuse that it is absent.
 
     Parameters
     ----------

@@ -22,6 +22,7 @@ LEAST = 128
 """Samples of a record that says something of its noise."""
 _GAP = 2.5
 """Sample periods between two samples that end a record."""
+_EVEN = 1.5
 _MANY_LOST = 1e-3
 _SHORT = 4
 """Part of the longest record below which another takes no part."""
@@ -151,8 +152,8 @@ def _period(dwells: list[Dwell], where: str) -> float:
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     if not usual > 0:
         raise DataError(f"{where}: the times of the samples stand still; without them there is no rate")
-    even = steps[steps < _GAP * usual]
-    return float(even.mean()) if even.size else usual
+    # Beyond it a sample is missing; coarse times that stand still count.
+    return float(steps[steps < _EVEN * usual].mean())
 
 
 def _pieces(time_s: Floats, period_s: float) -> list[slice]:
