@@ -27,8 +27,8 @@ def section_of(cases: Mapping[str, Mapping[str, Any]]) -> Section:
     """The page of a summary."""
     markdown = f"""
 Simulated records at rest, three axes each, {allan.LSB_DPS} °/s to the converter's step, 100 samples a
-second (the simulator's: 819.2); truth, generator and sizes stand in `scripts/allan_statistics.py`. The noise
-is written there from IEEE Std 952-1997, Annex C, in one case by the package's own simulator.
+second (the simulator's: 819.2); truth, generator and sizes stand in `scripts/allan_statistics.py`.
+The noise is written there from IEEE Std 952-1997, Annex C, in one case by the package's own simulator.
 
 ## What is present
 

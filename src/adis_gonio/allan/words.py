@@ -96,9 +96,7 @@ def _dof_shown(dof: float) -> str:
 def headline(result: AllanResult) -> str:
     """What was recorded, in a line."""
     records = counted(len(result.samples), "record")
-    held = (
-        f"{number(result.duration_s, 4)} s in {records}, {number(1 / result.period_s, 4)} samples a second"
-    )
+    held = f"{number(result.duration_s, 4)} s in {records} at {number(1 / result.period_s, 4)} Hz"
     return f"{held}, filter M = {result.filter_m}" if result.filter_m or result.filter_known else held
 
 
