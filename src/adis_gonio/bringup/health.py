@@ -6,6 +6,7 @@ import numpy as np
 
 from adis_gonio.bringup.bench import Bench, Floats, Step
 from adis_gonio.bringup.result import Measured, StepResult, Verdict
+from adis_gonio.sensor.bartlett import white_gain
 from adis_gonio.sensor.decoding import scales
 from adis_gonio.sensor.driver import PLAUSIBLE
 from adis_gonio.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, TEMP_OUT, registers
@@ -151,14 +152,3 @@ def _tolerance(part: Variant, warm_c: float) -> float:
 def _gain(bench: Bench) -> float:
     """Gain of the filter in force for white noise, rms."""
     return white_gain(BY_NAME["SENS_AVG"].field("m").of(bench.sensor.read("SENS_AVG")))
-
-
-def bartlett(m: int) -> Floats:
-    """Weights of the filter: two cascaded boxcars of 2^M taps (DS, A)."""
-    box = np.full(1 << min(m, 6), 1.0 / (1 << min(m, 6)))
-    return np.convolve(box, box)
-
-
-def white_gain(m: int) -> float:
-    """Gain for white noise, rms: 1, 0.612, 0.415 … (DS, A)."""
-    return float(np.sqrt(np.sum(bartlett(m) ** 2)))

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from adis_gonio.bringup.bench import LONGEST_S, Bench, Effect, Floats, Step, not_measured
-from adis_gonio.bringup.health import bartlett, white_gain
 from adis_gonio.bringup.result import Answer, Curve, Measured, Outcome, StepResult, Verdict
+from adis_gonio.sensor.bartlett import bartlett, response, rounding, white_gain
 from adis_gonio.sensor.decoding import scales
 from adis_gonio.sensor.registers import ACCEL_OUT, GYRO_OUT, registers
 from adis_gonio.sensor.settings import sens_avg_word
@@ -23,14 +23,6 @@ _MOST_FLICKER = 0.1
 """Flicker, which the model has, may add so much of the white level at the lowest frequency used."""
 GYRO_FLOOR_DPS = 0.015
 """Bias instability of the gyros (D: the simulator's)."""
-
-
-def response(m: int, frequency: Floats) -> Floats:
-    """|H|² of the filter at frequencies in cycles a sample."""
-    taps = 1 << m
-    with np.errstate(invalid="ignore", divide="ignore"):
-        box = np.sin(np.pi * frequency * taps) / (taps * np.sin(np.pi * frequency))
-    return np.where(frequency == 0, 1.0, box**4)
 
 
 def degrees_of_freedom(count: int, m: int, spacing: float = 1.0) -> float:
@@ -50,32 +42,6 @@ def flicker(floor: Floats, frequency_hz: Floats, rate_hz: float) -> Floats:
     """
     level: Floats = floor**2 / (2 * math.log(2) * frequency_hz[:, None]) * rate_hz / 2
     return level
-
-
-def rounding(m: int, sigma: float, frequency: Floats) -> Floats:
-    """Level (n,) in a periodogram of the rounding of filtered noise, in LSB².
-
-    A slow signal is rounded the same way for several samples: the error is not white. With ρ the signal's
-    correlation and σ its rms in LSB the error's is Σ exp(−4π²n²σ²(1 − ρ)) / (2π²n²) (Widrow and Kollár,
-    Quantization Noise, for Gaussian signals of half an LSB and more).
-
-    Parameters
-    ----------
-    sigma : float
-        Rms before the filter, in LSB.
-    frequency : (n,) float
-        In cycles a sample.
-    """
-    weights = bartlett(m)
-    rho = np.correlate(weights, weights, "full")[len(weights) - 1 :]
-    turn = (2 * np.pi * sigma * white_gain(m)) ** 2 * (1 - rho / rho[0])
-    order = np.arange(1, 65)[:, None]
-    error = np.sum(np.exp(-(order**2) * turn) / (2 * np.pi**2 * order**2), axis=0)
-    error[0] = 1 / 12
-    level: Floats = (
-        error[0] + 2 * np.cos(2 * np.pi * np.outer(frequency, np.arange(1, len(error)))) @ error[1:]
-    )
-    return np.maximum(level, 0.0)
 
 
 def spectrum(values: Floats) -> tuple[Floats, Floats]:

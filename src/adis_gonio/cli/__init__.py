@@ -26,6 +26,10 @@ COMMANDS = {
     "calibrate": ("adis_gonio.cli.calibrate", "Calibrate a sensor on a stage, position by position."),
     "fit": ("adis_gonio.cli.fit", "Compute ΔK, Δφ and the other parameters of a recorded session."),
     "trace": ("adis_gonio.cli.trace", "Find the physical effects behind the residual of a session."),
+    "allan": (
+        "adis_gonio.cli.allan",
+        "Say the noise of gyros or accelerometers at rest, with the Allan plot.",
+    ),
     "report": ("adis_gonio.cli.report", "Write the calibration report as one HTML page."),
     "archive": ("adis_gonio.cli.archive", "List the sessions in folders, by serial number and stage."),
     "history": ("adis_gonio.cli.history", "Show what became of a sensor over its sessions."),
@@ -46,7 +50,7 @@ COMMANDS = {
 }
 
 
-_COMPUTING = frozenset({"fit", "trace", "report", "export", "paper", "plan", "fleet"})
+_COMPUTING = frozenset({"fit", "trace", "report", "export", "paper", "plan", "fleet", "allan"})
 """Commands that compute: they have nothing to put back when Ctrl-C ends them."""
 
 

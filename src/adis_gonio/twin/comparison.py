@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.allan.deviation import overlapping
 from adis_gonio.errors import DataError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.model.records import Floats, Session
-
-_LEAST_DIFFERENCES = 8
-"""Differences that an Allan deviation needs to be worth a point."""
 
 
 @dataclass(frozen=True)
@@ -141,22 +139,8 @@ def _period(session: Session) -> float:
 
 def _allan(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats]:
     """Overlapping Allan deviation, pooled over dwells, at octaves of the averaging time."""
-    longest = max(len(part) for part in samples)
-    taus, deviations = [], []
-    m = 1
-    while 2 * m + _LEAST_DIFFERENCES <= longest:
-        total, count = 0.0, 0
-        for part in samples:
-            if len(part) < 2 * m + _LEAST_DIFFERENCES:
-                continue
-            sums = np.concatenate([np.zeros((1, part.shape[1])), np.cumsum(part, axis=0)])
-            second = (sums[2 * m :] - 2 * sums[m:-m] + sums[: -2 * m]) / m
-            total = total + (second**2).sum(axis=0)
-            count += len(second)
-        taus.append(m * period_s)
-        deviations.append(np.sqrt(total / (2 * count)))
-        m *= 2
-    return np.array(taus), np.array(deviations)
+    times, deviation = overlapping(samples)
+    return period_s * np.array(times, dtype=float), deviation
 
 
 def _density(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats]:

@@ -1,0 +1,91 @@
+"""The page of a part's noise at rest: coefficients with u, and the Allan plot with the fitted curve."""
+
+from __future__ import annotations
+
+from adis_gonio import __version__
+from adis_gonio.allan import AllanResult, AxisNoise
+from adis_gonio.allan import words as said
+from adis_gonio.report.parts import Figure, Section, Table
+from adis_gonio.report.render import render
+from adis_gonio.report.svg import ROLES, Series, plot
+
+_TIME = "averaging time / s"
+
+
+def allan_page(result: AllanResult) -> str:
+    """One HTML page that loads nothing; every text is escaped."""
+    name = result.title or result.source or "session"
+    head = Section(
+        "What was recorded",
+        words=(f"{said.headline(result)}.",),
+        notes=[*result.notes, *_reading()],
+    )
+    return render(
+        "Noise at rest",
+        f"{said.PARTS[result.part]} of {name}",
+        shape=result.sensor,
+        simulated=result.simulated,
+        begun="",
+        software=f"adis-gonio {__version__}",
+        sections=[head, *(_section(result, axis) for axis in result.axes)],
+        closing="This page is made from the session's file and can be made again from it.",
+    )
+
+
+def allan_svg(result: AllanResult) -> str:
+    """Allan deviations of all axes with the fitted curves, as one drawing."""
+    series = []
+    for role, axis in zip(ROLES, result.axes, strict=False):
+        curve = axis.curve
+        series.append(Series(curve.tau_s, curve.deviation, axis.axis, role=role))
+        series.append(Series(curve.tau_s, curve.model, "", role="model", style="line"))
+    title = f"Allan deviation of the {said.PARTS[result.part]}"
+    return plot(
+        series, _TIME, _deviation(result), title=title, x_log=True, y_log=True, width=560, height=380
+    )
+
+
+def _deviation(result: AllanResult) -> str:
+    return f"Allan deviation / {said.unit_shown(result.unit)}"
+
+
+def _reading() -> tuple[str, ...]:
+    return (
+        "The coefficients are those of IEEE Std 952-1997, Annex C; the bias instability is the floor of the"
+        " Allan deviation, 0.664 times the standard's B. They are fitted to the samples by restricted"
+        " maximum likelihood, not to the points of the plot.",
+        "What is not present has the limit that it stays under (95 %), and the size that these records"
+        " would have shown in nine of ten cases.",
+    )
+
+
+def _section(result: AllanResult, axis: AxisNoise) -> Section:
+    rows: list[tuple[str, ...]] = []
+    absent: list[str] = []
+    for parameter in axis.parameters:
+        if parameter.present:
+            rows += said.cells(parameter)
+        elif parameter.kind != "quantization":
+            unit = said.unit_shown(parameter.unit)
+            absent.append(f"{said.name_shown(parameter)} / {unit}: {said.missing(parameter)}")
+    return Section(
+        f"{axis.axis.upper()}",
+        points=[*absent, *axis.notes],
+        figures=(_figure(result, axis),),
+        tables=(Table(("noise", *said.HEAD[1:]), rows, numeric=(1, 2, 3, 4)),),
+    )
+
+
+def _figure(result: AllanResult, axis: AxisNoise) -> Figure:
+    curve = axis.curve
+    series = [
+        Series(curve.tau_s, curve.deviation, "measured", role="before"),
+        Series(curve.tau_s, curve.low, "its 95 %", role="model", style="line"),
+        Series(curve.tau_s, curve.high, "", role="model", style="line"),
+        Series(curve.tau_s, curve.model, "fitted noise", role="after", style="line"),
+    ]
+    title = f"Allan deviation of {axis.axis}"
+    drawn = plot(
+        series, _TIME, _deviation(result), title=title, x_log=True, y_log=True, width=480, height=320
+    )
+    return Figure(drawn, f"{title}: overlapping estimate with its interval, and the fitted noise's curve.")
