@@ -309,7 +309,7 @@ def _turned(
     alike: int,
 ) -> _Interval | str:
     """Interval of a turn, or why there is none."""
-    path = _path(session, turn, before, after, scale)
+    path = path_between(session, turn, before, after, scale)
     if path is None:
         return "nothing was recorded between the dwells"
     integral = integrate(path, sampling)
@@ -346,7 +346,8 @@ def _turned(
     )
 
 
-def _path(session: Session, turn: Turn, before: Dwell, after: Dwell, scale: float) -> Path | None:
+def path_between(session: Session, turn: Turn, before: Dwell, after: Dwell, scale: float) -> Path | None:
+    """Samples from the end of one dwell to the beginning of the other, gyros times `scale`."""
     if turn.gyro is None or not len(turn) or before.gyro is None or after.gyro is None:
         return None
     ends = slice(-1, None), slice(None, 1)

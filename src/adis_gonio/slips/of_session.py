@@ -9,8 +9,8 @@ import numpy as np
 
 from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.gyros.integral import LONGEST_GAP_S, Path, Sampling, integrate, period_of
+from adis_gonio.gyros.intervals import path_between
 from adis_gonio.model.records import Dwell, Floats, Session
-from adis_gonio.model.turns import Turn
 from adis_gonio.sensor.variants import VARIANTS
 from adis_gonio.slips.angles import Angles, Increments
 from adis_gonio.slips.diagnosis import LARGEST, Diagnosis, diagnose
@@ -85,7 +85,7 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
     for k, pair in enumerate(pairs):
         if pair in turns and pair[0] in by_position and pair[1] in by_position:
             ends = by_position[pair[0]], by_position[pair[1]]
-            path = _path(session, turns[pair], *ends, 1e-3 * readings.unit.scale)
+            path = path_between(session, turns[pair], *ends, _scale(session))
             found = None if path is None else _turned(path, sampling, zero_dps2)
             rows[k] = np.nan if found is None else found
         if not np.isfinite(rows[k, 0]) and pair in noted:
@@ -141,20 +141,6 @@ def _density(session: Session, dwells: Sequence[Dwell], period_s: float) -> Floa
     return np.asarray(_scale(session) ** 2 * block * squares / max(count, 1))
 
 
-def _path(session: Session, turn: Turn, before: Dwell, after: Dwell, per_g: float) -> Path | None:
-    """Samples from the end of one dwell to the beginning of the other, in °/s and g."""
-    if turn.gyro is None or before.gyro is None or after.gyro is None:
-        return None
-    time = np.concatenate([before.time_s[-1:], turn.time_s, after.time_s[:1]])
-    if not len(turn) or not (np.diff(time) > 0).all():
-        return None
-    rate = np.concatenate([before.gyro[-1:], turn.gyro, after.gyro[:1]])
-    force = np.zeros((len(time), 3))
-    force[:, : turn.accel.shape[1]] = np.concatenate([before.accel[-1:], turn.accel, after.accel[:1]])
-    zero = np.array([before.gyro.mean(axis=0), after.gyro.mean(axis=0)])
-    return Path(time, _scale(session) * rate, per_g * force, _scale(session) * zero)
-
-
 def _turned(path: Path, sampling: Sampling, zero_dps2: float) -> tuple[float, float, float, float] | None:
     """Angle about z and its u in degrees, and the force beyond that of rest in g·s; None if not watched."""
     found = integrate(path, sampling)
@@ -171,7 +157,7 @@ def _turned(path: Path, sampling: Sampling, zero_dps2: float) -> tuple[float, fl
         return None
     rest = (path.force_g[0] + path.force_g[-1]) / 2
     zero = length**2 * (zero_dps2 / 2 + float(sampling.drift_dps[2]) ** 2)
-    beyond = length * (mean - rest)
+    beyond = np.nan_to_num(length * (mean - rest))  # of counts nobody knows how many g they are
     return angle, math.sqrt(variance + zero), float(beyond[0]), float(beyond[1])
 
 
