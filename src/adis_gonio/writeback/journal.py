@@ -22,7 +22,7 @@ from typing import Any, Literal
 
 from adis_gonio.model.records import Session
 from adis_gonio.sensor.driver import ENDURANCE_WRAP
-from adis_gonio.sensor.registers import BY_NAME
+from adis_gonio.sensor.registers import ACCEL_OFF, BY_NAME
 from adis_gonio.writeback.plan import Numbers
 
 KIND = "offsets"
@@ -103,6 +103,10 @@ class Operation:
         """True where it was not brought to its end."""
         return self.steps[-1] not in (Step.DONE, Step.SET_BACK)
 
+    def concerns(self, names: Sequence[str]) -> bool:
+        """True where it is about registers of these names."""
+        return any(name in names for name in self.old)
+
     @property
     def saved(self) -> bool:
         """True where the flash was written and the journal knows it."""
@@ -137,9 +141,10 @@ def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
     return tuple(found.values())
 
 
-def operations_of(session: Session) -> tuple[Operation, ...]:
-    """Operations that a session's archive knows; none where it is no archive."""
-    return operations(session.facts.get("offset_writes") or ())
+def operations_of(session: Session, names: Sequence[str] = ACCEL_OFF) -> tuple[Operation, ...]:
+    """Operations on these registers that a session's archive knows; none where it is no archive."""
+    known = operations(session.facts.get("offset_writes") or ())
+    return tuple(operation for operation in known if operation.concerns(names))
 
 
 def remarks_on(known: Sequence[Operation], recorded: Numbers) -> tuple[str, ...]:
