@@ -282,7 +282,7 @@ class Calibration:
         matrix = self.measurement.calibrated(base, np.eye(self.axes))
         ideal = np.asarray(gravity @ np.linalg.inv(matrix))
         conditions = self._conditions(len(gravity), temperature_c, supply_v)
-        effects = [e.reading_mg(own, ideal, conditions) for e, own in self._terms(self.values)]
+        effects = [e.reading(own, ideal, conditions) for e, own in self._terms(self.values)]
         return np.asarray((ideal + bias + sum(effects, np.zeros(ideal.shape))) * self.per_mg)
 
     def angle(
@@ -483,7 +483,7 @@ def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Co
     """Ideal readings a (n, axes), a + Σ effects(a) = `free`; NaN where the iteration does not settle."""
     ideal = free
     for _ in range(_PASSES):
-        new = free - sum((e.reading_mg(own, ideal, conditions) for e, own in terms), np.zeros(free.shape))
+        new = free - sum((e.reading(own, ideal, conditions) for e, own in terms), np.zeros(free.shape))
         moving = np.asarray(~(np.abs(new - ideal) <= _SETTLED_MG).all(axis=1))
         ideal = new
         if not moving.any():

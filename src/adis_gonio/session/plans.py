@@ -58,6 +58,9 @@ class Position:
     temperature_c, supply_v : float or None
         Temperature of the part and supply to bring about first; None as they are. A fit takes what was
         measured, never this.
+    turned_deg : float or None
+        How far the part is turned on the way here, by a mark or a stop, about the vertical, positive
+        counter-clockwise seen from above; None where it is brought here in any way.
     """
 
     angle_deg: float | None
@@ -67,6 +70,7 @@ class Position:
     wait_s: float = 0.0
     temperature_c: float | None = None
     supply_v: float | None = None
+    turned_deg: float | None = None
 
     def __str__(self) -> str:
         place = "a new attitude" if self.angle_deg is None else f"{self.angle_deg:g}°"
@@ -99,7 +103,7 @@ class Plan:
         return {
             "name": self.name,
             "plane": self.plane,
-            "positions": [asdict(position) for position in self.positions],
+            "positions": [_entry(position) for position in self.positions],
         } | ({"turns": self.turns} if self.turns else {})
 
     def ordered(self, order: Order, rng: np.random.Generator) -> Plan:
@@ -133,6 +137,14 @@ class Plan:
         """Plan from its JSON form."""
         positions = tuple(_position(entry) for entry in data["positions"])
         return cls(data["name"], positions, data["plane"], data.get("turns", 0))
+
+
+def _entry(position: Position) -> dict[str, Any]:
+    """JSON form; `turned_deg` where something is declared of the way."""
+    entry = asdict(position)
+    if position.turned_deg is None:
+        del entry["turned_deg"]
+    return entry
 
 
 def _position(entry: Mapping[str, Any]) -> Position:

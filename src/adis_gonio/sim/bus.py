@@ -292,6 +292,16 @@ class SimStage:
             self._require_open()
             self._bus._set_now(self._stage.orient(self._bus.now_s(), np.asarray(vector, np.float64)))
 
+    def turn_about(self, angle_deg: float, axis: Sequence[float] | Floats | None = None) -> None:
+        """Turn the part by an angle in degrees about an axis (3,) of its own, or about the vertical.
+
+        See `Stage.turn_about`.
+        """
+        with self._bus._lock:
+            self._require_open()
+            about = None if axis is None else np.asarray(axis, np.float64)
+            self._bus._set_now(self._stage.turn_about(self._bus.now_s(), angle_deg, about))
+
     def turn_freely(self, turns: int = 1) -> float:
         """Begin turns by hand; returns when they end, on the bus's clock, which stands still."""
         with self._bus._lock:

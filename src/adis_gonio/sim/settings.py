@@ -39,6 +39,10 @@ _AT_LEAST_ZERO = (
     "hand_vibration_mg",
     "hand_sway_deg",
     "axis_wobble_deg",
+    "hand_miss",
+    "hand_stray_deg",
+    "hand_twist_deg",
+    "mark_sigma_deg",
 )
 
 
@@ -111,6 +115,16 @@ class WorldSettings:
         Relative unevenness of its speed, rate of turn (rms) of its tremor, linear vibration (rms an axis).
     hand_sway_deg, axis_wobble_deg : float
         How much (rms) a part held in the hand sways, and how much the axis of a bearing wobbles.
+    hand_moves : float
+        Whether (not 0) a hand brings the part to its positions (`hand_moves.HandMove`), instead of a motor.
+    hand_miss : float
+        By how much of its last grip a hand misses a mark (rms), before it corrects.
+    hand_stray_deg, hand_twist_deg : float
+        How much (rms) a part that the hand brings to an attitude in space strays on its way, and how far
+        (1 sigma) it turns about the vertical besides.
+    mark_sigma_deg : float
+        Standard deviation of the angle to which a part that was turned about an axis (`Stage.turn_about`)
+        is set back against its mark.
     """
 
     alpha_deg: float | None = None
@@ -189,6 +203,11 @@ class WorldSettings:
     hand_vibration_mg: float = 3.0
     hand_sway_deg: float = 0.0
     axis_wobble_deg: float = 0.02
+    hand_moves: float = 0.0
+    hand_miss: float = 0.03
+    hand_stray_deg: float = 3.0
+    hand_twist_deg: float = 10.0
+    mark_sigma_deg: float = 0.05
 
     def __post_init__(self) -> None:
         for entry in fields(self):

@@ -71,12 +71,14 @@ class World:
         self.settings = settings or WorldSettings()
         self.variant = variant(part)
         self.seed = seed
-        streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(9)]
+        streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(12)]
         hidden, white, self._flicker_rng, fixture, changes, shaking, self._level_rng = streams[:7]
         self._draw(hidden)
         self._effect_rngs = changes.spawn(len(effects))
         self.effects = tuple((effect, _values(effect, given)) for effect, given in effects)
-        self.stage = Stage(self.settings, float(np.radians(self._hidden["alpha"])), fixture, streams[7])
+        self.stage = Stage(
+            self.settings, float(np.radians(self._hidden["alpha"])), fixture, streams[7], streams[9]
+        )
         self._flicker: Flicker | None = None
         self._rate_walk = RateWalk(self.settings.gyro_rate_walk_dps_per_rt_s, streams[8])
         self._lever_m = 1e-3 * np.array([self.settings.lever_x_mm, self.settings.lever_y_mm, 0.0])
@@ -262,7 +264,7 @@ class World:
         if conditions is not None:
             for effect, values in self.effects:
                 if effect.enters is Enters.READING:
-                    accel += effect.reading_mg(values, ideal, conditions)
+                    accel += effect.reading(values, ideal, conditions)
         accel += flicker[:, :3]
         accel[:, :2] += motion.ringing_mg[:, None]
         if self._lever_m.any():

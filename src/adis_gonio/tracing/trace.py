@@ -139,7 +139,7 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         open_ = [*steps, *([] if scatter is None else [scatter.kind])]
         return _unfinished(final, fits, steps, figures, design, open_)
     reported = _reported(figures) if checking is None else None
-    count, names, cut = never_worse(names, steps, guarded.errors, reported)
+    count, names, cut = never_worse(names, steps, guarded.errors, reported, training.model.unit)
     if count < len(steps):
         # Longer models have their figures already; those of the shorter one hold for it as they are.
         fits, steps, figures = fits[: count + 1], steps[:count], figures[: count + 1]
@@ -173,7 +173,7 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         unnamed=unnamed_with_share(unnamed_of(selection, averaged), of_step),
         before=figures[0],
         after=figures[-1],
-        detectable=detectable(selection.found, selection.verdict.best, missing),
+        detectable=detectable(selection.found, selection.verdict.best, missing, training.model.part),
         advice=advice,
         measurements=measurements,
         rivals=rivals_of(selection),
@@ -251,7 +251,7 @@ def _searched(
 
 def _reported(figures: Sequence[ErrorFigures]) -> tuple[float, float] | None:
     """Held-out errors that stand in the result for the base model and the final one."""
-    first, last = figures[0].heldout_rms_mg, figures[-1].heldout_rms_mg
+    first, last = figures[0].heldout_rms, figures[-1].heldout_rms
     return None if first is None or last is None else (first, last)
 
 
@@ -259,7 +259,7 @@ def _weak(findings: Sequence[Finding], final: ErrorFigures) -> dict[str, str]:
     """Names that do not stand after all, with the reason."""
     weak = {}
     for finding in findings:
-        if final.heldout_rms_mg is None and finding.effect != "bias":
+        if final.heldout_rms is None and finding.effect != "bias":
             weak[finding.effect] = "no dwell could be left out to check it by"
         elif not told_from_zero(finding):
             weak[finding.effect] = "its values are no larger than their own uncertainty"
@@ -308,7 +308,7 @@ def _unfinished(
 
 def _enough(data: Readings) -> None:
     base = len(data.model.parameters)
-    rows = len(data) * (1 if data.free else 2)
+    rows = len(data) * data.equations_each
     if rows < base:
         raise FitError(
             f"{counted(len(data), 'position')}: {rows} equations for {base} base parameters; measure at"

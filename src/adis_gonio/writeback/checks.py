@@ -192,7 +192,7 @@ class _Biased:
 
     def ideal_mg(self, values: Floats, angle_rad: float) -> Floats:
         """What gravity alone gives (2,) at a declared angle."""
-        ideal: Floats = self.model.ideal_mg(self.base(values), np.zeros(1), np.array([-angle_rad]))[0]
+        ideal: Floats = self.model.ideal(self.base(values), np.zeros(1), np.array([-angle_rad]))[0]
         return ideal
 
     def fixture_u(self, angle_rad: float) -> Floats:
@@ -200,7 +200,7 @@ class _Biased:
         unstated = self.session.fixture_sigma_deg is None
         more = UNSTATED_FIXTURE_DEG if unstated else 0.0
         sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
-        tangent = self.model.tangent_mg(self.base(self.values), np.zeros(1), np.array([-angle_rad]))
+        tangent = self.model.tangent(self.base(self.values), np.zeros(1), np.array([-angle_rad]))
         return np.asarray(sigma * np.abs(tangent[0, :, 0]))
 
     def propagated(

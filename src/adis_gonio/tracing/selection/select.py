@@ -18,10 +18,6 @@ from adis_gonio.tracing.selection.posterior import Verdict, weigh, without_model
 from adis_gonio.tracing.selection.search import Search, search
 from adis_gonio.tracing.thresholds import limits
 
-STEEPEST = {"temperature": ("temperature_c", "bias_temperature"), "supply": ("supply_v", "supply_bias")}
-"""Covariates whose influence has a bound: rows of the conditions, and the effect whose first coefficient is
-bounded. A temperature that is constant but for its noise stands out in one dwell by chance."""
-
 
 @dataclass(frozen=True)
 class Selection:
@@ -194,7 +190,7 @@ def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
     theta = data.conditions.angle_rad
     if not data.planar or theta is None or data.free or len(data) < limits.gross_dwells:
         return {}
-    reading = data.mean_mg - _robust_bias(data, theta)
+    reading = data.mean - _robust_bias(data, theta)
     shown = np.arctan2(reading[:, 1], reading[:, 0]) + theta
     middle = np.angle(np.exp(1j * shown).sum())
     off = np.angle(np.exp(1j * (shown - middle)))
@@ -228,8 +224,8 @@ def _robust_bias(data: Readings, theta: Floats) -> Floats:
     for _ in range(4):
         if np.linalg.svd(design[kept], compute_uv=False)[-1] < 0.3:
             return np.zeros(2)
-        solved = np.linalg.lstsq(design[kept], data.mean_mg[kept], rcond=None)[0]
-        left = np.linalg.norm(data.mean_mg - design @ solved, axis=1)
+        solved = np.linalg.lstsq(design[kept], data.mean[kept], rcond=None)[0]
+        left = np.linalg.norm(data.mean - design @ solved, axis=1)
         kept = left <= 4 * np.median(left)
         bias = solved[2]
     return np.asarray(bias)
@@ -280,7 +276,7 @@ def _impossible(data: Readings, problem: LinearProblem, verdict: Verdict) -> set
 def beyond_bounds(data: Readings, problem: LinearProblem, chosen: Sequence[int]) -> str | None:
     """Label of the least common term of a model among those beyond their physical bounds, or None.
 
-    A nameless term has no bounds of its own, but no cause adds more than a tenth of gravity, and none
+    A nameless term has no bounds of its own, but no cause adds more than `limits.largest`, and none
     follows the temperature or the supply more steeply than the catalogue's coefficients may. Where a
     covariate hardly moves (a temperature that is constant but for its noise) a column is a constant with a
     little noise on it, which can fit better than the constant with an amplitude that no part has. The
@@ -293,22 +289,22 @@ def beyond_bounds(data: Readings, problem: LinearProblem, chosen: Sequence[int])
             values, (low, high) = term.start(own), term.bounds().T
             beyond = bool(((values < low) | (values > high)).any())
         else:
-            added = term.added(term.start(own), data.mean_mg, data.conditions)
-            added = added * data.gravity_mg if term.enters_angle else added
-            beyond = bool(np.abs(added).max() > limits.largest_g * data.gravity_mg)
-            beyond |= bool(np.ptp(added, axis=0).max() > _steepest_mg(data, term))
+            added = term.added(term.start(own), data.mean, data.conditions)
+            added = added * data.model.size if term.enters_angle else added
+            beyond = bool(np.abs(added).max() > limits.largest * data.model.size)
+            beyond |= bool(np.ptp(added, axis=0).max() > _steepest(data, term))
         if beyond:
             out.append(term)
     return max(out, key=lambda term: term.cost).label if out else None
 
 
-def _steepest_mg(data: Readings, term: Term) -> float:
+def _steepest(data: Readings, term: Term) -> float:
     """Most that a term of temperature and supply alone may vary in this session; no limit for others."""
     total = 0.0
     for covariate in term.covariates:
-        if covariate not in STEEPEST:
+        if covariate not in data.model.steepest:
             return np.inf
-        rows, name = STEEPEST[covariate]
+        rows, name = data.model.steepest[covariate]
         bound = effect(name).parameters[0].high
         total += limits.steepest * bound * float(np.ptp(data.conditions.covariate(rows)))
     return total if term.covariates else np.inf
