@@ -76,6 +76,8 @@ def test_correct_undoes_the_model_written_out_in_scalars():
             turn = sum((own if j == i else lean[j]) * omega[j] for j in range(3)) * EVERY[f"gyro_scale_{a}"]
             value = turn * (1 + 1e-6 * EVERY.get(f"gyro_scale_temperature_{a}", 0.0) * (warm - 25))
             value += EVERY[f"gyro_bias_{a}"] + EVERY.get(f"gyro_bias_temperature_{a}", 0.0) * (warm - 25)
+            value += EVERY.get(f"gyro_bias_temperature2_{a}", 0.0) * (warm - 25) ** 2
+            value += EVERY.get(f"gyro_bias_temperature3_{a}", 0.0) * (warm - 25) ** 3
             value += sum(EVERY.get(f"g_sensitivity_{a}{b}", 0.0) * f[j] for j, b in enumerate("xyz"))
             value += sum(EVERY.get(f"g2_sensitivity_{a}{b}", 0.0) * f[j] ** 2 for j, b in enumerate("xyz"))
             read.append(value + EVERY.get(f"gyro_supply_{a}", 0.0) * (volts - 5))

@@ -22,11 +22,13 @@ EVERY = {
     **FULL,
     "g2_sensitivity_xx": 0.004, "g2_sensitivity_xy": -0.003, "g2_sensitivity_zz": 0.007,
     "gyro_bias_temperature_x": 0.011, "gyro_bias_temperature_y": -0.017, "gyro_bias_temperature_z": 0.004,
+    "gyro_bias_temperature2_x": 2.1e-4, "gyro_bias_temperature3_y": -1.7e-6,
     "gyro_scale_temperature_x": 130.0, "gyro_scale_temperature_z": -210.0,
     "gyro_supply_x": 0.25, "gyro_supply_y": -0.21,
 }  # fmt: skip
 UNITS = {
-    "gyro_bias_temperature": "dps/°C", "gyro_scale_temperature": "ppm/°C", "gyro_supply": "dps/V",
+    "gyro_bias_temperature": "dps/°C", "gyro_bias_temperature2": "dps/°C²",
+    "gyro_bias_temperature3": "dps/°C³", "gyro_scale_temperature": "ppm/°C", "gyro_supply": "dps/V",
     "gyro_bias": "dps", "gyro_scale": "1", "gyro_misalignment": "deg", "g_sensitivity": "dps/g",
     "g2_sensitivity": "dps/g²",
 }  # fmt: skip
@@ -37,6 +39,8 @@ U = {
     "dps/g": 3e-3,
     "dps/g²": 1e-3,
     "dps/°C": 1e-4,
+    "dps/°C²": 1e-6,
+    "dps/°C³": 1e-8,
     "ppm/°C": 5.0,
     "dps/V": 0.01,
 }

@@ -1,4 +1,4 @@
-"""Gyros in exports: the compiled header gives `correct`, offsets take zero rates away; nothing where none."""
+"""Gyros in exports: the compiled header gives `correct`, offsets take zero rates away; none where none."""
 
 from __future__ import annotations
 

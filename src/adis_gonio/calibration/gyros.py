@@ -2,7 +2,7 @@
 
 In the frame of the accelerometers a gyro reads, in °/s,
 
-    rate = (1 + κ ΔT) K D ω + b + β ΔT + G f + G₂ f² + s ΔV,
+    rate = (1 + κ ΔT) K D ω + b + β ΔT + β₂ ΔT² + β₃ ΔT³ + G f + G₂ f² + s ΔV,
 
 with ω the true rate, K gains and D unit directions (`sensitivity` = K D), b the zero rate, f what the
 accelerometers **read** in g (level with Z up: z = −1), ΔT = T − 25 °C, ΔV = V − 5 V. f is the reading
@@ -41,6 +41,8 @@ _KINDS: dict[str, tuple[str, str]] = {
     "g_sensitivity": (_PAIR, "dps/g"),
     "g2_sensitivity": (_PAIR, "dps/g²"),
     "gyro_bias_temperature": (_ONE, "dps/°C"),
+    "gyro_bias_temperature2": (_ONE, "dps/°C²"),
+    "gyro_bias_temperature3": (_ONE, "dps/°C³"),
     "gyro_scale_temperature": (_ONE, "ppm/°C"),
     "gyro_supply": (_ONE, "dps/V"),
 }
@@ -66,7 +68,7 @@ class _Values:
     sensitivity: Floats
     per_g: Floats
     per_g2: Floats
-    per_c: Floats
+    per_c: tuple[Floats, Floats, Floats]
     scale_per_c: Floats
     per_v: Floats
 
@@ -82,8 +84,8 @@ class GyroCalibration:
     parameters : tuple of Coefficient
         `gyro_bias_x …` (dps), and what was determined of `gyro_scale_x …` (1), `gyro_misalignment_xy …`
         (deg; the gyro, and the axis that it leans towards), `g_sensitivity_xy …` (dps/g; the gyro, and the
-        axis of force), `g2_sensitivity_xy …` (dps/g²), `gyro_bias_temperature_x …` (dps/°C),
-        `gyro_scale_temperature_x …` (ppm/°C), `gyro_supply_x …` (dps/V).
+        axis of force), `g2_sensitivity_xy …` (dps/g²), `gyro_bias_temperature_x …` (dps/°C; …2, …3
+        of its square and cube), `gyro_scale_temperature_x …` (ppm/°C), `gyro_supply_x …` (dps/V).
     covariance : (p, p) float or None
         In the order and units of `parameters`; None where no noise is known.
     assumed : tuple of str
@@ -204,7 +206,7 @@ class GyroCalibration:
         found = {kind_of(one.name) for one in self.parameters}
         wanted = {
             "force_g": {"g_sensitivity", "g2_sensitivity"},
-            "temperature_c": {"gyro_bias_temperature", "gyro_scale_temperature"},
+            "temperature_c": {kind for kind in _KINDS if "temperature" in kind},
             "supply_v": {"gyro_supply"},
         }
         return tuple(name for name, kinds in wanted.items() if found & kinds)
@@ -279,7 +281,7 @@ class GyroCalibration:
         force_g : (n, 3) or (3,) float, optional
             What the accelerometers read then, in g; needed where a g-sensitivity is known.
         temperature_c : float, (n,) or (n, 3) float, optional
-            One, or one for each gyro's die; without it the session's mean.
+            One, or one for each gyro's die ((3,) of one reading); without it the session's mean.
         supply_v : float or (n,) float, optional
             Without it the session's mean.
 
@@ -325,6 +327,16 @@ class GyroCalibration:
         conditions = self._conditions(len(rate), force_g, temperature_c, supply_v)
         value, u = self._with_u(lambda values: _read(self._values(values), rate, *conditions))
         return Rates(value[0], u[0]) if single else Rates(value, u)
+
+    def force_part(self, force_g: ArrayLike) -> tuple[Floats, Floats]:
+        """What force (3,) in g adds to the zero rates (3,) in °/s, and its standard uncertainty."""
+        force = _spread("force_g", force_g, 1)
+        value, u = self._with_u(
+            lambda values: np.asarray(
+                force @ self._values(values).per_g.T + force**2 @ self._values(values).per_g2.T
+            )
+        )
+        return value[0], u[0]
 
     def with_offsets(self, offsets_lsb: Sequence[int]) -> GyroCalibration:
         """The same for a part whose XGYRO_OFF … hold other numbers than while it was calibrated.
@@ -379,7 +391,11 @@ class GyroCalibration:
             sensitivity=gains[:, None] * (lean + np.diag(own)),
             per_g=self._matrix("g_sensitivity", held),
             per_g2=self._matrix("g2_sensitivity", held),
-            per_c=self._vector("gyro_bias_temperature", held),
+            per_c=(
+                self._vector("gyro_bias_temperature", held),
+                self._vector("gyro_bias_temperature2", held),
+                self._vector("gyro_bias_temperature3", held),
+            ),
             scale_per_c=1e-6 * self._vector("gyro_scale_temperature", held),
             per_v=self._vector("gyro_supply", held),
         )
@@ -506,6 +522,8 @@ def _condition(
     values = _numbers(name, given)
     if values.shape in ((), (1,)):
         return np.full((n, 3), float(values.reshape(-1)[0]))
+    if values.shape == (3,) and n == 1 and name == "temperature_c":
+        return values[None, :]
     if values.shape == (n,):
         return np.repeat(values[:, None], 3, axis=1)
     if values.shape != (n, 3) or name != "temperature_c":

@@ -28,12 +28,15 @@ class GyroEstimates:
     estimates : mapping of str to objects with `value`, `u`, `unit`
     covariance : (names, (p, p) float) or None
     not_corrected : tuple of NotCorrected
+    doubts : tuple of str
+        Why it is no sound base for the chip, one line each; empty where it is.
     """
 
     method: str
     estimates: Mapping[str, Any]
     covariance: tuple[Sequence[str], Floats] | None = None
     not_corrected: tuple[NotCorrected, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 def with_gyros(calibration: Calibration, session: Session, *, traced: bool = False) -> Calibration:

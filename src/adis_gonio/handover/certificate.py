@@ -54,6 +54,8 @@ _UNITS: dict[str, tuple[str, float]] = {
     "dps/g": (_DPS + r"\metre\tothe{-1}\second\tothe{2}", 1 / _G),
     "dps/g²": (_DPS + r"\metre\tothe{-2}\second\tothe{4}", 1 / _G**2),
     "dps/°C": (_DPS + r"\kelvin\tothe{-1}", 1.0),
+    "dps/°C²": (_DPS + r"\kelvin\tothe{-2}", 1.0),
+    "dps/°C³": (_DPS + r"\kelvin\tothe{-3}", 1.0),
     "dps/V": (_DPS + r"\volt\tothe{-1}", 1.0),
 }
 _NAMES = {

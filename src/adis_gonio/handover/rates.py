@@ -88,9 +88,11 @@ class RatePolynomial:
         return tuple(name for name in (*(f"f{axis}" for axis in AXES), "t", "v") if name in used)
 
 
-_FORMS: dict[str, tuple[float, str]] = {
-    "gyro_bias_temperature": (SPAN_C, "t"),
-    "gyro_supply": (SPAN_V, "v"),
+_FORMS: dict[str, tuple[float, tuple[str, ...]]] = {
+    "gyro_bias_temperature": (SPAN_C, ("t",)),
+    "gyro_bias_temperature2": (SPAN_C**2, ("t", "t")),
+    "gyro_bias_temperature3": (SPAN_C**3, ("t", "t", "t")),
+    "gyro_supply": (SPAN_V, ("v",)),
 }
 
 
@@ -115,8 +117,8 @@ def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> RateP
         if one.value == 0.0:
             continue
         if kind in _FORMS:
-            span, factor = _FORMS[kind]
-            terms.append(RateTerm(own, one.value * span, (factor,)))
+            span, factors = _FORMS[kind]
+            terms.append(RateTerm(own, one.value * span, factors))
         elif kind in ("g_sensitivity", "g2_sensitivity"):
             power = 1 if kind == "g_sensitivity" else 2
             terms.append(RateTerm(own, one.value, (f"f{axes[1]}",) * power))
