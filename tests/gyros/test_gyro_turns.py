@@ -40,7 +40,13 @@ def path_of(recorder: Recorder) -> Path:
         )
     ]
     zero = np.array([dwell.gyro.mean(axis=0) for dwell in recorder.dwells])
-    return Path(joined[0], joined[1], 1e-3 * joined[2], zero)
+    lay = 1e-3 * np.array([dwell.accel.mean(axis=0) for dwell in recorder.dwells])
+    return Path(joined[0], joined[1], 1e-3 * joined[2], zero, lay)
+
+
+def rows_of(path: Path, rows: np.ndarray) -> Path:
+    """Some of the samples."""
+    return replace(path, time_s=path.time_s[rows], rate_dps=path.rate_dps[rows], force_g=path.force_g[rows])
 
 
 def quadrature(world: World, begin_s: float, end_s: float) -> Floats:
@@ -99,7 +105,7 @@ def test_lost_scans_are_bridged_and_their_u_holds_what_they_cost():
         keep = np.ones(len(path.time_s), dtype=bool)
         for start in rng.choice(turning[:-150], 3, replace=False):
             keep[start : start + int(rng.integers(20, 120))] = False
-        lossy = Path(path.time_s[keep], path.rate_dps[keep], path.force_g[keep], path.zero_dps)
+        lossy = rows_of(path, keep)
         found = integrate(lossy, sampling(noise_dps=0.6))
         assert isinstance(found, Integral)
         assert found.bridged == (~keep).sum()
@@ -114,7 +120,7 @@ def test_a_gap_too_long_for_a_bridge_refuses_the_turn_and_says_so():
     middle = int(np.abs(path.rate_dps[:, 2]).argmax())
     keep = np.ones(len(path.time_s), dtype=bool)
     keep[middle : middle + 400] = False
-    lossy = Path(path.time_s[keep], path.rate_dps[keep], path.force_g[keep], path.zero_dps)
+    lossy = rows_of(path, keep)
     found = integrate(lossy, sampling(noise_dps=0.6))
     assert isinstance(found, str)
     assert "no samples for 0.49 s while it was turned" in found
@@ -124,7 +130,7 @@ def test_a_gap_at_rest_before_the_motion_only_shortens_the_interval():
     path = path_of(planar(6, [0.0, 90.0]))
     keep = np.ones(len(path.time_s), dtype=bool)
     keep[20:300] = False
-    lossy = Path(path.time_s[keep], path.rate_dps[keep], path.force_g[keep], path.zero_dps)
+    lossy = rows_of(path, keep)
     found, whole = integrate(lossy, sampling(noise_dps=0.6)), integrate(path, sampling(noise_dps=0.6))
     assert isinstance(found, Integral)
     assert isinstance(whole, Integral)
@@ -137,10 +143,34 @@ def test_a_recording_that_begins_in_the_middle_of_the_turn_is_refused():
     path = path_of(planar(6, [0.0, 90.0]))
     late = int(np.abs(path.rate_dps[:, 2]).argmax())
     rows = np.r_[0:1, late : len(path.time_s)]
-    cut = Path(path.time_s[rows], path.rate_dps[rows], path.force_g[rows], path.zero_dps)
+    cut = rows_of(path, rows)
     found = integrate(cut, sampling(noise_dps=0.6))
     assert isinstance(found, str)
-    assert "moving already" in found or "no samples" in found
+    assert "no samples for" in found
+
+
+def test_a_part_of_the_turn_that_was_not_recorded_shows_in_gravity():
+    world = World(WorldSettings(), seed=4)
+    recorder = Recorder(world)
+    recorder.dwell(2.0, 0.0)
+    recorder.now_s = world.stage.move_to(recorder.now_s, 30.0) + 1.0
+    recorder.turn(lambda at: world.stage.move_to(at, 90.0), before_s=1.0)
+    recorder.dwell(2.0, 90.0)
+    assert integrate(path_of(recorder), sampling(noise_dps=0.6)) == (
+        "a part of the turn went by while nothing was recorded"
+    )
+
+
+def test_a_turn_of_which_nothing_was_recorded_is_not_taken_for_rest():
+    world = World(WorldSettings(), seed=4)
+    recorder = Recorder(world)
+    recorder.dwell(2.0, 0.0)
+    recorder.turn(lambda at: at + 1.0)
+    recorder.now_s = world.stage.move_to(recorder.now_s, 90.0) + 1.0
+    recorder.dwell(2.0, 90.0)
+    assert integrate(path_of(recorder), sampling(noise_dps=0.6)) == (
+        "the part was turned while nothing was recorded"
+    )
 
 
 def test_a_turn_beyond_the_range_is_refused_with_its_rate():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.errors import FitError
-from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.fit import Fit, adequacy
 from adis_gonio.estimation.readings import Readings, from_means
 from adis_gonio.model.effects import Conditions, Enters, effect
 from adis_gonio.tracing import trace_readings
@@ -17,7 +17,7 @@ from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.selection.design import amplitudes, linearise, span
 from adis_gonio.tracing.selection.search import price, search
-from adis_gonio.tracing.selection.select import adequacy, select
+from adis_gonio.tracing.selection.select import select
 
 G = 1000.0
 

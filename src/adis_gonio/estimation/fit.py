@@ -477,6 +477,17 @@ class Fit:
         return foreseen(rest.reshape(-1, rest.shape[2]), there.white_by_dwell(there.columns), most)
 
 
+def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
+    """p-value of a residual against the noise that was measured within the dwells."""
+    from scipy import stats
+
+    if dof <= 0:
+        return 1.0
+    if np.isinf(noise_dof):
+        return float(stats.chi2.sf(chi2, dof))
+    return float(stats.f.sf(chi2 / dof, dof, max(noise_dof, 1.0)))
+
+
 def nameless_spread(model: Measurement, term: Term) -> float:
     """Prior standard deviation of the amplitudes of a term without a name, in the term's unit."""
     return NAMELESS_SPREAD * (MG_PER_G if term.enters_angle else model.full)

@@ -70,7 +70,7 @@ class Unit:
     Attributes
     ----------
     name : str
-        `mg` (any unit of known size), or `counts`.
+        `mg` or `dps` (any unit of known size), or `counts`.
     zero, per_mg : (axes,) float
         File's value at zero, and counts per mg; both rough for counts, 0 and 1 for mg.
     scale : float
@@ -89,7 +89,7 @@ class Unit:
     @property
     def known(self) -> bool:
         """False for counts, where the zero of an axis is part of the unit."""
-        return self.name == "mg"
+        return self.name != "counts"
 
 
 def in_mg(axes: int, scale: float = 1.0) -> Unit:

@@ -320,7 +320,8 @@ def _path(session: Session, turn: Turn, before: Dwell, after: Dwell, scale: floa
     rate = np.concatenate([before.gyro[ends[0]], turn.gyro, after.gyro[ends[1]]])
     force = np.concatenate([_three(a) for a in (before.accel[ends[0]], turn.accel, after.accel[ends[1]])])
     zero = np.array([before.gyro.mean(axis=0), after.gyro.mean(axis=0)])
-    return Path(time, scale * rate, per_g * force, scale * zero)
+    at_rest = np.array([_three(dwell.accel).mean(axis=0) for dwell in (before, after)])
+    return Path(time, scale * rate, per_g * force, scale * zero, per_g * at_rest)
 
 
 def _reference(

@@ -15,6 +15,7 @@ from adis_gonio.sensor.variants import VARIANTS
 
 CONSISTENT = 4.0
 """Standard uncertainties within which a declared turn and gravity's may be averaged."""
+UNKNOWN_LEAN_DEG = 0.25
 UNKNOWN_BIAS_MG = 50.0
 """Of a sensor without figures (one real ADIS16350 showed +57 mg)."""
 
@@ -77,8 +78,10 @@ def triad_of(session: Session) -> Triad | None:
         return Triad(rough.direction, rough.u_rad, psi, rough.gravity, notes)
     directions = calibration.apply(readings.mean)
     u_rad = float(np.linalg.norm(u_mg)) / g
-    if held or len(result.parameters) < 9:
+    if held or sum(one.name.startswith("bias") for one in result.parameters) < 3:
         u_rad = math.hypot(u_rad, _rough_u_rad(session))
+    elif len(result.parameters) < 9:
+        u_rad = math.hypot(u_rad, _lean_rad(session))
     gravity = dict(zip(readings.position.tolist(), directions, strict=True))
     return Triad(lambda force: calibration.apply(1e3 * force), u_rad, None, gravity)
 
@@ -118,9 +121,14 @@ def _as_read(session: Session) -> Triad:
 
 
 def _rough_u_rad(session: Session) -> float:
+    return math.hypot(_bias_mg(session) / session.gravity_mg, _lean_rad(session))
+
+
+def _lean_rad(session: Session) -> float:
+    """Of axes that nobody has measured; uniform within the sheet's limit."""
     variant = VARIANTS.get(session.sensor)
-    lean = 0.25 if variant is None else variant.performance.non_orthogonality_deg
-    return math.hypot(_bias_mg(session) / session.gravity_mg, math.radians(lean) / math.sqrt(3))
+    limit = UNKNOWN_LEAN_DEG if variant is None else variant.performance.non_orthogonality_deg
+    return math.radians(limit) / math.sqrt(3)
 
 
 def _bias_mg(session: Session) -> float:

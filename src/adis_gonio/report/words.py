@@ -122,12 +122,19 @@ def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
     columns: dict[str, list[float | None]] = {
         f"residual / {result.before.unit}": [error.residual_rms for _, error in rows],
         f"left out / {result.before.unit}": [error.heldout_rms for _, error in rows],
+        **_by_axis(rows, result.before.unit),
         "error of the angle / °": [error.angle_rms_deg for _, error in rows],
         "χ² / dof": [error.chi2_per_dof for _, error in rows],
     }
     shown = {head: column for head, column in columns.items() if any(cell is not None for cell in column)}
     cells = [[name, *(number(column[k]) for column in shown.values())] for k, (name, _) in enumerate(rows)]
     return ["model", *shown], cells
+
+
+def _by_axis(rows: Sequence[tuple[str, ErrorFigures]], unit: str) -> dict[str, list[float | None]]:
+    """Columns of the held-out error of each axis, where axes have nothing in common."""
+    each = [error.heldout_by_axis for _, error in rows]
+    return {f"{axis} / {unit}": [(own or {}).get(axis) for own in each] for axis in each[0] or ()}
 
 
 def how_sure(finding: Finding) -> str:
@@ -382,6 +389,9 @@ def _reason(reason: str) -> str:
         "angle_rad": "declared angle",
         "previous_angle_rad": "declared angle",
         "load_history": "times that increase",
+        "force_g": "force that changes",
+        "rate_dps": "turns between dwells",
+        "rate_dps, temperature_c": "turns between dwells, or the temperature,",
     }
     for field, word in words.items():
         if reason == f"{field} not recorded":

@@ -302,6 +302,15 @@ class SimStage:
             about = None if axis is None else np.asarray(axis, np.float64)
             self._bus._set_now(self._stage.turn_about(self._bus.now_s(), angle_deg, about))
 
+    def begin_turn(self, angle_deg: float) -> float:
+        """Begin to turn the part about the vertical (counter-clockwise positive); returns when it ends.
+
+        The bus's clock stands still, so that the turn can be recorded.
+        """
+        with self._bus._lock:
+            self._require_open()
+            return self._stage.turn_about(self._bus.now_s(), angle_deg)
+
     def turn_freely(self, turns: int = 1) -> float:
         """Begin turns by hand; returns when they end, on the bus's clock, which stands still."""
         with self._bus._lock:

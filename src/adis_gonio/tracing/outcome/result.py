@@ -372,6 +372,11 @@ class TraceResult:
         return calibration_of_trace(self)
 
     @property
+    def part(self) -> str:
+        """Part of the sensor that was traced."""
+        return self.fits[-1].data.model.part if self.fits else "accelerometer"
+
+    @property
     def dof(self) -> float:
         """Degrees of freedom of the noise at which uncertainties are stated; inf where unlimited."""
         return next((value.dof for value in self.base.values() if value.u is not None), math.inf)
@@ -418,7 +423,9 @@ class TraceResult:
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `trace`."""
+        other = {} if self.part == "accelerometer" else {"part": self.part}
         return {
+            **other,
             "adequate": self.adequate,
             "found": [finding.as_dict() for finding in self.found],
             "steps": [step.as_dict() for step in self.steps],

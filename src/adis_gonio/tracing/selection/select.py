@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adis_gonio.budget import spent
-from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.fit import Fit, adequacy
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import effect
@@ -97,17 +97,6 @@ class Selection:
         adequate = adequacy(fit.chi2, fit.dof, fit.data.noise_dof) >= limits.adequate if known else True
         inflation = 1.0 if known and adequate else self.inflation
         return replace(self, fit=fit, adequate=adequate, inflation=inflation)
-
-
-def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
-    """p-value of a residual against the noise that was measured within the dwells."""
-    from scipy import stats
-
-    if dof <= 0:
-        return 1.0
-    if np.isinf(noise_dof):
-        return float(stats.chi2.sf(chi2, dof))
-    return float(stats.f.sf(chi2 / dof, dof, max(noise_dof, 1.0)))
 
 
 def fit_model(problem: LinearProblem, chosen: Sequence[int], about: Fit) -> Fit:
