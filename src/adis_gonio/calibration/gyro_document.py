@@ -105,7 +105,8 @@ def _matrix(covariance: Mapping[str, Any], names: list[str]) -> Any:
     matrix, p = np.array(covariance["matrix"], dtype=float), len(names)
     if matrix.shape != (p, p) or not np.isfinite(matrix).all():
         raise ValueError(f"the covariance of {p} parameters is no matrix of {p} × {p} finite numbers")
-    if (np.diag(matrix) < 0).any() or not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0):
+    sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    if (np.diag(matrix) < 0).any() or (np.abs(matrix - matrix.T) > 1e-9 * np.outer(sizes, sizes)).any():
         raise ValueError("the covariance is not symmetric, or a variance is negative")
     return matrix
 

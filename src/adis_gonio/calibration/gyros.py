@@ -476,7 +476,7 @@ def _taken(
     taken: Floats = np.diag([float(one.u or 0.0) ** 2 for one in parameters])
     inside = [k for k, name in enumerate(names) if name in given]
     rows = [given.index(names[k]) for k in inside]
-    taken[np.ix_(inside, inside)] = matrix[np.ix_(rows, rows)]
+    taken[np.ix_(inside, inside)] = (matrix[np.ix_(rows, rows)] + matrix[np.ix_(rows, rows)].T) / 2
     return taken
 
 
@@ -491,7 +491,8 @@ def _read(v: _Values, rate: Floats, force: Floats, warm: Floats, volts: Floats) 
 
 def _zero(v: _Values, force: Floats, warm: Floats, volts: Floats) -> Floats:
     """What is read of no turn (n, 3)."""
-    return np.asarray(v.bias + force @ v.per_g.T + force**2 @ v.per_g2.T + v.per_c * warm + v.per_v * volts)
+    by_warmth = sum((c * warm ** (k + 1) for k, c in enumerate(v.per_c)), np.zeros(warm.shape))
+    return np.asarray(v.bias + force @ v.per_g.T + force**2 @ v.per_g2.T + by_warmth + v.per_v * volts)
 
 
 def _rows(name: str, given: ArrayLike) -> tuple[Floats, bool]:

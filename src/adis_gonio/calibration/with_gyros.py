@@ -2,41 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
-from adis_gonio.calibration.calibration import Calibration, NotCorrected
+from adis_gonio.calibration.calibration import Calibration
+from adis_gonio.calibration.gyro_building import (
+    GyroEstimates,
+    estimates_of_gyro_fit,
+    estimates_of_gyro_trace,
+)
 from adis_gonio.calibration.gyros import GyroCalibration
-from adis_gonio.errors import AdisGonioError, FitError, SessionError
+from adis_gonio.errors import AdisGonioError, SessionError
 from adis_gonio.model.provenance import provenance_of
-from adis_gonio.model.records import Floats, Session
+from adis_gonio.model.records import Session
 from adis_gonio.sensor.registers import ACCEL_OFF, GYRO_OFF
 from adis_gonio.sensor.variants import VARIANTS
 from adis_gonio.writeback.journal import INTERRUPTED, operations_of
-
-
-@dataclass(frozen=True)
-class GyroEstimates:
-    """What a fit or a trace of the gyros found.
-
-    Attributes
-    ----------
-    method : str
-    estimates : mapping of str to objects with `value`, `u`, `unit`
-    covariance : (names, (p, p) float) or None
-    not_corrected : tuple of NotCorrected
-    doubts : tuple of str
-        Why it is no sound base for the chip, one line each; empty where it is.
-    """
-
-    method: str
-    estimates: Mapping[str, Any]
-    covariance: tuple[Sequence[str], Floats] | None = None
-    not_corrected: tuple[NotCorrected, ...] = ()
-    doubts: tuple[str, ...] = ()
 
 
 def with_gyros(calibration: Calibration, session: Session, *, traced: bool = False) -> Calibration:
@@ -114,7 +96,13 @@ def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimate
 
     Raises
     ------
-    FitError
-        The session has no gyros, or does not determine their zero rates.
+    DataError, FitError
+        The session has no gyros, or none whose unit is known, or no dwell.
     """
-    raise FitError(f"{session.source or 'session'}: nothing calibrates its gyros")
+    if traced:
+        from adis_gonio.tracing.trace import trace
+
+        return estimates_of_gyro_trace(trace(session, part="gyro"))
+    from adis_gonio.fitting.gyro import fit_gyro
+
+    return estimates_of_gyro_fit(fit_gyro(session))

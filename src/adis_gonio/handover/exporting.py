@@ -11,7 +11,7 @@ from typing import Any
 from adis_gonio.calibration.calibration import Calibration
 from adis_gonio.calibration.document import json_text
 from adis_gonio.calibration.loading import calibration_in
-from adis_gonio.calibration.with_gyros import with_gyros
+from adis_gonio.calibration.with_gyros import gyro_calibration_of, with_gyros
 from adis_gonio.errors import DataError, FitError, UsageError
 from adis_gonio.handover.c_header import DEFAULT_NAME
 from adis_gonio.jsonable import finite
@@ -129,9 +129,12 @@ class Source:
             del about["dwells"]
         result = self._result(session)
         document: dict[str, Any] = {"coefficients": result.as_dict(), "session": about}
-        with suppress(FitError):  # what is known of the parameters is in the coefficients then
+        try:
             made = with_gyros(result.calibration(), session, traced=self.traced)
             document = {**made.as_dict(), **document}
+        except FitError:  # what is known of the parameters is in the coefficients then
+            with suppress(DataError, FitError):
+                document["gyro"] = gyro_calibration_of(session, traced=self.traced).as_dict()
         return json_text(finite(document))
 
 

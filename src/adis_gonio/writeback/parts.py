@@ -26,6 +26,7 @@ from adis_gonio.writeback.plan import Numbers, WritePlan, plan_gyro_offsets, pla
 from adis_gonio.writeback.rest import Rest, measure
 
 if TYPE_CHECKING:
+    from adis_gonio.calibration.gyro_building import GyroEstimates
     from adis_gonio.calibration.gyros import GyroCalibration
     from adis_gonio.fitting import FitResult
 
@@ -42,7 +43,13 @@ class Part(Protocol):
         Its offset registers, and those of the other half.
     unit : str
         `mg` or `dps`.
+    remarks : tuple of str
+        What is to be said of the plan, in lines.
     """
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is to be said of the plan, in lines."""
 
     registers: tuple[str, ...]
     others: tuple[str, ...]
@@ -74,6 +81,7 @@ class Accelerometers:
     """
 
     registers, others, unit = ACCEL_OFF, GYRO_OFF, "mg"
+    remarks: tuple[str, ...] = ()
 
     def __init__(self, session: Session, method: str | None, angle_deg: float | None) -> None:
         self.session, self._method, self._angle_deg = session, method, angle_deg
@@ -116,6 +124,15 @@ class Gyros:
         self._figures = variant(session.sensor).performance
 
     @cached_property
+    def _found(self) -> GyroEstimates:
+        return gyro_estimates_of(self.session)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the fit of the gyros says: what it does not determine, what a drift would change."""
+        return self._found.remarks
+
+    @cached_property
     def gyro(self) -> GyroCalibration:
         """The calibration, for the offsets that stood while the session was recorded."""
         made = gyros_as_recorded(self.session)
@@ -125,7 +142,7 @@ class Gyros:
 
     def plan(self, now: Numbers) -> WritePlan:
         """As `plan_gyro_offsets`."""
-        return plan_gyro_offsets(self.session, self.gyro, now, gyro_estimates_of(self.session).doubts)
+        return plan_gyro_offsets(self.session, self.gyro, now, self._found.doubts)
 
     def measure(self, sensor: Adis16354, dwell_s: float, patience_s: float) -> Rest:
         """As `rest.measure`, with the gyros."""

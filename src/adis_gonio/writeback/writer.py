@@ -204,6 +204,8 @@ class OffsetWriter:
         """
         now, endurance = self._read()
         plan = self._part.plan(now)
+        for remark in self._part.remarks:
+            self._tell(f"gyros: {remark}")
         if plan.doubts and not self.settings.doubtful:
             raise SessionError(
                 f"{self.path}: the fit is no sound base ({'; '.join(plan.doubts)}); see `adis-gonio trace`,"
