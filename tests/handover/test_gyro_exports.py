@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from datetime import date
@@ -247,3 +248,22 @@ def test_a_calibration_file_with_gyros_is_exported_on(tmp_path):
     assert (tmp_path / "own.h").read_text() == c_header(own)
     assert "ZGYRO_OFF=" in (tmp_path / "own.txt").read_text()
     assert "Parameters of the gyros" in Path(tmp_path / "own.xml").read_text("utf-8")
+
+
+def test_registers_show_the_chip_s_offsets_beside_what_the_calibration_would_write(tmp_path, capsys):
+    path = tmp_path / "own.json"
+    with_gyros(calibration(PLANE), ZERO, offsets_lsb=(0, 0, 0)).save(path)
+    assert main(["registers", "sim:?seed=1", "XGYRO_OFF=12", "--cal", str(path)]) == 0
+    (row,) = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("XGYRO_OFF")]
+    assert row[2:5] == ["12", "0.2198", "°/s"]
+    assert row[5:10] == ["-66", "=", "-1.209", "°/s", "(u"]
+    assert main(["registers", "sim:?seed=1", "--cal", str(path), "--json"]) == 0
+    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["registers"]}
+    assert rows["YGYRO_OFF"]["calibration"] == {
+        "number": 40, "value": pytest.approx(40 * LSB), "u": 2e-3, "unit": "°/s",
+    }  # fmt: skip
+    assert rows["XACCL_OFF"]["calibration"]["number"] == -26
+    assert "calibration" not in rows["SMPL_PRD"]
+    assert main(["registers", "sim:?seed=1", "--json"]) == 0
+    assert "calibration" not in capsys.readouterr().out
+    assert main(["registers", "--cal", str(path)]) == 2

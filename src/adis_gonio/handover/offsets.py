@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from adis_gonio.calibration.calibration import Calibration
 from adis_gonio.calibration.gyros import GYRO_OFFSET_DPS, GyroCalibration
@@ -117,6 +118,57 @@ def gyro_offset_words(gyro: GyroCalibration) -> tuple[GyroOffsetWord, ...]:
         left = bias.value + step * GYRO_OFFSET_DPS
         words.append(GyroOffsetWord(row.name, number, before, bias.value, bias.u, left))
     return tuple(words)
+
+
+@dataclass(frozen=True)
+class WantedOffset:
+    """What a calibration would write into an offset register, in the register's unit, with u."""
+
+    name: str
+    number: int
+    value: float
+    u: float | None
+    unit: str
+
+    def __str__(self) -> str:
+        u = "" if self.u is None else f" (u {self.u:.2g})"
+        return f"{self.number} = {self.value:+.4g} {self.unit}{u}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form, without the name."""
+        return {"number": self.number, "value": self.value, "u": self.u, "unit": self.unit}
+
+
+def wanted_offsets(calibration: Calibration) -> tuple[WantedOffset, ...]:
+    """Offsets of gyros and accelerometers that a calibration gives; of a half that it cannot give none.
+
+    Raises
+    ------
+    FitError
+        It gives none at all.
+    """
+    found = []
+    if calibration.gyro is not None:
+        found += [
+            WantedOffset(one.name, one.number, GYRO_OFFSET_DPS * one.number, one.u_dps, "°/s")
+            for one in gyro_offset_words(calibration.gyro)
+        ]
+    try:
+        lsb_mg = (
+            0.0
+            if calibration.provenance.counts
+            else VARIANTS[calibration.provenance.sensor].accel_mg_per_lsb
+        )
+        found += [
+            WantedOffset(one.name, one.number, lsb_mg * one.number, one.u_mg, "mg")
+            for one in offset_words(calibration)
+        ]
+    except (FitError, KeyError):
+        if not found:
+            raise FitError(
+                "the calibration gives no offsets: neither biases nor zero rates of a part"
+            ) from None
+    return tuple(found)
 
 
 def _gyro_lines(gyro: GyroCalibration) -> list[str]:
