@@ -10,6 +10,7 @@ import pytest
 from adis_gonio.errors import UsageError
 from adis_gonio.model.effects.base import Effect, Enters, Parameter
 from adis_gonio.sim import World, WorldSettings
+from adis_gonio.sim.gyro_settings import GyroSettings
 
 SILENT = {
     "noise_mg": 0.0,
@@ -332,18 +333,17 @@ def test_bad_settings_are_refused_in_one_line(options, message):
 
 
 def test_every_setting_is_described_and_named_with_its_unit():
-    text = WorldSettings.__doc__
-    units = ("mg", "deg", "dps", "c", "s", "v", "hz", "mps2", "h", "g", "mm")
-    pure = ("delta_k", "scale_y", "scale_z")
+    text = WorldSettings.__doc__ + GyroSettings.__doc__
+    units = ("mg", "deg", "dps", "c", "s", "v", "hz", "mps2", "h", "g", "g2", "mm")
+    pure = (
+        r"delta_k|scale_[yz]|hand_(pauses|returns|unevenness|moves|miss)|gyro_(scale|asymmetry)_[xyz]"
+        r"|gyro_(range_gain_(150|75)|saturation|g_compensation)|origin_compensation"
+    )
     for entry in fields(WorldSettings):
-        stem = entry.name
-        for axis in ("_y_", "_z_"):
-            stem = stem.replace(axis, "_x_")
-        stem = re.sub(r"_(x[yz]|y[xz]|z[xy])_", "_xy_", stem)
-        stem = re.sub(r"^gyro_scale_[xyz]$", "gyro_scale_x", stem)
-        assert stem in text or entry.name in text, entry.name
-        pure_number = re.match(r"hand_(pauses|returns|unevenness|moves|miss)$", stem)
-        if entry.name not in pure and stem != "gyro_scale_x" and not pure_number:
+        stem = re.sub(r"_[xyz](_|$)", r"_x\1", entry.name)
+        stems = [entry.name, stem, *(re.sub(r"_[xyz]{2}_", pair, stem) for pair in ("_xx_", "_xy_"))]
+        assert any(re.search(rf"\b{name}\b", text) for name in stems), entry.name
+        if not re.fullmatch(pure, entry.name):
             assert entry.name.rsplit("_", 1)[1] in units, entry.name
 
 
