@@ -117,6 +117,14 @@ def test_what_effects_add_becomes_the_gain_and_direction_of_the_same_gyro():
         assert again == pytest.approx(row, abs=1e-12)
 
 
+def test_turns_that_tell_nothing_for_one_reason_are_one_line(fitted):
+    turns = [warning for warning in fitted.warnings if warning.startswith("turn to dwell")]
+    said = estimates_of_gyro_fit(fitted).remarks
+    assert len(turns) == 13
+    assert [one for one in said if "13 turns not used" in one]
+    assert len(said) == len(fitted.warnings) - 12
+
+
 def test_a_residual_beyond_the_noise_is_a_doubt(data_folder):
     result = adis_gonio.fit(data_folder / "adis16350_14_poses.csv.gz", part="gyro")
     found = estimates_of_gyro_fit(result)

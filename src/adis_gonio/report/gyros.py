@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from adis_gonio.calibration.gyro_building import remarks_of
 from adis_gonio.calibration.with_gyros import gyros_as_recorded
 from adis_gonio.errors import AdisGonioError
 from adis_gonio.estimation.values import Value
@@ -32,7 +33,9 @@ def gyro_section(session: Session) -> Section | None:
         f"{number(result.chi2)} / {result.dof}.",
     ]
     tables = [_parameters(result), *_scores(result), *_offsets(session)]
-    return Section("Gyros", words=said, points=result.warnings, figures=[_residuals(result)], tables=tables)
+    return Section(
+        "Gyros", words=said, points=remarks_of(result), figures=[_residuals(result)], tables=tables
+    )
 
 
 def _parameters(result: GyroFit) -> Table:
