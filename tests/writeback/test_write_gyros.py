@@ -7,6 +7,7 @@ import contextlib
 import io
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -328,19 +329,20 @@ def test_an_autonull_of_a_part_that_turns_is_set_back_in_register_and_flash_and_
     bus = part()
     made = writer(bus, path, WriteSettings(dwell_s=2.0, gyros=True))
     made.plan()
-    sampled = bus.world._gyros
+    sample = bus.world.sample
 
-    def turning(*arguments):
-        return sampled(*arguments) + np.array([0.0, 0.0, 4.0])  # a bench that turns
+    def turning(time_s):
+        inputs = sample(time_s)
+        return replace(inputs, gyro_dps=inputs.gyro_dps + [0.0, 0.0, 4.0])  # the bench turns
 
-    bus.world._gyros = turning
+    bus.world.sample = turning
     bus.sleep_s(0.1)
     with pytest.raises(VerifyError, match=r"not kept: it is off by Z \+[345]\.\d+ °/s") as caught:
         made.autonull()
     assert "\n" not in str(caught.value)
     assert gyro_numbers(bus) == gyro_flash(bus) == OLD
     assert bus.chip.memory["ENDURANCE"] == 2
-    bus.world._gyros = sampled
+    bus.world.sample = sample
     standing = writer(bus, path).standing()
     assert (standing.registers, standing.open) == ("old", False)
 
