@@ -333,7 +333,7 @@ def test_an_autonull_of_a_part_that_turns_is_set_back_in_register_and_flash_and_
 
     def turning(time_s):
         inputs = sample(time_s)
-        return replace(inputs, gyro_dps=inputs.gyro_dps + [0.0, 0.0, 4.0])  # the bench turns
+        return replace(inputs, gyro_dps=inputs.gyro_dps + np.array([0.0, 0.0, 4.0]))  # the bench turns
 
     bus.world.sample = turning
     bus.sleep_s(0.1)
