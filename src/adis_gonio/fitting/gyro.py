@@ -34,6 +34,8 @@ from adis_gonio.showing import html_table, parameter_frame, with_u
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from adis_gonio.calibration.gyros import GyroCalibration
+
 METHOD = "gyro"
 CALIBRATED = ("g_sensitivity", "gyro_scale", "gyro_misalignment")
 """Effects of a physical calibration, the first to be given up last."""
@@ -137,6 +139,24 @@ class GyroFit:
         """`14 dwells and 3 turns`."""
         dwells = counted(len(self.positions) - self.turns, "dwell")
         return f"{dwells} and {counted(self.turns, 'turn')}" if self.turns else dwells
+
+    def calibration(self) -> GyroCalibration:
+        """What turns readings of the gyros into rates of turn by these parameters, as they were recorded.
+
+        Raises
+        ------
+        FitError
+            A zero rate is not determined.
+        """
+        from adis_gonio.calibration.gyros import GyroCalibration
+
+        where = self.provenance
+        return GyroCalibration.of(
+            self.parameters,
+            (list(self.parameters), self.covariance),
+            method=self.method,
+            **({} if where is None else {"temperature_c": where.temperature_c, "supply_v": where.supply_v}),
+        )
 
     def _repr_html_(self) -> str:
         """The parameters as a table, for notebooks."""
