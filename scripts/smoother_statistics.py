@@ -4,9 +4,9 @@
 
 Each hand turns a part of its own by 90 to 400° in some seconds, between two rests; gyro and accelerometers
 have the faults of `part_of`. The accelerometers are corrected by a calibration that is as it should be (the
-truth, but for drift since), the gyros by none, or by one with the errors that it states. The angle is told by
-gravity alone (means of 0.1 s, as `angle` shows them), by the filter (lag 0), by the smoother at several lags,
-and by an offline smoother that has all samples, which bounds them.
+truth, but for drift since), the gyros by none, or by one with the errors that it states. The angle is told
+by gravity alone (means of 0.1 s, as `angle` shows them), by the filter (lag 0), by the smoother at several
+lags, and by an offline smoother that has all samples, which bounds them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -110,19 +110,20 @@ class Recording:
 
     def corrected(self, accel_mg: Floats, temperature_c: float | None = None) -> Floats:
         """Gravity (…, 3) in mg by the truth of the session, but for drift."""
-        truth = self.world.truth()
-        warm = self.world.truth(self.time_s[:1])
-        bias = np.array([truth[f"bias_{a}"] + truth[f"bias_temperature_{a}"] * self._warm for a in "xyz"])
-        gains = np.array([warm[f"scale_{a}"] for a in "xyz"])
-        skews = np.radians([truth["skew_xy"], truth["skew_xz"], truth["skew_yz"]])
+        bias, gains, sine, cosine = self._faults
         unit = (accel_mg - bias) / gains
-        x = unit[..., 0]
-        y = (unit[..., 1] - x * math.sin(skews[0])) / math.cos(skews[0])
-        return np.stack([x, y, unit[..., 2]], axis=-1)
+        y = (unit[..., 1] - unit[..., 0] * sine) / cosine
+        return np.stack([unit[..., 0], y, unit[..., 2]], axis=-1)
 
-    @property
-    def _warm(self) -> float:
-        return float(self.world.temperature_c(self.time_s).mean()) - 25.0
+    @cached_property
+    def _faults(self) -> tuple[Floats, Floats, float, float]:
+        """Biases and gains (3,) at the recording's temperature, sine and cosine of Δφ."""
+        warm = float(self.world.temperature_c(self.time_s).mean()) - 25.0
+        truth = self.world.truth()
+        bias = [truth[f"bias_{a}"] + truth[f"bias_temperature_{a}"] * warm for a in "xyz"]
+        gains = [truth[f"scale_{a}"] * (1 + truth[f"scale_temperature_{a}"] * warm) for a in "xyz"]
+        skew = math.radians(truth["skew_xy"])
+        return np.array(bias), np.array(gains), math.sin(skew), math.cos(skew)
 
 
 def recording_of(seed: int, given: Mapping[str, float] | None = None) -> Recording:

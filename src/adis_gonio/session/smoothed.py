@@ -119,7 +119,7 @@ class SmoothedMeter:
             bend=bend,
         )
         self._off = 0.0
-        """By how much gravity was too long or too short when the part last rested, where that is too much."""
+        """How far gravity's length was off when the part last rested, where that is too much."""
 
     def feed(self, block: Block) -> None:
         """Take samples; those without gyros are passed over."""
@@ -134,7 +134,7 @@ class SmoothedMeter:
         self._smoother.restart()
 
     def rested(self, mean_mg: Floats, temperature_c: float | None) -> None:
-        """The part is at rest and reads this (3,): is gravity as long as the calibration says?"""
+        """The part is at rest and reads this (3,): judge whether gravity is as long as calibrated."""
         calibration = self._calibration
         if calibration is None:
             return

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -21,7 +22,8 @@ LEAST_STEPS = 8
 START_MG = 20.0
 """Level before the first steps have shown it (D): a part held in the hand."""
 SHOCK = 16.0
-"""A step whose square is so many times the span's is a shock, and counts by itself: 3e-7 of Gaussian steps."""
+"""A step whose square is so many times the span's is a shock, and counts by itself: one Gaussian step in
+nine million."""
 STATIONARY = 0.97
 _MEDIAN = 2 * math.log(2)
 
@@ -65,7 +67,8 @@ def disturbance_of(level: Floats, at: int, sensor_mg2: float) -> Disturbance:
         return coloured(sensor_mg2, START_MG**2, 0.5, 0.0)
     left = _without_course(level)
     squares = left.real**2 + left.imag**2
-    typical = max(float(np.median(squares)) / _MEDIAN, 0.5 * sensor_mg2)
+    middle = len(squares) // 2
+    typical = max(float(np.partition(squares, middle)[middle]) / _MEDIAN, 0.5 * sensor_mg2)
     calm = squares <= 2 * SHOCK * typical
     shock = 0.0 if calm[at] else 0.5 * float(squares[at])
     left = np.where(calm, left, 0.0)
@@ -92,9 +95,15 @@ def coloured(white_mg2: float, variance_mg2: float, first: float, second: float)
 
 def _without_course(level: Floats) -> Floats:
     """Without mean and slope: what a gyro's zero and slow changes make is not disturbance."""
-    place = np.arange(len(level)) - (len(level) - 1) / 2
-    centred = level - level.mean()
-    return np.asarray(centred - place * (place @ centred) / (place @ place))
+    place, square = _places(len(level))
+    centred = level - level.sum() / len(level)
+    return np.asarray(centred - place * ((place @ centred) / square))
+
+
+@lru_cache(maxsize=256)
+def _places(count: int) -> tuple[Floats, float]:
+    place = np.arange(count, dtype=np.float64) - (count - 1) / 2
+    return place, float(place @ place)
 
 
 __all__ = ["Disturbance", "coloured", "disturbance_of"]

@@ -59,12 +59,12 @@ class Sensing:
     @property
     def step_samples(self) -> int:
         """Samples of a step: no fewer than a boxcar of the filter, so that steps are nearly independent."""
-        return max(1, 2**self.filter_m, round(STEP_S / self.period_s))
+        return max(1, 1 << self.filter_m, round(STEP_S / self.period_s))
 
     @property
     def delay_s(self) -> float:
         """Delay of the filter."""
-        return (2**self.filter_m - 1) * self.period_s
+        return ((1 << self.filter_m) - 1) * self.period_s
 
     @property
     def step_noise_mg2(self) -> float:

@@ -1,8 +1,8 @@
 """The part's turn in the plane as a linear model: what moves, what is not known, what gravity shows.
 
 The state: angle (deg), zero rate of the gyro (°/s), relative error of its gain, its sensitivity to
-acceleration along X and Y (°/s/g), where the part is from the stage's axis (mm, X and Y), and the disturbance
-of gravity (mg across it; twice, now and a step ago: an autoregressive process of second order).
+acceleration along X and Y (°/s/g), where the part is from the stage's axis (mm, X and Y), and the
+disturbance of gravity (mg across it; twice, now and a step ago: an autoregressive process of second order).
 
 The gyro is an input, known but for its errors, which enter with measured factors, so that all stays linear.
 The gain's error walks as the part turns: accelerometers that are not calibrated, or not perfectly, bend
@@ -70,6 +70,11 @@ class Turned:
     lost: bool = False
 
     @property
+    def gravity_deg(self) -> float:
+        """Angle by gravity alone."""
+        return math.degrees(math.atan2(self.gravity.imag, self.gravity.real))
+
+    @property
     def lever_mg(self) -> tuple[complex, complex]:
         """What a millimetre along X and Y adds to `gravity`."""
         spin = math.radians(self.rate_dps)
@@ -109,7 +114,7 @@ class MotionModel:
         """The model of a step; its observation is that turn of gravity which is next to the prediction."""
         length_s = turned.increment.length_s
         f = np.eye(SIZE)
-        seen_deg = math.degrees(math.atan2(turned.gravity.imag, turned.gravity.real))
+        seen_deg = turned.gravity_deg
         f[ANGLE, ZERO] = -length_s
         f[ANGLE, SCALE] = -turned.turn_deg
         f[ANGLE, G_X], f[ANGLE, G_Y] = -length_s * turned.force_g

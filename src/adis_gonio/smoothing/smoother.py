@@ -15,7 +15,14 @@ import numpy as np
 
 from adis_gonio.errors import UsageError
 from adis_gonio.model.records import Floats
-from adis_gonio.smoothing.disturbance import AHEAD_S, BACK_S, Disturbance, coloured, disturbance_of
+from adis_gonio.smoothing.disturbance import (
+    AHEAD_S,
+    BACK_S,
+    LEAST_STEPS,
+    Disturbance,
+    coloured,
+    disturbance_of,
+)
 from adis_gonio.smoothing.gyros import GyroKnowledge
 from adis_gonio.smoothing.increments import BEGIN_S, Increment, Sensing, Stepper
 from adis_gonio.smoothing.linear import Passed, State, Step, advance, looked_back
@@ -41,9 +48,9 @@ DOUBT = 4.0
 """A calibration of the gyros is given up where the zero rate is off by so many of its uncertainties."""
 SATURATED_MG = 100.0
 """Disturbance of gravity where the part turns faster than its gyro can tell (D): a radius of 40 mm."""
-DRIFT_OCTAVES = 12
-"""Of 1/f noise, each with half the square of the Allan floor, between a second and an hour."""
-
+DRIFT_OCTAVES = 17
+"""Of 1/f noise, each with half the square of the Allan floor: between a second and a day, for a calibration
+of yesterday."""
 _NOTES = ("gap", "saturated", "out_of_plane")
 
 Corrected = Callable[[Floats, "float | None"], Floats]
@@ -141,7 +148,8 @@ class AngleSmoother:
         self._model = MotionModel(sensing, self._gyros, bend)
         step_s = sensing.step_samples * sensing.period_s
         self._lag = round(lag_s / step_s)
-        self._back, self._ahead = max(4, round(BACK_S / step_s)), round(AHEAD_S / step_s)
+        self._back = max(2 * LEAST_STEPS, round(BACK_S / step_s))
+        self._ahead = round(AHEAD_S / step_s)
         self._seen: deque[_Seen] = deque()
         self._waiting: tuple[Increment, Increment | None] | None = None
         self._stepper = Stepper(sensing)
@@ -213,13 +221,9 @@ class AngleSmoother:
             return state
         self._doubted = True
         open_ = GyroKnowledge()
+        wider = {ZERO: open_.zero_dps, SCALE: open_.scale, G_X: open_.g_dps_per_g, G_Y: open_.g_dps_per_g}
         covariance = state.covariance.copy()
-        for k, u in (
-            (ZERO, open_.zero_dps),
-            (SCALE, open_.scale),
-            (G_X, open_.g_dps_per_g),
-            (G_Y, open_.g_dps_per_g),
-        ):
+        for k, u in wider.items():
             covariance[k, k] += u * u
         return State(state.mean, covariance)
 
@@ -323,7 +327,7 @@ class AngleSmoother:
         return at.increment.time_s - self._sensing.delay_s
 
     def _drift_deg(self, at: Turned) -> float:
-        """What 1/f noise of the accelerometers does to the angle within an hour."""
+        """What 1/f noise of the accelerometers does to the angle within a day."""
         drift_mg = self._sensing.drift_mg * math.sqrt(DRIFT_OCTAVES / 2)
         return math.degrees(drift_mg / max(abs(at.gravity), 1.0))
 
