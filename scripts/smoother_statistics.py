@@ -233,10 +233,12 @@ def _judged(recording: Recording, found: Floats) -> Row:
     return judged
 
 
-def run(count: int, seed: int, jobs: int, *, calibrated: bool) -> list[Row]:
+def run(
+    count: int, seed: int, jobs: int, *, calibrated: bool, lags_s: Sequence[float] = LAGS_S
+) -> list[Row]:
     """Many hands, each with a seed of its own."""
     seeds = [int(s) for s in np.random.default_rng(seed).integers(2**32, size=count)]
-    work = partial(one, calibrated=calibrated)
+    work = partial(one, calibrated=calibrated, lags_s=lags_s)
     if jobs <= 1:
         return [work(s) for s in seeds]
     with ProcessPoolExecutor(jobs) as pool:

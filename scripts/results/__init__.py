@@ -1,4 +1,13 @@
 """Sections of docs/results/: `python scripts/results` makes the pages."""
 
-SECTIONS: tuple[str, ...] = ("paper", "angle", "plan", "free_turn", "population", "fleet", "bench")
+SECTIONS: tuple[str, ...] = (
+    "paper",
+    "angle",
+    "plan",
+    "free_turn",
+    "smoother",
+    "population",
+    "fleet",
+    "bench",
+)
 """Modules beside this one, each with `run(effort) -> Section`, in the order of the index."""
