@@ -69,7 +69,7 @@ def harmonics(made: Effect, values: np.ndarray, positions: int = 360) -> dict[st
     if made.enters is Enters.ATTITUDE:
         added = -ideal[:, 1] * made.attitude_rad(values, conditions)
     else:
-        added = made.reading_mg(values, ideal, conditions)[:, 0]
+        added = made.reading(values, ideal, conditions)[:, 0]
     lines = np.fft.rfft(added) / positions
     table = {"mean": float(lines[0].real)}
     for n in range(1, 5):

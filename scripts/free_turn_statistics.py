@@ -124,7 +124,7 @@ def angle_errors_deg(result: FitResult, truth: Mapping[str, float], gravity_mg: 
     """Angle of gravity to X shown minus the true one, at 72 angles of the turn."""
     model, psi = PlanarTurn(gravity_mg), np.linspace(0, 2 * math.pi, 72, endpoint=False)
     true = np.array([0.0, truth["scale_x"], truth["scale_y"], math.radians(truth["delta_phi"])])
-    reading = model.ideal_mg(true, psi, np.zeros(len(psi)))
+    reading = model.ideal(true, psi, np.zeros(len(psi)))
     reading = reading + np.array([truth["bias_x"], truth["bias_y"]])
     bias = [result["bias_x"].value, result["bias_y"].value]
     scales = result["scale_x"].value, result["scale_y"].value

@@ -120,7 +120,7 @@ def drawn(case: Case, rng: np.random.Generator, bare: Readings) -> tuple[Reading
     mean = mean + bias + slow[:-1] + rng.normal(0, white, mean.shape)
     bias = bias + slow[-1]
     truth = [gain[0] / gain[1] - 1, math.degrees(phi), math.degrees(alpha), *gain, *bias]
-    readings = replace(bare, mean_mg=mean)
+    readings = replace(bare, mean=mean)
     return readings, np.array(truth), np.array([alpha, *gain, phi, *bias])
 
 
@@ -281,13 +281,12 @@ def names_found(positions: int, sessions: int, seed: int) -> dict[str, dict[str,
                 readings, _, _ = drawn(case, rng, bare)
                 values = np.zeros(len(term.effect.parameters))
                 values[0] = TIMES * (sizes[name].amplitude or 0.0)
-                added = term.added(values, readings.mean_mg, readings.conditions)
+                added = term.added(values, readings.mean, readings.conditions)
                 if term.enters_angle:
-                    turned = np.stack([-readings.mean_mg[:, 1], readings.mean_mg[:, 0]], axis=1)
+                    turned = np.stack([-readings.mean[:, 1], readings.mean[:, 0]], axis=1)
                     added = added[:, None] * turned
                 found = {
-                    f.effect
-                    for f in trace_readings(replace(readings, mean_mg=readings.mean_mg + added)).found
+                    f.effect for f in trace_readings(replace(readings, mean=readings.mean + added)).found
                 }
                 found -= {"bias"}
                 right += found == {name}

@@ -56,7 +56,7 @@ def refit_by_scipy(data: Readings, term: Term) -> float:
     from scipy.optimize import least_squares
 
     start = Fit.begin(data).refit()
-    columns = term.columns(start.ideal_mg, data.conditions).shape[-1]
+    columns = term.columns(start.ideal, data.conditions).shape[-1]
 
     def residual(x: Floats) -> Floats:
         at = replace(start, values=replace(start.values, base=x[:4]))

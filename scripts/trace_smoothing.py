@@ -64,9 +64,9 @@ def told_error(blind: Blind, fitted: Readings, checked: Readings) -> float:
         left = target - beside @ (beside.T @ target)
         scores = evidence(fit, beside, left, candidates)
         term = candidates[int(np.argmax(scores))].term
-        width = term.columns(fitted.mean_mg, fitted.conditions).shape[-1]
+        width = term.columns(fitted.mean, fitted.conditions).shape[-1]
         fit = fit.having((term,), (np.zeros(width),)).refit()
-    return rms(leave(fit, checked).residual_mg, True)
+    return rms(leave(fit, checked).residual, True)
 
 
 def one(seed: int, index: int) -> tuple[str, float, float, float] | None:

@@ -54,9 +54,9 @@ def write_back(seed: int, folder: Path, variant: str, plan_name: str, dwell_s: f
     bias = np.array([truth["bias_x"], truth["bias_y"]])
     left = bias + lsb * np.array([axis.new for axis in made.axes])
     path.unlink()
-    off = (np.array(outcome.bias_mg) - left) / np.array(outcome.bias_u_mg)
+    off = (np.array(outcome.bias) - left) / np.array(outcome.bias_u)
     wander = np.sqrt(2) * sensor.variant.performance.bias_instability_mg
-    u = np.hypot([axis.u_mg for axis in made.axes], wander)
+    u = np.hypot([axis.u for axis in made.axes], wander)
     return Part(bias / lsb, left / lsb, u / lsb, off, outcome.endurance_after)
 
 

@@ -114,7 +114,7 @@ def ours_planar(readings: Readings) -> Planar:
 
 
 def _residual_planar(readings: Readings) -> Callable[[Floats], Floats]:
-    z, theta, u = readings.mean_mg / G_MG, readings.angle_rad, NOISE_MG / G_MG
+    z, theta, u = readings.mean / G_MG, readings.angle_rad, NOISE_MG / G_MG
 
     def residual(p: Floats) -> Floats:
         psi = p[0] - theta + p[6:]
@@ -209,7 +209,7 @@ def ours_space(readings: Readings) -> Space:
 
 def tedaldi_space(readings: Readings) -> Space:
     """By Tedaldi's method."""
-    return Space(*tedaldi(readings.mean_mg, G_MG))
+    return Space(*tedaldi(readings.mean, G_MG))
 
 
 def agree_norm(name: str, ours: Space, theirs: Space) -> str:

@@ -1,35 +1,72 @@
-"""`adis_gonio.fit` and `adis_gonio.trace`: as in their packages, and a path will do for a session."""
+"""`adis_gonio.fit` and `adis_gonio.trace`: as in their packages, of any part, and of a path too."""
 
 from __future__ import annotations
 
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, overload
 
 from adis_gonio.errors import UsageError
+from adis_gonio.estimation.parts import ACCELEROMETER, GYRO, known_part
 from adis_gonio.fitting import FitResult
 from adis_gonio.fitting import fit as _fit
+from adis_gonio.fitting.gyro import METHOD as GYRO_METHOD
+from adis_gonio.fitting.gyro import GyroFit, fit_gyro
 from adis_gonio.model import Session
 from adis_gonio.session import load_session
 from adis_gonio.tracing import TraceResult
 from adis_gonio.tracing.trace import trace as _trace
 
 
-def fit(session: Session | str | PathLike[str], method: str | None = None) -> FitResult:
+@overload
+def fit(
+    session: Session | str | PathLike[str],
+    method: str | None = None,
+    part: Literal["accelerometer"] = "accelerometer",
+) -> FitResult: ...
+
+
+@overload
+def fit(
+    session: Session | str | PathLike[str], method: str | None = None, *, part: Literal["gyro"]
+) -> GyroFit: ...
+
+
+@overload
+def fit(
+    session: Session | str | PathLike[str], method: str | None = None, *, part: str
+) -> FitResult | GyroFit: ...
+
+
+def fit(
+    session: Session | str | PathLike[str], method: str | None = None, part: str = ACCELEROMETER
+) -> FitResult | GyroFit:
     """`adis_gonio.fitting.fit` of a session, or of a file that holds one.
+
+    Parameters
+    ----------
+    part : {"accelerometer", "gyro"}
+        Part of the sensor; gyros have one method, `gyro`.
 
     Raises
     ------
     UsageError
-        Neither a session nor a path; no such method.
+        Neither a session nor a path; no such method, or part.
     DataError, FitError, SingularError
         As `adis_gonio.fitting.fit`.
     """
-    return _fit(session_of(session, "fit"), method=method)
+    if known_part(part) != GYRO:
+        return _fit(session_of(session, "fit"), method=method)
+    if method not in (None, GYRO_METHOD):
+        raise UsageError(f"gyros have no method '{method}'; theirs is {GYRO_METHOD}")
+    return fit_gyro(session_of(session, "fit"))
 
 
 def trace(
-    session: Session | str | PathLike[str], max_effects: int = 6, time_limit: float | None = None
+    session: Session | str | PathLike[str],
+    max_effects: int = 6,
+    time_limit: float | None = None,
+    part: str = "accelerometer",
 ) -> TraceResult:
     """`adis_gonio.tracing.trace` of a session, or of a file that holds one.
 
@@ -40,7 +77,7 @@ def trace(
     DataError, FitError
         As `adis_gonio.tracing.trace`.
     """
-    return _trace(session_of(session, "trace"), max_effects, time_limit)
+    return _trace(session_of(session, "trace"), max_effects, time_limit, part)
 
 
 def session_of(given: Any, what: str) -> Session:

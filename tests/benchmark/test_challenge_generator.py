@@ -82,7 +82,7 @@ def test_columns_mean_what_the_package_means_by_the_name(name: str, plane: bool)
         if made.enters is Enters.ATTITUDE:
             assert made.attitude_rad(given, conditions) == pytest.approx(term.angle @ ours, abs=1e-12)
         else:
-            expected = made.reading_mg(given, 1000 * a, conditions)
+            expected = made.reading(given, 1000 * a, conditions)
             assert expected == pytest.approx(term.reading @ ours, abs=1e-9), term.label
 
 
@@ -219,7 +219,7 @@ def test_the_package_reads_every_family_and_sees_the_true_readings(family: str, 
     path.write_text(csv, encoding="utf-8")
     assert len(load_session(path).dwells) == len(truth.start_s)
     table = read(path)
-    assert table.reading_mg == pytest.approx(np.array(truth.readings_mg), abs=1e-4)
+    assert table.reading == pytest.approx(np.array(truth.readings_mg), abs=1e-4)
     assert table.c.check.tolist() == truth.circumstances["check"]
     assert (table.c.time_s - table.c.time_s[0]) == pytest.approx(truth.circumstances["time_s"], abs=1e-3)
 

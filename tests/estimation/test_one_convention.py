@@ -82,9 +82,9 @@ def test_fit_trace_and_the_simulated_truth_agree_on_every_shared_name_in_fifty_s
 def test_the_plane_is_the_spatial_model_seen_from_the_plane() -> None:
     base = np.array([0.3, 1.02, 0.97, 0.01])
     psi = base[0] + np.linspace(0, 6, 11)
-    planar = PlanarTurn(G_MG).ideal_mg(base, np.zeros(11), psi - base[0])
+    planar = PlanarTurn(G_MG).ideal(base, np.zeros(11), psi - base[0])
     unit = np.stack([np.cos(psi), np.sin(psi), np.zeros(11)], axis=1)
-    space = FreeAttitude(G_MG).ideal_mg(np.array([1.02, 0.97, 1.1, 0.01, -0.02, 0.03]), unit, np.zeros(11))
+    space = FreeAttitude(G_MG).ideal(np.array([1.02, 0.97, 1.1, 0.01, -0.02, 0.03]), unit, np.zeros(11))
     np.testing.assert_allclose(planar, space[:, :2], atol=1e-9)
 
 
@@ -118,16 +118,16 @@ def test_columns_and_tangents_of_a_measurement_are_those_of_differences(model) -
     attitude = 0.01 * rng.standard_normal(n)
     if model.axes == 3:
         attitude = unit / np.linalg.norm(unit, axis=1, keepdims=True)
-    columns = model.columns_mg(base, attitude, turn)
+    columns = model.columns(base, attitude, turn)
     for k in range(len(base)):
         step = 1e-6 * np.eye(len(base))[k]
-        up, down = (model.ideal_mg(base + s, attitude, turn) for s in (step, -step))
+        up, down = (model.ideal(base + s, attitude, turn) for s in (step, -step))
         np.testing.assert_allclose(columns[:, :, k], (up - down) / 2e-6, atol=1e-4)
-    tangent = model.tangent_mg(base, attitude, turn)
+    tangent = model.tangent(base, attitude, turn)
     for k in range(model.freedom):
         step = np.zeros((n, model.freedom))
         step[:, k] = 1e-6
-        up, down = (model.ideal_mg(base, model.moved(attitude, s), turn) for s in (step, -step))
+        up, down = (model.ideal(base, model.moved(attitude, s), turn) for s in (step, -step))
         np.testing.assert_allclose(tangent[:, :, k], (up - down) / 2e-6, atol=1e-3)
 
 
@@ -138,9 +138,9 @@ def test_a_calibrated_sensor_computes_the_gravity_that_it_was_in(model) -> None:
     unit = rng.normal(size=(9, model.axes))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     if model.axes == 3:
-        reading = model.ideal_mg(base, unit, np.zeros(9))
+        reading = model.ideal(base, unit, np.zeros(9))
     else:
         psi = np.arctan2(unit[:, 1], unit[:, 0])
-        reading = model.ideal_mg(base, psi - base[0], np.zeros(9))
+        reading = model.ideal(base, psi - base[0], np.zeros(9))
         np.testing.assert_allclose(np.cos(model.angle_rad(base, reading) - psi), 1.0)
     np.testing.assert_allclose(model.calibrated(base, reading), unit, atol=1e-9)

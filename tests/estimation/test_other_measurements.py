@@ -20,23 +20,23 @@ class ZeroRate(Measurement):
     axes = 3
     freedom = 0
 
-    def begin(self, reading_mg, turn_rad, declared):
-        return reading_mg.mean(axis=0), np.zeros((len(reading_mg), 0))
+    def begin(self, reading, turn_rad, declared, conditions):
+        return reading.mean(axis=0), np.zeros((len(reading), 0))
 
-    def ideal_mg(self, base, attitude, turn_rad):
+    def ideal(self, base, attitude, turn_rad):
         return np.tile(base, (len(attitude), 1))
 
-    def tangent_mg(self, base, attitude, turn_rad):
+    def tangent(self, base, attitude, turn_rad):
         return np.zeros((len(attitude), 3, 0))
 
-    def columns_mg(self, base, attitude, turn_rad):
+    def columns(self, base, attitude, turn_rad):
         return np.tile(np.eye(3), (len(attitude), 1, 1))
 
     def moved(self, attitude, step):
         return attitude
 
-    def calibrated(self, base, reading_mg):
-        return reading_mg - base
+    def calibrated(self, base, reading):
+        return reading - base
 
 
 def zero_rates(seed: int, n: int = 40, slope: float = 0.0):
@@ -58,7 +58,7 @@ def zero_rates(seed: int, n: int = 40, slope: float = 0.0):
 def test_the_zeros_are_the_means_and_nothing_else_is_there() -> None:
     data = zero_rates(1)
     fit = Fit.begin(data).refit()
-    np.testing.assert_allclose(fit.values.base, data.mean_mg.mean(axis=0))
+    np.testing.assert_allclose(fit.values.base, data.mean.mean(axis=0))
     np.testing.assert_allclose(np.sqrt(np.diag(fit.covariance)), 2.0 / np.sqrt(40), rtol=1e-6)
     assert fit.dof == 3 * 40 - 3
     found = [trace_readings(zero_rates(seed)).found for seed in range(4)]
@@ -78,4 +78,4 @@ def test_a_zero_that_follows_the_temperature_is_traced_and_what_looks_like_it_is
     (values,) = final.values.terms
     u = float(np.sqrt(final.covariance[3, 3]))
     assert abs(values[0] - 1.0) < 4 * u
-    assert result.after.heldout_rms_mg < 0.8 * result.before.heldout_rms_mg
+    assert result.after.heldout_rms < 0.8 * result.before.heldout_rms

@@ -174,7 +174,7 @@ def test_quantization_of_a_quiet_sensor_is_in_the_uncertainty(noise_lsb):
         rows = np.round(level[:, None, :] + rng.normal(0, noise_lsb, (2, n, 2)))
         quiet = session(dwell(rows[0], 0), dwell(rows[1], 1), accel_unit="lsb", sensor="adis16354")
         readings = reduced(quiet)
-        squares.append(np.mean((readings.mean_mg / LSB - level) ** 2))
+        squares.append(np.mean((readings.mean / LSB - level) ** 2))
         stated.append(readings.covariance[:, 0, 0].mean() / LSB**2)
     floor = np.mean(stated) - np.mean(squares)
     # At 1 LSB the floor of 0.1 mg may come on top; below, nothing else hides the step of the converter.
@@ -189,11 +189,11 @@ def test_units_become_mg():
     factor = {"mg": 1.0, "g": 1000.0, "mps2": 1000 / 9.80665, "lsb": 0.4672}
     for unit, value in factor.items():
         readings = reduced(session(dwell(rows), accel_unit=unit, sensor="adis16354"))
-        np.testing.assert_allclose(readings.mean_mg, [[value, value]])
+        np.testing.assert_allclose(readings.mean, [[value, value]])
         assert readings.unit.known
-    assert reduced(session(dwell(rows), accel_unit="lsb", sensor="adis16350")).mean_mg[
-        0, 0
-    ] == pytest.approx(2.522)
+    assert reduced(session(dwell(rows), accel_unit="lsb", sensor="adis16350")).mean[0, 0] == pytest.approx(
+        2.522
+    )
 
 
 def test_readings_of_one_row_have_the_stated_uncertainty_or_none():
@@ -229,8 +229,8 @@ def test_check_dwells_are_left_out():
 
 
 def test_third_axis_is_left_out_in_the_plane_and_needed_in_space():
-    assert reduced(session(dwell([[1.0, 2.0, 3.0]]))).mean_mg.shape == (1, 2)
-    assert reduced(session(dwell([[1.0, 2.0, 3.0]]), plane="none")).mean_mg.shape == (1, 3)
+    assert reduced(session(dwell([[1.0, 2.0, 3.0]]))).mean.shape == (1, 2)
+    assert reduced(session(dwell([[1.0, 2.0, 3.0]]), plane="none")).mean.shape == (1, 3)
     with pytest.raises(DataError, match="three axes"):
         reduced(session(dwell([[1.0, 2.0]]), plane="none"))
 

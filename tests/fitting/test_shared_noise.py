@@ -34,7 +34,7 @@ def modes_of(*parts: Dwell) -> Readings:
     covariance = np.tile(U_MG**2 * np.eye(2), (len(parts), 1, 1))
     covariance[many] += own[:, :, None] * np.eye(2)
     mean = np.zeros((len(parts), 2))
-    return from_means(mean, covariance, Conditions(time_s=np.arange(float(len(parts)))), slow_mg=slow)
+    return from_means(mean, covariance, Conditions(time_s=np.arange(float(len(parts)))), slow=slow)
 
 
 def drawn(rng: np.random.Generator, root: np.ndarray, *, shared: bool = True) -> Readings:
@@ -44,11 +44,11 @@ def drawn(rng: np.random.Generator, root: np.ndarray, *, shared: bool = True) ->
     ideal = np.stack([1.01 * np.cos(psi), np.sin(psi + 0.005)], axis=1)
     mean = G * ideal + [8.0, -5.0]
     mean = mean + root @ rng.normal(size=(DWELLS, 2)) + U_MG * rng.normal(size=(DWELLS, 2))
-    made = replace(modes_of(*dwells()), mean_mg=mean, angle_rad=theta, fixture_rad=FIXTURE_RAD)
+    made = replace(modes_of(*dwells()), mean=mean, angle_rad=theta, fixture_rad=FIXTURE_RAD)
     if shared:
         return made
     own = U_MG**2 + FLICKER_MG**2 * scatter_of_means(DWELLS)
-    return replace(made, own_covariance=np.tile(own * np.eye(2), (DWELLS, 1, 1)), slow_mg=None)
+    return replace(made, own_covariance=np.tile(own * np.eye(2), (DWELLS, 1, 1)), slow=None)
 
 
 @pytest.mark.parametrize("method", ["ml", "mmpm", "four-position"])
@@ -74,7 +74,7 @@ def test_noise_of_each_dwells_own_understates_the_gains() -> None:
 
 
 def test_what_is_shared_is_the_covariance_of_the_means_with_that_of_another_day() -> None:
-    slow = modes_of(*dwells()).slow_mg[:, 0, :DWELLS]
+    slow = modes_of(*dwells()).slow[:, 0, :DWELLS]
     begin = 3.0 * np.arange(DWELLS)
     np.testing.assert_allclose(
         slow @ slow.T / FLICKER_MG**2, covariance_of_means(begin, begin + 3.0) + 0.5, atol=1e-9
@@ -83,23 +83,23 @@ def test_what_is_shared_is_the_covariance_of_the_means_with_that_of_another_day(
 
 def test_single_samples_have_no_part_in_it() -> None:
     mixed = modes_of(*dwells(4), Dwell(position=9, time_s=np.array([90.0]), accel=np.zeros((1, 2))))
-    assert not mixed.slow_mg[-1].any()
-    assert mixed.slow_mg[:-1].any()
+    assert not mixed.slow[-1].any()
+    assert mixed.slow[:-1].any()
 
 
 def test_thousands_of_dwells_are_left_to_noise_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MOST_SHARED", 5)
     alone = modes_of(*dwells(6))
-    assert alone.slow_mg is None
+    assert alone.slow is None
     own = U_MG**2 + FLICKER_MG**2 * scatter_of_means(6)
     np.testing.assert_allclose(alone.own_covariance[:, 0, 0], own)
-    assert modes_of(*dwells(5)).slow_mg is not None
+    assert modes_of(*dwells(5)).slow is not None
 
 
 def test_some_of_the_readings_keep_what_they_share() -> None:
     readings = drawn(np.random.default_rng(1), np.zeros((DWELLS, DWELLS)))
     some = np.array([1, 4, 6])
-    np.testing.assert_array_equal(readings.rows(some).slow_mg, readings.slow_mg[some])
+    np.testing.assert_array_equal(readings.rows(some).slow, readings.slow[some])
 
 
 def test_a_session_is_reduced_once_and_its_readings_kept_with_it() -> None:

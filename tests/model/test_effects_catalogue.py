@@ -104,7 +104,7 @@ def readings_of(conditions: Conditions) -> Conditions:
 def value_of(one: Effect, values: np.ndarray, ideal: np.ndarray, conditions: Conditions) -> np.ndarray:
     if one.enters is Enters.ATTITUDE:
         return one.attitude_rad(values, conditions)
-    return one.reading_mg(values, ideal, conditions)
+    return one.reading(values, ideal, conditions)
 
 
 SMOOTH = [name for name in NAMES if BUILT_IN[name].enters is not Enters.SAMPLES]
@@ -187,7 +187,7 @@ def test_effect_at_its_typical_size_adds_something_on_every_one_of_its_axes(name
 def test_effect_of_one_axis_leaves_the_others_alone(name):
     one = made(name, ("y",))
     ideal, conditions = bench()
-    added = one.reading_mg(one.defaults(), ideal, conditions)
+    added = one.reading(one.defaults(), ideal, conditions)
     assert np.abs(added[:, 1]).max() > 0
     assert not added[:, [0, 2]].any()
 
@@ -206,8 +206,8 @@ def test_mean_of_the_samples_is_the_reading_for_slow_covariates(name):
 def test_settling_is_no_slow_covariate_and_says_so():
     one = made("settling", ("x",))
     ideal, conditions = bench()
-    of_samples = by_dwell(one.reading_mg(one.defaults(), ideal, conditions))[:, 0]
-    of_readings = one.reading_mg(one.defaults(), by_dwell(ideal), readings_of(conditions))[:, 0]
+    of_samples = by_dwell(one.reading(one.defaults(), ideal, conditions))[:, 0]
+    of_readings = one.reading(one.defaults(), by_dwell(ideal), readings_of(conditions))[:, 0]
     assert one.within_dwell
     assert of_samples.max() > 3 * of_readings.max()
 
@@ -245,7 +245,7 @@ def test_z_without_a_column_is_refused(name):
     one = made(name)
     ideal, conditions = bench(columns=2)
     rng = (np.random.default_rng(0),) if one.enters is Enters.SAMPLES else ()
-    run = one.samples_mg if rng else one.reading_mg
+    run = one.samples_mg if rng else one.reading
     with pytest.raises(UsageError, match="z was not recorded"):
         run(one.defaults(), ideal, conditions, *rng)
 

@@ -25,7 +25,7 @@ def readings(
     name: str, values: list[float], ideal: np.ndarray, conditions: Conditions, **choices
 ) -> np.ndarray:
     one = effect(name, ("x", "y", "z")[: ideal.shape[1]], **choices)
-    return one.reading_mg(np.array(values), ideal, conditions)
+    return one.reading(np.array(values), ideal, conditions)
 
 
 def in_plane(name: str, values: list[float]) -> np.ndarray:
@@ -68,7 +68,7 @@ def test_cross_terms_in_space_take_both_axes_across_in_the_order_of_their_names(
     one = effect("cross_quadratic", ("x", "y", "z"))
     names = [p.name for p in one.parameters]
     assert names == ["kpp_xy", "kpp_xz", "kpp_yx", "kpp_yz", "kpp_zx", "kpp_zy"]
-    added = one.reading_mg(np.array([1.0, 10.0, 0.0, 0.0, 100.0, 0.0]), ideal, Conditions(np.zeros(1)))
+    added = one.reading(np.array([1.0, 10.0, 0.0, 0.0, 100.0, 0.0]), ideal, Conditions(np.zeros(1)))
     assert added[0] == pytest.approx([0.04 + 1.6, 0.0, 1.0])
 
 
@@ -123,7 +123,7 @@ def test_gravity_scales_all_axes_alike():
     ideal = np.array([[300.0, -400.0, 800.0]])
     one = effect("gravity")
     assert one.axes == ()
-    assert one.reading_mg(np.array([0.002]), ideal, Conditions(np.zeros(1)))[0] == pytest.approx(
+    assert one.reading(np.array([0.002]), ideal, Conditions(np.zeros(1)))[0] == pytest.approx(
         [0.6, -0.8, 1.6]
     )
 
@@ -131,7 +131,7 @@ def test_gravity_scales_all_axes_alike():
 def test_axis_tilt_leaves_the_angle_and_the_modulus_and_lifts_z():
     ideal = np.column_stack([tumble(0.2), np.zeros(len(TURN))])
     one = effect("axis_tilt")
-    tilted = ideal + one.reading_mg(np.array([3.0]), ideal, conditions_at())
+    tilted = ideal + one.reading(np.array([3.0]), ideal, conditions_at())
     np.testing.assert_allclose(np.linalg.norm(tilted, axis=1), 1000)
     np.testing.assert_allclose(tilted[:, 2], 1000 * np.sin(np.deg2rad(3)))
     np.testing.assert_allclose(
@@ -144,7 +144,7 @@ def test_axis_tilt_is_a_rotation_for_any_attitude_and_finite_along_the_axis():
     rng = np.random.default_rng(3)
     ideal = np.vstack([rng.normal(size=(20, 3)) * 500, [[0.0, 0.0, 1000.0]]])
     one = effect("axis_tilt")
-    tilted = ideal + one.reading_mg(np.array([5.0]), ideal, Conditions(np.zeros(21)))
+    tilted = ideal + one.reading(np.array([5.0]), ideal, Conditions(np.zeros(21)))
     np.testing.assert_allclose(np.linalg.norm(tilted[:-1], axis=1), np.linalg.norm(ideal[:-1], axis=1))
     np.testing.assert_allclose(tilted[-1], [0, 0, 1000 * np.cos(np.deg2rad(5))])
 
@@ -152,7 +152,7 @@ def test_axis_tilt_is_a_rotation_for_any_attitude_and_finite_along_the_axis():
 def test_axis_tilt_of_a_planar_pair_is_second_order():
     one = effect("axis_tilt")
     assert not one.derivative(np.array([0.0]), tumble(), conditions_at()).any()
-    added = one.reading_mg(np.array([1.0]), tumble(), conditions_at())
+    added = one.reading(np.array([1.0]), tumble(), conditions_at())
     assert np.abs(added).max() == pytest.approx(0.1523, abs=1e-4)
 
 
@@ -176,7 +176,7 @@ def test_remounting_turns_stage_terms_against_the_sensors(name, remount_deg, sig
     if one.enters is Enters.ATTITUDE:
         first, second = one.attitude_rad(values, before), one.attitude_rad(values, after)
     else:
-        first, second = one.reading_mg(values, ideal, before), one.reading_mg(values, ideal, after)
+        first, second = one.reading(values, ideal, before), one.reading(values, ideal, after)
     np.testing.assert_allclose(second, sign * first, atol=1e-12)
 
 

@@ -38,7 +38,7 @@ def part():
 
 def natural(session):
     data = readings_of(session)
-    return data.mean_mg / data.gravity_mg
+    return data.mean / data.gravity_mg
 
 
 def test_table_1_is_what_the_theory_prints():

@@ -133,9 +133,9 @@ def test_figures_show_the_residual_that_the_steps_state(curved):
     assert [view.effect for view in drawn.steps] == [step.effect for step in result.steps]
     by_axis = [p for p in drawn.left if p.covariate == "angle"]
     rms = np.sqrt(np.mean([p.after**2 for p in by_axis]))
-    assert rms == pytest.approx(result.after.residual_rms_mg, rel=1e-3)
+    assert rms == pytest.approx(result.after.residual_rms, rel=1e-3)
     assert np.sqrt(np.mean([p.before**2 for p in by_axis])) == pytest.approx(
-        result.before.residual_rms_mg, rel=1e-3
+        result.before.residual_rms, rel=1e-3
     )
 
 

@@ -10,6 +10,7 @@ import pytest
 from adis_gonio.errors import UsageError
 from adis_gonio.model.effects.base import Effect, Enters, Parameter
 from adis_gonio.sim import World, WorldSettings
+from adis_gonio.sim.gyro_settings import GyroSettings
 
 SILENT = {
     "noise_mg": 0.0,
@@ -184,10 +185,10 @@ class Square(Effect):
     def parameters(self):
         return tuple(Parameter(f"k_{axis}", "mg/g2", -100, 100, 5.0) for axis in self.axes)
 
-    def reading_mg(self, values, ideal_mg, conditions):
-        added = np.zeros_like(ideal_mg)
+    def reading(self, values, ideal, conditions):
+        added = np.zeros_like(ideal)
         for k, column in enumerate("xyz".index(axis) for axis in self.axes):
-            added[:, column] = values[k] * (ideal_mg[:, column] / 1000) ** 2
+            added[:, column] = values[k] * (ideal[:, column] / 1000) ** 2
         return added
 
 
@@ -243,9 +244,9 @@ class Everything(Effect):
     def parameters(self):
         return ()
 
-    def reading_mg(self, values, ideal_mg, conditions):
+    def reading(self, values, ideal, conditions):
         self.seen.append(conditions)
-        return np.zeros_like(ideal_mg)
+        return np.zeros_like(ideal)
 
 
 def test_an_effect_of_the_reading_is_added_on_its_axes():
@@ -332,17 +333,17 @@ def test_bad_settings_are_refused_in_one_line(options, message):
 
 
 def test_every_setting_is_described_and_named_with_its_unit():
-    text = WorldSettings.__doc__
-    units = ("mg", "deg", "dps", "c", "s", "v", "hz", "mps2", "h", "g", "mm")
-    pure = ("delta_k", "scale_y", "scale_z", "hand_pauses", "hand_returns", "hand_unevenness")
+    text = WorldSettings.__doc__ + GyroSettings.__doc__
+    units = ("mg", "deg", "dps", "c", "s", "v", "hz", "mps2", "h", "g", "g2", "mm")
+    pure = (
+        r"delta_k|scale_[yz]|hand_(pauses|returns|unevenness|moves|miss)|gyro_(scale|asymmetry)_[xyz]"
+        r"|gyro_(range_gain_(150|75)|saturation|g_compensation)|origin_compensation"
+    )
     for entry in fields(WorldSettings):
-        stem = entry.name
-        for axis in ("_y_", "_z_"):
-            stem = stem.replace(axis, "_x_")
-        stem = re.sub(r"_(x[yz]|y[xz]|z[xy])_", "_xy_", stem)
-        stem = re.sub(r"^gyro_scale_[xyz]$", "gyro_scale_x", stem)
-        assert stem in text or entry.name in text, entry.name
-        if entry.name not in pure and stem != "gyro_scale_x":
+        stem = re.sub(r"_[xyz](_|$)", r"_x\1", entry.name)
+        stems = [entry.name, stem, *(re.sub(r"_[xyz]{2}_", pair, stem) for pair in ("_xx_", "_xy_"))]
+        assert any(re.search(rf"\b{name}\b", text) for name in stems), entry.name
+        if not re.fullmatch(pure, entry.name):
             assert entry.name.rsplit("_", 1)[1] in units, entry.name
 
 

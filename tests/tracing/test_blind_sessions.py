@@ -64,7 +64,7 @@ def test_own_physics_agrees_with_the_catalogue(name: str) -> None:
         np.testing.assert_allclose(effect.attitude_rad(values, conditions), np.deg2rad(own), atol=1e-12)
     else:
         np.testing.assert_allclose(
-            effect.reading_mg(values, ideal, conditions), own, rtol=1e-6, atol=2e-3 * np.abs(own).max()
+            effect.reading(values, ideal, conditions), own, rtol=1e-6, atol=2e-3 * np.abs(own).max()
         )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.errors import FitError
-from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.fit import Fit, adequacy
 from adis_gonio.estimation.readings import Readings, from_means
 from adis_gonio.model.effects import Conditions, Enters, effect
 from adis_gonio.tracing import trace_readings
@@ -17,7 +17,7 @@ from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.selection.design import amplitudes, linearise, span
 from adis_gonio.tracing.selection.search import price, search
-from adis_gonio.tracing.selection.select import adequacy, select
+from adis_gonio.tracing.selection.select import select
 
 G = 1000.0
 
@@ -62,7 +62,7 @@ def observations(
     mean = ideal.copy()
     for e, values in made:
         if e.enters is Enters.READING:
-            mean += e.reading_mg(values, ideal, c)
+            mean += e.reading(values, ideal, c)
     if added is not None:
         mean += added(c, ideal / G)
     mean += rng.normal(0, u, mean.shape)
@@ -91,7 +91,7 @@ def test_base_fit_recovers_gains_and_misalignment_within_its_covariance() -> Non
 def test_whitening_is_the_inverse_root_of_reading_and_fixture_covariance() -> None:
     data = observations(fixture_deg=0.02)
     at = Fit.begin(data).refit()
-    tangent = at.tangent_mg[:, :, 0]
+    tangent = at.tangent[:, :, 0]
     full = data.covariance + data.fixture_rad**2 * tangent[:, :, None] * tangent[:, None, :]
     np.testing.assert_allclose(
         at.whitener @ full @ at.whitener.transpose(0, 2, 1), np.tile(np.eye(2), (24, 1, 1)), atol=1e-9
@@ -102,7 +102,7 @@ def test_free_attitudes_leave_nothing_along_the_tangent() -> None:
     data = observations()
     free = replace(data, fixture_rad=float("inf"))
     at = Fit.begin(free)
-    assert np.abs(at.whitener @ at.tangent_mg).max() < 1e-6 * np.abs(at.tangent_mg).max()
+    assert np.abs(at.whitener @ at.tangent).max() < 1e-6 * np.abs(at.tangent).max()
 
 
 def test_cycles_of_the_stage_are_those_that_the_angles_show_and_cost_by_their_logarithm() -> None:
@@ -201,7 +201,7 @@ def test_one_catalogued_effect_is_found_alone(
     for key, value in values.items():
         stated = result.found[0].parameters[key]
         assert abs(stated.value - value) < 3.5 * stated.u
-    assert result.after.heldout_rms_mg < result.before.heldout_rms_mg
+    assert result.after.heldout_rms < result.before.heldout_rms
 
 
 @pytest.mark.parametrize(
@@ -219,7 +219,7 @@ def test_a_cause_outside_the_catalogue_is_unnamed_with_its_covariate(covariate, 
     assert result.found == ()
     assert result.unnamed is not None
     assert result.unnamed.covariates == (covariate,)
-    assert result.after.residual_rms_mg < result.before.residual_rms_mg
+    assert result.after.residual_rms < result.before.residual_rms
 
 
 def test_temperature_that_only_rises_with_time_is_not_called_found_by_one_name() -> None:
@@ -232,8 +232,8 @@ def test_temperature_that_only_rises_with_time_is_not_called_found_by_one_name()
             "temperature_history": (data.conditions.time_s, line),
         }
     )
-    drifting = data.mean_mg + np.outer(c.time_s / 60.0, [0.12, 0.0])
-    result = trace_readings(replace(data, conditions=c, mean_mg=drifting))
+    drifting = data.mean + np.outer(c.time_s / 60.0, [0.12, 0.0])
+    result = trace_readings(replace(data, conditions=c, mean=drifting))
     told = {name for group in result.confounded for name in group}
     named = {finding.effect for finding in result.found}
     equivalents = {e for finding in result.found for e in finding.equivalents}
@@ -244,11 +244,11 @@ def test_temperature_that_only_rises_with_time_is_not_called_found_by_one_name()
 def test_check_dwells_take_no_part() -> None:
     data = observations([QUADRATIC], seed=6, check=5)
     result = trace_readings(data)
-    broken = data.mean_mg.copy()
+    broken = data.mean.copy()
     broken[data.check] += 50.0
-    other = trace_readings(replace(data, mean_mg=broken))
+    other = trace_readings(replace(data, mean=broken))
     assert [f.as_dict() for f in other.found] == [f.as_dict() for f in result.found]
-    assert other.after.heldout_rms_mg > 10 * result.after.heldout_rms_mg
+    assert other.after.heldout_rms > 10 * result.after.heldout_rms
     assert "5 check dwells" in result.heldout_design
 
 
@@ -305,8 +305,8 @@ def test_what_a_session_cannot_show_has_no_amplitude_but_a_reason() -> None:
 def test_scatter_that_nothing_explains_is_called_that_with_its_size() -> None:
     rng = np.random.default_rng(1)
     data = observations(seed=12)
-    rough = data.mean_mg + rng.normal(0, 0.5, data.mean_mg.shape)
-    result = trace_readings(replace(data, mean_mg=rough))
+    rough = data.mean + rng.normal(0, 0.5, data.mean.shape)
+    result = trace_readings(replace(data, mean=rough))
     assert not result.adequate
     (finding,) = result.found
     assert finding.effect == "reading_scatter"

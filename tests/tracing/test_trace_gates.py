@@ -54,7 +54,7 @@ def test_bias_and_curvature_stand_whatever_else_comes_in(seed: int) -> None:
     result = trace(forth_and_back(k2_x=3.0, seed=seed))
     assert {"bias", "quadratic"} <= {finding.effect for finding in result.found}
     assert not {"bias", "quadratic"} & set(result.reasons)
-    assert result.after.heldout_rms_mg < 0.1 * result.before.heldout_rms_mg
+    assert result.after.heldout_rms < 0.1 * result.before.heldout_rms
 
 
 def test_an_uncertain_effect_is_open_and_no_finding() -> None:
@@ -82,13 +82,13 @@ def test_no_term_adds_much_more_to_other_dwells_than_to_those_of_its_fit() -> No
     label = "bias[x]~a smooth function of time (degree 8)"
     term = next(term for term in nameless_terms(data) if term.label == label)
     # The polynomial that is smallest over the fit is large outside.
-    early = term.columns(rest.mean_mg, rest.conditions)[:, 0]
+    early = term.columns(rest.mean, rest.conditions)[:, 0]
     values = np.linalg.eigh(early.T @ early)[1][:, 0]
     fit = Fit.begin(rest).having([term], [values]).settled()
-    inside = term.added(values, fit.ideal_mg, rest.conditions)[:, 0]
-    free = term.added(values, out.mean_mg, out.conditions)[:, 0]
+    inside = term.added(values, fit.ideal, rest.conditions)[:, 0]
+    free = term.added(values, out.mean, out.conditions)[:, 0]
     (held,) = bounded(fit)
-    outside = held.added(values, out.mean_mg, out.conditions)[:, 0]
+    outside = held.added(values, out.mean, out.conditions)[:, 0]
     low, high = inside.min() - 0.5 * np.ptp(inside), inside.max() + 0.5 * np.ptp(inside)
     assert np.abs(free).max() > 10 * np.abs(inside).max()
     assert (outside >= low - 1e-12).all()
@@ -103,8 +103,8 @@ def test_bounds_do_not_hinder_a_line_over_a_block_that_was_left_out() -> None:
     values = (np.array([3.0]),)
     (held,) = bounded(Fit.begin(rest).having(model, values).settled())
     np.testing.assert_allclose(
-        held.added(values[0], out.mean_mg, out.conditions),
-        model[0].added(values[0], out.mean_mg, out.conditions),
+        held.added(values[0], out.mean, out.conditions),
+        model[0].added(values[0], out.mean, out.conditions),
     )
 
 
@@ -115,7 +115,7 @@ def test_a_dwell_that_was_left_out_is_not_predicted_by_its_own_slip() -> None:
     again = fit.again(rest)
     out = data.rows(np.arange(len(data)) == 7)
     (held,) = bounded(again)
-    assert held.added(again.values.terms[0], out.mean_mg, out.conditions)[0, 0] == 0
+    assert held.added(again.values.terms[0], out.mean, out.conditions)[0, 0] == 0
 
 
 @pytest.mark.parametrize(

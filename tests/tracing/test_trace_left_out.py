@@ -28,7 +28,7 @@ def labelled(data, *labels: str) -> list[NamelessTerm]:
 def test_a_range_of_angles_that_was_left_out_says_nothing_of_harmonics_there() -> None:
     data = readings_of(forth_and_back())
     designs = folds(data)
-    quarters = [np.abs(data.mean_mg[:, 0]) == np.abs(data.mean_mg).max(axis=1)]
+    quarters = [np.abs(data.mean[:, 0]) == np.abs(data.mean).max(axis=1)]
     bend = labelled(data, "bias[x]~a smooth function of the angle (harmonics to 5)")
     assert determined(data, quarters).sum() > determined(data, quarters, bend).sum()
     counts = counting(data, designs, bend)
@@ -61,9 +61,9 @@ def test_a_jump_that_one_dwell_of_a_fold_shows_is_no_candidate_there() -> None:
 def test_the_average_holds_no_polynomial_where_a_process_bends_as_well() -> None:
     data = readings_of(forth_and_back())
     time = data.conditions.time_s / np.ptp(data.conditions.time_s)
-    mean = data.mean_mg.copy()
+    mean = data.mean.copy()
     mean[:, 0] += 1.5 * np.sin(9 * time**2)
-    data = replace(data, mean_mg=mean)
+    data = replace(data, mean=mean)
     selection = select(data, [*named_terms(data)[0], *nameless_terms(data)], 3)
     averaged = average(selection)
     assert averaged is not None
@@ -92,7 +92,7 @@ def test_the_corrected_model_does_not_run_off_where_dwells_are_left_out(
     result = trace(load_session(path))
     assert result.unnamed is not None
     assert covariate in result.unnamed.covariates
-    assert result.after.heldout_rms_mg < most * result.before.heldout_rms_mg
+    assert result.after.heldout_rms < most * result.before.heldout_rms
 
 
 def test_advice_survives_a_model_of_thirteen_columns(tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_functions_with_and_without_a_constant_keep_their_own_columns() -> None:
     pairs = [(terms[label], terms[f"{label} + const"]) for label in terms if f"{label} + const" in terms]
     assert len(pairs) > 50
     for plain, beside in pairs:
-        alone, both = (t.columns(data.mean_mg, data.conditions) for t in (plain, beside))
+        alone, both = (t.columns(data.mean, data.conditions) for t in (plain, beside))
         axes, width = len(plain.axes), alone.shape[-1] // len(plain.axes)
         assert both.shape[-1] == alone.shape[-1] + axes
         first = both[:, plain.axes[0], : width + 1]

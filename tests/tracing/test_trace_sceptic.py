@@ -85,7 +85,7 @@ def test_nothing_is_called_adequate_that_nothing_tested(tmp_path: Path) -> None:
 def test_without_a_dwell_to_leave_out_only_a_bias_is_called_found(tmp_path: Path) -> None:
     path = written(tmp_path / "four.csv", np.arange(4) * 90.0, k2=6.0)
     result = trace(load_session(path))
-    if result.after.heldout_rms_mg is None:
+    if result.after.heldout_rms is None:
         assert {finding.effect for finding in result.found} <= {"bias"}
 
 

@@ -18,7 +18,7 @@ ALLAN_MG = np.array([0.3, 0.1])
 
 def shared(data: Readings, allan_mg=ALLAN_MG) -> tuple[Readings, np.ndarray]:
     """The same with 1/f noise in its covariance, and the covariance (n·axes, n·axes) of that noise."""
-    n, axes = data.mean_mg.shape
+    n, axes = data.mean.shape
     time = data.conditions.time_s
     factor, _ = modes(covariance_of_means(time - 5, time + 5))
     k = factor.shape[1]
@@ -26,7 +26,7 @@ def shared(data: Readings, allan_mg=ALLAN_MG) -> tuple[Readings, np.ndarray]:
     for axis, level in enumerate(allan_mg):
         slow[:, axis, axis * k : (axis + 1) * k] = level * factor
     flat = slow.reshape(n * axes, -1)
-    return replace(data, slow_mg=slow), flat @ flat.T
+    return replace(data, slow=slow), flat @ flat.T
 
 
 def in_space(n: int = 20, seed: int = 1) -> Readings:
@@ -43,7 +43,7 @@ def in_space(n: int = 20, seed: int = 1) -> Readings:
 
 
 def whole_covariance(data: Readings, slow: np.ndarray) -> np.ndarray:
-    n, axes = data.mean_mg.shape
+    n, axes = data.mean.shape
     total = slow.copy()
     for i in range(n):
         block = slice(axes * i, axes * (i + 1))
@@ -58,7 +58,7 @@ def test_rows_in_a_plane_are_white_under_the_covariance_of_all_readings(fixture_
     total = whole_covariance(data, slow)
     n = len(data)
     for i in range(n):
-        t = at.tangent_mg[i, :, 0]
+        t = at.tangent[i, :, 0]
         total[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += data.fixture_rad**2 * np.outer(t, t)
     root = at.white(np.eye(2 * n).reshape(n, 2, 2 * n))
     np.testing.assert_allclose(root @ total @ root.T, np.eye(2 * n), atol=1e-8)
@@ -69,12 +69,12 @@ def test_rows_of_free_attitudes_are_white_and_nothing_is_left_along_the_tangents
     data = in_space() if space else replace(observations(), fixture_rad=float("inf"))
     data, slow = shared(data, [0.3, 0.1, 0.2][: data.axes])
     at = Fit.begin(data)
-    n, axes = data.mean_mg.shape
+    n, axes = data.mean.shape
     root = at.white(np.eye(axes * n).reshape(n, axes, axes * n))
     assert root.shape == (n, axes * n)
     np.testing.assert_allclose(root @ whole_covariance(data, slow) @ root.T, np.eye(n), atol=1e-8)
-    along = at.white(at.tangent_mg)
-    assert np.abs(along).max() < 1e-6 * np.abs(at.tangent_mg).max()
+    along = at.white(at.tangent)
+    assert np.abs(along).max() < 1e-6 * np.abs(at.tangent).max()
 
 
 def test_some_of_the_dwells_have_the_covariance_of_those() -> None:
@@ -87,7 +87,7 @@ def test_some_of_the_dwells_have_the_covariance_of_those() -> None:
     total = whole_covariance(data, slow)[np.ix_(flat, flat)]
     np.testing.assert_allclose(root @ total @ root.T, np.eye(2 * m), atol=1e-8)
     mask = np.isin(np.arange(len(data)), rows)
-    np.testing.assert_array_equal(data.rows(mask).slow_mg, some.slow_mg)
+    np.testing.assert_array_equal(data.rows(mask).slow, some.slow)
 
 
 def test_problem_refit_and_gates_agree_on_chi2() -> None:
@@ -108,16 +108,16 @@ def test_problem_refit_and_gates_agree_on_chi2() -> None:
 def test_slow_noise_is_believed_for_what_it_is() -> None:
     """Gain of a drift under 1/f noise: that of one degree of freedom only where the noise is shared."""
     clean, _ = shared(observations(u=0.05))
-    apart = replace(clean, slow_mg=None)
+    apart = replace(clean, slow=None)
     named = {term.label: term for term in named_terms(clean)[0]}
     terms = [named["bias[xy]"], named["bias_drift[x]"]]
     rng = np.random.default_rng(8)
     squares = {"shared": [], "apart": []}
     for seed in range(60):
-        noise = clean.slow_mg @ rng.standard_normal(clean.slow_mg.shape[2])
-        mean = observations(u=0.05, seed=seed).mean_mg + noise
+        noise = clean.slow @ rng.standard_normal(clean.slow.shape[2])
+        mean = observations(u=0.05, seed=seed).mean + noise
         for which, data in (("shared", clean), ("apart", apart)):
-            data = replace(data, mean_mg=mean)
+            data = replace(data, mean=mean)
             problem = linearise(Fit.begin(data).refit(), terms)
             order = [next(k for k, term in enumerate(problem.terms) if term is one) for one in terms]
             without, beside = (float((span(problem, order[:m])[1] ** 2).sum()) for m in (1, 2))
@@ -129,9 +129,9 @@ def test_slow_noise_is_believed_for_what_it_is() -> None:
 def test_without_shared_noise_whitening_is_dwell_by_dwell() -> None:
     data = observations()
     at = Fit.begin(data)
-    expected = np.einsum("nrk,nk->nr", at.whitener, at.left_mg)
+    expected = np.einsum("nrk,nk->nr", at.whitener, at.left)
     np.testing.assert_allclose(at.residual, expected, rtol=1e-12, atol=1e-12)
-    none = replace(data, slow_mg=np.zeros((len(data), 2, 0)))
+    none = replace(data, slow=np.zeros((len(data), 2, 0)))
     np.testing.assert_array_equal(Fit.begin(none).residual, at.residual)
 
 

@@ -65,7 +65,7 @@ def test_free_attitudes_in_a_plane_keep_the_start_angle_where_it_is():
     assert [finding.effect for finding in result.found] == ["bias"]
     assert abs(result.base["alpha"].value - 12) < 1
     assert result.base["alpha"].u is None
-    assert result.after.heldout_rms_mg < 0.1 * result.before.heldout_rms_mg
+    assert result.after.heldout_rms < 0.1 * result.before.heldout_rms
 
 
 @pytest.mark.parametrize(

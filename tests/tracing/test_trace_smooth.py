@@ -41,7 +41,7 @@ def process(data, where: str, axes: tuple[int, ...], covariate: str, amplitude: 
 def test_features_of_a_time_process_give_its_kernel() -> None:
     data = observations(n=30)
     term = process(data, "bias", (0,), "time", AMPLITUDES[0])
-    features = term.columns(data.mean_mg, data.conditions)[:, 0, :]
+    features = term.columns(data.mean, data.conditions)[:, 0, :]
     u = (data.conditions.time_s - data.conditions.time_s[0]) / np.ptp(data.conditions.time_s)
     apart = u[:, None] - u
     v = 2 * u - 1
@@ -52,7 +52,7 @@ def test_features_of_a_time_process_give_its_kernel() -> None:
 def test_features_of_an_angle_process_give_the_periodic_kernel() -> None:
     data = observations(n=30)
     term = process(data, "angle", (), "angle", AMPLITUDES[0])
-    features = 1000 * term.columns(data.mean_mg, data.conditions)
+    features = 1000 * term.columns(data.mean, data.conditions)
     apart = data.conditions.angle_rad[:, None] - data.conditions.angle_rad
     wanted = np.exp(-2 * np.sin(apart / 2) ** 2 / 0.25**2)  # the first width is 0.25
     np.testing.assert_allclose(features @ features.T, wanted, atol=0.02)
@@ -82,7 +82,7 @@ def test_refit_with_a_prior_is_ridge_regression_and_counts_the_freedom_it_uses()
     data = observations(added=wavy_zero())
     term = process(data, "bias", (0,), "temperature", 4.0)
     base = Fit.begin(data).refit()
-    width = term.columns(data.mean_mg, data.conditions).shape[-1]
+    width = term.columns(data.mean, data.conditions).shape[-1]
     fit = base.having((term,), (np.zeros(width),)).refit()
     columns, blocks, target = fit.linear()
     design = np.concatenate([columns, blocks[0]], axis=1)
@@ -102,9 +102,9 @@ def test_the_average_adds_what_its_members_add_weighted() -> None:
     assert averaged is not None
     (term,) = [t for t in averaged.fit.terms if isinstance(t, AveragedTerm)]
     assert sum(weight for weight, _, _ in term.members) >= 1 - 1e-9  # models of two terms count twice
-    total = sum(w * t.added(v, data.mean_mg, data.conditions) for w, t, v in term.members)
-    np.testing.assert_allclose(term.added(np.zeros(0), data.mean_mg, data.conditions), total)
-    assert averaged.fit.dof < data.mean_mg.size - 4
+    total = sum(w * t.added(v, data.mean, data.conditions) for w, t, v in term.members)
+    np.testing.assert_allclose(term.added(np.zeros(0), data.mean, data.conditions), total)
+    assert averaged.fit.dof < data.mean.size - 4
 
 
 def test_the_averaged_base_is_the_average_of_the_members_bases() -> None:
@@ -133,11 +133,10 @@ def test_a_smooth_function_does_not_run_off_beyond_what_was_measured() -> None:
     inner = data.rows(warm < np.quantile(warm, 0.7))
     for amplitude in AMPLITUDES:
         term = process(inner, "bias", (0,), "temperature", amplitude)
-        width = term.columns(inner.mean_mg, inner.conditions).shape[-1]
+        width = term.columns(inner.mean, inner.conditions).shape[-1]
         fit = Fit.begin(inner).having((term,), (np.zeros(width),)).refit()
         inside, beyond = (
-            np.abs(term.added(fit.values.terms[0], d.mean_mg, d.conditions)[:, 0]).max()
-            for d in (inner, data)
+            np.abs(term.added(fit.values.terms[0], d.mean, d.conditions)[:, 0]).max() for d in (inner, data)
         )
         assert beyond < 2 * inside
 
@@ -149,7 +148,7 @@ def test_a_wavy_zero_is_unnamed_and_its_held_out_error_falls_towards_the_noise(s
     assert not result.found
     assert result.unnamed is not None
     assert "temperature" in result.unnamed.covariates
-    assert result.after.heldout_rms_mg < 0.5 * result.before.heldout_rms_mg
+    assert result.after.heldout_rms < 0.5 * result.before.heldout_rms
 
 
 def test_a_lean_that_follows_temperature_by_no_line_is_said_to_be_one() -> None:

@@ -104,7 +104,7 @@ def test_wherever_it_ends_what_was_not_validated_is_not_called_found(whole) -> N
             assert not result.adequate
             assert {step.effect for step in result.steps} <= set(result.reasons)
             assert set(result.reasons.values()) <= {UNCHECKED}
-        assert np.isfinite(result.after.residual_rms_mg)
+        assert np.isfinite(result.after.residual_rms)
         json.dumps(result.as_dict(), allow_nan=False)
     assert outcomes == {True, False}  # ends before validation and after it were both tried
 
@@ -112,8 +112,8 @@ def test_wherever_it_ends_what_was_not_validated_is_not_called_found(whole) -> N
 def test_at_once_over_it_still_gives_a_model_and_says_what_was_left_out() -> None:
     result = limited(turn(), 0.5)
     assert result.steps
-    assert result.after.residual_rms_mg < 0.5 * result.before.residual_rms_mg
-    assert result.after.heldout_rms_mg is None
+    assert result.after.residual_rms < 0.5 * result.before.residual_rms
+    assert result.after.heldout_rms is None
     said = words.headline(result)
     assert said.startswith("The time limit of 0.5 s ended the trace")
     assert "nothing is called found" in said
@@ -126,7 +126,7 @@ def test_check_dwells_need_no_folds_and_keep_their_error() -> None:
     assert result.stopped is not None
     assert result.found == ()
     assert result.heldout_design == "4 check dwells"
-    assert result.after.heldout_rms_mg is not None
+    assert result.after.heldout_rms is not None
 
 
 def test_one_pose_keeps_what_the_blocks_of_time_have_proved() -> None:

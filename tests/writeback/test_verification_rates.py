@@ -30,7 +30,7 @@ def test_sound_parts_are_written_and_what_is_left_is_within_an_lsb(tmp_path):
         truth = bus.world.truth(np.linspace(now - 1.0, now, 16))
         true = [truth[f"bias_{axis}"] + LSB * n for axis, n in zip("xy", numbers(bus)[:2], strict=True)]
         left += true
-        shown += ((np.array(outcome.bias_mg) - true) / outcome.bias_u_mg).tolist()
+        shown += ((np.array(outcome.bias) - true) / outcome.bias_u).tolist()
     # Flicker (0.1 mg) and the fit's own u stand beside the half LSB of rounding.
     assert np.abs(left).max() < LSB + 0.5
     assert np.sqrt(np.mean(np.square(left))) < LSB
@@ -48,7 +48,7 @@ def test_a_write_that_did_nothing_or_went_the_wrong_way_never_passes(tmp_path):
         path = record(tmp_path / f"{seed}.session", bus)
         made = OffsetWriter(Adis16354(bus), path, WriteSettings(dwell_s=0.5))
         plan = made.plan()
-        if max(abs(axis.effect_mg) for axis in plan.axes) < 2.0:
+        if max(abs(axis.effect) for axis in plan.axes) < 2.0:
             continue
         from adis_gonio.writeback.rest import measure
 

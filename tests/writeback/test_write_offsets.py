@@ -68,8 +68,8 @@ def test_the_plan_takes_the_bias_off_to_half_an_lsb_and_leaves_z_alone(recorded)
     for axis in plan.axes:
         bias = result[f"bias_{axis.axis}"].value
         assert axis.new == -round(bias / LSB)
-        assert abs(bias + axis.effect_mg) <= LSB / 2 + 1e-9
-        assert axis.bias_after_mg == pytest.approx(bias + axis.effect_mg)
+        assert abs(bias + axis.effect) <= LSB / 2 + 1e-9
+        assert axis.bias_after == pytest.approx(bias + axis.effect)
         assert not axis.clipped
 
 
@@ -100,7 +100,7 @@ def test_a_bias_beyond_the_register_is_clipped_and_said(recorded):
     result = fit(session)
     x, y = plan_offsets(far, result).axes
     assert (x.new, x.clipped, y.clipped) == (-2048, True, False)
-    assert x.bias_after_mg == pytest.approx(result["bias_x"].value - 18 * LSB)
+    assert x.bias_after == pytest.approx(result["bias_x"].value - 18 * LSB)
 
 
 def test_three_axes_of_a_session_in_space(tmp_path):
@@ -301,10 +301,8 @@ def test_a_part_whose_register_has_another_lsb_is_set_back(path):
     bus = Board(offset_lsb=2).open(3)
     bus.url = "sim:?seed=3"
     made = OffsetWriter(Adis16354(bus), path, WriteSettings(dwell_s=0.5, save=True))
-    made._angle_deg = None  # a board of this fake has no stage that moves it
-    result = made._fit()
-    made._result = result
-    plan = plan_offsets(made.session, result, dict.fromkeys(("XACCL_OFF", "YACCL_OFF", "ZACCL_OFF"), 0))
+    made._angle_deg = made._part._angle_deg = None  # a board of this fake has no stage that moves it
+    plan = made._part.plan(dict.fromkeys(("XACCL_OFF", "YACCL_OFF", "ZACCL_OFF"), 0))
     from adis_gonio.writeback.rest import measure
 
     made._plan, made._before = plan, measure(made.sensor, 0.5, 60.0)
@@ -388,9 +386,9 @@ def test_other_offsets_of_the_same_session_are_refused_until_the_first_are_undon
     bus = new_bus(3)
     wrote(bus, path)
     other = writer(bus, path)
-    result = other._fit()
+    result = other._part.result
     more = [replace(e, value=e.value + 5.0) if e.name == "bias_x" else e for e in result.parameters]
-    other._result = replace(result, parameters=tuple(more))
+    other._part.result = replace(result, parameters=tuple(more))
     with pytest.raises(SessionError, match="--undo them first"):
         other.plan()
     assert numbers(bus) == NEW

@@ -146,7 +146,8 @@ def propose(
     most : int
         Most measurements for each of the two questions.
     """
-    if not data.model.freedom or (data.planar and data.conditions.angle_rad is None):
+    turned = data.model.freedom > 0 or data.conditions.force_g is not None
+    if not turned or (data.planar and data.conditions.angle_rad is None):
         return ()  # nothing to turn, or nobody knows how far
     inflation = selection.inflation
     if selection.adequate:
@@ -430,7 +431,7 @@ def _worth(weights: Floats, apart: Floats, conditions: bool, least: float) -> tu
 
 
 def _nothing(data: Readings, hypotheses: list[Hypothesis]) -> _Predicted:
-    rows = 1 if data.free else 2
+    rows = data.equations_each
     sizes = [len(h.shift) for h in hypotheses]
     return _Predicted([np.zeros((0, rows)) for _ in sizes], [np.zeros((0, rows, p)) for p in sizes])
 
@@ -563,7 +564,7 @@ def _predict_rows(imagined: Readings, inflation: float, hypotheses: list[Hypothe
     means, roots = [], []
     for h, fit in zip(hypotheses, fits, strict=True):
         columns = _columns(fit, whiten)
-        mean = np.einsum("nrk,nk->nr", whiten, fit.predicted_mg) + columns @ h.shift
+        mean = np.einsum("nrk,nk->nr", whiten, fit.predicted) + columns @ h.shift
         means.append(np.clip(np.nan_to_num(mean, posinf=FAR, neginf=-FAR), -FAR, FAR))
         roots.append(np.clip(columns @ h.root, -FAR, FAR))
     return _Predicted(means, roots)
@@ -571,8 +572,8 @@ def _predict_rows(imagined: Readings, inflation: float, hypotheses: list[Hypothe
 
 def _imagining(fit: Fit, imagined: Readings) -> Fit:
     """The same values at the attitudes that imagined dwells are asked for."""
-    n = len(imagined)
-    attitude = np.zeros(n) if imagined.planar else imagined.mean_mg / imagined.gravity_mg
+    declared = np.isfinite(imagined.angle_rad)
+    _, attitude = imagined.model.begin(imagined.mean, imagined.turn_rad, declared, imagined.conditions)
     return Fit(imagined, fit.terms, Values(fit.values.base, attitude, fit.values.terms), fit.with_prior)
 
 
@@ -612,7 +613,7 @@ def _imagined(
         ends = max(end, float(times[-1])) + np.array([1.0, 1.0 + max(warming, 1.0), 1e5])
         history = (np.append(times, ends), np.append(temperatures, [now, wanted, wanted]))
     return from_means(
-        data.gravity_mg * ideal,
+        data.model.size * (ideal if data.model.freedom else np.zeros((n, data.axes))),
         np.tile(data.covariance.mean(axis=0), (n, 1, 1)),
         Conditions(
             time_s=time,
@@ -625,7 +626,18 @@ def _imagined(
             temperature_history=history,
             load_history=c.load_history,
             variance_mg2=None if c.variance_mg2 is None else np.tile(c.variance_mg2.mean(axis=0), (n, 1)),
+            force_g=None if c.force_g is None else ideal,
+            rate_dps=None if c.rate_dps is None else np.zeros((n, 3)),
+            temperatures_c=_warmed(c, n, wanted),
         ),
         gravity_mg=data.gravity_mg,
         fixture_rad=data.fixture_rad,
+        measurement=data.measurement,
     )
+
+
+def _warmed(c: Conditions, n: int, wanted: float | None) -> Floats | None:
+    """Temperatures (n, 3) of the dies where all of them go where their mean goes."""
+    if c.temperatures_c is None or c.temperature_c is None or wanted is None:
+        return None
+    return np.tile(c.temperatures_c[-1] + wanted - c.temperature_c[-1], (n, 1))

@@ -224,7 +224,7 @@ class Answer:
         r = self.result
         if self.traced is not None:
             after = self.traced.after
-            return [f"residual {after.residual_rms_mg:.3g} mg rms"]
+            return [f"residual {after.residual_rms:.3g} {after.unit} rms"]
         if not r.dof:
             return ["no degree of freedom is left to test the model by"]
         return [f"residual {r.residual_rms_mg:.3g} mg rms, χ² {r.chi2:.1f} at {r.dof} degrees of freedom"]

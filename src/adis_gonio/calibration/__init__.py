@@ -7,6 +7,7 @@ from adis_gonio.calibration.calibration import (
     EffectTerm,
     NotCorrected,
 )
+from adis_gonio.calibration.gyros import GyroCalibration, Rates
 from adis_gonio.calibration.loading import load_calibration
 
 __all__ = [
@@ -14,6 +15,8 @@ __all__ = [
     "Calibration",
     "Coefficient",
     "EffectTerm",
+    "GyroCalibration",
     "NotCorrected",
+    "Rates",
     "load_calibration",
 ]

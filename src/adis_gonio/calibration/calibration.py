@@ -26,6 +26,8 @@ from adis_gonio.showing import html_table, parameter_frame, with_u
 if TYPE_CHECKING:
     import pandas as pd
 
+    from adis_gonio.calibration.gyros import GyroCalibration
+
 MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
 STEP = 0.01
 """Of the central difference along each axis of the covariance, in standard uncertainties."""
@@ -118,6 +120,8 @@ class Calibration:
         Parameters that the session did not determine and that stand at their nominal values.
     counts_per_mg : tuple of float or None
         Of each axis, rough, where readings are in counts; None where they are in mg.
+    gyro : GyroCalibration or None
+        Of the gyros, where the session calibrates them.
     """
 
     method: str
@@ -128,6 +132,7 @@ class Calibration:
     not_corrected: tuple[NotCorrected, ...] = ()
     assumed: tuple[str, ...] = ()
     counts_per_mg: tuple[float, ...] | None = None
+    gyro: GyroCalibration | None = None
 
     # -- what it is --------------------------------------------------------------------------------
 
@@ -277,7 +282,7 @@ class Calibration:
         matrix = self.measurement.calibrated(base, np.eye(self.axes))
         ideal = np.asarray(gravity @ np.linalg.inv(matrix))
         conditions = self._conditions(len(gravity), temperature_c, supply_v)
-        effects = [e.reading_mg(own, ideal, conditions) for e, own in self._terms(self.values)]
+        effects = [e.reading(own, ideal, conditions) for e, own in self._terms(self.values)]
         return np.asarray((ideal + bias + sum(effects, np.zeros(ideal.shape))) * self.per_mg)
 
     def angle(
@@ -366,7 +371,10 @@ class Calibration:
         added = {f"bias_{axis}": (now[k] - then[k]) * lsb_mg for k, axis in enumerate(AXES)}
         moved = tuple(replace(one, value=one.value + added.get(one.name, 0.0)) for one in self.parameters)
         where = replace(self.provenance, offsets_lsb=(now[0], now[1], now[2]), written_lsb=None)
-        return replace(self, parameters=moved, provenance=where)
+        # The gyros feel what the accelerometers read, which the chip has moved.
+        moved_g = (np.array(now) - np.array(then)) * lsb_mg / 1000
+        gyro = None if self.gyro is None else self.gyro.with_force_moved(moved_g)
+        return replace(self, parameters=moved, provenance=where, gyro=gyro)
 
     # -- how ---------------------------------------------------------------------------------------
 
@@ -475,7 +483,7 @@ def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Co
     """Ideal readings a (n, axes), a + Σ effects(a) = `free`; NaN where the iteration does not settle."""
     ideal = free
     for _ in range(_PASSES):
-        new = free - sum((e.reading_mg(own, ideal, conditions) for e, own in terms), np.zeros(free.shape))
+        new = free - sum((e.reading(own, ideal, conditions) for e, own in terms), np.zeros(free.shape))
         moving = np.asarray(~(np.abs(new - ideal) <= _SETTLED_MG).all(axis=1))
         ideal = new
         if not moving.any():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ def document_of(calibration: Calibration) -> dict[str, Any]:
     where = calibration.provenance
     covariance = calibration.covariance
     ratio = derived_delta_k(calibration)
+    gyro = {} if calibration.gyro is None else {"gyro": calibration.gyro.as_dict()}
     return {
         "schema": SCHEMA,
         "version": VERSION,
@@ -67,6 +68,7 @@ def document_of(calibration: Calibration) -> dict[str, Any]:
                 "software",
             )
         },
+        **gyro,
     }
 
 
@@ -86,10 +88,15 @@ def calibration_from(document: Any, name: str = "calibration") -> Calibration:
             f"{VERSION}: update adis-gonio"
         )
     try:
-        return _checked(_read(document))
+        made = _checked(_read(document))
     except (KeyError, TypeError, ValueError, AttributeError, UsageError) as error:
         what = f"lacks {error}" if isinstance(error, KeyError) else str(error)
         raise DataError(f"{name}: is a damaged calibration: {what}") from None
+    if document.get("gyro") is None:
+        return made
+    from adis_gonio.calibration.gyro_document import gyro_calibration_from
+
+    return replace(made, gyro=gyro_calibration_from(document["gyro"], f"{name}: gyro"))
 
 
 def _read(document: Mapping[str, Any]) -> Calibration:
@@ -182,6 +189,7 @@ def summary_of(calibration: Calibration) -> str:
         )
     lines += [f"  {name}: not determined, taken as nominal" for name in calibration.assumed]
     lines += [f"  not corrected: {one.effect}: {one.reason}" for one in calibration.not_corrected]
+    lines += [] if calibration.gyro is None else [calibration.gyro.summary()]
     return "\n".join(lines)
 
 

@@ -1,4 +1,4 @@
-"""`load_calibration`: from a JSON file, or from a session that is fitted."""
+"""`load_calibration`, `load_gyro_calibration`: from a JSON file, or from a session that is fitted."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from adis_gonio.calibration.calibration import Calibration
-from adis_gonio.calibration.document import calibration_from
-from adis_gonio.errors import DataError
+from adis_gonio.calibration.document import SCHEMA, calibration_from
+from adis_gonio.calibration.gyro_document import GYRO_SCHEMA, gyro_calibration_from
+from adis_gonio.calibration.gyros import GyroCalibration
+from adis_gonio.errors import DataError, FitError
 
 
 def load_calibration(path: str | Path, method: str | None = None) -> Calibration:
@@ -29,10 +31,12 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     made = calibration_in(path)
     if made is not None:
         return made
+    from adis_gonio.calibration.with_gyros import with_gyros
     from adis_gonio.fitting import fit
     from adis_gonio.session import load_session
 
-    return fit(load_session(path), method=method).calibration()
+    session = load_session(path)
+    return with_gyros(fit(session, method=method).calibration(), session)
 
 
 def calibration_in(path: str | Path) -> Calibration | None:
@@ -45,6 +49,25 @@ def calibration_in(path: str | Path) -> Calibration | None:
     """
     document = _json_of(Path(path))
     return None if document is None else calibration_from(document, str(path))
+
+
+def load_gyro_calibration(path: str | Path) -> GyroCalibration:
+    """As `GyroCalibration.load`."""
+    document = _json_of(Path(path))
+    if document is None:
+        from adis_gonio.calibration.with_gyros import gyro_calibration_of
+        from adis_gonio.session import load_session
+
+        return gyro_calibration_of(load_session(path))
+    schema = document.get("schema") if isinstance(document, dict) else None
+    if schema == SCHEMA:
+        made = calibration_from(document, str(path)).gyro
+        if made is None:
+            raise FitError(f"{path}: is a calibration without gyros")
+        return made
+    if schema != GYRO_SCHEMA:
+        raise DataError(f"{path}: is no gyro calibration; GyroCalibration.save makes one")
+    return gyro_calibration_from(document, str(path))
 
 
 def _json_of(path: Path) -> Any:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adis_gonio.cli.overrides import load, override_options
+from adis_gonio.cli.overrides import load, override_options, part_option
 from adis_gonio.cli.show import WIDTH, console, json_option, print_json
 from adis_gonio.cli.working import working
 from adis_gonio.counting import counted
@@ -39,12 +39,14 @@ if TYPE_CHECKING:
     help="Propagate the input distributions by N trials too (GUM Supplement 1).",
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="Of the trials' random numbers.")
+@part_option
 @override_options
 @json_option
 def command(
     *,
     session: Path,
     method: str | None,
+    part: str,
     everything: bool,
     trials: int | None,
     seed: int,
@@ -54,8 +56,14 @@ def command(
     """Compute ΔK, Δφ and the other parameters of a recorded session, with their uncertainties.
 
     Shows the recommended method in full and the others by their score on the same readings: every dwell of
-    the session, left out of the fit where it was in it.
+    the session, left out of the fit where it was in it. --sensor-part gyro: zero rates, g-sensitivity, and
+    gains and directions where the part was turned between dwells.
     """
+    if part == "gyro":
+        from adis_gonio.cli.gyro_fit import show_gyro_fit
+
+        show_gyro_fit(load(session, overrides), method, as_json=as_json)
+        return
     from adis_gonio.answer import Answer
     from adis_gonio.fitting import fit
     from adis_gonio.model.records import METADATA

@@ -20,6 +20,15 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+part_option = click.option(
+    "--sensor-part",
+    "part",
+    type=click.Choice(["accelerometer", "gyro"]),
+    default="accelerometer",
+    show_default=True,
+    help="Part of the sensor whose readings are taken.",
+)
+
 
 def gravity(text: str) -> float:
     """Local gravity in m/s²; outside of Earth's only with its unit, such as `1.62mps2`."""

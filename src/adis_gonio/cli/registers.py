@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,6 +13,9 @@ from adis_gonio.cli.show import console, json_option, no_check_option, print_jso
 from adis_gonio.errors import UsageError
 from adis_gonio.sensor import REGISTERS, Adis16354, Register, open_sensor
 from adis_gonio.sensor.registers import Kind, register
+
+if TYPE_CHECKING:
+    from adis_gonio.handover.offsets import WantedOffset
 
 _ASSIGNMENT = re.compile(r"(?P<name>[A-Za-z0-9_/]+)=(?P<value>.+)")
 _VALUE = re.compile(r"(?P<number>[-+]?(0[xX][0-9a-fA-F]+|\d+(\.\d*)?([eE][-+]?\d+)?))\s*(?P<unit>\S*)")
@@ -22,6 +27,10 @@ _UNITS = {"dps": "°/s", "degc": "°C", "c": "°C"}
 @click.argument("what", nargs=-1, metavar="[NAME | NAME=VALUE]...")
 @click.option("--fields", is_flag=True, help="Show the bit fields of control registers.")
 @click.option("--save", is_flag=True, help="Save to flash after writing (ENDURANCE goes up by one).")
+@click.option(
+    "--cal", "calibration_path", type=click.Path(path_type=Path), metavar="FILE",
+    help="Show beside the offsets what this calibration (export, JSON) or session would write.",
+)  # fmt: skip
 @variant_option
 @no_check_option
 @json_option
@@ -31,6 +40,7 @@ def command(
     what: tuple[str, ...],
     fields: bool,
     save: bool,
+    calibration_path: Path | None,
     variant: str,
     no_check: bool,
     as_json: bool,
@@ -41,9 +51,12 @@ def command(
     writes it and reads it back. VALUE is the register's number (decimal or 0x…) or a quantity with its
     unit, such as XACCL_OFF=-57.3mg, which takes 57.3 mg off: the part adds its offset registers to its
     outputs (`write` puts a session's biases there). Listing all registers leaves STATUS alone, because a
-    read clears it; name it to read it.
+    read clears it; name it to read it. --cal FILE puts what a calibration would write beside the offsets:
+    zero rates of the gyros in °/s (without what gravity adds to them), biases of the accelerometers in mg.
     """
     if url is None:
+        if calibration_path is not None:
+            raise UsageError("--cal goes with a URL: it is compared with what the sensor holds")
         _show([(row, None) for row in REGISTERS], fields=fields, as_json=as_json)
         return
     writes: list[tuple[Register, str]] = []
@@ -56,6 +69,7 @@ def command(
             reads.append(register(word))
     if save and not writes:
         raise UsageError("--save goes with NAME=VALUE: nothing was to be written")
+    wanted_offsets = {} if calibration_path is None else _wanted(calibration_path)
     with open_sensor(url, variant=variant, check=not no_check) as sensor:
         numbers = [(row, _number(sensor, row, text)) for row, text in writes]
         for row, number in numbers:
@@ -67,7 +81,16 @@ def command(
         wanted = [row for row, _ in writes] + reads
         if not save and any(row.flash_mask for row, _ in writes):
             click.echo("volatile until saved to flash (--save)", err=True)
-        _show([(row, sensor.quantity(row)) for row in wanted], fields=fields, as_json=as_json)
+        held = [(row, sensor.quantity(row)) for row in wanted]
+        _show(held, fields=fields, as_json=as_json, beside=wanted_offsets)
+
+
+def _wanted(path: Path) -> dict[str, WantedOffset]:
+    """What a calibration would write, by register."""
+    from adis_gonio.calibration import load_calibration
+    from adis_gonio.handover.offsets import wanted_offsets
+
+    return {one.name: one for one in wanted_offsets(load_calibration(path))}
 
 
 def _number(sensor: Adis16354, row: Register, text: str) -> int:
@@ -89,9 +112,24 @@ def _number(sensor: Adis16354, row: Register, text: str) -> int:
     return round((float(number) - zero) / lsb)
 
 
-def _show(rows: list[tuple[Register, Any]], *, fields: bool, as_json: bool) -> None:
+def _show(
+    rows: list[tuple[Register, Any]],
+    *,
+    fields: bool,
+    as_json: bool,
+    beside: Mapping[str, WantedOffset] | None = None,
+) -> None:
+    beside = beside or {}
     if as_json:
-        print_json({"registers": [_as_dict(row, quantity) for row, quantity in rows]})
+        told = {name: {"calibration": one.as_dict()} for name, one in beside.items()}
+        shown = [_as_dict(row, quantity) | told.get(row.name, {}) for row, quantity in rows]
+        print_json(
+            {
+                "registers": [
+                    one if own is None else one | {"calibration": own.as_dict()} for one, own in shown
+                ]
+            }
+        )
         return
     from rich.table import Table
 
@@ -102,6 +140,8 @@ def _show(rows: list[tuple[Register, Any]], *, fields: bool, as_json: bool) -> N
     if with_values:
         table.add_column("number", justify="right")
         table.add_column("value", justify="right")
+        if beside:
+            table.add_column("by the calibration", justify="right")
     else:
         table.add_column("bits", justify="right")
         table.add_column("access")
@@ -116,6 +156,7 @@ def _show(rows: list[tuple[Register, Any]], *, fields: bool, as_json: bool) -> N
             cells += [
                 f"0x{quantity.number:04X}" if row.kind is Kind.FIELDS else str(quantity.number),
                 "" if plain else str(quantity),
+                *([str(beside.get(row.name, ""))] if beside else []),
             ]
         else:
             cells += [
@@ -129,7 +170,8 @@ def _show(rows: list[tuple[Register, Any]], *, fields: bool, as_json: bool) -> N
         if fields or (with_values and len(rows) <= 4):
             for field in row.fields:
                 bits = f"[{field.high}:{field.low}]" if field.high != field.low else f"[{field.low}]"
-                held = [str(field.of(quantity.number)), ""] if with_values else ["", "", "", "", ""]
+                spare = [""] * (2 if beside else 1)
+                held = [str(field.of(quantity.number)), *spare] if with_values else [""] * 5
                 table.add_row(f"  {field.name}", rf"\{bits}", *held, field.meaning, style="dim")
     console().print(table)
 

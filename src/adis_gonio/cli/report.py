@@ -63,6 +63,7 @@ def _page(session: Session, time_limit: float | None) -> str:
     from adis_gonio.budget import current, told
     from adis_gonio.errors import AdisGonioError
     from adis_gonio.fitting import applicable_methods, fit
+    from adis_gonio.report.gyros import gyro_section
     from adis_gonio.report.page import build_page
     from adis_gonio.report.views import views
     from adis_gonio.tracing import trace
@@ -75,15 +76,16 @@ def _page(session: Session, time_limit: float | None) -> str:
             fits.append(fit(session, method=method))
         except AdisGonioError as error:
             failures[method] = str(error)
+    gyros = [section for section in (gyro_section(session),) if section is not None]
     try:
         traced = trace(session, time_limit=time_limit)
         drawn = views(session, traced)
     except AdisGonioError as error:
-        return build_page(session, fits, str(error), failures=failures)
+        return build_page(session, fits, str(error), sections=gyros, failures=failures)
     tell("its digital twin")
     twin = _twin(session, traced)
     tell("its figures")
-    return build_page(session, fits, traced, drawn, sections=twin, failures=failures)
+    return build_page(session, fits, traced, drawn, sections=[*gyros, *twin], failures=failures)
 
 
 def _twin(session: Session, traced: TraceResult) -> list[Section]:

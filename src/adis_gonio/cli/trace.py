@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adis_gonio.cli.overrides import load, override_options
+from adis_gonio.cli.overrides import load, override_options, part_option
 from adis_gonio.cli.show import WIDTH, console, json_option, print_json
 from adis_gonio.cli.working import working
 from adis_gonio.counting import counted
@@ -37,10 +37,17 @@ if TYPE_CHECKING:
     metavar="SECONDS",
     help="End after so long with the best model so far; what was not validated is not called found.",
 )
+@part_option
 @override_options
 @json_option
 def command(
-    *, session: Path, max_effects: int, time_limit: float | None, as_json: bool, overrides: Overrides
+    *,
+    session: Path,
+    max_effects: int,
+    time_limit: float | None,
+    part: str,
+    as_json: bool,
+    overrides: Overrides,
 ) -> None:
     """Trace what the residual says: find the effects that the seed paper's model lacks.
 
@@ -51,7 +58,7 @@ def command(
 
     loaded = load(session, overrides)
     with working(f"tracing {counted(len(loaded.dwells), 'dwell')} of {session.name}"):
-        result = trace(loaded, max_effects=max_effects, time_limit=time_limit)
+        result = trace(loaded, max_effects=max_effects, time_limit=time_limit, part=part)
     if as_json:
         print_json(result.as_dict())
         return

@@ -31,6 +31,15 @@ if TYPE_CHECKING:
     "--dwell", "dwell_s", type=float, default=5.0, show_default=True, help="Length of a dwell in s."
 )
 @click.option("--method", help="As fit's; without it the best that the session supports.")
+@click.option(
+    "--gyros", is_flag=True,
+    help="Write the zero rates of the gyros (XGYRO_OFF …) in place of the accelerometers' biases.",
+)  # fmt: skip
+@click.option(
+    "--autonull", type=click.Choice(["quick", "precise"]),
+    help="With --gyros: let the chip null its gyros, and keep that only where the session agrees; "
+    "precise takes 30 s. It saves to flash by itself.",
+)  # fmt: skip
 @click.option("--even-if-inadequate", is_flag=True, help="Write although the fit is no sound base.")
 @no_check_option
 @json_option
@@ -53,11 +62,17 @@ def command(
     and verified by a dwell; where that does not show what was planned the old offsets are set back. The new
     ones are lost with the power unless --save puts them into flash.
 
+    Accelerometers and gyros are written apart: --gyros takes the zero rates, without what gravity adds to
+    them, where the session calibrates them; --gyros --undo sets those back alone.
+
     What was there before is kept in the session file, for --undo. After a power cut, a Ctrl-C or an error
     run write again: it says whether the old or the new offsets stand, and finishes; --status only says it.
     """
     if sum((undo, status, dry_run)) > 1:
         raise UsageError("--undo, --status and --dry-run exclude each other")
+    null = options["autonull"]
+    if null and (not options["gyros"] or undo or status or options["save"]):
+        raise UsageError("--autonull goes with --gyros, and without --undo, --status and --save (it saves)")
     if not (yes or status or dry_run or at_a_terminal()):
         raise UsageError(
             "write asks before it writes, and nobody is there to answer: add --yes or --dry-run"
@@ -74,6 +89,7 @@ def command(
         dwell_s=options["dwell_s"],
         method=options["method"],
         doubtful=options["even_if_inadequate"],
+        gyros=options["gyros"],
     )
     variant = load(session).sensor
     with open_sensor(url, variant=variant, check=not no_check) as sensor:
@@ -86,7 +102,7 @@ def command(
             document = _undo(writer, yes=yes)
         else:
             _tell(standing.text)
-            document = _write(writer, yes=yes, dry_run=dry_run, quiet=as_json)
+            document = _write(writer, yes=yes, dry_run=dry_run, quiet=as_json, null=null)
     if as_json:
         print_json(document)
     else:
@@ -94,13 +110,17 @@ def command(
     return 0 if document["state"]["registers"] in ("untouched", "old", "new") else 1
 
 
-def _write(writer: OffsetWriter, *, yes: bool, dry_run: bool, quiet: bool) -> dict[str, Any]:
+def _write(
+    writer: OffsetWriter, *, yes: bool, dry_run: bool, quiet: bool, null: str | None
+) -> dict[str, Any]:
     plan = writer.plan()
     if not quiet:
         print_plan(plan)
     document = {"plan": plan.as_dict(), "state": writer.standing().as_dict(), "done": False}
     if dry_run:
         return document
+    if null:
+        return _autonull(writer, document, null, yes=yes)
     answer = "write" if yes else _asked(writer, plan)
     if answer == "back":
         return document | {"done": True} | writer.undo().as_dict()
@@ -108,6 +128,18 @@ def _write(writer: OffsetWriter, *, yes: bool, dry_run: bool, quiet: bool) -> di
         _tell("nothing was changed")
         return document
     return document | {"done": True} | writer.write().as_dict()
+
+
+def _autonull(writer: OffsetWriter, document: dict[str, Any], null: str, *, yes: bool) -> dict[str, Any]:
+    _tell(
+        "the chip's null takes the outputs of this pose for zero rates, what force adds here too; the part "
+        "saves it to flash by itself, with all registers that have a copy there (ENDURANCE goes up by one, "
+        "by two where it has to be set back)"
+    )
+    if not (yes or _confirm("Let the chip null its gyros?")):
+        _tell("nothing was changed")
+        return document
+    return document | {"done": True} | writer.autonull(precise=null == "precise").as_dict()
 
 
 def _undo(writer: OffsetWriter, *, yes: bool) -> dict[str, Any]:
@@ -148,24 +180,27 @@ def print_plan(plan: WritePlan) -> None:
     """Show a plan: a row an axis."""
     from rich.table import Table
 
+    from adis_gonio.writeback.plan import UNITS
+
     table = Table(box=None, padding=(0, 2, 0, 0))
     for name in ("register", "now", "new", "moves the output", "bias now", "u", "bias after"):
         table.add_column(name, justify="left" if name == "register" else "right")
     for axis in plan.axes:
+        unit, places = UNITS[axis.unit], 2 if axis.unit == "mg" else 3
         table.add_row(
             axis.register,
             str(axis.now),
             str(axis.new),
-            f"{axis.effect_mg:+.2f} mg",
-            f"{axis.bias_now_mg:+.2f} mg",
-            f"{axis.u_mg:.2g} mg",
-            f"{axis.bias_after_mg:+.2f} mg",
+            f"{axis.effect:+.{places}f} {unit}",
+            f"{axis.bias_now:+.{places}f} {unit}",
+            f"{axis.u:.2g} {unit}",
+            f"{axis.bias_after:+.{places}f} {unit}",
         )
     console().print(table)
     for axis in plan.axes:
         if axis.clipped:
             click.echo(
-                f"{axis.register} holds no more: {axis.bias_after_mg:+.1f} mg of the bias are left",
+                f"{axis.register} holds no more: {axis.bias_after:+.1f} mg of the bias are left",
                 err=True,
             )
         if axis.now != axis.recorded:

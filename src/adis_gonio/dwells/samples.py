@@ -108,7 +108,7 @@ def samples_of(session: Session, data: Readings) -> Samples | None:
         time_s=tuple(dwell.time_s for dwell in kept),
         values=values,
         quantum=steps_of([rows[:1000] for rows in values]),
-        reading=data.mean_mg[many],
+        reading=data.mean[many],
     )
 
 

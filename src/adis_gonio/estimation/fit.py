@@ -27,12 +27,13 @@ from numpy.typing import NDArray
 from adis_gonio.errors import UsageError
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
-from adis_gonio.model.measurement import PlanarTurn
+from adis_gonio.model.measurement import MG_PER_G, Measurement, PlanarTurn
 from adis_gonio.model.records import Floats
 
-NAMELESS_SPREAD = 100.0
-"""Prior standard deviation of an amplitude without a name (mg, mrad): where time and the position before
-run together, their difference and a gain of twenty would cancel."""
+NAMELESS_SPREAD = 0.1
+"""Prior standard deviation of an amplitude without a name, in `Measurement.full` (100 mg; 100 mrad at the
+angle): where time and the position before run together, their difference and a gain of twenty would
+cancel."""
 _DAMPING = (1.0, 0.5, 0.2, 0.05, 0.01)
 _RUN_AWAY = 1e100
 """Slope whose square is on the way out of the numbers that there are."""
@@ -89,7 +90,9 @@ class Fit:
     @classmethod
     def begin(cls, data: Readings, *, with_prior: bool = True) -> Fit:
         """The base model at rough values, not yet refitted."""
-        base, attitude = data.model.begin(data.mean_mg, data.turn_rad, np.isfinite(data.angle_rad))
+        base, attitude = data.model.begin(
+            data.mean, data.turn_rad, np.isfinite(data.angle_rad), data.conditions
+        )
         return cls(data, (), Values(base, attitude), with_prior)
 
     def having(self, terms: Sequence[Term], values: Sequence[Floats]) -> Fit:
@@ -113,52 +116,52 @@ class Fit:
         turn = self.data.turn_rad
         for term, own in zip(self.terms, self.values.terms, strict=True):
             if term.enters_angle:
-                turn = turn + term.added(own, self.data.mean_mg, self.data.conditions)
+                turn = turn + term.added(own, self.data.mean, self.data.conditions)
         return turn
 
     @cached_property
-    def ideal_mg(self) -> Floats:
+    def ideal(self) -> Floats:
         """What the axes should read (n, axes), gain and misalignment in it."""
-        return self.data.model.ideal_mg(self.values.base, self.values.attitude, self.turn_rad)
+        return self.data.model.ideal(self.values.base, self.values.attitude, self.turn_rad)
 
     @cached_property
-    def tangent_mg(self) -> Floats:
-        """∂ideal/∂attitude (n, axes, freedom) in mg per rad."""
-        return self.data.model.tangent_mg(self.values.base, self.values.attitude, self.turn_rad)
+    def tangent(self) -> Floats:
+        """∂ideal/∂attitude (n, axes, freedom) per rad."""
+        return self.data.model.tangent(self.values.base, self.values.attitude, self.turn_rad)
 
     @cached_property
-    def predicted_mg(self) -> Floats:
+    def predicted(self) -> Floats:
         """Prediction (n, axes) at the attitudes."""
-        predicted = self.ideal_mg
+        predicted = self.ideal
         for term, own in zip(self.terms, self.values.terms, strict=True):
             if not term.enters_angle:
-                predicted = predicted + term.added(own, self.ideal_mg, self.data.conditions)
+                predicted = predicted + term.added(own, self.ideal, self.data.conditions)
         return predicted
 
     @property
-    def residual_mg(self) -> Floats:
+    def misfit(self) -> Floats:
         """Reading minus prediction (n, axes)."""
-        return self.data.mean_mg - self.predicted_mg
+        return self.data.mean - self.predicted
 
     @cached_property
-    def left_mg(self) -> Floats:
+    def left(self) -> Floats:
         """The same with the attitudes' own part added back, so that it belongs to declared angles."""
         deviation = self.data.model.deviation_rad(self.values.attitude)
-        return self.residual_mg + (self.tangent_mg @ deviation[:, :, None])[:, :, 0]
+        return self.misfit + (self.tangent @ deviation[:, :, None])[:, :, 0]
 
-    def added_mg(self, index: int) -> Floats:
+    def added(self, index: int) -> Floats:
         """What a term adds to the readings (n, axes), to first order where it turns the part."""
         term, own = self.terms[index], self.values.terms[index]
-        added = term.added(own, self.ideal_mg, self.data.conditions)
+        added = term.added(own, self.ideal, self.data.conditions)
         return self.as_readings(term, added[..., None])[:, :, 0]
 
     # -- whitening ---------------------------------------------------------------------------------
 
     @cached_property
     def whitener(self) -> Floats:
-        """What whitens a reading dwell by dwell, (n, rows, axes) in 1/mg."""
+        """What whitens a reading dwell by dwell, (n, rows, axes)."""
         root = self.data.own_root
-        along = root @ self.tangent_mg
+        along = root @ self.tangent
         if along.shape[2] == 0:
             return root
         if along.shape[2] == 2:
@@ -180,7 +183,7 @@ class Fit:
     @cached_property
     def _shared(self) -> tuple[Floats, Floats] | None:
         """A (n·rows, k) and the middle V g(λ) Vᵀ (k, k), with Aᵀ A = V λ Vᵀ."""
-        slow = self.data.slow_mg
+        slow = self.data.slow
         if slow is None or not slow.shape[2]:
             return None
         rows = (self.whitener @ slow).reshape(-1, slow.shape[2])
@@ -188,22 +191,22 @@ class Fit:
         root = np.sqrt(1 + np.maximum(values, 0.0))
         return rows, (vectors / (root * (root + 1))) @ vectors.T
 
-    def white(self, columns_mg: Floats) -> Floats:
-        """Columns (n·rows, d), whitened, of what stands in readings (n, axes, d) in mg."""
-        whitened = self.white_by_dwell(columns_mg)
-        flat: Floats = whitened.reshape(whitened.shape[0] * whitened.shape[1], columns_mg.shape[2])
+    def white(self, columns: Floats) -> Floats:
+        """Columns (n·rows, d), whitened, of what stands in readings (n, axes, d)."""
+        whitened = self.white_by_dwell(columns)
+        flat: Floats = whitened.reshape(whitened.shape[0] * whitened.shape[1], columns.shape[2])
         if self._shared is None:
             return flat
         rows, middle = self._shared
         return flat - rows @ (middle @ (rows.T @ flat))
 
-    def white_by_dwell(self, columns_mg: Floats) -> Floats:
+    def white_by_dwell(self, columns: Floats) -> Floats:
         """The same (n, rows, d) without what dwells share."""
-        whitened: Floats = self.whitener @ columns_mg
+        whitened: Floats = self.whitener @ columns
         return whitened
 
     def by_reading(self, slope: Floats) -> Floats:
-        """∂(slopeᵀ · whitened readings)/∂reading, (d, n, axes) per mg, of `slope` (n·rows, d)."""
+        """∂(slopeᵀ · whitened readings)/∂reading, (d, n, axes), of `slope` (n·rows, d)."""
         if self._shared is not None:
             rows, middle = self._shared
             slope = slope - rows @ (middle @ (rows.T @ slope))
@@ -213,35 +216,35 @@ class Fit:
     @cached_property
     def residual(self) -> Floats:
         """Whitened residual (n, rows)."""
-        return self.white(self.left_mg[:, :, None]).reshape(len(self.data), -1)
+        return self.white(self.left[:, :, None]).reshape(len(self.data), -1)
 
     # -- columns -----------------------------------------------------------------------------------
 
     def as_readings(self, term: Term, columns: Floats) -> Floats:
-        """Columns of a term in readings (n, axes, d) in mg, whatever it enters by."""
+        """Columns of a term in readings (n, axes, d), whatever it enters by."""
         if not term.enters_angle:
             return columns
         if not isinstance(self.data.model, PlanarTurn):
-            return np.zeros((*self.ideal_mg.shape, columns.shape[1]))
-        return self.tangent_mg * columns[:, None, :]
+            return np.zeros((*self.ideal.shape, columns.shape[1]))
+        return self.tangent * columns[:, None, :]
 
     def candidate(self, term: Term) -> Floats:
-        """Columns (n, axes, d) in mg of a term by its amplitudes, at amplitude zero."""
-        return self.as_readings(term, term.columns(self.ideal_mg, self.data.conditions))
+        """Columns (n, axes, d) of a term by its amplitudes, at amplitude zero."""
+        return self.as_readings(term, term.columns(self.ideal, self.data.conditions))
 
     @cached_property
     def base_columns(self) -> Floats:
-        """∂reading/∂base (n, axes, p) in mg; zero for parameters that the dwells do not show."""
-        columns = self.data.model.columns_mg(self.values.base, self.values.attitude, self.turn_rad)
+        """∂reading/∂base (n, axes, p); zero for parameters that the dwells do not show."""
+        columns = self.data.model.columns(self.values.base, self.values.attitude, self.turn_rad)
         columns[:, :, ~self.data.visible] = 0.0
         return columns
 
     @cached_property
     def columns(self) -> Floats:
-        """∂reading/∂parameter (n, axes, p + q) in mg."""
+        """∂reading/∂parameter (n, axes, p + q)."""
         blocks = [self.base_columns]
         for term, own in zip(self.terms, self.values.terms, strict=True):
-            blocks.append(self.as_readings(term, term.derivative(own, self.ideal_mg, self.data.conditions)))
+            blocks.append(self.as_readings(term, term.derivative(own, self.ideal, self.data.conditions)))
         return np.concatenate(blocks, axis=2)
 
     @cached_property
@@ -254,9 +257,9 @@ class Fit:
         target = self.residual.ravel()
         blocks = []
         for index, (term, own) in enumerate(zip(self.terms, self.values.terms, strict=True)):
-            derivative = term.derivative(own, self.ideal_mg, self.data.conditions)
+            derivative = term.derivative(own, self.ideal, self.data.conditions)
             blocks.append(self.white(self.as_readings(term, derivative[..., term.amplitude_index(own)])))
-            target = target + self.white(self.added_mg(index)[:, :, None])[:, 0]
+            target = target + self.white(self.added(index)[:, :, None])[:, 0]
         return self.white(self.base_columns), blocks, target
 
     # -- how well ----------------------------------------------------------------------------------
@@ -312,7 +315,7 @@ class Fit:
         model = self.data.model
         spreads = [np.array([parameter.spread for parameter in model.parameters])]
         for term, own in zip(self.terms, self.values.terms, strict=True):
-            loose = NAMELESS_SPREAD if term.name is None else np.inf
+            loose = nameless_spread(model, term) if term.name is None else np.inf
             spreads.append(np.full(len(own), loose if term.prior_sd is None else term.prior_sd))
         precision = 1 / np.concatenate(spreads) if self.with_prior else np.zeros(sum(map(len, spreads)))
         centre = np.zeros(len(precision))
@@ -359,9 +362,9 @@ class Fit:
         with np.errstate(divide="ignore"):
             precision = np.where(fixed, 0.0, 1 / data.fixture**2)
         for _ in range(passes):
-            along = data.root @ fit.tangent_mg
+            along = data.root @ fit.tangent
             pull = data.model.deviation_rad(fit.values.attitude)
-            right = (along.transpose(0, 2, 1) @ (data.root @ fit.residual_mg[:, :, None]))[:, :, 0]
+            right = (along.transpose(0, 2, 1) @ (data.root @ fit.misfit[:, :, None]))[:, :, 0]
             right = right - precision[:, None] * pull
             gram = along.transpose(0, 2, 1) @ along + precision[:, None, None] * np.eye(freedom)
             if freedom == 1:
@@ -454,9 +457,9 @@ class Fit:
 
     def _placed_on(self, data: Readings, terms: Sequence[Term] | None) -> Fit:
         model = data.model
-        _, attitude = model.begin(data.mean_mg, data.turn_rad, np.isfinite(data.angle_rad))
+        _, attitude = model.begin(data.mean, data.turn_rad, np.isfinite(data.angle_rad), data.conditions)
         if isinstance(model, PlanarTurn):
-            shown = np.arctan2(data.mean_mg[:, 1], data.mean_mg[:, 0]) - self.values.base[0]
+            shown = np.arctan2(data.mean[:, 1], data.mean[:, 0]) - self.values.base[0]
             attitude = np.where(np.isfinite(data.angle_rad), 0.0, shown)
         values = replace(self.values, attitude=attitude)
         return Fit(data, self.terms if terms is None else tuple(terms), values, self.with_prior)
@@ -472,6 +475,22 @@ class Fit:
         there = self.on(data)
         rest = self.white_by_dwell(self.columns)
         return foreseen(rest.reshape(-1, rest.shape[2]), there.white_by_dwell(there.columns), most)
+
+
+def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
+    """p-value of a residual against the noise that was measured within the dwells."""
+    from scipy import stats
+
+    if dof <= 0:
+        return 1.0
+    if np.isinf(noise_dof):
+        return float(stats.chi2.sf(chi2, dof))
+    return float(stats.f.sf(chi2 / dof, dof, max(noise_dof, 1.0)))
+
+
+def nameless_spread(model: Measurement, term: Term) -> float:
+    """Prior standard deviation of the amplitudes of a term without a name, in the term's unit."""
+    return NAMELESS_SPREAD * (MG_PER_G if term.enters_angle else model.full)
 
 
 def foreseen(rest: Floats, left: Floats, most: float) -> NDArray[np.bool_]:

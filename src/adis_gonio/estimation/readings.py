@@ -1,4 +1,4 @@
-"""Readings: a dwell's mean with its covariance, degrees of freedom and conditions, in mg.
+"""Readings: a mean with its covariance, degrees of freedom and conditions, in its measurement's unit.
 
 The covariance of a reading has three parts.
 
@@ -14,7 +14,7 @@ The covariance of a reading has three parts.
   zero for a sensor without a figure. An Allan deviation s makes the means of N dwells scatter with
   s²·N ln N / (2 (N − 1) ln 2) (Barnes 1969).
 
-Neighbouring dwells share 1/f noise; what they share is kept as modes (`Readings.slow_mg`), one of them the
+Neighbouring dwells share 1/f noise; what they share is kept as modes (`Readings.slow`), one of them the
 constant by which a session differs from one that is measured another day.
 
 A dwell of one sample is a reading that somebody averaged: `Session.reading_u_mg` is its whole uncertainty.
@@ -70,7 +70,7 @@ class Unit:
     Attributes
     ----------
     name : str
-        `mg` (any unit of known size), or `counts`.
+        `mg` or `dps` (any unit of known size), or `counts`.
     zero, per_mg : (axes,) float
         File's value at zero, and counts per mg; both rough for counts, 0 and 1 for mg.
     scale : float
@@ -89,7 +89,7 @@ class Unit:
     @property
     def known(self) -> bool:
         """False for counts, where the zero of an axis is part of the unit."""
-        return self.name == "mg"
+        return self.name != "counts"
 
 
 def in_mg(axes: int, scale: float = 1.0) -> Unit:
@@ -103,7 +103,7 @@ class Readings:
 
     Attributes
     ----------
-    mean_mg : (n, axes) float
+    mean : (n, axes) float
         Mean of each dwell; two columns in a planar session, three in space.
     own_covariance : (n, axes, axes) float
         Covariance of the means in mg² without what dwells share; where `known` is False a placeholder of
@@ -127,10 +127,10 @@ class Readings:
         Numbers of the dwells in the file, and samples of each.
     unit : Unit
         Of the file.
-    slow_mg : (n, axes, k) float or None
+    slow : (n, axes, k) float or None
         What each of k independent modes of unit variance adds to the readings: the noise that dwells share
         (1/f noise). Modes of different axes are independent. None where there is none.
-    quantization_mg2, flicker_mg2 : (n, axes) float or None
+    quantization, flicker : (n, axes) float or None
         Parts of `own_covariance` that quantization and 1/f noise have; None where there is none.
     flicker_shown : bool
         True where the dwells show the 1/f noise, False where it is the variant's figure.
@@ -148,7 +148,7 @@ class Readings:
         What all samples show of it, those of dwells at a limit among them; None without samples.
     """
 
-    mean_mg: Floats
+    mean: Floats
     own_covariance: Floats
     dof: Floats
     known: NDArray[np.bool_]
@@ -161,9 +161,9 @@ class Readings:
     position: NDArray[np.intp]
     samples: NDArray[np.intp]
     unit: Unit
-    slow_mg: Floats | None = None
-    quantization_mg2: Floats | None = None
-    flicker_mg2: Floats | None = None
+    slow: Floats | None = None
+    quantization: Floats | None = None
+    flicker: Floats | None = None
     flicker_shown: bool = False
     pooled: bool = True
     sensor: str = "generic"
@@ -173,12 +173,12 @@ class Readings:
     converter: Converter | None = None
 
     def __len__(self) -> int:
-        return len(self.mean_mg)
+        return len(self.mean)
 
     @property
     def axes(self) -> int:
         """Axes of a reading: 2 in the plane, 3 in space."""
-        return int(self.mean_mg.shape[1])
+        return int(self.mean.shape[1])
 
     @property
     def planar(self) -> bool:
@@ -222,22 +222,32 @@ class Readings:
 
     @property
     def free(self) -> bool:
-        """True where no declared angle carries information."""
-        return bool(np.isinf(self.fixture).all())
+        """True where attitudes are unknown and no declared angle carries information."""
+        return self.model.freedom > 0 and bool(np.isinf(self.fixture).all())
+
+    @property
+    def equations_each(self) -> int:
+        """Equations that a reading gives: one where its attitude is free, else one an axis."""
+        return 1 if self.free else self.axes
+
+    @property
+    def by_axis(self) -> bool:
+        """False where only the length of a reading carries information."""
+        return self.model.freedom < 2
 
     @cached_property
     def visible(self) -> NDArray[np.bool_]:
         """Base parameters (p,) that are fitted; the others stay at their nominal values."""
         if self.fitted is not None:
             return self.fitted
-        return self.model.visible(self.mean_mg, np.isfinite(self.fixture))
+        return self.model.visible(self.mean, np.isfinite(self.fixture))
 
     @cached_property
     def covariance(self) -> Floats:
         """Covariance of the means (n, axes, axes) in mg², what dwells share among it."""
-        if self.slow_mg is None:
+        if self.slow is None:
             return self.own_covariance
-        shared: Floats = (self.slow_mg**2).sum(axis=2)[:, :, None] * np.eye(self.axes)
+        shared: Floats = (self.slow**2).sum(axis=2)[:, :, None] * np.eye(self.axes)
         return self.own_covariance + shared
 
     @cached_property
@@ -253,9 +263,9 @@ class Readings:
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Readings:
         """Some of the dwells."""
         by_dwell = [
-            "mean_mg", "own_covariance", "dof", "known", "angle_rad", "check", "position", "samples",
+            "mean", "own_covariance", "dof", "known", "angle_rad", "check", "position", "samples",
         ]  # fmt: skip
-        parts = ("slow_mg", "quantization_mg2", "flicker_mg2")
+        parts = ("slow", "quantization", "flicker")
         by_dwell += [name for name in parts if getattr(self, name) is not None]
         return replace(
             self,
@@ -289,7 +299,7 @@ def _inverse_root(covariance: Floats) -> Floats:
 
 
 def from_means(
-    mean_mg: Floats,
+    mean: Floats,
     covariance: Floats,
     conditions: Conditions,
     *,
@@ -298,10 +308,10 @@ def from_means(
     **others: object,
 ) -> Readings:
     """Readings that somebody else reduced: means (n, axes) in mg with their covariance in mg²."""
-    n, axes = mean_mg.shape
+    n, axes = mean.shape
     angle = conditions.angle_rad
     made = Readings(
-        mean_mg=mean_mg,
+        mean=mean,
         own_covariance=covariance,
         dof=np.full(n, np.inf),
         known=np.ones(n, dtype=bool),
@@ -331,7 +341,7 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
     """
     if not readings.unit.known:
         return
-    lengths = np.linalg.norm(readings.mean_mg, axis=1) / session.gravity_mg
+    lengths = np.linalg.norm(readings.mean, axis=1) / session.gravity_mg
     length = float(np.median(lengths))
     if 1 / OFF_UNIT < length < OFF_UNIT:
         odd = readings.position[np.abs(lengths / length - 1) > UNEQUAL].tolist()
@@ -352,13 +362,13 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
 
 def _as_another(session: Session, length: float) -> str:
     """The units in which readings `length` g long would be 1 g long, and how to say so."""
-    own = _mg_per_unit(session)
+    own = mg_per_unit(session)
     fits = [
         unit
         for unit in ACCEL_UNITS
         if unit != "counts"
         and (unit != "lsb" or session.sensor in VARIANTS)
-        and 1 / OFF_UNIT < length * _mg_per_unit(replace(session, accel_unit=unit)) / own < OFF_UNIT
+        and 1 / OFF_UNIT < length * mg_per_unit(replace(session, accel_unit=unit)) / own < OFF_UNIT
     ]
     if not fits:
         return ""
@@ -380,7 +390,7 @@ def _refuse_reversed(session: Session, readings: Readings) -> None:
     design = np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))])
     if len(theta) < LEAST_TURNING or np.linalg.svd(design, compute_uv=False)[-1] < LEAST_TURN:
         return
-    (x_c, x_s, _), (y_c, y_s, _) = np.linalg.lstsq(design, readings.mean_mg[rows], rcond=None)[0].T
+    (x_c, x_s, _), (y_c, y_s, _) = np.linalg.lstsq(design, readings.mean[rows], rcond=None)[0].T
     area = (x_s * y_c - x_c * y_s) / session.gravity_mg**2
     if area > -LEAST_AREA:
         return
@@ -419,7 +429,7 @@ def reduced(session: Session) -> Readings:
     source = session.source or "session"
     axes = 2 if session.plane == "xy" else 3
     dwells, converter, notes = _usable(session, axes)
-    scale = _mg_per_unit(session)
+    scale = mg_per_unit(session)
     n = len(dwells)
     mean = np.array([d.accel[0, :axes] if len(d) == 1 else d.accel[:, :axes].mean(axis=0) for d in dwells])
     mean = mean * scale
@@ -455,8 +465,8 @@ def reduced(session: Session) -> Readings:
         rounding[many], level[many] = left_by_quantization(rows, mg, quantum), own
         covariance[many] = noise.covariance + (rounding + level)[many, :, None] * np.eye(axes)
         parts = {
-            "quantization_mg2": rounding,
-            "flicker_mg2": level,
+            "quantization": rounding,
+            "flicker": level,
             "flicker_shown": bool((noise.flicker > 0).any()),
             "pooled": noise.pooled,
         }
@@ -470,7 +480,7 @@ def reduced(session: Session) -> Readings:
     sigma = session.fixture_sigma_deg
     angle = np.radians([np.nan if d.angle_deg is None else d.angle_deg for d in dwells])
     return Readings(
-        mean_mg=mean,
+        mean=mean,
         own_covariance=covariance,
         dof=dof,
         known=known,
@@ -483,7 +493,7 @@ def reduced(session: Session) -> Readings:
         position=np.array([d.position for d in dwells], dtype=np.intp),
         samples=samples,
         unit=unit,
-        slow_mg=slow,
+        slow=slow,
         sensor=session.sensor,
         notes=tuple(notes),
         converter=converter,
@@ -509,7 +519,7 @@ def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[s
         raise DataError(f"{source}: plane none needs three axes, there are two")
     converter = converter_of([replace(dwell, accel=dwell.accel[:, :axes]) for dwell in dwells])
     limits = converter.limits
-    refuse_dead_data(session, limits, None if session.accel_unit == "counts" else _mg_per_unit(session))
+    refuse_dead_data(session, limits, None if session.accel_unit == "counts" else mg_per_unit(session))
     if len(dwells) > 1:  # of one pose there is nothing else to look at
         dwells = [dwell for dwell in dwells if dwell.position not in converter.spoiled]
     if not dwells:
@@ -576,7 +586,7 @@ def _unit_of_counts(mean: Floats, gravity_mg: float) -> Unit:
 
 
 def _conditions(
-    dwells: list[Dwell], angle: Floats, mean_mg: Floats, unit: Unit, scale: float, axes: int
+    dwells: list[Dwell], angle: Floats, mean: Floats, unit: Unit, scale: float, axes: int
 ) -> Conditions:
     start = float(dwells[0].time_s[0])
     declared = angle if np.isfinite(angle).all() else None
@@ -595,7 +605,7 @@ def _conditions(
         temperature_c=temperature,
         supply_v=_means([dwell.supply_v for dwell in dwells]),
         temperature_history=None if temperature is None else _history(dwells, start),
-        load_history=_loads(dwells, mean_mg, start),
+        load_history=_loads(dwells, mean, start),
         variance_mg2=variance,
     )
 
@@ -621,15 +631,22 @@ def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
     return time, temperature
 
 
-def _loads(dwells: list[Dwell], mean_mg: Floats, start: float) -> tuple[Floats, Floats] | None:
+def _loads(dwells: list[Dwell], mean: Floats, start: float) -> tuple[Floats, Floats] | None:
     """What the axes read in mg from the first to the last sample of each dwell, linear while it moves."""
     ends = np.array([dwell.time_s[[0, -1]] for dwell in dwells]) - start
     kept = np.column_stack([np.ones(len(dwells), dtype=bool), ends[:, 1] > ends[:, 0]])
-    times, loads = ends[kept], np.repeat(mean_mg, kept.sum(axis=1), axis=0)
+    times, loads = ends[kept], np.repeat(mean, kept.sum(axis=1), axis=0)
     return (times, loads) if (np.diff(times) > 0).all() else None
 
 
-def _mg_per_unit(session: Session) -> float:
+def mg_per_unit(session: Session) -> float:
+    """Size in mg of one of the accelerometers' numbers; 1 for counts, which have none.
+
+    Raises
+    ------
+    DataError
+        LSB of a sensor whose LSB is not known.
+    """
     if session.accel_unit == "lsb":
         if session.sensor not in VARIANTS:
             raise DataError(

@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters
+from adis_gonio.model.measurement import MG_PER_G
 from adis_gonio.model.records import Floats
 
 Where = Literal["bias", "gain", "misalignment", "angle"]
@@ -66,19 +67,19 @@ class Term(ABC):
         """True where it turns the part, False where it adds to readings."""
 
     @abstractmethod
-    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
-        """Columns by its amplitudes: (n, axes, d) in mg, or (n, d) in rad."""
+    def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
+        """Columns by its amplitudes: (n, axes, d) in the readings' unit, or (n, d) in rad."""
 
     @abstractmethod
     def start(self, amplitudes: Floats) -> Floats:
         """Values (p,) of all its parameters at the amplitudes (d,) that the search found."""
 
     @abstractmethod
-    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
-        """What it adds: (n, axes) in mg, or (n,) in rad."""
+    def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """What it adds: (n, axes) in the readings' unit, or (n,) in rad."""
 
     @abstractmethod
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """∂added/∂values: (n, axes, p) or (n, p)."""
 
     def amplitude_index(self, values: Floats) -> list[int]:
@@ -141,10 +142,10 @@ class NamedTerm(Term):
         """As `amplitudes`."""
         return self.amplitudes
 
-    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
         """Derivative by the amplitudes at amplitude zero."""
         values = self.start(np.zeros(len(self.amplitudes)))
-        return self.effect.derivative(values, ideal_mg, conditions)[..., self.amplitudes]
+        return self.effect.derivative(values, ideal, conditions)[..., self.amplitudes]
 
     def start(self, amplitudes: Floats) -> Floats:
         """Amplitudes found, shapes of the grid."""
@@ -154,15 +155,15 @@ class NamedTerm(Term):
             values[index] = shape
         return values
 
-    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """As the effect says."""
         if self.enters_angle:
             return self.effect.attitude_rad(values, conditions)
-        return self.effect.reading_mg(values, ideal_mg, conditions)
+        return self.effect.reading(values, ideal, conditions)
 
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """As the effect says."""
-        return self.effect.derivative(values, ideal_mg, conditions)
+        return self.effect.derivative(values, ideal, conditions)
 
     def bounds(self) -> Floats:
         """Physical bounds of the catalogue."""
@@ -193,7 +194,7 @@ class Basis:
     common : callable or None
         Conditions → (n, q): the same on every axis.
     by_axis : callable or None
-        (ideal in g (n, axes), axis) → (n, q): functions of the readings.
+        (stimulus (n, axes), axis) → (n, q): functions of what an axis answers to, in g for accelerometers.
     approximates : bool
         True for polynomials and harmonics that stand for a function without a formula.
     with_constant : bool
@@ -227,6 +228,11 @@ class Basis:
         return self._last[0][1]
 
 
+def in_g(ideal: Floats, conditions: Conditions) -> Floats:
+    """What the gains of accelerometers multiply: the ideal readings (n, axes) in g."""
+    return ideal / MG_PER_G
+
+
 @dataclass(frozen=True)
 class NamelessTerm(Term):
     """A point of the grammar.
@@ -240,6 +246,8 @@ class NamelessTerm(Term):
     basis : Basis
     shrinkage : float or None
         Prior standard deviation of each amplitude: the functions are then features of a Gaussian process.
+    stimulus : callable
+        (ideal, conditions) → (n, axes): what gains multiply, as `Measurement.stimulus`.
     """
 
     where: Where
@@ -247,6 +255,7 @@ class NamelessTerm(Term):
     basis: Basis
     tangent_rad: float = field(default=1e-3, repr=False)
     shrinkage: float | None = None
+    stimulus: Callable[[Floats, Conditions], Floats] = field(default=in_g, repr=False, compare=False)
 
     @property
     def prior_sd(self) -> float | None:
@@ -275,9 +284,10 @@ class NamelessTerm(Term):
         }[self.where]
         return f"{head} follows {self.basis.form}"
 
-    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
-        """Basis functions; amplitudes in mg, at 1 g for a gain or misalignment, in mrad for the angle."""
-        n, k = ideal_mg.shape
+    def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
+        """Basis functions; amplitudes in the readings' unit, for a gain at full stimulus; angle in mrad."""
+        n, k = ideal.shape
+        driven = self.stimulus(ideal, conditions)
         if self.basis.common is not None:
             common = self.basis.over(conditions)
             if self.where == "angle":
@@ -285,12 +295,12 @@ class NamelessTerm(Term):
             by_axis = [common] * len(self.axes)
         else:
             assert self.basis.by_axis is not None
-            by_axis = [self.basis.by_axis(ideal_mg / 1000.0, axis) for axis in self.axes]
+            by_axis = [self.basis.by_axis(driven, axis) for axis in self.axes]
         q = by_axis[0].shape[1]
         if self.where == "misalignment":
             others = {axis: [j for j in range(k) if j != axis] for axis in self.axes}
             by_axis = [
-                np.concatenate([rows * (ideal_mg[:, j, None] / 1000.0) for j in others[axis]], axis=1)
+                np.concatenate([rows * driven[:, j, None] for j in others[axis]], axis=1)
                 for rows, axis in zip(by_axis, self.axes, strict=True)
             ]
             q = by_axis[0].shape[1]
@@ -298,7 +308,7 @@ class NamelessTerm(Term):
         for j, axis in enumerate(self.axes):
             rows = by_axis[j]
             if self.where == "gain":
-                rows = rows * (ideal_mg[:, axis, None] / 1000.0)
+                rows = rows * driven[:, axis, None]
             out[:, axis, q * j : q * (j + 1)] = rows
         return out
 
@@ -306,11 +316,11 @@ class NamelessTerm(Term):
         """The amplitudes: there are no shapes."""
         return np.array(amplitudes, dtype=float)
 
-    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Columns times amplitudes."""
-        total: Floats = self.columns(ideal_mg, conditions) @ values
+        total: Floats = self.columns(ideal, conditions) @ values
         return total
 
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """The columns: a nameless term is linear."""
-        return self.columns(ideal_mg, conditions)
+        return self.columns(ideal, conditions)

@@ -148,7 +148,7 @@ def fit_paper(readings: Readings) -> FitResult:
     """
     chosen, weights = _grouped(readings, "paper", (0, 90))
     exact = _linear(chosen, weights, bias=False)
-    natural = chosen.mean_mg / chosen.gravity_mg
+    natural = chosen.mean / chosen.gravity_mg
     noise = _noise(readings, chosen)
     spread = _sources(replace(chosen, sensor="generic"), exact, noise).covariance
     alpha, phi = float(exact.beta[ALPHA]), float(exact.beta[DELTA_PHI])
@@ -184,7 +184,7 @@ def fit_paper(readings: Readings) -> FitResult:
 
 def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linear, Floats]:
     """Equations 5 to 12 beside the start angle and gain of X of the closed form; (ΔK, Δφ)."""
-    first, second = weights @ (chosen.mean_mg / chosen.gravity_mg)
+    first, second = weights @ (chosen.mean / chosen.gravity_mg)
     values, derivative = _paper(first, second, weights)
     beta = exact.beta.copy()
     beta[DELTA_PHI] = values[1]
@@ -266,7 +266,7 @@ def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tu
 
 def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
     """Fit of cosine, sine and (with `bias`) a constant to each axis of the averaged readings."""
-    natural = chosen.mean_mg / chosen.gravity_mg
+    natural = chosen.mean / chosen.gravity_mg
     turn = weights @ np.exp(1j * chosen.angle_rad)
     theta = np.angle(turn)
     columns = [np.cos(theta), np.sin(theta)] + ([np.ones_like(theta)] if bias else [])
@@ -373,7 +373,7 @@ def _finish(
         # An unweighted fit leaves residuals that are not χ² distributed; the least χ² of the same model is.
         chi2=fit.refit(200, 1e-12).chi2 if dof else 0.0,
         dof=dof,
-        residual_mg=fit.residual_mg,
+        residual_mg=fit.misfit,
         positions=tuple(chosen.position.tolist()),
         angle_error_rad=angle_errors(fit),
         warnings=(*warnings, *chosen.notes, *noise.notes),

@@ -59,7 +59,7 @@ def fit_ml(readings: Readings) -> FitResult:
         covariance=None if sources is None else variances(reported, sources.covariance),
         chi2=settled.chi2,
         dof=settled.dof,
-        residual_mg=fit.residual_mg if readings.planar else norm * readings.gravity_mg,
+        residual_mg=fit.misfit if readings.planar else norm * readings.gravity_mg,
         positions=tuple(readings.position.tolist()),
         angle_error_rad=angle_errors(fit),
         warnings=tuple(warnings),
@@ -72,8 +72,8 @@ def fit_ml(readings: Readings) -> FitResult:
 
 def _calibrated(fit: Fit) -> Floats:
     """Gravity (n, axes) that the calibrated sensor computes from each reading alone."""
-    beside = sum((fit.added_mg(k) for k in range(len(fit.terms))), np.zeros(fit.data.mean_mg.shape))
-    return fit.data.model.calibrated(fit.values.base, fit.data.mean_mg - beside)
+    beside = sum((fit.added(k) for k in range(len(fit.terms))), np.zeros(fit.data.mean.shape))
+    return fit.data.model.calibrated(fit.values.base, fit.data.mean - beside)
 
 
 def angle_errors(fit: Fit) -> Floats | None:

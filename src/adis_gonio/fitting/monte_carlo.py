@@ -160,30 +160,30 @@ def _fitting(made: Origin, method: str) -> Callable[[Readings], Fit]:
 def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
     """What draws readings: those of the session with every input moved by its distribution."""
     data, fit, noise = made.readings, made.fit, made.noise
-    n, axes = data.mean_mg.shape
+    n, axes = data.mean.shape
     roots, dof, estimate = repeatability_of(data, noise)
     sigma = np.where(np.isfinite(fit.data.fixture), fit.data.fixture, 0.0)
     by_name = {} if made.sources is None else {source.name: source for source in made.sources.each}
-    rounding = np.zeros((n, axes)) if data.quantization_mg2 is None else np.sqrt(3 * data.quantization_mg2)
-    flicker = np.zeros((n, axes)) if data.flicker_mg2 is None else np.sqrt(data.flicker_mg2)
+    rounding = np.zeros((n, axes)) if data.quantization is None else np.sqrt(3 * data.quantization)
+    flicker = np.zeros((n, axes)) if data.flicker is None else np.sqrt(data.flicker)
     attitude, turn, model = fit.values.attitude, fit.turn_rad, data.model
-    exact = model.ideal_mg(fit.values.base, attitude, turn)
+    exact = model.ideal(fit.values.base, attitude, turn)
     shared = _shared_inputs(data, by_name)
 
     def draw() -> Readings:
         factor = _students(rng, dof, estimate)
         moved = np.einsum("nab,nb->na", roots, factor * rng.standard_normal((n, axes)))
         moved += flicker * rng.standard_normal((n, axes)) + rounding * rng.uniform(-1, 1, (n, axes))
-        if data.slow_mg is not None:
-            moved += data.slow_mg @ rng.standard_normal(data.slow_mg.shape[2])
+        if data.slow is not None:
+            moved += data.slow @ rng.standard_normal(data.slow.shape[2])
         if noise.extra_mg:
             moved += noise.extra_mg * _student(rng, noise.dof) * rng.standard_normal((n, axes))
         if sigma.any():
             away = sigma * _student(rng, noise.sigma_dof) * rng.standard_normal(n)
-            moved += model.ideal_mg(fit.values.base, attitude + away, turn) - exact
+            moved += model.ideal(fit.values.base, attitude + away, turn) - exact
         for columns in shared:
             moved += columns @ rng.standard_normal(columns.shape[2])
-        return replace(data, mean_mg=data.mean_mg + moved)
+        return replace(data, mean=data.mean + moved)
 
     return draw
 

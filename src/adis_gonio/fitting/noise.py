@@ -160,7 +160,7 @@ def _unknown_fixture(follow: _Follow, noise: Noise, dof: int) -> Noise:
         sigma = math.exp(log_sigma)
         fit = follow(replace(noise, sigma_rad=sigma))
         free = follow.first.free
-        along = fit.data.root @ fit.tangent_mg
+        along = fit.data.root @ fit.tangent
         carried = np.where(np.isfinite(fit.data.fixture), (along**2).sum(axis=(1, 2)), 0.0)
         spread = np.log1p(sigma**2 * carried).sum()
         return fit.chi2 + float(spread + np.linalg.slogdet(information(fit)[np.ix_(free, free)])[1])

@@ -153,7 +153,7 @@ def errors_of(model: Fit, rows: Readings) -> tuple[Floats, Floats]:
         own = _shown(model)
         own = own[np.isfinite(own)]
         zero = float(np.angle(np.exp(1j * own).sum())) if own.size else math.nan
-    return -wrap_rad(shown - zero), there.residual_mg
+    return -wrap_rad(shown - zero), there.misfit
 
 
 def _shown(fit: Fit) -> Floats:
@@ -166,11 +166,11 @@ def _shown(fit: Fit) -> Floats:
 
 def _calibrated(fit: Fit) -> Floats:
     """Gravity (n, axes) that the calibrated sensor computes from each reading alone."""
-    beside = np.zeros(fit.data.mean_mg.shape)
+    beside = np.zeros(fit.data.mean.shape)
     for index, term in enumerate(fit.terms):
         if not term.enters_angle:
-            beside = beside + fit.added_mg(index)
-    return fit.data.model.calibrated(fit.values.base, fit.data.mean_mg - beside)
+            beside = beside + fit.added(index)
+    return fit.data.model.calibrated(fit.values.base, fit.data.mean - beside)
 
 
 def _likelihood_without(rest: Readings, fit: Fit, found: Determination) -> Fit:

@@ -228,14 +228,14 @@ def _own(data: Readings, noise: Noise) -> Floats:
     """Covariance (n, axes, axes) of the means by the noise that averaging lowers."""
     factor = np.where(data.known, 1.0, noise.scale**2)[:, None, None]
     own = data.own_covariance * factor
-    for part in (data.quantization_mg2, data.flicker_mg2):
+    for part in (data.quantization, data.flicker):
         own = own if part is None else own - _diagonal(part)
     return np.asarray(own)
 
 
 def repeatability_of(data: Readings, noise: Noise) -> tuple[Floats, Floats, NDArray[np.intp]]:
     """Roots (n, axes, axes) of that; degrees of freedom and numbers (n, axes) of the estimates behind."""
-    n, axes = data.mean_mg.shape
+    n, axes = data.mean.shape
     first = np.full(n, _POOLED) if data.pooled else 3 * np.arange(n) + _EACH
     dof = np.where(data.known, data.dof, noise.dof)
     estimate = np.where(data.known[:, None], first[:, None] + np.arange(axes), _RESIDUAL)
@@ -266,12 +266,12 @@ def _repeatability(data: Readings, noise: Noise, response: Floats) -> Source:
 def _flicker(data: Readings, response: Floats) -> Source:
     axes = data.axes
     moves, variance = [np.zeros((len(response), 0))], np.zeros(axes)
-    if data.flicker_mg2 is not None and data.flicker_mg2.any():
-        moves.append(_each(response, _diagonal(np.sqrt(data.flicker_mg2))))
-        variance = variance + data.flicker_mg2.mean(axis=0)
-    if data.slow_mg is not None:
-        moves.append(np.einsum("pna,nak->pk", response, data.slow_mg))
-        variance = variance + (data.slow_mg**2).sum(axis=2).mean(axis=0)
+    if data.flicker is not None and data.flicker.any():
+        moves.append(_each(response, _diagonal(np.sqrt(data.flicker))))
+        variance = variance + data.flicker.mean(axis=0)
+    if data.slow is not None:
+        moves.append(np.einsum("pna,nak->pk", response, data.slow))
+        variance = variance + (data.slow**2).sum(axis=2).mean(axis=0)
     joined = np.concatenate(moves, axis=1)
     shown = "shown by the dwells" if data.flicker_shown else "figure of the part"
     return Source(
@@ -290,7 +290,7 @@ def _flicker(data: Readings, response: Floats) -> Source:
 def _fixture(data: Readings, noise: Noise, fit: Fit, response: Floats) -> Source:
     sigma = np.where(np.isfinite(fit.data.fixture), fit.data.fixture, 0.0)
     if data.planar:
-        moves = np.einsum("pna,na,n->pn", response, fit.tangent_mg[:, :, 0], sigma)
+        moves = np.einsum("pna,na,n->pn", response, fit.tangent[:, :, 0], sigma)
     else:
         moves = np.zeros((len(response), 0))
     k = moves.shape[1]
@@ -336,9 +336,9 @@ def _gravity(data: Readings, fit: Fit, parameters: int) -> Source:
 
 
 def _quantization(data: Readings, response: Floats) -> Source:
-    variance = data.quantization_mg2
+    variance = data.quantization
     if variance is None:
-        variance = np.zeros(data.mean_mg.shape)
+        variance = np.zeros(data.mean.shape)
     moves = _each(response, _diagonal(np.sqrt(variance)))
     return Source(
         QUANTIZATION,

@@ -12,16 +12,17 @@ import numpy as np
 from adis_gonio.calibration.calibration import Calibration
 from adis_gonio.calibration.document import derived_delta_k, json_text
 from adis_gonio.errors import UsageError
+from adis_gonio.handover.c_rates import rate_remarks, rate_rows, rates_content
 from adis_gonio.handover.fixed import (
     CORDIC_UDEG,
     LIMIT,
     FixedPoint,
     FixedTerm,
     Q,
-    Scaled,
     Whole,
     cordic_table,
 )
+from adis_gonio.handover.literals import comment, factor_text, shift_text, single, whole
 from adis_gonio.handover.polynomial import PARTS, RANGE_G, Monomial, Polynomial, polynomial_of
 from adis_gonio.handover.single import ATAN, DEGREES, FLOAT_DEG, TAN_EIGHTH
 from adis_gonio.model.effects import AXES
@@ -73,8 +74,9 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
     alpha = round(calibration["alpha"].value * 1e6) if "alpha" in calibration else None
     u_udeg = _largest_u(calibration)
     inputs = [("t", "temperature"), ("v", "supply")]
+    gyro = calibration.gyro
     return {
-        "c": _whole,
+        "c": whole,
         "name": name,
         "NAME": name.upper(),
         "sensor": where.sensor,
@@ -83,8 +85,9 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
         "unit": calibration.unit,
         "gravity": f"{where.gravity_mps2:.6g}",
         "origin": _origin(calibration),
-        "coefficients": _table(calibration),
-        "remarks": _remarks(calibration),
+        "coefficients": [*_table(calibration), *([] if gyro is None else rate_rows(gyro))],
+        "remarks": [*_remarks(calibration), *([] if gyro is None else rate_remarks(gyro))],
+        "rates": None if gyro is None else rates_content(calibration, gyro, name),
         "needs": needs,
         "range_g": f"{RANGE_G:g}",
         "fixed_udeg": FIXED_UDEG,
@@ -100,7 +103,7 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
         "axes": polynomial.axes,
         "letters": letters,
         "limit": f"{LIMIT}L",
-        "limitf": _single(RANGE_G),
+        "limitf": single(RANGE_G),
         "passes": fixed.passes,
         "fixed_inputs": [_fixed_input(fixed, c, field) for c, field in inputs if c in needs],
         "fixed_axes": [_fixed_axis(fixed, k, name) for k in range(polynomial.axes)],
@@ -108,9 +111,9 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
         "planes": planes,
         "float_inputs": [_float_input(polynomial, c, field) for c, field in inputs if c in needs],
         "float_axes": [_float_axis(polynomial, k) for k in range(polynomial.axes)],
-        "tan_eighth": _single(TAN_EIGHTH),
-        "atan": [_single(value) for value in ATAN],
-        "degrees": _single(DEGREES),
+        "tan_eighth": single(TAN_EIGHTH),
+        "atan": [single(value) for value in ATAN],
+        "degrees": single(DEGREES),
         "checks": _checks(polynomial, fixed, planes[0]),
     }
 
@@ -123,8 +126,8 @@ def _fixed_input(fixed: FixedPoint, condition: str, field: str) -> dict[str, Any
     return {
         "name": condition,
         "field": field,
-        "zero": _whole(zero),
-        "step": _whole(step.number),
+        "zero": whole(zero),
+        "step": whole(step.number),
         "shift": step.shift - Q,
     }
 
@@ -132,15 +135,15 @@ def _fixed_input(fixed: FixedPoint, condition: str, field: str) -> dict[str, Any
 def _fixed_axis(fixed: FixedPoint, k: int, name: str) -> dict[str, Any]:
     own = [term for term in fixed.terms if term.monomial.axis == k]
     row = [
-        _shift(f"(int64_t){AXES[j]} * {_whole(entry.number)}", entry, name)
+        shift_text(f"(int64_t){AXES[j]} * {whole(entry.number)}", entry.shift, name)
         for j, entry in enumerate(fixed.matrix[k][: k + 1])
         if entry.number
     ]
     return {
         "letter": AXES[k],
-        "step": _whole(fixed.step[k].number),
+        "step": whole(fixed.step[k].number),
         "shift": fixed.step[k].shift - Q,
-        "bias": _whole(fixed.bias[k]),
+        "bias": whole(fixed.bias[k]),
         "steady": _fixed_sum([term for term in own if not term.monomial.of_reading], name),
         "moving": _fixed_sum([term for term in own if term.monomial.of_reading], name),
         "row": " + ".join(row),
@@ -150,29 +153,14 @@ def _fixed_axis(fixed: FixedPoint, k: int, name: str) -> dict[str, Any]:
 def _fixed_sum(terms: Sequence[FixedTerm], name: str) -> str:
     texts = []
     for term in terms:
-        first, *rest = (_factor(factor) for factor in term.monomial.factors)
+        first, *rest = (factor_text(factor) for factor in term.monomial.factors)
         product = f"(int64_t){first}"
         for factor in rest:
             product = f"{name}_shifted_({product} * {factor}, {Q})"
-        texts.append(_shift(f"{product} * {_whole(term.coefficient.number)}", term.coefficient, name))
+        texts.append(
+            shift_text(f"{product} * {whole(term.coefficient.number)}", term.coefficient.shift, name)
+        )
     return " + ".join(texts)
-
-
-def _shift(text: str, scaled: Scaled, name: str) -> str:
-    return f"{name}_shifted_({text}, {scaled.shift})"
-
-
-def _factor(factor: str) -> str:
-    if factor.startswith("|"):
-        letter = factor.strip("|")
-        return f"({letter} < 0 ? -{letter} : {letter})"
-    return factor
-
-
-def _whole(number: int) -> str:
-    """Literal of C; 32 bits in a long, else 64. A minus sign goes into brackets."""
-    text = f"{abs(number)}{'L' if abs(number) < 2**31 else 'LL'}"
-    return text if number >= 0 else f"(-{text})"
 
 
 # -- float -------------------------------------------------------------------------------------------
@@ -180,7 +168,7 @@ def _whole(number: int) -> str:
 
 def _float_input(polynomial: Polynomial, condition: str, field: str) -> dict[str, Any]:
     own = polynomial.temperature if condition == "t" else polynomial.supply
-    return {"name": condition, "field": field, "zero": _single(own.zero), "step": _single(own.step)}
+    return {"name": condition, "field": field, "zero": single(own.zero), "step": single(own.step)}
 
 
 def _float_axis(polynomial: Polynomial, k: int) -> dict[str, Any]:
@@ -188,26 +176,19 @@ def _float_axis(polynomial: Polynomial, k: int) -> dict[str, Any]:
     entries = [(AXES[j], float(polynomial.matrix[k, j])) for j in range(k + 1)]
     return {
         "letter": AXES[k],
-        "step": _single(polynomial.step_g[k]),
-        "bias": _single(polynomial.bias[k]),
+        "step": single(polynomial.step_g[k]),
+        "bias": single(polynomial.bias[k]),
         "steady": _float_sum([one for one in own if not one.of_reading]),
         "moving": _float_sum([one for one in own if one.of_reading]),
-        "row": " + ".join(f"{_single(entry)} * {letter}" for letter, entry in entries if entry != 0.0),
+        "row": " + ".join(f"{single(entry)} * {letter}" for letter, entry in entries if entry != 0.0),
     }
 
 
 def _float_sum(monomials: Sequence[Monomial]) -> str:
     return " + ".join(
-        " * ".join([_single(one.coefficient), *(_factor(factor) for factor in one.factors)])
+        " * ".join([single(one.coefficient), *(factor_text(factor) for factor in one.factors)])
         for one in monomials
     )
-
-
-def _single(value: float) -> str:
-    """Literal of C that is read as this number in single precision: nine digits say it exactly."""
-    text = f"{float(np.float32(value)):.9g}"
-    text = f"{text}f" if any(mark in text for mark in ".e") else f"{text}.0f"
-    return f"({text})" if text.startswith("-") else text
 
 
 # -- comments and the self-check ---------------------------------------------------------------------
@@ -241,7 +222,7 @@ def _origin(calibration: Calibration) -> list[str]:
         ("method", " + ".join([calibration.method, *(term.effect.name for term in calibration.effects)])),
         ("made by", where.software),
     ]
-    return [f"{label}: {_comment(text)}" for label, text in told if text]
+    return [f"{label}: {comment(text)}" for label, text in told if text]
 
 
 def _table(calibration: Calibration) -> list[str]:
@@ -249,7 +230,7 @@ def _table(calibration: Calibration) -> list[str]:
     rows = []
     for one in (*([ratio] if ratio else []), *calibration.parameters):
         u = "not known" if one.u is None else f"{one.u:.2g}"
-        rows.append(_comment(f"{one.name:20} {one.value:<18.9g} {one.unit:13} {u}"))
+        rows.append(comment(f"{one.name:20} {one.value:<18.9g} {one.unit:13} {u}"))
     return rows
 
 
@@ -262,29 +243,7 @@ def _remarks(calibration: Calibration) -> list[str]:
         rows.append(
             f"holds with {held} in XACCL_OFF, YACCL_OFF, ZACCL_OFF: a part with others needs a new header"
         )
-    return [_comment(row) for row in rows]
-
-
-_ASCII = str.maketrans(
-    {
-        "²": "2",
-        "³": "3",
-        "°": "deg",
-        "Δ": "d",
-        "φ": "phi",
-        "µ": "u",
-        "±": "+-",
-        "−": "-",
-        "·": "*",
-        "θ": "theta",
-    }
-)
-
-
-def _comment(text: str) -> str:
-    """Text that ends no comment and holds ASCII alone, as old compilers want it."""
-    plain = " ".join(text.translate(_ASCII).split(" ")).replace("*/", "* /").replace("/*", "/ *")
-    return "".join(c if " " <= c < "\x7f" else "?" for c in plain).replace("??", "? ?").rstrip("\\")
+    return [comment(row) for row in rows]
 
 
 def _sweep(polynomial: Polynomial, n: int) -> Whole:
@@ -305,7 +264,7 @@ def _checks(polynomial: Polynomial, fixed: FixedPoint, plane: dict[str, Any]) ->
     rows = []
     for k in range(CHECKS):
         numbers = [*scans[k].tolist(), *[0] * (3 - polynomial.axes), int(warm[k]), int(volts[k])]
-        rows.append({"scan": ", ".join(map(_whole, numbers)), "udeg": _whole(int(angles[k]))})
+        rows.append({"scan": ", ".join(map(whole, numbers)), "udeg": whole(int(angles[k]))})
     return rows
 
 

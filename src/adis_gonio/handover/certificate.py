@@ -15,6 +15,7 @@ import numpy as np
 
 from adis_gonio.calibration.calibration import Calibration, Coefficient
 from adis_gonio.calibration.document import derived_delta_k
+from adis_gonio.calibration.gyros import GyroCalibration, kind_of
 from adis_gonio.errors import FitError
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.sensor.variants import VARIANTS
@@ -31,6 +32,7 @@ NORMAL = 1.959963984540054
 
 _G = STANDARD_GRAVITY_MPS2
 _PER_S2 = r"\metre\second\tothe{-2}"
+_DPS = r"\degree\second\tothe{-1}"
 # Unit of a result → unit of D-SI, and the factor.
 _UNITS: dict[str, tuple[str, float]] = {
     "1": (r"\one", 1.0),
@@ -48,6 +50,13 @@ _UNITS: dict[str, tuple[str, float]] = {
     "deg/°C": (r"\degree\kelvin\tothe{-1}", 1.0),
     "mg/V": (_PER_S2 + r"\volt\tothe{-1}", _G / 1000),
     "ppm/V": (r"\volt\tothe{-1}", 1e-6),
+    "dps": (_DPS, 1.0),
+    "dps/g": (_DPS + r"\metre\tothe{-1}\second\tothe{2}", 1 / _G),
+    "dps/g²": (_DPS + r"\metre\tothe{-2}\second\tothe{4}", 1 / _G**2),
+    "dps/°C": (_DPS + r"\kelvin\tothe{-1}", 1.0),
+    "dps/°C²": (_DPS + r"\kelvin\tothe{-2}", 1.0),
+    "dps/°C³": (_DPS + r"\kelvin\tothe{-3}", 1.0),
+    "dps/V": (_DPS + r"\volt\tothe{-1}", 1.0),
 }
 _NAMES = {
     "delta_k": "Gain mismatch of the axes X and Y",
@@ -56,6 +65,10 @@ _NAMES = {
     "scale": "Relative sensitivity of axis",
     "bias": "Bias of axis",
     "skew": "Skew of the axes",
+    "gyro_bias": "Zero rate of gyro",
+    "gyro_scale": "Relative sensitivity of gyro",
+    "gyro_misalignment": "Misalignment of gyro and axis",
+    "g_sensitivity": "Sensitivity to acceleration of gyro and axis",
 }
 _TURN_DEG = tuple(range(0, 360, 30))
 
@@ -124,7 +137,8 @@ def _administrative(parent: ET.Element, calibration: Calibration, issued: date |
         ("performanceLocation", "other"),
     ):
         _add(core, name, text)
-    item = _named(_add(parent, "items"), "item", f"Accelerometers of an {where.sensor} in a goniometer")
+    what = "Accelerometers" if calibration.gyro is None else "Accelerometers and gyros"
+    item = _named(_add(parent, "items"), "item", f"{what} of an {where.sensor} in a goniometer")
     if where.sensor in VARIANTS:
         _named(item, "manufacturer", "Analog Devices")
     _add(item, "model", where.sensor)
@@ -158,9 +172,21 @@ def _statements(calibration: Calibration) -> list[str]:
         texts.append("The date of recording is not stated; the dates are that of issue.")
     texts += [f"{name} was not determined and is taken as nominal." for name in calibration.assumed]
     texts += [f"Not corrected: {one.effect}: {one.reason}." for one in calibration.not_corrected]
+    if calibration.gyro is not None:
+        texts += _gyro_statements(calibration.gyro)
     if calibration.covariance is None:
         texts.append("The noise of the readings is not known, so that no uncertainty is stated.")
     return texts
+
+
+def _gyro_statements(gyro: GyroCalibration) -> list[str]:
+    texts = [
+        "Gyros read K D ω + b + G f: zero rates b without acceleration, sensitivities relative to the "
+        "nominal one, f what the accelerometers read.",
+    ]
+    if gyro.assumed:
+        texts.append(f"Not determined and taken as nominal: {', '.join(gyro.assumed)}.")
+    return texts + [f"Not corrected: {one.effect}: {one.reason}." for one in gyro.not_corrected]
 
 
 def _results(parent: ET.Element, calibration: Calibration) -> None:
@@ -184,6 +210,10 @@ def _results(parent: ET.Element, calibration: Calibration) -> None:
         quantity = _named(data, "quantity", _label(one.name))
         _real(quantity, one)
     _turn(results, calibration)
+    if calibration.gyro is not None:
+        data = _add(_named(results, "result", "Parameters of the gyros"), "data")
+        for one in calibration.gyro.parameters:
+            _real(_named(data, "quantity", _label(one.name)), one)
 
 
 def _model_of(calibration: Calibration) -> str:
@@ -203,7 +233,7 @@ def _condition(parent: ET.Element, name: str, value: float, unit: str) -> None:
 
 def _label(name: str) -> str:
     """Words for a parameter, its name in brackets."""
-    stem, _, axes = name.partition("_")
+    stem, _, axes = name.rpartition("_") if kind_of(name) else name.partition("_")
     words = _NAMES.get(name) or (f"{_NAMES[stem]} {axes.upper()}" if stem in _NAMES else "Coefficient")
     return f"{words} ({name})"
 

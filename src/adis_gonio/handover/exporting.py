@@ -11,6 +11,7 @@ from typing import Any
 from adis_gonio.calibration.calibration import Calibration
 from adis_gonio.calibration.document import json_text
 from adis_gonio.calibration.loading import calibration_in
+from adis_gonio.calibration.with_gyros import gyro_calibration_of, with_gyros
 from adis_gonio.errors import DataError, FitError, UsageError
 from adis_gonio.handover.c_header import DEFAULT_NAME
 from adis_gonio.jsonable import finite
@@ -103,8 +104,8 @@ class Source:
     def _calibration(self) -> Calibration:
         made = calibration_in(self.path)
         if made is None:
-            calibration: Calibration = self._result(load_session(self.path, self.overrides)).calibration()
-            return calibration
+            session = load_session(self.path, self.overrides)
+            return with_gyros(self._result(session).calibration(), session, traced=self.traced)
         if self.method is not None or self.traced:
             raise UsageError(
                 f"{self.path}: is a calibration already: --method and --trace go with a session"
@@ -128,8 +129,12 @@ class Source:
             del about["dwells"]
         result = self._result(session)
         document: dict[str, Any] = {"coefficients": result.as_dict(), "session": about}
-        with suppress(FitError):  # what is known of the parameters is in the coefficients then
-            document = {**result.calibration().as_dict(), **document}
+        try:
+            made = with_gyros(result.calibration(), session, traced=self.traced)
+            document = {**made.as_dict(), **document}
+        except FitError:  # what is known of the parameters is in the coefficients then
+            with suppress(DataError, FitError):
+                document["gyro"] = gyro_calibration_of(session, traced=self.traced).as_dict()
         return json_text(finite(document))
 
 

@@ -1,10 +1,12 @@
-"""Offset words: the bias of a calibration as numbers for the part's offset registers."""
+"""Offset words: biases and zero rates of a calibration as numbers for the part's offset registers."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from adis_gonio.calibration.calibration import Calibration
+from adis_gonio.calibration.gyros import GYRO_OFFSET_DPS, GyroCalibration
 from adis_gonio.errors import FitError
 from adis_gonio.model.effects import AXES
 from adis_gonio.sensor.registers import register
@@ -68,6 +70,117 @@ def offset_words(calibration: Calibration) -> tuple[OffsetWord, ...]:
     return tuple(words)
 
 
+@dataclass(frozen=True)
+class GyroOffsetWord:
+    """A number for a gyro's offset register.
+
+    Attributes
+    ----------
+    name : str
+        Register.
+    number, before : int or None
+        What to write, and what it held while the session was recorded; None where the file does not say.
+    bias_dps, u_dps : float, float or None
+        Zero rate that is corrected.
+    left_dps : float
+        What rounding to whole numbers leaves of it.
+    """
+
+    name: str
+    number: int
+    before: int | None
+    bias_dps: float
+    u_dps: float | None
+    left_dps: float
+
+
+def gyro_offset_words(gyro: GyroCalibration) -> tuple[GyroOffsetWord, ...]:
+    """Numbers that take the zero rates out of the gyros' outputs, which the part adds to them.
+
+    Raises
+    ------
+    FitError
+        A zero rate is larger than its register holds.
+    """
+    words = []
+    for k, axis in enumerate(AXES):
+        bias, row = gyro[f"gyro_bias_{axis}"], register(f"{axis.upper()}GYRO_OFF")
+        before = None if gyro.offsets_lsb is None else gyro.offsets_lsb[k]
+        step = round(-bias.value / GYRO_OFFSET_DPS)
+        number = step + (before or 0)
+        low, high = row.range
+        if not low <= number <= high:
+            raise FitError(
+                f"{row.name} holds {low} to {high} ({low * GYRO_OFFSET_DPS:.1f} to "
+                f"{high * GYRO_OFFSET_DPS:.1f} °/s), and {bias.name} of {bias.value:.4g} °/s would need "
+                f"{number}: is the gyro broken, or did the part turn?"
+            )
+        left = bias.value + step * GYRO_OFFSET_DPS
+        words.append(GyroOffsetWord(row.name, number, before, bias.value, bias.u, left))
+    return tuple(words)
+
+
+@dataclass(frozen=True)
+class WantedOffset:
+    """What a calibration would write into an offset register, in the register's unit, with u."""
+
+    name: str
+    number: int
+    value: float
+    u: float | None
+    unit: str
+
+    def __str__(self) -> str:
+        u = "" if self.u is None else f" (u {self.u:.2g})"
+        return f"{self.number} = {self.value:+.4g} {self.unit}{u}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form, without the name."""
+        return {"number": self.number, "value": self.value, "u": self.u, "unit": self.unit}
+
+
+def wanted_offsets(calibration: Calibration) -> tuple[WantedOffset, ...]:
+    """Offsets of gyros and accelerometers that a calibration gives; of a half that it cannot give none.
+
+    Raises
+    ------
+    FitError
+        It gives none at all.
+    """
+    found = []
+    if calibration.gyro is not None:
+        found += [
+            WantedOffset(one.name, one.number, GYRO_OFFSET_DPS * one.number, one.u_dps, "°/s")
+            for one in gyro_offset_words(calibration.gyro)
+        ]
+    try:
+        lsb_mg = (
+            0.0
+            if calibration.provenance.counts
+            else VARIANTS[calibration.provenance.sensor].accel_mg_per_lsb
+        )
+        found += [
+            WantedOffset(one.name, one.number, lsb_mg * one.number, one.u_mg, "mg")
+            for one in offset_words(calibration)
+        ]
+    except (FitError, KeyError):
+        if not found:
+            raise FitError(
+                "the calibration gives no offsets: neither biases nor zero rates of a part"
+            ) from None
+    return tuple(found)
+
+
+def _gyro_lines(gyro: GyroCalibration) -> list[str]:
+    lines = []
+    for word in gyro_offset_words(gyro):
+        u = "unknown" if word.u_dps is None else f"{word.u_dps:.2g} °/s"
+        held = "" if word.before is None else f", {word.before} before"
+        lines.append(f"# zero rate {word.bias_dps:+.4f} °/s (u {u}), {word.left_dps:+.4f} °/s left{held}")
+        lines.append(f"{word.name}={word.number}")
+    return lines
+
+
 def registers_text(calibration: Calibration) -> str:
     """Lines `NAME=NUMBER` as `adis-gonio registers` takes them, with what they correct as comments.
 
@@ -93,4 +206,6 @@ def registers_text(calibration: Calibration) -> str:
         held = "" if word.before is None else f", {word.before} before"
         lines.append(f"# bias {word.bias_mg:+.3f} mg (u {u}), {word.left_mg:+.3f} mg left{held}")
         lines.append(f"{word.name}={word.number}")
+    if calibration.gyro is not None:
+        lines += _gyro_lines(calibration.gyro)
     return "\n".join(lines) + "\n"

@@ -15,16 +15,18 @@ U_y = K_y G sin(ψ + Δφ) + b_y: Δφ *is* skew_xy, and K_x = K_y (1 + ΔK). A 
 seen by gravity alone, which is why D has three angles and not six.
 
 A `Measurement` is this with what is unknown of each dwell (its *attitude*), as an object: `PlanarTurn` and
-`FreeAttitude` here, and whatever else gives readings (a gyro's zero rate) as another subclass. Angles are
-radians inside; `BaseParameter.unit` is what a result is stated in (degrees).
+`FreeAttitude` here, the gyros' `MeanRate` in `model.rates`, and whatever else gives readings as another
+subclass. What fit and trace have to know of a kind of readings is a fact of its object: its unit, how large
+it can be, what drives it. Angles are radians inside; `BaseParameter.unit` is what a result is stated in.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,10 @@ from numpy.typing import NDArray
 from adis_gonio.errors import UsageError
 from adis_gonio.model.records import Floats
 
+if TYPE_CHECKING:
+    from adis_gonio.model.effects.base import Conditions
+
+MG_PER_G = 1000.0
 SKEW_AXES: tuple[tuple[int, int], ...] = ((0, 1), (0, 2), (1, 2))
 """Axes that skew_xy, skew_xz and skew_yz lie between."""
 
@@ -50,7 +56,7 @@ class BaseParameter:
     Attributes
     ----------
     unit : str
-        Unit in results: `deg` (radians inside) or `1`.
+        Unit in results: `deg` (radians inside), `1`, or the measurement's own.
     nominal : float
         Of a perfect part, in natural units (rad, 1).
     spread : float
@@ -74,7 +80,7 @@ class BaseParameter:
     def stated(self, value: float) -> float:
         """Value in `unit`; the start angle within ±180°."""
         out = value * self.per_natural
-        return (out + 180) % 360 - 180 if math.isinf(self.spread) else out
+        return (out + 180) % 360 - 180 if self.unit == "deg" and math.isinf(self.spread) else out
 
 
 class Measurement(ABC):
@@ -86,12 +92,58 @@ class Measurement(ABC):
     axes : int
         Columns of a reading.
     freedom : int
-        Unknown directions in which the attitude of a dwell may move: columns of `tangent_mg`.
+        Unknown directions in which the attitude of a dwell may move: columns of `tangent`.
+    part : str
+        Part of the sensor that it is of: effects name theirs (`Effect.parts`).
+    unit : str
+        Of readings, and of what effects add to them.
+    full : float
+        What counts as one in a function without a name, in `unit`: an amplitude is what it adds there.
+    driven_by : tuple of str
+        What functions without a name may follow besides the conditions: `reading`, `force`, `rotation`.
+    steepest : mapping of str to (str, str)
+        Covariates whose influence has a bound: rows of the conditions, and the effect whose first
+        coefficient is bounded. A temperature that is constant but for its noise stands out in one dwell by
+        chance.
+    named_forms : mapping of str to tuple of str
+        Places (`bias`, `gain`, `misalignment`) at which the catalogue has the line of a covariate.
     """
 
     parameters: ClassVar[tuple[BaseParameter, ...]]
     axes: ClassVar[int]
     freedom: ClassVar[int]
+    part: ClassVar[str] = "accelerometer"
+    unit: ClassVar[str] = "mg"
+    full: ClassVar[float] = MG_PER_G
+    driven_by: ClassVar[tuple[str, ...]] = ("reading",)
+    steepest: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "temperature": ("temperature_c", "bias_temperature"),
+        "supply": ("supply_v", "supply_bias"),
+    }
+    named_forms: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "time": ("bias", "gain"),
+        "temperature": ("bias", "gain", "misalignment"),
+        "supply": ("bias", "gain"),
+        "temperature_rate": ("bias",),
+    }
+
+    @property
+    def size(self) -> float:
+        """What a reading is large against, in `unit`: that of gravity."""
+        return self.full
+
+    @property
+    def constant(self) -> bool:
+        """True where a constant on each axis is a base parameter."""
+        return False
+
+    def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
+        """What gains multiply (n, axes), in units of `full`."""
+        return ideal / self.full
+
+    def pose(self, reading: Floats, conditions: Conditions) -> Floats | None:
+        """Direction of gravity (n, axes) in the part, of unit length; None where nothing tells it."""
+        return np.asarray(reading / np.linalg.norm(reading, axis=1, keepdims=True))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -109,7 +161,7 @@ class Measurement(ABC):
 
     @abstractmethod
     def begin(
-        self, reading_mg: Floats, turn_rad: Floats, declared: NDArray[np.bool_]
+        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
         """Rough base parameters (p,) and attitudes of readings (n, axes).
 
@@ -119,19 +171,21 @@ class Measurement(ABC):
             −θ where `declared`, else 0.
         declared : (n,) bool
             Dwells whose angle is declared.
+        conditions : Conditions
+            What surrounded them.
         """
 
     @abstractmethod
-    def ideal_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Readings (n, axes) in mg at attitudes, the part turned by (n,) rad beyond them."""
+    def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """Readings (n, axes) in `unit` at attitudes, the part turned by (n,) rad beyond them."""
 
     @abstractmethod
-    def tangent_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """∂ideal/∂attitude, (n, axes, freedom) in mg per rad."""
+    def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """∂ideal/∂attitude, (n, axes, freedom) in `unit` per rad."""
 
     @abstractmethod
-    def columns_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """∂ideal/∂base, (n, axes, p) in mg per natural unit."""
+    def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """∂ideal/∂base, (n, axes, p) in `unit` per natural unit."""
 
     @abstractmethod
     def moved(self, attitude: Floats, step: Floats) -> Floats:
@@ -142,10 +196,10 @@ class Measurement(ABC):
         return np.zeros((len(attitude), self.freedom))
 
     @abstractmethod
-    def calibrated(self, base: Floats, reading_mg: Floats) -> Floats:
-        """Gravity that a calibrated sensor computes from readings (n, axes), in units of local gravity."""
+    def calibrated(self, base: Floats, reading: Floats) -> Floats:
+        """What a calibrated sensor computes from readings (n, axes): gravity in units of the local one."""
 
-    def visible(self, reading_mg: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Base parameters (p,) that these dwells can show at all."""
         return np.ones(len(self.parameters), dtype=bool)
 
@@ -171,11 +225,16 @@ class PlanarTurn(Measurement):
     axes = 2
     freedom = 1
 
+    @property
+    def size(self) -> float:
+        """Local gravity."""
+        return self.gravity_mg
+
     def begin(
-        self, reading_mg: Floats, turn_rad: Floats, declared: NDArray[np.bool_]
+        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
         """By linear least squares on cosine and sine; nominal where fewer than two angles are declared."""
-        reading = reading_mg / self.gravity_mg
+        reading = reading / self.gravity_mg
         shown = np.arctan2(reading[:, 1], reading[:, 0])
         theta = -turn_rad[declared]
         design = np.column_stack([np.cos(theta), np.sin(theta)])
@@ -191,26 +250,26 @@ class PlanarTurn(Measurement):
         attitude = np.where(declared, 0.0, wrap_rad(shown - base[0] - turn_rad))
         return base, attitude
 
-    def ideal_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+    def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """K_x G cos ψ and K_y G sin(ψ + Δφ)."""
         alpha, k_x, k_y, skew = base
         psi = alpha + turn_rad + attitude
         ideal: Floats = self.gravity_mg * np.stack([k_x * np.cos(psi), k_y * np.sin(psi + skew)], axis=1)
         return ideal
 
-    def tangent_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+    def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """−K_x G sin ψ and K_y G cos(ψ + Δφ)."""
         alpha, k_x, k_y, skew = base
         psi = alpha + turn_rad + attitude
         slope = self.gravity_mg * np.stack([-k_x * np.sin(psi), k_y * np.cos(psi + skew)], axis=1)
         return np.asarray(slope[:, :, None])
 
-    def columns_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+    def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """By α, K_x, K_y, Δφ."""
         alpha, _, k_y, skew = base
         psi = alpha + turn_rad + attitude
         columns = np.zeros((len(psi), 2, 4))
-        columns[:, :, 0] = self.tangent_mg(base, attitude, turn_rad)[:, :, 0]
+        columns[:, :, 0] = self.tangent(base, attitude, turn_rad)[:, :, 0]
         columns[:, 0, 1] = self.gravity_mg * np.cos(psi)
         columns[:, 1, 2] = self.gravity_mg * np.sin(psi + skew)
         columns[:, 1, 3] = self.gravity_mg * k_y * np.cos(psi + skew)
@@ -224,18 +283,18 @@ class PlanarTurn(Measurement):
         """δ itself."""
         return np.asarray(attitude[:, None])
 
-    def calibrated(self, base: Floats, reading_mg: Floats) -> Floats:
+    def calibrated(self, base: Floats, reading: Floats) -> Floats:
         """Gravity (n, 2), the y axis squared up."""
         _, k_x, k_y, skew = base
-        x, y = reading_mg[..., 0] / (self.gravity_mg * k_x), reading_mg[..., 1] / (self.gravity_mg * k_y)
+        x, y = reading[..., 0] / (self.gravity_mg * k_x), reading[..., 1] / (self.gravity_mg * k_y)
         return np.stack([x, (y - x * math.sin(skew)) / math.cos(skew)], axis=-1)
 
-    def angle_rad(self, base: Floats, reading_mg: Floats) -> Floats:
+    def angle_rad(self, base: Floats, reading: Floats) -> Floats:
         """Angle ψ (n,) in rad that the calibrated goniometer shows for readings free of their effects."""
-        gravity = self.calibrated(base, reading_mg)
+        gravity = self.calibrated(base, reading)
         return np.asarray(np.arctan2(gravity[..., 1], gravity[..., 0]))
 
-    def visible(self, reading_mg: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """All, but for the start angle where no angle is declared: it is then part of the attitudes."""
         return np.array([bool(declared.any()), True, True, True])
 
@@ -265,23 +324,28 @@ class FreeAttitude(Measurement):
     axes = 3
     freedom = 2
 
+    @property
+    def size(self) -> float:
+        """Local gravity."""
+        return self.gravity_mg
+
     def begin(
-        self, reading_mg: Floats, turn_rad: Floats, declared: NDArray[np.bool_]
+        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
         """One gain for all axes, and the directions of the readings."""
-        length = np.linalg.norm(reading_mg, axis=1, keepdims=True)
+        length = np.linalg.norm(reading, axis=1, keepdims=True)
         gain = float(length.mean()) / self.gravity_mg
-        return np.array([gain, gain, gain, 0.0, 0.0, 0.0]), reading_mg / length
+        return np.array([gain, gain, gain, 0.0, 0.0, 0.0]), reading / length
 
-    def ideal_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+    def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """G diag(K) D u."""
         return np.asarray(self.gravity_mg * attitude @ sensitivity(base).T)
 
-    def tangent_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+    def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """Along two directions across u."""
         return np.asarray(self.gravity_mg * np.einsum("jk,nkm->njm", sensitivity(base), across(attitude)))
 
-    def columns_mg(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+    def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """By three gains and three skews."""
         columns = np.zeros((len(attitude), 3, 6))
         ideal = self.gravity_mg * attitude @ axes_matrix(base[3:]).T
@@ -296,16 +360,16 @@ class FreeAttitude(Measurement):
         turned = attitude + (across(attitude) @ step[:, :, None])[:, :, 0]
         return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
 
-    def calibrated(self, base: Floats, reading_mg: Floats) -> Floats:
+    def calibrated(self, base: Floats, reading: Floats) -> Floats:
         """Gravity (n, 3)."""
-        return np.asarray(reading_mg / self.gravity_mg @ np.linalg.inv(sensitivity(base)).T)
+        return np.asarray(reading / self.gravity_mg @ np.linalg.inv(sensitivity(base)).T)
 
-    def visible(self, reading_mg: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Gains that a pose shows, and skews that are no sum of gains and biases: see `SEEN`.
 
         The norm of a reading changes by u_i² with a gain, u_i u_j with a skew and u_i with a bias.
         """
-        unit = reading_mg / np.maximum(np.linalg.norm(reading_mg, axis=1, keepdims=True), 1e-300)
+        unit = reading / np.maximum(np.linalg.norm(reading, axis=1, keepdims=True), 1e-300)
         seen = np.zeros(6, dtype=bool)
         seen[:3] = np.sqrt((unit**4).mean(axis=0)) >= SEEN
         beside = np.column_stack([unit**2, unit])

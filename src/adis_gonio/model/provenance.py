@@ -136,7 +136,10 @@ def _written(session: Session) -> dict[str, Any]:
         return {}
     from adis_gonio.writeback.journal import operations_of
 
-    last = operations_of(session)[-1]
+    known = operations_of(session, _OFFSET_REGISTERS)
+    if not known:
+        return {}
+    last = known[-1]
     if last.open:
         return {"write_open": True}
     pairs = zip(_OFFSET_REGISTERS, held, strict=True)

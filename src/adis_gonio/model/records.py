@@ -8,6 +8,7 @@ what surrounded them. Files become sessions in `adis_gonio.session`; fits read t
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -18,6 +19,8 @@ from adis_gonio.counting import counted
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from adis_gonio.model.turns import Turn
 
 Floats = NDArray[np.float64]
 Plane = Literal["xy", "none"]
@@ -134,6 +137,8 @@ class Session:
         True where that is one turn without declared angles; there may then be no dwells.
     facts : mapping
         Whatever else the file knows (configuration, registers, versions, truth of a simulation).
+    turns_from : callable or None
+        Reads the turns between the dwells as the file has them; None without any.
     """
 
     dwells: tuple[Dwell, ...]
@@ -154,6 +159,7 @@ class Session:
     recording: Dwell | None = field(default=None, repr=False)
     free_turn: bool = False
     facts: dict[str, Any] = field(default_factory=dict)
+    turns_from: Callable[[], tuple[Turn, ...]] | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
         name = self.title or self.source or "untitled"
@@ -172,6 +178,28 @@ class Session:
         return frame(
             {name: np.concatenate(rows) for name, rows in columns.items() if len(rows) == len(self.dwells)}
         )
+
+    @property
+    def turns(self) -> tuple[Turn, ...]:
+        """What lies between dwells that follow one another; read when first asked for.
+
+        Empty where the file has nothing between its dwells, as a samples CSV with positions.
+        """
+        kept: tuple[Turn, ...] | None = vars(self).get("_turns")
+        if kept is None:
+            kept = self._read_turns()
+            vars(self)["_turns"] = kept
+        return kept
+
+    def _read_turns(self) -> tuple[Turn, ...]:
+        from adis_gonio.model.turns import turns_of_recording
+
+        if self.turns_from is not None:
+            here = {dwell.position for dwell in self.dwells}
+            return tuple(turn for turn in self.turns_from() if {turn.before, turn.position} <= here)
+        if self.recording is not None and not self.free_turn:
+            return turns_of_recording(self.recording, self.dwells)
+        return ()
 
     @property
     def free_attitudes(self) -> bool:

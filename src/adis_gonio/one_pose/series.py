@@ -443,11 +443,11 @@ def _figures(problem: _Problem, model: Model) -> ErrorFigures:
         left[:, axis] = problem.readings[:, axis] - problem.design @ coefficients
     by_axis = np.sqrt(_held_out(problem, model).sum(axis=0) / len(left))
     return ErrorFigures(
-        residual_rms_mg=float(np.sqrt((left**2).mean())),
-        heldout_rms_mg=float(np.sqrt((by_axis**2).mean())),
+        residual_rms=float(np.sqrt((left**2).mean())),
+        heldout_rms=float(np.sqrt((by_axis**2).mean())),
         angle_rms_deg=None,
         chi2_per_dof=None,
-        heldout_by_axis_mg={AXES[k]: float(value) for k, value in enumerate(by_axis)},
+        heldout_by_axis={AXES[k]: float(value) for k, value in enumerate(by_axis)},
     )
 
 

@@ -162,7 +162,7 @@ def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float
         columns.append(fit.candidate(term) * np.abs(typical))
         _refuse_hidden(term, columns[0], columns[-1])
     m, base = len(place), len(natural)
-    tangent = fit.tangent_mg[:m, :, 0]
+    tangent = fit.tangent[:m, :, 0]
     white = float(readings.own_covariance[0, 0, 0] - _own_flicker(readings)[0, 0])
     return Candidates(
         angle_deg=place,
@@ -177,15 +177,15 @@ def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float
 
 
 def _own_flicker(readings: Readings) -> Floats:
-    assert readings.flicker_mg2 is not None  # imagined readings have it, be it zero
-    return readings.flicker_mg2
+    assert readings.flicker is not None  # imagined readings have it, be it zero
+    return readings.flicker
 
 
 def _shared(readings: Readings) -> Floats:
     n = len(readings)
-    if readings.slow_mg is None:
+    if readings.slow is None:
         return np.zeros((2 * n, 2 * n))
-    rows = readings.slow_mg.reshape(2 * n, -1)
+    rows = readings.slow.reshape(2 * n, -1)
     return np.asarray(rows @ rows.T)
 
 

@@ -195,9 +195,9 @@ def imagined(plan: Plan, bench: Bench) -> Readings:
         fixture_rad=math.radians(bench.fixture_deg),
         check=np.array([position.use == "check" for position in plan.positions]),
         samples=np.full(n, bench.samples, dtype=np.intp),
-        slow_mg=slow,
-        quantization_mg2=np.full((n, 2), rounding),
-        flicker_mg2=own,
+        slow=slow,
+        quantization=np.full((n, 2), rounding),
+        flicker=own,
         sensor=bench.sensor,
     )
 
@@ -207,4 +207,4 @@ def perfect_mg(angle_rad: Floats, bench: Bench) -> Floats:
     model = PlanarTurn(bench.gravity_mg)
     base = model.nominal
     base[model.index("alpha")] = math.radians(bench.start_deg)
-    return model.ideal_mg(base, np.zeros(len(angle_rad)), -angle_rad)
+    return model.ideal(base, np.zeros(len(angle_rad)), -angle_rad)

@@ -79,7 +79,7 @@ def columns_of(data: Readings) -> tuple[list[tuple[Term, list[Column]]], dict[st
     """Terms with their columns, one a column of the term, and why other effects have none."""
     missing: dict[str, str] = {}
     out: list[tuple[Term, list[Column]]] = []
-    for name, kind in catalogue().items():
+    for name, kind in catalogue("accelerometer").items():
         reason = _why_not(kind, data)
         if reason:
             missing[name] = reason
@@ -144,10 +144,10 @@ class _Part(NamedTerm):
         super().__init__(term.label, term.covariates, term.cost, term.effect, term.shapes)
         object.__setattr__(self, "_chosen", chosen)
 
-    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
         """Columns of the chosen amplitudes."""
         chosen: list[int] = self._chosen  # type: ignore[attr-defined]
-        return super().columns(ideal_mg, conditions)[..., chosen]
+        return super().columns(ideal, conditions)[..., chosen]
 
 
 def _nameless(data: Readings) -> Iterator[tuple[Term, list[Column]]]:
@@ -155,9 +155,7 @@ def _nameless(data: Readings) -> Iterator[tuple[Term, list[Column]]]:
     conditions = data.conditions
     for cause, gain, basis in _functions(conditions, data.planar):
         probe = (
-            basis.common(conditions)
-            if basis.common is not None
-            else basis.by_axis(data.mean_mg / 1000.0, 0)  # type: ignore[misc]
+            basis.common(conditions) if basis.common is not None else basis.by_axis(data.mean / 1000.0, 0)  # type: ignore[misc]
         )
         count = probe.shape[1]
         for k, letter in enumerate(AXES[: data.axes]):

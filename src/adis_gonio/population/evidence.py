@@ -204,10 +204,10 @@ def _bias(data: Readings) -> NamedTerm:
 def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
     data = fit.data
     asked, missing = columns_of(data)
-    left = fit.left_mg
+    left = fit.left
     own: list[Term] = [_bias(data)]
     for k, term in enumerate(fit.terms):
-        left = left + fit.added_mg(k)
+        left = left + fit.added(k)
         if term.name in NUISANCE[1:]:
             own.append(term)
     beside = [fit.white(fit.base_columns), *(fit.white(fit.candidate(term)) for term in own)]
@@ -261,7 +261,7 @@ def _scatter(fit: Fit, rest: Floats, base: Floats) -> tuple[Scatter, ...]:
     held = base.reshape(len(data), -1, base.shape[1])
     if rows.shape[1] != 2 or not isinstance(data.model, PlanarTurn):
         return (Scatter(float((rows**2).sum()), max(fit.equations - base.shape[1], 0.0)),)
-    along = (data.own_root @ fit.tangent_mg)[:, :, 0]
+    along = (data.own_root @ fit.tangent)[:, :, 0]
     along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     return tuple(

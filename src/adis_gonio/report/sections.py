@@ -490,7 +490,7 @@ def _readings(session: Session, observed: Readings) -> Table:
     dwells = [dwell for dwell in session.dwells if dwell.position in used]
     letters = "xyz"[: observed.axes]
     rows = []
-    for dwell, mean, covariance in zip(dwells, observed.mean_mg, observed.covariance, strict=True):
+    for dwell, mean, covariance in zip(dwells, observed.mean, observed.covariance, strict=True):
         u = np.sqrt(np.diagonal(covariance)) if observed.noise_known else np.full(observed.axes, np.nan)
         rows.append(
             [

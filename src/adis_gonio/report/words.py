@@ -120,14 +120,21 @@ def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
         *((f"+ {step.effect}", step.error) for step in result.steps),
     ]
     columns: dict[str, list[float | None]] = {
-        "residual / mg": [error.residual_rms_mg for _, error in rows],
-        "left out / mg": [error.heldout_rms_mg for _, error in rows],
+        f"residual / {result.before.unit}": [error.residual_rms for _, error in rows],
+        f"left out / {result.before.unit}": [error.heldout_rms for _, error in rows],
+        **_by_axis(rows, result.before.unit),
         "error of the angle / °": [error.angle_rms_deg for _, error in rows],
         "χ² / dof": [error.chi2_per_dof for _, error in rows],
     }
     shown = {head: column for head, column in columns.items() if any(cell is not None for cell in column)}
     cells = [[name, *(number(column[k]) for column in shown.values())] for k, (name, _) in enumerate(rows)]
     return ["model", *shown], cells
+
+
+def _by_axis(rows: Sequence[tuple[str, ErrorFigures]], unit: str) -> dict[str, list[float | None]]:
+    """Columns of the held-out error of each axis, where axes have nothing in common."""
+    each = [error.heldout_by_axis for _, error in rows]
+    return {f"{axis} / {unit}": [(own or {}).get(axis) for own in each] for axis in each[0] or ()}
 
 
 def how_sure(finding: Finding) -> str:
@@ -212,7 +219,7 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
             f"{what} The model has as many parameters as there are readings: nothing is left to test it "
             "by. Measure more positions."
         )
-    if result.before.heldout_by_axis_mg is not None:
+    if result.before.heldout_by_axis is not None and not result.fits:
         return (
             f"{what or 'Nothing was found that the readings follow.'} One pose shows what they follow, not"
             " whether zero or gain does. Whether anything is left cannot be tested: the noise of"
@@ -236,26 +243,29 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
 
 def exact(result: TraceResult) -> bool:
     """True where an effect leaves nothing at all, as a model does that passes through every reading."""
-    return bool(result.steps) and result.after.residual_rms_mg < 1e-9 * result.before.residual_rms_mg
+    return bool(result.steps) and result.after.residual_rms < 1e-9 * result.before.residual_rms
 
 
 def gains(result: TraceResult) -> str:
     """Error before and after in a sentence."""
     before, after = result.before, result.after
     if exact(result):
-        return f"The base model leaves {number(before.residual_rms_mg)} mg."
+        return f"The base model leaves {number(before.residual_rms)} {before.unit}."
     parts = [
-        f"The residual goes from {number(before.residual_rms_mg)} to {number(after.residual_rms_mg)} mg"
-        f"{times(before.residual_rms_mg, after.residual_rms_mg)}"
+        f"The residual goes from {number(before.residual_rms)} to {number(after.residual_rms)}"
+        f" {before.unit}"
+        f"{times(before.residual_rms, after.residual_rms)}"
     ]
-    if before.heldout_rms_mg is not None and after.heldout_rms_mg is not None:
-        left, kept = number(after.heldout_rms_mg), number(after.heldout_kept_mg)
+    if before.heldout_rms is not None and after.heldout_rms is not None:
+        left, kept = number(after.heldout_rms), number(after.heldout_kept)
         parts.append(
-            f"on data that took no part from {number(before.heldout_rms_mg)} to {left} mg"
-            f"{times(before.heldout_rms_mg, after.heldout_rms_mg)}"
+            f"on data that took no part from {number(before.heldout_rms)} to {left} {before.unit}"
+            f"{times(before.heldout_rms, after.heldout_rms)}"
         )
-        if after.heldout_kept_mg is not None and kept != left:
-            parts[-1] += f", effects chosen anew each time, or to {kept} mg with those of this model kept"
+        if after.heldout_kept is not None and kept != left:
+            parts[-1] += (
+                f", effects chosen anew each time, or to {kept} {before.unit} with those of this model kept"
+            )
     else:
         parts.append(
             "there was too little data to leave any out, so that nothing proves this on other data"
@@ -379,6 +389,9 @@ def _reason(reason: str) -> str:
         "angle_rad": "declared angle",
         "previous_angle_rad": "declared angle",
         "load_history": "times that increase",
+        "force_g": "force that changes",
+        "rate_dps": "turns between dwells",
+        "rate_dps, temperature_c": "turns between dwells, or the temperature,",
     }
     for field, word in words.items():
         if reason == f"{field} not recorded":

@@ -40,6 +40,8 @@ class Performance:
         rms in °/s.
     gyro_g_sensitivity_dps_per_g, gyro_supply_sensitivity_dps_per_v : float
         What acceleration and supply add to a gyro.
+    gyro_instability_dps : float
+        Allan floor in °/s.
     """
 
     noise_mg: float
@@ -53,6 +55,7 @@ class Performance:
     gyro_noise_dps: float = 0.6
     gyro_g_sensitivity_dps_per_g: float = 0.05
     gyro_supply_sensitivity_dps_per_v: float = 0.25
+    gyro_instability_dps: float = 0.015
 
 
 @dataclass(frozen=True)

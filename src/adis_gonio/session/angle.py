@@ -10,14 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from adis_gonio.errors import BusError, ChipError, UsageError
 from adis_gonio.model.records import Floats
-from adis_gonio.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OUT, TEMP_OUT
+from adis_gonio.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT
 from adis_gonio.sensor.settings import Configuration
 from adis_gonio.session.blocks import Block, session_columns
 from adis_gonio.session.settings import Settings
@@ -255,6 +255,8 @@ class LiveSource:
         Its variant.
     offsets_lsb : tuple of int or None
         Numbers in XACCL_OFF, YACCL_OFF, ZACCL_OFF; None where there are no registers.
+    gyro_offsets_lsb : tuple of int or None
+        Those in XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF.
     """
 
     measuring: Measuring
@@ -263,6 +265,12 @@ class LiveSource:
     step_mg: float
     part: str
     offsets_lsb: tuple[int, ...] | None
+    gyro_offsets_lsb: tuple[int, ...] | None = None
+
+    @property
+    def offsets(self) -> tuple[tuple[int, ...] | None, ...]:
+        """All of them."""
+        return self.offsets_lsb, self.gyro_offsets_lsb
 
 
 def calibration_for(calibration: Calibration, source: LiveSource) -> Calibration:
@@ -278,9 +286,12 @@ def calibration_for(calibration: Calibration, source: LiveSource) -> Calibration
         raise UsageError("the calibration takes readings in counts of unknown scale; a sensor gives mg")
     if where.sensor != source.part:
         raise UsageError(f"the calibration is of an {where.sensor}, this is an {source.part}")
-    if source.offsets_lsb is None or where.offsets_lsb is None:
-        return calibration
-    return calibration.with_offsets(source.offsets_lsb)
+    if source.offsets_lsb is not None and where.offsets_lsb is not None:
+        calibration = calibration.with_offsets(source.offsets_lsb)
+    gyro, now = calibration.gyro, source.gyro_offsets_lsb
+    if gyro is not None and gyro.offsets_lsb is not None and now is not None:
+        calibration = replace(calibration, gyro=gyro.with_offsets(now))
+    return calibration
 
 
 def smoother_for(
@@ -323,8 +334,10 @@ def open_live(
     with ExitStack() as stack:
         source = stack.enter_context(open_source(url, variant=variant, check=check))
         offsets_lsb: tuple[int, ...] | None = None
+        gyro_offsets_lsb: tuple[int, ...] | None = None
         if isinstance(source, ChipSource):
             offsets_lsb = tuple(source.sensor.read(name) for name in ACCEL_OFF)
+            gyro_offsets_lsb = tuple(source.sensor.read(name) for name in GYRO_OFF)
             settings = source.sensor.configuration()
             measuring: Measuring = settings
             count = _block_samples(measuring)
@@ -337,7 +350,10 @@ def open_live(
             stream = source.samples(Settings(), _block_samples(measuring))
         stack.enter_context(stream)
         noise_mg = source.expected_noise_mg(measuring)
-        yield LiveSource(measuring, stream, noise_mg, source.part.step_mg, source.part.name, offsets_lsb)
+        part = source.part
+        yield LiveSource(
+            measuring, stream, noise_mg, part.step_mg, part.name, offsets_lsb, gyro_offsets_lsb
+        )
 
 
 Opener = Callable[[], AbstractContextManager[LiveSource]]
@@ -437,7 +453,7 @@ def live_angles(
     for block in blocks:
         if blocks.breaks != breaks:
             breaks, before, source = blocks.breaks, source, blocks.source
-            if (before.measuring, before.offsets_lsb) == (source.measuring, source.offsets_lsb):
+            if (before.measuring, before.offsets) == (source.measuring, source.offsets):
                 meter.restart()
             else:
                 meter = _meter(source, calibration, lag_s, meter)

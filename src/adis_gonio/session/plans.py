@@ -35,6 +35,8 @@ Approach = Literal[-1, 0, 1]
 Order = Literal["plan", "reverse", "shuffled"]
 
 MOST_POSITIONS = 3600
+GYRO_TURNS = "gyro-turns"
+"""Name of the plan of whole turns on a table (`gyro_turns`)."""
 DEFAULT_PLAN = "two-position"
 
 
@@ -58,6 +60,9 @@ class Position:
     temperature_c, supply_v : float or None
         Temperature of the part and supply to bring about first; None as they are. A fit takes what was
         measured, never this.
+    turned_deg : float or None
+        How far the part is turned on the way here, by a mark or a stop, about the vertical, positive
+        counter-clockwise seen from above; None where it is brought here in any way.
     """
 
     angle_deg: float | None
@@ -67,8 +72,12 @@ class Position:
     wait_s: float = 0.0
     temperature_c: float | None = None
     supply_v: float | None = None
+    turned_deg: float | None = None
 
     def __str__(self) -> str:
+        if self.turned_deg is not None:
+            way = "counter-clockwise" if self.turned_deg > 0 else "clockwise"
+            return f"{counted(round(abs(self.turned_deg) / 360), 'turn')} {way}"
         place = "a new attitude" if self.angle_deg is None else f"{self.angle_deg:g}°"
         way = {1: "", 0: "", -1: " from above"}[self.approach]
         return f"{place}{way}{' (check)' if self.use == 'check' else ''}"
@@ -99,7 +108,7 @@ class Plan:
         return {
             "name": self.name,
             "plane": self.plane,
-            "positions": [asdict(position) for position in self.positions],
+            "positions": [_entry(position) for position in self.positions],
         } | ({"turns": self.turns} if self.turns else {})
 
     def ordered(self, order: Order, rng: np.random.Generator) -> Plan:
@@ -133,6 +142,14 @@ class Plan:
         """Plan from its JSON form."""
         positions = tuple(_position(entry) for entry in data["positions"])
         return cls(data["name"], positions, data["plane"], data.get("turns", 0))
+
+
+def _entry(position: Position) -> dict[str, Any]:
+    """JSON form; `turned_deg` where something is declared of the way."""
+    entry = asdict(position)
+    if position.turned_deg is None:
+        del entry["turned_deg"]
+    return entry
 
 
 def _position(entry: Mapping[str, Any]) -> Position:
@@ -181,6 +198,8 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
     kind = _KINDS.get(name)
     if name == "free-turn":
         raise UsageError("a free turn has no positions: calibrate URL --plan free-turn records it")
+    if name == GYRO_TURNS:
+        raise UsageError("gyro turns have no positions: calibrate URL --plan gyro-turns --turns N")
     if kind is None:
         near = difflib.get_close_matches(name, _KINDS, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(_KINDS)}"

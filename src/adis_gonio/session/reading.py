@@ -15,6 +15,7 @@ from adis_gonio.session.faults import WITHOUT_NEWS, Alarms, alarms_of
 from adis_gonio.session.plans import Plan
 from adis_gonio.session.rows import JsonDict, StoredAttempt
 from adis_gonio.session.turn_pieces import FREE_TURN, recording_of
+from adis_gonio.session.turns import ArchivedTurns
 from adis_gonio.session.view import ArchiveView
 
 
@@ -93,6 +94,7 @@ def read_session(path: str | Path) -> Session:
         source=str(path),
         notes=(*_notes(plan, pending, skipped, facts), *_of_writes(facts)),
         facts=facts,
+        turns_from=ArchivedTurns(Path(path).absolute(), tuple(attempt.number for attempt in stored)),
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -109,11 +109,12 @@ class SmoothedMeter:
         self._calibration = calibration
         self._period_s = sensing.period_s
         self._drift_rad = sensing.drift_mg / sensing.gravity_mg
-        gyro: Any = getattr(calibration, "gyro", None)
+        gyro = None if calibration is None else calibration.gyro
+        stated = {} if gyro is None else {one.name: one.u for one in gyro.parameters}
         bend = BEND if calibration is None else _bend_of(calibration)
         self._smoother = AngleSmoother(
             sensing,
-            GyroKnowledge.of(gyro, None if gyro is None else getattr(gyro, "u", None)),
+            GyroKnowledge.of(gyro, stated),
             lag_s=lag_s,
             corrected=None if calibration is None else self._corrected,
             bend=bend,

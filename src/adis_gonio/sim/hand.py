@@ -13,50 +13,21 @@ the angle at every time. Figures are estimates (D).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from adis_gonio.sim.inputs import Floats
 from adis_gonio.sim.settings import WorldSettings
-
-_SEGMENT_DEG = (40.0, 120.0)
-_PAUSE_S = (0.2, 0.9)
-_SUBMOVEMENT_HZ = (0.5, 3.0)
-_TREMOR_HZ = (8.0, 12.0)
-_SWAY_HZ = (0.05, 0.5)
-_LINES = 12
-_RISE_S = 0.5
-"""The hand takes hold, and lets go, within this time."""
-
-
-@dataclass(frozen=True)
-class _Lines:
-    """Sines of random frequency and phase with a root mean square of 1 in all."""
-
-    omega: Floats
-    phase: Floats
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, band_hz: tuple[float, float]) -> _Lines:
-        omega = 2 * np.pi * rng.uniform(*band_hz, _LINES)
-        return cls(omega, rng.uniform(0, 2 * np.pi, _LINES))
-
-    def at(self, time_s: Floats) -> tuple[Floats, Floats, Floats]:
-        """Value and its two derivatives (n,)."""
-        value, first, second = (np.zeros(len(time_s)) for _ in range(3))
-        size = np.sqrt(2 / _LINES)
-        for omega, phase in zip(self.omega, self.phase, strict=True):
-            sine, cosine = np.sin(omega * time_s + phase), np.cos(omega * time_s + phase)
-            value += size * sine
-            first += size * omega * cosine
-            second -= size * omega**2 * sine
-        return value, first, second
-
-    @property
-    def mean_square_rate(self) -> float:
-        """Of the first derivative."""
-        return float((self.omega**2).mean())
+from adis_gonio.sim.smooth import (
+    PAUSE_S,
+    SUBMOVEMENT_HZ,
+    SWAY_HZ,
+    TREMOR_HZ,
+    Course,
+    Lines,
+    grips,
+    hold,
+    product,
+)
 
 
 class HandTurn:
@@ -82,7 +53,7 @@ class HandTurn:
     def __init__(self, settings: WorldSettings, rng: np.random.Generator, turns: int = 1) -> None:
         self._settings = settings
         spans, ways = _grips(settings, rng, turns)
-        pauses = rng.uniform(*_PAUSE_S, len(spans)) * settings.hand_pauses
+        pauses = rng.uniform(*PAUSE_S, len(spans)) * settings.hand_pauses
         moving_s = max(settings.hand_turn_s - float(pauses[:-1].sum()), 0.2 * settings.hand_turn_s)
         # Longer segments take longer, and no two are equally fast.
         shares = spans * rng.uniform(0.8, 1.25, len(spans))
@@ -91,16 +62,16 @@ class HandTurn:
         self._segments = list(zip(begins, lengths, np.radians(ways), strict=True))
         self.total_rad = float(np.radians(ways).sum())
         self.length_s = float(begins[-1] + lengths[-1])
-        self._uneven = _Lines.drawn(rng, _SUBMOVEMENT_HZ)
-        self._tremor = _Lines.drawn(rng, _TREMOR_HZ)
-        self._shaking = [_Lines.drawn(rng, _TREMOR_HZ) for _ in range(3)]
-        self._sway = _Lines.drawn(rng, _SWAY_HZ)
+        self._uneven = Lines.drawn(rng, SUBMOVEMENT_HZ)
+        self._tremor = Lines.drawn(rng, TREMOR_HZ)
+        self._shaking = [Lines.drawn(rng, TREMOR_HZ) for _ in range(3)]
+        self._sway = Lines.drawn(rng, SWAY_HZ)
         self._wobble_phase = rng.uniform(0, 2 * np.pi, 2)
         speed = float(np.radians(np.abs(ways)).sum()) / self.length_s
         self._uneven_rad = settings.hand_unevenness * speed / np.sqrt(self._uneven.mean_square_rate)
         self._tremor_rad = np.radians(settings.hand_tremor_dps) / np.sqrt(self._tremor.mean_square_rate)
 
-    def turned(self, time_s: Floats) -> tuple[Floats, Floats, Floats]:
+    def turned(self, time_s: Floats) -> Course:
         """Angle turned (n,) in rad, its rate and its acceleration."""
         angle, rate, acceleration = (np.zeros(len(time_s)) for _ in range(3))
         for begin, length, span in self._segments:
@@ -108,15 +79,15 @@ class HandTurn:
             angle += span * x**3 * (10 - 15 * x + 6 * x**2)
             rate += span / length * 30 * x**2 * (1 - x) ** 2
             acceleration += span / length**2 * 60 * x * (1 - x) * (1 - 2 * x)
-        hold = self._hold(time_s)
+        held = hold(time_s, self.length_s)
         for lines, size in ((self._uneven, self._uneven_rad), (self._tremor, self._tremor_rad)):
-            shaken = _product(lines.at(time_s), hold)
+            shaken = product(lines.at(time_s), held)
             angle += size * shaken[0]
             rate += size * shaken[1]
             acceleration += size * shaken[2]
         return angle, rate, acceleration
 
-    def tilt(self, time_s: Floats, turned: tuple[Floats, Floats, Floats]) -> tuple[Floats, Floats]:
+    def tilt(self, time_s: Floats, turned: Course) -> tuple[Floats, Floats]:
         """Tilt (n,) of the plane of X and Y out of the vertical in rad, and its rate."""
         angle, rate, _ = turned
         size = np.radians(self._settings.axis_wobble_deg)
@@ -124,55 +95,22 @@ class HandTurn:
         tilt = size * (np.cos(angle + first) + 0.5 * np.cos(2 * angle + second))
         slope = -size * rate * (np.sin(angle + first) + np.sin(2 * angle + second))
         sway = np.radians(self._settings.hand_sway_deg)
-        swaying = _product(self._sway.at(time_s), self._hold(time_s))
+        swaying = product(self._sway.at(time_s), hold(time_s, self.length_s))
         return tilt + sway * swaying[0], slope + sway * swaying[1]
 
     def shaking_mg(self, time_s: Floats) -> Floats:
         """Linear vibration (n, 3) that the hand brings, in mg."""
-        hold = self._hold(time_s)[0]
+        held = hold(time_s, self.length_s)[0]
         size = self._settings.hand_vibration_mg
-        return np.stack([size * hold * lines.at(time_s)[0] for lines in self._shaking], axis=1)
-
-    def _hold(self, time_s: Floats) -> tuple[Floats, Floats, Floats]:
-        """How firmly the hand holds, 0 to 1, with two derivatives; 0 before the turn and after it."""
-        up = _rise(time_s / _RISE_S)
-        down = _rise((self.length_s - time_s) / _RISE_S)
-        scale = 1 / _RISE_S
-        up = (up[0], up[1] * scale, up[2] * scale**2)
-        down = (down[0], -down[1] * scale, down[2] * scale**2)
-        return _product(up, down)
+        return np.stack([size * held * lines.at(time_s)[0] for lines in self._shaking], axis=1)
 
 
 def _grips(settings: WorldSettings, rng: np.random.Generator, turns: int) -> tuple[Floats, Floats]:
     """Spans (k,) of the grips as they come, and how far (k,) each turns the part, in degrees."""
     turn_deg = settings.hand_turn_deg
     if not settings.hand_returns:
-        spans = _segments(turns * abs(turn_deg), rng)
+        spans = grips(turns * abs(turn_deg), rng)
         return spans, turns * turn_deg * spans / spans.sum()
-    each = [_segments(abs(turn_deg), rng) for _ in range(turns)]
+    each = [grips(abs(turn_deg), rng) for _ in range(turns)]
     ways = [(-1) ** k * turn_deg * spans / spans.sum() for k, spans in enumerate(each)]
     return np.concatenate(each), np.concatenate(ways)
-
-
-def _segments(turn_deg: float, rng: np.random.Generator) -> Floats:
-    spans: list[float] = []
-    while sum(spans) < turn_deg:
-        spans.append(float(rng.uniform(*_SEGMENT_DEG)))
-    return np.array(spans)
-
-
-def _rise(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Minimum-jerk step from 0 to 1 with two derivatives."""
-    x = np.clip(x, 0.0, 1.0)
-    return (
-        x**3 * (10 - 15 * x + 6 * x**2),
-        30 * x**2 * (1 - x) ** 2,
-        60 * x * (1 - x) * (1 - 2 * x),
-    )
-
-
-def _product(
-    f: tuple[Floats, Floats, Floats], g: tuple[Floats, Floats, Floats]
-) -> tuple[Floats, Floats, Floats]:
-    """Product of two functions with two derivatives."""
-    return f[0] * g[0], f[1] * g[0] + f[0] * g[1], f[2] * g[0] + 2 * f[1] * g[1] + f[0] * g[2]

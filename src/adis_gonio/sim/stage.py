@@ -5,8 +5,11 @@ In the plane the part turns about its Z axis, which lies horizontal. The true an
 the backlash by the direction of approach; X then reads G cos ψ and Y G sin ψ. In space the stage turns the
 part until a given unit vector is what an ideal sensor would read, in units of G.
 
-A move takes time, with a speed that rises and falls as a half sine; the part rings after it. A turn by hand
-(`hand.HandTurn`) is a move without a declared angle.
+A move takes time; the part rings after it. A motor's speed rises and falls as a half sine, a hand moves as
+hands do (`hand_moves.HandMove`). Turns all around by hand (`hand.HandTurn`) have no declared angle.
+
+On a table (`turn_about`) the part lies as it was laid, and is turned about an axis: gravity stays where it
+was where that axis is vertical.
 """
 
 from __future__ import annotations
@@ -17,12 +20,17 @@ import numpy as np
 
 from adis_gonio.errors import UsageError
 from adis_gonio.sim.hand import HandTurn
+from adis_gonio.sim.hand_moves import HandMove
 from adis_gonio.sim.inputs import Floats
 from adis_gonio.sim.settings import WorldSettings
+from adis_gonio.sim.smooth import Course
 
 _SHORTEST_MOVE_S = 0.3
+_LEAST_BY_HAND_RAD = 1e-6
 _KNOTS = 33
 """Points of a move by which its course is told: a turn of 180° leaves its chords by (π²/64)²/8 = 0.3 %."""
+_HAND_KNOTS = 8
+"""So many times more where a hand moves, whose speed is not even."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +72,10 @@ class Motion:
 
 @dataclass(frozen=True)
 class _Leg:
-    """A move and the rest after it; in the plane by angles, in space by a turn about an axis."""
+    """A move and the rest after it; in the plane by angles, in space by a turn about an axis of the part.
+
+    In space the part sees gravity along `along` + cos φ `base` + sin φ `side` while it turns by φ.
+    """
 
     start_s: float
     end_s: float
@@ -79,7 +90,23 @@ class _Leg:
     side: Floats
     turn_rad: float
     spatial: bool
+    along: Floats
+    axis: Floats
     hand: HandTurn | None = None
+    by_hand: HandMove | None = None
+
+    @property
+    def knots(self) -> int:
+        """Points by which the course of the move is told."""
+        halves = int(np.ceil(abs(self.turn_rad) / np.pi))
+        return _KNOTS * max(halves, 1) * (1 if self.by_hand is None else _HAND_KNOTS)
+
+    @property
+    def target(self) -> Floats:
+        """Direction (3,) at the end of a turn in space."""
+        return np.asarray(
+            self.along + np.cos(self.turn_rad) * self.base + np.sin(self.turn_rad) * self.side
+        )
 
 
 class Stage:
@@ -93,8 +120,8 @@ class Stage:
         Angle of the part at the stage's zero.
     rng : Generator
         Draws an error for each move.
-    hands : Generator, optional
-        Draws the hands that turn the stage.
+    hands, moves : Generator, optional
+        Draw the hands that turn the stage all around, and those that bring it to its positions.
     """
 
     def __init__(
@@ -103,15 +130,18 @@ class Stage:
         alpha_rad: float,
         rng: np.random.Generator,
         hands: np.random.Generator | None = None,
+        moves: np.random.Generator | None = None,
     ) -> None:
         self._settings = settings
         self._hands = np.random.default_rng(0) if hands is None else hands
+        self._movements = np.random.default_rng(0) if moves is None else moves
         self._alpha = alpha_rad
         self._rng = rng
         error = self._error(0)
         self._legs = [self._planar(-np.inf, -np.inf, 0.0, 0.0, error, error, 0, 0, 0.0)]
         self._starts = np.array([-np.inf])
         self._moves = 0
+        self._mark_error = 0.0
         self._course: tuple[Floats, Floats] | None = None
 
     @property
@@ -220,6 +250,45 @@ class Stage:
         self._append(replace(leg, hand=hand))
         return end_s
 
+    def turn_about(self, start_s: float, angle_deg: float, axis: Floats | None = None) -> float:
+        """Begin a turn of the part about an axis, where it lies; returns the time at which it ends.
+
+        A whole turn leaves the part as it was. The part is set against a mark before and after it, each
+        time with an error of its own (`mark_sigma_deg`), so that the true angle is not quite the declared.
+
+        Parameters
+        ----------
+        angle_deg : float
+            How far, any number of turns; positive is right-handed about the axis.
+        axis : (3,) float or None
+            Axis in the part; None is the vertical, upwards: positive is then counter-clockwise, seen from
+            above, as on a level table.
+
+        Raises
+        ------
+        UsageError
+            The angle is not finite or no axis is given by three numbers, or the last move still runs.
+        """
+        standing = self._standing
+        about = -standing if axis is None else np.asarray(axis, np.float64)
+        norm = float(np.linalg.norm(about))
+        if not np.isfinite(angle_deg) or about.shape != (3,) or not np.isfinite(norm) or norm == 0:
+            raise UsageError(
+                f"turn by {angle_deg}° about {axis}: give an angle and three numbers of an axis"
+            )
+        self._require_still(start_s)
+        self._moves += 1
+        about = about / norm
+        before, self._mark_error = self._mark_error, self._mark()
+        turn = float(np.radians(angle_deg)) + self._mark_error - before
+        along = (standing @ about) * about
+        leg = _Leg(
+            start_s, start_s, float("nan"), float("nan"), 0.0, 0.0, self._order, int(np.sign(turn)),
+            self._legs[-1].to_rad, standing - along, -np.cross(about, standing), turn,
+            spatial=True, along=along, axis=about,
+        )  # fmt: skip
+        return self._in_space(leg, self._hand_over(turn))
+
     def at(self, time_s: Floats) -> Motion:
         """Where the part is at increasing times (n,)."""
         index = np.searchsorted(self._starts, time_s, side="right") - 1
@@ -240,7 +309,7 @@ class Stage:
         """
         if self._course is None:
             moves = [leg for leg in self._legs if leg.end_s > leg.start_s]
-            times = [np.linspace(leg.start_s, leg.end_s, _KNOTS) for leg in moves]
+            times = [np.linspace(leg.start_s, leg.end_s, leg.knots) for leg in moves]
             knots = np.unique(np.concatenate(times)) if times else np.zeros(1)
             self._course = knots, self.at(knots).direction
         return self._course
@@ -255,12 +324,24 @@ class Stage:
         drawn = self._settings.fixture_sigma_deg * float(self._rng.standard_normal())
         return float(np.radians(drawn + approach * self._settings.backlash_deg / 2))
 
+    def _mark(self) -> float:
+        drawn = self._settings.mark_sigma_deg * float(self._movements.standard_normal())
+        return float(np.radians(drawn))
+
     def _direction(self, theta: float, error: float) -> Floats:
         tilt = np.radians(self._settings.axis_tilt_deg)
         psi = self._alpha - theta + error
         return np.array([np.cos(psi) * np.cos(tilt), np.sin(psi) * np.cos(tilt), np.sin(tilt)])
 
-    def _duration(self, angle_rad: float) -> float:
+    def _hand_over(self, span_rad: float, *, one_way: bool = False, free: bool = False) -> HandMove | None:
+        """The hand that moves the part so far, where a hand does."""
+        if not self._settings.hand_moves or abs(span_rad) < _LEAST_BY_HAND_RAD:
+            return None
+        return HandMove(self._settings, self._movements, span_rad, one_way=one_way, free=free)
+
+    def _duration(self, angle_rad: float, by_hand: HandMove | None) -> float:
+        if by_hand is not None:
+            return by_hand.length_s
         return max(_SHORTEST_MOVE_S, abs(float(np.degrees(angle_rad))) / self._settings.move_speed_dps)
 
     @property
@@ -269,20 +350,12 @@ class Stage:
 
     def _swing(self, start_s: float, target: float, error: float, approach: int, previous: float) -> float:
         last = self._legs[-1]
-        end_s = start_s + self._duration(target - last.to_rad)
-        self._append(
-            self._planar(
-                start_s,
-                end_s,
-                last.to_rad,
-                target,
-                last.to_error_rad,
-                error,
-                self._order,
-                approach,
-                previous,
-            )
+        by_hand = self._hand_over(target - last.to_rad, one_way=bool(approach))
+        end_s = start_s + self._duration(target - last.to_rad, by_hand)
+        leg = self._planar(
+            start_s, end_s, last.to_rad, target, last.to_error_rad, error, self._order, approach, previous
         )
+        self._append(replace(leg, by_hand=by_hand))
         return end_s
 
     def _planar(
@@ -300,30 +373,35 @@ class Stage:
         none = np.zeros(3)
         return _Leg(
             start_s, end_s, from_rad, to_rad, from_error, to_error, order, approach, previous,
-            none, none, 0.0, spatial=False,
+            none, none, 0.0, spatial=False, along=none, axis=none,
         )  # fmt: skip
 
     def _turn(self, start_s: float, to: Floats, theta: float, error: float, approach: int) -> float:
-        last = self._legs[-1]
-        if last.spatial:
-            base = last.base * np.cos(last.turn_rad) + last.side * np.sin(last.turn_rad)
-        else:
-            base = self._direction(last.to_rad, last.to_error_rad)
+        base = self._standing
         cosine = float(np.clip(base @ to, -1.0, 1.0))
         side = to - cosine * base
         if np.linalg.norm(side) < 1e-9:
             side = np.cross(base, np.eye(3)[int(np.argmin(np.abs(base)))])
         side = side / np.linalg.norm(side)
         turn = float(np.arctan2(to @ side, cosine))
-        end_s = start_s + self._duration(turn)
-        previous = last.to_rad
-        self._append(
-            _Leg(
-                start_s, end_s, theta, theta, error, error, self._order, approach, previous,
-                base, side, turn, spatial=True,
-            )
+        self._mark_error = 0.0
+        leg = _Leg(
+            start_s, start_s, theta, theta, error, error, self._order, approach, self._legs[-1].to_rad,
+            base, side, turn, spatial=True, along=np.zeros(3), axis=-np.cross(base, side),
         )  # fmt: skip
+        return self._in_space(leg, self._hand_over(turn, free=True))
+
+    def _in_space(self, leg: _Leg, by_hand: HandMove | None) -> float:
+        """Append a turn in space with its end, and return that."""
+        end_s = leg.start_s + self._duration(leg.turn_rad, by_hand)
+        self._append(replace(leg, end_s=end_s, by_hand=by_hand))
         return end_s
+
+    @property
+    def _standing(self) -> Floats:
+        """Direction (3,) of gravity in which the last move ends."""
+        last = self._legs[-1]
+        return last.target if last.spatial else self._direction(last.to_rad, last.to_error_rad)
 
     def _append(self, leg: _Leg) -> None:
         self._legs.append(leg)
@@ -338,19 +416,17 @@ class Stage:
         since = time_s - leg.end_s
         if leg.hand is not None:
             return self._by_hand(leg, leg.hand, time_s)
-        blend, speed, spin = np.ones(n), np.zeros(n), np.zeros(n)
-        moving = since < 0
-        if moving.any():
-            duration = leg.end_s - leg.start_s
-            part = np.pi * (time_s - leg.start_s) / duration
-            blend = np.where(moving, (1 - np.cos(part)) / 2, 1.0)
-            speed = np.where(moving, np.pi / (2 * duration) * np.sin(part), 0.0)
-            spin = np.where(moving, np.pi**2 / (2 * duration**2) * np.cos(part), 0.0)
+        blend, speed, spin = _course(leg, time_s)
         rate = np.zeros((n, 3))
         if leg.spatial:
             turn = leg.turn_rad * blend
             direction = np.cos(turn)[:, None] * leg.base + np.sin(turn)[:, None] * leg.side
-            rate -= np.degrees(leg.turn_rad * speed)[:, None] * np.cross(leg.base, leg.side)
+            direction += leg.along
+            rate += np.degrees(leg.turn_rad * speed)[:, None] * leg.axis
+            if leg.by_hand is not None:
+                since_start = time_s - leg.start_s
+                direction, turning = leg.by_hand.beside(since_start, direction, np.radians(rate))
+                rate = np.degrees(turning)
             theta = full(n, leg.to_rad)
         else:
             span, slip = leg.to_rad - leg.from_rad, leg.to_error_rad - leg.from_error_rad
@@ -367,7 +443,7 @@ class Stage:
             direction,
             rate,
             np.zeros(n) if leg.spatial else spin,
-            np.zeros((n, 3)),
+            np.zeros((n, 3)) if leg.by_hand is None else leg.by_hand.shaking_mg(time_s - leg.start_s),
             self._ringing(since),
             theta,
             full(n, leg.previous_rad),
@@ -411,6 +487,24 @@ class Stage:
         return np.where(
             rings, settings.vibration_mg * np.exp(-after / settings.vibration_decay_s) * wave, 0.0
         )
+
+
+def _course(leg: _Leg, time_s: Floats) -> Course:
+    """How much of a move is done at times (n,), 0 to 1, with its two derivatives; 1 after its end."""
+    n = len(time_s)
+    moving = time_s - leg.end_s < 0
+    if not moving.any():
+        return np.ones(n), np.zeros(n), np.zeros(n)
+    if leg.by_hand is not None:
+        turned = leg.by_hand.turned(time_s - leg.start_s)
+        done, speed, spin = (value / leg.by_hand.span_rad for value in turned)
+    else:
+        duration = leg.end_s - leg.start_s
+        part = np.pi * (time_s - leg.start_s) / duration
+        done = (1 - np.cos(part)) / 2
+        speed = np.pi / (2 * duration) * np.sin(part)
+        spin = np.pi**2 / (2 * duration**2) * np.cos(part)
+    return np.where(moving, done, 1.0), np.where(moving, speed, 0.0), np.where(moving, spin, 0.0)
 
 
 _NAMES = tuple(Motion.__dataclass_fields__)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -23,10 +23,10 @@ WALK_DPS_PER_RT_S = 0.003
 """Random walk of a zero (D): an Allan floor of 0.015 °/s within half a minute."""
 
 
-class GyroCalibration(Protocol):
-    """What a calibration of the gyros does."""
+class GyroCorrection(Protocol):
+    """What a calibration of the gyros does: `calibration.GyroCalibration`, for one."""
 
-    def correct(self, rate_dps: Floats, force_g: Floats, temperature_c: Any) -> Floats:
+    def correct(self, rate_dps: Floats, force_g: Floats, temperature_c: Floats | None) -> Floats:
         """Rates (n, 3) in °/s without the calibrated errors."""
 
 
@@ -40,7 +40,7 @@ class GyroKnowledge:
         Of zero rate, gain, and sensitivity to acceleration along each axis of the plane.
     walk_dps_per_rt_s : float
         Random walk of the zero rate.
-    calibration : GyroCalibration or None
+    calibration : GyroCorrection or None
         Corrects rates first.
     """
 
@@ -48,10 +48,10 @@ class GyroKnowledge:
     scale: float = SCALE
     g_dps_per_g: float = G_DPS_PER_G
     walk_dps_per_rt_s: float = WALK_DPS_PER_RT_S
-    calibration: GyroCalibration | None = None
+    calibration: GyroCorrection | None = None
 
     @classmethod
-    def of(cls, calibration: GyroCalibration | None, u: Mapping[str, float | None] | None) -> GyroKnowledge:
+    def of(cls, calibration: GyroCorrection | None, u: Mapping[str, float | None] | None) -> GyroKnowledge:
         """By a calibration and its standard uncertainties by name (`gyro_bias_z`, `gyro_scale_z`, …).
 
         What it does not state is as in a part that nobody has calibrated.
@@ -76,4 +76,4 @@ class GyroKnowledge:
         return np.asarray(self.calibration.correct(rate_dps[None], accel_mg[None] / 1000.0, warm)[0])
 
 
-__all__ = ["GyroCalibration", "GyroKnowledge"]
+__all__ = ["GyroCorrection", "GyroKnowledge"]

@@ -74,10 +74,10 @@ class Limits:
     most_cycles: int = number(72, "physical", "most cycles a turn that are looked for: a worm of 72 teeth")
 
     # Physical bounds
-    largest_g: float = number(
+    largest: float = number(
         0.1,
         "physical",
-        "most that a nameless function adds, in g or rad: beyond, it and the base model cancel",
+        "most that a nameless function adds, in g (100 °/s) or rad: beyond, it and the base model cancel",
         off=INFINITE,
     )
     gross_slip_deg: float = number(

@@ -13,7 +13,8 @@ from adis_gonio.budget import attempt, current, spent, within
 from adis_gonio.counting import counted
 from adis_gonio.errors import FitError, UsageError
 from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import Readings, readings_of
+from adis_gonio.estimation.parts import ACCELEROMETER, known_part, readings_of_part
+from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
 from adis_gonio.model.provenance import provenance_of
 from adis_gonio.model.records import Session
@@ -47,7 +48,12 @@ UNCHECKED = "the time limit ended the trace before this was checked"
 """Reason of whatever is in a model that was not validated."""
 
 
-def trace(session: Session, max_effects: int = 6, time_limit: float | None = None) -> TraceResult:
+def trace(
+    session: Session,
+    max_effects: int = 6,
+    time_limit: float | None = None,
+    part: str = ACCELEROMETER,
+) -> TraceResult:
     """Trace the residual of a session to the effects that the seed paper's model lacks.
 
     Parameters
@@ -60,6 +66,8 @@ def trace(session: Session, max_effects: int = 6, time_limit: float | None = Non
     time_limit : float, optional
         Seconds after which the trace ends at the next safe point with the best model so far
         (`TraceResult.stopped`); by default none, so that the answer does not depend on the machine.
+    part : {"accelerometer", "gyro"}
+        Part of the sensor whose readings are traced.
 
     Raises
     ------
@@ -68,39 +76,44 @@ def trace(session: Session, max_effects: int = 6, time_limit: float | None = Non
     FitError
         Fewer readings than base parameters.
     UsageError
-        A time limit that is not positive.
+        A time limit that is not positive, or a part that no sensor has.
     """
+    known_part(part)
     if session.free_turn and not session.dwells:
         raise FitError(
             f"{session.source or 'session'}: a free turn has no positions whose residuals a trace could"
             " follow; use fit, or measure positions (calibrate --plan tumble) and trace those"
         )
     if time_limit is None:
-        result = _trace(session, max_effects)
+        result = _trace(session, max_effects, part)
     elif not time_limit > 0:
         raise UsageError(f"a time limit of {time_limit:g} s: give a positive number of seconds")
     else:
         with within(current().limited(time_limit)):
-            result = _trace(session, max_effects)
+            result = _trace(session, max_effects, part)
     overrides = session.facts.get("overrides", {})
     return replace(result, provenance=provenance_of(session), overrides=overrides)
 
 
-def _trace(session: Session, max_effects: int) -> TraceResult:
-    if len([dwell for dwell in session.dwells if len(dwell)]) == 1:
+def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
+    own = part == ACCELEROMETER  # samples within dwells are looked at for these alone
+    if own and len([dwell for dwell in session.dwells if len(dwell)]) == 1:
         from adis_gonio.one_pose.series import trace_series
 
         return _stamped(trace_series(session, max_effects), checked=True)
     from adis_gonio.dwells.second_pass import with_second_pass
 
-    data = readings_of(session)
+    data = readings_of_part(session, part)
     try:
         result = trace_readings(data, max_effects)
     except FitError as error:
         raise FitError(f"{session.source}: {error}" if session.source else str(error)) from error
     checked = result.stopped is None or result.stopped.checked
-    full = attempt("the samples inside the dwells", lambda: with_second_pass(session, data, result), result)
-    return _stamped(full, checked=checked)
+    if own:
+        result = attempt(
+            "the samples inside the dwells", lambda: with_second_pass(session, data, result), result
+        )
+    return _stamped(result, checked=checked)
 
 
 def _stamped(result: TraceResult, *, checked: bool) -> TraceResult:
@@ -139,7 +152,7 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         open_ = [*steps, *([] if scatter is None else [scatter.kind])]
         return _unfinished(final, fits, steps, figures, design, open_)
     reported = _reported(figures) if checking is None else None
-    count, names, cut = never_worse(names, steps, guarded.errors, reported)
+    count, names, cut = never_worse(names, steps, guarded.errors, reported, training.model.unit)
     if count < len(steps):
         # Longer models have their figures already; those of the shorter one hold for it as they are.
         fits, steps, figures = fits[: count + 1], steps[:count], figures[: count + 1]
@@ -173,7 +186,7 @@ def trace_readings(data: Readings, max_effects: int = 6) -> TraceResult:
         unnamed=unnamed_with_share(unnamed_of(selection, averaged), of_step),
         before=figures[0],
         after=figures[-1],
-        detectable=detectable(selection.found, selection.verdict.best, missing),
+        detectable=detectable(selection.found, selection.verdict.best, missing, training.model.part),
         advice=advice,
         measurements=measurements,
         rivals=rivals_of(selection),
@@ -251,7 +264,7 @@ def _searched(
 
 def _reported(figures: Sequence[ErrorFigures]) -> tuple[float, float] | None:
     """Held-out errors that stand in the result for the base model and the final one."""
-    first, last = figures[0].heldout_rms_mg, figures[-1].heldout_rms_mg
+    first, last = figures[0].heldout_rms, figures[-1].heldout_rms
     return None if first is None or last is None else (first, last)
 
 
@@ -259,7 +272,7 @@ def _weak(findings: Sequence[Finding], final: ErrorFigures) -> dict[str, str]:
     """Names that do not stand after all, with the reason."""
     weak = {}
     for finding in findings:
-        if final.heldout_rms_mg is None and finding.effect != "bias":
+        if final.heldout_rms is None and finding.effect != "bias":
             weak[finding.effect] = "no dwell could be left out to check it by"
         elif not told_from_zero(finding):
             weak[finding.effect] = "its values are no larger than their own uncertainty"
@@ -308,7 +321,9 @@ def _unfinished(
 
 def _enough(data: Readings) -> None:
     base = len(data.model.parameters)
-    rows = len(data) * (1 if data.free else 2)
+    if len(data) < 2:
+        raise FitError("one reading alone has nothing to be compared with; measure more positions")
+    rows = len(data) * data.equations_each
     if rows < base:
         raise FitError(
             f"{counted(len(data), 'position')}: {rows} equations for {base} base parameters; measure at"

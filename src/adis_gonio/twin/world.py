@@ -139,10 +139,10 @@ class TermEffect(Effect):
         zeros = np.zeros((len(conditions), self.columns))
         return np.asarray(self.term.added(values, zeros, self._seen(conditions)), np.float64)
 
-    def reading_mg(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """What the term adds to the readings, (n, axes) in mg."""
-        added = np.zeros_like(ideal_mg)
-        known = ideal_mg[:, : self.columns]
+        added = np.zeros_like(ideal)
+        known = ideal[:, : self.columns]
         added[:, : self.columns] = self.term.added(values, known, self._seen(conditions))
         return added
 

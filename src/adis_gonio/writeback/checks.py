@@ -19,7 +19,7 @@ from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.measurement import FreeAttitude, PlanarTurn
 from adis_gonio.model.records import Floats, Session
 from adis_gonio.sensor.variants import Variant, variant
-from adis_gonio.writeback.plan import BIASES, WritePlan
+from adis_gonio.writeback.plan import BIASES, UNITS, WritePlan
 from adis_gonio.writeback.rest import Rest
 
 if TYPE_CHECKING:
@@ -44,20 +44,23 @@ class Comparison:
         What was compared, in words.
     names : tuple of str
         One a figure, such as `X`.
-    measured_mg, expected_mg, u_mg : (k,) float
-        `u_mg` is that of the difference.
+    measured, expected, u : (k,) float
+        `u` is that of the difference.
+    unit : str
+        `mg` or `dps`.
     """
 
     what: str
     names: tuple[str, ...]
-    measured_mg: Floats
-    expected_mg: Floats
-    u_mg: Floats
+    measured: Floats
+    expected: Floats
+    u: Floats
+    unit: str = "mg"
 
     @property
     def off(self) -> Floats:
         """Differences (k,) in their standard uncertainties."""
-        return np.asarray((self.measured_mg - self.expected_mg) / self.u_mg)
+        return np.asarray((self.measured - self.expected) / self.u)
 
     @property
     def agrees(self) -> bool:
@@ -65,9 +68,10 @@ class Comparison:
         return bool((np.abs(self.off) <= SIGMAS).all())
 
     def __str__(self) -> str:
+        unit, places = UNITS[self.unit], 2 if self.unit == "mg" else 3
         figures = [
-            f"{name} {m:.2f} mg, expected {e:.2f} mg (u {u:.2g} mg)"
-            for name, m, e, u in zip(self.names, self.measured_mg, self.expected_mg, self.u_mg, strict=True)
+            f"{name} {m:.{places}f} {unit}, expected {e:.{places}f} {unit} (u {u:.2g} {unit})"
+            for name, m, e, u in zip(self.names, self.measured, self.expected, self.u, strict=True)
         ]
         return f"{self.what}: {'; '.join(figures)}"
 
@@ -76,9 +80,9 @@ class Comparison:
         return {
             "what": self.what,
             "names": list(self.names),
-            "measured_mg": self.measured_mg.tolist(),
-            "expected_mg": self.expected_mg.tolist(),
-            "u_mg": self.u_mg.tolist(),
+            f"measured_{self.unit}": self.measured.tolist(),
+            f"expected_{self.unit}": self.expected.tolist(),
+            f"u_{self.unit}": self.u.tolist(),
             "agrees": self.agrees,
         }
 
@@ -135,7 +139,7 @@ def effect_of(plan: WritePlan, before: Rest, after: Rest) -> Comparison:
         "the write moved the outputs by",
         tuple(axis.axis.upper() for axis in plan.axes),
         (after.mean_mg - before.mean_mg)[rows],
-        np.array([axis.effect_mg for axis in plan.axes]),
+        np.array([axis.effect for axis in plan.axes]),
         u,
     )
 
@@ -161,7 +165,7 @@ class _Biased:
         self.values = np.array([result[name].value for name in self.known])
         order = [[e.name for e in result.parameters].index(name) for name in self.known]
         self.covariance = np.asarray(result.covariance)[np.ix_(order, order)]
-        moved = {axis.axis: (axis.now - axis.recorded) * axis.lsb_mg for axis in plan.axes}
+        moved = {axis.axis: (axis.now - axis.recorded) * axis.lsb for axis in plan.axes}
         self.moved_mg = np.array([moved.get(axis, 0.0) for axis in axes])
         self.u_mg = self._reading_u(variant(plan.variant))
 
@@ -192,7 +196,7 @@ class _Biased:
 
     def ideal_mg(self, values: Floats, angle_rad: float) -> Floats:
         """What gravity alone gives (2,) at a declared angle."""
-        ideal: Floats = self.model.ideal_mg(self.base(values), np.zeros(1), np.array([-angle_rad]))[0]
+        ideal: Floats = self.model.ideal(self.base(values), np.zeros(1), np.array([-angle_rad]))[0]
         return ideal
 
     def fixture_u(self, angle_rad: float) -> Floats:
@@ -200,7 +204,7 @@ class _Biased:
         unstated = self.session.fixture_sigma_deg is None
         more = UNSTATED_FIXTURE_DEG if unstated else 0.0
         sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
-        tangent = self.model.tangent_mg(self.base(self.values), np.zeros(1), np.array([-angle_rad]))
+        tangent = self.model.tangent(self.base(self.values), np.zeros(1), np.array([-angle_rad]))
         return np.asarray(sigma * np.abs(tangent[0, :, 0]))
 
     def propagated(

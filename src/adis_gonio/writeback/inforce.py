@@ -13,7 +13,7 @@ import numpy as np
 
 from adis_gonio.errors import SessionError
 from adis_gonio.model.records import Floats, Session
-from adis_gonio.sensor.registers import ACCEL_OFF
+from adis_gonio.sensor.registers import ACCEL_OFF, GYRO_OFF, Kind
 from adis_gonio.sensor.variants import variant
 from adis_gonio.writeback.journal import INTERRUPTED, operations_of
 from adis_gonio.writeback.plan import BIASES, recorded_offsets
@@ -65,6 +65,36 @@ def bias_left_mg(session: Session, result: FitResult) -> dict[str, float]:
         return found
     moved = offsets_in_force(session) - offsets_recorded(session)
     return {name: value + float(moved[BIASES.index(name)]) for name, value in found.items()}
+
+
+def gyro_offsets_recorded(session: Session) -> Floats:
+    """Offsets (3,) in °/s that the part added to its gyros while a session was recorded.
+
+    Raises
+    ------
+    SessionError
+        As `offsets_recorded`.
+    """
+    return _in_dps(session, recorded_offsets(session, GYRO_OFF))
+
+
+def gyro_offsets_in_force(session: Session) -> Floats:
+    """Offsets (3,) in °/s that the part adds to its gyros since the last write-back of a session.
+
+    Raises
+    ------
+    SessionError
+        As `offsets_in_force`.
+    """
+    known = operations_of(session, GYRO_OFF)
+    if known and known[-1].open:
+        raise SessionError(f"{session.source}: {INTERRUPTED}")
+    return _in_dps(session, recorded_offsets(session, GYRO_OFF) | (known[-1].target if known else {}))
+
+
+def _in_dps(session: Session, numbers: Mapping[str, int]) -> Floats:
+    lsb = variant(session.sensor).lsb(Kind.GYRO_OFFSET)[0]
+    return lsb * np.array([numbers[name] for name in GYRO_OFF], dtype=np.float64)
 
 
 def _in_mg(session: Session, numbers: Mapping[str, int]) -> Floats:

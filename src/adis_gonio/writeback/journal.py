@@ -16,13 +16,13 @@ was:
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Literal
 
 from adis_gonio.model.records import Session
 from adis_gonio.sensor.driver import ENDURANCE_WRAP
-from adis_gonio.sensor.registers import BY_NAME
+from adis_gonio.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
 from adis_gonio.writeback.plan import Numbers
 
 KIND = "offsets"
@@ -33,7 +33,7 @@ INTERRUPTED = (
     "with --status, then finish it or --undo"
 )
 
-Op = Literal["write", "undo"]
+Op = Literal["write", "undo", "autonull"]
 
 
 class Step(StrEnum):
@@ -50,7 +50,7 @@ class Step(StrEnum):
 
 AFTER: dict[Step | None, tuple[Step, ...]] = {
     None: (Step.PLANNED,),
-    Step.PLANNED: (Step.WRITTEN, Step.SET_BACK),
+    Step.PLANNED: (Step.WRITTEN, Step.SAVING, Step.SET_BACK),
     Step.WRITTEN: (Step.VERIFIED, Step.SAVING, Step.DONE, Step.SET_BACK),
     Step.VERIFIED: (Step.SAVING, Step.SAVED, Step.DONE, Step.SET_BACK),
     Step.SAVING: (Step.SAVED, Step.SET_BACK),
@@ -58,7 +58,8 @@ AFTER: dict[Step | None, tuple[Step, ...]] = {
     Step.DONE: (),
     Step.SET_BACK: (),
 }
-"""Which steps may follow which; what is in flash already is `saved` without `saving`."""
+"""Which steps may follow which; what is in flash already is `saved` without `saving`. An autonull is
+`saving` from the start, since the part saves it by itself, and `saved` says what it found."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +70,10 @@ class Operation:
     ----------
     number : int
         From 1.
-    op : {"write", "undo"}
+    op : {"write", "undo", "autonull"}
     old, new : dict of str to int
-        Numbers before the write and those that it writes; an undo has those of the write that it undoes.
+        Numbers before the write and those that it writes; an undo has those of the write that it undoes, an
+        autonull the old ones until it is `saved`.
     found : dict of str to int
         Numbers at its start, or the old ones where these were neither old nor new; a write that breaks off
         goes back to them.
@@ -85,6 +87,8 @@ class Operation:
         ENDURANCE when it had ended.
     utc : str
         Time of the last record.
+    beside : dict of str to int
+        Numbers in the other part's offset registers when saving began: the flash takes them too.
     """
 
     number: int
@@ -97,11 +101,21 @@ class Operation:
     endurance: int | None = None
     endurance_after: int | None = None
     utc: str = ""
+    beside: dict[str, int] = field(default_factory=dict)
 
     @property
     def open(self) -> bool:
         """True where it was not brought to its end."""
         return self.steps[-1] not in (Step.DONE, Step.SET_BACK)
+
+    def concerns(self, names: Sequence[str]) -> bool:
+        """True where it is about registers of these names."""
+        return any(name in names for name in self.old)
+
+    @property
+    def target_of_saving(self) -> dict[str, int]:
+        """Numbers that its flash update puts there."""
+        return self.old if self.op == "undo" else self.new
 
     @property
     def saved(self) -> bool:
@@ -113,7 +127,7 @@ class Operation:
         """Numbers that stand after it."""
         if self.steps[-1] is Step.SET_BACK:
             return self.found
-        return self.new if self.op == "write" else self.old
+        return self.old if self.op == "undo" else self.new
 
 
 def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
@@ -126,24 +140,32 @@ def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
             number,
             before.op if before else entry["op"],
             before.old if before else dict(entry["old"]),
-            before.new if before else dict(entry["new"]),
+            dict(entry["new"]) if "new" in entry else before.new if before else {},
             before.found if before else dict(entry["found"]),
             before.save if before else bool(entry["save"]),
             (*(before.steps if before else ()), step),
             entry.get("endurance", before.endurance if before else None),
             entry.get("endurance_after", before.endurance_after if before else None),
             str(entry.get("utc", "")),
+            dict(entry["beside"]) if "beside" in entry else before.beside if before else {},
         )
     return tuple(found.values())
 
 
-def operations_of(session: Session) -> tuple[Operation, ...]:
-    """Operations that a session's archive knows; none where it is no archive."""
-    return operations(session.facts.get("offset_writes") or ())
+def operations_of(session: Session, names: Sequence[str] = ACCEL_OFF) -> tuple[Operation, ...]:
+    """Operations on these registers that a session's archive knows; none where it is no archive."""
+    known = operations(session.facts.get("offset_writes") or ())
+    return tuple(operation for operation in known if operation.concerns(names))
 
 
 def remarks_on(known: Sequence[Operation], recorded: Numbers) -> tuple[str, ...]:
-    """What a session's results have to say of its writes: a line, or none where nothing stands."""
+    """What a session's results have to say of its writes: a line a part, or none where nothing stands."""
+    own = [tuple(one for one in known if one.concerns(names)) for names in (ACCEL_OFF, GYRO_OFF)]
+    said = (*_remarks(own[0], recorded, "biases"), *_remarks(own[1], recorded, "zero rates"))
+    return tuple(dict.fromkeys(said))
+
+
+def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[str, ...]:
     if not known:
         return ()
     if known[-1].open:
@@ -154,7 +176,7 @@ def remarks_on(known: Sequence[Operation], recorded: Numbers) -> tuple[str, ...]
     told = ", ".join(f"{name} {recorded[name]} → {number}" for name, number in now.items())
     flash = "saved to flash" if known[-1].saved else "not saved to flash"
     return (
-        f"offsets were written to the sensor since ({told}; {flash}): biases here are those of the "
+        f"offsets were written to the sensor since ({told}; {flash}): {what} here are those of the "
         "recording, exported coefficients hold with the offsets written",
     )
 
@@ -162,7 +184,7 @@ def remarks_on(known: Sequence[Operation], recorded: Numbers) -> tuple[str, ...]
 def to_undo(known: Sequence[Operation]) -> Operation | None:
     """The write that an undo takes back: the last one that is not taken back already."""
     for operation in reversed(known):
-        if operation.op == "write" and operation.steps[-1] is not Step.SET_BACK:
+        if operation.op != "undo" and operation.steps[-1] is not Step.SET_BACK:
             return operation
         if operation.op == "undo" and not operation.open:
             return None
@@ -212,31 +234,45 @@ class Standing:
         }
 
 
-def standing_of(known: Sequence[Operation], now: Numbers, endurance: int) -> Standing:
-    """What a sensor with these numbers and this ENDURANCE holds."""
+def standing_of(
+    known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation] = ()
+) -> Standing:
+    """What a sensor with these numbers and this ENDURANCE holds.
+
+    Parameters
+    ----------
+    known, others : sequence of Operation
+        Those on these registers, and those on the other part's, whose flash updates take these along.
+    """
     if not known:
         return Standing(
             "untouched", None, False, {}, None, "this session has written nothing to the sensor"
         )
     last = known[-1]
+    if last.op == "autonull" and not last.saved:
+        last = replace(last, new={name: now[name] for name in last.old})  # whatever the part found
+        known = (*known[:-1], last)
     axes = {name: _state(name, now[name], last.old[name], last.new[name]) for name in last.new}
     registers = _together(now, last, axes)
-    flash = _in_flash(known, now, endurance)
+    flash = _in_flash(known, now, endurance, others)
     saved = None if flash is None else all(flash.get(name) == now[name] for name in last.new)
     if registers == "old" and flash == {}:
         saved = None  # they were found there, in flash or not
     return Standing(registers, saved, last.open, axes, last, _words(registers, flash, axes, last))
 
 
-def flash_untouched(known: Sequence[Operation], now: Numbers, endurance: int) -> bool:
+def flash_untouched(
+    known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation] = ()
+) -> bool:
     """True where the flash certainly holds what it held before the first write."""
-    return not known or _in_flash(known, now, endurance) in ({}, known[-1].old)
+    return not known or _in_flash(known, now, endurance, others) in ({}, known[-1].old)
 
 
 def _together(now: Numbers, last: Operation, axes: Mapping[str, RegisterState]) -> RegisterState:
     """One state for all registers; what an operation leaves as it was is both old and new."""
     both: list[tuple[RegisterState, Numbers]] = [("new", last.new), ("old", last.old)]
-    for state, numbers in both if last.op == "write" else reversed(both):
+    written = last.op == "write" or (last.op == "autonull" and last.saved)
+    for state, numbers in both if written else reversed(both):
         if all(now[name] == number for name, number in numbers.items()):
             return state
     return "other" if "other" in axes.values() else "half"
@@ -251,17 +287,22 @@ def _state(name: str, now: int, old: int, new: int) -> RegisterState:
     return "half" if row.word(now) in halves else "other"
 
 
-def _in_flash(known: Sequence[Operation], now: Numbers, endurance: int) -> dict[str, int] | None:
+def _in_flash(
+    known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation]
+) -> dict[str, int] | None:
     """Numbers that were put into flash; {} none, so that what was there is there still; None not known."""
     flash: dict[str, int] | None = {}
-    for operation in known:
-        asked = operation.new if operation.op == "write" else operation.old
+    names = tuple(known[-1].old)
+    for operation in sorted((*known, *others), key=lambda one: one.number):
+        own = operation in known
+        asked = operation.target_of_saving if own else {name: operation.beside.get(name) for name in names}
+        certain = None if None in asked.values() else {name: int(n or 0) for name, n in asked.items()}
         if operation.saved:
-            flash = asked
+            flash = certain
         elif Step.SAVING in operation.steps and operation.endurance is not None:
             written = (endurance - operation.endurance) % ENDURANCE_WRAP
             if operation is known[-1] and written == 1 and all(now[k] == asked[k] for k in asked):
-                flash = asked
+                flash = certain
             elif written:
                 # A supply that dipped just before the flash was written may have put the others there.
                 flash = None

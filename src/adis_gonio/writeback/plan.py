@@ -6,27 +6,30 @@ that the fit found then and one LSB of output for one of the register,
     new = o − b / LSB, rounded;    bias afterwards = b + (new − o) LSB, within half an LSB of zero.
 
 The number that stands in the register now does not enter: a plan is absolute, and making it twice gives the
-same.
+same. Zero rates of gyros go the same way, in °/s.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from adis_gonio.errors import SessionError
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session
-from adis_gonio.sensor.registers import ACCEL_OFF, BY_NAME
+from adis_gonio.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, Kind
 from adis_gonio.sensor.variants import VARIANTS, variant
 
 if TYPE_CHECKING:
+    from adis_gonio.calibration.gyros import GyroCalibration
     from adis_gonio.fitting import FitResult
 
 Numbers = Mapping[str, int]
 """Offset registers by name, signed, in LSB."""
 
+UNITS = {"mg": "mg", "dps": "°/s"}
+"""Units as people read them."""
 BIASES = tuple(f"bias_{axis}" for axis in AXES)
 
 
@@ -38,58 +41,61 @@ class AxisPlan:
     ----------
     axis, register : str
         `x` and `XACCL_OFF`.
-    bias_mg, u_mg : float
-        Bias that the fit found and its standard uncertainty, at the number in `recorded`.
+    bias, u : float
+        Bias (zero rate) that was found and its standard uncertainty, at the number in `recorded`.
     recorded, now, new : int
         Number in the register while the session was recorded, as it is now, and as it is to be.
-    lsb_mg : float
-        LSB of register and output.
+    lsb : float
+        What one LSB of the register adds to the output.
     clipped : bool
         True where the register cannot hold the number that would cancel the bias.
+    unit : str
+        Of all these: `mg` or `dps`.
     """
 
     axis: str
     register: str
-    bias_mg: float
-    u_mg: float
+    bias: float
+    u: float
     recorded: int
     now: int
     new: int
-    lsb_mg: float
+    lsb: float
     clipped: bool
+    unit: str = "mg"
 
     @property
-    def effect_mg(self) -> float:
+    def effect(self) -> float:
         """By how much writing moves the output from where it is now."""
-        return (self.new - self.now) * self.lsb_mg
+        return (self.new - self.now) * self.lsb
 
     @property
-    def bias_now_mg(self) -> float:
+    def bias_now(self) -> float:
         """Bias with the number that is in the register now."""
-        return self.bias_mg + (self.now - self.recorded) * self.lsb_mg
+        return self.bias + (self.now - self.recorded) * self.lsb
 
     @property
-    def bias_after_mg(self) -> float:
+    def bias_after(self) -> float:
         """Bias that is left after writing."""
-        return self.bias_mg + (self.new - self.recorded) * self.lsb_mg
+        return self.bias + (self.new - self.recorded) * self.lsb
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        row = BY_NAME[self.register]
+        row, unit = BY_NAME[self.register], self.unit
         return {
             "axis": self.axis,
             "register": self.register,
-            "bias_mg": self.bias_mg,
-            "bias_u_mg": self.u_mg,
+            f"bias_{unit}": self.bias,
+            f"bias_u_{unit}": self.u,
             "recorded": self.recorded,
             "now": self.now,
             "new": self.new,
             "now_word": row.word(self.now),
             "new_word": row.word(self.new),
-            "lsb_mg": self.lsb_mg,
-            "effect_mg": self.effect_mg,
-            "bias_now_mg": self.bias_now_mg,
-            "bias_after_mg": self.bias_after_mg,
+            f"lsb_{unit}": self.lsb,
+            f"effect_{unit}": self.effect,
+            f"bias_now_{unit}": self.bias_now,
+            f"bias_after_{unit}": self.bias_after,
             "clipped": self.clipped,
         }
 
@@ -148,8 +154,8 @@ class WritePlan:
         }
 
 
-def recorded_offsets(session: Session) -> dict[str, int]:
-    """Numbers of the three offset registers while a session was recorded.
+def recorded_offsets(session: Session, names: Sequence[str] = ACCEL_OFF) -> dict[str, int]:
+    """Numbers of three offset registers while a session was recorded.
 
     Raises
     ------
@@ -157,12 +163,12 @@ def recorded_offsets(session: Session) -> dict[str, int]:
         The session does not know them: not recorded by `calibrate`, or from no chip.
     """
     registers = (session.facts.get("registers") or {}).get("configured")
-    if session.sensor not in VARIANTS or not registers or any(name not in registers for name in ACCEL_OFF):
+    if session.sensor not in VARIANTS or not registers or any(name not in registers for name in names):
         raise SessionError(
             f"{session.source or 'session'}: does not hold the sensor's offset registers; write needs a"
             " session file that calibrate has recorded from the chip itself"
         )
-    return {name: int(registers[name]) for name in ACCEL_OFF}
+    return {name: int(registers[name]) for name in names}
 
 
 def plan_offsets(session: Session, result: FitResult, now: Numbers | None = None) -> WritePlan:
@@ -204,6 +210,49 @@ def plan_offsets(session: Session, result: FitResult, now: Numbers | None = None
     return WritePlan(session.source, session.sensor, result.method, tuple(axes), doubts)
 
 
+def plan_gyro_offsets(
+    session: Session, gyro: GyroCalibration, now: Numbers | None = None, doubts: Sequence[str] = ()
+) -> WritePlan:
+    """Plan for the gyros of a session.
+
+    Parameters
+    ----------
+    gyro : GyroCalibration
+        For the offsets that stood while the session was recorded.
+    now : mapping of str to int or None
+        Numbers in the registers now; None as they were then.
+    doubts : sequence of str
+        What speaks against the calibration.
+
+    Raises
+    ------
+    SessionError
+        The session does not hold the registers, or a zero rate is beyond what its register holds: no
+        gyro that works and is at rest has one.
+    """
+    recorded = recorded_offsets(session, GYRO_OFF)
+    held = recorded if now is None else now
+    lsb = variant(session.sensor).lsb(Kind.GYRO_OFFSET)[0]
+    axes = []
+    for axis, register in zip(AXES, GYRO_OFF, strict=True):
+        bias = gyro[f"gyro_bias_{axis}"]
+        new = recorded[register] - round(bias.value / lsb)
+        low, high = BY_NAME[register].range
+        if not low <= new <= high:
+            raise SessionError(
+                f"{session.source}: {bias.name} is {bias.value:.4g} °/s, and {register} holds {low} to"
+                f" {high} ({low * lsb:.1f} to {high * lsb:.1f} °/s): the gyro is broken, or the part turned"
+            )
+        u = float("nan") if bias.u is None else bias.u
+        axes.append(
+            AxisPlan(
+                axis, register, bias.value, u, recorded[register], held[register], new, lsb, False, "dps"
+            )
+        )
+    unsure = (text for axis in axes for text in _unsure(axis))
+    return WritePlan(session.source, session.sensor, gyro.method, tuple(axes), (*doubts, *unsure))
+
+
 def _lacks(session: Session, result: FitResult) -> list[str]:
     """Why the model does not describe the session."""
     lacks = []
@@ -221,10 +270,10 @@ def _lacks(session: Session, result: FitResult) -> list[str]:
 
 def _unsure(axis: AxisPlan) -> list[str]:
     """Why a bias is not known well enough: writing it would as likely do harm as good."""
-    if axis.u_mg != axis.u_mg:
-        return [f"nothing states the uncertainty of bias_{axis.axis}"]
-    if axis.new != axis.recorded and axis.u_mg > abs(axis.bias_mg):
-        return [
-            f"bias_{axis.axis} is {axis.bias_mg:.2g} mg with u = {axis.u_mg:.2g} mg: even its sign is open"
-        ]
+    unit = UNITS[axis.unit]
+    name = f"bias_{axis.axis}" if axis.unit == "mg" else f"gyro_bias_{axis.axis}"
+    if axis.u != axis.u:
+        return [f"nothing states the uncertainty of {name}"]
+    if axis.new != axis.recorded and axis.u > abs(axis.bias):
+        return [f"{name} is {axis.bias:.2g} {unit} with u = {axis.u:.2g} {unit}: even its sign is open"]
     return []

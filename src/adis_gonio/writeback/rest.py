@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Floats
 from adis_gonio.sensor.decoding import ScanBlock, join
 from adis_gonio.sensor.driver import Adis16354
-from adis_gonio.sensor.registers import ACCEL_OUT
+from adis_gonio.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT, Kind
 from adis_gonio.sensor.scanning import ScanStream
 from adis_gonio.sensor.settings import Configuration
 from adis_gonio.sensor.variants import variant
@@ -21,6 +21,7 @@ from adis_gonio.session.stillness import limits_from_noise
 from adis_gonio.session.watch import NoiseMeter, StillnessWatch, white_noise_gain, window_samples
 
 REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
+OF_GYROS = (*REGISTERS, *GYRO_OUT, *TEMP_OUT[1:])
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,12 @@ class Rest:
         Mean reading and its standard uncertainty: the noise, and the rounding where noise does not blur it.
     temperature_c, supply_v : float
     samples : int
+    mean_dps, u_dps : (3,) float or None
+        The same of the gyros, where they were read.
+    sample_dps : (3,) float or None
+        Standard deviation of one sample of the gyros.
+    temperatures_c : (3,) float or None
+        Of the gyros' dies, where they were read.
     """
 
     mean_mg: Floats
@@ -40,19 +47,25 @@ class Rest:
     temperature_c: float
     supply_v: float
     samples: int
+    mean_dps: Floats | None = None
+    u_dps: Floats | None = None
+    sample_dps: Floats | None = None
+    temperatures_c: Floats | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
+        gyros = {"mean_dps": self.mean_dps, "u_dps": self.u_dps}
         return {
             "mean_mg": self.mean_mg.tolist(),
             "u_mg": self.u_mg.tolist(),
             "temperature_c": self.temperature_c,
             "supply_v": self.supply_v,
             "samples": self.samples,
+            **{name: values.tolist() for name, values in gyros.items() if values is not None},
         }
 
 
-def measure(sensor: Adis16354, dwell_s: float, patience_s: float) -> Rest:
+def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool = False) -> Rest:
     """Wait until the part is at rest, then take a dwell with the settings that the sensor has.
 
     Parameters
@@ -61,6 +74,8 @@ def measure(sensor: Adis16354, dwell_s: float, patience_s: float) -> Rest:
         Length of the dwell in s.
     patience_s : float
         How long to wait for rest, in s, beside what the watch needs.
+    gyros : bool
+        Read these too.
 
     Raises
     ------
@@ -79,7 +94,8 @@ def measure(sensor: Adis16354, dwell_s: float, patience_s: float) -> Rest:
         )
     window = window_samples(now)
     block = max(8, window // 2)
-    with sensor.stream(REGISTERS, block_scans=block, leave_registers=True, data_ready=False) as stream:
+    names = OF_GYROS if gyros else REGISTERS
+    with sensor.stream(names, block_scans=block, leave_registers=True, data_ready=False) as stream:
         noise = _noise(sensor, stream, now, patience_s)
         scans = _dwell(sensor, stream, noise, window, dwell_s)
     return _means(scans, now)
@@ -124,16 +140,22 @@ def _dwell(sensor: Adis16354, stream: ScanStream, noise: Floats, window: int, dw
 
 def _means(scans: ScanBlock, now: Configuration) -> Rest:
     values = scans.values()
-    accel = values[:, : len(AXES)]
+    part, k = variant(scans.variant), len(AXES)
+    mean, u, _ = _mean(values[:, :k], part.accel_mg_per_lsb, now)
+    rest = Rest(mean, u, float(values[:, k].mean()), float(values[:, k + 1].mean()), len(scans))
+    if len(scans.registers) == len(REGISTERS):
+        return rest
+    first = len(REGISTERS)
+    lsb = part.lsb(Kind.GYRO, scans.gyro_range_dps or 300)[0]
+    mean, u, sample = _mean(values[:, first : first + k], lsb, now)
+    dies = np.array([rest.temperature_c, *values[:, first + k :].mean(axis=0)])
+    return replace(rest, mean_dps=mean, u_dps=u, sample_dps=sample, temperatures_c=dies)
+
+
+def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Floats, Floats]:
+    """Mean (3,) with its standard uncertainty, and the standard deviation of a sample."""
+    deviation = values.std(axis=0, ddof=1)
     # The filter takes no noise out at the lowest frequencies: a mean is worth one of unfiltered samples.
-    spread = accel.std(axis=0, ddof=1) / white_noise_gain(now.filter_m)
-    lsb = variant(scans.variant).accel_mg_per_lsb
-    blurred = accel.std(axis=0, ddof=1) > lsb
-    rounding = lsb / np.sqrt(12) * np.where(blurred, 1 / np.sqrt(len(scans)), 1.0)
-    return Rest(
-        accel.mean(axis=0),
-        np.hypot(spread / np.sqrt(len(scans)), rounding),
-        float(values[:, len(AXES)].mean()),
-        float(values[:, len(AXES) + 1].mean()),
-        len(scans),
-    )
+    spread = deviation / white_noise_gain(now.filter_m)
+    rounding = lsb / np.sqrt(12) * np.where(deviation > lsb, 1 / np.sqrt(len(values)), 1.0)
+    return values.mean(axis=0), np.hypot(spread / np.sqrt(len(values)), rounding), deviation

@@ -25,10 +25,8 @@ from adis_gonio.errors import (
     UsageError,
     VerifyError,
 )
-from adis_gonio.fitting import fit
-from adis_gonio.fitting.result import FitResult
 from adis_gonio.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354
-from adis_gonio.sensor.registers import ACCEL_OFF, registers
+from adis_gonio.sensor.registers import registers
 from adis_gonio.sensor.undo import Undo
 from adis_gonio.session.archive import Archive
 from adis_gonio.session.bench import Bench
@@ -36,7 +34,8 @@ from adis_gonio.session.faults import SUPPLY_LIMITS_V
 from adis_gonio.session.plans import Position
 from adis_gonio.session.settings import Settings
 from adis_gonio.session.view import ArchiveView
-from adis_gonio.writeback.checks import Comparison, against_session, bias_found, effect_of
+from adis_gonio.writeback.autonull import PRECISE_S, AutonullFound, compared
+from adis_gonio.writeback.checks import Comparison
 from adis_gonio.writeback.journal import (
     Operation,
     Standing,
@@ -47,8 +46,9 @@ from adis_gonio.writeback.journal import (
     to_undo,
 )
 from adis_gonio.writeback.logbook import Journal, load
-from adis_gonio.writeback.plan import WritePlan, plan_offsets, recorded_offsets
-from adis_gonio.writeback.rest import Rest, measure
+from adis_gonio.writeback.parts import Gyros, part_of
+from adis_gonio.writeback.plan import UNITS, WritePlan, recorded_offsets
+from adis_gonio.writeback.rest import Rest
 
 Tell = Callable[[str], None]
 
@@ -74,6 +74,8 @@ class WriteSettings:
         Method of the fit; None the best that the session supports.
     doubtful : bool
         Write although the fit is no sound base.
+    gyros : bool
+        The zero rates of the gyros, in place of the biases of the accelerometers.
     """
 
     save: bool = False
@@ -82,6 +84,7 @@ class WriteSettings:
     patience_s: float = 60.0
     method: str | None = None
     doubtful: bool = False
+    gyros: bool = False
 
 
 @dataclass(frozen=True)
@@ -96,29 +99,41 @@ class Outcome:
         Flash writes.
     checks : tuple of Comparison
         All agree.
-    bias_mg, bias_u_mg : tuple of float
-        Biases (x, y) that the dwell after the write shows by itself, where its angle is known.
+    bias, bias_u : tuple of float
+        Biases (x, y) that the dwell after the write shows by itself, where its angle is known; zero rates
+        (x, y, z) of gyros.
+    unit : str
+        Of these: `mg` or `dps`.
+    autonull : AutonullFound or None
+        What the chip's own null was, where it was asked for.
     """
 
     standing: Standing
     endurance_before: int
     endurance_after: int
     checks: tuple[Comparison, ...] = ()
-    bias_mg: tuple[float, ...] = ()
-    bias_u_mg: tuple[float, ...] = ()
+    bias: tuple[float, ...] = ()
+    bias_u: tuple[float, ...] = ()
+    unit: str = "mg"
+    autonull: AutonullFound | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
+        null = {} if self.autonull is None else {"autonull": self.autonull.as_dict()}
         return {
             "state": self.standing.as_dict(),
             "endurance": {"before": self.endurance_before, "after": self.endurance_after},
             "checks": [check.as_dict() for check in self.checks],
-            "bias_after": {"value_mg": list(self.bias_mg), "u_mg": list(self.bias_u_mg)},
+            "bias_after": {
+                f"value_{self.unit}": list(self.bias),
+                f"u_{self.unit}": list(self.bias_u),
+            },
+            **null,
         }
 
 
 class OffsetWriter:
-    """Writes a session's biases to the sensor that it was recorded from.
+    """Writes a session's biases (or the zero rates of its gyros) to the sensor that it was recorded from.
 
     Parameters
     ----------
@@ -150,7 +165,9 @@ class OffsetWriter:
             self._bench = Bench(sensor, Settings.from_dict(view.header().settings))
             self._bench.require_same_sensor(view)
             self._angle_deg = self._angle(view)
-        self._result: FitResult | None = None
+        own = self.settings
+        self._part = part_of(self.session, gyros=own.gyros, method=own.method, angle_deg=self._angle_deg)
+        recorded_offsets(self.session, self._part.registers)
         self._plan: WritePlan | None = None
         self._before: Rest | None = None
         self._checks: list[Comparison] = []
@@ -159,13 +176,18 @@ class OffsetWriter:
 
     @property
     def known(self) -> tuple[Operation, ...]:
-        """Operations in the journal."""
-        return operations_of(self.session)
+        """Operations in the journal on the registers that are written here."""
+        return operations_of(self.session, self._part.registers)
+
+    @property
+    def others(self) -> tuple[Operation, ...]:
+        """Operations on the registers of the other half of the sensor."""
+        return operations_of(self.session, self._part.others)
 
     def standing(self) -> Standing:
         """What the sensor holds, by its registers, ENDURANCE and the journal."""
         now, endurance = self._read()
-        return standing_of(self.known, now, endurance)
+        return standing_of(self.known, now, endurance, self.others)
 
     def plan(self) -> WritePlan:
         """What is to be written; measures a dwell, writes nothing.
@@ -180,9 +202,10 @@ class OffsetWriter:
         FitError
             The session cannot be fitted, or the part does not stand as in the session.
         """
-        result = self._fit()
         now, endurance = self._read()
-        plan = plan_offsets(self.session, result, now)
+        plan = self._part.plan(now)
+        for remark in self._part.remarks:
+            self._tell(f"gyros: {remark}")
         if plan.doubts and not self.settings.doubtful:
             raise SessionError(
                 f"{self.path}: the fit is no sound base ({'; '.join(plan.doubts)}); see `adis-gonio trace`,"
@@ -200,7 +223,7 @@ class OffsetWriter:
         if self._bench.stage is not None and self._angle_deg is not None:
             self._bench.move_to(Position(self._angle_deg))  # once: a second move would end elsewhere
         before = self._measure("at rest, before")
-        check = against_session(self.session, result, plan, before, self._angle_deg)
+        check = self._part.expected(plan, before)
         self._tell(str(check))
         if not check.agrees:
             raise SessionError(
@@ -230,7 +253,7 @@ class OffsetWriter:
         now, endurance = self._read()
         if {name: now[name] for name in plan.now} != plan.now:
             raise SessionError("the offset registers have changed since the plan was made; plan again")
-        standing = standing_of(self.known, now, endurance)
+        standing = standing_of(self.known, now, endurance, self.others)
         in_flash = standing.registers == "new" and standing.saved is True
         saves = self.settings.save and not in_flash
         if not plan.changes and not saves and not standing.open:
@@ -274,10 +297,10 @@ class OffsetWriter:
         if earlier is None:
             raise SessionError(f"{self.path}: has written nothing that stands, so there is nothing to undo")
         now, endurance = self._read()
-        standing = standing_of(self.known, now, endurance)
+        standing = standing_of(self.known, now, endurance, self.others)
         if standing.registers == "other":
             raise SessionError(f"{self.path}: {standing.text}; nothing was written")
-        saves = self.settings.save or not flash_untouched(self.known, now, endurance)
+        saves = self.settings.save or not flash_untouched(self.known, now, endurance, self.others)
         if saves:
             self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
         operation = Operation(0, "undo", earlier.old, earlier.new, earlier.old, saves, ())
@@ -299,6 +322,60 @@ class OffsetWriter:
                 raise
         return self._outcome(endurance, ((), ()))
 
+    def autonull(self, *, precise: bool = False) -> Outcome:
+        """Let the chip null its gyros, and keep that where it agrees with the session; else set it back.
+
+        The part must be at rest. Its null takes what force adds in this pose for a zero rate, so that it is
+        compared with the session's zero rate here. The part saves it by itself, and with it all registers
+        that have a flash copy; setting back writes the flash once more.
+
+        Parameters
+        ----------
+        precise : bool
+            Over some 30 s, in place of the filter's mean.
+
+        Raises
+        ------
+        UsageError
+            `plan` was not called, is used up, or is one of the accelerometers.
+        VerifyError
+            It disagrees beyond the uncertainty; the message says by how much, and what the sensor holds.
+        SessionError, ChipError, BusError, KeyboardInterrupt
+            Something broke it off. The message ends with what the sensor holds then.
+        """
+        plan, self._plan = self._plan, None
+        before, part = self._before, self._part
+        if plan is None or before is None or not isinstance(part, Gyros):
+            raise UsageError("make a plan of the gyros first: plan() takes what the null is compared with")
+        now, endurance = self._read()
+        if endurance + 1 >= FLASH_LIFE:
+            raise ChipError(f"ENDURANCE is {endurance}: the flash is made for {FLASH_LIFE} writes")
+        self._require_supply(before.supply_v)
+        operation = Operation(0, "autonull", now, now, now, True, ())
+        with self._journal(operation) as journal:
+            journal.note(Step.SAVING, endurance=endurance, beside=self._beside())
+            try:
+                _ = self.sensor.precision_autonull() if precise else self.sensor.autonull()
+                nulled, after = self._read()
+                journal.note(Step.SAVED, new=nulled, endurance_after=after)
+                journal.note(Step.DONE)
+            except AdisGonioError as error:
+                raise type(error)(f"{error}; {self._told()}") from error
+            except KeyboardInterrupt:
+                self._tell(self._told())
+                raise
+        self.session = load(self.path)
+        rate = self.sensor.configuration().sample_rate_hz
+        found = compared(part, plan, before, nulled, PRECISE_S * rate if precise else None)
+        self._tell(f"the chip's null is {_listed(nulled)}; {found}")
+        if not found.agrees:
+            undone = self.undo()
+            raise VerifyError(
+                f"the chip's null is not kept: it is off by {found.by} where u is that of both; "
+                f"{undone.standing.text}"
+            )
+        return replace(self._outcome(endurance, ((), ())), autonull=found)
+
     # -- steps ----------------------------------------------------------------------------------------
 
     def _put(self, plan: WritePlan) -> None:
@@ -315,23 +392,24 @@ class OffsetWriter:
         if self._before is None:
             raise UsageError("make a plan first: plan() takes the dwell before")
         after = self._measure("at rest, after")
-        done, result = plan.carried_out, self._fit()
-        checks = [
-            effect_of(plan, self._before, after),
-            against_session(self.session, result, done, after, self._angle_deg),
-        ]
+        done = plan.carried_out
+        checks = [self._part.effect(plan, self._before, after), self._part.expected(done, after)]
         for check in checks:
             self._tell(str(check))
             if not check.agrees:
                 raise VerifyError(f"{check}: not what was planned")
         self._checks += checks
-        if self._angle_deg is None or self.session.plane != "xy" or "alpha" not in result:
+        found = self._part.found(done, after)
+        if found is None:
             return (), ()
-        value, u = bias_found(self.session, result, done, after, self._angle_deg)
-        x, y = (f"{v:+.2f} mg (u {s:.2g} mg)" for v, s in zip(value, u, strict=True))
-        lsb = plan.axes[0].lsb_mg
+        value, u = found
+        unit, places = UNITS[self._part.unit], 2 if self._part.unit == "mg" else 3
+        each = zip("XYZ", value, u, strict=False)
+        told = ", ".join(f"{axis} {v:+.{places}f} {unit} (u {s:.2g} {unit})" for axis, v, s in each)
+        lsb = plan.axes[0].lsb
         near = "zero" if (abs(value) <= lsb + 2 * u).all() else "not zero"
-        self._tell(f"bias by this dwell alone: X {x}, Y {y}: {near} within an LSB ({lsb:.4g} mg) and 2 u")
+        what = "bias" if self._part.unit == "mg" else "zero rate"
+        self._tell(f"{what} by this dwell alone: {told}: {near} within an LSB ({lsb:.4g} {unit}) and 2 u")
         return tuple(value.tolist()), tuple(u.tolist())
 
     def _save(self, journal: Journal, numbers: dict[str, int]) -> None:
@@ -339,7 +417,7 @@ class OffsetWriter:
         self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
         now, endurance = self._read()
         _require(now, numbers, "changed by themselves before they were saved")
-        journal.note(Step.SAVING, endurance=endurance)
+        journal.note(Step.SAVING, endurance=endurance, beside=self._beside())
         after = self.sensor.save_to_flash()
         now, _ = self._read()
         _require(now, numbers, "changed while they were saved")
@@ -384,8 +462,8 @@ class OffsetWriter:
     def _outcome(self, endurance: int, bias: tuple[tuple[float, ...], tuple[float, ...]]) -> Outcome:
         self.session = load(self.path)
         now, after = self._read()
-        standing = standing_of(self.known, now, after)
-        return Outcome(standing, endurance, after, tuple(self._checks), *bias)
+        standing = standing_of(self.known, now, after, self.others)
+        return Outcome(standing, endurance, after, tuple(self._checks), *bias, self._part.unit)
 
     def _told(self) -> str:
         """What the sensor holds now, as far as it still says so."""
@@ -397,11 +475,6 @@ class OffsetWriter:
                 "what the sensor holds cannot be read now: `adis-gonio write` with --status says it later"
             )
 
-    def _fit(self) -> FitResult:
-        if self._result is None:
-            self._result = fit(self.session, self.settings.method)
-        return self._result
-
     def _angle(self, view: ArchiveView) -> float | None:
         given = self.settings.angle_deg
         if given is not None or self._bench.stage is None or self.session.plane != "xy":
@@ -410,7 +483,7 @@ class OffsetWriter:
 
     def _measure(self, what: str) -> Rest:
         self._tell(f"{what}: {self.settings.dwell_s:g} s")
-        rest = measure(self.sensor, self.settings.dwell_s, self.settings.patience_s)
+        rest = self._part.measure(self.sensor, self.settings.dwell_s, self.settings.patience_s)
         self._require_supply(rest.supply_v)
         return rest
 
@@ -419,7 +492,8 @@ class OffsetWriter:
 
         SENS_AVG behind them tells that the part answered to the end.
         """
-        rows = registers((*ACCEL_OFF, "ENDURANCE", "SENS_AVG"))
+        names = self._part.registers
+        rows = registers((*names, "ENDURANCE", "SENS_AVG"))
         words: list[int] = []
         for _ in range(_READINGS):
             before, words = words, self.sensor.read_words(rows)
@@ -430,7 +504,13 @@ class OffsetWriter:
         else:
             raise VerifyError("the registers read otherwise each time; check supply and wires")
         numbers = {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
-        return {name: numbers[name] for name in ACCEL_OFF}, numbers["ENDURANCE"]
+        return {name: numbers[name] for name in names}, numbers["ENDURANCE"]
+
+    def _beside(self) -> dict[str, int]:
+        """Offsets of the other half of the sensor, which a flash update takes along."""
+        rows = registers(self._part.others)
+        words = self.sensor.read_words(rows)
+        return {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
 
     def _holds(self, numbers: dict[str, int]) -> bool:
         now, _ = self._read()
@@ -438,7 +518,7 @@ class OffsetWriter:
 
     def _require_explained(self, now: dict[str, int]) -> None:
         """Refuse registers that are neither the session's nor what its journal left there."""
-        recorded, known = recorded_offsets(self.session), self.known
+        recorded, known = recorded_offsets(self.session, self._part.registers), self.known
         standing = standing_of(known, now, 0)
         written = set(known[-1].new) if known and standing.registers in ("old", "new", "half") else set()
         for name, number in recorded.items():
@@ -456,11 +536,12 @@ class OffsetWriter:
 
     @contextlib.contextmanager
     def _journal(self, planned: Operation, **facts: Any) -> Iterator[Journal]:
-        operation = replace(planned, number=self.known[-1].number + 1 if self.known else 1)
+        last = max((one.number for one in (*self.known, *self.others)), default=0)
+        operation = replace(planned, number=last + 1)
         with Archive.open_existing(self.path) as archive:
             now_s = self.sensor.bus.now_s()
-            last = max((attempt.number for attempt in archive.dwells()), default=0)
-            archive.begin_run(now_s, self._bench.clock_offset(archive, now_s), last)
+            dwell = max((attempt.number for attempt in archive.dwells()), default=0)
+            archive.begin_run(now_s, self._bench.clock_offset(archive, now_s), dwell)
             journal = Journal(archive, operation, self.sensor.bus.now_s)
             journal.note(
                 Step.PLANNED,

@@ -13,8 +13,8 @@ Where an effect enters
     within the dwells.
 
 Units
-    Readings are in mg (thousandths of the standard gravity), angles in radians, parameters in the unit that
-    `Parameter.unit` says.
+    Readings are in mg (thousandths of the standard gravity) for an effect of the accelerometers, in °/s for
+    one of the gyros (`Effect.parts`); angles in radians, parameters in the unit that `Parameter.unit` says.
 
 Another package adds an effect by an entry point of group `adis_gonio.effects`.
 """
@@ -100,6 +100,14 @@ class Conditions:
     temperature_history : tuple of (m,) float, (m,) float
         Times (increasing, on the clock of `time_s`) and temperatures of the whole session, for effects
         with memory.
+    temperatures_c : (n, 3) float
+        Temperatures of the dies of the three gyros, of which `temperature_c` is the mean.
+    force_g : (n, 3) float
+        What the accelerometers read, in g.
+    rate_dps : (n, 3) float
+        True mean rate of turn in °/s, about the axes of the accelerometers; 0 at rest.
+    abs_rate_dps : (n, 3) float
+        Mean of the modulus of that rate; None: that of the mean.
     load_history : tuple of (m,) float, (m, axes) float
         The same of what the axes read, in mg.
     variance_mg2 : (n, axes) float
@@ -122,6 +130,10 @@ class Conditions:
     temperature_history: tuple[Floats, Floats] | None = None
     load_history: tuple[Floats, Floats] | None = None
     variance_mg2: Floats | None = None
+    temperatures_c: Floats | None = None
+    force_g: Floats | None = None
+    rate_dps: Floats | None = None
+    abs_rate_dps: Floats | None = None
 
     def __post_init__(self) -> None:
         for name, rows in self._rows().items():
@@ -190,6 +202,10 @@ class Effect(ABC):
     """True where a candidate acts on one axis only, since on several it holds another cause besides."""
     within_dwell: ClassVar[bool] = False
     """True where its trace stands among the samples of a dwell rather than between readings."""
+    parts: ClassVar[tuple[str, ...]] = ("accelerometer",)
+    """Parts of the sensor that it is an effect of, as `Measurement.part` names them."""
+    options: ClassVar[dict[str, tuple[int, ...]]] = {}
+    """Values that a choice can have in any session."""
 
     def __post_init__(self) -> None:
         unknown = [axis for axis in self.axes if axis not in AXES]
@@ -208,6 +224,11 @@ class Effect(ABC):
         """Names of the fields beside `axes`, all whole numbers."""
         return tuple(f.name for f in fields(cls) if f.init and f.name != "axes")
 
+    @classmethod
+    def of_part(cls, part: str) -> type[Effect] | None:
+        """The effect as the readings of a part have it; None where it is no effect of that part."""
+        return cls if part in cls.parts else None
+
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
@@ -217,23 +238,23 @@ class Effect(ABC):
         """Angle (n,) in rad that is added to the true angle of the part; `Enters.ATTITUDE` only."""
         return np.zeros(len(conditions))
 
-    def reading_mg(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
-        """What is added to the readings, (n, axes) in mg; `Enters.READING` only.
+    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """What is added to the readings, (n, axes) in their unit; `Enters.READING` only.
 
         Parameters
         ----------
         values : (p,) float
             Parameters in the order of `parameters`.
-        ideal_mg : (n, axes) float
-            What each axis of the sensor should read (after gain and misalignment), in mg; two columns
-            x, y or three x, y, z.
+        ideal : (n, axes) float
+            What each axis of the sensor should read (after gain and misalignment); two columns x, y or
+            three x, y, z.
 
         Raises
         ------
         UsageError
-            A covariate was not recorded, or `ideal_mg` has no column for one of the axes.
+            A covariate was not recorded, or `ideal` has no column for one of the axes.
         """
-        return np.zeros_like(ideal_mg)
+        return np.zeros_like(ideal)
 
     def samples_mg(
         self, values: Floats, samples_mg: Floats, conditions: Conditions, rng: np.random.Generator
@@ -241,8 +262,8 @@ class Effect(ABC):
         """Changed samples (n, axes) in mg; `Enters.SAMPLES` only."""
         return samples_mg
 
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
-        """∂(attitude_rad or reading_mg)/∂parameters.
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """∂(attitude_rad or reading)/∂parameters.
 
         By central differences unless an effect overrides it, as every effect of this package does.
 
@@ -266,9 +287,7 @@ class Effect(ABC):
             if self.enters is Enters.ATTITUDE:
                 difference = self.attitude_rad(up, conditions) - self.attitude_rad(down, conditions)
             else:
-                difference = self.reading_mg(up, ideal_mg, conditions) - self.reading_mg(
-                    down, ideal_mg, conditions
-                )
+                difference = self.reading(up, ideal, conditions) - self.reading(down, ideal, conditions)
             columns.append(difference / (2 * step))
         return np.stack(columns, axis=-1)
 

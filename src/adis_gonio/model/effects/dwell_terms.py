@@ -189,8 +189,15 @@ class OutlierDwell(LinearAxisEffect):
     )
     needs = ("order",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("offset", "mg", -4000.0, 4000.0, 5.0),)
+    elsewhere: ClassVar[dict[str, type[Effect]]] = {}
+    """The same of other parts, whose readings have another unit."""
 
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    @classmethod
+    def of_part(cls, part: str) -> type[Effect] | None:
+        """Its own class, or that of another part."""
+        return super().of_part(part) or cls.elsewhere.get(part)
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """One in the dwell, zero elsewhere."""
         return ((conditions.covariate("order") == self.dwell).astype(float),)
 

@@ -59,7 +59,7 @@ class BiasTemperature(LinearAxisEffect):
         """Coefficients up to `degree`."""
         return self.coefficients[: self.degree]
 
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Powers of T − 25 °C."""
         above = conditions.covariate("temperature_c") - REFERENCE_C
         return tuple(above**power for power in range(1, self.degree + 1))
@@ -80,9 +80,9 @@ class ScaleTemperature(LinearAxisEffect):
         Parameter("scale_tempco", "ppm/°C", -2000.0, 2000.0, 40.0),
     )
 
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Reading times T − 25 °C, per ppm."""
-        return (1e-6 * (conditions.covariate("temperature_c") - REFERENCE_C) * ideal_mg[:, axis],)
+        return (1e-6 * (conditions.covariate("temperature_c") - REFERENCE_C) * ideal[:, axis],)
 
 
 class MisalignmentTemperature(CrossEffect):
@@ -151,7 +151,7 @@ class SupplyBias(LinearAxisEffect):
     needs = ("supply_v",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("supply", "mg/V", -500.0, 500.0, 5.0),)
 
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """V − 5 V."""
         return (conditions.covariate("supply_v") - REFERENCE_V,)
 
@@ -172,9 +172,9 @@ class SupplyScale(LinearAxisEffect):
         Parameter("supply_scale", "ppm/V", -500000.0, 500000.0, 2000.0),
     )
 
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Reading times V − 5 V, per ppm."""
-        return (1e-6 * (conditions.covariate("supply_v") - REFERENCE_V) * ideal_mg[:, axis],)
+        return (1e-6 * (conditions.covariate("supply_v") - REFERENCE_V) * ideal[:, axis],)
 
 
 class BiasDrift(LinearAxisEffect):
@@ -189,7 +189,7 @@ class BiasDrift(LinearAxisEffect):
     )
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("drift", "mg/min", -50.0, 50.0, 0.05),)
 
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Time in minutes."""
         return (conditions.time_s / 60.0,)
 
@@ -209,9 +209,9 @@ class ScaleDrift(LinearAxisEffect):
         Parameter("scale_drift", "ppm/min", -50000.0, 50000.0, 50.0),
     )
 
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Reading times minutes, per ppm."""
-        return (1e-6 * conditions.time_s / 60.0 * ideal_mg[:, axis],)
+        return (1e-6 * conditions.time_s / 60.0 * ideal[:, axis],)
 
 
 class WarmUp(CourseEffect):
@@ -255,13 +255,13 @@ class Gravity(Effect):
         """Relative error of the declared gravity."""
         return (Parameter("gravity", "1", -0.01, 0.01, 0.001),)
 
-    def reading_mg(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Relative error times the reading, (n, axes) in mg."""
-        return ideal_mg * float(values[0])
+        return ideal * float(values[0])
 
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """The readings themselves, (n, axes, 1)."""
-        return ideal_mg[:, :, None].copy()
+        return ideal[:, :, None].copy()
 
 
 EFFECTS: tuple[type[Effect], ...] = (

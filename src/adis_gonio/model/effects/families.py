@@ -49,25 +49,25 @@ class LinearAxisEffect(AxisEffect):
         return by_letters(self.active(), self.axes)
 
     @abstractmethod
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Basis functions (n,) of column `axis`, one a coefficient in use."""
 
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Basis functions (n, axes, p) of the readings; `values` do not matter, the effect is linear."""
-        columns = self.columns_of(ideal_mg)
+        columns = self.columns_of(ideal)
         count = len(self.active())
-        design = np.zeros((*ideal_mg.shape, count * len(columns)))
+        design = np.zeros((*ideal.shape, count * len(columns)))
         for k, column in enumerate(columns):
-            for j, rows in enumerate(self.basis(column, ideal_mg, conditions)):
+            for j, rows in enumerate(self.basis(column, ideal, conditions)):
                 design[:, column, k * count + j] = rows
         return design
 
-    def reading_mg(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Sum of the basis functions, (n, axes) in mg."""
-        added = np.zeros(ideal_mg.shape)
+        added = np.zeros(ideal.shape)
         by_axis = np.reshape(values, (len(self.axes), -1))
-        for k, column in enumerate(self.columns_of(ideal_mg)):
-            for value, rows in zip(by_axis[k], self.basis(column, ideal_mg, conditions), strict=True):
+        for k, column in enumerate(self.columns_of(ideal)):
+            for value, rows in zip(by_axis[k], self.basis(column, ideal, conditions), strict=True):
                 added[:, column] += value * rows
         return added
 
@@ -96,23 +96,23 @@ class CrossEffect(AxisEffect):
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
         """Basis function (n,) of the axis' own ideal reading, the one across and the conditions."""
 
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Basis functions (n, axes, p) of the readings; `values` do not matter, the effect is linear."""
-        self.columns_of(ideal_mg)
+        self.columns_of(ideal)
         pairs = self.pairs()
-        design = np.zeros((*ideal_mg.shape, len(pairs)))
+        design = np.zeros((*ideal.shape, len(pairs)))
         for k, (axis, other) in enumerate(pairs):
             i, p = AXES.index(axis), AXES.index(other)
-            design[:, i, k] = self.basis(ideal_mg[:, i], ideal_mg[:, p], conditions)
+            design[:, i, k] = self.basis(ideal[:, i], ideal[:, p], conditions)
         return design
 
-    def reading_mg(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Sum of the basis functions, (n, axes) in mg."""
-        self.columns_of(ideal_mg)
-        added = np.zeros(ideal_mg.shape)
+        self.columns_of(ideal)
+        added = np.zeros(ideal.shape)
         for value, (axis, other) in zip(values, self.pairs(), strict=True):
             i, p = AXES.index(axis), AXES.index(other)
-            added[:, i] += value * self.basis(ideal_mg[:, i], ideal_mg[:, p], conditions)
+            added[:, i] += value * self.basis(ideal[:, i], ideal[:, p], conditions)
         return added
 
 
@@ -132,18 +132,18 @@ class CourseEffect(AxisEffect):
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
         """Course (n,) and its derivative (n,) by the shape."""
 
-    def reading_mg(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Amplitude times course, (n, axes) in mg."""
         course, _ = self.course(float(values[-1]), conditions)
-        added = np.zeros(ideal_mg.shape)
-        added[:, self.columns_of(ideal_mg)] = course[:, None] * values[:-1]
+        added = np.zeros(ideal.shape)
+        added[:, self.columns_of(ideal)] = course[:, None] * values[:-1]
         return added
 
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Derivative (n, axes, p): the course by the amplitudes, its slope by the shape."""
         course, slope = self.course(float(values[-1]), conditions)
-        design = np.zeros((*ideal_mg.shape, len(values)))
-        for k, column in enumerate(self.columns_of(ideal_mg)):
+        design = np.zeros((*ideal.shape, len(values)))
+        for k, column in enumerate(self.columns_of(ideal)):
             design[:, column, k] = course
             design[:, column, -1] = values[k] * slope
         return design
@@ -166,7 +166,7 @@ class StageEffect(Effect):
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
         """Basis functions (n,), without unit."""
 
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Derivative (n, p) of the angle, in rad per degree of each coefficient."""
         return np.deg2rad(np.stack(self.basis(conditions), axis=-1))
 

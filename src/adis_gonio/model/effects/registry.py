@@ -6,20 +6,27 @@ from collections.abc import Sequence
 from importlib.metadata import entry_points
 
 from adis_gonio.errors import UsageError
-from adis_gonio.model.effects import dwell_terms, environment, sensor_terms, stage
+from adis_gonio.model.effects import dwell_terms, environment, gyro_terms, sensor_terms, stage
 from adis_gonio.model.effects.base import AXES, Effect, did_you_mean
 from adis_gonio.model.records import Floats
 
 ENTRY_POINT_GROUP = "adis_gonio.effects"
 
 BUILT_IN: dict[str, type[Effect]] = {
-    kind.name: kind for module in (sensor_terms, environment, stage, dwell_terms) for kind in module.EFFECTS
+    kind.name: kind
+    for module in (sensor_terms, environment, stage, dwell_terms, gyro_terms)
+    for kind in module.EFFECTS
 }
 """Effects of this package, by cause."""
 
 
-def catalogue() -> dict[str, type[Effect]]:
+def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
     """Every effect that is installed, by name: the built-in ones, then those of other packages.
+
+    Parameters
+    ----------
+    part : str, optional
+        Only the effects of this part of the sensor, as its readings have them (`Measurement.part`).
 
     Raises
     ------
@@ -40,7 +47,10 @@ def catalogue() -> dict[str, type[Effect]]:
         if point.name in found and found[point.name] is not kind:
             raise UsageError(f"effect '{point.name}' of {point.value}: the name is taken")
         found[point.name] = kind
-    return found
+    if part is None:
+        return found
+    own = {name: kind.of_part(part) for name, kind in found.items()}
+    return {name: kind for name, kind in own.items() if kind is not None}
 
 
 def effect(name: str, axes: Sequence[str] = ("x", "y"), **choices: int) -> Effect:

@@ -28,9 +28,9 @@ class Bias(LinearAxisEffect):
     )
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("bias", "mg", -1000.0, 1000.0, 10.0),)
 
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """One."""
-        return (np.ones(len(ideal_mg)),)
+        return (np.ones(len(ideal)),)
 
 
 class Scale(LinearAxisEffect):
@@ -45,9 +45,9 @@ class Scale(LinearAxisEffect):
     )
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("scale", "1", -0.1, 0.1, 0.001),)
 
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """The ideal reading."""
-        return (ideal_mg[:, axis],)
+        return (ideal[:, axis],)
 
 
 class Misalignment(CrossEffect):
@@ -107,9 +107,9 @@ class Quadratic(LinearAxisEffect):
     )
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("k2", "mg/g²", -100.0, 100.0, 1.0),)
 
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Square of the reading in g²."""
-        return ((ideal_mg[:, axis] / MG_PER_G) ** 2,)
+        return ((ideal[:, axis] / MG_PER_G) ** 2,)
 
 
 class Cubic(LinearAxisEffect):
@@ -124,9 +124,9 @@ class Cubic(LinearAxisEffect):
     )
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("k3", "mg/g³", -100.0, 100.0, 0.7),)
 
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Cube of the reading in g³."""
-        return ((ideal_mg[:, axis] / MG_PER_G) ** 3,)
+        return ((ideal[:, axis] / MG_PER_G) ** 3,)
 
 
 class Asymmetry(LinearAxisEffect):
@@ -141,9 +141,9 @@ class Asymmetry(LinearAxisEffect):
     )
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("asymmetry", "mg/g", -100.0, 100.0, 1.0),)
 
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Modulus of the reading in g."""
-        return (np.abs(ideal_mg[:, axis]) / MG_PER_G,)
+        return (np.abs(ideal[:, axis]) / MG_PER_G,)
 
 
 class CrossQuadratic(CrossEffect):
@@ -176,7 +176,7 @@ class VibrationRectification(LinearAxisEffect):
     needs = ("variance_mg2",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("vre", "mg/g²", -5000.0, 5000.0, 10.0),)
 
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Variance in g²."""
         return (conditions.covariate("variance_mg2")[:, axis] / MG_PER_G**2,)
 

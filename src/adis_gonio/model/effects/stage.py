@@ -194,7 +194,7 @@ class Hysteresis(LinearAxisEffect):
     needs = ("approach",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("hysteresis", "mg", -200.0, 200.0, 0.5),)
 
-    def basis(self, axis: int, ideal_mg: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Half of the direction of approach."""
         return (0.5 * conditions.covariate("approach"),)
 
@@ -236,19 +236,19 @@ class Creep(AxisEffect):
         late, by_tau = lagged(times, loads[:, column], c.time_s, tau_s)
         return (late - own_mg) / MG_PER_G, by_tau / MG_PER_G
 
-    def reading_mg(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """What the axes still lack, (n, axes) in mg."""
-        added = np.zeros(ideal_mg.shape)
-        for value, column in zip(values[:-1], self.columns_of(ideal_mg), strict=True):
-            course, _ = self._course(column, float(values[-1]), ideal_mg[:, column], conditions)
+        added = np.zeros(ideal.shape)
+        for value, column in zip(values[:-1], self.columns_of(ideal), strict=True):
+            course, _ = self._course(column, float(values[-1]), ideal[:, column], conditions)
             added[:, column] = value * course
         return added
 
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Derivative (n, axes, p): the course by the amplitudes, its slope by τ."""
-        design = np.zeros((*ideal_mg.shape, len(values)))
-        for k, column in enumerate(self.columns_of(ideal_mg)):
-            course, slope = self._course(column, float(values[-1]), ideal_mg[:, column], conditions)
+        design = np.zeros((*ideal.shape, len(values)))
+        for k, column in enumerate(self.columns_of(ideal)):
+            course, slope = self._course(column, float(values[-1]), ideal[:, column], conditions)
             design[:, column, k] = course
             design[:, column, -1] = values[k] * slope
         return design
@@ -283,30 +283,30 @@ class AxisTilt(Effect):
         return (Parameter("tilt", "deg", -45.0, 45.0, 0.5),)
 
     @staticmethod
-    def _parts(ideal_mg: Floats) -> tuple[Floats, Floats, Floats]:
+    def _parts(ideal: Floats) -> tuple[Floats, Floats, Floats]:
         """Unit vector in the plane (n, 2), its modulus (n, 1) and the reading along the axis (n, 1)."""
-        rho = np.hypot(ideal_mg[:, 0], ideal_mg[:, 1])[:, None]
-        unit = np.divide(ideal_mg[:, :2], rho, out=np.zeros((len(rho), 2)), where=rho > 0)
-        along = ideal_mg[:, 2:3] if ideal_mg.shape[1] > 2 else np.zeros_like(rho)
+        rho = np.hypot(ideal[:, 0], ideal[:, 1])[:, None]
+        unit = np.divide(ideal[:, :2], rho, out=np.zeros((len(rho), 2)), where=rho > 0)
+        along = ideal[:, 2:3] if ideal.shape[1] > 2 else np.zeros_like(rho)
         return unit, rho, along
 
-    def reading_mg(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Rotated minus ideal readings, (n, axes) in mg."""
         tilt = np.deg2rad(values[0])
-        unit, rho, along = self._parts(ideal_mg)
+        unit, rho, along = self._parts(ideal)
         # 2 sin²(ε/2) is 1 − cos ε without its cancellation at small angles.
         loss, rise = 2 * np.sin(tilt / 2) ** 2, np.sin(tilt)
         added = np.hstack([unit * (-rho * loss - along * rise), rho * rise - along * loss])
-        seen: Floats = added[:, : ideal_mg.shape[1]]
+        seen: Floats = added[:, : ideal.shape[1]]
         return seen
 
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Derivative (n, axes, 1) in mg per degree; zero in x and y at ε = 0 and a_z = 0."""
         tilt = np.deg2rad(values[0])
-        unit, rho, along = self._parts(ideal_mg)
+        unit, rho, along = self._parts(ideal)
         in_plane = unit * (-rho * np.sin(tilt) - along * np.cos(tilt))
         by_radian = np.hstack([in_plane, rho * np.cos(tilt) - along * np.sin(tilt)])
-        by_degree: Floats = np.deg2rad(by_radian[:, : ideal_mg.shape[1], None])
+        by_degree: Floats = np.deg2rad(by_radian[:, : ideal.shape[1], None])
         return by_degree
 
 

@@ -4,7 +4,8 @@ Where: a bias of an axis, a gain of an axis, its misalignment against the others
 power, modulus or sign of the reading; a harmonic of the stage; temperature, time, supply, approach, the
 previous position, the temperature's rate, products of two; by a line, a power, a step, a knee, an
 exponential, a lag, an oscillation, a bump; and smooth functions (polynomials of growing degree), which
-stand for everything that no formula names.
+stand for everything that no formula names. What takes the place of the reading is a fact of the measurement
+(`Measurement.driven_by`): of a gyro force and rotation.
 
 Covariates are used in normal form: centred on the middle of what the session saw and scaled to ±1, except
 where a zero means something (25 °C, 5 V, the session's start). A function whose zero means nothing also
@@ -15,21 +16,21 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Basis, Local, NamelessTerm, Term, Where
-from adis_gonio.model.effects import Conditions
+from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.effects.lag import lagged
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.candidates import shapes
 from adis_gonio.tracing.thresholds import limits
 
-COMMON = ("reading", "angle", "time", "temperature")
+COMMON = ("reading", "force", "rotation", "angle", "time", "temperature")
 """Covariates of full weight; supply, approach, memory and products are less likely causes."""
 
 EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "misalignment", "angle")
@@ -47,7 +48,7 @@ class _Made:
 
 def nameless_terms(data: Readings) -> list[NamelessTerm]:
     """All nameless candidates of a session with their price."""
-    made = [m for m in _bases(data) if not _one_dwell(m.basis, data.conditions)]
+    made = [m for m in _bases(data) if _new(m, data)]
     families = sorted({m.family for m in made})
     weight = {family: 1.0 if family in COMMON else limits.family_weight for family in families}
     total = sum(weight.values())
@@ -74,10 +75,16 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
         for m, where, subset in members:
             axes = "".join("xyz"[k] for k in subset)
             label = f"{where}[{axes}]~{m.basis.form}" if axes else f"{where}~{m.basis.form}"
-            terms.append(
-                NamelessTerm(label, m.basis.covariates, -math.log(share), where, subset, marked[id(m)])
-            )
+            term = NamelessTerm(label, m.basis.covariates, -math.log(share), where, subset, marked[id(m)])
+            terms.append(replace(term, stimulus=data.model.stimulus))
     return terms
+
+
+def _new(made: _Made, data: Readings) -> bool:
+    """False for functions of one dwell, and with a constant where the base model has it already."""
+    if data.model.constant and made.basis.with_constant:
+        return False
+    return not _one_dwell(made.basis, data.conditions)
 
 
 def of_one_dwell(term: Term, conditions: Conditions) -> bool:
@@ -97,7 +104,8 @@ def _one_dwell(basis: Basis, conditions: Conditions) -> bool:
 
 def _bases(data: Readings) -> Iterator[_Made]:
     conditions = data.conditions
-    yield from _of_reading(data)
+    for driver in data.model.driven_by:
+        yield from _DRIVERS[driver](data)
     if conditions.angle_rad is not None:
         yield from _of_angle(data)
     yield from _of_time(data)
@@ -139,7 +147,7 @@ def _both(
     covariates: tuple[str, ...],
     form: str,
     function: Callable[[Conditions], Floats],
-    named: tuple[Where, ...] = (),
+    named: Sequence[str] = (),
     local: Local = "",
 ) -> Iterator[_Made]:
     """A formula as it stands, and with a constant beside it where a constant is not in the base model.
@@ -237,6 +245,100 @@ def _of_reading(data: Readings) -> Iterator[_Made]:
         )
 
 
+def _of_force(data: Readings) -> Iterator[_Made]:
+    """Functions of what the accelerometers read; the components and their squares have names."""
+    force = data.conditions.force_g
+    if force is None:
+        return
+
+    def of(function: Callable[[Floats], Floats]) -> Callable[[Conditions], Floats]:
+        return lambda c: function(c.covariate("force_g"))[:, None]
+
+    def one(k: int, function: Callable[[Floats], Floats]) -> Callable[[Conditions], Floats]:
+        return of(lambda f: function(f[:, k]))
+
+    moving = [k for k in range(3) if np.ptp(force[:, k]) > 0]
+    single: dict[str, Callable[[Floats], Floats]] = {
+        "f³": lambda f: f**3,
+        "|f|": np.abs,
+        "f|f|": lambda f: f * np.abs(f),
+        "sign f": np.sign,
+        "max(f, 0)": lambda f: np.maximum(f, 0),
+        "max(f, 0)²": lambda f: np.maximum(f, 0) ** 2,
+        "min(f, 0)²": lambda f: np.minimum(f, 0) ** 2,
+    }
+    made = [
+        (form.replace("f", f"f_{AXES[k]}"), one(k, function))
+        for form, function in single.items()
+        for k in moving
+    ]
+    for j, k in itertools.combinations(moving, 2):
+        made.append((f"f_{AXES[j]} f_{AXES[k]}", _monomials([(j, k)])))
+        made.append((f"(f_{AXES[j]}² − f_{AXES[k]}²)/2", _difference(j, k)))
+    for form, function in made:
+        yield _Made("force", False, Basis(form, ("force",), function), ("bias", "gain"))
+    for degree in (2, 3):
+        powers = _powers(moving, degree)
+        if len(powers) < len(data):
+            form = f"a smooth function of the force (degree {degree})"
+            yield _Made("force", True, Basis(form, ("force",), _monomials(powers)), ("bias",))
+
+
+def _difference(j: int, k: int) -> Callable[[Conditions], Floats]:
+    """Half the difference of the squares of two components."""
+
+    def column(c: Conditions) -> Floats:
+        force = c.covariate("force_g")
+        return (force[:, [j]] ** 2 - force[:, [k]] ** 2) / 2
+
+    return column
+
+
+def _powers(moving: Sequence[int], degree: int) -> list[tuple[int, ...]]:
+    """Products of up to `degree` components; z² is left out where 1 g has it: x² + y² + z²."""
+    made = [
+        parts
+        for count in range(1, degree + 1)
+        for parts in itertools.combinations_with_replacement(moving, count)
+    ]
+    return [parts for parts in made if len(moving) < 3 or parts.count(2) < 2]
+
+
+def _monomials(powers: Sequence[tuple[int, ...]]) -> Callable[[Conditions], Floats]:
+    def columns(c: Conditions) -> Floats:
+        force = c.covariate("force_g")
+        return np.stack([force[:, list(parts)].prod(axis=1) for parts in powers], axis=1)
+
+    return columns
+
+
+def _of_rotation(data: Readings) -> Iterator[_Made]:
+    """Functions of the rate about the axis itself; the line and the modulus have names."""
+    if data.conditions.rate_dps is None or not np.abs(data.conditions.rate_dps).max() > 0:
+        return
+    curves: dict[str, Callable[[Floats], Floats]] = {
+        "ω²": lambda w: w**2,
+        "ω³": lambda w: w**3,
+        "ω|ω|": lambda w: w * np.abs(w),
+        "sign ω": np.sign,
+        "|sign ω|": lambda w: np.abs(np.sign(w)),
+    }
+
+    def own(function: Callable[[Floats], Floats]) -> Callable[[Floats, int], Floats]:
+        return lambda rate, axis: function(rate[:, axis])[:, None]
+
+    for form, function in curves.items():
+        yield _Made("rotation", False, Basis(form, ("rotation",), by_axis=own(function)), ("bias",))
+
+
+_DRIVERS: dict[str, Callable[[Readings], Iterator[_Made]]] = {
+    "reading": _of_reading,
+    "force": _of_force,
+    "rotation": _of_rotation,
+}
+"""Functions of what a measurement is driven by (`Measurement.driven_by`)."""
+
+
 def _of_angle(data: Readings) -> Iterator[_Made]:
     def harmonic(orders: tuple[int, ...]) -> Callable[[Conditions], Floats]:
         def columns(conditions: Conditions) -> Floats:
@@ -326,9 +428,7 @@ def _of_scalar(
         return lambda c: function((get(c) - middle) / half)
 
     covariates = (family,)
-    named: tuple[Where, ...] = (
-        ("bias", "gain", "misalignment") if family == "temperature" else ("bias", "gain")
-    )
+    named = data.model.named_forms.get(family, ())
     yield from _both(family, covariates, f"{d}", about(shapes.line), named)
     curves: dict[str, shapes.Shape] = {
         f"{d}²": shapes.power(2),
@@ -421,7 +521,8 @@ def _of_time(data: Readings) -> Iterator[_Made]:
         return lambda c: function((c.time_s - middle) / half)
 
     covariates = ("time",)
-    yield from _both("time", covariates, "t", lambda c: c.time_s / (2 * half), ("bias", "gain"))
+    named = data.model.named_forms.get("time", ())
+    yield from _both("time", covariates, "t", lambda c: c.time_s / (2 * half), named)
     yield from _both("time", covariates, "t²", lambda c: (c.time_s / (2 * half)) ** 2)
     yield from _both("time", covariates, "t³", lambda c: (c.time_s / (2 * half)) ** 3)
     yield from _both("time", covariates, "√t", lambda c: np.sqrt(np.maximum(c.time_s, 0) / (2 * half)))
@@ -469,6 +570,7 @@ def _of_rate(data: Readings) -> Iterator[_Made]:
         return
     length = float(np.ptp(data.conditions.time_s))
     step = length / max(len(data) - 1, 1)
+    named = data.model.named_forms.get("temperature_rate", ())
     for tau in np.geomspace(0.5 * step, max(1.5 * length, step), 7):
 
         def late(c: Conditions, tau: float = float(tau)) -> Floats:
@@ -476,7 +578,7 @@ def _of_rate(data: Readings) -> Iterator[_Made]:
             return lagged(*c.temperature_history, c.time_s, tau)[0] - c.covariate("temperature_c")
 
         yield from _both(
-            "temperature_rate", ("temperature_rate",), f"T_lag − T with τ = {tau:.3g} s", late, ("bias",)
+            "temperature_rate", ("temperature_rate",), f"T_lag − T with τ = {tau:.3g} s", late, named
         )
 
     def rate(c: Conditions) -> Floats:

@@ -26,7 +26,7 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
     """
     terms: list[NamedTerm] = []
     missing: dict[str, str] = {}
-    kinds = catalogue()
+    kinds = catalogue(data.model.part)
     common = {"bias": limits.bias_weight, "quadratic": limits.quadratic_weight}
     weights = dict.fromkeys(kinds, 1.0) | common
     for name, kind in kinds.items():
@@ -63,6 +63,8 @@ def covariates_of(kind: type[Effect]) -> tuple[str, ...]:
         "supply_v": "supply",
         "variance_mg2": "variance",
         "order": "order",
+        "force_g": "force",
+        "rate_dps": "rotation",
     }
     known = {
         "bias_drift": ("time",),
@@ -98,27 +100,36 @@ def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tupl
     ):
         # Of one reading with a free attitude only the norm is seen: one number, which the axis nearest to
         # gravity gets.
-        nearest = np.abs(data.mean_mg).argmax(axis=1)
+        nearest = np.abs(data.mean).argmax(axis=1)
         for k in np.flatnonzero(~data.check):
             choice = {"dwell": int(data.conditions.order[k])}
             yield kind((letters[nearest[k]],), **choice), ()
         return
-    options: list[dict[str, int]] = [{}]
-    if "dwell" in choices and data.conditions.order is not None:
-        # Never a dwell for checking: its column would be empty.
-        options = [{"dwell": int(k)} for k in data.conditions.order[~data.check]]
-    elif "degree" in choices:
-        levels = len(np.unique(np.round(data.conditions.covariate("temperature_c"), 1)))
-        options = [{"degree": k} for k in (1, 2, 3) if k < max(2, levels)]
-    elif "cycles" in choices:
-        options = [{"cycles": k} for k in cycles_shown(data.conditions.covariate("angle_rad"))]
     for axes in subsets:
-        for option in options:
+        for option in _options(kind, data):
             effect = kind(axes, **option)
             shaped = [(k, p) for k, p in enumerate(effect.parameters) if p.shape]
             grids = [[(k, value) for value in _grid(p, data)] for k, p in shaped]
             for shapes in itertools.product(*grids):
                 yield effect, shapes
+
+
+def _options(kind: type[Effect], data: Readings) -> list[dict[str, int]]:
+    """What the choices of an effect can be in this session."""
+    choices = kind.choices()
+    options: list[dict[str, int]] = [{}]
+    if "dwell" in choices and data.conditions.order is not None:
+        # Never a dwell for checking: its column would be empty.
+        order = data.conditions.order[~data.check]  # a turn stands half-way between two dwells
+        options = [{"dwell": int(k)} for k in order if float(k).is_integer()]
+    elif "degree" in choices:
+        levels = len(np.unique(np.round(data.conditions.covariate("temperature_c"), 1)))
+        options = [{"degree": k} for k in (1, 2, 3) if k < max(2, levels)]
+    elif "cycles" in choices:
+        options = [{"cycles": k} for k in cycles_shown(data.conditions.covariate("angle_rad"))]
+    for word, values in kind.options.items():
+        options = [{**option, word: value} for option in options for value in values]
+    return options
 
 
 def cycles_shown(angle_rad: Floats, most: int | None = None) -> list[int]:

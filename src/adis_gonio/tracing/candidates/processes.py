@@ -21,7 +21,7 @@ from scipy import special
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Basis, NamelessTerm, Where
-from adis_gonio.model.effects import Conditions
+from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.thresholds import limits
 
@@ -57,7 +57,7 @@ class Process:
 
 def processes(data: Readings) -> list[Process]:
     """All processes of a session: where they enter × covariate × length × amplitude."""
-    u_mg = _reading_u_mg(data)
+    reading_u = _reading_u(data)
     subsets = [
         s for size in range(1, data.axes + 1) for s in itertools.combinations(range(data.axes), size)
     ]
@@ -67,7 +67,8 @@ def processes(data: Readings) -> list[Process]:
             if where == "angle" and not data.planar:
                 continue
             for axes in [()] if where == "angle" else subsets:
-                made.append(NamelessTerm("", basis.covariates, 0.0, where, axes, basis))
+                term = NamelessTerm("", basis.covariates, 0.0, where, axes, basis)
+                made.append(replace(term, stimulus=data.model.stimulus))
     members = Counter(term.covariates for term in made)
     weight = {c: limits.pair_weight if len(c) > 1 or c == ("previous_angle",) else 1.0 for c in members}
     total = sum(weight.values())
@@ -80,7 +81,7 @@ def processes(data: Readings) -> list[Process]:
             / members[term.covariates]
             / len(AMPLITUDES)
         )
-        sized = replace(term, shrinkage=amplitude * u_mg, cost=-math.log(share))
+        sized = replace(term, shrinkage=amplitude * reading_u, cost=-math.log(share))
         label = f"{term.where}[{''.join('xyz'[k] for k in term.axes)}]~{term.basis.form} ({amplitude:g} u)"
         out.append(Process(replace(sized, label=label), sized.cost))
     return out
@@ -124,14 +125,14 @@ def evidence(
     return scores
 
 
-def _reading_u_mg(data: Readings) -> float:
+def _reading_u(data: Readings) -> float:
     return float(np.sqrt(np.trace(data.covariance, axis1=1, axis2=2).mean() / data.axes))
 
 
 def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:
     """Features of every kernel, with the places where it may enter."""
     c = data.conditions
-    scalars, rings = _lines_and_rings(c)
+    scalars, rings = _lines_and_rings(c, data.model.driven_by)
     for name, get in scalars.items():
         for length in LENGTHS:
             basis = Basis(f"a smooth function of {name}", (name,), _line(get, get(c), length))
@@ -140,19 +141,22 @@ def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:
         for width in RING:
             basis = Basis(f"a smooth function of {name.replace('_', ' ')}", (name,), _ring(get, width))
             yield basis, ("bias", "angle")
-    for length in LENGTHS[1:]:
+    for length in LENGTHS[1:] if "reading" in data.model.driven_by else ():
         form = "a smooth function of the reading"
         yield Basis(form, ("reading",), by_axis=_of_reading(length)), ("bias",)
-    for (one, f), (two, g) in itertools.combinations(scalars.items(), 2):
+    slow = [item for item in scalars.items() if not item[0].startswith("force")]
+    for (one, f), (two, g) in itertools.combinations(slow, 2):
         for length in LENGTHS[2::2]:
             both = _product(_line(f, f(c), length), _line(g, g(c), length))
             form = f"a smooth function of {one} and {two}"
             yield Basis(form, (one, two), both), ("bias", "gain", "angle")
 
 
-def _lines_and_rings(c: Conditions) -> tuple[dict[str, Get], dict[str, Get]]:
+def _lines_and_rings(c: Conditions, driven_by: Sequence[str]) -> tuple[dict[str, Get], dict[str, Get]]:
     """Covariates that move along a line, and those that go round."""
     lines: dict[str, Get] = {"time": lambda k: k.time_s}
+    if "force" in driven_by and c.force_g is not None:
+        lines |= {f"force_{letter}": _component(axis) for axis, letter in enumerate(AXES)}
     if c.temperature_c is not None:
         lines["temperature"] = lambda k: k.covariate("temperature_c")
     if c.supply_v is not None:
@@ -163,6 +167,10 @@ def _lines_and_rings(c: Conditions) -> tuple[dict[str, Get], dict[str, Get]]:
     if c.previous_angle_rad is not None:
         rings["previous_angle"] = lambda k: k.covariate("previous_angle_rad")
     return {name: get for name, get in lines.items() if np.ptp(get(c)) > 0}, rings
+
+
+def _component(axis: int) -> Get:
+    return lambda k: k.covariate("force_g")[:, axis]
 
 
 def _inducing(low: float, high: float, length: float) -> Callable[[Floats], Floats]:

@@ -14,7 +14,9 @@ _POWER_90 = 1.2815515655446004
 """Quantile of the normal distribution at 90 %."""
 
 
-def detectable(found: Search, model: Model, missing: dict[str, str]) -> dict[str, Detectable]:
+def detectable(
+    found: Search, model: Model, missing: dict[str, str], part: str = "accelerometer"
+) -> dict[str, Detectable]:
     """Smallest amplitude with 90 % power at the level of the search, beside the model that was found.
 
     One column c of an effect, projected off base and model, has score z ~ N(|c| a, 1); it is added where
@@ -52,7 +54,7 @@ def detectable(found: Search, model: Model, missing: dict[str, str]) -> dict[str
             out[name] = Detectable(median[worst], units[name][worst], worst)
         else:
             out[name] = Detectable(None, units[name][worst], worst, "lies in what is fitted already")
-    for name in catalogue():
+    for name in catalogue(part):
         if name not in out:
             out[name] = Detectable(None, "", "", "lies in the base model: this session cannot show it")
     return out

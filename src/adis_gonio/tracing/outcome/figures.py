@@ -104,7 +104,7 @@ def _panels(checking: Readings | None, term: Term, before: Fit, after: Fit) -> t
     data = after.data
     if term.enters_angle and data.planar and data.conditions.angle_rad is not None:
         return (_panel(checking, _covariate(data, term, 0), "angle", before, after),)
-    if not data.planar:
+    if not data.by_axis:
         axes = _axes(term)
         wanted = dict.fromkeys(_covariate(data, term, axis) for axis in axes)
         return tuple(_panel(checking, name, "norm", before, after) for name in wanted)
@@ -141,7 +141,10 @@ def _values(conditions: Conditions, data: Readings, name: str) -> Floats | None:
     """Covariate (n,) in the unit of a figure; None where it was not recorded."""
     if name.startswith("reading_"):
         axis = AXES.index(name[-1])
-        return data.mean_mg[:, axis] / 1000.0
+        return data.mean[:, axis] / data.model.full
+    if name in ("force", "rotation"):
+        rows = conditions.force_g if name == "force" else conditions.rate_dps
+        return None if rows is None else rows[:, int(np.ptp(rows, axis=0).argmax())]
     if name == "time":
         return conditions.time_s / 60.0
     if name in ("angle", "previous_angle"):
@@ -209,21 +212,23 @@ def _left_over(fit: Fit, quantity: str, others: Readings | None = None) -> Float
         turned = fit.angle_error_rad(data)
         assert turned is not None
         return np.degrees(np.mod(turned + np.pi, 2 * np.pi) - np.pi)
-    left = fit.residual_mg if others is None else leave(fit, others).residual_mg
+    left = fit.misfit if others is None else leave(fit, others).residual
     if quantity == "norm":
         return np.asarray((left * _along(data)).sum(axis=1))
     return np.asarray(left[:, AXES.index(quantity[-1])])
 
 
 def _along(data: Readings) -> Floats:
-    return np.asarray(data.mean_mg / np.linalg.norm(data.mean_mg, axis=1, keepdims=True))
+    pose = data.model.pose(data.mean, data.conditions)
+    assert pose is not None  # a reading of which the length counts has a direction
+    return pose
 
 
 def _uncertainty(fit: Fit, quantity: str) -> Floats:
     """Standard uncertainty (n,) of a quantity of the dwells that were fitted."""
     data = fit.data
     if quantity == "angle":
-        slope = np.linalg.norm(data.root @ fit.tangent_mg, axis=1)[:, 0]
+        slope = np.linalg.norm(data.root @ fit.tangent, axis=1)[:, 0]
         fixture = np.where(np.isfinite(data.fixture), data.fixture, 0.0)
         return np.asarray(np.degrees(np.hypot(1 / slope, fixture)))
     if quantity == "norm":
@@ -241,7 +246,7 @@ def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
     names = list(dict.fromkeys((*unnamed, *_LEFT)))
     if not data.planar:
         names += [f"reading_{letter}" for letter in AXES[: data.axes]]
-    quantities = [f"residual_{letter}" for letter in AXES[: data.axes]] if data.planar else ["norm"]
+    quantities = [f"residual_{letter}" for letter in AXES[: data.axes]] if data.by_axis else ["norm"]
     out = []
     for name in names:
         values = _values(data.conditions, data, name)

@@ -207,7 +207,7 @@ def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
         )
     if scatter is not None:
         what = "stated of the fixture" if scatter.kind == "fixture_scatter" else "shown within the dwells"
-        unit = "°" if scatter.unit == "deg" else " mg"
+        unit = "°" if scatter.unit == "deg" else f" {scatter.unit}"
         notes.append(
             f"dwells scatter by {scatter.value:.2g}{unit} where {scatter.declared:.2g}{unit} was {what}; "
             "no covariate explains it"

@@ -27,38 +27,42 @@ class ErrorFigures:
 
     Attributes
     ----------
-    residual_rms_mg : float
-        Residual of the dwells that were fitted.
-    heldout_rms_mg : float or None
+    residual_rms : float
+        Residual of the dwells that were fitted, in `unit`.
+    heldout_rms : float or None
         Reading minus model at the attitude that fits the dwell best, over dwells that took no part.
     angle_rms_deg : float or None
         Angle from the reading by the calibrated goniometer minus declared angle, over these dwells.
     chi2_per_dof : float or None
         None where the noise of a reading is not known or no degree of freedom is left.
-    heldout_by_axis_mg : mapping of str to float or None
-        The held-out error axis by axis, where one pose is traced sample by sample.
-    heldout_kept_mg : float or None
-        Of the final model, where `heldout_rms_mg` is that of effects chosen anew in each fold: the same
+    heldout_by_axis : mapping of str to float or None
+        The held-out error axis by axis, where one pose is traced sample by sample, or axes have nothing in
+        common (gyros).
+    heldout_kept : float or None
+        Of the final model, where `heldout_rms` is that of effects chosen anew in each fold: the same
         dwells left out with its effects kept and only their values fitted anew.
+    unit : str
+        Of the readings: it ends the names in the JSON (`residual_rms_mg`).
     """
 
-    residual_rms_mg: float
-    heldout_rms_mg: float | None
+    residual_rms: float
+    heldout_rms: float | None
     angle_rms_deg: float | None
     chi2_per_dof: float | None
-    heldout_by_axis_mg: dict[str, float] | None = None
-    heldout_kept_mg: float | None = None
+    heldout_by_axis: dict[str, float] | None = None
+    heldout_kept: float | None = None
+    unit: str = "mg"
 
     def as_dict(self) -> dict[str, Any]:
         """The keys of `error.before`; errors by axis where there are any."""
-        by_axis = self.heldout_by_axis_mg
+        by_axis, unit = self.heldout_by_axis, self.unit
         return {
-            "residual_rms_mg": finite_or_none(self.residual_rms_mg),
-            "heldout_rms_mg": finite_or_none(self.heldout_rms_mg),
+            f"residual_rms_{unit}": finite_or_none(self.residual_rms),
+            f"heldout_rms_{unit}": finite_or_none(self.heldout_rms),
             "angle_rms_deg": finite_or_none(self.angle_rms_deg),
             "chi2_per_dof": finite_or_none(self.chi2_per_dof),
-            **({} if by_axis is None else {"heldout_by_axis_mg": dict(by_axis)}),
-            **({} if self.heldout_kept_mg is None else {"heldout_kept_mg": self.heldout_kept_mg}),
+            **({} if by_axis is None else {f"heldout_by_axis_{unit}": dict(by_axis)}),
+            **({} if self.heldout_kept is None else {f"heldout_kept_{unit}": self.heldout_kept}),
         }
 
 
@@ -368,6 +372,11 @@ class TraceResult:
         return calibration_of_trace(self)
 
     @property
+    def part(self) -> str:
+        """Part of the sensor that was traced."""
+        return self.fits[-1].data.model.part if self.fits else "accelerometer"
+
+    @property
     def dof(self) -> float:
         """Degrees of freedom of the noise at which uncertainties are stated; inf where unlimited."""
         return next((value.dof for value in self.base.values() if value.u is not None), math.inf)
@@ -414,7 +423,9 @@ class TraceResult:
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `trace`."""
+        other = {} if self.part == "accelerometer" else {"part": self.part}
         return {
+            **other,
             "adequate": self.adequate,
             "found": [finding.as_dict() for finding in self.found],
             "steps": [step.as_dict() for step in self.steps],

@@ -18,7 +18,7 @@ from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, Unnamed
 def excesses(fits: Sequence[Fit], figures: Sequence[ErrorFigures]) -> list[float]:
     """Excess of each model over the measured noise."""
     if any(figure.chi2_per_dof is None for figure in figures):
-        return [figure.residual_rms_mg**2 for figure in figures]
+        return [figure.residual_rms**2 for figure in figures]
     return [
         fit.dof * max((figure.chi2_per_dof or 1.0) - 1.0, 0.0)
         for fit, figure in zip(fits, figures, strict=True)

@@ -110,9 +110,9 @@ class LinearProblem:
 
 def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     """Linear problem about a fit whose model may hold some of the terms."""
-    left = fit.left_mg
+    left = fit.left
     for k in range(len(fit.terms)):
-        left = left + fit.added_mg(k)
+        left = left + fit.added(k)
     y = fit.white(left[:, :, None])[:, 0]
 
     base = orthonormal(fit.white(fit.base_columns))

@@ -42,8 +42,8 @@ class Scatter:
     ----------
     kind : {"reading_scatter", "fixture_scatter"}
     value, u : float
-        Standard deviation of a reading on each axis in mg, or of an angle in degrees, and its standard
-        uncertainty.
+        Standard deviation of a reading on each axis in its unit, or of an angle in degrees, and its
+        standard uncertainty.
     declared : float
         What was measured within the dwells, or stated of the fixture, in the same unit.
     log_odds : float
@@ -58,15 +58,12 @@ class Scatter:
     declared: float
     log_odds: float
     p_value: float
-
-    @property
-    def unit(self) -> str:
-        """`mg` or `deg`."""
-        return "mg" if self.kind == "reading_scatter" else "deg"
+    unit: str = "mg"
 
     def applied(self, data: Readings) -> Readings:
         """Readings with the component in their noise."""
-        return _with(data, self.kind, self.value if self.unit == "mg" else math.radians(self.value))
+        own = self.kind == "reading_scatter"
+        return _with(data, self.kind, self.value if own else math.radians(self.value))
 
 
 def with_scatter(
@@ -104,7 +101,7 @@ def _kinds(data: Readings) -> Iterator[Kind]:
 
 def _price(data: Readings) -> float:
     """Of one parameter that is set at its best, and of having thought of it."""
-    return -math.log(limits.scatter_prior) + 0.5 * math.log(max(data.mean_mg.size, 2))
+    return -math.log(limits.scatter_prior) + 0.5 * math.log(max(data.mean.size, 2))
 
 
 def _evidence(selection: Selection) -> float:
@@ -161,7 +158,7 @@ def _settled(
 
 
 def _most_likely(fit: Fit, data: Readings, kind: Kind) -> float:
-    """Size of greatest restricted likelihood beside a model, mg or rad; 0 where none is asked for."""
+    """Size of greatest restricted likelihood beside a model, in unit of readings or rad; 0 for none."""
     from scipy.optimize import minimize_scalar
 
     scale = _measured(data, kind)
@@ -179,12 +176,12 @@ def _fit_under(fit: Fit, data: Readings) -> Fit:
 
 
 def _measured(data: Readings, kind: Kind) -> float:
-    """Uncertainty of a reading (mg), or of what a reading says of its angle with the fixture's (rad)."""
+    """Uncertainty of a reading, or of what a reading says of its angle with the fixture's (rad)."""
     variance = np.trace(data.covariance, axis1=1, axis2=2) / data.axes
     reading = float(np.sqrt(np.median(variance)))
     if kind == "reading_scatter":
         return reading
-    return math.hypot(reading / data.gravity_mg, data.fixture_rad)
+    return math.hypot(reading / data.model.size, data.fixture_rad)
 
 
 def _with(data: Readings, kind: Kind, size: float) -> Readings:
@@ -201,11 +198,11 @@ def _restricted(fit: Fit, *, base_only: bool = False) -> float:
     data = fit.data
     covariance = data.own_covariance
     if fit.data.planar and not data.free:
-        tangent = fit.tangent_mg
+        tangent = fit.tangent
         fixture = np.where(np.isfinite(data.fixture), data.fixture, 0.0)
         covariance = covariance + (fixture**2)[:, None, None] * (tangent @ tangent.transpose(0, 2, 1))
     if data.free:
-        # One direction is left: the variance of the whitened row in mg².
+        # One direction is left: the variance of the whitened row.
         spread = 1 / np.maximum((fit.whitener**2).sum(axis=2), 1e-300)
         size = float(np.log(spread).sum())
     else:
@@ -234,4 +231,5 @@ def _stated(data: Readings, kind: Kind, size: float, chosen: Selection, log_odds
     relative = 1 / math.sqrt(curvature) if curvature > 0 else 1.0
     factor: Callable[[float], float] = math.degrees if kind == "fixture_scatter" else float
     declared = data.fixture_rad if kind == "fixture_scatter" else _measured(data, kind)
-    return Scatter(kind, factor(size), factor(size) * relative, factor(declared), log_odds, p_value)
+    unit = "deg" if kind == "fixture_scatter" else data.model.unit
+    return Scatter(kind, factor(size), factor(size) * relative, factor(declared), log_odds, p_value, unit)

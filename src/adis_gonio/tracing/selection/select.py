@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adis_gonio.budget import spent
-from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.fit import Fit, adequacy
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import effect
@@ -17,10 +17,6 @@ from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, linea
 from adis_gonio.tracing.selection.posterior import Verdict, weigh, without_models
 from adis_gonio.tracing.selection.search import Search, search
 from adis_gonio.tracing.thresholds import limits
-
-STEEPEST = {"temperature": ("temperature_c", "bias_temperature"), "supply": ("supply_v", "supply_bias")}
-"""Covariates whose influence has a bound: rows of the conditions, and the effect whose first coefficient is
-bounded. A temperature that is constant but for its noise stands out in one dwell by chance."""
 
 
 @dataclass(frozen=True)
@@ -103,17 +99,6 @@ class Selection:
         return replace(self, fit=fit, adequate=adequate, inflation=inflation)
 
 
-def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
-    """p-value of a residual against the noise that was measured within the dwells."""
-    from scipy import stats
-
-    if dof <= 0:
-        return 1.0
-    if np.isinf(noise_dof):
-        return float(stats.chi2.sf(chi2, dof))
-    return float(stats.f.sf(chi2 / dof, dof, max(noise_dof, 1.0)))
-
-
 def fit_model(problem: LinearProblem, chosen: Sequence[int], about: Fit) -> Fit:
     """Full refit of a model of the linear problem, from the amplitudes that it has there."""
     terms = [problem.terms[k] for k in chosen]
@@ -194,7 +179,7 @@ def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
     theta = data.conditions.angle_rad
     if not data.planar or theta is None or data.free or len(data) < limits.gross_dwells:
         return {}
-    reading = data.mean_mg - _robust_bias(data, theta)
+    reading = data.mean - _robust_bias(data, theta)
     shown = np.arctan2(reading[:, 1], reading[:, 0]) + theta
     middle = np.angle(np.exp(1j * shown).sum())
     off = np.angle(np.exp(1j * (shown - middle)))
@@ -228,8 +213,8 @@ def _robust_bias(data: Readings, theta: Floats) -> Floats:
     for _ in range(4):
         if np.linalg.svd(design[kept], compute_uv=False)[-1] < 0.3:
             return np.zeros(2)
-        solved = np.linalg.lstsq(design[kept], data.mean_mg[kept], rcond=None)[0]
-        left = np.linalg.norm(data.mean_mg - design @ solved, axis=1)
+        solved = np.linalg.lstsq(design[kept], data.mean[kept], rcond=None)[0]
+        left = np.linalg.norm(data.mean - design @ solved, axis=1)
         kept = left <= 4 * np.median(left)
         bias = solved[2]
     return np.asarray(bias)
@@ -280,7 +265,7 @@ def _impossible(data: Readings, problem: LinearProblem, verdict: Verdict) -> set
 def beyond_bounds(data: Readings, problem: LinearProblem, chosen: Sequence[int]) -> str | None:
     """Label of the least common term of a model among those beyond their physical bounds, or None.
 
-    A nameless term has no bounds of its own, but no cause adds more than a tenth of gravity, and none
+    A nameless term has no bounds of its own, but no cause adds more than `limits.largest`, and none
     follows the temperature or the supply more steeply than the catalogue's coefficients may. Where a
     covariate hardly moves (a temperature that is constant but for its noise) a column is a constant with a
     little noise on it, which can fit better than the constant with an amplitude that no part has. The
@@ -293,22 +278,22 @@ def beyond_bounds(data: Readings, problem: LinearProblem, chosen: Sequence[int])
             values, (low, high) = term.start(own), term.bounds().T
             beyond = bool(((values < low) | (values > high)).any())
         else:
-            added = term.added(term.start(own), data.mean_mg, data.conditions)
-            added = added * data.gravity_mg if term.enters_angle else added
-            beyond = bool(np.abs(added).max() > limits.largest_g * data.gravity_mg)
-            beyond |= bool(np.ptp(added, axis=0).max() > _steepest_mg(data, term))
+            added = term.added(term.start(own), data.mean, data.conditions)
+            added = added * data.model.size if term.enters_angle else added
+            beyond = bool(np.abs(added).max() > limits.largest * data.model.size)
+            beyond |= bool(np.ptp(added, axis=0).max() > _steepest(data, term))
         if beyond:
             out.append(term)
     return max(out, key=lambda term: term.cost).label if out else None
 
 
-def _steepest_mg(data: Readings, term: Term) -> float:
+def _steepest(data: Readings, term: Term) -> float:
     """Most that a term of temperature and supply alone may vary in this session; no limit for others."""
     total = 0.0
     for covariate in term.covariates:
-        if covariate not in STEEPEST:
+        if covariate not in data.model.steepest:
             return np.inf
-        rows, name = STEEPEST[covariate]
+        rows, name = data.model.steepest[covariate]
         bound = effect(name).parameters[0].high
         total += limits.steepest * bound * float(np.ptp(data.conditions.covariate(rows)))
     return total if term.covariates else np.inf

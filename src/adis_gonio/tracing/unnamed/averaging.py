@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adis_gonio.estimation.fit import NAMELESS_SPREAD, Fit
+from adis_gonio.estimation.fit import Fit, nameless_spread
 from adis_gonio.estimation.terms import Basis, NamelessTerm, Term, Where
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
@@ -43,15 +43,15 @@ class AveragedTerm(NamelessTerm):
         """Form of the member with the largest weight."""
         return max(self.members, key=lambda member: member[0])[1].form
 
-    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Weighted mean of what the members add."""
-        parts = [weight * term.added(own, ideal_mg, conditions) for weight, term, own in self.members]
+        parts = [weight * term.added(own, ideal, conditions) for weight, term, own in self.members]
         total: Floats = np.sum(parts, axis=0)
         return total
 
-    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
         """No columns."""
-        n, axes = ideal_mg.shape
+        n, axes = ideal.shape
         return np.zeros((n, 0) if self.enters_angle else (n, axes, 0))
 
 
@@ -253,15 +253,15 @@ def _possible(selection: Selection, terms: Sequence[NamelessTerm], values: Float
     at, data = 0, selection.data
     for term in terms:
         width = _width(selection.fit, term)
-        added = term.added(values[at : at + width], selection.fit.ideal_mg, data.conditions)
-        if np.abs(added).max() > limits.largest_g * (1.0 if term.enters_angle else data.gravity_mg):
+        added = term.added(values[at : at + width], selection.fit.ideal, data.conditions)
+        if np.abs(added).max() > limits.largest * (1.0 if term.enters_angle else data.model.size):
             return False
         at += width
     return True
 
 
 def _width(fit: Fit, term: NamelessTerm) -> int:
-    return int(term.columns(fit.ideal_mg, fit.data.conditions).shape[-1])
+    return int(term.columns(fit.ideal, fit.data.conditions).shape[-1])
 
 
 def _ridge(
@@ -277,7 +277,7 @@ def _ridge(
     columns = np.concatenate([fixed, *blocks], axis=1)
     priors = [np.zeros(fixed.shape[1])]
     for term, block in zip(terms, blocks, strict=True):
-        held = np.sqrt(selection.inflation) / (term.shrinkage or NAMELESS_SPREAD)
+        held = np.sqrt(selection.inflation) / (term.shrinkage or nameless_spread(fit.data.model, term))
         priors.append(np.full(block.shape[1], held))
     precision = np.concatenate(priors)
     stacked = np.concatenate([columns, np.diag(precision)[precision > 0]])

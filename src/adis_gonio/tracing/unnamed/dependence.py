@@ -72,9 +72,12 @@ def _covariates(data: Readings) -> dict[str, Floats]:
         out["previous_angle"] = np.column_stack(
             [np.cos(c.previous_angle_rad), np.sin(c.previous_angle_rad)]
         )
-    if c.angle_rad is None:
+    if c.angle_rad is None and "reading" in data.model.driven_by:
         for k, letter in enumerate(AXES[: data.axes]):
-            out[f"reading_{letter}"] = data.mean_mg[:, k : k + 1]
+            out[f"reading_{letter}"] = data.mean[:, k : k + 1]
+    for name, rows in (("force", c.force_g), ("rotation", c.rate_dps)):
+        if name in data.model.driven_by and rows is not None:
+            out[name] = rows
     return {name: u for name, u in out.items() if np.ptp(u, axis=0).max() > 0}
 
 

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.fit import Fit, adequacy
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.model.records import Floats
-from adis_gonio.tracing.selection.select import adequacy
 
 
 def unexpected(fit: Fit, others: Readings, inflation: float = 1.0) -> float:
@@ -19,7 +18,7 @@ def unexpected(fit: Fit, others: Readings, inflation: float = 1.0) -> float:
     (Cook and Weisberg, Residuals and Influence in Regression, 1982, chapter 2). What dwells share is taken
     as noise of each one's own.
     """
-    alone = replace(others, own_covariance=others.covariance, slow_mg=None)
+    alone = replace(others, own_covariance=others.covariance, slow=None)
     there = fit.on(alone)
     residual = there.residual.ravel() / np.sqrt(inflation)
     rows = there.jacobian

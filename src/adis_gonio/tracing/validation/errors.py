@@ -10,6 +10,7 @@ import numpy as np
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm, Term
+from adis_gonio.model.effects import AXES
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.candidates.grammar import of_one_dwell
 from adis_gonio.tracing.outcome.result import ErrorFigures
@@ -133,10 +134,10 @@ def error_figures(
             design += "; effects chosen anew in each fold"
             if fold.averaged is None:
                 parts = counted(cross_validate(data, designs, _keeping(fits[-1])), counts)
-                again = rms(np.concatenate([part.residual_mg for part in parts]), data.planar)
-                design += f", {again:.3g} mg with those found kept"
+                again = rms(np.concatenate([part.residual for part in parts]), data.by_axis)
+                design += f", {again:.3g} {data.model.unit} with those found kept"
     figures = [_figures(fit, measured, left) for fit, left in zip(fits, lefts, strict=True)]
-    return [*figures[:-1], replace(figures[-1], heldout_kept_mg=again)], design
+    return [*figures[:-1], replace(figures[-1], heldout_kept=again)], design
 
 
 def without_folds(
@@ -152,15 +153,25 @@ def without_folds(
 
 
 def _figures(fit: Fit, measured: Readings, left: Sequence[Left]) -> ErrorFigures:
-    residual = [part.residual_mg for part in left]
+    residual = [part.residual for part in left]
     turned = [part.angle_rad for part in left if part.angle_rad is not None]
     chi2 = fit.chi2 if fit.data is measured else chi2_of_measured(fit, measured)
     return ErrorFigures(
-        residual_rms_mg=rms(fit.residual_mg, fit.data.planar),
-        heldout_rms_mg=rms(np.concatenate(residual), fit.data.planar) if residual else None,
+        residual_rms=rms(fit.misfit, fit.data.by_axis),
+        heldout_rms=rms(np.concatenate(residual), fit.data.by_axis) if residual else None,
         angle_rms_deg=_rms_deg(turned),
         chi2_per_dof=chi2 / fit.dof if fit.data.noise_known and fit.dof > 0 else None,
+        heldout_by_axis=_by_axis(fit.data, residual),
+        unit=fit.data.model.unit,
     )
+
+
+def _by_axis(data: Readings, residual: Sequence[Floats]) -> dict[str, float] | None:
+    """Held-out error of each axis, where no attitude joins them."""
+    if data.model.freedom or not residual:
+        return None
+    each = np.sqrt((np.concatenate(residual) ** 2).mean(axis=0))
+    return {AXES[k]: float(value) for k, value in enumerate(each)}
 
 
 def _keeping(fit: Fit) -> Callable[[Readings], Chosen]:
@@ -177,7 +188,7 @@ def _parameters(fit: Fit) -> int:
 
 def _few(fit: Fit) -> bool:
     """True where no dwell can be left out of the selection: few, or the others do not fix the model."""
-    rows = (len(fit.data) - 1) * (1 if fit.data.free else 2)
+    rows = (len(fit.data) - 1) * fit.data.equations_each
     return len(fit.data) < limits.least_choice or rows < _parameters(fit)
 
 
@@ -218,7 +229,7 @@ def guarding(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[floa
     counts = less_unknown(counts, lefts[-1])
     for left in lefts:
         parts = counted(left, counts)
-        out.append(rms(np.concatenate([part.residual_mg for part in parts]), data.planar))
+        out.append(rms(np.concatenate([part.residual for part in parts]), data.by_axis))
     return out
 
 

@@ -31,7 +31,7 @@ class Left:
 
     Attributes
     ----------
-    residual_mg : (n, axes) float
+    residual : (n, axes) float
         Reading minus model at the attitude that fits this dwell best within the fixture's tolerance.
     angle_rad : (n,) float or None
         Angle by the calibrated goniometer minus declared angle.
@@ -39,7 +39,7 @@ class Left:
         Dwells of which the model that was fitted without them knows where they lie.
     """
 
-    residual_mg: Floats
+    residual: Floats
     angle_rad: Floats | None
     predicted: NDArray[np.bool_]
 
@@ -48,7 +48,7 @@ class Left:
         turned = None if self.angle_rad is None else self.angle_rad[index]
         if turned is not None and np.isnan(turned).any():
             turned = None
-        return Left(self.residual_mg[index], turned, self.predicted[index])
+        return Left(self.residual[index], turned, self.predicted[index])
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class _Bounded(Term):
     ----------
     term : Term
     low, high : (axes,) or () float
-        Bounds of what it adds, in mg or rad.
+        Bounds of what it adds, in the readings' unit or rad.
     """
 
     term: Term
@@ -93,22 +93,22 @@ class _Bounded(Term):
         """As the term."""
         return self.term.enters_angle
 
-    def columns(self, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
         """As the term."""
-        return self.term.columns(ideal_mg, conditions)
+        return self.term.columns(ideal, conditions)
 
     def start(self, amplitudes: Floats) -> Floats:
         """As the term."""
         return self.term.start(amplitudes)
 
-    def added(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """What the term adds, within the bounds."""
-        bounded: Floats = np.clip(self.term.added(values, ideal_mg, conditions), self.low, self.high)
+        bounded: Floats = np.clip(self.term.added(values, ideal, conditions), self.low, self.high)
         return bounded
 
-    def derivative(self, values: Floats, ideal_mg: Floats, conditions: Conditions) -> Floats:
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """As the term."""
-        return self.term.derivative(values, ideal_mg, conditions)
+        return self.term.derivative(values, ideal, conditions)
 
 
 def bounded(fit: Fit) -> tuple[Term, ...]:
@@ -120,7 +120,7 @@ def bounded(fit: Fit) -> tuple[Term, ...]:
     """
     terms = []
     for term, values in zip(fit.terms, fit.values.terms, strict=True):
-        ideal = fit.data.mean_mg if term.enters_angle else fit.ideal_mg
+        ideal = fit.data.mean if term.enters_angle else fit.ideal
         added = term.added(values, ideal, fit.data.conditions)
         low, high = added.min(axis=0), added.max(axis=0)
         more = limits.reach * (high - low)
@@ -132,13 +132,13 @@ def leave(fit: Fit, data: Readings, terms: Sequence[Term] | None = None) -> Left
     """Residuals of a fitted model on other dwells; see `bounded` for its terms."""
     there = fit.on(data, terms)
     turned = fit.angle_error_rad(data, terms)
-    return Left(there.residual_mg, turned, np.ones(len(data), dtype=bool))
+    return Left(there.misfit, turned, np.ones(len(data), dtype=bool))
 
 
-def rms(residual_mg: Floats, planar: bool) -> float:
-    """Root mean square: over readings of both axes in the plane, of the norm's residual in space."""
-    squares = residual_mg**2
-    return float(np.sqrt(squares.mean() if planar else squares.sum(axis=1).mean()))
+def rms(residual: Floats, by_axis: bool) -> float:
+    """Root mean square: over the readings of all axes, or of the norm's residual (`Readings.by_axis`)."""
+    squares = residual**2
+    return float(np.sqrt(squares.mean() if by_axis else squares.sum(axis=1).mean()))
 
 
 def folds(data: Readings) -> dict[str, list[NDArray[np.bool_]]]:
@@ -171,9 +171,11 @@ def _about_axes(data: Readings) -> list[NDArray[np.bool_]]:
         apart = np.abs(np.mod(theta[:, None] - theta[None, :] + np.pi, 2 * np.pi) - np.pi)
         if 2 * int(((apart < np.deg2rad(limits.repeated_deg)).sum(axis=1) > 1).sum()) < len(data):
             return []
-    size = np.abs(data.mean_mg)
-    nearest = size.argmax(axis=1)
-    up = np.take_along_axis(data.mean_mg, nearest[:, None], axis=1)[:, 0] > 0
+    pose = data.model.pose(data.mean, data.conditions)
+    if pose is None:
+        return []
+    nearest = np.abs(pose).argmax(axis=1)
+    up = np.take_along_axis(pose, nearest[:, None], axis=1)[:, 0] > 0
     groups = 2 * nearest + up
     return [groups == group for group in np.unique(groups)]
 
@@ -215,7 +217,7 @@ def determined(
         Terms whose columns are determined as well.
     """
     begun = Fit.begin(data)
-    zero = np.tile(data.gravity_mg * np.eye(data.axes), (len(data), 1, 1))
+    zero = np.tile(data.model.size * np.eye(data.axes), (len(data), 1, 1))
     more = [begun.candidate(term) for term in beside]
     columns = begun.white_by_dwell(np.concatenate([begun.base_columns, zero, *more], axis=2))
     out = np.zeros(len(data), dtype=bool)
@@ -227,7 +229,9 @@ def determined(
 def _poses_repeat(data: Readings, blocks: list[NDArray[np.bool_]]) -> bool:
     """True where every dwell left out has a neighbour: 2.5 steps of angle, in space 45° away."""
     if not data.planar:
-        unit = data.mean_mg / np.linalg.norm(data.mean_mg, axis=1, keepdims=True)
+        unit = data.model.pose(data.mean, data.conditions)
+        if unit is None:
+            return False
         near = np.arccos(np.clip(unit @ unit.T, -1, 1)) < np.pi / 4
         return all(bool(near[np.ix_(b, ~b)].any(axis=1).all()) for b in blocks)
     theta = data.conditions.angle_rad
@@ -251,7 +255,7 @@ def cross_validate(
     out = {}
     folds_in_all, begun = sum(map(len, designs.values())), 0
     for name, masks in designs.items():
-        residual = np.full(data.mean_mg.shape, np.nan)
+        residual = np.full(data.mean.shape, np.nan)
         turned = np.full(len(data), np.nan)
         predicted = np.ones(len(data), dtype=bool)
         for mask in told(masks, begun, folds_in_all):
@@ -259,7 +263,7 @@ def cross_validate(
             answer = fit(data.rows(~mask))
             predicted[mask] = answer.by.foresees(data.rows(mask), limits.predicted)
             left = leave(answer.fit, data.rows(mask), bounded(answer.fit))
-            residual[mask] = left.residual_mg
+            residual[mask] = left.residual
             if left.angle_rad is not None:
                 turned[mask] = left.angle_rad
         begun += len(masks)

@@ -56,6 +56,7 @@ def never_worse(
     steps: Sequence[str],
     errors: Sequence[float | None],
     reported: tuple[float, float] | None,
+    unit: str = "mg",
 ) -> tuple[int, Names, dict[str, str]]:
     """Longest nested model whose held-out error is hardly above that of any shorter one.
 
@@ -83,6 +84,6 @@ def never_worse(
     if reported is not None and after <= limits.worse * before:
         before, after = reported
     reasons = dict.fromkeys(
-        sorted(cut), f"the held-out error would go from {before:.3g} to {after:.3g} mg with it"
+        sorted(cut), f"the held-out error would go from {before:.3g} to {after:.3g} {unit} with it"
     )
     return count, without(names, reasons), reasons

@@ -1,0 +1,363 @@
+"""Terms of the gyros: what adds to a mean rate beside the zero rate.
+
+Readings are in °/s, forces what the accelerometers read in g, rates of turn Ω true ones about the axes of
+the accelerometers. Sizes are estimates; the sheet of the siblings gives a g-sensitivity of 0.05 °/s/g and a
+supply sensitivity of 0.25 °/s/V.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from adis_gonio.errors import UsageError
+from adis_gonio.model.effects.base import AXES, Conditions, Effect, Parameter
+from adis_gonio.model.effects.dwell_terms import OutlierDwell
+from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
+from adis_gonio.model.effects.families import AxisEffect, CourseEffect, LinearAxisEffect, by_letters
+from adis_gonio.model.records import Floats
+
+GYRO = ("gyro",)
+
+
+def _die_c(axis: int, conditions: Conditions) -> Floats:
+    """Temperature (n,) of the gyro's own die; of the only thermometer where there is but one."""
+    if conditions.temperatures_c is not None:
+        return conditions.temperatures_c[:, axis]
+    return conditions.covariate("temperature_c")
+
+
+@dataclass(frozen=True)
+class GyroBiasTemperature(LinearAxisEffect):
+    """A polynomial of degree 1 to 3 in T − 25 °C, T of the gyro's own die where all three are recorded.
+
+    Attributes
+    ----------
+    degree : int
+        Highest power, 1 to 3.
+    """
+
+    degree: int = 1
+
+    name = "gyro_bias_temperature"
+    cause = "The zero rate of a gyro moves with the temperature of its die."
+    formula = "ω_i += gyro_bias_temperature_i · ΔT + …2_i · ΔT² + …3_i · ΔT³ to `degree`, ΔT = T_i − 25 °C"
+    separated_by = (
+        "Where temperature only rises it is `gyro_drift` or `gyro_warm_up`: let it fall again, or repeat "
+        "poses at two temperatures in changed order; `gyro_scale_temperature` shows in turns alone."
+    )
+    needs = ("temperature_c",)
+    parts = GYRO
+    coefficients: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("gyro_bias_temperature", "dps/°C", -1.0, 1.0, 0.02),
+        Parameter("gyro_bias_temperature2", "dps/°C²", -0.05, 0.05, 0.0005),
+        Parameter("gyro_bias_temperature3", "dps/°C³", -0.0025, 0.0025, 0.00001),
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 1 <= self.degree <= len(self.coefficients):
+            raise UsageError(f"{self.name}: degree is {self.degree}, it can be 1, 2 or 3")
+
+    def active(self) -> tuple[Parameter, ...]:
+        """Coefficients up to `degree`."""
+        return self.coefficients[: self.degree]
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Powers of T − 25 °C."""
+        above = _die_c(axis, conditions) - REFERENCE_C
+        return tuple(above**power for power in range(1, self.degree + 1))
+
+
+class GSensitivity(LinearAxisEffect):
+    """Force along each of the three axes shifts the zero rate, nine coefficients of three gyros."""
+
+    name = "g_sensitivity"
+    cause = "Acceleration bends the vibrating structure of a gyro, which reads it as a rate of turn."
+    formula = "ω_i += g_sensitivity_ix · f_x + g_sensitivity_iy · f_y + g_sensitivity_iz · f_z"
+    separated_by = (
+        "With poses in one order force is time: repeat the first poses last, or shuffle them; `gyro_drift` "
+        "goes on where the pose comes back. `g2_sensitivity` does not change its sign with the force."
+    )
+    needs = ("force_g",)
+    parts = GYRO
+    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("g_sensitivity", "dps/g", -2.0, 2.0, 0.05),)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Three coefficients a gyro: the gyro's letter, then that of the force."""
+        return by_letters(self.coefficients, [axis + force for axis in self.axes for force in AXES])
+
+    def active(self) -> tuple[Parameter, ...]:
+        """One coefficient an axis of force."""
+        return self.coefficients * len(AXES)
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Components of the force."""
+        return tuple(conditions.covariate("force_g").T)
+
+
+@dataclass(frozen=True)
+class G2Sensitivity(LinearAxisEffect):
+    """The square of the force along one axis: three squares at 1 g are a constant, so one is asked for.
+
+    Attributes
+    ----------
+    force : int
+        Axis of the force, 0 to 2.
+    """
+
+    force: int = 2
+
+    name = "g2_sensitivity"
+    cause = (
+        "The zero rate of a gyro moves with the square of a force, alike for both signs (rectification)."
+    )
+    formula = "ω_i += g2_sensitivity_ij · f_j², j the axis `force`"
+    separated_by = (
+        "At rest f_x² + f_y² + f_z² = 1, so that the square of one component is that of the two others "
+        "with the opposite sign: poses between the axes tell one from two, vibration tells all."
+    )
+    needs = ("force_g",)
+    parts = GYRO
+    options: ClassVar[dict[str, tuple[int, ...]]] = {"force": (0, 1, 2)}
+    coefficients: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("g2_sensitivity", "dps/g²", -2.0, 2.0, 0.02),
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.force >= len(AXES):
+            raise UsageError(f"{self.name}: force is {self.force}, it can be 0, 1 or 2 (x, y, z)")
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """One coefficient a gyro: its letter, then that of the force."""
+        return by_letters(self.coefficients, [axis + AXES[self.force] for axis in self.axes])
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Square of the component."""
+        return (conditions.covariate("force_g")[:, self.force] ** 2,)
+
+
+class GyroScale(LinearAxisEffect):
+    """The gain, less 1: `fit` states `gyro_scale_i` = 1 + gyro_scale_error_i."""
+
+    name = "gyro_scale"
+    cause = "The sensitivity of a gyro differs from its nominal one."
+    formula = "ω_i += gyro_scale_error_i · Ω_i, Ω the true rate"
+    separated_by = (
+        "Only turns show it: a whole turn about each axis to either side. `gyro_asymmetry` needs both "
+        "senses, `gyro_scale_temperature` turns at two temperatures."
+    )
+    needs = ("rate_dps",)
+    parts = GYRO
+    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("gyro_scale_error", "1", -0.2, 0.2, 0.01),)
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """The true rate about the axis."""
+        return (conditions.covariate("rate_dps")[:, axis],)
+
+
+class GyroScaleTemperature(LinearAxisEffect):
+    """The gain follows the temperature of the gyro's die."""
+
+    name = "gyro_scale_temperature"
+    cause = "The sensitivity of a gyro changes with the temperature of its die."
+    formula = "ω_i += gyro_scale_temperature_i · 10⁻⁶ · (T_i − 25 °C) · Ω_i"
+    separated_by = (
+        "`gyro_bias_temperature` shows at rest too, this in turns alone: the same turn at two temperatures."
+    )
+    needs = ("rate_dps", "temperature_c")
+    parts = GYRO
+    coefficients: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("gyro_scale_temperature", "ppm/°C", -5000.0, 5000.0, 100.0),
+    )
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """The true rate times T − 25 °C, per ppm."""
+        above = _die_c(axis, conditions) - REFERENCE_C
+        return (1e-6 * above * conditions.covariate("rate_dps")[:, axis],)
+
+
+class GyroMisalignment(AxisEffect):
+    """The axis of a gyro leans towards others; its direction stays a unit vector.
+
+    With s_p the sine of the lean towards axis p the direction is (√(1 − Σ s_p²), s_p, …): a lean of 1°
+    costs 1.5·10⁻⁴ of the gain, which ten turns show.
+    """
+
+    name = "gyro_misalignment"
+    cause = "The axis of a gyro leans towards another axis of the accelerometers by a small angle."
+    formula = "ω_i += Σ_p sin(gyro_misalignment_ip) · Ω_p − (1 − √(1 − Σ_p sin²)) · Ω_i"
+    separated_by = (
+        "Only a turn about the axis towards which it leans shows it: one whole turn about each of the "
+        "three axes."
+    )
+    needs = ("rate_dps",)
+    parts = GYRO
+    coefficient: ClassVar[Parameter] = Parameter("gyro_misalignment", "deg", -10.0, 10.0, 0.5)
+
+    def _pairs(self) -> list[tuple[int, int]]:
+        own = [AXES.index(axis) for axis in self.axes]
+        return [(i, p) for i in own for p in range(len(AXES)) if p != i]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Two leans a gyro."""
+        return by_letters((self.coefficient,), [AXES[i] + AXES[p] for i, p in self._pairs()])
+
+    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """What the leans add, (n, 3) in °/s."""
+        rate = conditions.covariate("rate_dps")
+        added = np.zeros(ideal.shape)
+        sines = np.sin(np.deg2rad(values))
+        squares = np.zeros(len(AXES))
+        for sine, (i, p) in zip(sines, self._pairs(), strict=True):
+            added[:, i] += sine * rate[:, p]
+            squares[i] += sine**2
+        return added - (1 - np.sqrt(1 - squares)) * rate
+
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """Derivative (n, 3, p) per degree."""
+        rate = conditions.covariate("rate_dps")
+        design = np.zeros((*ideal.shape, len(values)))
+        sines, cosines = np.sin(np.deg2rad(values)), np.cos(np.deg2rad(values))
+        squares = np.zeros(len(AXES))
+        for sine, (i, _) in zip(sines, self._pairs(), strict=True):
+            squares[i] += sine**2
+        along = np.sqrt(1 - squares)
+        for k, (i, p) in enumerate(self._pairs()):
+            slope = rate[:, p] - sines[k] / along[i] * rate[:, i]
+            design[:, i, k] = np.deg2rad(cosines[k] * slope)
+        return design
+
+
+@dataclass(frozen=True)
+class GyroDrift(LinearAxisEffect):
+    """The zero rate moves evenly, with time or from dwell to dwell.
+
+    Attributes
+    ----------
+    steps : int
+        0: with time; 1: by as much from each dwell to the next, however long it took, as by handling.
+    """
+
+    steps: int = 0
+
+    name = "gyro_drift"
+    cause = "The zero rate of a gyro moves evenly with time, or from one handling of the part to the next."
+    formula = "ω_i += gyro_drift_i · t/60, or gyro_step_i · number of the dwell (`steps` 1)"
+    separated_by = (
+        "With poses in one order time is force: repeat poses in another order, and the first ones last. "
+        "`gyro_bias_temperature` needs the temperature to fall; pauses of different length between dwells "
+        "tell time from the number of the dwell."
+    )
+    needs = ("order",)
+    parts = GYRO
+    options: ClassVar[dict[str, tuple[int, ...]]] = {"steps": (0, 1)}
+    coefficients: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("gyro_drift", "dps/min", -5.0, 5.0, 0.005),
+        Parameter("gyro_step", "dps/dwell", -2.0, 2.0, 0.01),
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.steps not in (0, 1):
+            raise UsageError(
+                f"{self.name}: steps is {self.steps}, it can be 0 (with time) or 1 (by dwells)"
+            )
+
+    def active(self) -> tuple[Parameter, ...]:
+        """The coefficient by time, or by dwells."""
+        return (self.coefficients[self.steps],)
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Minutes, or the number of the dwell."""
+        return (conditions.covariate("order") if self.steps else conditions.time_s / 60.0,)
+
+
+class GyroWarmUp(CourseEffect):
+    """The zero rate settles exponentially after power-on."""
+
+    name = "gyro_warm_up"
+    cause = "The zero rate of a gyro settles while the part heats itself after power-on."
+    formula = "ω_i += gyro_warm_up_i · exp(−t/τ), t from the session's start"
+    separated_by = (
+        "Shorter than τ it is `gyro_drift`; with the temperature recorded it competes with "
+        "`gyro_bias_temperature`: switch off and on within the session."
+    )
+    parts = GYRO
+    amplitude: ClassVar[Parameter] = Parameter("gyro_warm_up", "dps", -10.0, 10.0, 0.2)
+    shape: ClassVar[Parameter] = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
+
+    def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
+        """exp(−t/τ) and its derivative by τ."""
+        elapsed = conditions.time_s / shape
+        course = np.exp(-elapsed)
+        return course, course * elapsed / shape
+
+
+class GyroSupply(LinearAxisEffect):
+    """The zero rate follows the supply."""
+
+    name = "gyro_supply"
+    cause = "The zero rate of a gyro moves with the supply voltage."
+    formula = "ω_i += gyro_supply_i · (V − 5 V)"
+    separated_by = (
+        "A supply that sinks while the part warms imitates `gyro_bias_temperature` and `gyro_drift`: "
+        "change the supply by hand in one pose."
+    )
+    needs = ("supply_v",)
+    parts = GYRO
+    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("gyro_supply", "dps/V", -10.0, 10.0, 0.25),)
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """V − 5 V."""
+        return (conditions.covariate("supply_v") - REFERENCE_V,)
+
+
+class GyroAsymmetry(LinearAxisEffect):
+    """Gain 1 + A for positive rates, 1 − A for negative ones."""
+
+    name = "gyro_asymmetry"
+    cause = "The gain of a gyro differs between the two senses of turning."
+    formula = "ω_i += gyro_asymmetry_i · |Ω_i|"
+    separated_by = (
+        "Turns to one side alone have it in `gyro_scale`: turn to both. Of slow and brisk turns a "
+        "curvature grows with the square."
+    )
+    needs = ("rate_dps",)
+    parts = GYRO
+    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("gyro_asymmetry", "1", -0.1, 0.1, 0.001),)
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Modulus of the true rate about the axis."""
+        if conditions.abs_rate_dps is not None:
+            return (conditions.abs_rate_dps[:, axis],)
+        return (np.abs(conditions.covariate("rate_dps")[:, axis]),)
+
+
+class GyroOutlierDwell(OutlierDwell):
+    """`outlier_dwell` as the readings of gyros have it."""
+
+    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("offset", "dps", -300.0, 300.0, 0.1),)
+    parts = GYRO
+
+
+OutlierDwell.elsewhere["gyro"] = GyroOutlierDwell
+
+EFFECTS: tuple[type[Effect], ...] = (
+    GyroBiasTemperature,
+    GSensitivity,
+    G2Sensitivity,
+    GyroScale,
+    GyroScaleTemperature,
+    GyroMisalignment,
+    GyroDrift,
+    GyroWarmUp,
+    GyroSupply,
+    GyroAsymmetry,
+)

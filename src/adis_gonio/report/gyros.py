@@ -1,0 +1,109 @@
+"""The section of a report on the gyros, where the session calibrates them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adis_gonio.calibration.with_gyros import gyros_as_recorded
+from adis_gonio.errors import AdisGonioError
+from adis_gonio.estimation.values import Value
+from adis_gonio.fitting.gyro import GyroFit, fit_gyro
+from adis_gonio.handover.offsets import gyro_offset_words
+from adis_gonio.model.records import Session
+from adis_gonio.report.numbers import number, uncertain
+from adis_gonio.report.parts import Figure, Section, Table
+from adis_gonio.report.svg import Role, Series, plot
+from adis_gonio.sensor.variants import VARIANTS
+
+_ROLES: tuple[Role, ...] = ("after", "third", "fourth")
+_UNITS = {"dps": "°/s", "dps/g": "°/s/g", "deg": "°", "1": ""}
+
+
+def gyro_section(session: Session) -> Section | None:
+    """Parameters, residuals, what is not determined; None where nothing calibrates the gyros."""
+    try:
+        result = fit_gyro(session)
+    except AdisGonioError:
+        return None
+    said = [
+        f"By the mean rates of {result.held}: a gyro reads K D ω + b + G f, with ω the rate of turn, b its "
+        "zero rate, K its gain, D its axis in the accelerometers' frame, f what these read.",
+        f"Residual {number(result.residual_rms_dps)} °/s rms; χ² / degrees of freedom "
+        f"{number(result.chi2)} / {result.dof}.",
+    ]
+    tables = [_parameters(result), *_scores(result), *_offsets(session)]
+    return Section("Gyros", words=said, points=result.warnings, figures=[_residuals(result)], tables=tables)
+
+
+def _parameters(result: GyroFit) -> Table:
+    rows = [_row(name, value) for name, value in result.parameters.items()]
+    head = ["parameter", "unit", "value ± u", "U (95 %)", "k"]
+    caption = (
+        "First letter the gyro, second the axis of the accelerometers. u: standard uncertainty; U = k·u."
+    )
+    return Table(head, rows, caption=caption, numeric=(2, 3, 4))
+
+
+def _row(name: str, value: Value) -> list[str]:
+    return [
+        name,
+        _UNITS.get(value.unit, value.unit),
+        uncertain(value.value, value.u),
+        number(value.U, 2),
+        "–" if value.k is None else f"{value.k:.2f}",
+    ]
+
+
+def _scores(result: GyroFit) -> list[Table]:
+    """Residuals of dwells that were left out."""
+    if not result.scores:
+        return []
+    rows = [
+        [name, *(number(rms) for rms in score.rms_dps.values()), number(max(score.max_dps.values()))]
+        for name, score in result.scores.items()
+    ]
+    head = ["model", "X / (°/s)", "Y / (°/s)", "Z / (°/s)", "largest / (°/s)"]
+    caption = "Residual of dwells at rest, each left out of the fit in turn, rms by gyro."
+    return [Table(head, rows, caption=caption, numeric=(1, 2, 3, 4))]
+
+
+def _offsets(session: Session) -> list[Table]:
+    """What the chip's registers held, and what would take the zero rates out."""
+    if session.sensor not in VARIANTS:
+        return []
+    try:
+        words = gyro_offset_words(gyros_as_recorded(session))
+    except AdisGonioError:
+        return []
+    rows = [
+        [
+            word.name,
+            "–" if word.before is None else str(word.before).replace("-", "−"),
+            str(word.number).replace("-", "−"),
+            f"{word.left_dps:+.4f}".replace("-", "−"),
+        ]
+        for word in words
+    ]
+    head = ["register", "while recorded", "takes the zero rate out", "left / (°/s)"]
+    return [Table(head, rows, caption="One LSB is 0.018315 °/s at every range.", numeric=(1, 2, 3))]
+
+
+def _residuals(result: GyroFit) -> Figure:
+    residual = result.residual_dps
+    order = np.arange(1.0, len(residual) + 1)
+    data = None if result.fit is None else result.fit.data
+    u = None if data is None else np.sqrt(np.diagonal(data.covariance, axis1=1, axis2=2))
+    series = [
+        Series(
+            order + 0.12 * (k - 1),
+            residual[:, k],
+            f"gyro {axis}",
+            None if u is None else u[:, k],
+            _ROLES[k],
+        )
+        for k, axis in enumerate("XYZ")
+    ]
+    turns = ", turns between them" if result.turns else ""
+    title = "Residual of the gyros against the number of the interval"
+    drawn = plot(series, f"dwells in order{turns}", "reading − model / (°/s)", title=title, zero=True)
+    return Figure(drawn, f"{title}; bars are standard uncertainties of a mean.")

@@ -1,0 +1,269 @@
+"""Gyros in exports: the compiled header gives `correct`, offsets take zero rates away; none where none."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adis_gonio import open_sensor
+from adis_gonio.cli import main
+from adis_gonio.errors import FitError
+from adis_gonio.handover.c_header import c_header
+from adis_gonio.handover.certificate import _UNITS, certificate_text
+from adis_gonio.handover.offsets import gyro_offset_words, registers_text
+from adis_gonio.handover.polynomial import PARTS
+from adis_gonio.handover.rates import (
+    FIXED_UDPS,
+    FLOAT_DPS,
+    STEP_DPS,
+    FixedRates,
+    SingleRates,
+    rate_polynomial_of,
+)
+from handover.calibrations import CURVED, PLANE, SPACE, calibration, of_counts
+from handover.dcc_structure import judge
+from handover.gyros import EVERY, FULL, UNITS, ZERO, Estimated, gyros, with_gyros
+from handover.machines import HERE, MACHINES
+from handover.sweep import ulps
+from handover.test_certificate import quantities
+
+LSB = 0.018315
+KINDS = {
+    "zero rates alone": lambda: with_gyros(calibration(PLANE), ZERO),
+    "plane": lambda: with_gyros(calibration(PLANE, CURVED), FULL),
+    "space, every effect": lambda: with_gyros(calibration(SPACE), EVERY),
+    "sibling": lambda: with_gyros(calibration(PLANE, sensor="adis16350"), EVERY),
+    "mg": lambda: with_gyros(calibration(PLANE, sensor="generic"), EVERY),
+}
+TURNS = round(2 * 300 / STEP_DPS)
+SPAN = {"sibling": 256 * 900, "mg": 256 * 2600}
+COMPILERS = [one.name for one in MACHINES if not one.runner]
+
+
+def drawn(n, span, *, words):
+    """Turns and scans of sweep_rates.c: (n, 3), (n, 3), (n,), (n,)."""
+    state, rows = 12345, []
+
+    def following():
+        nonlocal state
+        state = (state * 1664525 + 1013904223) & 0xFFFFFFFF
+        return state >> 8
+
+    def signed(number):
+        data = number & 0x3FFF
+        return data - 0x4000 if data & 0x2000 else data
+
+    for k in range(n):
+        turn = [following() % TURNS - TURNS // 2 for _ in range(3)]
+        scan = [following() % span - span // 2 for _ in range(3)]
+        temperature, supply = following() % 200_000 - 100_000, following() % 2_000_000
+        if words and k % 3 == 0:
+            parts = 1024 if k % 2 else 512 if k % 4 else 256
+            turn = [parts * signed(one) for one in turn]
+        rows.append([*turn, *scan, temperature, supply])
+    table = np.array(rows, dtype=np.int64)
+    return table[:, :3], table[:, 3:6], table[:, 6], table[:, 7]
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_compiled_rates_are_bit_equal_to_their_reference(tmp_path, compiler, kind):
+    machine = next(one for one in MACHINES if one.name == compiler)
+    if reason := machine.missing():
+        pytest.skip(reason)
+    own, n = KINDS[kind](), 3000
+    polynomial = rate_polynomial_of(own, own.gyro)
+    words = polynomial.accelerometers.words
+    span = SPAN.get(kind, 256 * 5400)
+    (tmp_path / "own.h").write_text(c_header(own), encoding="ascii")
+    options = [
+        '-DHEADER="own.h"', "-DPREFIX=adis_gonio", f"-DSCANS={n}", f"-DSPAN={span}UL", f"-DTURNS={TURNS}UL",
+        *(["-DWORDS"] if words else []),
+    ]  # fmt: skip
+    lines = machine.run(tmp_path, *options, source=HERE / "sweep_rates.c").splitlines()
+    assert int(lines[0], 16) == 0, "the header's own check"
+    table = np.array([[int(word, 16) for word in line.split()] for line in lines[1:]], dtype=np.uint32)
+    assert table.shape == (n, 6)
+    given = drawn(n, span, words=words)
+    assert np.array_equal(table[:, :3].astype(np.int32), FixedRates(polynomial).rates_udps(*given))
+    single = table[:, 3:].copy().view(np.float32)
+    assert ulps(single, SingleRates(polynomial).rates_dps(*given)).max() <= 2
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_both_arithmetics_give_the_calibration_s_rates_within_the_bounds_of_the_header(kind):
+    own = KINDS[kind]()
+    polynomial = rate_polynomial_of(own, own.gyro)
+    turn, scan, warm, volts = drawn(4000, SPAN.get(kind, 256 * 4000), words=False)
+    step_mg = {"adis16354": 0.4672, "adis16350": 2.522}.get(own.provenance.sensor, 1.0)
+    if own.provenance.sensor == "generic":
+        temperature, supply = warm / PARTS, volts / PARTS / 1000
+    else:
+        temperature, supply = 25 + 0.1453 * warm / PARTS, 1.8315e-3 * volts / PARTS
+    force = scan / PARTS * step_mg / 1000
+    inside = (np.abs(temperature - 25) < 128) & (np.abs(supply - 5) < 8) & (np.abs(force) < 2).all(axis=1)
+    assert inside.sum() > 1000
+    exact = own.gyro.correct(turn / PARTS * LSB, force, temperature, supply_v=supply)[inside]
+    given = (turn[inside], scan[inside], warm[inside], volts[inside])
+    assert np.abs(exact).max() > 250
+    fixed = FixedRates(polynomial).rates_udps(*given)
+    assert np.abs(fixed - 1e6 * exact).max() < FIXED_UDPS
+    assert np.abs(SingleRates(polynomial).rates_dps(*given) - exact).max() < FLOAT_DPS
+
+
+def test_the_self_check_notices_a_changed_zero_rate(tmp_path):
+    machine = next(one for one in MACHINES if one.name == "host")
+    if reason := machine.missing():
+        pytest.skip(reason)
+    own = KINDS["plane"]()
+    bias = FixedRates(rate_polynomial_of(own, own.gyro)).bias[0]
+    text = c_header(own)
+    assert f"({bias}L +" in text
+    (tmp_path / "own.h").write_text(text.replace(f"({bias}L +", f"({bias + 100}L +"))
+    source = tmp_path / "check.c"
+    source.write_text(
+        '#include "own.h"\nint main(void) { return adis_gonio_self_check() == 201 ? 0 : 1; }\n'
+    )
+    machine.run(tmp_path, "-Wconversion", "-Wshadow", "-Wundef", "-Wcast-qual", source=source)
+
+
+def test_without_gyros_no_export_knows_of_them():
+    bare = calibration(PLANE, CURVED, sensor="adis16354")
+    for text in (
+        c_header(bare),
+        registers_text(calibration(PLANE)),
+        certificate_text(bare, date(2026, 5, 4)),
+    ):
+        assert not re.search("gyro|rates|dps", text, re.IGNORECASE)
+
+
+def test_with_gyros_the_functions_of_the_accelerometers_are_the_same():
+    bare, whole = calibration(PLANE, CURVED), with_gyros(calibration(PLANE, CURVED), FULL)
+
+    def angles(text):
+        begin, end = text.index("/* ---- fixed point ---- */"), text.index("/* ---- self-check ---- */")
+        return re.sub(r"/\* ---- gyros.*", "", text[begin:end], flags=re.DOTALL)
+
+    assert angles(c_header(whole)) == angles(c_header(bare))
+    assert registers_text(with_gyros(calibration(PLANE), FULL)).startswith(
+        registers_text(calibration(PLANE))
+    )
+
+
+def test_every_parameter_stands_in_the_header_with_its_u_and_what_is_missing_is_said():
+    text = c_header(with_gyros(calibration(PLANE), ZERO))
+    for name, value in ZERO.items():
+        row = next(line for line in text.splitlines() if line.startswith(f" * {name} "))
+        assert (float(row.split()[2]), row.split()[3], float(row.split()[4])) == (value, "dps", 2e-3)
+    assert "gyro_scale_x: not determined" in text
+    assert "12, -5, 0 in XGYRO_OFF" in text
+
+
+def test_a_part_in_counts_has_no_force_and_is_refused():
+    with pytest.raises(FitError, match="force"):
+        c_header(replace(of_counts(), gyro=gyros(FULL)))
+
+
+# -- registers -------------------------------------------------------------------------------------------
+
+
+def test_the_offsets_take_the_zero_rates_of_a_simulated_part_away(capsys):
+    url = "sim:?seed=4&gyro_g_dps_per_g=0&gyro_supply_dps_per_v=0&gyro_instability_dps=0"
+    url += "".join(f"&{name}_dps={value}" for name, value in ZERO.items())
+    own = with_gyros(calibration(PLANE), ZERO, offsets_lsb=None)
+    lines = dict(re.findall(r"^(\w+)=(-?\d+)$", registers_text(own), re.MULTILINE))
+    assert {name: int(lines[name]) for name in ("XGYRO_OFF", "YGYRO_OFF", "ZGYRO_OFF")} == {
+        "XGYRO_OFF": -66, "YGYRO_OFF": 40, "ZGYRO_OFF": -21,
+    }  # fmt: skip
+    with open_sensor(url) as sensor:
+        before = sensor.read_scans(4000).gyro_dps.mean(axis=0)
+        for name, number in lines.items():
+            sensor.write(name, int(number))
+        after = sensor.read_scans(4000).gyro_dps.mean(axis=0)
+    assert np.abs(before - list(ZERO.values())).max() < 0.05
+    assert np.abs(after).max() < 0.05
+    assert main(["registers", "sim:?seed=1", *(f"{name}={number}" for name, number in lines.items())]) == 0
+    assert "-66" in capsys.readouterr().out
+
+
+def test_offsets_that_stood_already_are_kept_in_the_sum_and_rounding_leaves_half_an_lsb():
+    words = gyro_offset_words(gyros(ZERO))
+    assert [(word.number, word.before) for word in words] == [(12 - 66, 12), (-5 + 40, -5), (-21, 0)]
+    for word in words:
+        assert word.left_dps == pytest.approx(word.bias_dps + (word.number - word.before) * LSB)
+        assert abs(word.left_dps) <= LSB / 2 + 1e-12
+
+
+def test_a_zero_rate_beyond_thirteen_bits_is_refused_with_what_the_register_holds():
+    far = gyros(ZERO | {"gyro_bias_y": 75.2}, offsets_lsb=None)
+    with pytest.raises(FitError, match=r"YGYRO_OFF holds -4096 to 4095 \(-75.0 to 75.0 °/s\)"):
+        gyro_offset_words(far)
+    near = gyros(ZERO | {"gyro_bias_y": 74.9}, offsets_lsb=None)
+    assert gyro_offset_words(near)[1].number == -4090
+
+
+# -- certificate -----------------------------------------------------------------------------------------
+
+
+def test_the_certificate_holds_every_parameter_in_si_units_and_keeps_its_structure():
+    root = judge(certificate_text(with_gyros(calibration(PLANE), EVERY), date(2026, 5, 4)))
+    found = quantities(root)
+    g = 9.80665
+    for name, factor in (
+        ("gyro_bias_x", 1.0),
+        ("g_sensitivity_yz", 1 / g),
+        ("g2_sensitivity_xx", 1 / g**2),
+    ):
+        assert float(found[name]["value"]) == pytest.approx(EVERY[name] * factor, rel=1e-12)
+    assert found["gyro_bias_x"]["unit"] == r"\degree\second\tothe{-1}"
+    assert found["gyro_bias_x"]["coverageProbability"] == "0.95"
+    assert set(EVERY) <= set(found)
+    assert set(UNITS.values()) <= set(_UNITS)
+
+
+def test_the_certificate_names_the_gyro_and_what_was_not_determined():
+    text = certificate_text(with_gyros(calibration(PLANE), ZERO), date(2026, 5, 4))
+    assert "Zero rate of gyro X (gyro_bias_x)" in text
+    assert "Accelerometers and gyros of an adis16354" in text
+    assert "gyro_scale_x" in text
+    poor = replace(
+        with_gyros(calibration(PLANE), ZERO),
+        gyro=gyros(ZERO).of({k: Estimated(v, None, "dps") for k, v in ZERO.items()}),
+    )
+    assert "expandedUnc" not in certificate_text(poor).split("Parameters of the gyros")[1]
+
+
+def test_a_calibration_file_with_gyros_is_exported_on(tmp_path):
+    path = tmp_path / "own.json"
+    own = with_gyros(calibration(PLANE), FULL)
+    own.save(path)
+    for name in ("own.h", "own.xml", "own.txt"):
+        assert main(["export", str(path), "-o", str(tmp_path / name)]) == 0
+    assert (tmp_path / "own.h").read_text() == c_header(own)
+    assert "ZGYRO_OFF=" in (tmp_path / "own.txt").read_text()
+    assert "Parameters of the gyros" in Path(tmp_path / "own.xml").read_text("utf-8")
+
+
+def test_registers_show_the_chip_s_offsets_beside_what_the_calibration_would_write(tmp_path, capsys):
+    path = tmp_path / "own.json"
+    with_gyros(calibration(PLANE), ZERO, offsets_lsb=(0, 0, 0)).save(path)
+    assert main(["registers", "sim:?seed=1", "XGYRO_OFF=12", "--cal", str(path)]) == 0
+    (row,) = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("XGYRO_OFF")]
+    assert row[2:5] == ["12", "0.2198", "°/s"]
+    assert row[5:10] == ["-66", "=", "-1.209", "°/s", "(u"]
+    assert main(["registers", "sim:?seed=1", "--cal", str(path), "--json"]) == 0
+    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["registers"]}
+    assert rows["YGYRO_OFF"]["calibration"] == {
+        "number": 40, "value": pytest.approx(40 * LSB), "u": 2e-3, "unit": "°/s",
+    }  # fmt: skip
+    assert rows["XACCL_OFF"]["calibration"]["number"] == -26
+    assert "calibration" not in rows["SMPL_PRD"]
+    assert main(["registers", "sim:?seed=1", "--json"]) == 0
+    assert "calibration" not in capsys.readouterr().out
+    assert main(["registers", "--cal", str(path)]) == 2
