@@ -245,6 +245,43 @@ def run(
         return list(pool.map(work, seeds))
 
 
+def rest(seed: int, lag_s: float = 0.5) -> float:
+    """Error of the angle of a part at rest, after some seconds, in units of its u."""
+    world = World(WorldSettings(**part_of(np.random.default_rng(seed))), seed=seed)
+    time_s = np.arange(5.0, 5.0 + REST_S, PERIOD_S)
+    felt = world.sample(time_s)
+    recording = Recording(
+        time_s,
+        _words(felt.accel_mg, world.variant.accel_mg_per_lsb),
+        _words(felt.gyro_dps, GYRO_LSB_DPS[300]),
+        world,
+        (np.inf, np.inf),
+    )
+    smoother = AngleSmoother(sensing_of(recording), lag_s=lag_s, corrected=recording.corrected, bend=BEND)
+    smoother.feed(time_s, recording.accel_mg, recording.gyro_dps)
+    angle = smoother.angle()
+    assert angle is not None
+    error = wrapped(angle.angle_deg - recording.true_deg(np.array([angle.time_s])))
+    return float(error[0]) / angle.u_deg
+
+
+def rests(count: int, seed: int, jobs: int) -> Row:
+    """Coverage over parts at rest: one angle of each, since the drift of a part is one draw."""
+    seeds = [int(s) for s in np.random.default_rng([seed, 2]).integers(2**32, size=count)]
+    if jobs <= 1:
+        z = np.array([rest(s) for s in seeds])
+    else:
+        with ProcessPoolExecutor(jobs) as pool:
+            z = np.array(list(pool.map(rest, seeds)))
+    share = float(np.mean(np.abs(z) <= 1.96))
+    return {
+        "parts": count,
+        "coverage": share,
+        "coverage_u": math.sqrt(0.95 * 0.05 / count),
+        "normalised_square": float(np.mean(z**2)),
+    }
+
+
 def summary(rows: Sequence[Row]) -> Row:
     """By way and by motion or rest: rms error, coverage with its u over hands, normalised square."""
     found: Row = {"hands": len(rows)}
@@ -274,7 +311,8 @@ def main() -> int:
     parser.add_argument("--fast", action="store_true", help="three hands")
     options = parser.parse_args()
     count = 3 if options.fast else options.hands
-    document = {"seed": options.seed}
+    document: Row = {"seed": options.seed}
+    document["rests"] = rests(10 * count, options.seed, options.jobs)
     for name, calibrated in (("uncalibrated", False), ("calibrated", True)):
         document[name] = summary(run(count, options.seed, options.jobs, calibrated=calibrated))
     json.dump(document, sys.stdout, indent=1)

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from adis_gonio.calibration import Calibration, load_calibration
+from adis_gonio.calibration.calibration import Coefficient
+from adis_gonio.calibration.gyros import GyroCalibration
 from adis_gonio.errors import BusTimeoutError, CannotOpenError
 from adis_gonio.sensor import open_sensor
 from adis_gonio.sensor.settings import Configuration
-from adis_gonio.session.angle import LiveBlocks, LiveSource, live_angles, open_live
+from adis_gonio.session.angle import LiveBlocks, LiveSource, calibration_for, live_angles, open_live
 from adis_gonio.session.blocks import ValueBlock
 from adis_gonio.session.judge import Judge, Spread
 from adis_gonio.session.live import LiveView
@@ -232,3 +234,60 @@ def test_the_bench_screens_angle_has_no_shaking():
     # A filter's step, its neighbour and the chip's delay behind a part that turns: 0.04 s of 20 °/s.
     assert np.std(smooth) < 0.3 * np.std(plain)
     assert abs(np.mean(smooth)) < abs(np.mean(plain))
+
+
+# -- with the gyros calibrated ---------------------------------------------------------------------------
+
+TURNED_ON = f"{HIDDEN}&gyro_bias_z_dps=1.2"
+
+
+def with_gyros(calibration: Calibration, off_dps: float = 0.0) -> Calibration:
+    """The calibration with the true errors of the gyros of `TURNED_ON`, and a zero rate that is off."""
+    with open_sensor(TURNED_ON) as sensor:
+        truth = sensor.bus.world.truth()
+    estimates = {
+        f"gyro_bias_{axis}": Coefficient("", truth[f"gyro_bias_{axis}"] + off_dps, 0.02, "dps")
+        for axis in "xyz"
+    }
+    estimates |= {f"gyro_scale_{axis}": Coefficient("", 1.0, 1e-3, "1") for axis in "xyz"}
+    estimates |= {
+        f"g_sensitivity_{a}{b}": Coefficient("", truth[f"g_sensitivity_{a}{b}"], 0.002, "dps/g")
+        for a in "xyz"
+        for b in "xyz"
+    }
+    return replace(calibration, gyro=GyroCalibration.of(estimates, offsets_lsb=(0, 0, 0)))
+
+
+def after_seconds(calibration: Calibration, offset_lsb: int = 0, seconds: float = 6.0):
+    with open_sensor(TURNED_ON) as sensor:
+        if offset_lsb:
+            sensor.write("ZGYRO_OFF", offset_lsb)
+        names = ("XACCL_OUT", "YACCL_OUT", "ZACCL_OUT", "XTEMP_OUT", "XGYRO_OUT", "YGYRO_OUT", "ZGYRO_OUT")
+        now = (sensor.read("XGYRO_OFF"), sensor.read("YGYRO_OFF"), sensor.read("ZGYRO_OFF"))
+        source = LiveSource(sensor.configuration(), None, 2.0, 0.4672, "adis16354", (0, 0, 0), now)
+        meter = SmoothedMeter(
+            sensing_of(source.measuring, source.part, 2.0), calibration_for(calibration, source), lag_s=0.1
+        )
+        with sensor.stream(names, block_scans=82) as stream:
+            for _ in range(round(10 * seconds)):
+                block = next(stream)
+                meter.feed(block)
+        return meter.reading(float(block.time_s[-1]))
+
+
+def test_a_gyro_calibration_is_used_and_what_the_chip_corrects_is_not_corrected_again(
+    calibration,
+):
+    plain, known = after_seconds(calibration), after_seconds(with_gyros(calibration))
+    assert plain.gyro_zero_dps == pytest.approx(1.2, abs=0.2)
+    assert abs(known.gyro_zero_dps) < 4 * known.gyro_zero_u_dps
+    assert known.gyro_zero_u_dps < plain.gyro_zero_u_dps
+    moved = after_seconds(with_gyros(calibration), offset_lsb=-110)  # about -2 °/s
+    assert abs(moved.gyro_zero_dps) < 4 * moved.gyro_zero_u_dps
+    assert known.notes == moved.notes == ()
+
+
+def test_another_parts_gyros_are_said_and_the_angle_is_right_all_the_same(calibration):
+    own, wrong = after_seconds(calibration), after_seconds(with_gyros(calibration, off_dps=3.0))
+    assert wrong.notes == ("gyro_calibration",)
+    assert abs(wrong.smoothed_deg - own.smoothed_deg) < 2 * own.smoothed_u_deg
