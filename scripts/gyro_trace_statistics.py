@@ -54,9 +54,7 @@ def figures(kind: str, verdicts: Sequence[Verdict], failed: int) -> list[tuple[s
     """Lines of a kind."""
     lines = []
     if kind == "none":
-        lines.append(
-            rate("none: something found", [bool(v.claimed or v.said) for v in verdicts], high=0.01)
-        )
+        lines.append(rate("none: something found", [bool(v.claimed or v.said) for v in verdicts], high=0.01))
     if kind == "one":
         lines.append(rate("one: found", [v.found for v in verdicts], low=0.97))
         lines.append(rate("one: found alone", [v.exact for v in verdicts], low=0.95))
@@ -66,16 +64,12 @@ def figures(kind: str, verdicts: Sequence[Verdict], failed: int) -> list[tuple[s
         lines.append(rate("two: both and nothing else", [v.exact for v in verdicts], low=0.90))
         lines.append(rate("two: a wrong name", [bool(v.wrong) for v in verdicts]))
     if kind == "uncatalogued":
-        lines.append(
-            rate("uncatalogued: right covariate, unnamed", [v.covariate for v in verdicts], low=0.90)
-        )
+        lines.append(rate("uncatalogued: right covariate, unnamed", [v.covariate for v in verdicts], low=0.90))
         lines.append(rate("uncatalogued: a wrong name", [bool(v.wrong) for v in verdicts], high=0.05))
     ratios = [v.ratio for v in verdicts if np.isfinite(v.ratio)]
     if ratios:
         median = float(np.median(ratios))
-        lines.append(
-            (f"| {kind}: held-out error over the oracle's, median | {median:.3f} | ≤ 1.10 |", median <= 1.1)
-        )
+        lines.append((f"| {kind}: held-out error over the oracle's, median | {median:.3f} | ≤ 1.10 |", median <= 1.1))
     lines.append((f"| {kind}: raised | {failed} | 0 |", not failed))
     return lines
 
@@ -117,9 +111,7 @@ def _list(kind: str, answers: Sequence[Verdict | str], failures: Sequence[str], 
         good = verdict.covariate and not verdict.wrong if kind == "uncatalogued" else verdict.exact
         if not good:
             said = f"; unnamed {verdict.said}" if verdict.said else ""
-            print(
-                f"  {index}: {', '.join(verdict.truth)} → {', '.join(verdict.claimed) or 'nothing'}{said}"
-            )
+            print(f"  {index}: {', '.join(verdict.truth)} → {', '.join(verdict.claimed) or 'nothing'}{said}")
         for name, hit in verdict.covered:
             wrong[name] += not hit
     print("  outside the interval:", dict(wrong))
