@@ -22,6 +22,7 @@ _HOMES = {
     "trace": "adis_gonio.api",
     "TraceResult": "adis_gonio.tracing",
     "Calibration": "adis_gonio.calibration",
+    "GyroCalibration": "adis_gonio.calibration",
     "AdisGonioError": "adis_gonio.errors",
 }
 
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from adis_gonio.api import trace as trace
     from adis_gonio.bus import open_bus as open_bus
     from adis_gonio.calibration import Calibration as Calibration
+    from adis_gonio.calibration import GyroCalibration as GyroCalibration
     from adis_gonio.errors import AdisGonioError as AdisGonioError
     from adis_gonio.fitting import FitResult as FitResult
     from adis_gonio.model import Dwell as Dwell

@@ -254,8 +254,9 @@ def test_registers_show_the_chip_s_offsets_beside_what_the_calibration_would_wri
     path = tmp_path / "own.json"
     with_gyros(calibration(PLANE), ZERO, offsets_lsb=(0, 0, 0)).save(path)
     assert main(["registers", "sim:?seed=1", "XGYRO_OFF=12", "--cal", str(path)]) == 0
-    (row,) = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("XGYRO_OFF")]
-    assert row[2:5] == ["12", "0.2198", "°/s"]
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    (row,) = [line for line in lines if line[0] == "XGYRO_OFF"]
+    assert row[2:5] == ["12", "0.21978", "°/s"]
     assert row[5:10] == ["-66", "=", "-1.209", "°/s", "(u"]
     assert main(["registers", "sim:?seed=1", "--cal", str(path), "--json"]) == 0
     rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["registers"]}

@@ -123,13 +123,7 @@ def _show(
     if as_json:
         told = {name: {"calibration": one.as_dict()} for name, one in beside.items()}
         shown = [_as_dict(row, quantity) | told.get(row.name, {}) for row, quantity in rows]
-        print_json(
-            {
-                "registers": [
-                    one if own is None else one | {"calibration": own.as_dict()} for one, own in shown
-                ]
-            }
-        )
+        print_json({"registers": shown})
         return
     from rich.table import Table
 

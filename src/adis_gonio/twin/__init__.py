@@ -2,5 +2,11 @@
 
 from adis_gonio.twin.comparison import TwinComparison, compare
 from adis_gonio.twin.replay import simulate_like
+from adis_gonio.twin.world import gyro_settings
 
-__all__ = ["TwinComparison", "compare", "simulate_like"]
+__all__ = [
+    "TwinComparison",
+    "compare",
+    "gyro_settings",
+    "simulate_like",
+]

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from adis_gonio.errors import DataError
+from adis_gonio.calibration.gyros import GyroCalibration
+from adis_gonio.calibration.with_gyros import gyros_as_recorded
+from adis_gonio.errors import AdisGonioError, DataError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import readings_of
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sensor.driver import Adis16354
-from adis_gonio.sensor.registers import ACCEL_OUT
+from adis_gonio.sensor.registers import ACCEL_OUT, GYRO_OUT
 from adis_gonio.sensor.settings import sample_period_s
 from adis_gonio.sim.bus import SimBus
 from adis_gonio.twin.world import LikeWorld, noise_of
@@ -22,7 +24,7 @@ _REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 
 
 def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
-    """Session from the simulator whose world is a traced model.
+    """Session from the simulator whose world is a traced model, gyros and all where these are calibrated.
 
     The sensor is read through the driver, frame by frame. Where the session gives no time for a move, the
     twin is that much later.
@@ -46,7 +48,9 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
     data = readings_of(session)
     fit = traced.on(data)
     noise = noise_of(session, data.unit)
-    world = LikeWorld(fit, noise, sensor=session.sensor, seed=seed, offset_s=_OPENING_S)
+    gyro = _gyros_of(session)
+    names = _REGISTERS if gyro is None else (*_REGISTERS, *GYRO_OUT)
+    world = LikeWorld(fit, noise, sensor=session.sensor, seed=seed, offset_s=_OPENING_S, gyro=gyro)
     bus = SimBus(world=world, stream=True)
     begin_s = float(session.dwells[0].time_s[0])
     period_s = sample_period_s(noise.smpl_prd)
@@ -63,13 +67,13 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
             bus.sleep_s(max(start_s - bus.now_s(), settle_s, 0.5))
             length_s = float(dwell.time_s[-1] - dwell.time_s[0])
             count = max(2, round(length_s / period_s) + 1)
-            block = sensor.read_scans(count, _REGISTERS)
+            block = sensor.read_scans(count, names)
             dwells.append(
                 replace(
                     dwell,
                     time_s=block.time_s - _OPENING_S + begin_s,
                     accel=block.numbers()[:, : dwell.accel.shape[1]].astype(np.float64),
-                    gyro=None,
+                    gyro=None if gyro is None else block.gyro_dps,
                     temperature_c=block.temperature_c if dwell.temperature_c is not None else None,
                     supply_v=block.supply_v if dwell.supply_v is not None else None,
                     first_row=None,
@@ -80,11 +84,20 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
         dwells=tuple(dwells),
         sensor=world.variant.name,
         accel_unit="lsb",
+        gyro_unit="dps",
         title=f"twin of {session.title or session.source}",
         source="",
         notes=(),
         facts={"configuration": {"smpl_prd": noise.smpl_prd, "filter_m": noise.filter_m}},
     )
+
+
+def _gyros_of(session: Session) -> GyroCalibration | None:
+    """Faults of the gyros; None where the session has none or does not calibrate them."""
+    try:
+        return gyros_as_recorded(session)
+    except AdisGonioError:
+        return None
 
 
 def _attitude(fit: Fit, k: int) -> list[float]:

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from adis_gonio.calibration.gyros import GyroCalibration
 from adis_gonio.errors import DataError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Unit
 from adis_gonio.estimation.spectrum import noise_of_means
-from adis_gonio.estimation.terms import Term
-from adis_gonio.model.effects import Conditions, Effect, Enters, Parameter
+from adis_gonio.estimation.terms import NamedTerm, Term
+from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, Parameter
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats, Session
 from adis_gonio.sensor.settings import sample_period_s, smpl_prd_for
 from adis_gonio.sensor.variants import VARIANTS
@@ -180,6 +181,8 @@ class LikeWorld(World):
     seed : int
     offset_s : float
         Time of the world at which the session begins.
+    gyro : GyroCalibration or None
+        Faults of the gyros, for the offsets with which the session was recorded; None leaves them drawn.
     """
 
     def __init__(
@@ -190,6 +193,7 @@ class LikeWorld(World):
         sensor: str,
         seed: int,
         offset_s: float,
+        gyro: GyroCalibration | None = None,
     ) -> None:
         data = self._data = fit.data
         self._offset_s = offset_s
@@ -207,16 +211,16 @@ class LikeWorld(World):
             )
             effects.append((made, values))
         part = sensor if sensor in VARIANTS else "adis16354"
-        super().__init__(_settings(fit), part=part, seed=seed, effects=effects)
+        super().__init__(_settings(fit, gyro), part=part, seed=seed, effects=effects)
         white = np.full(3, float(noise.white_mg.mean()))
         white[: data.axes] = noise.white_mg
         floor = np.zeros(3)
         floor[: data.axes] = noise.floor_mg
         own = np.random.SeedSequence((seed, 1)).spawn(2)
         surroundings = [self.settings.temperature_noise_c] * 3 + [self.settings.supply_noise_v]
-        gyro = self.variant.performance.gyro_noise_dps
+        noisy = self.variant.performance.gyro_noise_dps
         self._white = White(
-            np.array([*white, gyro, gyro, gyro, *surroundings]), np.random.default_rng(own[0])
+            np.array([*white, noisy, noisy, noisy, *surroundings]), np.random.default_rng(own[0])
         )
         self._flicker = Flicker(
             np.array([*floor, 0.0, 0.0, 0.0]), np.random.default_rng(own[1]), start_s=-10.0
@@ -238,7 +242,43 @@ class LikeWorld(World):
         return np.interp(time_s - self._offset_s, conditions.time_s, conditions.supply_v)
 
 
-def _settings(fit: Fit) -> WorldSettings:
+def gyro_settings(gyro: GyroCalibration, accel_bias_mg: Floats) -> dict[str, float]:
+    """Settings of a world whose gyros have the faults of a calibration; what it does not know is nominal.
+
+    The world's gyros feel what ideal accelerometers read, those of a calibration what the part's do: the
+    accelerometers' bias (3,) goes into the zero rates.
+    """
+    moved = gyro.with_force_moved(-accel_bias_mg / 1000)
+    held = {one.name: one.value for one in moved.parameters}
+    pairs = [i + j for i in AXES for j in AXES]
+    made: dict[str, float] = {}
+    for axis in AXES:
+        made |= {
+            f"gyro_bias_{axis}_dps": held[f"gyro_bias_{axis}"],
+            f"gyro_bias_tempco_{axis}_dps_per_c": held.get(f"gyro_bias_temperature_{axis}", 0.0),
+            f"gyro_scale_{axis}": held.get(f"gyro_scale_{axis}", 1.0),
+            f"gyro_scale_tempco_{axis}_ppm_per_c": held.get(f"gyro_scale_temperature_{axis}", 0.0),
+            f"gyro_supply_{axis}_dps_per_v": held.get(f"gyro_supply_{axis}", 0.0),
+        }
+    for pair in pairs:
+        made[f"gyro_g_sensitivity_{pair}_dps_per_g"] = held.get(f"g_sensitivity_{pair}", 0.0)
+        made[f"gyro_g2_sensitivity_{pair}_dps_per_g2"] = held.get(f"g2_sensitivity_{pair}", 0.0)
+        if pair[0] != pair[1]:
+            made[f"gyro_misalignment_{pair}_deg"] = held.get(f"gyro_misalignment_{pair}", 0.0)
+    return made
+
+
+def _accel_bias_mg(fit: Fit) -> Floats:
+    """Biases (3,) that the model has."""
+    found = np.zeros(3)
+    for term, values in zip(fit.terms, fit.values.terms, strict=True):
+        if isinstance(term, NamedTerm) and term.name == "bias":
+            for one, value in zip(term.effect.parameters, values, strict=True):
+                found[AXES.index(one.name[-1])] += value
+    return found
+
+
+def _settings(fit: Fit, gyro: GyroCalibration | None = None) -> WorldSettings:
     data = fit.data
     common = {
         "gravity_mps2": data.gravity_mg * STANDARD_GRAVITY_MPS2 / 1000,
@@ -264,4 +304,5 @@ def _settings(fit: Fit) -> WorldSettings:
     own["delta_k"] = own.pop("scale_x") / own["scale_y"] - 1
     if "skew_xy_deg" in own:
         own["delta_phi_deg"] = own.pop("skew_xy_deg")
-    return WorldSettings(**{**common, **own})
+    gyros = {} if gyro is None else gyro_settings(gyro, _accel_bias_mg(fit))
+    return WorldSettings(**{**common, **own, **gyros})

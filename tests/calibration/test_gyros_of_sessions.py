@@ -1,0 +1,124 @@
+"""A session's own fit (or trace) of its gyros stands in every calibration that is made of it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import adis_gonio
+from adis_gonio import Calibration
+from adis_gonio.calibration import GyroCalibration
+from adis_gonio.calibration.gyro_building import _gains, estimates_of_gyro_fit, estimates_of_gyro_trace
+from adis_gonio.calibration.with_gyros import gyro_calibration_of, with_gyros
+from adis_gonio.cli import main
+from adis_gonio.errors import DataError
+from adis_gonio.session import load_session
+from adis_gonio.session.export import write_csv
+from writeback.gyro_rig import FAULTS
+from writeback.rig import new_bus, record
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("gyros") / "poses.session", new_bus(3, **FAULTS), "poses")
+
+
+@pytest.fixture(scope="module")
+def fitted(path):
+    return adis_gonio.fit(path, part="gyro")
+
+
+@pytest.fixture(scope="module")
+def bare(path, tmp_path_factory):
+    """The same session as a file without the gyros' columns."""
+    session = load_session(path)
+    own = replace(session, dwells=tuple(replace(dwell, gyro=None) for dwell in session.dwells))
+    csv = tmp_path_factory.mktemp("bare") / "bare.csv"
+    write_csv(own, csv)
+    return csv
+
+
+def test_a_session_s_calibration_holds_its_gyros_as_they_were_fitted(path, fitted):
+    made = Calibration.load(path).gyro
+    assert [one.name for one in made.parameters][:3] == ["gyro_bias_x", "gyro_bias_y", "gyro_bias_z"]
+    for name, value in fitted.parameters.items():
+        assert made[name].value == value.value
+        assert made[name].u == pytest.approx(value.u, rel=1e-9)
+    order = [list(fitted.parameters).index(one.name) for one in made.parameters]
+    assert made.covariance == pytest.approx(fitted.covariance[np.ix_(order, order)], rel=1e-9)
+    assert made.offsets_lsb == (0, 0, 0)
+    assert GyroCalibration.load(path) == made
+    alone = fitted.calibration()
+    assert alone.bias_dps.tolist() == made.bias_dps.tolist()
+
+
+def test_the_session_s_gyros_find_the_part_s_faults(path):
+    made = GyroCalibration.load(path)
+    off = made.bias_dps - [FAULTS[f"gyro_bias_{axis}_dps"] for axis in "xyz"]
+    assert np.abs(off).max() < 0.1  # supply and 1/f noise of that hour beside the noise
+    assert made.g_sensitivity_dps_per_g[1, 0] == pytest.approx(0.24, abs=0.03)
+    assert np.diag(made.g_sensitivity_dps_per_g) == pytest.approx([0.05] * 3, abs=0.03)
+    assert "gyro_scale_x" in made.assumed
+    level = made.correct(made.bias_dps, [0.0, 0.0, 0.0])
+    assert level == pytest.approx(np.zeros(3), abs=1e-12)
+
+
+def test_a_session_without_gyros_gives_a_calibration_without(bare, tmp_path):
+    session = load_session(bare)
+    made = adis_gonio.fit(session).calibration()
+    assert with_gyros(made, session) is made
+    assert Calibration.load(bare).gyro is None
+    with pytest.raises(DataError, match="gyros"):
+        gyro_calibration_of(session)
+    for name in ("bare.json", "bare.h", "bare.txt", "bare.xml"):
+        assert main(["export", str(bare), "-o", str(tmp_path / name)]) == 0
+        text = (tmp_path / name).read_text("utf-8").replace("gyro_unit", "")
+        assert "gyro_bias" not in text
+        assert "XGYRO" not in text
+        assert "rates_" not in text
+
+
+def test_every_export_of_a_session_with_gyros_has_them(path, tmp_path):
+    pieces = {"a.json": '"gyro"', "a.h": "_rates_udps", "a.txt": "XGYRO_OFF=", "a.xml": "gyro_bias_x"}
+    for name, piece in pieces.items():
+        assert main(["export", str(path), "-o", str(tmp_path / name)]) == 0
+        assert piece in (tmp_path / name).read_text("utf-8")
+    document = json.loads((tmp_path / "a.json").read_text())
+    assert document["gyro"]["parameters"]["gyro_bias_x"]["unit"] == "dps"
+
+
+def test_a_trace_of_the_gyros_is_a_calibration_too(path, fitted):
+    session = load_session(path)
+    traced = adis_gonio.trace(session, part="gyro")
+    found = estimates_of_gyro_trace(traced)
+    made = GyroCalibration.of(found.estimates, found.covariance, method=found.method)
+    names = {one.effect for one in traced.found}
+    assert "g_sensitivity" in names
+    assert ("g_sensitivity_yx" in made) == ("g_sensitivity" in names)
+    for name in ("gyro_bias_x", "gyro_bias_y", "g_sensitivity_yx"):
+        limit = 5 * np.hypot(made[name].u, fitted[name].u)
+        assert abs(made[name].value - fitted[name].value) < limit
+    assert not [one for one in found.not_corrected if one.effect == "g_sensitivity"]
+
+
+def test_what_effects_add_becomes_the_gain_and_direction_of_the_same_gyro():
+    rng = np.random.default_rng(3)
+    names = ["gyro_scale_error_x", "gyro_misalignment_xy", "gyro_misalignment_xz"]
+    for _ in range(20):
+        values = np.array([rng.uniform(-0.2, 0.2), rng.uniform(-8, 8), rng.uniform(-8, 8)])
+        sines = np.sin(np.radians(values[1:]))
+        row = np.array([np.sqrt(1 - sines @ sines) + values[0], *sines])
+        gain, *leans = _gains(names, values)
+        direction = np.sin(np.radians(leans))
+        again = gain * np.array([np.sqrt(1 - direction @ direction), *direction])
+        assert again == pytest.approx(row, abs=1e-12)
+
+
+def test_a_residual_beyond_the_noise_is_a_doubt(data_folder):
+    result = adis_gonio.fit(data_folder / "adis16350_14_poses.csv.gz", part="gyro")
+    found = estimates_of_gyro_fit(result)
+    assert any("larger than their noise" in doubt for doubt in found.doubts)
+    assert any("gyro-turns" in remark for remark in found.remarks)

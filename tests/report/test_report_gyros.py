@@ -1,0 +1,60 @@
+"""The report's section on the gyros: parameters with u and U, residuals; nothing where there are none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from adis_gonio import fit
+from adis_gonio.fitting.gyro import fit_gyro
+from adis_gonio.report.gyros import gyro_section
+from adis_gonio.report.numbers import number, uncertain
+from adis_gonio.report.page import build_page
+from adis_gonio.session import load_session
+
+
+@pytest.fixture(scope="module")
+def session(data_folder):
+    return load_session(data_folder / "adis16350_14_poses.csv.gz")
+
+
+@pytest.fixture(scope="module")
+def section(session):
+    return gyro_section(session)
+
+
+def test_every_parameter_stands_with_u_and_expanded_uncertainty(session, section):
+    result = fit_gyro(session)
+    rows = {row[0]: row for row in section.tables[0].rows}
+    assert list(rows) == list(result.parameters)
+    for name, value in result.parameters.items():
+        assert rows[name][2] == uncertain(value.value, value.u)
+        assert rows[name][3] == number(value.U, 2)
+        assert rows[name][4] == f"{value.k:.2f}"
+    assert rows["g_sensitivity_yz"][1] == "°/s/g"
+
+
+def test_what_is_not_determined_and_dwells_left_out_are_said(section):
+    assert any("gyro_scale" in point and "gyro-turns" in point for point in section.points)
+    scores = {row[0]: row for row in section.tables[1].rows}
+    assert float(scores["zero rate"][2]) == pytest.approx(0.239, abs=0.001)  # Y, as the recording shows
+    assert float(scores["gyro"][2]) < 0.06
+    assert [row[0] for row in section.tables[2].rows] == ["XGYRO_OFF", "YGYRO_OFF", "ZGYRO_OFF"]
+
+
+def test_the_residuals_are_drawn_for_each_gyro_and_the_same_each_time(session, section):
+    (figure,) = section.figures
+    for axis in "XYZ":
+        assert f"gyro {axis}" in figure.svg
+    assert gyro_section(session).figures[0].svg == figure.svg
+
+
+def test_the_page_has_the_section_once_and_without_gyros_nothing_of_them(session, section):
+    fits = [fit(session)]
+    page = build_page(session, fits, "left out here", sections=[section])
+    assert page.count(">Gyros<") == 1
+    bare = replace(session, dwells=tuple(replace(dwell, gyro=None) for dwell in session.dwells))
+    assert gyro_section(bare) is None
+    plain = build_page(bare, [fit(bare)], "left out here")
+    assert "yro" not in plain
