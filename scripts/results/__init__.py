@@ -7,6 +7,7 @@ SECTIONS: tuple[str, ...] = (
     "free_turn",
     "gyros",
     "slips",
+    "smoother",
     "allan",
     "population",
     "fleet",

@@ -6,12 +6,14 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
 from adis_gonio.cli import main
 from adis_gonio.cli.angle import angle_text
 from adis_gonio.session.angle import LiveAngle
+from adis_gonio.session.smoothed import Smoothed
 from programs import running
 
 URL = "sim:?seed=1"
@@ -25,11 +27,37 @@ def test_json_is_one_object_a_line_ten_a_second(capsys):
     assert len(readings) == 20
     assert list(readings[0]) == [
         "time_s", "angle_deg", "corrected_deg", "u_deg", "still", "spread_mg", "temperature_c", "lost",
+        "smoothed_deg", "smoothed_u_deg", "lag_s", "rate_dps", "gyro_zero_dps", "gyro_zero_u_dps", "notes",
     ]  # fmt: skip
     assert all(0.09 < b["time_s"] - a["time_s"] < 0.11 for a, b in itertools.pairwise(readings))
     assert readings[-1]["still"] is True
     assert readings[-1]["corrected_deg"] is None
     assert captured.err.startswith(f"{URL}: 819.2 samples/s")
+
+
+def test_the_smoothed_angle_comes_once_its_lag_is_over(capsys):
+    assert main(["angle", URL, "--seconds", "2", "--json", "--lag", "1"]) == 0
+    readings = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [reading["smoothed_deg"] is None for reading in readings] == [True] * 10 + [False] * 10
+    assert readings[0]["notes"] == []
+    last = readings[-1]
+    assert 1.0 < last["lag_s"] < 1.1
+    assert abs(last["smoothed_deg"] - last["angle_deg"]) < 4 * last["u_deg"]
+
+
+def test_by_gravity_alone_nothing_is_smoothed(capsys):
+    assert main(["angle", URL, "--seconds", "1", "--json", "--no-gyro"]) == 0
+    readings = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert all(reading["smoothed_deg"] is None and reading["lag_s"] is None for reading in readings)
+    assert all(reading["u_deg"] > 0 for reading in readings)
+
+
+@pytest.mark.parametrize(
+    ("option", "said"), [(("--lag", "-1"), "take 0 to 10"), (("--reconnect", "-1"), "take 0 or more")]
+)
+def test_options_that_mean_nothing_are_refused(option, said, capsys):
+    assert main(["angle", URL, "--seconds", "1", *option]) == 2
+    assert said in capsys.readouterr().err
 
 
 def test_elsewhere_each_reading_is_a_line(capsys):
@@ -91,6 +119,14 @@ def test_a_time_that_is_none_is_refused(capsys):
 
 
 READING = LiveAngle(12.0, -170.5, -170.123, 0.0123, True, 2.25, 24.5, 3)
+
+
+def test_the_smoothed_angle_leads_and_what_happened_is_in_words():
+    smoothed = Smoothed(-170.2, 0.0456, 0.55, 3.0, 0.1, 0.01, ("gap", "saturated"))
+    assert angle_text(replace(READING, smoothed=smoothed)) == (
+        " -170.200 ± 0.046°   gap, too fast for the gyro   gravity  -170.123°   raw  -170.500°"
+        "   still  (2.2 mg)   24.5 °C   3 lost"
+    )
 
 
 @pytest.mark.parametrize("width", [10, 20, 40, 60, 79])

@@ -7,6 +7,8 @@ import math
 import shutil
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, closing
 from pathlib import Path
 
 import click
@@ -14,9 +16,18 @@ import click
 from adis_gonio.cli.interrupt import Interrupt
 from adis_gonio.cli.show import no_check_option, poll_option, variant_option
 from adis_gonio.errors import UsageError
-from adis_gonio.session.angle import AngleMeter, LiveAngle, LiveSource, calibration_for, open_live
+from adis_gonio.session.angle import LiveAngle, LiveBlocks, LiveSource, live_angles, open_live
+from adis_gonio.smoothing import LAG_S
 
 INTERRUPTED = 130
+NOTES = {
+    "gap": "gap",
+    "saturated": "too fast for the gyro",
+    "out_of_plane": "turned out of the plane",
+    "calibration": "the calibration does not fit",
+    "gyro_calibration": "the gyros' calibration does not fit",
+}
+"""Notes of the smoothed angle in words."""
 
 
 @click.command("angle")
@@ -29,6 +40,27 @@ INTERRUPTED = 130
     metavar="FILE",
     help="Correct by this: a calibration (export, JSON), or a session, which is fitted.",
 )
+@click.option(
+    "--lag",
+    "lag_s",
+    type=float,
+    default=LAG_S,
+    show_default=True,
+    metavar="SECONDS",
+    help="How far the smoothed angle stays behind; 0: as soon as can be.",
+)
+@click.option(
+    "--no-gyro", is_flag=True, help="By gravity alone: fewer registers to read, no smoothed angle."
+)
+@click.option(
+    "--reconnect",
+    "patience_s",
+    type=float,
+    default=30.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Try so long to open a sensor again whose link broke; 0: end.",
+)
 @poll_option
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line, ten a second.")
 @variant_option
@@ -38,6 +70,9 @@ def command(
     url: str,
     calibration_path: Path | None,
     seconds: float | None,
+    lag_s: float,
+    no_gyro: bool,
+    patience_s: float,
     poll: bool,
     as_json: bool,
     variant: str,
@@ -45,50 +80,55 @@ def command(
 ) -> int:
     """Show the live angle about gravity, ten times a second.
 
-    The angle is positive for the stage's positive turn, within ±180°. Without --cal it is 0 where X reads
-    +1 g, and its uncertainty u is that of the noise within the newest samples alone. With --cal the
-    corrected angle comes first, as the calibrated stage counts, with u of noise and calibration together;
-    the raw one follows.
+    The angle is positive for the stage's positive turn, within ±180°. It comes first by gyros and gravity
+    together, a lag behind and without the shaking that gravity alone has (not without gyros, or with
+    --no-gyro); then by gravity alone. Without --cal it is 0 where X reads +1 g, and its uncertainty u is
+    that of noise and motion alone. With --cal angles are corrected, as the calibrated stage counts, with u
+    of noise and calibration together; the raw one follows.
 
     The sensor's settings stay as they are; data-ready is borrowed as `stream` borrows it.
     """
     if seconds is not None and not seconds > 0:
         raise UsageError(f"--seconds is {seconds:g}: take a time above 0")
+    if not patience_s >= 0:
+        raise UsageError(f"--reconnect is {patience_s:g}: take 0 or more")
     calibration = None
     if calibration_path is not None:  # before the sensor is opened: a fit takes a moment
         from adis_gonio.calibration import load_calibration
 
         calibration = load_calibration(calibration_path)
-    with open_live(url, variant=variant, check=not no_check, data_ready=False if poll else None) as source:
+
+    def opened() -> AbstractContextManager[LiveSource]:
+        data_ready = False if poll else None
+        return open_live(url, variant=variant, check=not no_check, data_ready=data_ready, gyros=not no_gyro)
+
+    def broken(error: Exception) -> None:
+        click.echo(f"{error}; trying again for {patience_s:g} s", err=True)
+
+    with closing(LiveBlocks(opened, patience_s, broken, time.sleep)) as blocks:
+        source = blocks.source
         rate = f"{source.measuring.sample_rate_hz:.4g} samples/s"
         click.echo(f"{url}: {rate}, {source.stream.how}", err=True)
-        if calibration is not None:
-            calibration = calibration_for(calibration, source)
-        meter = AngleMeter(source.measuring, source.noise_mg, source.step_mg, calibration)
+        last_s = math.inf if seconds is None else seconds - source.measuring.sample_period_s
         line = _Line(as_json=as_json)
         try:
-            ended = _run(source, meter, line, seconds)
+            ended = _run(live_angles(blocks, calibration, lag_s=lag_s), line, last_s)
         finally:
             line.end()
     return 0 if ended or seconds is None else INTERRUPTED
 
 
-def _run(source: LiveSource, meter: AngleMeter, line: _Line, seconds: float | None) -> bool:
+def _run(angles: Iterator[LiveAngle], line: _Line, last_s: float) -> bool:
     """Show readings until the time is over or the samples end; False where Ctrl-C ended it."""
-    blocks = iter(source.stream)
-    last_s = math.inf if seconds is None else seconds - source.measuring.sample_period_s
     with Interrupt() as interrupt:
         while True:
             try:
                 with interrupt.waiting():
-                    block = next(blocks)
+                    reading = next(angles)
             except StopIteration:
                 return True
             except KeyboardInterrupt:
                 return False
-            reading = meter.feed(block)
-            if reading is None:
-                continue
             line.show(reading)
             if reading.time_s >= last_s:
                 return True
@@ -126,9 +166,16 @@ class _Line:
 
 def angle_text(reading: LiveAngle, width: int | None = None) -> str:
     """A reading as one line no wider than `width`: what is said last is left out first."""
-    main = reading.angle_deg if reading.corrected_deg is None else reading.corrected_deg
-    u = "" if reading.u_deg is None else f" ± {reading.u_deg:.3f}"
+    smoothed = reading.smoothed
+    by_gravity = reading.angle_deg if reading.corrected_deg is None else reading.corrected_deg
+    main, u_deg = by_gravity, reading.u_deg
+    if smoothed is not None:
+        main, u_deg = smoothed.smoothed_deg, smoothed.smoothed_u_deg
+    u = "" if u_deg is None else f" ± {u_deg:.3f}"
     parts = [f"{main:+9.3f}{u}°"]
+    if smoothed is not None:
+        parts += [", ".join(NOTES[note] for note in smoothed.notes)] if smoothed.notes else []
+        parts.append(f"gravity {by_gravity:+9.3f}°")
     if reading.corrected_deg is not None:
         parts.append(f"raw {reading.angle_deg:+9.3f}°")
     spread = "" if reading.spread_mg is None else f" ({reading.spread_mg:.1f} mg)"

@@ -8,19 +8,20 @@ else where X reads +1 g.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adis_gonio.errors import UsageError
+from adis_gonio.errors import BusError, ChipError, UsageError
 from adis_gonio.model.records import Floats
-from adis_gonio.sensor.registers import ACCEL_OFF, ACCEL_OUT, TEMP_OUT
+from adis_gonio.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT
 from adis_gonio.sensor.settings import Configuration
 from adis_gonio.session.blocks import Block, session_columns
 from adis_gonio.session.settings import Settings
+from adis_gonio.session.smoothed import Smoothed, SmoothedMeter, sensing_of
 from adis_gonio.session.source import ChipSource, Measuring, SampleStream, open_source
 from adis_gonio.session.stillness import limits_from_noise
 from adis_gonio.session.watch import white_noise_gain, window_samples
@@ -57,6 +58,8 @@ class LiveAngle:
         Mean over the span; None where the sensor does not tell.
     lost : int
         Samples missed since the first.
+    smoothed : Smoothed or None
+        By gyros and gravity together, a lag ago; None without gyros, and until the first lag is over.
     """
 
     time_s: float
@@ -67,10 +70,13 @@ class LiveAngle:
     spread_mg: float | None
     temperature_c: float | None
     lost: int
+    smoothed: Smoothed | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return asdict(self)
+        """JSON form: one object without depth; what `smoothed` tells is null without it."""
+        told = asdict(self)
+        smoothed = told.pop("smoothed") or dict.fromkeys(Smoothed.__dataclass_fields__)
+        return told | smoothed | {"notes": list(smoothed["notes"] or ())}
 
 
 def raw_angle_deg(accel_mg: Floats) -> Floats:
@@ -99,6 +105,8 @@ class AngleMeter:
         As `calibration_for` gives it.
     every_s : float
         Least length of a span.
+    smoother : SmoothedMeter or None
+        Tells the smoothed angle too.
     """
 
     def __init__(
@@ -108,7 +116,9 @@ class AngleMeter:
         step_mg: float,
         calibration: Calibration | None = None,
         every_s: float = EVERY_S,
+        smoother: SmoothedMeter | None = None,
     ) -> None:
+        self._smoother = smoother
         self._calibration = calibration
         self._window = window_samples(measuring)
         self._limits = limits_from_noise(np.full(3, noise_mg), self._window, step_mg)
@@ -120,19 +130,36 @@ class AngleMeter:
         self._kept = np.empty((0, 3))
         self._first_s: float | None = None
         self._lost = 0
+        self._resume_s = self._last_s = 0.0
 
     def feed(self, block: Block) -> LiveAngle | None:
         """Take samples; return a reading once a span is full."""
         self._lost += block.lost
         if not len(block):
             return None
+        if self._smoother is not None:
+            self._smoother.feed(block)
         if self._first_s is None:
-            self._first_s = float(block.time_s[0])
+            self._first_s = float(block.time_s[0]) - self._resume_s
         self._waiting.append(block)
         if sum(map(len, self._waiting)) < self._least:
             return None
         blocks, self._waiting = self._waiting, []
         return self._reading(blocks, self._first_s)
+
+    def restart(self) -> None:
+        """The link broke: samples go on at another time, with another part of the turn behind them.
+
+        Times count on, without the time of the break where the sensor's clock began anew.
+        """
+        self._waiting, self._kept = [], np.empty((0, 3))
+        self._resume_s, self._first_s = self._last_s, None
+        if self._smoother is not None:
+            self._smoother.restart()
+
+    def go_on(self, before: AngleMeter) -> None:
+        """Count times and losses on from where another one ended."""
+        self._resume_s, self._lost = before._last_s, before._lost
 
     def _reading(self, blocks: list[Block], first_s: float) -> LiveAngle:
         accel = np.concatenate([block.accel_mg for block in blocks])
@@ -148,8 +175,10 @@ class AngleMeter:
         if spread_mg is not None and len(self._kept) >= self._window:
             # The upper limit alone: a stuck axis is a matter for `bringup`.
             still = bool((spread_mg <= self._limits.upper).all())
+        end_s = float(blocks[-1].time_s[-1])
+        self._last_s = end_s - first_s
         return LiveAngle(
-            float(blocks[-1].time_s[-1]) - first_s,
+            self._last_s,
             raw_deg,
             corrected_deg,
             u_deg,
@@ -157,7 +186,17 @@ class AngleMeter:
             None if spread_mg is None else float(spread_mg.max()),
             temperature_c,
             self._lost,
+            self._smoothed(mean, temperature_c, end_s, still=still),
         )
+
+    def _smoothed(
+        self, mean_mg: Floats, temperature_c: float | None, end_s: float, *, still: bool | None
+    ) -> Smoothed | None:
+        if self._smoother is None:
+            return None
+        if still:
+            self._smoother.rested(mean_mg, temperature_c)
+        return self._smoother.reading(end_s)
 
     def _u_mg(self, count: int) -> Floats | None:
         """Standard uncertainty (3,) of a mean of so many samples, from the scatter of the newest ones."""
@@ -216,6 +255,8 @@ class LiveSource:
         Its variant.
     offsets_lsb : tuple of int or None
         Numbers in XACCL_OFF, YACCL_OFF, ZACCL_OFF; None where there are no registers.
+    gyro_offsets_lsb : tuple of int or None
+        Those in XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF.
     """
 
     measuring: Measuring
@@ -224,6 +265,12 @@ class LiveSource:
     step_mg: float
     part: str
     offsets_lsb: tuple[int, ...] | None
+    gyro_offsets_lsb: tuple[int, ...] | None = None
+
+    @property
+    def offsets(self) -> tuple[tuple[int, ...] | None, ...]:
+        """All of them."""
+        return self.offsets_lsb, self.gyro_offsets_lsb
 
 
 def calibration_for(calibration: Calibration, source: LiveSource) -> Calibration:
@@ -239,14 +286,36 @@ def calibration_for(calibration: Calibration, source: LiveSource) -> Calibration
         raise UsageError("the calibration takes readings in counts of unknown scale; a sensor gives mg")
     if where.sensor != source.part:
         raise UsageError(f"the calibration is of an {where.sensor}, this is an {source.part}")
-    if source.offsets_lsb is None or where.offsets_lsb is None:
-        return calibration
-    return calibration.with_offsets(source.offsets_lsb)
+    if source.offsets_lsb is not None and where.offsets_lsb is not None:
+        calibration = calibration.with_offsets(source.offsets_lsb)
+    gyro, now = calibration.gyro, source.gyro_offsets_lsb
+    if gyro is not None and gyro.offsets_lsb is not None and now is not None:
+        calibration = replace(calibration, gyro=gyro.with_offsets(now))
+    return calibration
+
+
+def smoother_for(
+    source: LiveSource, calibration: Calibration | None = None, *, lag_s: float
+) -> SmoothedMeter:
+    """What smooths the angle of a sensor.
+
+    Raises
+    ------
+    UsageError
+        The lag is negative or too long.
+    """
+    sensing = sensing_of(source.measuring, source.part, source.noise_mg)
+    return SmoothedMeter(sensing, calibration, lag_s=lag_s)
 
 
 @contextmanager
 def open_live(
-    url: str, *, variant: str = "adis16354", check: bool = True, data_ready: bool | None = None
+    url: str,
+    *,
+    variant: str = "adis16354",
+    check: bool = True,
+    data_ready: bool | None = None,
+    gyros: bool = True,
 ) -> Iterator[LiveSource]:
     """Open a sensor and let its samples run, a span in two blocks; its settings stay as they are.
 
@@ -254,6 +323,8 @@ def open_live(
     ----------
     data_ready : bool or None
         None where scans start at data-ready edges if they can; False polls.
+    gyros : bool
+        False leaves the gyros out, so that a slow bridge has fewer registers to read.
 
     Raises
     ------
@@ -263,18 +334,143 @@ def open_live(
     with ExitStack() as stack:
         source = stack.enter_context(open_source(url, variant=variant, check=check))
         offsets_lsb: tuple[int, ...] | None = None
+        gyro_offsets_lsb: tuple[int, ...] | None = None
         if isinstance(source, ChipSource):
             offsets_lsb = tuple(source.sensor.read(name) for name in ACCEL_OFF)
-            measuring: Measuring = source.sensor.configuration()
+            gyro_offsets_lsb = tuple(source.sensor.read(name) for name in GYRO_OFF)
+            settings = source.sensor.configuration()
+            measuring: Measuring = settings
             count = _block_samples(measuring)
-            names = (*ACCEL_OUT, TEMP_OUT[0])
+            # A range that the part does not know leaves the gyros without a scale.
+            turning = GYRO_OUT if gyros and settings.gyro_range_dps is not None else ()
+            names = (*ACCEL_OUT, TEMP_OUT[0], *turning)
             stream: SampleStream = source.sensor.stream(names, block_scans=count, data_ready=data_ready)
         else:
             measuring = source.configure(Settings())
             stream = source.samples(Settings(), _block_samples(measuring))
         stack.enter_context(stream)
         noise_mg = source.expected_noise_mg(measuring)
-        yield LiveSource(measuring, stream, noise_mg, source.part.step_mg, source.part.name, offsets_lsb)
+        part = source.part
+        yield LiveSource(
+            measuring, stream, noise_mg, part.step_mg, part.name, offsets_lsb, gyro_offsets_lsb
+        )
+
+
+Opener = Callable[[], AbstractContextManager[LiveSource]]
+
+
+class LiveBlocks:
+    """Blocks of a sensor, opened again where its link breaks.
+
+    Parameters
+    ----------
+    opener : callable
+        Opens the sensor, as often as it is asked.
+    patience_s : float
+        How long it is tried after a break; 0 lets the error through.
+    broken : callable
+        Told of each break with its error, before the first try.
+    sleep : callable
+        Waits so many seconds between two tries.
+
+    Attributes
+    ----------
+    source : LiveSource
+        Open now.
+    breaks : int
+        How often the link has been opened again.
+    """
+
+    EVERY_S = 1.0
+
+    def __init__(
+        self,
+        opener: Opener,
+        patience_s: float,
+        broken: Callable[[Exception], None],
+        sleep: Callable[[float], None],
+    ) -> None:
+        self._opener, self._patience_s, self._broken, self._sleep = opener, patience_s, broken, sleep
+        self._stack = ExitStack()
+        self.breaks = 0
+        self._open()
+
+    def _open(self) -> None:
+        self.source = self._stack.enter_context(self._opener())
+        self._blocks = iter(self.source.stream)
+
+    def __iter__(self) -> Iterator[Block]:
+        return self
+
+    def __next__(self) -> Block:
+        """Next block; raises the error of the break where the sensor does not come back in time."""
+        try:
+            return next(self._blocks)
+        except (BusError, ChipError) as error:
+            if not self._patience_s:
+                raise
+            self._broken(error)
+            self._again(error)
+        return next(self)
+
+    def _again(self, error: Exception) -> None:
+        self.close()
+        waited_s = 0.0
+        while True:
+            self._sleep(self.EVERY_S)
+            waited_s += self.EVERY_S
+            try:
+                self._open()
+            except (BusError, ChipError):
+                self.close()
+                if waited_s >= self._patience_s:
+                    raise error from None
+                continue
+            self.breaks += 1
+            return
+
+    def close(self) -> None:
+        """Close the sensor; one that is gone cannot be set back."""
+        stack, self._stack = self._stack, ExitStack()
+        with suppress(BusError, ChipError):
+            stack.close()
+
+
+def live_angles(
+    blocks: LiveBlocks, calibration: Calibration | None = None, *, lag_s: float
+) -> Iterator[LiveAngle]:
+    """Angles of a sensor that runs, one after another, over breaks of its link.
+
+    What was learnt goes on after a break where the sensor measures as before.
+
+    Raises
+    ------
+    UsageError
+        The calibration is another part's; the lag is negative or too long.
+    """
+    breaks, source = blocks.breaks, blocks.source
+    meter = _meter(source, calibration, lag_s)
+    for block in blocks:
+        if blocks.breaks != breaks:
+            breaks, before, source = blocks.breaks, source, blocks.source
+            if (before.measuring, before.offsets) == (source.measuring, source.offsets):
+                meter.restart()
+            else:
+                meter = _meter(source, calibration, lag_s, meter)
+        reading = meter.feed(block)
+        if reading is not None:
+            yield reading
+
+
+def _meter(
+    source: LiveSource, calibration: Calibration | None, lag_s: float, before: AngleMeter | None = None
+) -> AngleMeter:
+    now = None if calibration is None else calibration_for(calibration, source)
+    smoother = smoother_for(source, now, lag_s=lag_s)
+    meter = AngleMeter(source.measuring, source.noise_mg, source.step_mg, now, smoother=smoother)
+    if before is not None:
+        meter.go_on(before)
+    return meter
 
 
 def _block_samples(measuring: Measuring) -> int:

@@ -17,6 +17,7 @@ from adis_gonio.session.ledger import Ledger
 from adis_gonio.session.live import LiveView, vector
 from adis_gonio.session.plans import Position
 from adis_gonio.session.running import RunningFit
+from adis_gonio.session.smoothed import SmoothedMeter, sensing_of
 from adis_gonio.session.stillness import StillnessLimits, limits_from_noise
 from adis_gonio.session.watch import SETTLINGS_PER_WINDOW, StillnessWatch
 
@@ -65,7 +66,11 @@ class Knowledge:
         self.limits = limits
         self.view.limit_mg = vector(limits.upper)
         self._noise_mg = np.maximum(noise, quantum / math.sqrt(12))
-        self.judge = self.view.judge = self._new_judge(float(self._noise_mg.max()))
+        largest_mg = float(self._noise_mg.max())
+        self.judge = self.view.judge = self._new_judge(largest_mg)
+        if self.judge is not None and not bench.virtual_time:  # else nobody sees the part while it turns
+            sensing = sensing_of(bench.configuration, bench.source.part.name, largest_mg)
+            self.view.smoother = SmoothedMeter(sensing, lag_s=0.0)
         return NoiseMeasured(
             vector(noise), vector(limits.upper), vector(limits.lower), bench.window * bench.period_s
         )

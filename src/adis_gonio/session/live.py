@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Literal
 
 import numpy as np
@@ -13,6 +14,7 @@ from adis_gonio.session.expectation import wrapped_deg
 from adis_gonio.session.judge import Judge
 from adis_gonio.session.plans import Position
 from adis_gonio.session.recording import Recording
+from adis_gonio.session.smoothed import SmoothedMeter
 
 
 class LiveView:
@@ -26,14 +28,18 @@ class LiveView:
         Where the part is asked to be.
     judge : Judge or None
         Who knows the angle by gravity; None before the noise is known.
+    smoother : SmoothedMeter or None
+        Takes the shaking out of the angle while the part turns, by its gyros; without a lag.
     """
 
     def __init__(self) -> None:
         self.limit_mg: Vector | None = None
         self.target: Position | None = None
         self.judge: Judge | None = None
+        self.smoother: SmoothedMeter | None = None
         self._temperature_c: float | None = None
         self._lost = 0
+        self._seen_s = 0.0
 
     def see(self, block: Block) -> None:
         """Take scans."""
@@ -41,13 +47,28 @@ class LiveView:
         columns = session_columns(block)
         if "temp_c" in columns and len(block):
             self._temperature_c = float(columns["temp_c"][-1])
+        if self.smoother is not None and len(block):
+            self.smoother.feed(block)
+            self._seen_s = float(block.time_s[-1])
 
     def angle_deg(self, accel_mg: Floats, target_deg: float | None) -> float | None:
-        """Angle by gravity as the stage counts, on the turn that is nearest to the target."""
-        angle = None if self.judge is None else self.judge.angle_deg(accel_mg)
+        """Angle as the stage counts, on the turn that is nearest to the target.
+
+        By gravity; where there are gyros, by both.
+        """
+        angle = None if self.judge is None else self.judge.angle_deg(self._smoothed_mg(accel_mg))
         if angle is None or target_deg is None:
             return angle
         return target_deg + wrapped_deg(angle - target_deg)
+
+    def _smoothed_mg(self, accel_mg: Floats) -> Floats:
+        """A reading (3,), turned to where the smoothed angle is."""
+        smoothed = None if self.smoother is None else self.smoother.reading(self._seen_s)
+        if smoothed is None:
+            return accel_mg
+        angle = math.radians(smoothed.smoothed_deg)
+        length = math.hypot(float(accel_mg[0]), float(accel_mg[1]))
+        return np.array([length * math.cos(angle), -length * math.sin(angle), float(accel_mg[2])])
 
     def watching(
         self,

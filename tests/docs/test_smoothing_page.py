@@ -1,0 +1,29 @@
+"""docs/smoothing.md: its example gives what it says, its tables are those of the program."""
+
+import contextlib
+import io
+import re
+from pathlib import Path
+
+import pytest
+
+from adis_gonio.cli.angle import NOTES
+from adis_gonio.session.smoothed import Smoothed
+
+PAGE = (Path(__file__).parents[2] / "docs" / "smoothing.md").read_text("utf-8")
+
+
+def test_the_example_gives_the_angle_that_it_says():
+    (block,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+    shown = io.StringIO()
+    with contextlib.redirect_stdout(shown):
+        exec(compile(block, "smoothing.md", "exec"), {})
+    angle_deg, u_deg = map(float, shown.getvalue().split())
+    assert 0 < u_deg < 0.5
+    assert angle_deg == pytest.approx(46, abs=4 * u_deg)
+
+
+def test_every_key_and_every_note_has_its_row():
+    rows = re.findall(r"^\| ((?:`\w+`(?:, )?)+) \|", PAGE, re.M)
+    named = {name for row in rows for name in re.findall(r"`(\w+)`", row)}
+    assert named == {*Smoothed.__dataclass_fields__, *NOTES}
