@@ -61,10 +61,11 @@ def test_plans_without_turns_are_written_as_before():
 
 def test_a_prompt_says_which_way_how_often_how_fast_and_when_to_stop():
     text = to_do(Position(None, 0, turned_deg=-1800.0), fastest_dps=90.0)
-    for said in ("5 times clockwise, seen from above", "from the mark back to the mark", "90 °/s at most"):
+    for said in ("5 times clockwise, seen from above", "back to the mark", "90 °/s at most (4 s a turn"):
         assert said in text
-    assert "4 s a turn" in text
-    assert "X arrow up" in to_do(gyro_turns_plan().positions[0])
+    assert "let it rest" in text
+    laid = to_do(gyro_turns_plan().positions[3], table=True)
+    assert laid == "lay the part flat on the table, against the mark, with its X arrow down"
     assert str(gyro_turns_plan(1).positions[1]) == "1 turn counter-clockwise"
 
 
@@ -178,6 +179,19 @@ def test_a_session_that_is_stopped_within_a_turn_resumes_to_the_same_result(reco
 def _dwells(path) -> int:
     with ArchiveView(path) as view:
         return len(view.dwells())
+
+
+def test_plain_prompts_lead_through_it_by_enter_alone(tmp_path):
+    path = tmp_path / "plain.session"
+    options = ["--positions", "3", "--turns", "1", "--dwell", "1", "--settle", "0.1", "-o", str(path)]
+    url = "sim:?seed=2&move_speed_dps=150"
+    answer = CliRunner().invoke(app, ["calibrate", url, "--plan", "gyro-turns", *options], input="\n" * 12)
+    assert answer.exit_code == 0, answer.output
+    assert "flat on the table, against the mark, with its Y arrow up and press Enter" in answer.stderr
+    assert "turn it once clockwise, seen from above" in answer.stderr
+    assert answer.stderr.count("1 full turn, ") == 6
+    assert "gyro_scale_z" in answer.stdout
+    assert "triad_rotation_x" in answer.stdout
 
 
 # -- by hand ---------------------------------------------------------------------------------------

@@ -55,9 +55,9 @@ def whole_turns_to_do(turned_deg: float, fastest_dps: float) -> str:
     times = "once" if turns == 1 else f"{turns} times"
     way = "counter-clockwise" if turned_deg > 0 else "clockwise"
     return (
-        f"be ready to turn the part {times} {way}, seen from above, from the mark back to the mark; press"
-        f" Enter, leave it alone for 1 s, turn it flat on the table at {fastest_dps:.0f} °/s at most"
-        f" ({360 / fastest_dps:.0f} s a turn; stops to change your grip do no harm) and let it rest there"
+        f"leave the part at the mark; 1 s after Enter turn it {times} {way}, seen from above, flat on the"
+        f" table and back to the mark, at {fastest_dps:.0f} °/s at most ({360 / fastest_dps:.0f} s a turn;"
+        " stops to change your grip do no harm), and let it rest: get ready"
     )
 
 
@@ -72,6 +72,7 @@ def to_do(
     *,
     reverse: bool = False,
     fastest_dps: float = 180.0,
+    table: bool = False,
 ) -> str:
     """What to do next, in one line such as `turn the part +90° (counter-clockwise) to 90°`.
 
@@ -83,6 +84,8 @@ def to_do(
         True in a session that is taken as turned the other way.
     fastest_dps : float
         Of whole turns.
+    table : bool
+        The part lies on a table, against a mark.
     """
     first = []
     if position.temperature_c is not None:
@@ -91,7 +94,11 @@ def to_do(
         first.append(f"set the supply to {position.supply_v:.2f} V")
     if position.turned_deg is not None:
         return whole_turns_to_do(position.turned_deg, fastest_dps)
-    here = _hold(position) if position.angle_deg is None else _turn(position, before, reverse=reverse)
+    here = (
+        _hold(position, table=table)
+        if position.angle_deg is None
+        else _turn(position, before, reverse=reverse)
+    )
     return ", ".join([*first, here])
 
 
@@ -107,7 +114,7 @@ def _turn(position: Position, before: Position | None, *, reverse: bool) -> str:
     return f"turn the part {by:+g}° ({way}) to {position}"
 
 
-def _hold(position: Position) -> str:
+def _hold(position: Position, *, table: bool) -> str:
     if position.direction is None:
         return f"hold the part in {position}"
     arrows = []
@@ -116,6 +123,8 @@ def _hold(position: Position) -> str:
             tilt = angle_between_deg(position.direction, [part if axis == name else 0.0 for name in "XYZ"])
             way = "down" if part > 0 else "up"
             arrows.append(f"{axis} arrow {way}" + (f" ({tilt:.0f}° off)" if tilt >= _ROUND_DEG else ""))
+    if table:
+        return f"lay the part flat on the table, against the mark, with its {', '.join(arrows)}"
     check = " (check)" if position.use == "check" else ""
     return f"hold the part with its {', '.join(arrows)}, still, near enough{check}"
 

@@ -148,6 +148,7 @@ class PlainBench:
 
     def _ask_position(self, event: PositionAsked) -> None:
         from adis_gonio.session.guidance import drawing, to_do, turn_to_do
+        from adis_gonio.session.plans import GYRO_TURNS
 
         if not self._drawn:
             self._drawn = True
@@ -158,7 +159,13 @@ class PlainBench:
         if event.can_repeat:
             keys |= {"r": runner.repeat, "u": runner.undo}
         keys |= {"p": runner.pause, "q": self._end}
-        todo = to_do(event.position, self._here, reverse=runner.reversed, fastest_dps=runner.fastest_dps)
+        todo = to_do(
+            event.position,
+            self._here,
+            reverse=runner.reversed,
+            fastest_dps=runner.fastest_dps,
+            table=self._plan.name == GYRO_TURNS,
+        )
         if runner.one_recording:
             todo = turn_to_do(max(self._plan.turns, 1))
         left = time_left(event.time_left_s)
