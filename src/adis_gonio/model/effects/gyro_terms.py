@@ -70,8 +70,18 @@ class GyroBiasTemperature(LinearAxisEffect):
         return tuple(above**power for power in range(1, self.degree + 1))
 
 
+@dataclass(frozen=True)
 class GSensitivity(LinearAxisEffect):
-    """Force along each of the three axes shifts the zero rate, nine coefficients of three gyros."""
+    """Force along each of the three axes shifts the zero rate: nine coefficients of three gyros.
+
+    Attributes
+    ----------
+    force : int
+        0: along all three axes; 1 to 3: along x, y or z alone. Where that component follows the order of
+        the poses it is one column, as a drift is, and the two are judged on equal terms.
+    """
+
+    force: int = 0
 
     name = "g_sensitivity"
     cause = "Acceleration bends the vibrating structure of a gyro, which reads it as a rate of turn."
@@ -82,20 +92,30 @@ class GSensitivity(LinearAxisEffect):
     )
     needs = ("force_g",)
     parts = GYRO
+    options: ClassVar[dict[str, tuple[int, ...]]] = {"force": (0, 1, 2, 3)}
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("g_sensitivity", "dps/g", -2.0, 2.0, 0.05),)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.force > len(AXES):
+            raise UsageError(f"{self.name}: force is {self.force}, it can be 0 (all) or 1 to 3 (x, y, z)")
+
+    @property
+    def _along(self) -> list[int]:
+        return [self.force - 1] if self.force else [0, 1, 2]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Three coefficients a gyro: the gyro's letter, then that of the force."""
-        return by_letters(self.coefficients, [axis + force for axis in self.axes for force in AXES])
+        """One coefficient for each axis of force: the gyro's letter, then that of the force."""
+        return by_letters(self.coefficients, [own + AXES[k] for own in self.axes for k in self._along])
 
     def active(self) -> tuple[Parameter, ...]:
         """One coefficient an axis of force."""
-        return self.coefficients * len(AXES)
+        return self.coefficients * len(self._along)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Components of the force."""
-        return tuple(conditions.covariate("force_g").T)
+        return tuple(conditions.covariate("force_g")[:, self._along].T)
 
 
 @dataclass(frozen=True)

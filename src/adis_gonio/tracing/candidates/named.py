@@ -27,7 +27,11 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
     terms: list[NamedTerm] = []
     missing: dict[str, str] = {}
     kinds = catalogue(data.model.part)
-    common = {"bias": limits.bias_weight, "quadratic": limits.quadratic_weight}
+    common = {
+        "bias": limits.bias_weight,
+        "quadratic": limits.quadratic_weight,
+        "g_sensitivity": limits.g_weight,
+    }
     weights = dict.fromkeys(kinds, 1.0) | common
     for name, kind in kinds.items():
         if kind.enters is Enters.SAMPLES or kind.within_dwell:
