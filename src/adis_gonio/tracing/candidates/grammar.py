@@ -48,7 +48,7 @@ class _Made:
 
 def nameless_terms(data: Readings) -> list[NamelessTerm]:
     """All nameless candidates of a session with their price."""
-    made = [m for m in _bases(data) if _new(m, data)]
+    made = [m for m in _bases(data) if not _one_dwell(m.basis, data.conditions)]
     families = sorted({m.family for m in made})
     weight = {family: 1.0 if family in COMMON else limits.family_weight for family in families}
     total = sum(weight.values())
@@ -73,18 +73,13 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
         part = (limits.smooth_weight if smooth else 1 - limits.smooth_weight) if both else 1.0
         share = limits.nameless_share * weight[family] / total * part / len(members)
         for m, where, subset in members:
+            if data.model.constant and m.basis.with_constant:
+                continue  # the base model has the constant; the form without it keeps its own share
             axes = "".join("xyz"[k] for k in subset)
             label = f"{where}[{axes}]~{m.basis.form}" if axes else f"{where}~{m.basis.form}"
             term = NamelessTerm(label, m.basis.covariates, -math.log(share), where, subset, marked[id(m)])
             terms.append(replace(term, stimulus=data.model.stimulus))
     return terms
-
-
-def _new(made: _Made, data: Readings) -> bool:
-    """False for functions of one dwell, and with a constant where the base model has it already."""
-    if data.model.constant and made.basis.with_constant:
-        return False
-    return not _one_dwell(made.basis, data.conditions)
 
 
 def of_one_dwell(term: Term, conditions: Conditions) -> bool:
