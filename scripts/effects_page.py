@@ -22,9 +22,10 @@ The simulated world and the fit run the same objects. Bounds are those outside w
 believed; typical sizes are **estimates** for a bench with an ADIS16354, never the maker's figures.
 
 Symbols: a_i is what axis i should read in mg, a_p what an axis across it should read, θ the declared angle
-of the stage, ψ = α − θ the true angle of the part, t the time. Parameters of an axis carry its letter
-(`bias_x`), those of a pair both (`kpp_xy`: axis x, acceleration along y). In the plane each axis has one
-axis across, in space two.
+of the stage, ψ = α − θ the true angle of the part, t the time; of gyros ω_i is what gyro i should read in
+°/s, Ω the true rate about the accelerometers' axes, f what the accelerometers read in g. Parameters of an
+axis carry its letter (`bias_x`), those of a pair both (`kpp_xy`: axis x, acceleration along y). In the
+plane each axis has one axis across, in space two.
 
 On a command line an effect is `name` (all parameters typical) or `name:parameter=value,…` (amplitudes that
 are not named are zero; time constants, frequencies and limits stay typical).
@@ -134,6 +135,7 @@ GROUPS = {
     "environment": "Surroundings: temperature, supply, time, gravity",
     "stage": "Stage, and how a position was reached",
     "dwell_terms": "Within dwells, and single dwells",
+    "gyro_terms": "Gyros: what adds to a rate of turn ([gyros.md](gyros.md))",
 }
 
 

@@ -331,6 +331,15 @@ def pooled(rows: Sequence[Floats]) -> list[tuple[float, float]]:
     return list(zip((1 / mean).tolist(), half.tolist(), strict=True))
 
 
+def together(found: Sequence[Line]) -> tuple[float, float, float]:
+    """Efficiency of one parameter over several lines by comparison, with its interval."""
+    weight = np.array([line.sessions for line in found], dtype=float)
+    weight /= weight.sum()
+    excess = float(weight @ np.array([1 / line.efficiency - 1 for line in found]))
+    half = float(np.linalg.norm(weight * np.array([(1 / line.low - 1 / line.high) / 2 for line in found])))
+    return 1 / (1 + excess), 1 / (1 + excess + half), 1 / (1 + excess - half)
+
+
 def _job(job: tuple[Case, int, tuple[int, ...]]) -> Floats:
     return run(*job)
 

@@ -1,4 +1,14 @@
 """Sections of docs/results/: `python scripts/results` makes the pages."""
 
-SECTIONS: tuple[str, ...] = ("paper", "angle", "plan", "free_turn", "slips", "population", "fleet", "bench")
+SECTIONS: tuple[str, ...] = (
+    "paper",
+    "angle",
+    "plan",
+    "free_turn",
+    "gyros",
+    "slips",
+    "population",
+    "fleet",
+    "bench",
+)
 """Modules beside this one, each with `run(effort) -> Section`, in the order of the index."""

@@ -10,7 +10,19 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.report.svg import ROLES, Series, plot
-from efficiency import CASES, POSITIONS, REPORTED, SPATIAL, Case, Floats, Line, lines, pooled, run_all
+from efficiency import (
+    CASES,
+    POSITIONS,
+    REPORTED,
+    SPATIAL,
+    Case,
+    Floats,
+    Line,
+    lines,
+    pooled,
+    run_all,
+    together,
+)
 from results.section import Effort, Section
 from results.section import table as markdown
 from shown_angle import ORDER, PLACES_DEG, Cell, Figures, Shown, cells, figures, measure_all
@@ -36,8 +48,11 @@ session. In space attitudes are not declared, so that no fixture comes in. *Bias
 error of a parameter in roots of its bound, *u²* the median of the squared uncertainty that the fit
 states, over the bound, the farthest from one of all parameters.
 """
-PLAIN = """
-The errors alone, without that comparison, over all `stated` sessions (half an interval: 1.96 √(2/N)):
+POOLED = """
+All `stated` sessions together, by comparison and by the errors alone (half an interval: 1.96 √(2/N)). A
+session or two in a thousand make the width of the intervals: where χ² is improbable by chance (below 0.1 %)
+`ml` takes it for scatter of the readings and weighs fixture and readings otherwise than the bound, which
+is told the noise.
 """
 ANGLE = """
 ## Error of the shown angle
@@ -97,15 +112,23 @@ def _of_efficiency(cases: Sequence[Case], rows: Sequence[Floats]) -> list[str]:
     head = ["readings", "positions", "fixture", "sessions", "lowest", "highest", "bias", "u²"]
     text = [EFFICIENCY, "![Lowest efficiency by positions and fixture](angle-efficiency.svg)", ""]
     text += markdown(head, table)
-    text.append(PLAIN)
-    plain = []
+    text.append(POOLED)
+    table = []
     for where, names in (("plane", REPORTED), ("space", SPATIAL)):
         mine = [
-            one for case, one in _stated(cases, rows) if (case.fixture_deg is None) == (where == "space")
+            (case, one)
+            for case, one in _stated(cases, rows)
+            if (case.fixture_deg is None) == (where == "space")
         ]
-        for name, (value, half) in zip(names, pooled(mine), strict=True):
-            plain.append([where, name, str(sum(map(len, mine))), f"{value:.4f} ± {half:.4f}"])
-    return [*text, *markdown(["", "parameter", "sessions", "efficiency"], plain)]
+        plain = pooled([one for _, one in mine])
+        for name, (value, half), by_case in zip(
+            names, plain, zip(*(lines(case, one) for case, one in mine), strict=True), strict=True
+        ):
+            middle, low, high = together(by_case)
+            count = str(sum(len(one) for _, one in mine))
+            compared = f"{middle:.4f} ({low:.4f} to {high:.4f})"
+            table.append([where, name, count, compared, f"{value:.4f} ± {half:.4f}"])
+    return [*text, *markdown(["", "parameter", "sessions", "by comparison", "errors alone"], table)]
 
 
 def _stated(cases: Sequence[Case], rows: Sequence[Floats]) -> list[tuple[Case, Floats]]:

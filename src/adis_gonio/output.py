@@ -11,6 +11,11 @@ from pathlib import Path
 from adis_gonio.errors import OutputError, UsageError
 
 
+def ends_in(path: str | Path, *endings: str) -> bool:
+    """True where a file's name has one of these endings, in capitals or not."""
+    return Path(path).name.lower().endswith(endings)
+
+
 def check_output(path: str | Path, *, force: bool = False) -> Path:
     """Refuse before the work what could only fail after it.
 

@@ -155,10 +155,10 @@ def test_the_figure_of_the_variant_is_the_floor_unless_the_dwells_exclude_it():
 
     n = 2000
     white = 4.7 / math.sqrt(n)
-    # Two dwells 100 s apart share 1/f noise in part; a reading has the rest, and that of another day.
+    # Two dwells 100 s apart share 1/f noise in part; a reading has the rest, and what is slower.
     length = n / 819.2
     begin = np.array([0.0, 100.0])
-    floor = 0.1 * math.sqrt(covariance_of_means(begin, begin + length)[0, 0] + 0.5)
+    floor = 0.1 * math.sqrt(covariance_of_means(begin, begin + length)[0, 0])
     assert u("generic", n) == pytest.approx(white, rel=0.1)
     assert u("adis16354", n) == pytest.approx(math.hypot(white, floor), rel=0.1)
     # A minute and a half of white noise to 0.02 mg: 0.1 mg of flicker would have shown.
@@ -179,7 +179,7 @@ def test_quantization_of_a_quiet_sensor_is_in_the_uncertainty(noise_lsb):
     floor = np.mean(stated) - np.mean(squares)
     # At 1 LSB the floor of 0.1 mg may come on top; below, nothing else hides the step of the converter.
     begin = np.array([0.0, 100.0])
-    shared = covariance_of_means(begin, begin + n / 819.2)[0, 0] + 0.5
+    shared = covariance_of_means(begin, begin + n / 819.2)[0, 0]
     most = (0.1 / LSB) ** 2 * shared * (noise_lsb > 0)
     assert -0.2 * np.mean(squares) < floor < 0.35 * np.mean(squares) + most
 

@@ -54,7 +54,7 @@ def drawn(rng: np.random.Generator, root: np.ndarray, *, shared: bool = True) ->
 @pytest.mark.parametrize("method", ["ml", "mmpm", "four-position"])
 def test_what_results_scatter_by_is_what_they_state(method: str) -> None:
     begin = 3.0 * np.arange(DWELLS)
-    values, vectors = np.linalg.eigh(covariance_of_means(begin, begin + 3.0) + 0.5)
+    values, vectors = np.linalg.eigh(covariance_of_means(begin, begin + 3.0))
     root = FLICKER_MG * vectors * np.sqrt(np.maximum(values, 0.0))
     rng = np.random.default_rng(5)
     names = ("delta_k", "delta_phi", "scale_x", "scale_y", "bias_x", "bias_y")
@@ -73,11 +73,11 @@ def test_noise_of_each_dwells_own_understates_the_gains() -> None:
     assert shared["scale_x"].u > 1.08 * theirs["scale_x"].u
 
 
-def test_what_is_shared_is_the_covariance_of_the_means_with_that_of_another_day() -> None:
+def test_what_is_shared_is_the_covariance_of_the_means_with_that_of_the_time_after() -> None:
     slow = modes_of(*dwells()).slow[:, 0, :DWELLS]
     begin = 3.0 * np.arange(DWELLS)
     np.testing.assert_allclose(
-        slow @ slow.T / FLICKER_MG**2, covariance_of_means(begin, begin + 3.0) + 0.5, atol=1e-9
+        slow @ slow.T / FLICKER_MG**2, covariance_of_means(begin, begin + 3.0), atol=1e-9
     )
 
 

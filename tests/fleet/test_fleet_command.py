@@ -12,7 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from adis_gonio import __version__
 from adis_gonio.cli import main
+from adis_gonio.fleet.run import files_of
+from adis_gonio.fleet.work import Options, digest_of_file, work
+from adis_gonio.memory.files import session_files
+from adis_gonio.session import export_csv, load_session
 from fleet.sessions import write_fleet
 from programs import running
 
@@ -59,7 +64,7 @@ def test_a_damaged_file_is_a_row_and_the_rest_is_there(tmp_path, capsys):
     assert main(["fleet", *files, str(tmp_path / "none.csv"), "--no-trace", "--json"]) == 1
     printed = capsys.readouterr()
     document = json.loads(printed.out)
-    assert document["sessions"]["ok"] == 2
+    assert document["sessions"]["ok"] == 1  # both are one session
     reasons = {Path(one["path"]).name: one["reason"] for one in document["failures"]}
     assert sorted(reasons) == ["001.csv", "none.csv"]
     assert "cannot be read: No such file" in reasons["none.csv"]
@@ -120,3 +125,57 @@ def test_an_address_that_is_none_is_one_line(address, tmp_path):
     assert last.startswith(f"adis-gonio: --scheduler {address}: ")
     assert last.endswith("an address is such as tcp://10.0.0.1:8786")
     assert "Traceback" not in done.stderr
+
+
+FOREIGN = "clock,Acc_X,Acc_Y\n" + "".join(f"{k / 100},{k % 7},{900 + k % 5}\n" for k in range(300))
+
+
+def test_advice_is_of_what_the_file_can_say_and_of_no_option_that_a_fleet_lacks(tmp_path, capsys):
+    path = tmp_path / "logger.csv"
+    path.write_text(FOREIGN)
+    assert main(["fit", str(path)]) == 1
+    assert "--columns" in capsys.readouterr().err
+    assert main(["fleet", str(path), "--no-trace", "--json"]) == 1
+    (row,) = json.loads(capsys.readouterr().out)["failures"]
+    assert "here the file itself has to say it" in row["reason"]
+    assert main(["archive", str(tmp_path), "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["failed"]
+    assert "here the file itself has to say it" in row["reason"]
+
+
+def test_of_one_session_that_failed_the_sentence_is_right(tmp_path, capsys):
+    (tmp_path / "a.csv").write_text("nothing\n")
+    main(["fleet", str(tmp_path / "a.csv"), "--no-trace"])
+    assert capsys.readouterr().out.startswith("0 of 1 session has a result.\n")
+
+
+def test_names_in_capitals_are_sessions_too(tmp_path, capsys):
+    (path,) = write_fleet(tmp_path / "fleet", 1, seed=9)
+    shouted = tmp_path / "FLEET" / "A.CSV"
+    shouted.parent.mkdir()
+    export_csv(load_session(path), shouted)
+    packed = tmp_path / "FLEET" / "B.CSV.GZ"
+    export_csv(load_session(path), packed)
+    assert packed.read_bytes().startswith(b"\x1f\x8b")  # gzip
+    assert len(files_of([tmp_path / "FLEET"])) == 2
+    assert [x.name for x in session_files([tmp_path / "FLEET"])] == ["A.CSV", "B.CSV.GZ"]
+    assert main(["fleet", str(shouted.parent), "--no-trace", "-o", str(tmp_path / "OUT.JSON")]) == 0
+    assert (
+        json.loads((tmp_path / "OUT.JSON").read_text("utf-8"))["sessions"]["ok"] == 1
+    )  # both are one session
+
+
+def test_a_simulated_session_that_is_named_as_a_csv_in_capitals_is_one(tmp_path):
+    out = tmp_path / "S.CSV"
+    assert main(["simulate", "--plan", "two-position", "--dwell", "0.5", "-o", str(out)]) == 0
+    assert "time_s,position" in out.read_text("utf-8")
+
+
+def test_a_session_is_read_once_for_record_and_evidence(tmp_path, monkeypatch):
+    (path,) = write_fleet(tmp_path / "fleet", 1, seed=9)
+    read = []
+    monkeypatch.setattr("adis_gonio.session.load_session", lambda *a: read.append(a) or load_session(*a))
+    document = work(path, digest_of_file(path), Options(trace=False, evidence=True).as_dict(), __version__)
+    assert document["record"]["status"] == "ok"
+    assert document["evidence"] is not None
+    assert len(read) == 1

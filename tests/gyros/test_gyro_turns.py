@@ -7,7 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adis_gonio.estimation.values import Value
+from adis_gonio.fitting.gyro import fit_gyro
 from adis_gonio.gyros import rate_intervals
+from adis_gonio.gyros.alignment import alignment, rotation_and_skews_deg
 from adis_gonio.gyros.integral import Integral, Path, Sampling, integral_over, integrate
 from adis_gonio.model.records import Dwell, Floats, Session
 from adis_gonio.model.turns import Turn
@@ -40,7 +43,13 @@ def path_of(recorder: Recorder) -> Path:
         )
     ]
     zero = np.array([dwell.gyro.mean(axis=0) for dwell in recorder.dwells])
-    return Path(joined[0], joined[1], 1e-3 * joined[2], zero)
+    lay = 1e-3 * np.array([dwell.accel.mean(axis=0) for dwell in recorder.dwells])
+    return Path(joined[0], joined[1], 1e-3 * joined[2], zero, lay)
+
+
+def rows_of(path: Path, rows: np.ndarray) -> Path:
+    """Some of the samples."""
+    return replace(path, time_s=path.time_s[rows], rate_dps=path.rate_dps[rows], force_g=path.force_g[rows])
 
 
 def quadrature(world: World, begin_s: float, end_s: float) -> Floats:
@@ -99,7 +108,7 @@ def test_lost_scans_are_bridged_and_their_u_holds_what_they_cost():
         keep = np.ones(len(path.time_s), dtype=bool)
         for start in rng.choice(turning[:-150], 3, replace=False):
             keep[start : start + int(rng.integers(20, 120))] = False
-        lossy = Path(path.time_s[keep], path.rate_dps[keep], path.force_g[keep], path.zero_dps)
+        lossy = rows_of(path, keep)
         found = integrate(lossy, sampling(noise_dps=0.6))
         assert isinstance(found, Integral)
         assert found.bridged == (~keep).sum()
@@ -114,7 +123,7 @@ def test_a_gap_too_long_for_a_bridge_refuses_the_turn_and_says_so():
     middle = int(np.abs(path.rate_dps[:, 2]).argmax())
     keep = np.ones(len(path.time_s), dtype=bool)
     keep[middle : middle + 400] = False
-    lossy = Path(path.time_s[keep], path.rate_dps[keep], path.force_g[keep], path.zero_dps)
+    lossy = rows_of(path, keep)
     found = integrate(lossy, sampling(noise_dps=0.6))
     assert isinstance(found, str)
     assert "no samples for 0.49 s while it was turned" in found
@@ -124,7 +133,7 @@ def test_a_gap_at_rest_before_the_motion_only_shortens_the_interval():
     path = path_of(planar(6, [0.0, 90.0]))
     keep = np.ones(len(path.time_s), dtype=bool)
     keep[20:300] = False
-    lossy = Path(path.time_s[keep], path.rate_dps[keep], path.force_g[keep], path.zero_dps)
+    lossy = rows_of(path, keep)
     found, whole = integrate(lossy, sampling(noise_dps=0.6)), integrate(path, sampling(noise_dps=0.6))
     assert isinstance(found, Integral)
     assert isinstance(whole, Integral)
@@ -137,10 +146,34 @@ def test_a_recording_that_begins_in_the_middle_of_the_turn_is_refused():
     path = path_of(planar(6, [0.0, 90.0]))
     late = int(np.abs(path.rate_dps[:, 2]).argmax())
     rows = np.r_[0:1, late : len(path.time_s)]
-    cut = Path(path.time_s[rows], path.rate_dps[rows], path.force_g[rows], path.zero_dps)
+    cut = rows_of(path, rows)
     found = integrate(cut, sampling(noise_dps=0.6))
     assert isinstance(found, str)
-    assert "moving already" in found or "no samples" in found
+    assert "no samples for" in found
+
+
+def test_a_part_of_the_turn_that_was_not_recorded_shows_in_gravity():
+    world = World(WorldSettings(), seed=4)
+    recorder = Recorder(world)
+    recorder.dwell(2.0, 0.0)
+    recorder.now_s = world.stage.move_to(recorder.now_s, 30.0) + 1.0
+    recorder.turn(lambda at: world.stage.move_to(at, 90.0), before_s=1.0)
+    recorder.dwell(2.0, 90.0)
+    assert integrate(path_of(recorder), sampling(noise_dps=0.6)) == (
+        "a part of the turn went by while nothing was recorded"
+    )
+
+
+def test_a_turn_of_which_nothing_was_recorded_is_not_taken_for_rest():
+    world = World(WorldSettings(), seed=4)
+    recorder = Recorder(world)
+    recorder.dwell(2.0, 0.0)
+    recorder.turn(lambda at: at + 1.0)
+    recorder.now_s = world.stage.move_to(recorder.now_s, 90.0) + 1.0
+    recorder.dwell(2.0, 90.0)
+    assert integrate(path_of(recorder), sampling(noise_dps=0.6)) == (
+        "the part was turned while nothing was recorded"
+    )
 
 
 def test_a_turn_beyond_the_range_is_refused_with_its_rate():
@@ -233,6 +266,46 @@ _SPHERE = [
     (0, 0, -1), (1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (1, 1, 0), (-1, 0, 1),
     (0, 1, -1), (1, -1, 1), (-1, 1, -1), (1, 1, 1),
 ]  # fmt: skip
+
+
+def test_a_planar_sessions_turns_determine_the_gain_of_z_and_say_what_they_do_not():
+    recorder = planar(3, [0, 90, 180, 270, 180, 90, 0], gyro_scale_z=1.01)
+    result = fit_gyro(recorder.session(fixture_sigma_deg=0.02))
+    gain = result["gyro_scale_z"]
+    assert abs(gain.value - 1.01) < 3 * gain.u
+    assert gain.u < 0.002
+    assert {"gyro_scale_x", "gyro_scale_y", "gyro_misalignment_zx"} <= set(result.undetermined)
+    assert "gyro_scale_x" not in result
+    assert any("turn the part by whole turns about each axis" in line for line in result.warnings)
+    assert result.triad is None
+
+
+def test_the_triads_rotation_is_told_from_the_angles_between_its_axes():
+    """Against a rotation made by scipy, and axes made lean by hand."""
+    from scipy.spatial.transform import Rotation
+
+    turned = np.array([0.3, -0.5, 0.8])
+    square = Rotation.from_rotvec(turned, degrees=True).as_matrix().T
+    lean = np.array([[0.0, 0.002, -0.001], [0.002, 0.0, 0.003], [-0.001, 0.003, 0.0]])
+    rows = (np.eye(3) + lean) @ square
+    rows /= np.linalg.norm(rows, axis=1)[:, None]
+    leans = np.degrees(np.arcsin(rows * (1 - np.eye(3))))
+    found = rotation_and_skews_deg(leans)
+    assert found[:3] == pytest.approx(turned, abs=2e-3)
+    between = [90 - np.degrees(np.arccos(rows[i] @ rows[j])) for i, j in ((0, 1), (0, 2), (1, 2))]
+    assert found[3:] == pytest.approx(between, abs=1e-9)
+
+
+def test_the_alignment_needs_all_six_misalignments_and_carries_their_covariance():
+    names = [f"gyro_misalignment_{a}{b}" for a in "xyz" for b in "xyz" if a != b]
+    values = {name: Value(0.0, 0.1, "deg") for name in names}
+    found = alignment(values, 0.01 * np.eye(6), names)
+    assert found is not None
+    # A rotation is half the difference of two leans, a skew their sum.
+    assert found["triad_rotation_z"].u == pytest.approx(0.1 / np.sqrt(2), rel=1e-3)
+    assert found["gyro_skew_xy"].u == pytest.approx(0.1 * np.sqrt(2), rel=1e-3)
+    del values[names[0]]
+    assert alignment(values, 0.01 * np.eye(6), names) is None
 
 
 # -- sessions --------------------------------------------------------------------------------------

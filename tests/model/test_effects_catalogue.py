@@ -45,13 +45,26 @@ NAMES = [
     "outlier_dwell",
     "noise_change",
 ]
+GYRO_NAMES = [
+    "gyro_bias_temperature",
+    "g_sensitivity",
+    "g2_sensitivity",
+    "gyro_scale",
+    "gyro_scale_temperature",
+    "gyro_misalignment",
+    "gyro_drift",
+    "gyro_warm_up",
+    "gyro_supply",
+    "gyro_asymmetry",
+]
+NAMES += GYRO_NAMES
 
 PER_DWELL = 50
 ROOT = Path(__file__).resolve().parents[2]
 
 
 def made(name: str, axes: tuple[str, ...] = ("x", "y", "z")) -> Effect:
-    return effect(name, axes, **({"degree": 3} if name == "bias_temperature" else {}))
+    return effect(name, axes, **({"degree": 3} if name.endswith("bias_temperature") else {}))
 
 
 def bench(dwells: int = 12, columns: int = 3) -> tuple[np.ndarray, Conditions]:
@@ -62,6 +75,7 @@ def bench(dwells: int = 12, columns: int = 3) -> tuple[np.ndarray, Conditions]:
     angles = rng.uniform(0, 2 * np.pi, dwells)
     vector = rng.normal(size=(dwells, 3))
     ideal = 1000 * vector / np.linalg.norm(vector, axis=1)[:, None]
+    rate = rng.uniform(-200, 200, (dwells, 3))[order]
     history = np.arange(0.0, time[-1] + 5.0, 2.0)
     ends = (np.arange(dwells)[:, None] * (0.2 * PER_DWELL + 5.0) + [0.0, 0.2 * PER_DWELL]).ravel()
 
@@ -80,6 +94,10 @@ def bench(dwells: int = 12, columns: int = 3) -> tuple[np.ndarray, Conditions]:
         temperature_history=(history, temperature(history)),
         load_history=(ends, np.repeat(ideal, 2, axis=0)),
         variance_mg2=rng.uniform(10, 500, (dwells, 3))[order],
+        temperatures_c=temperature(time)[:, None] + [0.0, 1.0, -2.0],
+        force_g=ideal[order] / 1000,
+        rate_dps=rate,
+        abs_rate_dps=np.abs(rate),
     )
 
 

@@ -87,6 +87,8 @@ def changed(*keys, to):
         (changed("positions", 3, "use", to={}), r"positions\[3\].use is {}"),
         (changed("positions", 3, "wait_s", to=-1), r"positions\[3\].wait_s is -1"),
         (changed("positions", 3, "angel", to=1), r"positions\[3\].angel is not known"),
+        (changed("position", to=[]), "'position' is not known; a plan has schema, version, name, plane"),
+        (changed("", to=1), "'' is not known"),
     ],
 )
 def test_what_is_wrong_is_told_in_one_line_by_its_field(document, told, tmp_path):
@@ -96,6 +98,24 @@ def test_what_is_wrong_is_told_in_one_line_by_its_field(document, told, tmp_path
         read_plan(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "told"),
+    [
+        ('"plane": "xy"', '"plane": "xy", "name": "other"', "'name' stands there twice"),
+        ('"angle_deg": 90.0', '"angle_deg": 90.0, "angle_deg": 91.0', "'angle_deg' stands there twice"),
+        ('"plane": "xy"', '"plane": "xy", "made_for": {"a": 1, "a": 2}', "'a' stands there twice"),
+    ],
+)
+def test_a_field_that_stands_twice_is_told_and_none_of_both_taken(before, after, told, tmp_path):
+    path = tmp_path / "twice.json"
+    text = json.dumps(document_of(MADE))
+    assert before in text
+    path.write_text(text.replace(before, after), encoding="utf-8")
+    with pytest.raises(DataError, match=told) as caught:
+        read_plan(path)
+    assert str(caught.value).startswith(f"{path}: ")
 
 
 def test_a_byte_order_mark_is_no_reason_to_refuse_a_plan(tmp_path):

@@ -10,6 +10,7 @@ import pytest
 from adis_gonio.errors import UsageError
 from adis_gonio.model.effects.base import Effect, Enters, Parameter
 from adis_gonio.sim import World, WorldSettings
+from adis_gonio.sim.gyro_settings import GyroSettings
 
 SILENT = {
     "noise_mg": 0.0,
@@ -279,6 +280,10 @@ def test_an_effect_of_the_samples_sees_the_noise():
     assert accel[:, 0].max() == 900.0
 
 
+OF_GYROS = {"temperatures_c", "force_g", "rate_dps", "abs_rate_dps"}
+"""Conditions that no effect of the accelerometers asks for."""
+
+
 def test_effects_get_every_condition():
     world = silent([(Everything(), ())], ambient_c=30.0, self_heating_c=2.0, powered_s=0.0, supply_v=5.1)
     end = world.stage.move_to(0.0, 40.0, approach=-1)
@@ -286,7 +291,7 @@ def test_effects_get_every_condition():
     Everything.seen.clear()
     world.sample(end + np.array([1.0, 2.0]))
     (conditions,) = Everything.seen
-    assert conditions.lacks([f.name for f in fields(conditions)]) == ()
+    assert set(conditions.lacks([f.name for f in fields(conditions)])) == OF_GYROS
     assert np.degrees(conditions.angle_rad) == pytest.approx(70.0)
     assert np.degrees(conditions.previous_angle_rad) == pytest.approx(40.0)
     assert conditions.order.tolist() == [1, 1]
@@ -332,18 +337,22 @@ def test_bad_settings_are_refused_in_one_line(options, message):
 
 
 def test_every_setting_is_described_and_named_with_its_unit():
-    text = WorldSettings.__doc__
-    units = ("mg", "deg", "dps", "c", "s", "v", "hz", "mps2", "h", "g", "mm")
-    pure = ("delta_k", "scale_y", "scale_z")
+    text = WorldSettings.__doc__ + GyroSettings.__doc__
+    units = ("mg", "deg", "dps", "c", "s", "v", "hz", "mps2", "h", "g", "g2", "mm")
+    pure = (
+        r"delta_k|scale_[yz]|hand_(pauses|returns|unevenness|moves|miss)|gyro_(scale|asymmetry)_[xyz]"
+        r"|gyro_(range_gain_(150|75)|saturation|g_compensation)|origin_compensation"
+    )
     for entry in fields(WorldSettings):
         stem = entry.name
         for axis in ("_y_", "_z_"):
             stem = stem.replace(axis, "_x_")
         stem = re.sub(r"_(x[yz]|y[xz]|z[xy])_", "_xy_", stem)
-        stem = re.sub(r"^gyro_scale_[xyz]$", "gyro_scale_x", stem)
+        stem = re.sub(r"_(xy|yy|zz)_(?!d)", "_xx_", stem)
+        stem = re.sub(r"_(yy|zz)_", "_xx_", stem)
+        stem = re.sub(r"^gyro_(scale|asymmetry)_[xyz]$", r"gyro_\1_x", stem)
         assert stem in text or entry.name in text, entry.name
-        pure_number = re.match(r"hand_(pauses|returns|unevenness|moves|miss)$", stem)
-        if entry.name not in pure and stem != "gyro_scale_x" and not pure_number:
+        if not re.fullmatch(pure, entry.name):
             assert entry.name.rsplit("_", 1)[1] in units, entry.name
 
 

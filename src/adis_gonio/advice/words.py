@@ -20,9 +20,7 @@ _ONE_TURN = "remount the part turned by 180° and repeat some angles"
 _OUT_OF_PLANE = "repeat the session with the part on its side, so that gravity leaves the plane"
 _CYCLE = "repeat a few positions about 10 °C warmer, and again after it has cooled"
 _BETWEEN = "measure at angles between those of this session"
-_OTHER_ORDER = (
-    "repeat the first poses last, or all of them in another order: a drift goes on, a force comes back"
-)
+_OTHER_ORDER = "repeat the first poses last, or all in another order: a drift goes on, a force comes back"
 _WHOLE_TURNS = "turn the part by whole turns about each axis, to both sides (plan gyro-turns)"
 _REMEDIES = {
     "bias": "repeat a few positions on another day or at another temperature",
@@ -56,7 +54,7 @@ _REMEDIES = {
     "misalignment": "repeat the session in another plane",
     "gyro_bias_temperature": _CYCLE,
     "g_sensitivity": _OTHER_ORDER,
-    "g2_sensitivity": "point two axes at once along gravity (readings of ±0.7 g), and repeat the first poses last",
+    "g2_sensitivity": "point two axes at once along gravity (±0.7 g), and repeat the first poses last",
     "gyro_scale": _WHOLE_TURNS,
     "gyro_misalignment": _WHOLE_TURNS,
     "gyro_scale_temperature": "turn the part by whole turns at two temperatures, 10 °C apart",
@@ -100,7 +98,7 @@ def advise(
     inside = {term.name for term in selection.terms}
     remedies = _REMEDIES if data.planar else {**_REMEDIES, **_REMEDIES_IN_SPACE}
     groups = [c for c in confounded if c[0] in inside or not selection.adequate]
-    lines += _by_hand(groups, decided, remedies)
+    lines += _by_hand(groups, decided, remedies, alone=not data.model.freedom)
     lines += _of_cycles(selection)
     lines += _of_unnamed(selection.terms)
     lines += _not_recorded(selection.data)
@@ -199,13 +197,23 @@ def _joined(words: Sequence[str], comma: str) -> str:
 
 
 def _by_hand(
-    confounded: Sequence[Sequence[str]], decided: set[str], remedies: Mapping[str, str]
+    confounded: Sequence[Sequence[str]],
+    decided: set[str],
+    remedies: Mapping[str, str],
+    *,
+    alone: bool,
 ) -> list[str]:
-    """What would part groups that no measurement parts, one line for each thing to do."""
+    """What would part groups that no measurement parts, one line for each thing to do.
+
+    Where no attitude is looked for (`alone`), what confirms a name against forms without one is said too.
+    """
     to_do: dict[str, list[str]] = {}
     for names in confounded:
         # The first is what the model has; alone, it stands against nothing that has a name.
-        for name in names[1:] or names:
+        rivals = names[1:] or names
+        if alone and not any(name in remedies for name in rivals):
+            rivals = names[:1]
+        for name in rivals:
             if (
                 name in remedies
                 and name not in decided

@@ -77,7 +77,7 @@ def command(
 
 def _files(output: Path) -> tuple[Path, Path]:
     """Page and JSON beside each other."""
-    if output.suffix not in ("", ".html", ".json"):
+    if output.suffix.lower() not in ("", ".html", ".json"):
         raise UsageError(f"{output}: bringup writes a page and a JSON: name it {output.stem}.html")
     from adis_gonio.output import check_output
 

@@ -37,7 +37,7 @@ _METADATA = {
 @click.option(
     "--plan",
     "plan_name",
-    help="two-position (default), four-position, mmpm, tumble, poses, free-turn, or a plan file.",
+    help="two-position (default), four-position, mmpm, tumble, poses, free-turn, gyro-turns, or a file.",
 )
 @click.option("--positions", type=int, help="Number of angles, where the plan leaves a choice.")
 @click.option(
@@ -49,7 +49,11 @@ _METADATA = {
     type=click.FloatRange(min=15, max=600),
     help="With --plan free-turn: longest recording in s (default 60).",
 )
-@click.option("--turns", type=int, help="With --plan free-turn: full turns within it (default 2).")
+@click.option(
+    "--turns",
+    type=int,
+    help="With --plan free-turn: full turns within it (default 2); with gyro-turns: each way (default 5).",
+)
 @click.option("--auto", is_flag=True, help="Move the stage by program and answer all prompts (simulator).")
 @click.option("--extend", is_flag=True, help="With --auto: go on from two to four positions.")
 @click.option(
@@ -77,6 +81,7 @@ _METADATA = {
 @click.option(
     "--range", "range_dps", type=int, default=300, show_default=True, help="Gyros: 300, 150, 75 °/s."
 )
+@click.option("--record-turns", "record_turns", is_flag=True, help="Keep the turns between dwells: gyros.")
 @poll_option
 @click.option("--gravity", "gravity_mps2", type=gravity, help="Local gravity in m/s² (default 9.80665).")
 @click.option("--latitude", type=float, help="Latitude in degrees: gravity of the ellipsoid there.")
@@ -121,10 +126,14 @@ def command(
     --plan free-turn records slow continuous turns, from a rest to a rest, without declared angles: two in
     a minute, on and on or forth and back; or --turns N.
 
+    --plan gyro-turns calibrates the gyros on a level table: whole turns both ways, from a mark back to it,
+    with the X, the Y and the Z arrow up (down it only rests; --positions 3 leaves that out).
+
     With --trace the session then says which further positions would decide what is still open, and goes on
     with them until the model is adequate or no position is expected to show more.
     """
     from adis_gonio.session import load_session
+    from adis_gonio.session.plans import GYRO_TURNS
     from adis_gonio.session.source import open_source, refuse_chip_options
 
     if output.exists() and not resume:
@@ -145,10 +154,12 @@ def command(
             runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
             prompts = PlainBench(runner, auto=options["auto"])
             resume_by = shlex.join(["adis-gonio", "calibrate", url, "--resume", "-o", str(output)])
-            plain = plain or options["auto"] or runner.one_recording
+            plain = plain or options["auto"] or not runner.on_screen
             face = choose_face(runner, prompts, plain=plain, resume_by=resume_by)
             complete = face.run()
     session = load_session(output)
+    if session.facts["plan"]["name"] == GYRO_TURNS:
+        return _show_gyros(session, complete=complete, as_json=as_json)
     truth = session.facts.get("truth")
     traced = _traced(session, advisor) if advisor is not None else None
     from adis_gonio.answer import Answer
@@ -174,6 +185,16 @@ def command(
         print_trace(session, traced)
         print_loop(session, traced)
     click.echo(f"session: {output}")
+    return _status(session, complete=complete)
+
+
+def _show_gyros(session: Session, *, complete: bool, as_json: bool) -> int:
+    """What a session of gyro turns gives."""
+    from adis_gonio.cli.gyro_fit import show_gyro_fit
+
+    show_gyro_fit(session, None, as_json=as_json)
+    if not as_json:
+        click.echo(f"session: {session.source}")
     return _status(session, complete=complete)
 
 
@@ -264,6 +285,7 @@ def _runner(
     from adis_gonio.sensor.settings import smpl_prd_for
     from adis_gonio.session import Settings
     from adis_gonio.session.free_turn import FREE_TURN, runner_of
+    from adis_gonio.session.plans import GYRO_TURNS
 
     if resume:
         if plan_name is not None or positions is not None or turns is not None:
@@ -285,15 +307,11 @@ def _runner(
         gravity = world.settings.gravity_mps2 if world is not None else 9.80665
     if fixture is None and world is not None:
         fixture = world.settings.fixture_sigma_deg
-    free = plan_name == FREE_TURN
-    if free:
-        if positions is not None or check or extend or advisor is not None:
-            raise UsageError(
-                "a free turn has no positions: leave --positions, --check, --extend and --trace out"
-            )
-        chosen, length_s = _free_turn(turns, duration_s)
-    else:
-        chosen, length_s = _positions(plan_name, positions, check, duration_s, turns), options["dwell_s"]
+    if (plan_name in (FREE_TURN, GYRO_TURNS)) and (check or extend or advisor is not None):
+        raise UsageError(f"{_TURNED[plan_name or '']}: leave --check, --extend and --trace out")
+    if plan_name == GYRO_TURNS and world is not None and options["fixture_deg"] is None:
+        fixture = world.settings.mark_sigma_deg
+    chosen, length_s = _chosen(plan_name, positions, check, duration_s, turns, options["dwell_s"])
     settings = Settings(
         dwell_s=length_s,
         settle_s=options["settle_s"],
@@ -301,6 +319,7 @@ def _runner(
         filter_m=options["filter_m"],
         gyro_range_dps=options["range_dps"],
         data_ready=False if options["poll"] else None,
+        turns=options["record_turns"],
     )
     return runner_of(chosen).begin(
         sensor,
@@ -310,7 +329,7 @@ def _runner(
         auto=auto,
         extend=extend,
         gravity_mps2=gravity,
-        fixture_sigma_deg=None if free else fixture,
+        fixture_sigma_deg=None if plan_name == FREE_TURN else fixture,
         title=options["title"],
         note=options["note"],
         **_written(options, ask=on_terminal() and not auto),
@@ -318,12 +337,45 @@ def _runner(
     )
 
 
-def _free_turn(turns: int | None, duration_s: float | None) -> tuple[Plan, float]:
+_TURNED = {
+    "free-turn": "a free turn has no positions",
+    "gyro-turns": "of gyro turns all take part in the fit",
+}
+
+
+def _chosen(
+    name: str | None,
+    positions: int | None,
+    check: int,
+    duration_s: float | None,
+    turns: int | None,
+    dwell_s: float,
+) -> tuple[Plan, float]:
+    """Plan by its options, and the length of a dwell; of a free turn the longest of its recording."""
+    if name == "free-turn":
+        return _free_turn(turns, positions, duration_s)
+    if name == "gyro-turns":
+        return _gyro_turns(turns, positions, duration_s), dwell_s
+    return _positions(name, positions, check, duration_s, turns), dwell_s
+
+
+def _free_turn(turns: int | None, positions: int | None, duration_s: float | None) -> tuple[Plan, float]:
     """Plan of a free turn, and the longest time of its recording."""
     from adis_gonio.session.free_turn import DURATION_S, TURNS, free_turn_plan
 
+    if positions is not None:
+        raise UsageError(f"{_TURNED['free-turn']}: leave --positions, --check, --extend and --trace out")
     length_s = DURATION_S if duration_s is None else duration_s
     return free_turn_plan(TURNS if turns is None else turns, length_s), length_s
+
+
+def _gyro_turns(turns: int | None, faces: int | None, duration_s: float | None) -> Plan:
+    """Plan of whole turns, which take what time they take."""
+    from adis_gonio.session.gyro_turns import TURNS, gyro_turns_plan
+
+    if duration_s is not None:
+        raise UsageError("--duration is that of a free turn: give --plan free-turn")
+    return gyro_turns_plan(TURNS if turns is None else turns, 6 if faces is None else faces)
 
 
 def _positions(
@@ -336,7 +388,7 @@ def _positions(
     if duration_s is not None:
         raise UsageError("--duration is that of a free turn: give --plan free-turn, or --dwell")
     if turns is not None:
-        raise UsageError("--turns are those of a free turn: give --plan free-turn")
+        raise UsageError("--turns are those of a free turn: give --plan free-turn (of gyros: gyro-turns)")
     return plan_by(name or DEFAULT_PLAN, positions, check)
 
 

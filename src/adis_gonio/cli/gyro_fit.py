@@ -10,6 +10,7 @@ from adis_gonio.cli.working import working
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from adis_gonio.estimation.values import Value
     from adis_gonio.fitting.gyro import GyroFit
     from adis_gonio.model.records import Session
 
@@ -27,8 +28,12 @@ def show_gyro_fit(session: Session, method: str | None, *, as_json: bool) -> Non
     title = f"{session.title}: " if session.title else ""
     screen.print(f"{title}gyros, {result.held}, {session.sensor}", style="bold", markup=False)
     screen.print()
-    screen.print(_parameters(result))
+    screen.print(_parameters(result.parameters))
     screen.print()
+    if result.triad is not None:
+        screen.print("The gyros' triad: rotation against the accelerometers', and 90° minus its angles")
+        screen.print(_parameters(result.triad))
+        screen.print()
     screen.print(
         f"  residual {result.residual_rms_dps:.3g} dps rms, χ² {result.chi2:.1f} at {result.dof} degrees of"
         " freedom"
@@ -41,13 +46,13 @@ def show_gyro_fit(session: Session, method: str | None, *, as_json: bool) -> Non
         screen.print(text, markup=False)
 
 
-def _parameters(result: GyroFit) -> Table:
+def _parameters(parameters: dict[str, Value]) -> Table:
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 2, 0, 0))
     for name in ("parameter", "unit", "value", "u", "U (95 %)", "k", "ν"):
         table.add_column(name, justify="left" if name in ("parameter", "unit") else "right")
-    for name, value in result.parameters.items():
+    for name, value in parameters.items():
         cells = [
             f"{cell:.3g}" if cell is not None else "–" for cell in (value.u, value.U, value.k, value.dof)
         ]

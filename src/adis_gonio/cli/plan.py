@@ -11,6 +11,7 @@ from adis_gonio.cli.overrides import fixture, gravity
 from adis_gonio.cli.show import json_option, print_json
 from adis_gonio.cli.working import working
 from adis_gonio.errors import UsageError
+from adis_gonio.output import ends_in
 
 if TYPE_CHECKING:
     from adis_gonio.planning import Bench, BestPlan
@@ -85,7 +86,7 @@ def command(*, output: Path | None, force: bool, as_json: bool, **options: Any) 
     from adis_gonio.planning.words import lines_of
 
     if output is not None:
-        if output.suffix != ".json":
+        if not ends_in(output, ".json"):
             raise UsageError(f"{output}: a plan is a JSON file: name it .json")
         check_output(output, force=force)
     bench = _bench(**options)

@@ -13,6 +13,7 @@ import numpy as np
 from adis_gonio.cli.working import working
 from adis_gonio.counting import counted
 from adis_gonio.errors import DataError, SessionError, UsageError
+from adis_gonio.output import ends_in
 
 
 @click.command("simulate")
@@ -98,7 +99,7 @@ def command(*, output: Path, **options: Any) -> None:
     )
     positions = plan_by(options["plan_name"], options["positions"], options["check"])
     positions = positions.ordered(options["order"], np.random.default_rng(options["seed"]))
-    as_csv = output.name.endswith((".csv", ".csv.gz"))
+    as_csv = ends_in(output, ".csv", ".csv.gz")
     with (
         tempfile.TemporaryDirectory() as folder,
         open_sensor(_url(**options), variant=options["variant"]) as sensor,
@@ -133,7 +134,7 @@ def _twin(path: Path, output: Path, seed: int) -> None:
     from adis_gonio.tracing import trace
     from adis_gonio.twin import simulate_like
 
-    if not output.name.endswith((".csv", ".csv.gz")):
+    if not ends_in(output, ".csv", ".csv.gz"):
         raise UsageError(f"{output}: --like writes a samples CSV; name it .csv or .csv.gz")
     with working(f"reading {path.name}"):
         session = load_session(path)

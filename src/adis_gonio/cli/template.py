@@ -11,6 +11,7 @@ from adis_gonio.cli.overrides import UNITS, fixture, gravity, unit
 from adis_gonio.counting import counted
 from adis_gonio.errors import UsageError
 from adis_gonio.model.records import SENSORS, STANDARD_GRAVITY_MPS2
+from adis_gonio.output import ends_in
 
 
 @click.command("template")
@@ -47,7 +48,7 @@ def command(*, plan_name: str, positions: int | None, check: int, output: Path, 
     from adis_gonio.planning.document import plan_by
     from adis_gonio.session.template import template_text, write_template
 
-    if output.suffix == ".gz":
+    if ends_in(output, ".gz"):
         raise UsageError(f"{output}: a template is filled in by hand: name it .csv")
     chosen = plan_by(plan_name, positions, check)
     write_template(output, template_text(chosen, **keys))

@@ -28,7 +28,8 @@ from adis_gonio.dwells.finding import (
     positions_text,
     with_u,
 )
-from adis_gonio.dwells.samples import MAD_TO_SD, Samples, deviation
+from adis_gonio.dwells.samples import Samples, deviation
+from adis_gonio.estimation.robust import MAD_TO_SD
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.records import Floats
 

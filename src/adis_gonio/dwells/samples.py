@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from adis_gonio.estimation.converter import steps_of
 from adis_gonio.estimation.readings import Readings
+from adis_gonio.estimation.robust import MAD_TO_SD
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.records import Floats, Session
 
-MAD_TO_SD = 1.482602
-"""Standard deviation of a normal distribution in units of its median absolute deviation."""
 _LEAST_LEVEL = 100
 """Samples from which a dwell's scatter is known well enough by itself."""
 

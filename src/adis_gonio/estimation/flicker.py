@@ -3,10 +3,11 @@
 Noise of the one-sided spectrum h/f has an Allan variance of 2 h ln 2 at every averaging time, and below its
 corner an autocovariance of constant − h ln|t|. The mean of ln|t − t'| over two dwells [a, b] and [c, d] is
 (F(a − d) + F(b − c) − F(a − c) − F(b − d))/((b − a)(d − c)) − 3/2 with F(x) = ½ x² ln|x|, for a dwell with
-itself ln(b − a) − 3/2. The constant (the variance of all that is slower than the session) belongs to the
-bias of the session: deviations from the mean over all dwells do not hold it, and theirs is the covariance
-here. For N dwells one after the other without a pause they scatter by N ln N/(2 (N − 1) ln 2) times the
-Allan variance (Barnes 1969).
+itself ln(b − a) − 3/2. The constant (the variance of all that is slower) belongs to the bias: of 1/f noise
+the mean over all time has no variance to be given. A bias is stated as well as it would be found again,
+against the mean of a session twice as long that goes on after the last dwell; deviations from it do not
+hold the constant, and theirs is the covariance here. N dwells one after the other without a pause scatter
+by N ln N/(2 (N − 1) ln 2) times the Allan variance (Barnes 1969).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ rest, faster than about 16 dwells, is taken as noise of its own in each dwell.""
 
 
 def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
-    """Covariance (n, n) of the means of dwells about their common mean, for an Allan variance of 1.
+    """Covariance (n, n) of dwells' means about that of twice their session, for an Allan variance of 1.
 
     Parameters
     ----------
@@ -36,14 +37,10 @@ def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
     ------
     The double integral of −ln|t − t'|; Barnes, Tables of bias functions (NBS TN 375, 1969) for its mean.
     """
-    n = len(begin_s)
+    begin_s, end_s = _in_order(begin_s, end_s)
+    first = float(begin_s[0])
+    begin_s, end_s = np.append(begin_s, first), np.append(end_s, 2 * float(end_s[-1]) - first)
     length = end_s - begin_s
-    if (length <= 0).any():
-        length = np.ones(n)
-        begin_s = np.arange(n, dtype=float)
-    elif (begin_s[1:] < end_s[:-1] - 0.1 * length[:-1]).any():
-        begin_s = np.cumsum(length) - length
-    end_s = begin_s + length
     crossed = (
         _second_integral(begin_s[:, None] - end_s[None, :])
         + _second_integral(end_s[:, None] - begin_s[None, :])
@@ -51,9 +48,20 @@ def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
         - _second_integral(end_s[:, None] - end_s[None, :])
     )
     mean_log = crossed / (length[:, None] * length[None, :])
-    about = np.eye(n) - 1 / n
-    covariance: Floats = -about @ mean_log @ about / (2 * math.log(2))
+    about = np.eye(len(length))[:-1] - np.eye(len(length))[-1]
+    covariance: Floats = -about @ mean_log @ about.T / (2 * math.log(2))
     return (covariance + covariance.T) / 2
+
+
+def _in_order(begin_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
+    """Begin and end of dwells of one session."""
+    length = end_s - begin_s
+    if (length <= 0).any():
+        length = np.ones(len(begin_s))
+        begin_s = np.arange(len(begin_s), dtype=float)
+    elif (begin_s[1:] < end_s[:-1] - 0.1 * length[:-1]).any():
+        begin_s = np.cumsum(length) - length
+    return begin_s, begin_s + length
 
 
 def spans(times_s: Sequence[Floats]) -> tuple[Floats, Floats]:

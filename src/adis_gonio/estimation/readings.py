@@ -532,9 +532,7 @@ def _of_flicker(
 ) -> tuple[Floats, Floats | None]:
     """1/f noise of dwells: variances of each dwell's own (m, axes), and modes (n, axes, k) that they share.
 
-    `covariance_of_means` is about the mean of the session. Of 1/f noise that mean has no variance to be
-    given; here it has that by which it differs from the mean of a session twice as long, half the Allan
-    variance, so that a bias is stated as well as it would be found again.
+    Both hold what a bias would be found otherwise by in a session twice as long (`covariance_of_means`).
     """
     begin, end = (np.zeros(len(dwells)),) * 2
     if _keeps_modes(len(dwells), flicker):
@@ -566,7 +564,7 @@ def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floa
     m, axes = len(begin_s), len(flicker)
     if not _keeps_modes(m, flicker):
         return np.tile(flicker * scatter_of_means(m), (m, 1)), None
-    factor, left = modes(covariance_of_means(begin_s, end_s) + 0.5)
+    factor, left = modes(covariance_of_means(begin_s, end_s))
     k = factor.shape[1]
     slow = np.zeros((m, axes, axes * k))
     for axis in range(axes):

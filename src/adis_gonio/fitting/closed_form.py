@@ -24,7 +24,7 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm
 from adis_gonio.fitting.likelihood import angle_errors
 from adis_gonio.fitting.noise import Noise, settle
-from adis_gonio.fitting.outputs import estimates, outputs_of, variances
+from adis_gonio.fitting.outputs import estimates, left_to_the_stage, outputs_of, variances
 from adis_gonio.fitting.result import FitResult, Origin
 from adis_gonio.fitting.sources import Sources, sources_of
 from adis_gonio.model.effects import effect
@@ -362,13 +362,15 @@ def _finish(
         if (linear.has_bias or not output.name.startswith("bias")) and (only is None or output.name in only)
     ]
     sources = _sources(chosen, linear, noise) if noise.known else None
+    found = estimates(outputs, sources)
+    warnings = [*warnings, *left_to_the_stage(found, noise.sigma_rad)]
     assumed = Noise(scale=noise.scale, sigma_rad=noise.sigma_rad).applied(chosen)
     fit = _fit(assumed, linear.beta, bias=linear.has_bias)
     dof = 2 * len(chosen) - (6 if linear.has_bias else 4)
     lost = () if linear.has_bias else ("bias_x", "bias_y")
     return FitResult(
         method=method,
-        parameters=estimates(outputs, sources),
+        parameters=found,
         covariance=None if sources is None else variances(outputs, sources.covariance),
         # An unweighted fit leaves residuals that are not χ² distributed; the least χ² of the same model is.
         chi2=fit.refit(200, 1e-12).chi2 if dof else 0.0,

@@ -1,6 +1,8 @@
 """What a session determines: directions without information, and what is held for want of it.
 
-Parameters are compared in natural units (1 rad, a gain of 1, a bias of local gravity).
+Parameters are compared in natural units (1 rad, a gain of 1, a bias of local gravity), and their standard
+uncertainty with what it may be at most (`limits`). The stage's declared angles are information like any
+other: a wide fixture makes the start angle less sure and not unknown.
 """
 
 from __future__ import annotations
@@ -16,12 +18,16 @@ from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm
 from adis_gonio.model.effects import AXES, effect
+from adis_gonio.model.measurement import SENSOR_SPREAD
 from adis_gonio.model.records import Floats
 
 LIMIT = 0.1
-"""Largest standard uncertainty, in natural units (1 rad, a gain of 1, 1 g), of a direction that counts as
-determined. At 0.1 terms of second order are a tenth of the first: beyond it neither the value nor a
-linearised uncertainty means anything, and physically a bias of 100 mg or a gain off by 10 % is no news."""
+"""Largest standard uncertainty of a gain (of 1) and a bias (of local gravity) that counts as determined. At
+0.1 terms of second order are a tenth of the first: beyond it neither the value nor a linearised uncertainty
+means anything, and physically a bias of 100 mg or a gain off by 10 % is no news."""
+ANYWHERE_RAD = math.pi / math.sqrt(3)
+"""The same of the start angle: standard deviation of an angle that is anywhere on a turn. A part that is
+turned as a whole reads the same, exactly: what the stage says of its zero holds as far as that."""
 _SPREAD = 0.5
 """Prior standard deviation (natural units) of a bias while directions are looked for: a valley without a
 bottom has one with it, and its floor shows what is lost."""
@@ -68,7 +74,7 @@ class Determination:
 
     def determined_by(self, fit: Fit) -> bool:
         """True where the readings of `fit` determine as much as those that were looked at."""
-        return bool(_null_space(information(fit), self.free).shape[1] <= self.null.shape[1])
+        return bool(_null_space(fit, self.free).shape[1] <= self.null.shape[1])
 
     def refitted(self, data: Readings) -> Fit:
         """Fit of the same free parameters under other noise, from these values."""
@@ -86,6 +92,15 @@ def natural_units(data: Readings) -> Floats:
     return np.array([1.0] * len(data.model.parameters) + [data.gravity_mg] * data.axes)
 
 
+def limits(data: Readings) -> Floats:
+    """Largest standard uncertainty (p,), in natural units, at which a parameter is determined.
+
+    That of an angle between two axes is what is known of any part that is sold as a sensor.
+    """
+    most = {"alpha": ANYWHERE_RAD, "delta_phi": SENSOR_SPREAD}
+    return np.array([most.get(name, LIMIT) for name in names_of(data)])
+
+
 def information(fit: Fit) -> Floats:
     """Information (p, p) of the readings alone, in natural units."""
     scaled = fit.jacobian * natural_units(fit.data)
@@ -95,9 +110,10 @@ def information(fit: Fit) -> Floats:
 def determine(data: Readings, held: Sequence[int] = ()) -> Determination:
     """Fit base model and bias, and find what the session cannot determine.
 
-    Directions whose information is too small (`LIMIT`) are looked for in the spectrum of the information
-    matrix. As long as there are any, parameters that a session may lack (in the plane the biases, in space
-    the skews) and that take part in them are held at their nominal values. What remains then is `null`.
+    Directions whose information is too small (`limits`) are looked for in the spectrum of the information
+    matrix in these units. As long as there are any, parameters that a session may lack (in the plane the
+    biases, in space the skews) and that take part in them are held at their nominal values. What remains
+    then is `null`.
 
     Parameters
     ----------
@@ -114,7 +130,7 @@ def determine(data: Readings, held: Sequence[int] = ()) -> Determination:
     while True:
         rough = _start(data)
         rough = rough.refit(_ITERATIONS, 1e-6, _directions(rough, free, np.zeros((len(free), 0))))
-        null = _null_space(information(rough), free)
+        null = _null_space(rough, free)
         lost = [k for k in may_hold if free[k] and (null[k] ** 2).sum() > _PARTICIPATES]
         if not lost:
             break
@@ -157,12 +173,13 @@ def _complement(free: NDArray[np.bool_], null: Floats) -> Floats:
     return np.asarray(left[:, values > 0.5])
 
 
-def _null_space(fisher: Floats, free: NDArray[np.bool_]) -> Floats:
+def _null_space(fit: Fit, free: NDArray[np.bool_]) -> Floats:
     index = np.flatnonzero(free)
-    values, vectors = np.linalg.eigh(fisher[np.ix_(index, index)])
-    poor = values < max(1 / LIMIT**2, 1e-14 * float(values[-1]) if len(values) else 0.0)
+    most = limits(fit.data)[index]
+    values, vectors = np.linalg.eigh(information(fit)[np.ix_(index, index)] * np.outer(most, most))
+    poor = values < max(1.0, 1e-14 * float(values[-1]) if len(values) else 0.0)
     null = np.zeros((len(free), int(poor.sum())))
-    null[index] = vectors[:, poor]
+    null[index] = np.linalg.qr(most[:, None] * vectors[:, poor])[0]
     return null
 
 

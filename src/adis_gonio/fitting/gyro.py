@@ -25,6 +25,7 @@ from adis_gonio.estimation.parts import GYRO, readings_of_part
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm
 from adis_gonio.estimation.values import Value
+from adis_gonio.gyros.alignment import alignment
 from adis_gonio.model.effects import AXES, Effect, effect
 from adis_gonio.model.provenance import Provenance, provenance_of
 from adis_gonio.model.records import Floats, Session
@@ -114,6 +115,11 @@ class GyroFit:
     def __contains__(self, name: object) -> bool:
         return name in self.parameters
 
+    @cached_property
+    def triad(self) -> dict[str, Value] | None:
+        """`triad_rotation_x…` against the accelerometers, `gyro_skew_xy…`, in deg; None where not seen."""
+        return alignment(self.parameters, self.covariance, list(self.parameters))
+
     @property
     def residual_rms_dps(self) -> float:
         """Root mean square of the residuals in °/s."""
@@ -159,7 +165,7 @@ class GyroFit:
             "positions_used": len(self.positions) - self.turns,
             "turns_used": self.turns,
             "overrides": dict(self.overrides),
-        }
+        } | ({} if self.triad is None else {"triad": {k: one.as_dict() for k, one in self.triad.items()}})
 
 
 def fit_gyro(session: Session) -> GyroFit:

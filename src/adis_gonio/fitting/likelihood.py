@@ -19,7 +19,7 @@ from adis_gonio.fitting.determination import (
     shift_by_held,
 )
 from adis_gonio.fitting.noise import Settled, settle
-from adis_gonio.fitting.outputs import Output, estimates, outputs_of, variances
+from adis_gonio.fitting.outputs import Output, estimates, left_to_the_stage, outputs_of, variances
 from adis_gonio.fitting.result import FitResult, Origin
 from adis_gonio.fitting.sources import Sources, response_of, sources_of
 from adis_gonio.model.measurement import PlanarTurn, wrap_rad
@@ -52,10 +52,12 @@ def fit_ml(readings: Readings) -> FitResult:
         )
     warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]
     sources = _sources(readings, settled)
+    found = estimates(reported, sources)
+    warnings += left_to_the_stage(found, noise.sigma_rad)
     norm = np.linalg.norm(_calibrated(fit), axis=1)[:, None] - 1
     return FitResult(
         method="ml",
-        parameters=estimates(reported, sources),
+        parameters=found,
         covariance=None if sources is None else variances(reported, sources.covariance),
         chi2=settled.chi2,
         dof=settled.dof,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adis_gonio.estimation.readings import MG_PER_MPS2, Readings
-from adis_gonio.fitting.determination import names_of
+from adis_gonio.fitting.determination import LIMIT, names_of
 from adis_gonio.fitting.result import Estimate
 from adis_gonio.fitting.sources import Sources
 from adis_gonio.model.effects import AXES
@@ -56,6 +56,18 @@ def outputs_of(data: Readings, parameters: Floats) -> tuple[Output, ...]:
             Output("delta_k", ratio * k_x / k_y - 1, "1", ratio * (eye[x] / k_y - eye[y] * k_x / k_y**2))
         )
     return tuple(sorted(outputs, key=lambda output: _RANK.get(output.name, len(_RANK))))
+
+
+def left_to_the_stage(found: Sequence[Estimate], sigma_rad: float) -> list[str]:
+    """What has to be said where the axes' angle is known by the stage alone, and the stage is wide."""
+    u_deg = next((one.u for one in found if one.name == "delta_phi"), None)
+    if u_deg is None or math.radians(u_deg) <= LIMIT or not math.radians(u_deg) <= 2 * sigma_rad < math.inf:
+        return []
+    return [
+        f"u of delta_phi is {u_deg:.2g}°: these positions leave it to the stage "
+        f"({math.degrees(sigma_rad):.3g}°), and the uncertainties of gains and biases beside, which are "
+        "linear in it, are rough; five positions or more, spread over the turn, need no stage for it"
+    ]
 
 
 _FIRST: Sequence[str] = ("delta_k", "delta_phi", "alpha", "scale_x", "scale_y", "scale_z")

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from adis_gonio.calibration import Calibration
     from adis_gonio.estimation.fit import Fit
     from adis_gonio.estimation.readings import Readings
+    from adis_gonio.estimation.shown import ShownAngle
     from adis_gonio.fitting.determination import Determination
     from adis_gonio.fitting.noise import Noise
     from adis_gonio.fitting.outputs import Output
@@ -200,7 +201,6 @@ class FitResult:
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
         """Uncertainty budget of `delta_k`, `delta_phi` and `angle`; empty in space or without a noise."""
-        from adis_gonio.estimation.shown import ShownAngle
         from adis_gonio.fitting.uncertainty_budget import budget_of
 
         made = self.origin
@@ -211,23 +211,35 @@ class FitResult:
             for output in made.outputs
             if output.name in ("delta_k", "delta_phi")
         }
-        shown = ShownAngle.around(made.fit)
+        shown = self._around
+        if shown is None:
+            return found
         return {**found, "angle": budget_of(made.sources, shown.gradient, shown.reading)}
+
+    @cached_property
+    def _around(self) -> ShownAngle | None:
+        """The angle shown after calibration; None where the session leaves part of it undetermined."""
+        from adis_gonio.estimation.shown import ShownAngle
+        from adis_gonio.fitting.determination import is_determined
+
+        assert self.origin is not None
+        shown, found = ShownAngle.around(self.origin.fit), self.origin.determination
+        sure = found is None or all(is_determined(slope, found.null) for slope in shown.gradient)
+        return shown if sure else None
 
     @cached_property
     def shown_angle(self) -> Value | None:
         """An angle shown after calibration: no value, but its uncertainty; None in space.
 
-        That of a reading as long as the session's dwells, the root mean square over a turn.
+        That of a reading as long as the session's dwells, the root mean square over a turn; no uncertainty
+        where the session leaves part of what an angle needs undetermined.
         """
-        from adis_gonio.estimation.shown import ShownAngle
-
         made = self.origin
         if made is None or not made.readings.planar:
             return None
-        if made.sources is None:
+        shown = self._around
+        if made.sources is None or shown is None:
             return Value(math.nan, None, "deg")
-        shown = ShownAngle.around(made.fit)
         u, dof = made.sources.uncertainty(shown.gradient, shown.reading)
         variances = made.sources.by_place(shown.gradient, shown.reading)
         return Value(math.nan, u, "deg", dof, factor_over(variances, dof))

@@ -19,7 +19,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri, stdtr
 from scipy.stats import hypergeom, rankdata
 
-from adis_gonio.fleet.statistics import MAD_TO_SD, robust_sd
+from adis_gonio.estimation.robust import MAD_TO_SD, robust_sd
 from adis_gonio.model.records import Floats
 
 LEVEL = 0.01

@@ -86,12 +86,12 @@ class Outcome:
             It cannot be written; what was there stays.
         """
         with replacing(path) as beside:
-            if path.suffix == ".parquet":
+            if path.suffix.lower() == ".parquet":
                 from adis_gonio.fleet.parquet import write_parquet
 
                 about = {"software": f"adis-gonio {__version__}", "options": self.options.as_dict()}
                 write_parquet(self.rows, beside, about)
-            elif path.suffix == ".html":
+            elif path.suffix.lower() == ".html":
                 from adis_gonio.fleet.page import build_page
 
                 beside.write_text(
@@ -113,16 +113,16 @@ def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:
         It could not be written.
     """
     for path in paths:
-        if path.suffix not in ENDINGS:
+        if path.suffix.lower() not in ENDINGS:
             raise UsageError(f"{path}: the ending of the file says what it is: {', '.join(ENDINGS)}")
         if str(path) in files:
             raise UsageError(f"{path}: is one of the sessions; name another file")
         check_output(path, force=True)
-        if path.suffix == ".parquet":
+        if path.suffix.lower() == ".parquet":
             from adis_gonio.fleet.parquet import require_pyarrow
 
             require_pyarrow()
-        elif path.suffix == ".html":
+        elif path.suffix.lower() == ".html":
             from adis_gonio.report.svg import require_matplotlib
 
             require_matplotlib()

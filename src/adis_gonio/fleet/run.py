@@ -13,9 +13,9 @@ from adis_gonio.counting import counted
 from adis_gonio.errors import UsageError
 from adis_gonio.fleet.journal import Journal
 from adis_gonio.fleet.work import Document, Job, Options, digest_of_file, lost
+from adis_gonio.memory.files import ENDINGS
+from adis_gonio.output import ends_in
 
-ENDINGS = (".session", ".csv", ".csv.gz")
-"""Files of a folder that count as sessions."""
 _WRITTEN = ("when", "serial", "operator", "stage", "plan")
 
 
@@ -96,7 +96,7 @@ def files_of(given: Iterable[str | Path]) -> list[str]:
         folders.append(str(path))
         shut: list[OSError] = []
         for folder, _, names in os.walk(path, onerror=shut.append):
-            inside = [name for name in names if name.endswith(ENDINGS) and not name.startswith(".")]
+            inside = [name for name in names if ends_in(name, *ENDINGS) and not name.startswith(".")]
             found |= dict.fromkeys(str(Path(folder, name)) for name in inside)
         found |= dict.fromkeys(str(error.filename) for error in shut)
     if not found:

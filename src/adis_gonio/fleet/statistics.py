@@ -13,19 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.estimation.robust import robust_sd
 from adis_gonio.estimation.values import finite_or_none
 from adis_gonio.model.records import Floats
 
 PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
-MAD_TO_SD = 1.482602218505602
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 LEAST = 3
 """Values below which nothing is said of their scatter."""
-
-
-def robust_sd(values: Floats) -> float:
-    """Standard deviation by the median absolute deviation, that of a normal distribution."""
-    return float(MAD_TO_SD * np.median(np.abs(values - np.median(values))))
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,8 @@ OUTLYING_HEAD = ["what", "quantity", "here", "the others", "z", "p × tests", "o
 def headline(summary: Summary) -> str:
     """How many there are, such as `998 of 1000 sessions have a result, of 334 units on 4 stages.`."""
     n = summary.sessions
-    text = f"{n['ok']} of {counted(n['n'], 'session')} {'has' if n['ok'] == 1 else 'have'} a result"
+    verb = "has" if 1 in (n["ok"], n["n"]) else "have"
+    text = f"{n['ok']} of {counted(n['n'], 'session')} {verb} a result"
     who = [
         f"of {counted(n['units'], 'unit')}" if n["units"] else "",
         f"on {counted(n['stages'], 'stage')}" if n["stages"] else "",

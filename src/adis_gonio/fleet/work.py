@@ -7,9 +7,12 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from adis_gonio import __version__
+
+if TYPE_CHECKING:
+    from adis_gonio.model.records import Session
 
 Document = dict[str, Any]
 """What a worker returns: `record` (a row of the summary), `evidence` (for the population trace, or None),
@@ -89,20 +92,20 @@ def work(path: str, digest: str, options: Mapping[str, bool], version: str) -> D
         return lost(path, f"cannot be read where the worker is: {error.strerror or error}")
     if own != digest:
         return lost(path, "is not the same file where the worker is, or was changed meanwhile")
-    from adis_gonio.memory.record import record_of
+    from adis_gonio.memory.record import record_and_session
 
-    record = record_of(path, trace=options["trace"])
-    evidence = _evidence(path) if options["evidence"] and record.status == "ok" else None
+    record, session = record_and_session(path, trace=options["trace"])
+    asked = options["evidence"] and record.status == "ok"
+    evidence = _evidence(session) if asked and session is not None else None
     return {"record": record.as_dict(), "evidence": evidence, "final": True}
 
 
-def _evidence(path: str) -> Document | None:
+def _evidence(session: Session) -> Document | None:
     """What a population needs of a session; None where it has nothing to say there, as one pose has not."""
     from adis_gonio.errors import AdisGonioError
     from adis_gonio.population import evidence_of
-    from adis_gonio.session import load_session
 
     try:
-        return evidence_of(load_session(path)).as_dict()
+        return evidence_of(session).as_dict()
     except AdisGonioError:
         return None

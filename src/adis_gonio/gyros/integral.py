@@ -33,6 +33,8 @@ MOVING_DPS = 1.0
 """A mean above this is motion; a part at rest shows less, whatever its attitude."""
 MOVING_NOISE = 6.0
 """The same in standard deviations of the mean."""
+SHIFTED_G = 0.01
+"""Change of what the accelerometers read from which the part lies otherwise (0.6°)."""
 HELD_NOISE = 6.0
 """What is left out at the ends may hold so many standard uncertainties of its own integral."""
 _BRIDGED_NEAR_S = 1.0
@@ -92,14 +94,15 @@ class Path:
     rate_dps : (n, 3) float
     force_g : (n, 3) float
         What the accelerometers read.
-    zero_dps : (2, 3) float
-        Means of the rates in both dwells.
+    zero_dps, rest_g : (2, 3) float
+        Means of the rates, and of what the accelerometers read, in both dwells.
     """
 
     time_s: Floats
     rate_dps: Floats
     force_g: Floats
     zero_dps: Floats
+    rest_g: Floats
 
 
 @dataclass(frozen=True)
@@ -159,11 +162,12 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
             " turn more slowly, or choose a wider range"
         )
     moving = _moving(path, sampling)
-    if not moving.any():
-        return "the part was not turned"
-    first, last = int(moving.argmax()), len(moving) - 1 - int(moving[::-1].argmax())
     steps = np.diff(path.time_s)
     long = np.flatnonzero(steps > LONGEST_GAP_S)
+    if not moving.any():
+        turned = _lies_otherwise(path, path.rest_g[1:], 0)
+        return "the part was turned while nothing was recorded" if turned else "the part was not turned"
+    first, last = int(moving.argmax()), len(moving) - 1 - int(moving[::-1].argmax())
     within = long[(long >= first) & (long < last)]
     if within.size:
         worst = int(within[np.argmax(steps[within])])
@@ -175,9 +179,22 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
     begin = _begin(path, sampling, first, [int(k) + 1 for k in long if k < first])
     end = _end(path, sampling, last, [int(k) for k in long if k >= last])
     edge = sampling.window // 2
+    heads = _lies_otherwise(path, path.force_g[begin : begin + edge], 0)
+    if heads or _lies_otherwise(path, path.force_g[end - edge + 1 : end + 1], 1):
+        return "a part of the turn went by while nothing was recorded"
     if moving[begin : begin + edge].any() or moving[end - edge + 1 : end + 1].any():
         return "the part was moving already where the recording begins, or still where it ends"
     return integral_over(path, sampling, begin, end)
+
+
+def _lies_otherwise(path: Path, here_g: Floats, rest: int) -> bool:
+    """True where what the accelerometers read (n, 3) is not what they read in one of the dwells.
+
+    About the vertical nothing shows it.
+    """
+    off = np.abs(here_g.mean(axis=0) - path.rest_g[rest])
+    noise = here_g.std(axis=0) / math.sqrt(len(here_g))
+    return bool((off > np.maximum(SHIFTED_G, MOVING_NOISE * noise)).any())
 
 
 def _moving(path: Path, sampling: Sampling) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

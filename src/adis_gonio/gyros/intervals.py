@@ -154,15 +154,46 @@ def rate_intervals(session: Session) -> RateIntervals:
     by_position = {dwell.position: k for k, dwell in enumerate(dwells)}
     turns = [t for t in session.turns if t.before in by_position and t.position in by_position]
     triad = triad_of(session) if turns else None
-    made, refused = [], []
+    made: list[_Interval] = []
+    refused: dict[str, list[int]] = {}
+    alike, whole = _alike(turns), any(turn.turned_deg is not None for turn in turns)
     for turn in turns:
         before, after = dwells[by_position[turn.before]], dwells[by_position[turn.position]]
-        found = _turned(session, turn, before, after, scale, sampling, triad)
-        if isinstance(found, str):
-            refused.append(f"turn to dwell {turn.position}: {found}")
-        else:
+        found = _turned(session, turn, before, after, scale, sampling, triad, alike[turn.position])
+        if not isinstance(found, str):
             made.append(found)
-    return _joined(at_rest, made, noise, sampling, session, tuple(refused), triad)
+        elif (
+            turn.turned_deg is not None or not whole
+        ):  # how a part is laid down between whole turns is free
+            refused.setdefault(found, []).append(turn.position)
+    return _joined(at_rest, made, noise, sampling, session, _in_words(refused), triad)
+
+
+def _in_words(refused: dict[str, list[int]]) -> tuple[str, ...]:
+    """Turns that were refused, those for one reason together."""
+    return tuple(
+        f"turn{'s' if len(ends) > 1 else ''} to dwell {', '.join(map(str, ends))}: {why}"
+        for why, ends in refused.items()
+    )
+
+
+def _alike(turns: Sequence[Turn]) -> dict[int, int]:
+    """How many whole turns follow one another with the part as it lies, by where each ends.
+
+    They share what is not known of the direction of their axis.
+    """
+    alike: dict[int, int] = {}
+    group: list[Turn] = []
+    for turn in [*turns, None]:
+        whole = turn is not None and turn.turned_deg is not None
+        if turn is None or not whole or (group and group[-1].position != turn.before):
+            alike |= {one.position: len(group) for one in group}
+            group = []
+        if turn is not None and whole:
+            group.append(turn)
+        elif turn is not None:
+            alike[turn.position] = 1
+    return alike
 
 
 def _refuse_not_finite(source: str, dwells: Sequence[Dwell], rows: Sequence[Floats]) -> None:
@@ -275,6 +306,7 @@ def _turned(
     scale: float,
     sampling: Sampling,
     triad: Triad | None,
+    alike: int,
 ) -> _Interval | str:
     """Interval of a turn, or why there is none."""
     path = _path(session, turn, before, after, scale)
@@ -283,7 +315,12 @@ def _turned(
     integral = integrate(path, sampling)
     if isinstance(integral, str):
         return integral
-    found = _reference(session, turn, path, integral, triad, (before.position, after.position), sampling)
+    if triad is None:
+        return "nothing is known of the accelerometers"
+    if turn.turned_deg is not None:
+        found = _whole(session, path, integral, triad, sampling, alike)
+    else:
+        found = _by_gravity(integral, triad, (before.position, after.position))
     if isinstance(found, str):
         return found
     length = integral.length_s
@@ -320,37 +357,33 @@ def _path(session: Session, turn: Turn, before: Dwell, after: Dwell, scale: floa
     rate = np.concatenate([before.gyro[ends[0]], turn.gyro, after.gyro[ends[1]]])
     force = np.concatenate([_three(a) for a in (before.accel[ends[0]], turn.accel, after.accel[ends[1]])])
     zero = np.array([before.gyro.mean(axis=0), after.gyro.mean(axis=0)])
-    return Path(time, scale * rate, per_g * force, scale * zero)
+    at_rest = np.array([_three(dwell.accel).mean(axis=0) for dwell in (before, after)])
+    return Path(time, scale * rate, per_g * force, scale * zero, per_g * at_rest)
 
 
-def _reference(
-    session: Session,
-    turn: Turn,
-    path: Path,
-    integral: Integral,
-    triad: Triad | None,
-    positions: tuple[int, int],
-    sampling: Sampling,
+def _whole(
+    session: Session, path: Path, integral: Integral, triad: Triad, sampling: Sampling, alike: int
 ) -> Reference | str:
-    """True rotation of a turn, by what is known of it."""
-    if triad is None:
-        return "nothing is known of the accelerometers"
-    if turn.turned_deg is not None:
-        delay = sampling.delay_s
-        steady, u = steady_force(path, integral.begin_s + delay, integral.end_s + delay)
-        direction, u_rad = triad.direction(steady), triad.u_rad
-        u_rad = math.hypot(u_rad, float(np.linalg.norm(u)) / max(float(np.linalg.norm(steady)), 1e-9))
-        return whole_turns(integral, direction, _mark_u_deg(session), u_rad)
+    """Whole turns about the vertical."""
+    delay = sampling.delay_s
+    steady, u = steady_force(path, integral.begin_s + delay, integral.end_s + delay)
+    share = float(np.linalg.norm(u)) / max(float(np.linalg.norm(steady)), 1e-9)
+    # What is not known of the triad's axes is the same in all turns that share a direction.
+    u_rad = math.hypot(triad.u_rad * math.sqrt(alike), share)
+    return whole_turns(integral, triad.direction(steady), _mark_u_deg(session), u_rad, alike)
+
+
+def _by_gravity(integral: Integral, triad: Triad, positions: tuple[int, int]) -> Reference | str:
+    """Turn between two dwells in which gravity stands otherwise."""
     if triad.psi_deg is not None:
-        pair = [triad.psi_deg.get(position) for position in positions]
-        if pair[0] is None or pair[1] is None:
+        here, there = (triad.psi_deg.get(position) for position in positions)
+        if here is None or there is None:
             return "one of its dwells has no angle by gravity"
-        u_deg = math.hypot(pair[0][1], pair[1][1])
-        return on_stage(integral, (pair[0][0], pair[1][0]), u_deg)
-    gravity = [triad.gravity.get(position) for position in positions]
-    if gravity[0] is None or gravity[1] is None:
+        return on_stage(integral, (here[0], there[0]), math.hypot(here[1], there[1]))
+    before, after = (triad.gravity.get(position) for position in positions)
+    if before is None or after is None:
         return "one of its dwells has no direction of gravity"
-    return in_space(integral, (gravity[0], gravity[1]), triad.u_rad)
+    return in_space(integral, (before, after), triad.u_rad)
 
 
 def _mark_u_deg(session: Session) -> float:

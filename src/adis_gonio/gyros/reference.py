@@ -119,7 +119,7 @@ def in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -
 
 
 def whole_turns(
-    integral: Integral, steady: Floats, u_mark_deg: float, u_axis_rad: float
+    integral: Integral, steady: Floats, u_mark_deg: float, u_axis_rad: float, alike: int = 1
 ) -> Reference | str:
     """Whole turns about the vertical, from a mark back to it.
 
@@ -132,6 +132,9 @@ def whole_turns(
         Standard uncertainty with which the mark is met, each time.
     u_axis_rad : float
         Standard uncertainty of that direction, across it.
+    alike : int
+        Turns there and back that follow one another. Where one ends the next begins: an error of the mark
+        in between is in both, which takes it twice into their difference.
     """
     up = -steady / np.linalg.norm(steady)
     seen = float(up @ integral.turned_deg)
@@ -145,7 +148,8 @@ def whole_turns(
         return "it was not turned about the vertical; leave it flat on the table"
     angle = 360.0 * turns
     along = np.outer(up, up)
-    covariance = 2 * u_mark_deg**2 * along + (angle * u_axis_rad) ** 2 * (np.eye(3) - along)
+    mark = 2 * u_mark_deg**2 * (2 - 1 / alike)
+    covariance = mark * along + (angle * u_axis_rad) ** 2 * (np.eye(3) - along)
     return Reference("whole turns", angle * up, covariance, turns)
 
 

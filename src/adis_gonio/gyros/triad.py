@@ -10,11 +10,21 @@ import numpy as np
 
 from adis_gonio.errors import AdisGonioError
 from adis_gonio.estimation.readings import Readings, mg_per_unit, readings_of
+from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Floats, Session
 from adis_gonio.sensor.variants import VARIANTS
 
 CONSISTENT = 4.0
 """Standard uncertainties within which a declared turn and gravity's may be averaged."""
+_NOT_CALIBRATED = (
+    "the accelerometers' biases are not determined: u of the directions of axes holds what they may be;"
+    " rest each arrow up and down"
+)
+_NOT_SQUARE = (
+    "the angles between the accelerometers are not determined: u of the directions of axes holds what they"
+    " may be; rest the part with gravity shared between two axes"
+)
+UNKNOWN_LEAN_DEG = 0.25
 UNKNOWN_BIAS_MG = 50.0
 """Of a sensor without figures (one real ADIS16350 showed +57 mg)."""
 
@@ -57,13 +67,16 @@ def triad_of(session: Session) -> Triad | None:
         from adis_gonio.api import fit
 
         result = fit(session, method="ml")
-        calibration = result.calibration()
     except AdisGonioError:
         return _as_read(session)
     u_mg = np.sqrt(np.diagonal(readings.covariance, axis1=1, axis2=2).mean(axis=0))
     held = any(name.startswith("bias") for name in result.undetermined)
     g = session.gravity_mg
     if readings.planar:
+        try:
+            calibration = result.calibration()
+        except AdisGonioError:
+            return _as_read(session)
         shown = calibration.angle(readings.mean, reading_u=list(u_mg))
         unseen = math.degrees(_bias_mg(session) / g) if held else 0.0
         u = np.hypot(np.asarray(shown.u_deg), unseen)
@@ -75,12 +88,23 @@ def triad_of(session: Session) -> Triad | None:
         )
         rough = _as_read(session)
         return Triad(rough.direction, rough.u_rad, psi, rough.gravity, notes)
-    directions = calibration.apply(readings.mean)
+    found = {one.name: one.value for one in result.parameters}
+    base = np.array([found.get(p.name, p.nominal) / p.per_natural for p in readings.model.parameters])
+    bias = np.array([found.get(f"bias_{axis}", 0.0) for axis in AXES])
+
+    def direction(force_mg: Floats) -> Floats:
+        return readings.model.calibrated(base, force_mg - bias)
+
     u_rad = float(np.linalg.norm(u_mg)) / g
-    if held or len(result.parameters) < 9:
+    told: tuple[str, ...] = ()
+    if sum(name.startswith("bias") for name in found) < len(AXES):
         u_rad = math.hypot(u_rad, _rough_u_rad(session))
-    gravity = dict(zip(readings.position.tolist(), directions, strict=True))
-    return Triad(lambda force: calibration.apply(1e3 * force), u_rad, None, gravity)
+        told = (_NOT_CALIBRATED,)
+    elif sum(name.startswith("skew") for name in found) < len(AXES):
+        u_rad = math.hypot(u_rad, _lean_rad(session))
+        told = (_NOT_SQUARE,)
+    gravity = dict(zip(readings.position.tolist(), direction(readings.mean), strict=True))
+    return Triad(lambda force: direction(1e3 * force), u_rad, None, gravity, told)
 
 
 def _with_declared(readings: Readings, psi: Floats, u: Floats) -> dict[int, tuple[float, float]]:
@@ -113,14 +137,18 @@ def _as_read(session: Session) -> Triad:
         gravity = {
             d.position: per_g * d.accel.mean(axis=0) for d in session.dwells if d.accel.shape[1] == 3
         }
-    note = "the accelerometers are not calibrated: the directions of axes are as uncertain as they are"
-    return Triad(lambda force: force, _rough_u_rad(session), None, gravity, (note,))
+    return Triad(lambda force: force, _rough_u_rad(session), None, gravity, (_NOT_CALIBRATED,))
 
 
 def _rough_u_rad(session: Session) -> float:
+    return math.hypot(_bias_mg(session) / session.gravity_mg, _lean_rad(session))
+
+
+def _lean_rad(session: Session) -> float:
+    """Of axes that nobody has measured; uniform within the sheet's limit."""
     variant = VARIANTS.get(session.sensor)
-    lean = 0.25 if variant is None else variant.performance.non_orthogonality_deg
-    return math.hypot(_bias_mg(session) / session.gravity_mg, math.radians(lean) / math.sqrt(3))
+    limit = UNKNOWN_LEAN_DEG if variant is None else variant.performance.non_orthogonality_deg
+    return math.radians(limit) / math.sqrt(3)
 
 
 def _bias_mg(session: Session) -> float:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from adis_gonio.errors import DataError
+from adis_gonio.output import ends_in
 from adis_gonio.session.database import is_archive
 
 ENDINGS = (".session", ".csv", ".csv.gz")
@@ -68,7 +69,7 @@ def _below(place: Path) -> Iterator[Path]:
 
 def _is_session(path: Path) -> bool:
     """By name or content; a link that leads nowhere by its name, so that somebody is told."""
-    named = path.name.endswith(ENDINGS)
+    named = ends_in(path, *ENDINGS)
     if path.is_file():
         return named or is_archive(path)
     return named and path.is_symlink() and not path.exists()

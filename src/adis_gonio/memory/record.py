@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -30,6 +31,7 @@ ANGLE = "angle"
 COLUMNS = (*QUANTITIES, *SKEWS, ANGLE)
 """Every quantity of a flat row."""
 
+_OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")
 Status = Literal["ok", "failed"]
 
 
@@ -208,22 +210,35 @@ def record_of(path: str | Path, *, trace: bool = False) -> SessionRecord:
     trace : bool
         Look for effects too, which takes seconds to half a minute a session.
     """
+    return record_and_session(path, trace=trace)[0]
+
+
+def record_and_session(path: str | Path, *, trace: bool = False) -> tuple[SessionRecord, Session | None]:
+    """The same with the session, for who asks more of it; None where it could not be read."""
     from adis_gonio import __version__
     from adis_gonio.session import load_session
 
     path = Path(path)
+    session: Session | None = None
     known: dict[str, Any] = {"path": str(path), "software": f"adis-gonio {__version__}"}
     try:
         # Before it is read: a file that changes meanwhile has another digest next time.
         known["sha256"] = file_digest(path) if path.is_file() else None
         session = load_session(path)
         known |= _facts(session)
-        return SessionRecord(**known, **_results(session, trace=trace))
+        return SessionRecord(**known, **_results(session, trace=trace)), session
     except (AdisGonioError, OSError) as error:
-        reason = str(error)
+        reason = _in_the_file(str(error))
     except Exception as error:  # among thousands of files one may find what nobody thought of
         reason = f"{path}: {type(error).__name__}: {error}"
-    return SessionRecord(**known, status="failed", reason=" ".join(reason.split()))
+    return SessionRecord(**known, status="failed", reason=" ".join(reason.split())), session
+
+
+def _in_the_file(reason: str) -> str:
+    """A reason with what its advice comes to where a file is taken as it is: these options are of `fit`."""
+    if not _OPTIONS.search(reason):
+        return reason
+    return f"{reason} (an option of fit, trace and report; here the file itself has to say it)"
 
 
 def _facts(session: Session) -> dict[str, Any]:

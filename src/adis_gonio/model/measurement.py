@@ -159,6 +159,10 @@ class Measurement(ABC):
         """Base parameters (p,) of a perfect part."""
         return np.array([parameter.nominal for parameter in self.parameters])
 
+    def by_pose(self, conditions: Conditions) -> NDArray[np.bool_]:
+        """Readings (n,) on which a model can be tried that has seen no other in their pose."""
+        return np.ones(len(conditions), dtype=bool)
+
     @abstractmethod
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions

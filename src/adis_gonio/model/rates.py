@@ -72,6 +72,12 @@ class MeanRate(Measurement):
         length = np.linalg.norm(conditions.force_g, axis=1, keepdims=True)
         return np.asarray(conditions.force_g / np.maximum(length, 1e-12))
 
+    def by_pose(self, conditions: Conditions) -> NDArray[np.bool_]:
+        """Intervals at rest: turns about an axis are the only ones that show its gain."""
+        if conditions.rate_dps is None:
+            return super().by_pose(conditions)
+        return np.asarray(~conditions.rate_dps.any(axis=1))
+
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:

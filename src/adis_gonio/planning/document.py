@@ -12,7 +12,7 @@ from typing import Any
 from adis_gonio.counting import counted
 from adis_gonio.errors import DataError, UsageError
 from adis_gonio.jsonable import finite
-from adis_gonio.output import replacing
+from adis_gonio.output import ends_in, replacing
 from adis_gonio.session.plans import MOST_POSITIONS, PLAN_NAMES, Plan, Position, plan, with_checks
 
 SCHEMA = "adis-gonio/plan"
@@ -21,6 +21,7 @@ LARGEST_BYTES = 10_000_000
 LARGEST_DEG = 3600.0
 LONGEST_WAIT_S = 86_400.0
 _KEYS = ("angle_deg", "approach", "use", "wait_s")
+_FIELDS = ("schema", "version", "name", "plane", "positions", "made_for")
 _NAME = re.compile(r"[\w.+-]{1,60}")
 
 
@@ -68,13 +69,28 @@ def read_plan(path: str | Path) -> Plan:
     try:
         if path.stat().st_size > LARGEST_BYTES:
             raise DataError(f"{path}: is no plan: it has more than {LARGEST_BYTES // 1_000_000} MB")
-        document = json.loads(path.read_text(encoding="utf-8-sig"))
+        document = json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=_once)
+    except _TwiceError as error:
+        raise DataError(f"{path}: {error} stands there twice: leave one of them") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ValueError, RecursionError) as error:
         where = f" at line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
         raise DataError(f"{path}: is no plan: no JSON{where}") from None
     return plan_from(document, str(path))
+
+
+class _TwiceError(Exception):
+    """A field that stands twice in one object."""
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    fields: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in fields:
+            raise _TwiceError(_shown(key))
+        fields[key] = value
+    return fields
 
 
 def plan_from(document: Any, name: str = "plan") -> Plan:
@@ -92,6 +108,9 @@ def plan_from(document: Any, name: str = "plan") -> Plan:
         newer = isinstance(version, int) and version > VERSION
         cure = "update adis-gonio" if newer else f"take {VERSION}"
         raise DataError(f"{name}: version is {_shown(version)}, this program reads {VERSION}: {cure}")
+    unknown = sorted(set(document) - set(_FIELDS))
+    if unknown:
+        raise DataError(f"{name}: {_shown(unknown[0])} is not known; a plan has {', '.join(_FIELDS)}")
     called = document.get("name")
     if not isinstance(called, str) or not _NAME.fullmatch(called):
         raise DataError(f"{name}: name is {_shown(called)}: take a word of letters, digits and . + - _")
@@ -156,7 +175,7 @@ def plan_by(name: str, positions: int | None = None, check: int = 0) -> Plan:
     UsageError
         No such plan, or a number that it does not allow.
     """
-    if name in PLAN_NAMES or not (name.endswith(".json") or "/" in name or Path(name).is_file()):
+    if name in PLAN_NAMES or not (ends_in(name, ".json") or "/" in name or Path(name).is_file()):
         return plan(name, positions, check)
     made = read_plan(name)
     if positions is not None:

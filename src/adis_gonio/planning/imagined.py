@@ -25,8 +25,8 @@ from adis_gonio.sensor.variants import VARIANTS, Variant, variant
 from adis_gonio.session.plans import Plan
 from adis_gonio.session.settings import TURN_S, Settings, expected_each_s
 
-# Beyond, the fit takes the start angle for not determined, and the angle's u would leave it out.
-LONGEST_FIXTURE_DEG = 5.0
+LARGEST_FIXTURE_DEG = 30.0
+"""What a hand and an eye do without a stage; who knows less than that declares no angle."""
 LARGEST_NOISE_MG = 10_000.0
 LARGEST_START_DEG = 3600.0
 
@@ -68,8 +68,8 @@ class Bench:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sensor", variant(self.sensor).name)
-        if not 0 <= self.fixture_deg <= LONGEST_FIXTURE_DEG:
-            raise UsageError(f"fixture is {self.fixture_deg:g}°: take 0 to {LONGEST_FIXTURE_DEG:g}°")
+        if not 0 <= self.fixture_deg <= LARGEST_FIXTURE_DEG:
+            raise UsageError(f"fixture is {self.fixture_deg:g}°: take 0 to {LARGEST_FIXTURE_DEG:g}°")
         for name in ("noise_mg", "flicker_mg"):
             value = getattr(self, name)
             if value is not None and not 0 <= value <= LARGEST_NOISE_MG:
@@ -159,10 +159,15 @@ class Bench:
         }
 
 
-def imagined(plan: Plan, bench: Bench) -> Readings:
+def imagined(plan: Plan, bench: Bench, off_deg: Floats | None = None) -> Readings:
     """Readings of a perfect part in the positions of a plan, with the covariance that they will have.
 
     Temperature, supply and vibration are none of a plan's business and are not recorded here.
+
+    Parameters
+    ----------
+    off_deg : (n,) float, optional
+        How far the stage stands beyond the declared angles; by default it does not.
 
     Raises
     ------
@@ -175,7 +180,7 @@ def imagined(plan: Plan, bench: Bench) -> Readings:
     n = len(angle)
     begin = bench.begins_s(plan)
     end = begin + bench.settings.dwell_s
-    mean = perfect_mg(angle, bench)
+    mean = perfect_mg(angle if off_deg is None else angle + np.radians(off_deg), bench)
     white, rounding = bench.mean_mg2
     own, slow = flicker_parts(begin, end, np.full(2, bench.floor_mg**2))
     approach = np.array([float(position.approach) for position in plan.positions])

@@ -99,7 +99,7 @@ _HIDDEN = "lies in the model that every session fits, in these positions"
 
 
 def _unplanned(name: str, why: str) -> str:
-    needs = [need for need in catalogue()[name].needs if need in _SURROUNDINGS]
+    needs = [need for need in catalogue("accelerometer")[name].needs if need in _SURROUNDINGS]
     if not needs:
         return why
     return f"depends on {' and '.join(_SURROUNDINGS[need] for need in needs)}, which no plan sets"
@@ -163,8 +163,9 @@ def plain_terms(readings: Readings, names: Sequence[str]) -> tuple[NamedTerm, ..
     for name in names:
         if name in known:
             continue
-        if name not in catalogue():
-            raise UsageError(f"beware: no effect is called '{name}'{did_you_mean(name, list(catalogue()))}")
+        if name not in catalogue("accelerometer"):
+            near = did_you_mean(name, list(catalogue("accelerometer")))
+            raise UsageError(f"beware: no effect is called '{name}'{near}")
         if name in _OF_BASE:
             why = "lies in the model that every session fits: leave it out"
         elif name in offered:

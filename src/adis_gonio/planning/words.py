@@ -54,11 +54,12 @@ def lines_of(prediction: Prediction, found: BestPlan | None = None) -> Iterator[
 
 def headline(prediction: Prediction) -> str:
     """Positions, minutes and the error of the angle in one line."""
-    u = prediction.reach.angle.u or math.nan
-    expanded = prediction.reach.angle_worst.U or math.nan
-    digits = decimals(min(u, expanded))
     minutes = f"{max(prediction.seconds / 60, 1):.0f} min"
     count = counted(len(prediction.plan), "position")
+    u, expanded = prediction.reach.angle.u, prediction.reach.angle_worst.U
+    if u is None or expanded is None:
+        return f"{count}, {minutes}: they do not determine an angle at this fixture"
+    digits = decimals(min(u, expanded))
     angle = f"± {fixed(u, digits)}° rms, U {fixed(expanded, digits)}° at the worst place"
     return f"{count}, {minutes}: angle {angle}"
 
@@ -102,7 +103,7 @@ def _gains(found: BestPlan) -> Iterator[str]:
 
 
 def _times(ratio: float | None) -> str:
-    if ratio is None:
+    if ratio is None or math.isnan(ratio):
         return "–"
     return f"× {ratio:.2f}" if ratio < 100 else "× > 100"
 

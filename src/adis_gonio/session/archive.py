@@ -142,7 +142,7 @@ class Archive(ArchiveView):
                     float(move.bus_s),
                     None if move.angle_deg is None else float(move.angle_deg),
                     move.approach,
-                    to_json(move.direction),
+                    to_json(move.aim),
                 )
         return number
 

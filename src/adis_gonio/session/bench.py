@@ -45,6 +45,25 @@ class World(Protocol):
 
 
 @runtime_checkable
+class WatchedStage(SpatialStage, Protocol):
+    """A stage whose moves can be looked on at: the clock goes on by what is scanned meanwhile."""
+
+    def begin_move(self, angle_deg: float, approach: int = 0) -> float:
+        """Begin to go to an angle; return the time at which it ends."""
+
+    def begin_orient(self, vector: Sequence[float]) -> float:
+        """Begin to go where an ideal sensor reads along a vector (3,)."""
+
+
+@runtime_checkable
+class TurnTable(Stage, Protocol):
+    """A stage that can also turn the part about the vertical, while others look on."""
+
+    def begin_turn(self, angle_deg: float) -> float:
+        """Begin to turn, counter-clockwise positive; return the time at which it ends."""
+
+
+@runtime_checkable
 class ControlledWorld(World, Protocol):
     """Surroundings whose temperature and supply a program can set."""
 
@@ -108,6 +127,9 @@ class Bench:
         free = any(position.angle_deg is None for position in plan.positions)
         if free and self._spatial is None:
             raise UsageError(f"plan '{plan.name}' needs an operator: this stage turns in a plane only")
+        whole = any(position.turned_deg is not None for position in plan.positions)
+        if whole and not isinstance(self.stage, TurnTable):
+            raise UsageError(f"plan '{plan.name}' needs an operator: this stage does not turn a table")
 
     def can_reach(self, position: Position) -> bool:
         """True where the program alone can bring the part to a position and its conditions."""
@@ -219,7 +241,19 @@ class Bench:
         move = Move(self.now_s, position.angle_deg, position.approach, position.direction)
         return move if self._carry_out(move) else None
 
+    def begin_turn(self, turned_deg: float) -> Move | None:
+        """Let the stage begin to turn about the vertical; None where nothing can be turned."""
+        move = Move(self.now_s, None, 0, turned_deg=turned_deg)
+        return move if self._carry_out(move) else None
+
     def _carry_out(self, move: Move) -> bool:
+        if move.turned_deg is not None:
+            if not isinstance(self.stage, TurnTable):
+                return False
+            self.stage.begin_turn(move.turned_deg)
+            return True
+        if self.settings.turns and isinstance(self.stage, WatchedStage):
+            return self._begin(self.stage, move)
         if self.stage is not None and move.angle_deg is not None:
             self.stage.move_to(move.angle_deg, move.approach)
             return True
@@ -227,6 +261,15 @@ class Bench:
             self._spatial.orient(move.direction)
             return True
         return False
+
+    @staticmethod
+    def _begin(stage: WatchedStage, move: Move) -> bool:
+        """Begin a move that is scanned."""
+        if move.angle_deg is not None:
+            stage.begin_move(move.angle_deg, move.approach)
+        elif move.direction is not None:
+            stage.begin_orient(move.direction)
+        return move.angle_deg is not None or move.direction is not None
 
     @property
     def _spatial(self) -> SpatialStage | None:

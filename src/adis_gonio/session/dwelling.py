@@ -137,6 +137,7 @@ class Dwelling:
             bench.settings.dwell_s,
             bench.settle_s,
             bench.period_s,
+            self._questions.take_seen(),
         )
 
     def _record_or_keep(

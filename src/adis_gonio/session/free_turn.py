@@ -21,7 +21,7 @@ from adis_gonio.session.dwelling import BROKEN_STREAM, TakesDwells, why_broken_o
 from adis_gonio.session.events import Event, Problem, StageMoved, TurnDone, TurnProgress
 from adis_gonio.session.knowledge import Knowledge
 from adis_gonio.session.ledger import Ledger
-from adis_gonio.session.plans import Plan, Position
+from adis_gonio.session.plans import GYRO_TURNS, Plan, Position
 from adis_gonio.session.questions import Questions
 from adis_gonio.session.rows import Attempt, Outcome, utc_now
 from adis_gonio.session.runner import SessionRunner
@@ -264,6 +264,10 @@ class _Pieces:
 
 def runner_of(plan: Plan) -> type[SessionRunner]:
     """Which runner a plan takes."""
+    if plan.name == GYRO_TURNS:
+        from adis_gonio.session.gyro_turns import GyroTurnsRunner
+
+        return GyroTurnsRunner
     return FreeTurnRunner if plan.name == FREE_TURN else SessionRunner
 
 

@@ -49,12 +49,30 @@ def turn_to_do(turns: int) -> str:
     )
 
 
+def whole_turns_to_do(turned_deg: float, fastest_dps: float) -> str:
+    """What to do for whole turns on a table, in one line."""
+    turns = round(abs(turned_deg) / 360)
+    times = "once" if turns == 1 else f"{turns} times"
+    way = "counter-clockwise" if turned_deg > 0 else "clockwise"
+    return (
+        f"be ready to turn the part {times} {way}, seen from above, from the mark back to the mark; press"
+        f" Enter, leave it alone for 1 s, turn it flat on the table at {fastest_dps:.0f} °/s at most"
+        f" ({360 / fastest_dps:.0f} s a turn; stops to change your grip do no harm) and let it rest there"
+    )
+
+
 def drawing(plan: Plan) -> tuple[str, ...]:
     """How to hold the part at the first position, as lines of text (ASCII but for the degree sign)."""
     return SPACE if plan.plane == "none" else PLANE
 
 
-def to_do(position: Position, before: Position | None = None, *, reverse: bool = False) -> str:
+def to_do(
+    position: Position,
+    before: Position | None = None,
+    *,
+    reverse: bool = False,
+    fastest_dps: float = 180.0,
+) -> str:
     """What to do next, in one line such as `turn the part +90° (counter-clockwise) to 90°`.
 
     Parameters
@@ -63,12 +81,16 @@ def to_do(position: Position, before: Position | None = None, *, reverse: bool =
         Where the part is.
     reverse : bool
         True in a session that is taken as turned the other way.
+    fastest_dps : float
+        Of whole turns.
     """
     first = []
     if position.temperature_c is not None:
         first.append(f"bring the part to {position.temperature_c:.0f} °C")
     if position.supply_v is not None:
         first.append(f"set the supply to {position.supply_v:.2f} V")
+    if position.turned_deg is not None:
+        return whole_turns_to_do(position.turned_deg, fastest_dps)
     here = _hold(position) if position.angle_deg is None else _turn(position, before, reverse=reverse)
     return ", ".join([*first, here])
 

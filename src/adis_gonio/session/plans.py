@@ -35,6 +35,8 @@ Approach = Literal[-1, 0, 1]
 Order = Literal["plan", "reverse", "shuffled"]
 
 MOST_POSITIONS = 3600
+GYRO_TURNS = "gyro-turns"
+"""Name of the plan of whole turns on a table (`gyro_turns`)."""
 DEFAULT_PLAN = "two-position"
 
 
@@ -73,6 +75,9 @@ class Position:
     turned_deg: float | None = None
 
     def __str__(self) -> str:
+        if self.turned_deg is not None:
+            way = "counter-clockwise" if self.turned_deg > 0 else "clockwise"
+            return f"{counted(round(abs(self.turned_deg) / 360), 'turn')} {way}"
         place = "a new attitude" if self.angle_deg is None else f"{self.angle_deg:g}°"
         way = {1: "", 0: "", -1: " from above"}[self.approach]
         return f"{place}{way}{' (check)' if self.use == 'check' else ''}"
@@ -193,6 +198,8 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
     kind = _KINDS.get(name)
     if name == "free-turn":
         raise UsageError("a free turn has no positions: calibrate URL --plan free-turn records it")
+    if name == GYRO_TURNS:
+        raise UsageError("gyro turns have no positions: calibrate URL --plan gyro-turns --turns N")
     if kind is None:
         near = difflib.get_close_matches(name, _KINDS, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(_KINDS)}"

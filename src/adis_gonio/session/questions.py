@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 
 import numpy as np
 
 from adis_gonio.session.answers import Answer, Inbox
 from adis_gonio.session.bench import Bench
+from adis_gonio.session.blocks import Block
 from adis_gonio.session.events import Event, GuardRaised, Noted, Paused, Unpaused, Waiting, Watching
 from adis_gonio.session.knowledge import Knowledge
 from adis_gonio.session.ledger import Ledger
 
 PAUSE_STEP_S = 0.1
 """Between two looks for remarks during a pause, on the wall clock."""
+
+KEPT_S = 120.0
+"""What was scanned while a question stands is kept so long, where turns are kept: a turn and its rests."""
 
 WAIT_STEP_S = 1.0
 """Between two looks at the clock and the operator during a wait."""
@@ -36,6 +40,20 @@ class Questions:
         self._bench = bench
         self._ledger = ledger
         self._knowledge = knowledge
+        self._seen: list[Block] = []
+
+    def take_seen(self) -> list[Block]:
+        """What was scanned while the last question stood, where turns are kept; once."""
+        seen, self._seen = self._seen, []
+        return seen
+
+    def _keep(self, block: Block) -> None:
+        """Keep scans of a turn that is under way."""
+        if not self._bench.settings.turns or not len(block):
+            return
+        self._seen.append(block)
+        while float(block.time_s[-1]) - float(self._seen[0].time_s[-1]) > KEPT_S:
+            del self._seen[0]
 
     @property
     def stopped(self) -> bool:
@@ -59,6 +77,7 @@ class Questions:
         if self._ledger.last_place is not None and not isinstance(question, GuardRaised):
             answers = answers | {Answer.REPEAT, Answer.UNDO}
         idle: _Idle | None = None
+        self._seen = []
         try:
             while not self.stopped:
                 self._inbox.open(frozenset(answers))
@@ -69,7 +88,7 @@ class Questions:
                     if self.auto:
                         return default
                     yield from self.remarks(place)
-                    idle = idle or _Idle(self._bench, self._knowledge)
+                    idle = idle or _Idle(self._bench, self._knowledge, self._keep)
                     yield idle.look()
                 idle = None
                 yield from self.heed(place)
@@ -114,7 +133,8 @@ class Questions:
 class _Idle:
     """The newest samples while a question stands."""
 
-    def __init__(self, bench: Bench, knowledge: Knowledge) -> None:
+    def __init__(self, bench: Bench, knowledge: Knowledge, keep: Callable[[Block], None]) -> None:
+        self._keep = keep
         self._stream = bench.scans()
         self._window = bench.window
         self._knowledge = knowledge
@@ -123,6 +143,7 @@ class _Idle:
     def look(self) -> Watching:
         for block in self._stream:
             self._knowledge.see(block)
+            self._keep(block)
             self._kept = np.concatenate([self._kept, block.accel_mg])[-self._window :]
             if len(self._kept) > 1:
                 break

@@ -15,6 +15,7 @@ import numpy as np
 
 from adis_gonio.errors import UsageError
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+from adis_gonio.output import ends_in
 from adis_gonio.session.blocks import GENERIC, Block, session_columns
 
 
@@ -46,7 +47,7 @@ class SamplesRecorder:
     ) -> None:
         if path.exists():
             raise UsageError(f"{path} exists: choose another name, recordings are not overwritten")
-        if not path.name.endswith((".csv", ".csv.gz")):
+        if not ends_in(path, ".csv", ".csv.gz"):
             raise UsageError(f"{path}: a recording is named .csv or .csv.gz")
         self.path = path
         self.rows = 0
@@ -63,7 +64,7 @@ class SamplesRecorder:
         self._named = False
         self._file: IO[str] = (
             gzip.open(path, "xt", encoding="utf-8")  # noqa: SIM115 (closed by `close`)
-            if path.name.endswith(".gz")
+            if ends_in(path, ".gz")
             else path.open("x", encoding="utf-8")
         )
 

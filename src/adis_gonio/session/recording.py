@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from adis_gonio.model.records import Floats
 from adis_gonio.session.blocks import Block, cut, join
 from adis_gonio.session.plans import Position
@@ -18,6 +20,8 @@ class Recording:
     ----------
     dwell_s, settle_s, period_s : float
         Length of the dwell, wait before it, period of the samples, in s.
+    earlier : sequence of Block
+        Scans from before the attempt that are kept with it: the turn that led to it.
 
     Attributes
     ----------
@@ -34,6 +38,7 @@ class Recording:
         dwell_s: float,
         settle_s: float,
         period_s: float,
+        earlier: Sequence[Block] = (),
     ) -> None:
         self.place = place
         self.position = position
@@ -47,6 +52,7 @@ class Recording:
         self._dwell_s = dwell_s
         self._settle_s = settle_s
         self._period_s = period_s
+        self._earlier: list[tuple[Phase, Block]] = [("before", block) for block in earlier]
         self._blocks: list[Block] = []
         self._count = 0
         self._still_s: float | None = None
@@ -136,7 +142,7 @@ class Recording:
             self._started_utc,
             self._started_bus_s,
             ended_bus_s,
-            self._pieces(),
+            [*self._earlier, *self._pieces()],
             self.moves,
             reason,
             status,

@@ -29,12 +29,22 @@ class Move:
     ----------
     angle_deg, approach, direction
         As in `Position`: an angle in the plane, or a direction in space.
+    turned_deg : float or None
+        Turn about the vertical, as in `Position`; the move goes on after `bus_s`.
     """
 
     bus_s: float
     angle_deg: float | None
     approach: int
     direction: tuple[float, float, float] | None = None
+    turned_deg: float | None = None
+
+    @property
+    def aim(self) -> list[float] | dict[str, float] | None:
+        """What the archive keeps beside the angle."""
+        if self.turned_deg is not None:
+            return {"turned_deg": self.turned_deg}
+        return None if self.direction is None else list(self.direction)
 
 
 @dataclass(frozen=True)

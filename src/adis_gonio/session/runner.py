@@ -39,11 +39,14 @@ from adis_gonio.session.events import Configured, Event, Finished, Started
 from adis_gonio.session.knowledge import Knowledge
 from adis_gonio.session.ledger import Ledger
 from adis_gonio.session.noise_at_rest import measure_noise
-from adis_gonio.session.plans import Plan
+from adis_gonio.session.plans import GYRO_TURNS, Plan
 from adis_gonio.session.questions import Questions
 from adis_gonio.session.settings import Settings
 from adis_gonio.session.source import SampleSource
 from adis_gonio.session.visiting import Visiting
+
+SHARE_OF_RANGE = 0.6
+"""Of the gyros' range: a hand that takes new grips is much faster than its mean in between."""
 
 
 class SessionRunner(Operator):
@@ -68,7 +71,7 @@ class SessionRunner(Operator):
         self._resumed = resumed
         self._ran = False
         self._ledger = Ledger(archive, lambda: bench.now_s)
-        self._knowledge = Knowledge(bench, self._ledger, judging=not self.one_recording)
+        self._knowledge = Knowledge(bench, self._ledger, judging=self.judges_places)
         self._questions = Questions(self._inbox, bench, self._ledger, self._knowledge, auto=auto)
         self._visiting = Visiting(
             bench,
@@ -135,13 +138,14 @@ class SessionRunner(Operator):
         source = bench.source
         if auto:
             bench.require_auto(plan)
+        stated = math.inf if plan.plane == "none" else fixture_sigma_deg
         header = Header(
             url=source.url,
             variant=source.part.name,
             plan=plan,
             settings={k: v for k, v in settings.as_dict().items() if k in source.kept},
             gravity_mps2=gravity_mps2,
-            fixture_sigma_deg=math.inf if plan.plane == "none" else fixture_sigma_deg,
+            fixture_sigma_deg=fixture_sigma_deg if plan.name == GYRO_TURNS else stated,
             title=title,
             note=note,
             operator=operator.strip(),
@@ -195,6 +199,21 @@ class SessionRunner(Operator):
     def one_recording(self) -> bool:
         """True where the session is one continuous recording and visits no positions."""
         return False
+
+    @property
+    def on_screen(self) -> bool:
+        """True where the bench screen shows such a session; else plain prompts do."""
+        return not self.one_recording
+
+    @property
+    def fastest_dps(self) -> float:
+        """Mean rate at which the part may be turned for its gyros; known once it is configured."""
+        return SHARE_OF_RANGE * float(self._bench.configuration.as_dict().get("gyro_range_dps") or 300.0)
+
+    @property
+    def judges_places(self) -> bool:
+        """True where each place is judged by gravity."""
+        return not self.one_recording
 
     @property
     def virtual_time(self) -> bool:

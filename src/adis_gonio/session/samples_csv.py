@@ -23,6 +23,7 @@ import numpy as np
 
 from adis_gonio.errors import DataError
 from adis_gonio.model.records import METADATA, Dwell, Floats, Session, Use
+from adis_gonio.output import ends_in
 from adis_gonio.session.overrides import Overrides
 from adis_gonio.session.samples.names import AXES, GYROS
 from adis_gonio.session.samples.table import Table, table_of
@@ -124,7 +125,7 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     texts = [chain.from_iterable(map(texts_of, dwells)) for texts_of in parts.values()]
     lines.extend(map(",".join, zip(*texts, strict=True)))
     data = ("\n".join(lines) + "\n").encode()
-    if path.name.endswith(".gz"):
+    if ends_in(path, ".gz"):
         data = gzip.compress(data, compresslevel=6, mtime=0)
     path.write_bytes(data)
 

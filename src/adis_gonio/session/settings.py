@@ -47,6 +47,8 @@ class Settings:
         wired, True insists on it, False polls.
     registers : tuple of str
         What a scan holds; the three accelerometer outputs are the least.
+    turns : bool
+        Keep what is scanned between the dwells too: the last minutes before each one.
 
     Raises
     ------
@@ -62,6 +64,7 @@ class Settings:
     gyro_range_dps: int = 300
     data_ready: bool | None = None
     registers: tuple[str, ...] = DEFAULT_SCAN
+    turns: bool = False
 
     def __post_init__(self) -> None:
         for name in ("dwell_s", "still_timeout_s"):
@@ -84,8 +87,11 @@ class Settings:
             raise UsageError(f"a session needs {', '.join(ACCEL_OUT)}; the scan lacks {', '.join(missing)}")
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return asdict(self) | {"registers": list(self.registers)}
+        """JSON form; `turns` where they are kept."""
+        made = asdict(self) | {"registers": list(self.registers)}
+        if not self.turns:
+            del made["turns"]
+        return made
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Settings:

@@ -14,6 +14,9 @@ from adis_gonio.session.blocks import Block, join, session_columns
 from adis_gonio.session.rows import StoredAttempt
 from adis_gonio.session.view import ArchiveView
 
+TURNED = "turned"
+"""Reason of an attempt that is a whole turn, and not a dwell; its scans are those before the next dwell."""
+
 
 @dataclass(frozen=True)
 class ArchivedTurns:
@@ -52,13 +55,20 @@ def _between(
     """Scans from the end of a dwell to the beginning of another, in order.
 
     Attempts in between (interrupted ones, dwells that were repeated) belong to it with all their scans.
-    Those of another run than the second dwell's are of another stream: left out, and the gap tells.
+    Those of another run than the second dwell's are of another stream: left out, and the gap tells. Whole
+    turns begin and end at a mark: the last one that was made counts, without what was tried before.
     """
+    between = [a for a in stored if before.number < a.number < after.number and a.run == after.run]
+    whole = [k for k, attempt in enumerate(between) if attempt.reason == TURNED]
+    if whole:
+        for attempt in between[whole[-1] :]:
+            yield from view.blocks(attempt)
+        yield from _part(view, after, last=False)
+        return
     if before.run == after.run:
         yield from _part(view, before, last=True)
-    for attempt in stored:
-        if before.number < attempt.number < after.number and attempt.run == after.run:
-            yield from view.blocks(attempt)
+    for attempt in between:
+        yield from view.blocks(attempt)
     yield from _part(view, after, last=False)
 
 

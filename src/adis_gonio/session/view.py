@@ -187,8 +187,8 @@ class ArchiveView:
         runs = {run["run"]: run["continues"] for run in self.runs()}
         of_run = {a.number: a.run for a in self.attempts()}
         moves = [
-            (number, Move(bus_s, angle_deg, approach, _vector(json.loads(direction))))
-            for _, number, bus_s, angle_deg, approach, direction in self._rows("moves", "move")
+            (number, _move(bus_s, angle_deg, approach, json.loads(aim)))
+            for _, number, bus_s, angle_deg, approach, aim in self._rows("moves", "move")
         ]
         line: list[Move] = []
         while attempt:
@@ -235,5 +235,9 @@ class ArchiveView:
         return [row[:-1] for row in rows]
 
 
-def _vector(values: list[float] | None) -> tuple[float, float, float] | None:
-    return None if values is None else (values[0], values[1], values[2])
+def _move(
+    bus_s: float, angle_deg: float | None, approach: int, aim: list[float] | dict[str, float] | None
+) -> Move:
+    if isinstance(aim, dict):
+        return Move(bus_s, angle_deg, approach, turned_deg=aim["turned_deg"])
+    return Move(bus_s, angle_deg, approach, None if aim is None else (aim[0], aim[1], aim[2]))

@@ -37,6 +37,7 @@ from adis_gonio.sensor.registers import WRITE
 from adis_gonio.sensor.variants import Variant
 from adis_gonio.sim.chip import SimulatedChip
 from adis_gonio.sim.flash import FlashFile
+from adis_gonio.sim.gyro_faults import realistic_gyros, stream_of
 from adis_gonio.sim.inputs import Floats
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Stage
@@ -47,7 +48,7 @@ SAFE_TIMING = SpiTiming(clock_hz=250e3, stall_us=75.0, period_us=160.0)
 
 _POWERED_BEFORE_S = 0.5
 _TRIGGER_S = 2e-6
-_OPTIONS = ("seed", "variant", "stream", "realtime", "effects", "flash")
+_OPTIONS = ("seed", "variant", "stream", "realtime", "effects", "flash", "gyros")
 
 
 class SimBus(SpiBus):
@@ -302,6 +303,27 @@ class SimStage:
             about = None if axis is None else np.asarray(axis, np.float64)
             self._bus._set_now(self._stage.turn_about(self._bus.now_s(), angle_deg, about))
 
+    def begin_move(self, angle_deg: float, approach: int = 0) -> float:
+        """As `move_to`, but the bus's clock stands still, so that the move can be recorded."""
+        with self._bus._lock:
+            self._require_open()
+            return self._stage.move_to(self._bus.now_s(), angle_deg, approach)
+
+    def begin_orient(self, vector: Sequence[float] | Floats) -> float:
+        """As `orient`, but the bus's clock stands still; when it ends."""
+        with self._bus._lock:
+            self._require_open()
+            return self._stage.orient(self._bus.now_s(), np.asarray(vector, np.float64))
+
+    def begin_turn(self, angle_deg: float) -> float:
+        """Begin to turn the part about the vertical (counter-clockwise positive); returns when it ends.
+
+        The bus's clock stands still, so that the turn can be recorded.
+        """
+        with self._bus._lock:
+            self._require_open()
+            return self._stage.turn_about(self._bus.now_s(), angle_deg)
+
     def turn_freely(self, turns: int = 1) -> float:
         """Begin turns by hand; returns when they end, on the bus's clock, which stands still."""
         with self._bus._lock:
@@ -318,7 +340,8 @@ def open_from_url(url: BusUrl) -> SimBus:
 
     Options are `seed`, `variant`, `stream` (0 or 1), `realtime` (0 or 1), `effects` (of the catalogue,
     such as `quadratic:k2_x=2.5;cubic`), `flash` (a file that keeps the part's flash, and only that, from
-    one opening to the next) and every name of `WorldSettings`.
+    one opening to the next), `gyros` (`realistic` draws their faults from the seed, see `gyro_faults`; what
+    is given by name stands) and every name of `WorldSettings`.
 
     Raises
     ------
@@ -328,15 +351,16 @@ def open_from_url(url: BusUrl) -> SimBus:
     if url.place:
         raise UsageError(f"'{url.text}': the simulator has no place '{url.place}'; write sim:?seed=1")
     options = url.options
+    seed = _whole(options, "seed", 0)
     world = World(
-        WorldSettings.from_options(options, others=_OPTIONS),
+        WorldSettings.from_options(options, others=_OPTIONS, drawn=_gyros(options, seed)),
         part=options.get("variant", "adis16354"),
-        seed=_whole(options, "seed", 0),
+        seed=seed,
         effects=[parse_effect(text) for text in filter(None, options.get("effects", "").split(";"))],
     )
     return SimBus(
         world=world,
-        chip=_chip(world, options["flash"], _whole(options, "seed", 0)) if "flash" in options else None,
+        chip=_chip(world, options["flash"], seed) if "flash" in options else None,
         stream=_switch(options, "stream", default=True),
         realtime=_switch(options, "realtime", default=False),
         url=url.text,
@@ -362,6 +386,14 @@ def _chip(world: World, path: str, seed: int) -> SimulatedChip:
 def find_devices() -> list[Device]:
     """What the simulator offers to open."""
     return [Device("sim:?seed=1", "simulated ADIS16354 on a stage (no hardware)")]
+
+
+def _gyros(options: Mapping[str, str], seed: int) -> dict[str, float]:
+    """Settings of the gyros that the option `gyros` asks for."""
+    wanted = options.get("gyros", "ideal")
+    if wanted not in ("ideal", "realistic"):
+        raise UsageError(f"gyros: write ideal or realistic, not '{wanted}'")
+    return realistic_gyros(stream_of(seed)) if wanted == "realistic" else {}
 
 
 def _whole(options: Mapping[str, str], name: str, default: int) -> int:

@@ -17,11 +17,12 @@ Choices where the real behaviour is not known
 | frame period too short | executed, but its reply is the one of the frame before, STATUS[3] | D |
 | frame of other than 16 bits | ignored, STATUS[3]; chip select without a clock is only ignored | B, C |
 | frame during a flash update or recovery from sleep | ignored, stale reply | D |
-| frame during precision autonull | ignored but for a software reset | D |
+| frame while an autonull averages | ignored but for a software reset | D |
 | self-test running | registers answer, outputs read 0 with ND 0, commands but a reset are ignored | D |
 | updates during a flash update, restore or self-test | none; they start anew after it | D |
-| autonull | takes the filtered gyros of the last update, then a flash update | D |
-| precision autonull | mean of the unfiltered gyros over 30 s | D |
+| autonull | takes the filtered gyros of the last update, or a mean over `Electronics.autonull_s` | D |
+| precision autonull | mean of the unfiltered gyros over 30 s, or `Electronics.precision_autonull_s` | D |
+| what either takes | all that the gyros read ahead of their offsets: gravity, warmth, earth, a hand | D |
 | supply below 4.75 V at the last update before a flash update ends | nothing saved, STATUS[2] | D |
 | bit 14 of a frame, COMMAND's high byte | ignored | D |
 | waking | SLP_CNT reads 0 and the taps are empty | D |
@@ -29,9 +30,9 @@ Choices where the real behaviour is not known
 | data-ready pulse | 50 µs wide by default, begins with the update (or ends with it: `update_edge`) | C |
 
 What is not simulated
-    Edges and levels on the pins within a frame (t_DAV and the like), supply current, brown-out, lever-arm
-    compensation (MSC_CTRL[6] is kept and does nothing), the 350 Hz analog poles, jitter and drift of
-    the chip's own clock, wear of the flash.
+    Edges and levels on the pins within a frame (t_DAV and the like), supply current, brown-out, the noise
+    that aligning the accelerometers' origin (MSC_CTRL[6]) takes from the gyros, the 350 Hz analog poles,
+    jitter and drift of the chip's own clock, wear of the flash.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ from adis_gonio.errors import UsageError
 from adis_gonio.sensor.registers import BY_NAME, EA, GYRO_OFF, ND
 from adis_gonio.sensor.variants import Variant, variant
 from adis_gonio.sim import rules
+from adis_gonio.sim.electronics import IDEAL, BringsElectronics, Electronics
 from adis_gonio.sim.inputs import Floats, Surroundings
 from adis_gonio.sim.lines import data_ready_enabled, gpio_word, levels
 from adis_gonio.sim.memory import Memory
@@ -124,6 +126,9 @@ class SimulatedChip:
     status_falls : bool
         Supply and over-range bits of STATUS fall by themselves; False keeps them until a read, as the
         other bits.
+    electronics : Electronics
+        What the chip does to its gyros and accelerometers; by default that of the surroundings where they
+        have one (a `World` has), else ideal.
 
     Attributes
     ----------
@@ -152,6 +157,7 @@ class SimulatedChip:
         data_ready_pulse_s: float = 50e-6,
         update_edge: UpdateEdge = "first",
         status_falls: bool = True,
+        electronics: Electronics | None = None,
     ) -> None:
         for name in self_test_failures:
             if name not in SELF_TEST_BITS:
@@ -167,7 +173,10 @@ class SimulatedChip:
         self._update_edge = update_edge
         self._falling = FALLING_BITS if status_falls else 0
         self._memory = Memory(flash, endurance, saved)
-        self._sampler = Sampler(self.variant, self._memory)
+        if electronics is None and isinstance(surroundings, BringsElectronics):
+            electronics = surroundings.electronics
+        self._electronics = electronics or IDEAL
+        self._sampler = Sampler(self.variant, self._memory, self._electronics)
         self._row: Words
         self._read_at: NDArray[np.int64]
         self._state: State
@@ -511,15 +520,22 @@ class SimulatedChip:
             self._memory.zero_offsets()
             self._state, self._until = State.RESTORING, now + rules.FLASH_S
         elif data & _COMMAND.field("autonull").mask:
-            self._null(self._sampler.gyro_mean())
-            self._state, self._until = State.FLASHING, now + rules.FLASH_S
+            self._begin_null(now, self._electronics.autonull_s)
         elif data & _COMMAND.field("precision_autonull").mask:
-            self._null_sum, self._null_count = np.zeros(3), 0
-            self._state, self._until = State.NULLING, now + rules.PRECISION_S
+            self._begin_null(now, self._electronics.precision_autonull_s)
         elif data & _COMMAND.field("flash_update").mask:
             self._state, self._until = State.FLASHING, now + rules.FLASH_S
         elif data & _COMMAND.field("latch_dac").mask:
             self._dac = self._memory["AUX_DAC"]
+
+    def _begin_null(self, now: float, average_s: float) -> None:
+        """Average the gyros for a time; with none take what the filter has."""
+        if average_s:
+            self._null_sum, self._null_count = np.zeros(3), 0
+            self._state, self._until = State.NULLING, now + average_s
+            return
+        self._null(self._sampler.gyro_mean())
+        self._state, self._until = State.FLASHING, now + rules.FLASH_S
 
     # -- time ---------------------------------------------------------------------------------------
 

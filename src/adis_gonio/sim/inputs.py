@@ -25,6 +25,8 @@ class Inputs:
         Temperatures of the dies of the three gyros in °C.
     supply_v, aux_v : (n,) float
         Supply and auxiliary input in V.
+    place_mg : (n, 3) float or None
+        How much of `accel_mg` comes from the accelerometers' places within the part; None where nothing.
     """
 
     accel_mg: Floats
@@ -32,6 +34,7 @@ class Inputs:
     temperature_c: Floats
     supply_v: Floats
     aux_v: Floats
+    place_mg: Floats | None = None
 
 
 class Surroundings(Protocol):

@@ -3,7 +3,9 @@
 Choices where the chip's behaviour is not known (D): the filter works at a resolution of 1/1024 LSB and
 its output is rounded once; offsets are added after it; taps are cleared when range or M change; an
 illegal range acts as ±300 °/s, M = 7 as 6, and an M below the range's least one as that one; over-range
-means a sample beyond the nominal range.
+means a sample beyond the nominal range. What MSC_CTRL[7:6] take off is taken off each sample ahead of the
+filter, the gyros' part by what the chip's own accelerometers read; how much is a figure of `Electronics`,
+as are where the gyros are cut off and how the ranges differ.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, REGISTERS, Register
 from adis_gonio.sensor.variants import LEAST_M, RANGE_CODE, Variant
+from adis_gonio.sim.electronics import IDEAL, Electronics
 from adis_gonio.sim.filter import MOST_M, bartlett_sums, history_rows, taps
 from adis_gonio.sim.inputs import Floats, Inputs
 from adis_gonio.sim.memory import Memory
@@ -96,8 +99,11 @@ class Updates:
 class Sampler:
     """The signal chain of the chip."""
 
-    def __init__(self, variant: Variant, memory: Memory) -> None:
+    def __init__(self, variant: Variant, memory: Memory, electronics: Electronics = IDEAL) -> None:
         self._variant = variant
+        self._electronics = electronics
+        own = np.eye(3) * variant.performance.gyro_g_sensitivity_dps_per_g
+        self._per_g = own if electronics.g_compensation is None else electronics.g_compensation
         self.gyro_range_dps = 0
         self.m = -1
         self._clear()
@@ -128,6 +134,9 @@ class Sampler:
         sign = misc.field("positive").of(msc_ctrl) - misc.field("negative").of(msc_ctrl)
         self._manual_test = float(sign)
         self._compensate = bool(misc.field("linear_g").of(msc_ctrl))
+        self._align = bool(misc.field("origin").of(msc_ctrl))
+        self._gyro_gain = self._electronics.range_gain.get(gyro_range, 1.0)
+        self._gyro_limit = self._electronics.gyro_saturation * gyro_range
         self._alarms = _alarms(memory)
 
     def clear(self) -> None:
@@ -176,13 +185,15 @@ class Sampler:
     def _scaled(self, inputs: Inputs) -> Integers:
         values = np.empty((len(inputs.supply_v), len(OUTPUTS)))
         values[:, 0] = inputs.supply_v
-        values[:, 1:4] = inputs.gyro_dps
+        values[:, 1:4] = np.clip(inputs.gyro_dps * self._gyro_gain, -self._gyro_limit, self._gyro_limit)
         values[:, 4:7] = inputs.accel_mg
+        if self._align and inputs.place_mg is not None:
+            values[:, 4:7] -= self._electronics.origin_compensation * inputs.place_mg
         values[:, 7:10] = inputs.temperature_c
         values[:, 10] = inputs.aux_v
         if self._compensate:
-            per_g = self._variant.performance.gyro_g_sensitivity_dps_per_g
-            values[:, GYRO_COLUMNS] -= per_g * 1e-3 * inputs.accel_mg
+            for (k, j), per_g in np.ndenumerate(self._per_g):
+                values[:, GYRO_COLUMNS.start + k] -= per_g * 1e-3 * values[:, ACCEL_COLUMNS.start + j]
         if self._manual_test:
             values[:, GYRO_COLUMNS] += self._manual_test * SELF_TEST_GYRO_DPS
             # The accelerometers answer to the positive stimulus alone (DS p. 19, B).

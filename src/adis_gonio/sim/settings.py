@@ -10,6 +10,8 @@ from typing import Self
 
 from adis_gonio.errors import UsageError
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+from adis_gonio.sim import gyro_settings
+from adis_gonio.sim.gyro_settings import GyroSettings
 
 _POSITIVE = (
     "gravity_mps2",
@@ -18,13 +20,11 @@ _POSITIVE = (
     "ambient_period_s",
     "vibration_decay_s",
     "hand_turn_s",
+    *gyro_settings.POSITIVE,
 )
 _AT_LEAST_ZERO = (
     "noise_mg",
     "bias_instability_mg",
-    "gyro_noise_dps",
-    "gyro_bias_sigma_dps",
-    "gyro_instability_dps",
     "temperature_noise_c",
     "temperature_offset_sigma_c",
     "supply_noise_v",
@@ -32,7 +32,6 @@ _AT_LEAST_ZERO = (
     "powered_s",
     "overshoot_deg",
     "table_vibration_mg",
-    "gyro_rate_walk_dps_per_rt_s",
     "hand_pauses",
     "hand_unevenness",
     "hand_tremor_dps",
@@ -43,12 +42,15 @@ _AT_LEAST_ZERO = (
     "hand_stray_deg",
     "hand_twist_deg",
     "mark_sigma_deg",
+    *gyro_settings.AT_LEAST_ZERO,
 )
 
 
 @dataclass(frozen=True)
-class WorldSettings:
+class WorldSettings(GyroSettings):
     """Settings of the world; None means drawn from the seed by the variant's figures.
+
+    Those of the gyros are in `GyroSettings`.
 
     Attributes
     ----------
@@ -68,20 +70,6 @@ class WorldSettings:
         Temperature coefficients of the gains.
     noise_mg, bias_instability_mg : float or None
         White noise of an unfiltered sample (rms), and the floor of the Allan deviation.
-    gyro_noise_dps, gyro_instability_dps : float or None, float
-        The same of the gyros.
-    gyro_bias_sigma_dps, gyro_bias_x_dps, … : float, float or None
-        Standard deviation of the gyros' biases, and the biases themselves.
-    gyro_g_dps_per_g, gyro_supply_dps_per_v : float or None
-        What acceleration, and a supply other than 5 V, add to a gyro.
-    gyro_scale_x, … : float
-        Gains of the gyros, 1 is perfect.
-    gyro_misalignment_xy_deg, … : float
-        How far the first gyro's axis leans towards the second axis of the accelerometers.
-    gyro_g_sensitivity_xy_dps_per_g, … : float
-        What acceleration along the second axis adds to the first gyro (along its own: `gyro_g_dps_per_g`).
-    gyro_rate_walk_dps_per_rt_s : float
-        Random walk of the gyros' biases: standard deviation after a second.
     ambient_c, ambient_drift_c_per_h, ambient_swing_c, ambient_period_s : float
         Ambient temperature: constant, drift, and amplitude and period of a sine.
     self_heating_c, self_heating_tau_s, powered_s : float
@@ -145,30 +133,6 @@ class WorldSettings:
     scale_tempco_z_ppm_per_c: float | None = None
     noise_mg: float | None = None
     bias_instability_mg: float | None = None
-    gyro_noise_dps: float | None = None
-    gyro_instability_dps: float = 0.015
-    gyro_bias_sigma_dps: float = 1.0
-    gyro_bias_x_dps: float | None = None
-    gyro_bias_y_dps: float | None = None
-    gyro_bias_z_dps: float | None = None
-    gyro_g_dps_per_g: float | None = None
-    gyro_supply_dps_per_v: float | None = None
-    gyro_scale_x: float = 1.0
-    gyro_scale_y: float = 1.0
-    gyro_scale_z: float = 1.0
-    gyro_misalignment_xy_deg: float = 0.0
-    gyro_misalignment_xz_deg: float = 0.0
-    gyro_misalignment_yx_deg: float = 0.0
-    gyro_misalignment_yz_deg: float = 0.0
-    gyro_misalignment_zx_deg: float = 0.0
-    gyro_misalignment_zy_deg: float = 0.0
-    gyro_g_sensitivity_xy_dps_per_g: float = 0.0
-    gyro_g_sensitivity_xz_dps_per_g: float = 0.0
-    gyro_g_sensitivity_yx_dps_per_g: float = 0.0
-    gyro_g_sensitivity_yz_dps_per_g: float = 0.0
-    gyro_g_sensitivity_zx_dps_per_g: float = 0.0
-    gyro_g_sensitivity_zy_dps_per_g: float = 0.0
-    gyro_rate_walk_dps_per_rt_s: float = 0.0
     ambient_c: float = 22.0
     ambient_drift_c_per_h: float = 0.0
     ambient_swing_c: float = 0.0
@@ -227,7 +191,13 @@ class WorldSettings:
         return tuple(entry.name for entry in fields(cls))
 
     @classmethod
-    def from_options(cls, options: Mapping[str, str], *, others: tuple[str, ...] = ()) -> Self:
+    def from_options(
+        cls,
+        options: Mapping[str, str],
+        *,
+        others: tuple[str, ...] = (),
+        drawn: Mapping[str, float] | None = None,
+    ) -> Self:
         """Settings from text.
 
         Parameters
@@ -236,6 +206,8 @@ class WorldSettings:
             Name and value.
         others : tuple of str
             Names that somebody else reads; they are passed over, and offered as nearest matches.
+        drawn : mapping of str to float, optional
+            Values of settings that the text does not give.
 
         Raises
         ------
@@ -243,7 +215,7 @@ class WorldSettings:
             A name is unknown (the message has the nearest one), a value is no number or not possible.
         """
         known = cls.names()
-        values: dict[str, float] = {}
+        values: dict[str, float] = dict(drawn or {})
         for name, text in options.items():
             if name in others:
                 continue

@@ -12,15 +12,16 @@ never on how frames are grouped or how often somebody asks.
 What is not simulated
     The 350 Hz poles of the analog front ends (unfiltered samples are white, as the filter's table of gains
     supposes), turns of the axes out of the stage's plane other than the skews of Z, cross-axis and
-    nonlinearity unless an effect brings them, noise that depends on temperature, the earth's rotation,
-    thermal gradients between axes. Flicker ends
-    below 3e-5 and above 1.5 Hz.
+    nonlinearity unless an effect brings them, noise that depends on temperature, the level part of the
+    earth's rotation, thermal gradients between accelerometers. Flicker ends below 3e-5 and above 1.5 Hz.
+
+What the gyros read is said in `gyro_settings`; their faults live in `gyros`, their temperatures in `dies`.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,17 +29,19 @@ from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters
 from adis_gonio.model.measurement import FreeAttitude, sensitivity
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.sensor.variants import Variant, variant
+from adis_gonio.sim.dies import Dies
+from adis_gonio.sim.electronics import Electronics
+from adis_gonio.sim.gyros import PAIRS, REFERENCE_C, Felt, GyroTriad
 from adis_gonio.sim.inputs import Floats, Inputs
-from adis_gonio.sim.noise import Flicker, RateWalk, White
+from adis_gonio.sim.noise import Flicker, White
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Motion, Stage
 
-REFERENCE_C = 25.0
-REFERENCE_V = 5.0
 GREATEST_ALPHA_DEG = 5.0
 WARMING_TAU_S = 60.0
 """Time constant with which the part goes to a temperature that it is brought to."""
 _HISTORY_STEP_S = 1.0
+_DERIVATIVE_S = 1e-4
 _TABLE_OVER_NOISE = 5.0
 """Vibration of the table in units of the sensor's noise where an effect needs it."""
 
@@ -80,10 +83,11 @@ class World:
             self.settings, float(np.radians(self._hidden["alpha"])), fixture, streams[7], streams[9]
         )
         self._flicker: Flicker | None = None
-        self._rate_walk = RateWalk(self.settings.gyro_rate_walk_dps_per_rt_s, streams[8])
+        self.gyros = GyroTriad(self.settings, self.variant.performance, self._gyro_bias, streams[8])
+        self._dies = Dies(self.settings)
         self._lever_m = 1e-3 * np.array([self.settings.lever_x_mm, self.settings.lever_y_mm, 0.0])
-        self._gyro_axes = self._gyro_matrix()
-        self._gyro_cross_g = _pairs(self.settings, "gyro_g_sensitivity_{}_dps_per_g")
+        places = [getattr(self.settings, f"accel_place_{pair}_mm") for pair in PAIRS]
+        self._places_m = 1e-3 * np.array(places).reshape(3, 3)
         self._warmed: list[tuple[float, float]] = []
         self._supplied: list[tuple[float, float]] = []
         figures = self.variant.performance
@@ -104,10 +108,6 @@ class World:
         )
         self._shaking = White(np.ones(3), shaking)
         self._levels_mg = np.empty(0)
-        self._g_effect = _or(self.settings.gyro_g_dps_per_g, figures.gyro_g_sensitivity_dps_per_g)
-        self._supply_effect = _or(
-            self.settings.gyro_supply_dps_per_v, figures.gyro_supply_sensitivity_dps_per_v
-        )
 
     def _draw(self, rng: np.random.Generator) -> None:
         """Hidden parameters; all are drawn, so that giving one leaves the others as they were."""
@@ -165,8 +165,12 @@ class World:
         `delta_k` (1), `delta_phi` (degree), `alpha` (degree), `scale_x…` (the gain, 1 is perfect),
         `skew_xy…` (degree, 90° minus the angle between the axes), `bias_x…` (mg),
         `bias_temperature_x…` (mg/°C), `scale_temperature_x…` (1/°C), `lever_x`, `lever_y` (mm), of the
-        gyros `gyro_scale_x…` (the gain about the own axis), `gyro_bias_x…` (°/s, without what gravity
-        adds), `g_sensitivity_xy…` (°/s/g), `gyro_latency` (s, against the accelerometers), and the
+        gyros `gyro_scale_x…` (the gain about the own axis), `gyro_misalignment_xy…` (degree, towards the
+        axes of the accelerometers), `gyro_bias_x…` (°/s, without what gravity adds), `g_sensitivity_xy…`
+        (°/s/g, `g_sensitivity_left_xy…` with MSC_CTRL[7] set), `g2_sensitivity_x…` (°/s/g²),
+        `gyro_scale_temperature_x…` (1/°C), `gyro_bias_temperature_x…` (°/s/°C), `gyro_asymmetry_x…` (1),
+        `gyro_supply_x…` (°/s/V), `gyro_warm_up_x…` (°/s at power-on) and `gyro_warm_up_tau` (s),
+        `gyro_range_gain_150` and `…_75` (1), `gyro_latency` (s, against the accelerometers), and the
         parameters of added effects as `effect.parameter` in the effect's units.
 
         Parameters
@@ -182,7 +186,9 @@ class World:
             lived = np.empty((0, 6)) if self._flicker is None else self._flicker.lived(time_s)
             if len(lived):
                 wander = lived.mean(axis=0)
+        result |= {"lever_x": self.settings.lever_x_mm, "lever_y": self.settings.lever_y_mm}
         result |= self._gyro_truth(time_s, wander[3:])
+        result["gyro_latency"] = 0.0  # gyros and accelerometers pass the same filter
         for k, axis in enumerate(AXES):
             result[f"scale_{axis}"] *= 1 + float(self._scale_tempco[k]) * warm
             result[f"bias_{axis}"] = float(self._bias[k] + self._tempco[k] * warm + wander[k])
@@ -196,21 +202,16 @@ class World:
         return result
 
     def _gyro_truth(self, time_s: Floats | None, wander_dps: Floats) -> dict[str, float]:
-        """Faults of the gyros, and the lever arm, by the names that the fit of a free turn uses."""
-        bias = self._gyro_bias + wander_dps
-        if time_s is not None:
-            bias = bias + self._supply_effect * (float(np.mean(self.supply_v(time_s))) - REFERENCE_V)
-            walked = self._rate_walk.lived(time_s)
-            if len(walked):
-                bias = bias + walked.mean(axis=0)
-        per_g = self._gyro_cross_g + np.diag(np.full(3, self._g_effect))
-        result = {"lever_x": self.settings.lever_x_mm, "lever_y": self.settings.lever_y_mm}
-        for k, axis in enumerate(AXES):
-            result[f"gyro_scale_{axis}"] = float(self._gyro_axes[k, k])
-            result[f"gyro_bias_{axis}"] = float(bias[k])
-            for j, other in enumerate(AXES):
-                result[f"g_sensitivity_{axis}{other}"] = float(per_g[k, j])
-        return result | {"gyro_latency": 0.0}  # gyros and accelerometers pass the same filter
+        if time_s is None:
+            return self.gyros.truth()
+        return self.gyros.truth_at(
+            time_s, self.die_temperature_c(time_s), self.supply_v(time_s), wander_dps
+        )
+
+    @property
+    def electronics(self) -> Electronics:
+        """What a chip in this world does to its gyros and accelerometers."""
+        return self.gyros.electronics
 
     def temperature_c(self, time_s: Floats) -> Floats:
         """Temperature of the part (n,) in °C: ambient profile and self-heating."""
@@ -223,6 +224,10 @@ class World:
         for since_s, change in self._warmed:
             warmth = warmth + change * -np.expm1(-np.maximum(time_s - since_s, 0.0) / WARMING_TAU_S)
         return np.asarray(warmth, np.float64)
+
+    def die_temperature_c(self, time_s: Floats) -> Floats:
+        """Temperatures of the three gyros' dies (n, 3) in °C."""
+        return self._dies.temperature_c(time_s, self.temperature_c)
 
     def supply_v(self, time_s: Floats) -> Floats:
         """Supply (n,) in V without its noise."""
@@ -263,13 +268,16 @@ class World:
         accel = ideal * (1 + self._scale_tempco * warm) + self._bias + self._tempco * warm
         if conditions is not None:
             for effect, values in self.effects:
-                if effect.enters is Enters.READING:
+                if effect.enters is Enters.READING and effect.of_part("accelerometer"):
                     accel += effect.reading(values, ideal, conditions)
         accel += flicker[:, :3]
         accel[:, :2] += motion.ringing_mg[:, None]
-        if self._lever_m.any():
-            accel += self._by_lever_mg(motion)
-        accel += motion.shaking_mg
+        moving = self._moving_mg(motion)
+        if moving is not None:
+            accel += moving
+        places = self._by_places_mg(time_s, motion) if self._places_m.any() else None
+        if places is not None:
+            accel += places
         accel += noise[:, :3]
         if self._table_mg:
             accel += vibration[:, None] * self._shaking.next(n)
@@ -278,15 +286,50 @@ class World:
                 if effect.enters is Enters.SAMPLES:
                     accel = effect.samples_mg(values, accel, conditions, rng)
 
-        gyro = self._gyros(motion.rate_dps, ideal, accel, time_s) + flicker[:, 3:] + noise[:, 3:6]
-        gyro += (self._supply_effect * (supply - REFERENCE_V))[:, None]
+        dies = temperature[:, None] if self._dies.alike else self.die_temperature_c(time_s)
+        force = ideal if moving is None else ideal + moving
+        felt = Felt(self._rate_dps(motion), ideal, force, dies, supply, time_s)
+        gyro = self.gyros.read(felt) + flicker[:, 3:] + noise[:, 3:6]
+        gyro += self.gyros.of_supply(supply)
+        if conditions is not None:
+            gyro += self._gyro_effects(felt.rate_dps, accel, conditions)
         return Inputs(
             accel,
             gyro,
-            temperature[:, None] + self._temperature_offset + noise[:, 6:9],
+            dies + self._temperature_offset + noise[:, 6:9],
             supply + noise[:, 9],
             np.full(n, self.settings.aux_v),
+            places,
         )
+
+    def _rate_dps(self, motion: Motion) -> Floats:
+        """Rate (n, 3) of turn against the stars, as far as it is simulated."""
+        up_dps = self.settings.earth_rate_up_dps
+        return motion.rate_dps - up_dps * motion.direction if up_dps else motion.rate_dps
+
+    def _moving_mg(self, motion: Motion) -> Floats | None:
+        """What the part as a whole reads (n, 3) of its motion; None where that is nothing."""
+        moving = motion.shaking_mg if motion.shaking_mg.any() else None
+        if self._lever_m.any():
+            by_lever = self._by_lever_mg(motion)
+            moving = by_lever if moving is None else by_lever + moving
+        return moving
+
+    def _by_places_mg(self, time_s: Floats, motion: Motion) -> Floats:
+        """What accelerometers (n, 3) add that do not sit where the part turns about, each at its place.
+
+        Minus the acceleration along its own axis, as of all: ω × (ω × r) + dω/dt × r.
+        """
+        rate = np.radians(motion.rate_dps)
+        later, earlier = (self.stage.at(time_s + step).rate_dps for step in (_DERIVATIVE_S, -_DERIVATIVE_S))
+        spin = np.radians(later - earlier) / (2 * _DERIVATIVE_S)
+        felt = np.empty_like(rate)
+        for k, place in enumerate(self._places_m):
+            along = rate[:, 0] * place[0] + rate[:, 1] * place[1] + rate[:, 2] * place[2]
+            square = (rate**2).sum(axis=1)
+            centripetal = rate[:, k] * along - square * place[k]
+            felt[:, k] = -(centripetal + np.cross(spin, place)[:, k])
+        return felt * (1000.0 / STANDARD_GRAVITY_MPS2)
 
     def _by_lever_mg(self, motion: Motion) -> Floats:
         """What a part away from the stage's axis reads of the turn: minus its acceleration, as of all."""
@@ -297,30 +340,11 @@ class World:
         felt[:, 0], felt[:, 1] = x, y
         return felt * (1000.0 / STANDARD_GRAVITY_MPS2)
 
-    def _gyro_matrix(self) -> Floats:
-        """Gains and directions (3, 3) of the gyros."""
-        gains = np.array([getattr(self.settings, f"gyro_scale_{axis}") for axis in AXES])
-        lean = np.sin(np.radians(_pairs(self.settings, "gyro_misalignment_{}_deg")))
-        own = np.sqrt(1 - (lean**2).sum(axis=1))
-        return np.asarray(gains[:, None] * (lean + np.diag(own)))
-
-    def _gyros(self, rate_dps: Floats, ideal: Floats, accel: Floats, time_s: Floats) -> Floats:
-        """Gyros (n, 3) without noise and supply: rates by their axes, biases, acceleration."""
-        gyro = self._gyro_rates(rate_dps) + self._gyro_bias
-        gyro += 1e-3 * self._g_effect * ideal
-        for (k, j), per_g in np.ndenumerate(self._gyro_cross_g):
-            if per_g:
-                gyro[:, k] += 1e-3 * per_g * accel[:, j]
-        gyro += self._rate_walk.at(time_s)
-        return np.asarray(gyro)
-
-    def _gyro_rates(self, rate_dps: Floats) -> Floats:
-        if np.array_equal(self._gyro_axes, np.eye(3)):
-            return rate_dps
-        shown = np.empty_like(rate_dps)
-        for k, row in enumerate(self._gyro_axes):
-            shown[:, k] = row[0] * rate_dps[:, 0] + row[1] * rate_dps[:, 1] + row[2] * rate_dps[:, 2]
-        return shown
+    def _gyro_effects(self, rate_dps: Floats, accel: Floats, conditions: Conditions) -> Floats:
+        """What effects of the gyros alone add (n, 3) in °/s."""
+        own = [(e, v) for e, v in self.effects if e.enters is Enters.READING and "gyro" in e.parts]
+        felt = replace(conditions, force_g=1e-3 * accel, rate_dps=rate_dps) if own else conditions
+        return sum((e.reading(v, rate_dps, felt) for e, v in own), np.zeros_like(rate_dps))
 
     def _ideal(self, direction: Floats) -> Floats:
         ideal = np.empty_like(direction)
@@ -392,14 +416,6 @@ class World:
 
 def _or(given: float | None, other: float) -> float:
     return other if given is None else given
-
-
-def _pairs(settings: WorldSettings, name: str) -> Floats:
-    """Settings of pairs of axes (3, 3); none of an axis with itself."""
-    found = np.zeros((3, 3))
-    for k, j in itertools.permutations(range(3), 2):
-        found[k, j] = getattr(settings, name.format(AXES[k] + AXES[j]))
-    return found
 
 
 def _values(effect: Effect, given: Values) -> Floats:

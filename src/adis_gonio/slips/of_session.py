@@ -152,7 +152,10 @@ def _path(session: Session, turn: Turn, before: Dwell, after: Dwell, per_g: floa
     force = np.zeros((len(time), 3))
     force[:, : turn.accel.shape[1]] = np.concatenate([before.accel[-1:], turn.accel, after.accel[:1]])
     zero = np.array([before.gyro.mean(axis=0), after.gyro.mean(axis=0)])
-    return Path(time, _scale(session) * rate, per_g * force, _scale(session) * zero)
+    rest = np.zeros((2, 3))
+    rest[:, : turn.accel.shape[1]] = [before.accel.mean(axis=0), after.accel.mean(axis=0)]
+    scale = _scale(session)
+    return Path(time, scale * rate, per_g * force, scale * zero, per_g * rest)
 
 
 def _turned(path: Path, sampling: Sampling, zero_dps2: float) -> tuple[float, float, float, float] | None:
@@ -169,7 +172,7 @@ def _turned(path: Path, sampling: Sampling, zero_dps2: float) -> tuple[float, fl
         mean = path.force_g.mean(axis=0)
     else:
         return None
-    rest = (path.force_g[0] + path.force_g[-1]) / 2
+    rest = path.rest_g.mean(axis=0)
     zero = length**2 * (zero_dps2 / 2 + float(sampling.drift_dps[2]) ** 2)
     beyond = length * (mean - rest)
     return angle, math.sqrt(variance + zero), float(beyond[0]), float(beyond[1])

@@ -41,6 +41,11 @@ class Limits:
         "chosen",
         "prior weight of a curvature: of two names that cannot be told apart the more common stands",
     )
+    g_weight: float = number(
+        4.0,
+        "chosen",
+        "prior weight of a g-sensitivity: it and a drift stand level where force follows time",
+    )
     family_weight: float = number(
         0.7,
         "chosen",

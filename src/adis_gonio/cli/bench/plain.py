@@ -158,7 +158,7 @@ class PlainBench:
         if event.can_repeat:
             keys |= {"r": runner.repeat, "u": runner.undo}
         keys |= {"p": runner.pause, "q": self._end}
-        todo = to_do(event.position, self._here, reverse=runner.reversed)
+        todo = to_do(event.position, self._here, reverse=runner.reversed, fastest_dps=runner.fastest_dps)
         if runner.one_recording:
             todo = turn_to_do(max(self._plan.turns, 1))
         left = time_left(event.time_left_s)
@@ -172,8 +172,11 @@ class PlainBench:
         keys: dict[str, Callable[[], None]] = {"": self._answering(event.default)}
         keys |= {_KEYS[name]: self._answering(name) for name in event.answers}
         keys |= {"p": self._runner.pause, "q": self._end}
-        others = ", ".join(f"{key} {_GUARD_MEANING[key]}" for key in keys if key) + ", n note"
-        default = _GUARD_MEANING[_KEYS[event.default]]
+        meaning = _GUARD_MEANING
+        if event.position.turned_deg is not None:
+            meaning = meaning | _WHOLE_TURN_MEANING
+        others = ", ".join(f"{key} {meaning[key]}" for key in keys if key) + ", n note"
+        default = meaning[_KEYS[event.default]]
         self._put(f"  Enter: {default} ({others})", keys, self._no_more_input, notes=True)
 
     def _answering(self, name: str) -> Callable[[], None]:
@@ -372,6 +375,7 @@ class PlainBench:
 
 
 _MEANING = {"s": "skip", "r": "repeat the last", "u": "undo the last", "p": "pause", "q": "end"}
+_WHOLE_TURN_MEANING = {"r": "turn again", "v": "take it so, and turn the next one the other way"}
 _GUARD_MEANING = {
     "r": "take the position again",
     "k": "keep it as it is",

@@ -205,7 +205,7 @@ class Effect(ABC):
     parts: ClassVar[tuple[str, ...]] = ("accelerometer",)
     """Parts of the sensor that it is an effect of, as `Measurement.part` names them."""
     options: ClassVar[dict[str, tuple[int, ...]]] = {}
-    """Values that a choice can have in any session."""
+    """Values that a choice can have in any session; names and units of the parameters tell which it is."""
 
     def __post_init__(self) -> None:
         unknown = [axis for axis in self.axes if axis not in AXES]

@@ -24,9 +24,8 @@ GYRO = ("gyro",)
 
 def _die_c(axis: int, conditions: Conditions) -> Floats:
     """Temperature (n,) of the gyro's own die; of the only thermometer where there is but one."""
-    if conditions.temperatures_c is not None:
-        return conditions.temperatures_c[:, axis]
-    return conditions.covariate("temperature_c")
+    mean = conditions.covariate("temperature_c")
+    return mean if conditions.temperatures_c is None else conditions.temperatures_c[:, axis]
 
 
 @dataclass(frozen=True)
@@ -71,8 +70,18 @@ class GyroBiasTemperature(LinearAxisEffect):
         return tuple(above**power for power in range(1, self.degree + 1))
 
 
+@dataclass(frozen=True)
 class GSensitivity(LinearAxisEffect):
-    """Force along each of the three axes shifts the zero rate, nine coefficients of three gyros."""
+    """Force along each of the three axes shifts the zero rate: nine coefficients of three gyros.
+
+    Attributes
+    ----------
+    force : int
+        0: along all three axes; 1 to 3: along x, y or z alone. Where that component follows the order of
+        the poses it is one column, as a drift is, and the two are judged on equal terms.
+    """
+
+    force: int = 0
 
     name = "g_sensitivity"
     cause = "Acceleration bends the vibrating structure of a gyro, which reads it as a rate of turn."
@@ -83,20 +92,30 @@ class GSensitivity(LinearAxisEffect):
     )
     needs = ("force_g",)
     parts = GYRO
+    options: ClassVar[dict[str, tuple[int, ...]]] = {"force": (0, 1, 2, 3)}
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("g_sensitivity", "dps/g", -2.0, 2.0, 0.05),)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.force > len(AXES):
+            raise UsageError(f"{self.name}: force is {self.force}, it can be 0 (all) or 1 to 3 (x, y, z)")
+
+    @property
+    def _along(self) -> list[int]:
+        return [self.force - 1] if self.force else [0, 1, 2]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Three coefficients a gyro: the gyro's letter, then that of the force."""
-        return by_letters(self.coefficients, [axis + force for axis in self.axes for force in AXES])
+        """One coefficient for each axis of force: the gyro's letter, then that of the force."""
+        return by_letters(self.coefficients, [own + AXES[k] for own in self.axes for k in self._along])
 
     def active(self) -> tuple[Parameter, ...]:
         """One coefficient an axis of force."""
-        return self.coefficients * len(AXES)
+        return self.coefficients * len(self._along)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Components of the force."""
-        return tuple(conditions.covariate("force_g").T)
+        return tuple(conditions.covariate("force_g")[:, self._along].T)
 
 
 @dataclass(frozen=True)
@@ -212,13 +231,16 @@ class GyroMisalignment(AxisEffect):
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """What the leans add, (n, 3) in °/s."""
         rate = conditions.covariate("rate_dps")
+        self.columns_of(ideal)
         added = np.zeros(ideal.shape)
         sines = np.sin(np.deg2rad(values))
         squares = np.zeros(len(AXES))
         for sine, (i, p) in zip(sines, self._pairs(), strict=True):
             added[:, i] += sine * rate[:, p]
             squares[i] += sine**2
-        return added - (1 - np.sqrt(1 - squares)) * rate
+        for i in self.columns_of(ideal):
+            added[:, i] -= (1 - np.sqrt(1 - squares[i])) * rate[:, i]
+        return added
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Derivative (n, 3, p) per degree."""
@@ -255,7 +277,6 @@ class GyroDrift(LinearAxisEffect):
         "`gyro_bias_temperature` needs the temperature to fall; pauses of different length between dwells "
         "tell time from the number of the dwell."
     )
-    needs = ("order",)
     parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"steps": (0, 1)}
     coefficients: ClassVar[tuple[Parameter, ...]] = (
@@ -335,9 +356,9 @@ class GyroAsymmetry(LinearAxisEffect):
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Modulus of the true rate about the axis."""
-        if conditions.abs_rate_dps is not None:
-            return (conditions.abs_rate_dps[:, axis],)
-        return (np.abs(conditions.covariate("rate_dps")[:, axis]),)
+        rate = conditions.covariate("rate_dps")
+        modulus = np.abs(rate) if conditions.abs_rate_dps is None else conditions.abs_rate_dps
+        return (modulus[:, axis],)
 
 
 class GyroOutlierDwell(OutlierDwell):

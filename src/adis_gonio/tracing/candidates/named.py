@@ -27,7 +27,11 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
     terms: list[NamedTerm] = []
     missing: dict[str, str] = {}
     kinds = catalogue(data.model.part)
-    common = {"bias": limits.bias_weight, "quadratic": limits.quadratic_weight}
+    common = {
+        "bias": limits.bias_weight,
+        "quadratic": limits.quadratic_weight,
+        "g_sensitivity": limits.g_weight,
+    }
     weights = dict.fromkeys(kinds, 1.0) | common
     for name, kind in kinds.items():
         if kind.enters is Enters.SAMPLES or kind.within_dwell:
@@ -68,6 +72,9 @@ def covariates_of(kind: type[Effect]) -> tuple[str, ...]:
     }
     known = {
         "bias_drift": ("time",),
+        "gyro_drift": ("time",),
+        "gyro_warm_up": ("time",),
+        "gyro_scale_temperature": ("temperature",),
         "scale_drift": ("time",),
         "creep": ("previous_angle",),
         "warm_up": ("time",),

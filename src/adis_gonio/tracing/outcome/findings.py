@@ -62,7 +62,7 @@ def finding_of(selection: Selection, name: str) -> Finding:
                 undetermined = k in unseen
                 value = 0.0 if undetermined else float(values[k])
                 parameters[parameter.name] = Value(value, None if undetermined else u, parameter.unit, dof)
-            for choice in term.effect.choices():
+            for choice in (c for c in term.effect.choices() if c not in term.effect.options):
                 parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
     # The level is spent by the prior: a name has a far greater share of it than one of thousands of
     # functions without a name (weighted Bonferroni; Genovese, Roeder and Wasserman, Biometrika 93, 2006).

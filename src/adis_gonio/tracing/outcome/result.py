@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from adis_gonio.budget import Budget
 from adis_gonio.dwells.finding import WithinFinding
+from adis_gonio.errors import FitError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.values import Detectable, Value, finite_or_none
 from adis_gonio.model.effects.environment import REFERENCE_C
@@ -369,8 +370,10 @@ class TraceResult:
         UsageError
             The result was made from readings, not from a session.
         FitError
-            One pose only, or a trace that its time limit ended before it was checked.
+            One pose only, a trace that its time limit ended before it was checked, or one of gyros.
         """
+        if self.part != "accelerometer":
+            raise FitError("a trace of the gyros corrects rates, not angles: see calibration.gyros")
         from adis_gonio.calibration.building import calibration_of_trace
 
         return calibration_of_trace(self)

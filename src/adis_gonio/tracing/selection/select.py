@@ -10,6 +10,7 @@ import numpy as np
 from adis_gonio.budget import spent
 from adis_gonio.estimation.fit import Fit, adequacy
 from adis_gonio.estimation.readings import Readings
+from adis_gonio.estimation.robust import MAD_TO_SD
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import effect
 from adis_gonio.model.records import Floats
@@ -184,7 +185,7 @@ def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
     middle = np.angle(np.exp(1j * shown).sum())
     off = np.angle(np.exp(1j * (shown - middle)))
     off = np.angle(np.exp(1j * (off - np.median(off))))
-    typical = 1.4826 * float(np.median(np.abs(off)))
+    typical = MAD_TO_SD * float(np.median(np.abs(off)))
     length = np.linalg.norm(reading, axis=1) / data.gravity_mg
     far = np.degrees(np.abs(off)) > limits.gross_slip_deg
     far &= np.abs(off) > limits.gross_spreads * typical

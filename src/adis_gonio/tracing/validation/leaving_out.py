@@ -197,6 +197,8 @@ def counting(
         counts[name] = every
         if name == BY_AXIS or (nameless and name == BLOCKS_OF_TIME):
             counts[name] = determined(data, masks, nameless)
+            if name == BY_AXIS:
+                counts[name] &= data.model.by_pose(data.conditions)
             if 3 * int(counts[name].sum()) < len(data):
                 del counts[name]
     return counts
