@@ -72,7 +72,10 @@ def test_every_column_key_option_and_name_of_the_page_is_one_of_the_code():
 
     options = {option for row in tables[6] for option in re.findall(r"`(--\w+)", row)}
     known = {name for option in command.params for name in option.opts}
-    assert options == {"--reverse", "--unit", "--gravity", "--fixture", "--sensor", "--columns"} & known
+    assert (
+        options
+        == {"--angles", "--reverse", "--unit", "--gravity", "--fixture", "--sensor", "--columns"} & known
+    )
     for row in ("header", "units in the header"):
         (cell,) = re.findall(rf"^\| {row} \| (.*?) \|$", TEXT, re.MULTILINE)
         for name in re.findall(r"`([^`]+)`", cell):

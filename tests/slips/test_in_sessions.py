@@ -13,7 +13,7 @@ from adis_gonio.cli import main
 from adis_gonio.errors import FitError, UsageError
 from adis_gonio.fitting import fit
 from adis_gonio.session.overrides import AngleChange, Overrides
-from adis_gonio.slips.of_session import angles_of, positions_of
+from adis_gonio.slips.of_session import angles_of, in_context, positions_of
 from fakes import planar_session as planar
 from session.hand_bench import by_hand, hand_sensor
 from slip_statistics import session_of
@@ -50,11 +50,19 @@ def test_a_session_without_turns_is_judged_by_gravity_alone(mistyped):
     assert (one.position, one.gyro_deg) == (truth.positions[0], None)
 
 
-def test_a_failed_fit_says_which_position_is_wrong_and_the_override_mends_it(mistyped):
+def test_a_fit_that_fails_says_which_position_is_wrong(mistyped):
     session, truth = mistyped
-    with pytest.raises(FitError, match=rf"position {truth.positions[0]}: declared .* mistyped"):
-        fit(session)
+    told = in_context(replace(session, source="a.csv"), FitError("nothing is determined"))
+    assert told.startswith(f"a.csv: nothing is determined; position {truth.positions[0]}: declared ")
+    assert "\n" not in told
+
+
+def test_a_fit_says_which_position_is_wrong_and_the_override_mends_it(mistyped):
+    session, truth = mistyped
+    wrong = fit(session)
     (one,) = positions_of(session).findings
+    assert one.sentence in wrong.warnings
+    assert wrong.as_dict()["positions"][0]["position"] == truth.positions[0]
     (k,) = truth.positions
     change = AngleChange(k, k, one.meant_deg)
     mended = fit(Overrides(angles=(change,)).apply(session))

@@ -155,7 +155,7 @@ def _turned(path: Path, sampling: Sampling, zero_dps2: float) -> tuple[float, fl
         mean = path.force_g.mean(axis=0)
     else:
         return None
-    rest = (path.force_g[0] + path.force_g[-1]) / 2
+    rest = path.rest_g.mean(axis=0)
     zero = length**2 * (zero_dps2 / 2 + float(sampling.drift_dps[2]) ** 2)
     beyond = np.nan_to_num(length * (mean - rest))  # of counts nobody knows how many g they are
     return angle, math.sqrt(variance + zero), float(beyond[0]), float(beyond[1])
