@@ -9,6 +9,10 @@ from typing import Any
 from adis_gonio.calibration.calibration import Calibration
 from adis_gonio.calibration.document import calibration_from
 from adis_gonio.errors import DataError
+from adis_gonio.output import ends_in
+
+_FOR_OTHERS = (".h", ".hpp", ".xml", ".html", ".parquet")
+"""Endings of what `export` and `report` write and nothing here reads."""
 
 
 def load_calibration(path: str | Path, method: str | None = None) -> Calibration:
@@ -31,8 +35,17 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
         return made
     from adis_gonio.fitting import fit
     from adis_gonio.session import load_session
+    from adis_gonio.session.overrides import as_it_is
 
-    return fit(load_session(path), method=method).calibration()
+    if ends_in(path, *_FOR_OTHERS):
+        raise DataError(
+            f"{path}: is made for other programs; give a session, or what export makes as .json"
+        )
+    try:
+        session = load_session(path)
+    except DataError as error:
+        raise DataError(as_it_is(str(error))) from None
+    return fit(session, method=method).calibration()
 
 
 def calibration_in(path: str | Path) -> Calibration | None:
