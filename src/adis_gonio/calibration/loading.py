@@ -38,9 +38,7 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     from adis_gonio.session.overrides import as_it_is
 
     if ends_in(path, *_FOR_OTHERS):
-        raise DataError(
-            f"{path}: is made for other programs; give a session, or what export makes as .json"
-        )
+        raise DataError(f"{path}: is made for others to read; give a session, or the .json of export")
     try:
         session = load_session(path)
     except DataError as error:
