@@ -141,3 +141,17 @@ def test_saving_never_overwrites_unless_told(tmp_path):
     assert path.read_text() == "mine"
     ALL[0].save(path, force=True)
     assert Calibration.load(path) == ALL[0]
+
+
+@pytest.mark.parametrize("name", ["a.h", "a.xml", "A.HTML"])
+def test_what_export_makes_for_others_is_told_from_a_session(name, tmp_path):
+    (tmp_path / name).write_text("/* adis_gonio.h */\n")
+    with pytest.raises(DataError, match=r"is made for others to read; give a session, or the \.json"):
+        Calibration.load(tmp_path / name)
+
+
+def test_a_table_with_other_names_gets_advice_that_can_be_taken(tmp_path):
+    path = tmp_path / "logger.csv"
+    path.write_text("clock,Acc_X,Acc_Y\n0,1,2\n1,2,3\n")
+    with pytest.raises(DataError, match="here the file itself has to say it"):
+        Calibration.load(path)

@@ -11,6 +11,10 @@ from adis_gonio.calibration.document import SCHEMA, calibration_from
 from adis_gonio.calibration.gyro_document import GYRO_SCHEMA, gyro_calibration_from
 from adis_gonio.calibration.gyros import GyroCalibration
 from adis_gonio.errors import DataError, FitError
+from adis_gonio.output import ends_in
+
+_FOR_OTHERS = (".h", ".hpp", ".xml", ".html", ".parquet")
+"""Endings of what `export` and `report` write and nothing here reads."""
 
 
 def load_calibration(path: str | Path, method: str | None = None) -> Calibration:
@@ -34,8 +38,14 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     from adis_gonio.calibration.with_gyros import with_gyros
     from adis_gonio.fitting import fit
     from adis_gonio.session import load_session
+    from adis_gonio.session.overrides import as_it_is
 
-    session = load_session(path)
+    if ends_in(path, *_FOR_OTHERS):
+        raise DataError(f"{path}: is made for others to read; give a session, or the .json of export")
+    try:
+        session = load_session(path)
+    except DataError as error:
+        raise DataError(as_it_is(str(error))) from None
     return with_gyros(fit(session, method=method).calibration(), session)
 
 

@@ -9,8 +9,10 @@ from typing import Any
 import click
 
 from adis_gonio.cli.remembering import index_options, places_argument, remembered
-from adis_gonio.cli.show import console, json_option, print_json, with_uncertainty
+from adis_gonio.cli.show import console, json_option, print_json, print_table, with_uncertainty
 from adis_gonio.counting import counted
+
+_HEAD = ("serial", "operator", "stage", "date", "plan", "ΔK", "Δφ / °", "angle / °", "effects", "file")
 
 
 @click.command("archive")
@@ -59,29 +61,9 @@ def command(
 def _show(
     good: Sequence[Mapping[str, Any]], broken: Sequence[Mapping[str, Any]], said: Mapping[str, Any]
 ) -> None:
-    from rich.table import Table
-
     screen = console(most=160)
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for name in (
-        "serial",
-        "operator",
-        "stage",
-        "date",
-        "plan",
-        "ΔK",
-        "Δφ / °",
-        "angle / °",
-        "effects",
-        "file",
-    ):
-        table.add_column(
-            name, no_wrap=name in ("date", "plan", "ΔK", "Δφ / °", "angle / °"), overflow="fold"
-        )
-    for row in good:
-        table.add_row(*_cells(row))
     if good:
-        screen.print(table)
+        print_table(screen, _HEAD, [_cells(row) for row in good], texts={0, 1, 2, 3, 4, 8, 9})
     for row in good:
         if row["copies"]:
             screen.print(f"the same file, counted once: {', '.join([row['path'], *row['copies']])}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adis_gonio.cli.show import console, json_option, print_json
+from adis_gonio.cli.show import console, json_option, print_json, print_table
 from adis_gonio.cli.working import working
 from adis_gonio.counting import counted
 from adis_gonio.errors import UsageError
@@ -151,19 +151,12 @@ def _show(outcome: Outcome) -> None:
 
 
 def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], texts: int = 1) -> None:
-    from rich.table import Table
-
     if not rows:
         return
     screen = console()
     screen.print()
     screen.print(title, style="bold cyan")
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for k, name in enumerate(head):
-        table.add_column(name, justify="left" if k < texts else "right")
-    for row in rows[:_MOST_ROWS]:
-        table.add_row(*row)
-    screen.print(table)
+    print_table(screen, head, rows[:_MOST_ROWS], range(texts))
     if len(rows) > _MOST_ROWS:
         screen.print(f"{len(rows) - _MOST_ROWS} more: in the JSON document")
 

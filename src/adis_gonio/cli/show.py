@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Container, Sequence
 from typing import Any, TypeVar
 
 import click
+from rich.cells import cell_len
 from rich.console import Console
 
 from adis_gonio.jsonable import finite
@@ -45,6 +46,40 @@ def console(*, stderr: bool = False, most: int = 0) -> Console:
     if most:
         width = min(width, most)
     return screen if screen.width == width else made(width)
+
+
+LEAST_TEXT = 16
+"""Width down to which a column of text is folded."""
+
+
+def print_table(
+    screen: Console, head: Sequence[str], rows: Sequence[Sequence[str]], texts: Container[int]
+) -> None:
+    """Rows below their head; one after the other, each value by its name, where the screen is too narrow.
+
+    Parameters
+    ----------
+    texts : numbers of columns
+        Those of text, which may be folded; the others are numbers.
+    """
+    from rich.table import Table
+
+    widths = [max(cell_len(row[k]) for row in (head, *rows)) for k in range(len(head))]
+    least = sum(min(w, LEAST_TEXT) if k in texts else w for k, w in enumerate(widths)) + 2 * len(head)
+    if least > screen.width:
+        for row in rows:
+            told = [f"{name} {cell}" for name, cell in zip(head, row, strict=True) if cell not in ("", "–")]
+            screen.print("; ".join(told))
+        return
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for k, name in enumerate(head):
+        if k in texts:
+            table.add_column(name, overflow="fold")
+        else:
+            table.add_column(name, no_wrap=True, justify="right")
+    for row in rows:
+        table.add_row(*row)
+    screen.print(table)
 
 
 def json_text(document: Any, *, ascii_only: bool = False) -> str:

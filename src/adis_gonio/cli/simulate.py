@@ -131,13 +131,17 @@ def _twin(path: Path, output: Path, seed: int) -> None:
     """Write the twin of a session."""
     from adis_gonio.budget import current
     from adis_gonio.session import export_csv, load_session
+    from adis_gonio.session.overrides import as_it_is
     from adis_gonio.tracing import trace
     from adis_gonio.twin import simulate_like
 
     if not ends_in(output, ".csv", ".csv.gz"):
         raise UsageError(f"{output}: --like writes a samples CSV; name it .csv or .csv.gz")
     with working(f"reading {path.name}"):
-        session = load_session(path)
+        try:
+            session = load_session(path)
+        except DataError as error:
+            raise DataError(as_it_is(str(error))) from None
     with working(f"twin of {counted(len(session.dwells), 'dwell')} of {path.name}"):
         traced = trace(session)
         if not traced.fits:

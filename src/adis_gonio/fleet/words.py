@@ -71,7 +71,7 @@ def _parameter(one: Parameter) -> list[str]:
         "" if one.unit == "1" else with_unit("", one.unit).strip(),
         str(spread.n),
         *(_to_digit_of(spread.robust_sd, value) for value in (q["50"], q["5"], q["95"], spread.mean)),
-        number(spread.robust_sd, 2),
+        number(spread.robust_sd if spread.n > 1 else None, 2),
         "–" if one.beyond is None else number(one.beyond.u, 2),
         "–" if one.beyond is None else _tau(one.beyond),
         "–" if one.repeats is None else f"{one.repeats.ratio:.2f} ({p_text(one.repeats.p_value)})",

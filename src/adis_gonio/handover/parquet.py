@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from adis_gonio.errors import DataError, NotInstalledError
 from adis_gonio.model.effects import AXES
-from adis_gonio.model.records import Session
+from adis_gonio.model.records import Dwell, Session
 from adis_gonio.session.export import session_dict
 
 ROWS = 100_000
@@ -37,11 +37,14 @@ def write_parquet(session: Session, path: str | Path) -> None:
         import pyarrow.parquet as pq
     except ImportError:
         raise NotInstalledError("Parquet needs pyarrow: pip install 'adis-gonio[parquet]'") from None
-    if not session.dwells:
+    dwells = session.sampled
+    if not dwells:
         raise DataError(f"{session.source or 'session'}: the session has no dwell to write")
     about = session_dict(session)
     del about["dwells"]
-    units = _units(session)
+    units = _units(session, dwells[0])
+    if session.free_turn:  # as in the CSV: one continuous recording
+        del units["position"]
     schema = pa.schema(
         [
             pa.field(name, _type(pa, name), metadata={"unit": unit} if unit else None)
@@ -50,7 +53,7 @@ def write_parquet(session: Session, path: str | Path) -> None:
         metadata={"adis_gonio": json.dumps(about, ensure_ascii=False)},
     )
     with pq.ParquetWriter(path, schema, compression="zstd") as writer:
-        for columns in _groups(session, list(units)):
+        for columns in _groups(session, dwells, list(units)):
             arrays = [pa.array(columns[name], _type(pa, name), from_pandas=True) for name in units]
             writer.write_table(pa.table(arrays, schema=schema))
 
@@ -60,21 +63,23 @@ def _type(pa: Any, name: str) -> Any:
     return kinds.get(name, pa.float64())
 
 
-def _units(session: Session) -> dict[str, str]:
+def _units(session: Session, first: Dwell) -> dict[str, str]:
     """Columns that the first dwell has, with their units."""
     by_kind = {"a": session.accel_unit, "g": session.gyro_unit}
     own = {"time_s": "s", "angle_deg": "deg", "temp_c": "degC", "supply_v": "V"}
     return {
         name: own.get(name, by_kind.get(name[0], "") if name[1:] in AXES else "")
-        for name in session.dwells[0].columns()
+        for name in first.columns()
     }
 
 
-def _groups(session: Session, names: list[str]) -> Iterator[dict[str, Any]]:
+def _groups(session: Session, dwells: Sequence[Dwell], names: list[str]) -> Iterator[dict[str, Any]]:
     waiting: list[dict[str, Any]] = []
     rows = 0
-    for dwell in session.dwells:
+    for dwell in dwells:
         columns = dwell.columns()
+        if session.free_turn:
+            del columns["position"]
         if set(columns) != set(names):
             odd = sorted(set(columns) ^ set(names))[0]
             raise DataError(

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -31,7 +30,6 @@ ANGLE = "angle"
 COLUMNS = (*QUANTITIES, *SKEWS, ANGLE)
 """Every quantity of a flat row."""
 
-_OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")
 Status = Literal["ok", "failed"]
 
 
@@ -217,6 +215,7 @@ def record_and_session(path: str | Path, *, trace: bool = False) -> tuple[Sessio
     """The same with the session, for who asks more of it; None where it could not be read."""
     from adis_gonio import __version__
     from adis_gonio.session import load_session
+    from adis_gonio.session.overrides import as_it_is
 
     path = Path(path)
     session: Session | None = None
@@ -228,17 +227,10 @@ def record_and_session(path: str | Path, *, trace: bool = False) -> tuple[Sessio
         known |= _facts(session)
         return SessionRecord(**known, **_results(session, trace=trace)), session
     except (AdisGonioError, OSError) as error:
-        reason = _in_the_file(str(error))
+        reason = as_it_is(str(error))
     except Exception as error:  # among thousands of files one may find what nobody thought of
         reason = f"{path}: {type(error).__name__}: {error}"
     return SessionRecord(**known, status="failed", reason=" ".join(reason.split())), session
-
-
-def _in_the_file(reason: str) -> str:
-    """A reason with what its advice comes to where a file is taken as it is: these options are of `fit`."""
-    if not _OPTIONS.search(reason):
-        return reason
-    return f"{reason} (an option of fit, trace and report; here the file itself has to say it)"
 
 
 def _facts(session: Session) -> dict[str, Any]:

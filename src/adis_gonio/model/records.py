@@ -163,8 +163,9 @@ class Session:
 
     def __repr__(self) -> str:
         name = self.title or self.source or "untitled"
-        samples = sum(len(dwell) for dwell in self.dwells)
-        held = f"{counted(len(self.dwells), 'dwell')}, {counted(samples, 'sample')}"
+        samples = sum(len(dwell) for dwell in self.sampled)
+        what = "a free turn" if self.free_turn else counted(len(self.dwells), "dwell")
+        held = f"{what}, {counted(samples, 'sample')}"
         return f"Session({name}: {held}, {self.sensor})"
 
     def to_pandas(self) -> pd.DataFrame:
@@ -172,11 +173,11 @@ class Session:
         from adis_gonio.showing import frame
 
         columns: dict[str, list[Any]] = {}
-        for dwell in self.dwells:
+        for dwell in self.sampled:
             for name, rows in dwell.columns().items():
                 columns.setdefault(name, []).append(rows)
         return frame(
-            {name: np.concatenate(rows) for name, rows in columns.items() if len(rows) == len(self.dwells)}
+            {name: np.concatenate(rows) for name, rows in columns.items() if len(rows) == len(self.sampled)}
         )
 
     @property
@@ -200,6 +201,11 @@ class Session:
         if self.recording is not None and not self.free_turn:
             return turns_of_recording(self.recording, self.dwells)
         return ()
+
+    @property
+    def sampled(self) -> tuple[Dwell, ...]:
+        """What an export holds the samples of: the dwells, or a free turn as one."""
+        return (self.recording,) if self.free_turn and self.recording is not None else tuple(self.dwells)
 
     @property
     def free_attitudes(self) -> bool:

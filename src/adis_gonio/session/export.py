@@ -82,7 +82,7 @@ def session_dict(session: Session) -> dict[str, Any]:
         "reading_u_mg": session.reading_u_mg,
         "notes": list(session.notes),
         "facts": session.facts,
-        "dwells": [_dwell_dict(dwell) for dwell in session.dwells],
+        "dwells": [_dwell_dict(dwell) for dwell in session.sampled],
     }
 
 

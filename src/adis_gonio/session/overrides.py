@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -10,6 +11,15 @@ from typing import Any
 from adis_gonio.errors import UsageError
 from adis_gonio.model.gravity import checked_gravity_mps2
 from adis_gonio.model.records import ACCEL_UNITS, SENSORS, AccelUnit, Dwell, Session
+
+_OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")
+
+
+def as_it_is(reason: str) -> str:
+    """Why a file was refused, for commands that take no overrides: what its advice comes to there."""
+    if not _OPTIONS.search(reason):
+        return reason
+    return f"{reason} (an option of fit, trace and report; here the file itself has to say it)"
 
 
 @dataclass(frozen=True)

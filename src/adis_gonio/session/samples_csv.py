@@ -111,9 +111,7 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
         If dwells differ in their columns (one has gyros, another has not) or the session has no dwell.
     """
     path = Path(path)
-    dwells = session.dwells
-    if session.free_turn and session.recording is not None:
-        dwells = (session.recording,)
+    dwells = session.sampled
     if not dwells:
         raise DataError(f"{path.name}: the session has no dwell to write")
     parts = _columns_of(dwells, path.name)
