@@ -53,8 +53,8 @@ Cramér–Rao bound of the gain of that very session.
 What limits a gain from ten turns: of the bound's variance 1/f noise has {_percent(share["flicker"])}, white
 noise {_percent(share["white"])}, the marks (0.05°) {_percent(share["marks"])}. A zero rate that wanders by
 a hundredth of a degree a second for half a minute is a third of a degree in 1800°: what helps is to turn
-faster, as far as the range allows, not longer. Where a session's rests show more 1/f noise than the
-sensor's figure, u follows what they show, and is above that session's bound. Misalignments are limited by
+faster, as far as the range allows, not longer. What the rests of a session show
+of that noise goes into its u, which scatters with it. Misalignments are limited by
 the angles between the accelerometers, which this plan does not measure.
 
 ![Error of the gains over their bound](gyros-errors.svg)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -11,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from adis_gonio.calibration.calibration import Coefficient, NotCorrected
-from adis_gonio.counting import counted
 from adis_gonio.errors import FitError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.terms import NamedTerm, Term
@@ -34,7 +32,6 @@ _REASONS = {
     "gyro_warm_up": "follows the clock of the session; the zero rate is that of the warm part",
     "gyro_asymmetry": "differs between the two senses of turning, which no gain corrects",
 }
-_TURN = re.compile(r"turn to dwell \d+: (?P<why>.*)")
 _OTHERWISE = "is not known to be a function of the rate, the force, the temperature or the supply"
 _NAMELESS = "has no name, so that nobody knows whether it belongs to the gyros"
 
@@ -73,21 +70,8 @@ def estimates_of_gyro_fit(result: GyroFit) -> GyroEstimates:
         dict(result.parameters),
         (names, result.covariance),
         doubts=tuple(doubts),
-        remarks=remarks_of(result),
+        remarks=tuple(result.warnings),
     )
-
-
-def remarks_of(result: GyroFit) -> tuple[str, ...]:
-    """Warnings of a fit, turns that tell nothing for the same reason in one line."""
-    turns: dict[str, int] = {}
-    others = []
-    for warning in result.warnings:
-        match = _TURN.fullmatch(warning)
-        if match is None:
-            others.append(warning)
-        else:
-            turns[match["why"]] = turns.get(match["why"], 0) + 1
-    return (*(f"{counted(n, 'turn')} not used: {why}" for why, n in turns.items()), *others)
 
 
 def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.calibration.gyro_building import remarks_of
 from adis_gonio.calibration.with_gyros import gyros_as_recorded
 from adis_gonio.errors import AdisGonioError
 from adis_gonio.estimation.values import Value
@@ -34,7 +33,7 @@ def gyro_section(session: Session) -> Section | None:
     ]
     tables = [_parameters(result), *_scores(result), *_offsets(session)]
     return Section(
-        "Gyros", words=said, points=remarks_of(result), figures=[_residuals(result)], tables=tables
+        "Gyros", words=said, points=tuple(result.warnings), figures=[_residuals(result)], tables=tables
     )
 
 
