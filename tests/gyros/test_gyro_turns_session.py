@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from adis_gonio.cli import app
+from adis_gonio.cli import app, main
 from adis_gonio.errors import UsageError
+from adis_gonio.fitting import fit
 from adis_gonio.gyros import rate_intervals
 from adis_gonio.sensor import open_sensor
 from adis_gonio.session import SessionRunner, Settings, load_session
@@ -345,3 +346,12 @@ def test_turns_by_hand_are_kept_where_that_is_wanted_and_only_there(tmp_path):
     assert not missing.turn.any()
     assert missing.refused == ("turns to dwell 1, 2, 3: the part was turned while nothing was recorded",)
     assert "turns" not in held[False].facts["settings"]
+
+
+def test_a_session_whose_file_has_gone_has_no_turns_and_is_fitted_all_the_same(tmp_path):
+    path = tmp_path / "gone.session"
+    assert main(["calibrate", "sim:?seed=4", "--plan", "four-position", "--auto", "-o", str(path)]) == 0
+    gone = load_session(path)
+    path.unlink()
+    assert gone.turns == ()
+    assert fit(gone)["delta_k"].u > 0

@@ -53,17 +53,3 @@ def test_an_unknown_section_is_answered_with_those_there_are():
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=600)
     assert done.returncode == 2
     assert "no section papper; there are " + ", ".join(SECTIONS) in done.stderr
-
-
-def test_every_section_is_found_after_every_other_though_scripts_have_their_names():
-    code = (
-        "import runpy; main = runpy.run_path('scripts/results/__main__.py', run_name='results')\n"
-        "for name in (*main['SECTIONS'], *main['SECTIONS']):\n"
-        "    print(main['section'](name).run.__code__.co_filename)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False, timeout=600
-    )
-    assert done.returncode == 0, done.stderr
-    expected = [str(ROOT / "scripts" / "results" / f"{name}.py") for name in SECTIONS]
-    assert [str(ROOT / line) for line in done.stdout.splitlines()] == 2 * expected

@@ -33,11 +33,21 @@ class ArchivedTurns:
     attempts: tuple[int, ...]
 
     def __call__(self) -> tuple[Turn, ...]:
-        """Turns, one less than dwells; errors as `ArchiveView`."""
+        """Turns, one less than dwells; none where the file is not there any more or is another by now.
+
+        Raises
+        ------
+        DataError
+            As `ArchiveView`.
+        """
+        if not self.path.is_file():
+            return ()
         with ArchiveView(self.path) as view, view.snapshot():
             stored = view.attempts()
             plan = view.plan()
             of_number = {attempt.number: attempt for attempt in stored}
+            if not set(self.attempts) <= set(of_number):
+                return ()
             dwells = [of_number[number] for number in self.attempts]
             made = []
             for k, (before, after) in enumerate(pairwise(dwells)):
