@@ -49,14 +49,13 @@ def show_gyro_fit(session: Session, method: str | None, *, as_json: bool) -> Non
 def _parameters(parameters: dict[str, Value]) -> Table:
     from rich.table import Table
 
+    from adis_gonio.answer.tables import parameter_row
+
     table = Table(box=None, padding=(0, 2, 0, 0))
     for name in ("parameter", "unit", "value", "u", "U (95 %)", "k", "ν"):
         table.add_column(name, justify="left" if name in ("parameter", "unit") else "right")
     for name, value in parameters.items():
-        cells = [
-            f"{cell:.3g}" if cell is not None else "–" for cell in (value.u, value.U, value.k, value.dof)
-        ]
-        table.add_row(name, value.unit, f"{value.value:.5g}", *cells)
+        table.add_row(*parameter_row(name, value))
     return table
 
 

@@ -159,7 +159,8 @@ def base_of(selection: Selection) -> dict[str, Value]:
     Their uncertainty holds what other probable models say of them.
     """
     fit = selection.fit
-    data, base = fit.data, fit.values.base
+    data = fit.data
+    base = np.where(data.visible, fit.values.base, data.model.nominal)  # what is held is so exactly
     p = len(base)
     covariance = fit.covariance[:p, :p] * selection.inflation
     dof = dof_of(selection)
