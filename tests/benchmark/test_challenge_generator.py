@@ -219,7 +219,7 @@ def test_the_package_reads_every_family_and_sees_the_true_readings(family: str, 
     path.write_text(csv, encoding="utf-8")
     assert len(load_session(path).dwells) == len(truth.start_s)
     table = read(path)
-    assert table.reading == pytest.approx(np.array(truth.readings_mg), abs=1e-4)
+    assert table.reading_mg == pytest.approx(np.array(truth.readings_mg), abs=1e-4)
     assert table.c.check.tolist() == truth.circumstances["check"]
     assert (table.c.time_s - table.c.time_s[0]) == pytest.approx(truth.circumstances["time_s"], abs=1e-3)
 
