@@ -64,7 +64,7 @@ def test_a_damaged_file_is_a_row_and_the_rest_is_there(tmp_path, capsys):
     assert main(["fleet", *files, str(tmp_path / "none.csv"), "--no-trace", "--json"]) == 1
     printed = capsys.readouterr()
     document = json.loads(printed.out)
-    assert document["sessions"]["ok"] == 1  # both are one session
+    assert document["sessions"]["ok"] == 2
     reasons = {Path(one["path"]).name: one["reason"] for one in document["failures"]}
     assert sorted(reasons) == ["001.csv", "none.csv"]
     assert "cannot be read: No such file" in reasons["none.csv"]

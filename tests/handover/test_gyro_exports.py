@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio import open_sensor
+from adis_gonio import Calibration, load_session, open_sensor
+from adis_gonio.calibration import GyroCalibration
 from adis_gonio.cli import main
 from adis_gonio.errors import FitError
+from adis_gonio.fitting import fit
 from adis_gonio.handover.c_header import c_header
 from adis_gonio.handover.certificate import _UNITS, certificate_text
 from adis_gonio.handover.offsets import gyro_offset_words, registers_text
@@ -268,3 +270,50 @@ def test_registers_show_the_chip_s_offsets_beside_what_the_calibration_would_wri
     assert main(["registers", "sim:?seed=1", "--json"]) == 0
     assert "calibration" not in capsys.readouterr().out
     assert main(["registers", "--cal", str(path)]) == 2
+
+
+@pytest.fixture(scope="module")
+def two_sessions(tmp_path_factory):
+    """Accelerometers on a stage and gyros on a table, of one simulated part."""
+    folder = tmp_path_factory.mktemp("two")
+    for name, *plan in (("stage", "four-position"), ("table", "gyro-turns", "--turns", "1")):
+        words = [
+            "calibrate",
+            "sim:?seed=4",
+            "--plan",
+            plan,
+            "--auto",
+            "-o",
+            str(folder / f"{name}.session"),
+        ]
+        assert main([*words, "--serial", "A7"]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("name", ["table.session", "gyros.json"])
+def test_the_gyros_of_another_session_stand_beside_these_accelerometers(two_sessions, name):
+    table = GyroCalibration.load(two_sessions / "table.session")
+    table.save(two_sessions / "gyros.json", force=True)
+    out = two_sessions / "both.json"
+    words = ["export", str(two_sessions / "stage.session"), "--gyros", str(two_sessions / name)]
+    assert main([*words, "-o", str(out), "--force"]) == 0
+    both = Calibration.load(out)
+    assert both.gyro["gyro_scale_z"].value == table["gyro_scale_z"].value
+    assert both.parameters == Calibration.load(two_sessions / "stage.session").parameters
+    assert main([*words, "-o", str(two_sessions / "both.h"), "--force"]) == 0
+    assert "gyro_scale_z: not determined" not in (two_sessions / "both.h").read_text()
+
+
+def test_gyros_of_another_part_or_of_none_are_refused_in_one_line(two_sessions, capsys):
+    bare, other = two_sessions / "bare.json", two_sessions / "other.session"
+    session = load_session(two_sessions / "stage.session")
+    fit(session).calibration().save(bare, force=True)
+    words = ["calibrate", "sim:?seed=5", "--plan", "four-position", "--auto", "--serial", "B1"]
+    assert main([*words, "-o", str(other)]) == 0
+    capsys.readouterr()
+    for file, told in ((other, "its gyros are of B1, the accelerometers of A7"), (bare, "without gyros")):
+        words = ["export", str(two_sessions / "stage.session"), "--gyros", str(file), "-o"]
+        assert main([*words, str(two_sessions / "x.json"), "--force"]) != 0
+        said = capsys.readouterr().err.splitlines()
+        assert len(said) == 1
+        assert told in said[0]

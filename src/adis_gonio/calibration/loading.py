@@ -10,7 +10,8 @@ from adis_gonio.calibration.calibration import Calibration
 from adis_gonio.calibration.document import SCHEMA, calibration_from
 from adis_gonio.calibration.gyro_document import GYRO_SCHEMA, gyro_calibration_from
 from adis_gonio.calibration.gyros import GyroCalibration
-from adis_gonio.errors import DataError, FitError
+from adis_gonio.errors import DataError, FitError, UsageError
+from adis_gonio.model.provenance import Provenance, provenance_of
 from adis_gonio.output import ends_in
 
 _FOR_OTHERS = (".h", ".hpp", ".xml", ".html", ".parquet")
@@ -61,23 +62,41 @@ def calibration_in(path: str | Path) -> Calibration | None:
     return None if document is None else calibration_from(document, str(path))
 
 
-def load_gyro_calibration(path: str | Path) -> GyroCalibration:
-    """As `GyroCalibration.load`."""
+def load_gyro_calibration(path: str | Path, part: Provenance | None = None) -> GyroCalibration:
+    """As `GyroCalibration.load`.
+
+    Parameters
+    ----------
+    part : Provenance, optional
+        Of the accelerometers beside which the gyros shall stand: another sensor's or serial number's are
+        refused with `UsageError`.
+    """
     document = _json_of(Path(path))
     if document is None:
         from adis_gonio.calibration.with_gyros import gyro_calibration_of
         from adis_gonio.session import load_session
 
-        return gyro_calibration_of(load_session(path))
+        session = load_session(path)
+        _refuse_another_part(part, provenance_of(session), path)
+        return gyro_calibration_of(session)
     schema = document.get("schema") if isinstance(document, dict) else None
     if schema == SCHEMA:
-        made = calibration_from(document, str(path)).gyro
-        if made is None:
+        whole = calibration_from(document, str(path))
+        _refuse_another_part(part, whole.provenance, path)
+        if whole.gyro is None:
             raise FitError(f"{path}: is a calibration without gyros")
-        return made
+        return whole.gyro
     if schema != GYRO_SCHEMA:
         raise DataError(f"{path}: is no gyro calibration; GyroCalibration.save makes one")
     return gyro_calibration_from(document, str(path))
+
+
+def _refuse_another_part(part: Provenance | None, other: Provenance, path: str | Path) -> None:
+    if part is None:
+        return
+    for here, there in ((part.sensor, other.sensor), (part.serial, other.serial)):
+        if here and there and here != there:
+            raise UsageError(f"{path}: its gyros are of {there}, the accelerometers of {here}")
 
 
 def _json_of(path: Path) -> Any:

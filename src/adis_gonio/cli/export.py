@@ -35,6 +35,11 @@ STANDARD_OUTPUT = "-"
 @click.option("--trace", "traced", is_flag=True, help="Coefficients of the traced model.")
 @click.option("--samples", is_flag=True, help="JSON: every sample too.")
 @click.option("--name", help="C header: what every name in it begins with.  [default: adis_gonio]")
+@click.option(
+    "--gyros",
+    type=click.Path(path_type=Path),
+    help="Gyros of another session of this part (plan gyro-turns), or of a calibration file.",
+)
 @click.option("--force", is_flag=True, help="Replace a file that exists.")
 @override_options
 def command(
@@ -46,6 +51,7 @@ def command(
     traced: bool,
     samples: bool,
     name: str | None,
+    gyros: Path | None,
     force: bool,
     overrides: Overrides,
 ) -> None:
@@ -68,7 +74,7 @@ def command(
         raise UsageError("what shall be made? Give -o FILE with an ending such as .h or .json, or --format")
     kind = kind or format_of(str(output))
     named = {} if name is None else {"name": name}
-    source = Source(session, method, traced, samples, **named, overrides=overrides)
+    source = Source(session, method, traced, samples, **named, overrides=overrides, gyros=gyros)
     source.check(kind)
     if output is None and kind in OF_SAMPLES:
         raise UsageError(f"--format {kind} needs -o FILE; -o - is standard output")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from adis_gonio.calibration.calibration import Calibration
 from adis_gonio.calibration.document import json_text
-from adis_gonio.calibration.loading import calibration_in
+from adis_gonio.calibration.loading import calibration_in, load_gyro_calibration
 from adis_gonio.calibration.with_gyros import gyro_calibration_of, with_gyros
 from adis_gonio.errors import DataError, FitError, UsageError
 from adis_gonio.handover.c_header import DEFAULT_NAME
@@ -61,6 +61,8 @@ class Source:
         What every name in a C header begins with.
     overrides : Overrides or None
         What the session's file should have said.
+    gyros : Path or None
+        Session or calibration of the same part whose gyros stand in the place of the session's own.
     """
 
     path: Path
@@ -69,11 +71,14 @@ class Source:
     samples: bool = False
     name: str = DEFAULT_NAME
     overrides: Overrides | None = None
+    gyros: Path | None = None
 
     def check(self, kind: str) -> None:
         """Refuse options that have no meaning for a format: `UsageError`."""
         if kind in OF_SAMPLES and (self.method is not None or self.traced):
             raise UsageError(f"--method and --trace go with coefficients: {kind} holds the samples only")
+        if kind in OF_SAMPLES and self.gyros is not None:
+            raise UsageError(f"--gyros goes with coefficients: {kind} holds the samples only")
         if self.samples and kind != "json":
             raise UsageError("--samples goes with --format json")
         if self.method is not None and self.traced:
@@ -105,12 +110,17 @@ class Source:
         made = calibration_in(self.path)
         if made is None:
             session = load_session(self.path, self.overrides)
-            return with_gyros(self._result(session).calibration(), session, traced=self.traced)
+            return self._with_gyros(self._result(session).calibration(), session)
         if self.method is not None or self.traced:
             raise UsageError(
                 f"{self.path}: is a calibration already: --method and --trace go with a session"
             )
-        return made
+        return self._with_gyros(made)
+
+    def _with_gyros(self, made: Calibration, session: Session | None = None) -> Calibration:
+        if self.gyros is not None:
+            return replace(made, gyro=load_gyro_calibration(self.gyros, made.provenance))
+        return made if session is None else with_gyros(made, session, traced=self.traced)
 
     def _result(self, session: Session) -> Any:
         if self.traced:
@@ -130,11 +140,12 @@ class Source:
         result = self._result(session)
         document: dict[str, Any] = {"coefficients": result.as_dict(), "session": about}
         try:
-            made = with_gyros(result.calibration(), session, traced=self.traced)
-            document = {**made.as_dict(), **document}
+            made = result.calibration()
         except FitError:  # what is known of the parameters is in the coefficients then
             with suppress(DataError, FitError):
                 document["gyro"] = gyro_calibration_of(session, traced=self.traced).as_dict()
+        else:
+            document = {**self._with_gyros(made, session).as_dict(), **document}
         return json_text(finite(document))
 
 
