@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from adis_gonio.model.measurement import wrap_rad
 from adis_gonio.model.records import Floats
@@ -149,6 +148,8 @@ class Whitened:
 
     @cached_property
     def _inverse(self) -> Floats:
+        from scipy.linalg import solve_triangular  # late: a bench that only records starts without it
+
         return np.asarray(solve_triangular(self.root, np.eye(len(self.root)), lower=True))
 
     def white(self, values: Floats) -> Floats:
