@@ -132,7 +132,7 @@ def judge(blind: Blind, result: Mapping[str, Any], seconds: float = 0.0) -> Verd
     spatial = isinstance(blind.bench, space.SpaceBench)
     lens = space.SpaceLens(blind.bench) if spatial else Lens(blind.bench)
     claimed = tuple(entry["effect"] for entry in result["found"])
-    unnamed = result["unnamed"]
+    unnamed = result["unnamed"] or _lasting_slip(result)
     nameless = blind.terms[:1] if blind.undeclared else ()
     named = blind.terms[len(nameless) :]
     groups = [tuple(group) for group in result["confounded"]]
@@ -215,6 +215,15 @@ def innocent(name: str, blind: Blind, lens: Lens) -> bool:
         if _explains(lens, lens.contribution(term), [name], beside):
             return True
     return False
+
+
+def _lasting_slip(result: Mapping[str, Any]) -> dict[str, Any] | None:
+    """A part that stands elsewhere from a position on is a step of the true angle in time."""
+    for one in result.get("positions", []):
+        if one["finding"] == "slipped":
+            form = f"true angle follows a step before position {one['position']}"
+            return {"covariates": ["time"], "form": form}
+    return None
 
 
 def drives(term: Term, said: list[str], lens: Lens) -> bool:
