@@ -279,7 +279,7 @@ def damages():
     yield put("assumed", value=None), "lacks 'assumed'"
 
 
-@pytest.mark.parametrize(("change", "match"), damages())
+@pytest.mark.parametrize(("change", "match"), list(damages()))
 def test_a_damaged_file_is_refused_in_one_line_that_names_it(change, match, tmp_path):
     document = copy.deepcopy(with_gyros(calibration(PLANE), FULL).as_dict())
     change(document)

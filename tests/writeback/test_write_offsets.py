@@ -575,7 +575,9 @@ def test_coefficients_do_not_correct_again_what_the_chip_corrects(recorded, path
         assert calibration[name].value == pytest.approx(left[name])
         assert abs(calibration[name].value) <= LSB / 2
     assert calibration.provenance.offsets_lsb == numbers(bus)
-    assert Calibration.load(path) == calibration
+    loaded = Calibration.load(path)
+    assert loaded.gyro is not None
+    assert replace(loaded, gyro=None) == calibration
     assert any("offsets were written to the sensor" in line for line in now.warnings)
     writer(bus, path).undo()
     back = fit(load_session(path))

@@ -335,11 +335,11 @@ def _unfinished(
 
 def _enough(data: Readings) -> None:
     base = len(data.model.parameters)
-    if len(data) < 2:
-        raise FitError("one reading alone has nothing to be compared with; measure more positions")
     rows = len(data) * data.equations_each
     if rows < base:
         raise FitError(
             f"{counted(len(data), 'position')}: {rows} equations for {base} base parameters; measure at"
             f" least {counted(-(-base // max(rows // len(data), 1)), 'position')}"
         )
+    if len(data) < 2:
+        raise FitError("one reading alone has nothing to be compared with; measure more positions")
