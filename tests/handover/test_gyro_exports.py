@@ -276,12 +276,12 @@ def test_registers_show_the_chip_s_offsets_beside_what_the_calibration_would_wri
 def two_sessions(tmp_path_factory):
     """Accelerometers on a stage and gyros on a table, of one simulated part."""
     folder = tmp_path_factory.mktemp("two")
-    for name, *plan in (("stage", "four-position"), ("table", "gyro-turns", "--turns", "1")):
+    for name, plan in (("stage", ["four-position"]), ("table", ["gyro-turns", "--turns", "1"])):
         words = [
             "calibrate",
             "sim:?seed=4",
             "--plan",
-            plan,
+            *plan,
             "--auto",
             "-o",
             str(folder / f"{name}.session"),
