@@ -229,11 +229,9 @@ class Calibration:
         OutputError
             The file cannot be written.
         """
-        from adis_gonio.calibration.document import json_text
-        from adis_gonio.output import check_output, replacing
+        from adis_gonio.calibration.document import save_document
 
-        with replacing(check_output(path, force=force)) as beside:
-            beside.write_text(json_text(self.as_dict()), encoding="utf-8")
+        save_document(self.as_dict(), path, force=force)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON document."""

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from adis_gonio.errors import DataError, UsageError
 from adis_gonio.model.effects import effect
 from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.provenance import Covered, Provenance
+from adis_gonio.output import check_output, replacing
 
 SCHEMA = "adis-gonio/calibration"
 VERSION = 1
@@ -23,6 +25,12 @@ VERSION = 1
 def json_text(document: Mapping[str, Any]) -> str:
     """One JSON document as text; numbers with the fewest digits that give the same float again."""
     return json.dumps(document, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
+
+
+def save_document(document: Mapping[str, Any], path: str | Path, *, force: bool) -> None:
+    """Write a document to a file, whole or not at all; errors as `adis_gonio.output.check_output`."""
+    with replacing(check_output(path, force=force)) as beside:
+        beside.write_text(json_text(document), encoding="utf-8")
 
 
 def document_of(calibration: Calibration) -> dict[str, Any]:

@@ -241,11 +241,9 @@ class GyroCalibration:
         OutputError
             The file cannot be written.
         """
-        from adis_gonio.calibration.document import json_text
-        from adis_gonio.output import check_output, replacing
+        from adis_gonio.calibration.document import save_document
 
-        with replacing(check_output(path, force=force)) as beside:
-            beside.write_text(json_text(self.as_dict()), encoding="utf-8")
+        save_document(self.as_dict(), path, force=force)
 
     @classmethod
     def load(cls, path: str | Path) -> GyroCalibration:
@@ -309,10 +307,7 @@ class GyroCalibration:
         supply_v: ArrayLike | None = None,
     ) -> Rates:
         """As `correct`, with the standard uncertainty that the calibration lends to each rate."""
-        rate, single = _rows("rate_dps", rate_dps)
-        conditions = self._conditions(len(rate), force_g, temperature_c, supply_v)
-        value, u = self._with_u(lambda values: _corrected(self._values(values), rate, *conditions))
-        return Rates(value[0], u[0]) if single else Rates(value, u)
+        return self._rates(_corrected, rate_dps, (force_g, temperature_c, supply_v))
 
     def readings_of(
         self,
@@ -323,9 +318,18 @@ class GyroCalibration:
         supply_v: ArrayLike | None = None,
     ) -> Rates:
         """What the gyros read of a true rate, with u: `correct` undone; the zero rate of a rate of zero."""
+        return self._rates(_read, rate_dps, (force_g, temperature_c, supply_v))
+
+    def _rates(
+        self,
+        function: Callable[..., Floats],
+        rate_dps: ArrayLike,
+        felt: tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None],
+    ) -> Rates:
+        """A function of the parameters and the rates, with the u that the parameters lend to it."""
         rate, single = _rows("rate_dps", rate_dps)
-        conditions = self._conditions(len(rate), force_g, temperature_c, supply_v)
-        value, u = self._with_u(lambda values: _read(self._values(values), rate, *conditions))
+        conditions = self._conditions(len(rate), *felt)
+        value, u = self._with_u(lambda values: function(self._values(values), rate, *conditions))
         return Rates(value[0], u[0]) if single else Rates(value, u)
 
     def force_part(self, force_g: ArrayLike) -> tuple[Floats, Floats]:
