@@ -61,8 +61,12 @@ class BiasTemperature(LinearAxisEffect):
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Powers of T − 25 °C."""
-        above = conditions.covariate("temperature_c") - REFERENCE_C
+        above = self.die_c(axis, conditions) - REFERENCE_C
         return tuple(above**power for power in range(1, self.degree + 1))
+
+    def die_c(self, axis: int, conditions: Conditions) -> Floats:
+        """Temperature (n,) that an axis follows."""
+        return conditions.covariate("temperature_c")
 
 
 class ScaleTemperature(LinearAxisEffect):

@@ -15,7 +15,7 @@ import numpy as np
 from adis_gonio.errors import UsageError
 from adis_gonio.model.effects.base import AXES, Conditions, Effect, Parameter
 from adis_gonio.model.effects.dwell_terms import OutlierDwell
-from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
+from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V, BiasTemperature
 from adis_gonio.model.effects.families import AxisEffect, CourseEffect, LinearAxisEffect, by_letters
 from adis_gonio.model.records import Floats
 
@@ -29,7 +29,7 @@ def _die_c(axis: int, conditions: Conditions) -> Floats:
 
 
 @dataclass(frozen=True)
-class GyroBiasTemperature(LinearAxisEffect):
+class GyroBiasTemperature(BiasTemperature):
     """A polynomial of degree 1 to 3 in T − 25 °C, T of the gyro's own die where all three are recorded.
 
     Attributes
@@ -38,8 +38,6 @@ class GyroBiasTemperature(LinearAxisEffect):
         Highest power, 1 to 3.
     """
 
-    degree: int = 1
-
     name = "gyro_bias_temperature"
     cause = "The zero rate of a gyro moves with the temperature of its die."
     formula = "ω_i += gyro_bias_temperature_i · ΔT + …2_i · ΔT² + …3_i · ΔT³ to `degree`, ΔT = T_i − 25 °C"
@@ -47,7 +45,6 @@ class GyroBiasTemperature(LinearAxisEffect):
         "Where temperature only rises it is `gyro_drift` or `gyro_warm_up`: let it fall again, or repeat "
         "poses at two temperatures in changed order; `gyro_scale_temperature` shows in turns alone."
     )
-    needs = ("temperature_c",)
     parts = GYRO
     coefficients: ClassVar[tuple[Parameter, ...]] = (
         Parameter("gyro_bias_temperature", "dps/°C", -1.0, 1.0, 0.02),
@@ -55,19 +52,9 @@ class GyroBiasTemperature(LinearAxisEffect):
         Parameter("gyro_bias_temperature3", "dps/°C³", -0.0025, 0.0025, 0.00001),
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 1 <= self.degree <= len(self.coefficients):
-            raise UsageError(f"{self.name}: degree is {self.degree}, it can be 1, 2 or 3")
-
-    def active(self) -> tuple[Parameter, ...]:
-        """Coefficients up to `degree`."""
-        return self.coefficients[: self.degree]
-
-    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Powers of T − 25 °C."""
-        above = _die_c(axis, conditions) - REFERENCE_C
-        return tuple(above**power for power in range(1, self.degree + 1))
+    def die_c(self, axis: int, conditions: Conditions) -> Floats:
+        """Temperature (n,) of the gyro's own die."""
+        return _die_c(axis, conditions)
 
 
 @dataclass(frozen=True)
