@@ -160,7 +160,9 @@ def base_of(selection: Selection) -> dict[str, Value]:
     """
     fit = selection.fit
     data = fit.data
-    base = np.where(data.visible, fit.values.base, data.model.nominal)  # what is held is so exactly
+    # What nothing but a prior holds is at its centre exactly; a start angle without a prior is where it began.
+    held = ~data.visible & np.isfinite([parameter.spread for parameter in data.model.parameters])
+    base = np.where(held, data.model.nominal, fit.values.base)
     p = len(base)
     covariance = fit.covariance[:p, :p] * selection.inflation
     dof = dof_of(selection)
