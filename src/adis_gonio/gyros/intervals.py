@@ -367,11 +367,10 @@ def _whole(
 ) -> Reference | str:
     """Whole turns about the vertical."""
     delay = sampling.delay_s
-    steady, u = steady_force(path, integral.begin_s + delay, integral.end_s + delay)
-    share = float(np.linalg.norm(u)) / max(float(np.linalg.norm(steady)), 1e-9)
+    steady, covariance = steady_force(path, integral.begin_s + delay, integral.end_s + delay)
     # What is not known of the triad's axes is the same in all turns that share a direction.
-    u_rad = math.hypot(triad.u_rad * math.sqrt(alike), share)
-    return whole_turns(integral, triad.direction(steady), _mark_u_deg(session), u_rad, alike)
+    axis = triad.u_rad**2 * alike * np.eye(3) + covariance / max(float(steady @ steady), 1e-18)
+    return whole_turns(integral, triad.direction(steady), _mark_u_deg(session), axis, alike)
 
 
 def _by_gravity(integral: Integral, triad: Triad, positions: tuple[int, int]) -> Reference | str:

@@ -23,6 +23,7 @@ from typing import Literal
 
 import numpy as np
 
+from adis_gonio.estimation.spectrum import noise_of_means
 from adis_gonio.gyros.integral import Integral, Path
 from adis_gonio.model.records import Floats
 
@@ -119,7 +120,7 @@ def in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -
 
 
 def whole_turns(
-    integral: Integral, steady: Floats, u_mark_deg: float, u_axis_rad: float, alike: int = 1
+    integral: Integral, steady: Floats, u_mark_deg: float, axis_rad2: Floats, alike: int = 1
 ) -> Reference | str:
     """Whole turns about the vertical, from a mark back to it.
 
@@ -130,8 +131,8 @@ def whole_turns(
         axis, any unit.
     u_mark_deg : float
         Standard uncertainty with which the mark is met, each time.
-    u_axis_rad : float
-        Standard uncertainty of that direction, across it.
+    axis_rad2 : (3, 3) float
+        Covariance of that direction; what lies along it does not count.
     alike : int
         Turns there and back that follow one another. Where one ends the next begins: an error of the mark
         in between is in both, which takes it twice into their difference.
@@ -148,18 +149,20 @@ def whole_turns(
         return "it was not turned about the vertical; leave it flat on the table"
     angle = 360.0 * turns
     along = np.outer(up, up)
+    across = np.eye(3) - along
     mark = 2 * u_mark_deg**2 * (2 - 1 / alike)
-    covariance = mark * along + (angle * u_axis_rad) ** 2 * (np.eye(3) - along)
+    covariance = mark * along + angle**2 * across @ axis_rad2 @ across
     return Reference("whole turns", angle * up, covariance, turns)
 
 
 def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floats]:
-    """What the accelerometers read that stays the same while the part turns about one axis, and its u.
+    """What the accelerometers read that stays the same while the part turns about one axis.
 
     Returns
     -------
-    (3,) and (3,) float
-        In the unit of `Path.force_g`.
+    (3,) and (3, 3) float
+        In the unit of `Path.force_g`, and its covariance by the noise at frequency zero of what is left: a
+        hand's shaking is not white.
     """
     rows = (path.time_s >= begin_s) & (path.time_s <= end_s)
     time, force = path.time_s[rows], path.force_g[rows]
@@ -183,6 +186,7 @@ def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floa
     found = np.linalg.lstsq(design / size, seen, rcond=1e-8)[0] / size[:, None]
     left = seen - design @ found
     inverse = np.linalg.pinv((design / size).T @ (design / size))[0, 0] / size[0] ** 2
-    # A hand's shaking is not white: neighbouring blocks agree, and five of them count as one.
-    spread = np.sqrt((left**2).sum(axis=0) / max(len(starts) - 5, 1) * 5)
-    return np.asarray(found[0]), np.asarray(spread * math.sqrt(inverse))
+    noise = noise_of_means([left])
+    used = len(left) / (len(left) - design.shape[1])
+    covariance = used * len(left) * inverse * noise.covariance[0] + np.diag(noise.flicker)
+    return np.asarray(found[0]), covariance

@@ -160,7 +160,7 @@ def base_of(selection: Selection) -> dict[str, Value]:
     """
     fit = selection.fit
     data = fit.data
-    # What nothing but a prior holds is at its centre exactly; a start angle without a prior is where it began.
+    # What a prior alone holds is at its centre exactly; a start angle, which has none, is where it began.
     held = ~data.visible & np.isfinite([parameter.spread for parameter in data.model.parameters])
     base = np.where(held, data.model.nominal, fit.values.base)
     p = len(base)
