@@ -17,6 +17,7 @@ Statements, all read from the JSON of `trace`:
 * *there is something*: 1 less the share of `rivals` that have no cause, or the greatest `probability` or
   `present` of what was claimed, whichever is more; in sessions of blind_residual, which all have a bias,
   beside the bias;
+* *verdicts*: the figures of `trace_statistics.py`, of the same sessions;
 * *intervals*: value ± U, the 95 % interval; scores z are in units of U/1.96.
 
 A name is true where it was put in. Where it only stands for what was put in as well as this session can
@@ -32,7 +33,7 @@ import sys
 import tempfile
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import islice, pairwise
 from pathlib import Path
@@ -45,14 +46,15 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 from adis_gonio.estimation.intervals import NORMAL_95, wilson
 from blind_residual import generator
+from trace_statistics import figures
 from tracing import blind as planar
 from tracing import space
 from tracing.blind import KINDS, Blind
 from tracing.lens import Lens
 from tracing.named_truth import Term
-from tracing.rounds import crew, trace_file, write_session
+from tracing.rounds import crew, judge_answer, trace_file, write_session
 from tracing.space import SPACE
-from tracing.verdict import covariate, drives, innocent
+from tracing.verdict import Verdict, covariate, drives, innocent
 
 RESIDUAL = "residual"
 NAMELESS = "unnamed: "
@@ -132,6 +134,7 @@ def _of_blind(answer: Mapping[str, Any], task: Task) -> Record:
     said |= {found["effect"] for found in answer["found"]}
     named = blind.terms[1 if blind.undeclared else 0 :]
     return {
+        "verdict": asdict(judge_answer(dict(answer), kind, int(seed), number)),
         "truth": sorted(blind.names),
         "hidden": bool(blind.terms),
         "nameless": blind.terms[0].name if blind.undeclared else None,
@@ -503,6 +506,19 @@ def wrong_table(groups: Mapping[str, list[Record]]) -> str:
     return table(("kind", "sessions with a wrong name", "which"), rows)
 
 
+def verdicts_table(groups: Mapping[str, list[Record]]) -> str:
+    """The figures of `trace_statistics.py`, of the same sessions."""
+    rows = []
+    for kind, records in groups.items():
+        verdicts = [Verdict(**record["verdict"]) for record in records if "verdict" in record]
+        if not verdicts or kind == "all":
+            continue
+        for line in figures(kind.removeprefix(SPACE), verdicts):
+            met = {None: "", True: line.target, False: f"{line.target}: **not met**"}[line.met]
+            rows.append((kind, line.what, " ".join(line.value.split()), met))
+    return table(("kind", "figure", "measured", "target"), rows)
+
+
 def wrong_names(record: Record) -> list[str]:
     """Found names that are wrong, with their probability."""
     return [f"{name} {p:.3f}" for name, p in record["found"] if not _true(record, name, True)]
@@ -524,6 +540,7 @@ def tables(options: argparse.Namespace) -> int:
             print(f"\n### Reliability: {what}\n\n{reliability_table(pairs)}")
     print(f"\n### Sets\n\n{sets_table(groups)}\n\n### Intervals\n\n{coverage_table(groups)}")
     print(f"\n### Wrong names\n\n{wrong_table(groups)}")
+    print(f"\n### Verdicts\n\n{verdicts_table(groups)}")
     if options.picture:
         draw(options.picture, {what: pairs for what in SHOWN if (pairs := STATEMENTS[what](records))})
     return 0
