@@ -1,4 +1,4 @@
-"""What the screen tells of a session of gyro turns, from the events of one that is turned by the program."""
+"""What the screen tells of a session of gyro turns, from the events of one that the program turns."""
 
 from __future__ import annotations
 

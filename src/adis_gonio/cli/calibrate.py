@@ -297,9 +297,11 @@ def _runner(
 ) -> SessionRunner:
     from adis_gonio.cli.bench.lines import on_terminal
     from adis_gonio.model.gravity import normal_gravity_mps2
+    from adis_gonio.sensor.driver import DEFAULT_SCAN
     from adis_gonio.sensor.settings import smpl_prd_for
     from adis_gonio.session import Settings
     from adis_gonio.session.free_turn import FREE_TURN, runner_of
+    from adis_gonio.session.gyro_turns import ALL_THERMOMETERS
     from adis_gonio.session.plans import GYRO_TURNS
 
     if resume:
@@ -335,6 +337,7 @@ def _runner(
         gyro_range_dps=options["range_dps"],
         data_ready=False if options["poll"] else None,
         turns=_keeps_moves(plan_name, options["record_turns"]),
+        registers=ALL_THERMOMETERS if plan_name == GYRO_TURNS else DEFAULT_SCAN,
     )
     return runner_of(chosen).begin(
         sensor,

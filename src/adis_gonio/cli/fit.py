@@ -12,6 +12,7 @@ from adis_gonio.cli.overrides import load, override_options, part_option
 from adis_gonio.cli.show import WIDTH, console, json_option, print_json
 from adis_gonio.cli.working import working
 from adis_gonio.counting import counted
+from adis_gonio.errors import UsageError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -41,6 +42,13 @@ if TYPE_CHECKING:
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="Of the trials' random numbers.")
 @part_option
+@click.option(
+    "--calibration",
+    "calibration",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="With --sensor-part gyro: calibration of the same part's accelerometers, or a session of theirs.",
+)
 @override_options
 @json_option
 def command(
@@ -48,6 +56,7 @@ def command(
     session: Path,
     method: str | None,
     part: str,
+    calibration: Path | None,
     everything: bool,
     trials: int | None,
     seed: int,
@@ -63,8 +72,10 @@ def command(
     if part == "gyro":
         from adis_gonio.cli.gyro_fit import show_gyro_fit
 
-        show_gyro_fit(load(session, overrides), method, as_json=as_json)
+        show_gyro_fit(load(session, overrides), method, as_json=as_json, calibration=calibration)
         return
+    if calibration is not None:
+        raise UsageError("--calibration is that of the accelerometers, for --sensor-part gyro")
     from adis_gonio.answer import Answer
     from adis_gonio.fitting import fit
     from adis_gonio.model.records import METADATA

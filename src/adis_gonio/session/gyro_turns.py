@@ -19,6 +19,7 @@ import numpy as np
 from adis_gonio.errors import UsageError
 from adis_gonio.gyros.integral import Integral, Path, Sampling, integrate
 from adis_gonio.model.records import Floats
+from adis_gonio.sensor.driver import DEFAULT_SCAN
 from adis_gonio.session.answers import Answer
 from adis_gonio.session.blocks import Block, join, session_columns
 from adis_gonio.session.dwelling import BROKEN_STREAM, Dwelling, TakesDwells, why_broken_off
@@ -37,6 +38,9 @@ from adis_gonio.session.plans import GYRO_TURNS, Plan, Position
 from adis_gonio.session.rows import Attempt, Move, Phase, utc_now
 from adis_gonio.session.runner import SessionRunner
 from adis_gonio.session.turns import TURNED
+
+ALL_THERMOMETERS = (*DEFAULT_SCAN, "YTEMP_OUT", "ZTEMP_OUT")
+"""What a scan holds so that each gyro has the temperature of its own die."""
 
 TURNS = 5
 """Each way: ten turns about an axis. More take so long that the zero rate wanders (docs/gyro_turns.md)."""
