@@ -28,7 +28,8 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.fitting.gyro import fit_gyro
+from adis_gonio.fitting.gyro import fit_gyro_readings
+from adis_gonio.gyros.readings import gyro_readings_of
 from adis_gonio.model.records import Dwell, Floats, Session
 from adis_gonio.model.turns import Turn
 from adis_gonio.sensor.variants import GYRO_LSB_DPS
@@ -45,6 +46,7 @@ TARGET, AIM = 1.2, 2e-4
 LEVEL_DEG = 0.3
 """Of the table and of the faces on which the part is laid."""
 TRIES = 6
+PAIRS = [f"{a}{b}" for a in "xyz" for b in "xyz" if a != b]
 
 Row = dict[str, Any]
 
@@ -113,11 +115,16 @@ class Table:
         self.turns.append(Turn(number - 1, number, time_s, accel, gyro, turned_deg=position.turned_deg))
 
 
-def session_of(seed: int, turns: int) -> tuple[Session, Table]:
-    """One session, and the table it was made on."""
+def session_of(
+    seed: int, turns: int, faces: int = 6, bias_mg: float | None = None
+) -> tuple[Session, Table]:
+    """One session, and the table it was made on; `bias_mg` is that of all three accelerometers."""
     rng = np.random.default_rng(seed)
-    table = Table(World(WorldSettings(**part_of(rng)), seed=seed))
-    for position in gyro_turns_plan(turns).positions:
+    settings = part_of(rng)
+    if bias_mg is not None:
+        settings |= {f"bias_{axis}_mg": bias_mg for axis in "xyz"}
+    table = Table(World(WorldSettings(**settings), seed=seed))
+    for position in gyro_turns_plan(turns, faces).positions:
         if position.direction is not None:
             table.lay(position.direction, rng)
         else:
@@ -181,10 +188,11 @@ def _flicker(length: Floats, middle: Floats) -> Floats:
     return np.asarray(cosine @ cosine.T + sine @ sine.T)
 
 
-def one(seed: int, turns: int = TURNS) -> Row:
+def one(seed: int, turns: int = TURNS, faces: int = 6, bias_mg: float | None = None) -> Row:
     """What one hand gives."""
-    session, table = session_of(seed, turns)
-    result, least, settings = fit_gyro(session), bound(table), table.world.settings
+    session, table = session_of(seed, turns, faces, bias_mg)
+    result = fit_gyro_readings(gyro_readings_of(session).training, scored=False)
+    least, settings = bound(table), table.world.settings
     row: Row = {
         "seed": seed,
         "turns": result.turns,
@@ -206,12 +214,12 @@ def one(seed: int, turns: int = TURNS) -> Row:
     row["without"] = {
         cause: bound(table, without=cause).tolist() for cause in ("white", "flicker", "marks")
     }
-    pairs = [f"{a}{b}" for a in "xyz" for b in "xyz" if a != b]
     leans = [
-        (result[f"gyro_misalignment_{p}"], getattr(settings, f"gyro_misalignment_{p}_deg")) for p in pairs
+        (result[f"gyro_misalignment_{p}"], getattr(settings, f"gyro_misalignment_{p}_deg")) for p in PAIRS
     ]
     row["lean_inside"] = [bool(abs(lean.value - true) <= (lean.U or 0)) for lean, true in leans]
     row["lean_u"] = [lean.u for lean, _ in leans]
+    row["lean_z"] = [(lean.value - true) / (lean.u or 1) for lean, true in leans]
     row["length_s"] = float(table.now_s - 5.0)
     spans = np.array(table.spans)
     row["rate_dps"] = float(np.mean(np.abs(spans[:, 2] / (spans[:, 1] - spans[:, 0]))[spans[:, 2] != 0]))
@@ -235,6 +243,13 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
         "coverage": float(inside.mean()),
         "coverage_u": math.sqrt(0.95 * 0.05 / inside.size),
         "coverage_of_misalignment": float(np.mean([row["lean_inside"] for row in good])),
+        "coverage_by_misalignment": dict(
+            zip(PAIRS, np.mean([row["lean_inside"] for row in good], axis=0).tolist(), strict=True)
+        ),
+        "largest_misalignment_over_u": float(np.max(np.abs([row["lean_z"] for row in good]))),
+        "misalignment_u_deg_by_name": dict(
+            zip(PAIRS, np.median([row["lean_u"] for row in good], axis=0).tolist(), strict=True)
+        ),
         "scatter_over_u": float(np.sqrt(np.mean(np.array([row["z"] for row in good]) ** 2))),
         "u_over_bound": {
             "median": float(np.median(u / least)),
@@ -254,13 +269,20 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def run(hands: int, seed: int, jobs: int, turns: int = TURNS) -> list[Row]:
+def run(
+    hands: int,
+    seed: int,
+    jobs: int,
+    turns: int = TURNS,
+    faces: int = 6,
+    bias_mg: float | None = None,
+) -> list[Row]:
     """All hands."""
     seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(hands)]
     if jobs == 1:
-        return [one(s, turns) for s in seeds]
+        return [one(s, turns, faces, bias_mg) for s in seeds]
     with ProcessPoolExecutor(jobs) as pool:
-        return list(pool.map(partial(one, turns=turns), seeds, chunksize=2))
+        return list(pool.map(partial(one, turns=turns, faces=faces, bias_mg=bias_mg), seeds, chunksize=2))
 
 
 def main() -> int:
@@ -270,8 +292,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=secrets.randbits(32))
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--turns", type=int, default=TURNS, help="turns each way")
+    parser.add_argument("--faces", type=int, default=6, help="each arrow up and down (6), or up (3)")
+    parser.add_argument("--bias-mg", type=float, help="of all three accelerometers; drawn by default")
     options = parser.parse_args()
-    rows = run(options.hands, options.seed, options.jobs, options.turns)
+    rows = run(options.hands, options.seed, options.jobs, options.turns, options.faces, options.bias_mg)
     print(json.dumps({"seed": options.seed, **summary(rows)}, indent=1))
     return 0
 

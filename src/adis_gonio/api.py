@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from adis_gonio.errors import UsageError
 from adis_gonio.estimation.parts import ACCELEROMETER, GYRO, known_part
@@ -17,6 +17,9 @@ from adis_gonio.session import load_session
 from adis_gonio.tracing import TraceResult
 from adis_gonio.tracing.trace import trace as _trace
 
+if TYPE_CHECKING:
+    from adis_gonio.calibration import Calibration
+
 
 @overload
 def fit(
@@ -28,18 +31,29 @@ def fit(
 
 @overload
 def fit(
-    session: Session | str | PathLike[str], method: str | None = None, *, part: Literal["gyro"]
+    session: Session | str | PathLike[str],
+    method: str | None = None,
+    *,
+    part: Literal["gyro"],
+    accelerometers: Calibration | None = None,
 ) -> GyroFit: ...
 
 
 @overload
 def fit(
-    session: Session | str | PathLike[str], method: str | None = None, *, part: str
+    session: Session | str | PathLike[str],
+    method: str | None = None,
+    *,
+    part: str,
+    accelerometers: Calibration | None = None,
 ) -> FitResult | GyroFit: ...
 
 
 def fit(
-    session: Session | str | PathLike[str], method: str | None = None, part: str = ACCELEROMETER
+    session: Session | str | PathLike[str],
+    method: str | None = None,
+    part: str = ACCELEROMETER,
+    accelerometers: Calibration | None = None,
 ) -> FitResult | GyroFit:
     """`adis_gonio.fitting.fit` of a session, or of a file that holds one.
 
@@ -47,19 +61,23 @@ def fit(
     ----------
     part : {"accelerometer", "gyro"}
         Part of the sensor; gyros have one method, `gyro`.
+    accelerometers : Calibration, optional
+        With gyros: of the same part's accelerometers, for the directions of axes (`fit_gyro`).
 
     Raises
     ------
     UsageError
-        Neither a session nor a path; no such method, or part.
+        Neither a session nor a path; no such method, or part; a calibration of another part.
     DataError, FitError, SingularError
         As `adis_gonio.fitting.fit`.
     """
     if known_part(part) != GYRO:
+        if accelerometers is not None:
+            raise UsageError("a calibration of the accelerometers goes with part='gyro'")
         return _fit(session_of(session, "fit"), method=method)
     if method not in (None, GYRO_METHOD):
         raise UsageError(f"gyros have no method '{method}'; theirs is {GYRO_METHOD}")
-    return fit_gyro(session_of(session, "fit"))
+    return fit_gyro(session_of(session, "fit"), accelerometers)
 
 
 def trace(

@@ -12,6 +12,7 @@ from adis_gonio.cli.overrides import load, override_options, part_option
 from adis_gonio.cli.show import WIDTH, console, json_option, print_json
 from adis_gonio.cli.working import working
 from adis_gonio.counting import counted
+from adis_gonio.errors import UsageError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from adis_gonio.answer import Answer
     from adis_gonio.fitting import FitResult
     from adis_gonio.fitting.monte_carlo import MonteCarlo
+    from adis_gonio.model.records import Session
     from adis_gonio.session.overrides import Overrides
 
 
@@ -40,6 +42,13 @@ if TYPE_CHECKING:
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="Of the trials' random numbers.")
 @part_option
+@click.option(
+    "--calibration",
+    "calibration",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="With --sensor-part gyro: calibration of the same part's accelerometers, or a session of theirs.",
+)
 @override_options
 @json_option
 def command(
@@ -47,6 +56,7 @@ def command(
     session: Path,
     method: str | None,
     part: str,
+    calibration: Path | None,
     everything: bool,
     trials: int | None,
     seed: int,
@@ -62,8 +72,10 @@ def command(
     if part == "gyro":
         from adis_gonio.cli.gyro_fit import show_gyro_fit
 
-        show_gyro_fit(load(session, overrides), method, as_json=as_json)
+        show_gyro_fit(load(session, overrides), method, as_json=as_json, calibration=calibration)
         return
+    if calibration is not None:
+        raise UsageError("--calibration is that of the accelerometers, for --sensor-part gyro")
     from adis_gonio.answer import Answer
     from adis_gonio.fitting import fit
     from adis_gonio.model.records import METADATA
@@ -88,6 +100,7 @@ def command(
     # Of positions `calibrate` alone shows what a simulation hid.
     truth = loaded.facts.get("truth") if loaded.free_turn else None
     print_answer(answer, truth, shown=loaded.notes, everything=everything)
+    print_gains(loaded)
     if run is not None:
         _print_monte_carlo(screen, run)
 
@@ -126,6 +139,15 @@ def print_answer(
     for text in answer.warnings(everything=everything):
         if text not in shown:
             screen.print(text)
+
+
+def print_gains(session: Session) -> None:
+    """Say what the moves between the dwells give of the gyros' gains; nothing where they give none."""
+    from adis_gonio.fitting.gyro_gains import gains_of
+
+    gains = gains_of(session)
+    if gains is not None:
+        _screen().print(gains.line, markup=False)
 
 
 def _screen() -> Console:

@@ -8,6 +8,8 @@ from adis_gonio.cli.show import WIDTH, console, print_json
 from adis_gonio.cli.working import working
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.table import Table
 
     from adis_gonio.estimation.values import Value
@@ -15,12 +17,19 @@ if TYPE_CHECKING:
     from adis_gonio.model.records import Session
 
 
-def show_gyro_fit(session: Session, method: str | None, *, as_json: bool) -> None:
+def show_gyro_fit(
+    session: Session, method: str | None, *, as_json: bool, calibration: Path | None = None
+) -> None:
     """Fit the gyros of a session and show the result."""
     from adis_gonio.api import fit
 
+    accelerometers = None
+    if calibration is not None:
+        from adis_gonio.calibration import load_calibration
+
+        accelerometers = load_calibration(calibration)
     with working("fitting the gyros"):
-        result = fit(session, method, part="gyro")
+        result = fit(session, method, part="gyro", accelerometers=accelerometers)
     if as_json:
         print_json(result.as_dict())
         return

@@ -34,6 +34,7 @@ from adis_gonio.showing import html_table, parameter_frame, with_u
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from adis_gonio.calibration.calibration import Calibration
     from adis_gonio.calibration.gyros import GyroCalibration
 
 METHOD = "gyro"
@@ -188,8 +189,14 @@ class GyroFit:
         } | ({} if self.triad is None else {"triad": {k: one.as_dict() for k, one in self.triad.items()}})
 
 
-def fit_gyro(session: Session) -> GyroFit:
+def fit_gyro(session: Session, accelerometers: Calibration | None = None) -> GyroFit:
     """Parameters of a session's gyros with their covariance; check dwells take no part.
+
+    Parameters
+    ----------
+    accelerometers : Calibration, optional
+        Of the same part: what the session does not determine of the directions of its accelerometers is
+        taken from there.
 
     Raises
     ------
@@ -197,8 +204,15 @@ def fit_gyro(session: Session) -> GyroFit:
         The session has no gyros, or their unit is not known.
     FitError
         There is no dwell for fitting.
+    UsageError
+        The calibration is of another part, or states no uncertainties.
     """
-    readings = readings_of_part(session, GYRO)
+    if accelerometers is None:
+        readings = readings_of_part(session, GYRO)
+    else:
+        from adis_gonio.gyros.readings import gyro_readings_by
+
+        readings = gyro_readings_by(session, accelerometers)
     try:
         result = fit_gyro_readings(readings.training)
     except FitError as error:
@@ -211,8 +225,8 @@ def fit_gyro(session: Session) -> GyroFit:
     )
 
 
-def fit_gyro_readings(data: Readings) -> GyroFit:
-    """The same of readings."""
+def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
+    """The same of readings; without `scored` no dwell is left out, which costs most of the time."""
     if len(data) < 1:
         raise FitError("no dwell holds samples of the gyros")
     model = _Model.of(data, _calibrated())
@@ -226,7 +240,7 @@ def fit_gyro_readings(data: Readings) -> GyroFit:
     }
     turned = data.conditions.rate_dps
     turns = 0 if turned is None else int(turned.any(axis=1).sum())
-    scores = _scores(data, model)
+    scores = _scores(data, model) if scored else {}
     temperature = data.conditions.temperature_c
     return GyroFit(
         parameters=parameters,

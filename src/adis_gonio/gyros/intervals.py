@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,9 @@ from adis_gonio.gyros.triad import Triad, triad_of
 from adis_gonio.model.records import Dwell, Floats, Session
 from adis_gonio.model.turns import Turn
 from adis_gonio.sensor.variants import GYRO_LSB_DPS, VARIANTS
+
+if TYPE_CHECKING:
+    from adis_gonio.calibration import Calibration
 
 DPS_PER_RADPS = 180.0 / math.pi
 
@@ -65,7 +69,10 @@ class RateIntervals:
     rotation_dps : (n, 3) float
         True mean rate by the reference, right-handed in the accelerometers' frame; 0 for dwells.
     rotation_covariance_dps2 : (n, 3, 3) float
-        Of that; 0 for dwells.
+        Of that, what each turn has of its own; 0 for dwells.
+    rotation_modes_dps : (n, 3, k) float or None
+        What errors of the accelerometers add to it, one standard uncertainty of each: k errors, the same in
+        all turns (`gyros.axes`).
     force_g : (n, 3) float
         Mean of what the accelerometers read, as read, in g; z is 0 where there is none.
     abs_dps, peak_dps : (n, 3) float
@@ -107,6 +114,7 @@ class RateIntervals:
     allan_shown: bool = False
     pooled: bool = True
     temperatures_c: Floats | None = None
+    rotation_modes_dps: Floats | None = None
     references: tuple[str, ...] = ()
     refused: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
@@ -117,7 +125,9 @@ class RateIntervals:
     @property
     def rotation_u_dps(self) -> Floats:
         """Standard uncertainty (n, 3) of `rotation_dps`, axis by axis."""
-        return np.sqrt(np.diagonal(self.rotation_covariance_dps2, axis1=1, axis2=2))
+        own = np.diagonal(self.rotation_covariance_dps2, axis1=1, axis2=2)
+        shared = 0.0 if self.rotation_modes_dps is None else (self.rotation_modes_dps**2).sum(axis=2)
+        return np.sqrt(own + shared)
 
     @property
     def length_s(self) -> Floats:
@@ -129,8 +139,13 @@ class RateIntervals:
         return flicker_parts(self.begin_s, self.end_s, self.allan_dps2)
 
 
-def rate_intervals(session: Session) -> RateIntervals:
+def rate_intervals(session: Session, calibration: Calibration | None = None) -> RateIntervals:
     """Intervals of a session: its dwells with gyros, and the turns between them whose rotation is known.
+
+    Parameters
+    ----------
+    calibration : Calibration, optional
+        Of the same part's accelerometers, for what the session does not determine of them.
 
     Raises
     ------
@@ -153,7 +168,7 @@ def rate_intervals(session: Session) -> RateIntervals:
     at_rest = _of_dwells(session, dwells, rows, scale, noise, sampling)
     by_position = {dwell.position: k for k, dwell in enumerate(dwells)}
     turns = [t for t in session.turns if t.before in by_position and t.position in by_position]
-    triad = triad_of(session) if turns else None
+    triad = triad_of(session, calibration) if turns else None
     made: list[_Interval] = []
     refused: dict[str, list[int]] = {}
     alike, whole = _alike(turns), any(turn.turned_deg is not None for turn in turns)
@@ -242,10 +257,12 @@ class _Interval:
     samples: int
     temperature_c: float
     supply_v: float
+    temperatures_c: Floats
     before: int = -1
     bridged: int = 0
     rotation: Floats = field(default_factory=lambda: np.zeros(3))
     rotation_covariance: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+    rotation_modes: Floats | None = None
     mean_abs: Floats = field(default_factory=lambda: np.zeros(3))
     peak: Floats = field(default_factory=lambda: np.zeros(3))
     reference: str = "rest"
@@ -276,6 +293,7 @@ def _of_dwells(
             samples=len(dwell),
             temperature_c=_mean(dwell.temperature_c),
             supply_v=_mean(dwell.supply_v),
+            temperatures_c=_of_dies(dwell.temperatures_c),
         )
         for k, dwell in enumerate(dwells)
     ]
@@ -296,6 +314,11 @@ def _three(accel: Floats) -> Floats:
 
 def _mean(series: Floats | None) -> float:
     return math.nan if series is None or not len(series) else float(np.mean(series))
+
+
+def _of_dies(series: Floats | None) -> Floats:
+    """Mean temperatures (3,) of the dies."""
+    return np.full(3, math.nan) if series is None or not len(series) else np.asarray(series.mean(axis=0))
 
 
 def _turned(
@@ -336,10 +359,12 @@ def _turned(
         samples=integral.samples,
         temperature_c=_mean(turn.temperature_c),
         supply_v=_mean(turn.supply_v),
+        temperatures_c=_of_dies(turn.temperatures_c),
         before=before.position,
         bridged=integral.bridged,
         rotation=found.angle_deg / length,
         rotation_covariance=found.covariance_deg2 / length**2,
+        rotation_modes=None if found.modes_deg is None else found.modes_deg / length,
         mean_abs=integral.mean_abs_dps,
         peak=integral.peak_dps,
         reference=found.kind,
@@ -368,9 +393,12 @@ def _whole(
     """Whole turns about the vertical."""
     delay = sampling.delay_s
     steady, covariance = steady_force(path, integral.begin_s + delay, integral.end_s + delay)
-    # What is not known of the triad's axes is the same in all turns that share a direction.
-    axis = triad.u_rad**2 * alike * np.eye(3) + covariance / max(float(steady @ steady), 1e-18)
-    return whole_turns(integral, triad.direction(steady), _mark_u_deg(session), axis, alike)
+    axis = covariance / max(float(steady @ steady), 1e-18)
+    found = whole_turns(integral, triad.direction(steady), _mark_u_deg(session), axis, alike)
+    if isinstance(found, str) or triad.modes is None:
+        return found
+    # Upwards is against what the accelerometers read.
+    return replace(found, modes_deg=-360.0 * found.turns * triad.modes(steady))
 
 
 def _by_gravity(integral: Integral, triad: Triad, positions: tuple[int, int]) -> Reference | str:
@@ -408,6 +436,7 @@ def _joined(
         return np.array([getattr(row, name) for row in rows], dtype=float)
 
     temperature, supply = stacked("temperature_c"), stacked("supply_v")
+    dies = stacked("temperatures_c")
     rotation_covariance = stacked("rotation_covariance")
     return RateIntervals(
         mean_dps=stacked("mean"),
@@ -419,11 +448,13 @@ def _joined(
         position=np.array([row.position for row in rows], dtype=np.intp),
         rotation_dps=stacked("rotation"),
         rotation_covariance_dps2=rotation_covariance,
+        rotation_modes_dps=_modes(rows),
         force_g=stacked("force_g"),
         abs_dps=stacked("mean_abs"),
         peak_dps=stacked("peak"),
         temperature_c=temperature if np.isfinite(temperature).all() else None,
         supply_v=supply if np.isfinite(supply).all() else None,
+        temperatures_c=dies if np.isfinite(dies).all() else None,
         check=np.array([row.check for row in rows]),
         samples=np.array([row.samples for row in rows], dtype=np.intp),
         bridged=np.array([row.bridged for row in rows], dtype=np.intp),
@@ -434,6 +465,15 @@ def _joined(
         refused=refused,
         notes=() if triad is None or not turns else triad.notes,
     )
+
+
+def _modes(rows: Sequence[_Interval]) -> Floats | None:
+    """Shared errors (n, 3, k); none for dwells."""
+    known = [row.rotation_modes for row in rows if row.rotation_modes is not None]
+    if not known:
+        return None
+    nothing = np.zeros_like(known[0])
+    return np.array([nothing if row.rotation_modes is None else row.rotation_modes for row in rows])
 
 
 def summary(intervals: RateIntervals) -> str:

@@ -8,15 +8,20 @@ of its own, and the modes that intervals share (`Readings.slow`).
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adis_gonio.budget import current
+from adis_gonio.errors import UsageError
 from adis_gonio.estimation.readings import Readings, Unit
 from adis_gonio.gyros.intervals import RateIntervals, rate_intervals
 from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.model.rates import MeanRate
 from adis_gonio.model.records import Floats, Session
+
+if TYPE_CHECKING:
+    from adis_gonio.calibration import Calibration
 
 LEAST_FORCE_G = 0.02
 """Least range of a component of the force: what moves by less is a constant with noise, whose share of the
@@ -37,6 +42,25 @@ def gyro_readings_of(session: Session) -> Readings:
         kept = readings_of_intervals(rate_intervals(session), session.sensor, session.gravity_mg)
         vars(session)["_gyro_readings"] = kept
     return kept
+
+
+def gyro_readings_by(session: Session, accelerometers: Calibration) -> Readings:
+    """The same with a calibration of the part's accelerometers, which the session is not kept with.
+
+    Raises
+    ------
+    DataError
+        As `gyro_readings_of`.
+    UsageError
+        The calibration is of another part, or states no uncertainties.
+    """
+    where = accelerometers.provenance
+    for here, there in ((session.sensor, where.sensor), (session.serial, where.serial)):
+        if here and there and here != there:
+            raise UsageError(f"the calibration of the accelerometers is of {there}, the session of {here}")
+    current().tell("noise of the gyros")
+    intervals = rate_intervals(session, accelerometers)
+    return readings_of_intervals(intervals, session.sensor, session.gravity_mg)
 
 
 def readings_of_intervals(
@@ -62,7 +86,7 @@ def readings_of_intervals(
         position=intervals.position,
         samples=intervals.samples,
         unit=Unit("dps", np.zeros(3), np.ones(3)),
-        slow=slow,
+        slow=_shared(slow, intervals.rotation_modes_dps),
         flicker=flicker,
         flicker_shown=intervals.allan_shown,
         pooled=intervals.pooled,
@@ -70,6 +94,12 @@ def readings_of_intervals(
         notes=(*intervals.notes, *intervals.refused, *still),
         measurement=MeanRate(),
     )
+
+
+def _shared(slow: Floats | None, modes: Floats | None) -> Floats | None:
+    """Modes (n, 3, k) of the 1/f noise and of errors of the accelerometers, which turns share."""
+    both = [one for one in (slow, modes) if one is not None]
+    return np.concatenate(both, axis=2) if both else None
 
 
 def _conditions(intervals: RateIntervals, force: Floats | None) -> Conditions:

@@ -53,12 +53,15 @@ class Reference:
         Of it; an infinite variance would be no number: what is not observed has `UNSEEN`² of the angle.
     turns : int
         Whole turns in it, with their sign.
+    modes_deg : (3, k) float or None
+        What k errors that turns share add to it, one standard uncertainty each.
     """
 
     kind: Literal["gravity", "whole turns"]
     angle_deg: Floats
     covariance_deg2: Floats
     turns: int
+    modes_deg: Floats | None = None
 
 
 UNSEEN = 0.2
@@ -132,7 +135,7 @@ def whole_turns(
     u_mark_deg : float
         Standard uncertainty with which the mark is met, each time.
     axis_rad2 : (3, 3) float
-        Covariance of that direction; what lies along it does not count.
+        Covariance of that direction, of what is this turn's own; what lies along it does not count.
     alike : int
         Turns there and back that follow one another. Where one ends the next begins: an error of the mark
         in between is in both, which takes it twice into their difference.

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adis_gonio.errors import AdisGonioError
 from adis_gonio.estimation.readings import Readings, mg_per_unit, readings_of
-from adis_gonio.model.effects.base import AXES
+from adis_gonio.gyros.axes import BIASES, SKEWS, Axes, Prior, source_of_calibration
 from adis_gonio.model.records import Floats, Session
 from adis_gonio.sensor.variants import VARIANTS
+
+if TYPE_CHECKING:
+    from adis_gonio.calibration import Calibration
+
+Source = tuple[Mapping[str, float], Sequence[str], "Floats | None"]
 
 CONSISTENT = 4.0
 """Standard uncertainties within which a declared turn and gravity's may be averaged."""
@@ -26,7 +32,9 @@ _NOT_SQUARE = (
 )
 UNKNOWN_LEAN_DEG = 0.25
 UNKNOWN_BIAS_MG = 50.0
-"""Of a sensor without figures (one real ADIS16350 showed +57 mg)."""
+"""Of a part that nobody has measured: the one real ADIS16350 showed +57, −21, +46 mg. The figure of 10 mg
+that simulated parts have by default is an estimate, and no limit."""
+UNKNOWN_GAIN = 0.02
 
 
 @dataclass(frozen=True)
@@ -45,6 +53,9 @@ class Triad:
         In space: direction of gravity (3,) in each dwell, by position.
     notes : tuple of str
         What is to be said of it.
+    modes : callable or None
+        (3,) readings in g → changes (3, k) of the unit direction, one standard uncertainty each, that are
+        the same for all turns of the session.
     """
 
     direction: Callable[[Floats], Floats]
@@ -52,23 +63,31 @@ class Triad:
     psi_deg: dict[int, tuple[float, float]] | None
     gravity: dict[int, Floats]
     notes: tuple[str, ...] = ()
+    modes: Callable[[Floats], Floats] | None = None
 
 
-def triad_of(session: Session) -> Triad | None:
+def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
     """The accelerometers of a session by its own fit, as read where there can be none.
 
-    None where even the readings cannot be had.
+    Parameters
+    ----------
+    calibration : Calibration, optional
+        Of the same part's accelerometers: what the session does not determine itself is taken from there.
     """
+    given: list[Source] = []
+    if calibration is not None:
+        names = [one.name for one in calibration.parameters]
+        given.append(source_of_calibration(names, calibration.values, calibration.covariance))
     try:
         readings = readings_of(session)
     except AdisGonioError:
-        return _as_read(session)
+        return _as_read(session, *given)
     try:
         from adis_gonio.api import fit
 
         result = fit(session, method="ml")
     except AdisGonioError:
-        return _as_read(session)
+        return _as_read(session, *given)
     u_mg = np.sqrt(np.diagonal(readings.covariance, axis1=1, axis2=2).mean(axis=0))
     held = any(name.startswith("bias") for name in result.undetermined)
     g = session.gravity_mg
@@ -78,7 +97,7 @@ def triad_of(session: Session) -> Triad | None:
         except AdisGonioError:
             return _as_read(session)
         shown = calibration.angle(readings.mean, reading_u=list(u_mg))
-        unseen = math.degrees(_bias_mg(session) / g) if held else 0.0
+        unseen = math.degrees(UNKNOWN_BIAS_MG / g) if held else 0.0
         u = np.hypot(np.asarray(shown.u_deg), unseen)
         psi = _with_declared(readings, np.asarray(shown.angle_deg), u)
         notes = (
@@ -86,25 +105,28 @@ def triad_of(session: Session) -> Triad | None:
             if held
             else ()
         )
-        rough = _as_read(session)
-        return Triad(rough.direction, rough.u_rad, psi, rough.gravity, notes)
+        rough = _as_read(session, *given)
+        return Triad(rough.direction, rough.u_rad, psi, rough.gravity, notes, rough.modes)
     found = {one.name: one.value for one in result.parameters}
-    base = np.array([found.get(p.name, p.nominal) / p.per_natural for p in readings.model.parameters])
-    bias = np.array([found.get(f"bias_{axis}", 0.0) for axis in AXES])
+    own = (found, [one.name for one in result.parameters], result.covariance)
+    return _spatial(session, Axes.of(_prior(session), own, *given), readings)
 
-    def direction(force_mg: Floats) -> Floats:
-        return readings.model.calibrated(base, force_mg - bias)
 
-    u_rad = float(np.linalg.norm(u_mg)) / g
+def _spatial(session: Session, axes: Axes, readings: Readings | None) -> Triad:
+    """In space, by the nine as far as they are known."""
+    noise = 0.0
+    if readings is not None:
+        noise = float(np.sqrt(np.diagonal(readings.covariance, axis1=1, axis2=2).mean(axis=0)).max())
     told: tuple[str, ...] = ()
-    if sum(name.startswith("bias") for name in found) < len(AXES):
-        u_rad = math.hypot(u_rad, _rough_u_rad(session))
+    if not axes.knows(BIASES):
         told = (_NOT_CALIBRATED,)
-    elif sum(name.startswith("skew") for name in found) < len(AXES):
-        u_rad = math.hypot(u_rad, _lean_rad(session))
+    elif not axes.knows(SKEWS):
         told = (_NOT_SQUARE,)
-    gravity = dict(zip(readings.position.tolist(), direction(readings.mean), strict=True))
-    return Triad(lambda force: direction(1e3 * force), u_rad, None, gravity, told)
+    u_rad = math.hypot(noise / session.gravity_mg, axes.u_rad())
+    gravity = {
+        position: axes.direction(force) for position, force in _forces(session).items() if len(force) == 3
+    }
+    return Triad(axes.direction, u_rad, None, gravity, told, axes.modes)
 
 
 def _with_declared(readings: Readings, psi: Floats, u: Floats) -> dict[int, tuple[float, float]]:
@@ -129,28 +151,22 @@ def _with_declared(readings: Readings, psi: Floats, u: Floats) -> dict[int, tupl
     )
 
 
-def _as_read(session: Session) -> Triad:
-    """The accelerometers without calibration; u is what a part's biases and axes may be."""
-    gravity: dict[int, Floats] = {}
-    if session.accel_unit != "counts":
-        per_g = 1e-3 * mg_per_unit(session)
-        gravity = {
-            d.position: per_g * d.accel.mean(axis=0) for d in session.dwells if d.accel.shape[1] == 3
-        }
-    return Triad(lambda force: force, _rough_u_rad(session), None, gravity, (_NOT_CALIBRATED,))
+def _as_read(session: Session, *given: Source) -> Triad:
+    """The accelerometers without a fit of the session; u is what a part's biases and axes may be."""
+    return _spatial(session, Axes.of(_prior(session), *given), None)
 
 
-def _rough_u_rad(session: Session) -> float:
-    return math.hypot(_bias_mg(session) / session.gravity_mg, _lean_rad(session))
+def _forces(session: Session) -> dict[int, Floats]:
+    """What the accelerometers read in g, by position; nothing of counts."""
+    if session.accel_unit == "counts":
+        return {}
+    per_g = 1e-3 * mg_per_unit(session)
+    return {dwell.position: per_g * dwell.accel.mean(axis=0) for dwell in session.dwells}
 
 
-def _lean_rad(session: Session) -> float:
-    """Of axes that nobody has measured; uniform within the sheet's limit."""
+def _prior(session: Session) -> Prior:
+    """Of what nobody has measured: gains, skews (uniform within the sheet's limit), biases."""
     variant = VARIANTS.get(session.sensor)
     limit = UNKNOWN_LEAN_DEG if variant is None else variant.performance.non_orthogonality_deg
-    return math.radians(limit) / math.sqrt(3)
-
-
-def _bias_mg(session: Session) -> float:
-    variant = VARIANTS.get(session.sensor)
-    return UNKNOWN_BIAS_MG if variant is None else variant.performance.initial_bias_mg
+    gain = UNKNOWN_GAIN if variant is None else variant.performance.scale_error_typical
+    return Prior(gain, math.radians(limit) / math.sqrt(3), UNKNOWN_BIAS_MG)

@@ -60,7 +60,9 @@ class Dwell:
     gyro : (n, 3) float or None
         Gyro samples in `Session.gyro_unit`.
     temperature_c, supply_v : (n,) float or None
-        Temperature in °C and supply in V.
+        Temperature in °C (of several thermometers their mean) and supply in V.
+    temperatures_c : (n, 3) float or None
+        Of the three gyros' dies, where all three were recorded.
     first_row : int or None
         Row of the file where the dwell begins, for messages.
     """
@@ -75,6 +77,7 @@ class Dwell:
     temperature_c: Floats | None = None
     supply_v: Floats | None = None
     first_row: int | None = None
+    temperatures_c: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)

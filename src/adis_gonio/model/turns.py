@@ -30,6 +30,8 @@ class Turn:
     accel, gyro : (n, 3) float
         As in `Dwell`; `gyro` None where there are no gyros.
     temperature_c, supply_v : (n,) float or None
+    temperatures_c : (n, 3) float or None
+        As in `Dwell`.
     turned_deg : float or None
         How far the part was turned by a mark or a stop, about the vertical, positive counter-clockwise seen
         from above; None where nobody declares it.
@@ -43,6 +45,7 @@ class Turn:
     temperature_c: Floats | None = None
     supply_v: Floats | None = None
     turned_deg: float | None = None
+    temperatures_c: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -67,6 +70,7 @@ def turns_of_recording(recording: Dwell, dwells: Sequence[Dwell]) -> tuple[Turn,
                 _rows(recording.gyro, rows),
                 _rows(recording.temperature_c, rows),
                 _rows(recording.supply_v, rows),
+                temperatures_c=_rows(recording.temperatures_c, rows),
             )
         )
     return tuple(made)

@@ -143,6 +143,13 @@ _OF_REGISTER = {
 }
 
 
+def die_temperatures(block: Block) -> Floats | None:
+    """Temperatures (n, 3) of the three gyros' dies in °C; None unless all three were scanned."""
+    if isinstance(block, ValueBlock) or not all(name in block.registers for name in TEMP_OUT):
+        return None
+    return block.select(TEMP_OUT).values()
+
+
 def session_columns(block: Block) -> dict[str, Floats]:
     """Samples (n,) by column of a session: accelerations in LSB of the chip, else in mg.
 

@@ -298,6 +298,10 @@ class TurnProgress(Event):
         By gravity, counter-clockwise positive: since the beginning, and over the last seconds.
     turn, turns : int
         Which full turn is under way, from 1, of how many.
+    rest_s : float
+        How long it has rested by now, where whole turns are followed by the gyros.
+    peak_dps : float
+        Largest rate of any gyro so far, where they are followed.
     """
 
     state: Literal["rest", "turn", "after"]
@@ -309,6 +313,8 @@ class TurnProgress(Event):
     rate_dps: float
     turn: int = 1
     turns: int = 1
+    rest_s: float = 0.0
+    peak_dps: float = 0.0
 
 
 @dataclass(frozen=True)

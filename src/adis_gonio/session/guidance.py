@@ -61,6 +61,14 @@ def whole_turns_to_do(turned_deg: float, fastest_dps: float) -> str:
     )
 
 
+def face(position: Position | None) -> str:
+    """Which arrow points up or down, such as `X arrow up`; empty where no direction is asked for."""
+    if position is None or position.direction is None:
+        return ""
+    along, axis = max(zip(position.direction, "XYZ", strict=True), key=lambda pair: abs(pair[0]))
+    return f"{axis} arrow {'up' if along < 0 else 'down'}"
+
+
 def drawing(plan: Plan) -> tuple[str, ...]:
     """How to hold the part at the first position, as lines of text (ASCII but for the degree sign)."""
     return SPACE if plan.plane == "none" else PLANE
@@ -134,4 +142,4 @@ _ROUND_DEG = 10.0
 """Nearer to the vertical than this an arrow just points up or down."""
 
 
-__all__ = ["drawing", "to_do", "turn_to_do"]
+__all__ = ["drawing", "face", "to_do", "turn_to_do"]

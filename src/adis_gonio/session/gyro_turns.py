@@ -19,6 +19,7 @@ import numpy as np
 from adis_gonio.errors import UsageError
 from adis_gonio.gyros.integral import Integral, Path, Sampling, integrate
 from adis_gonio.model.records import Floats
+from adis_gonio.sensor.driver import DEFAULT_SCAN
 from adis_gonio.session.answers import Answer
 from adis_gonio.session.blocks import Block, join, session_columns
 from adis_gonio.session.dwelling import BROKEN_STREAM, Dwelling, TakesDwells, why_broken_off
@@ -37,6 +38,9 @@ from adis_gonio.session.plans import GYRO_TURNS, Plan, Position
 from adis_gonio.session.rows import Attempt, Move, Phase, utc_now
 from adis_gonio.session.runner import SessionRunner
 from adis_gonio.session.turns import TURNED
+
+ALL_THERMOMETERS = (*DEFAULT_SCAN, "YTEMP_OUT", "ZTEMP_OUT")
+"""What a scan holds so that each gyro has the temperature of its own die."""
 
 TURNS = 5
 """Each way: ten turns about an axis. More take so long that the zero rate wanders (docs/gyro_turns.md)."""
@@ -90,11 +94,6 @@ class GyroTurnsRunner(SessionRunner):
     """Runs a session of gyro turns; begin it with `gyro_turns_plan()`."""
 
     @property
-    def on_screen(self) -> bool:
-        """False: the screen's angle is that of gravity, which shows nothing here."""
-        return False
-
-    @property
     def judges_places(self) -> bool:
         """False: a dwell after whole turns lies where the one before did."""
         return False
@@ -119,6 +118,8 @@ class Tracked:
         About the part's axes.
     rest_s : float
         How long it has rested by now.
+    peak_dps : float
+        Largest rate that a gyro has shown.
     """
 
     def __init__(self, rest: Block, moving_dps: float = 2.0) -> None:
@@ -128,7 +129,7 @@ class Tracked:
         self._last_s: float | None = None
         self.angle_deg: Floats = np.zeros(3)
         self.rest_s = self.rate_dps = self.travelled_deg = self.length_s = 0.0
-        self.longest_gap_s = 0.0
+        self.longest_gap_s = self.peak_dps = 0.0
         self.begun = False
 
     @property
@@ -150,7 +151,9 @@ class Tracked:
         """Take scans."""
         if not len(block):
             return
-        rates, time = _rates_and_force(block)[0] - self._zero, block.time_s
+        shown, time = _rates_and_force(block)[0], block.time_s
+        rates = shown - self._zero
+        self.peak_dps = max(self.peak_dps, float(np.abs(shown).max()))
         if self._last_s is None:
             self._last_s = float(time[0])
         steps = np.diff(np.concatenate([[self._last_s], time]))
@@ -270,6 +273,8 @@ class TurnedDwelling(Dwelling):
                 tracked.rate_dps,
                 min(int(abs(tracked.turned_deg) / 360.0) + 1, turns),
                 turns,
+                tracked.rest_s,
+                tracked.peak_dps,
             )
             if self._questions.interrupted:
                 return self._questions.why_interrupted

@@ -10,7 +10,7 @@ import numpy as np
 from adis_gonio.counting import counted
 from adis_gonio.errors import DataError
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.session.blocks import GENERIC, Block, join, session_columns
+from adis_gonio.session.blocks import GENERIC, Block, die_temperatures, join, session_columns
 from adis_gonio.session.faults import WITHOUT_NEWS, Alarms, alarms_of
 from adis_gonio.session.plans import Plan
 from adis_gonio.session.rows import JsonDict, StoredAttempt
@@ -181,6 +181,7 @@ def _dwell(number: int, attempt: StoredAttempt, scans: Block, sign: int) -> Dwel
         gyro=np.column_stack([columns[name] for name in ("gx", "gy", "gz")]) if "gx" in columns else None,
         temperature_c=columns.get("temp_c"),
         supply_v=columns.get("supply_v"),
+        temperatures_c=die_temperatures(scans),
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from adis_gonio.model.turns import Turn
-from adis_gonio.session.blocks import Block, join, session_columns
+from adis_gonio.session.blocks import Block, die_temperatures, join, session_columns
 from adis_gonio.session.rows import StoredAttempt
 from adis_gonio.session.view import ArchiveView
 
@@ -101,4 +101,5 @@ def _turn(number: int, blocks: list[Block], after: StoredAttempt, turned_deg: fl
         columns.get("temp_c"),
         columns.get("supply_v"),
         turned_deg,
+        die_temperatures(scans),
     )

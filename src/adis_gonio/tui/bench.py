@@ -27,7 +27,7 @@ from adis_gonio.errors import UsageError
 from adis_gonio.session import events
 from adis_gonio.session.guidance import drawing
 from adis_gonio.session.runner import SessionRunner
-from adis_gonio.tui import dialogs, glyphs, words
+from adis_gonio.tui import dialogs, glyphs, whole_turns, words
 from adis_gonio.tui.state import BenchState
 
 LEAST_SIZE = (80, 24)
@@ -356,7 +356,7 @@ class BenchApp(App[None]):
 
     def action_explain(self) -> None:
         """Show the help."""
-        self._open(dialogs.HelpDialog("Keys and signs", words.HELP), lambda _: None)
+        self._open(dialogs.HelpDialog("Keys and signs", words.explained(self.state)), lambda _: None)
 
     def action_draw(self) -> None:
         """Show how the part is held."""
@@ -400,6 +400,8 @@ class BenchApp(App[None]):
 
 
 def _still_style(state: BenchState) -> str:
+    if state.whole is not None:
+        return "bold red" if whole_turns.too_fast(state) else "green"
     if state.spread_mg is None or state.limit_mg is None:
         return "dim"
     return "green" if state.spread_mg <= state.limit_mg else "bold red"

@@ -44,6 +44,12 @@ CHOICES = {
 }
 """Answers of the runner in the words of a dialog."""
 
+ON_TABLE = {
+    "retake": Choice("retake", "t", "go back to the mark and turn again"),
+    "reverse": Choice("reverse", "r", "take it so, and turn the next one the other way"),
+}
+"""The same where whole turns are asked for."""
+
 STAY = Choice("stay", "g", "go on with the session")
 QUIT = Choice("stop", "q", "quit here")
 
@@ -194,7 +200,8 @@ class HelpDialog(_Finishing[None]):
 
 def guard_dialog(event: events.GuardRaised) -> Dialog:
     """The question of a guard, with its numbers."""
-    choices = [CHOICES[name] for name in event.answers if name != "stop"] + [CHOICES["stop"]]
+    known = CHOICES | (ON_TABLE if event.position.turned_deg is not None else {})
+    choices = [known[name] for name in event.answers if name != "stop"] + [CHOICES["stop"]]
     heading = f"{event.position}: {event.kind.replace('_', ' ')}"
     return Dialog(heading, event.message, choices, event.default, values_of(event.values))
 

@@ -10,7 +10,8 @@ from typing import Literal
 
 from adis_gonio.counting import counted
 from adis_gonio.session import events
-from adis_gonio.session.plans import Plan, Position
+from adis_gonio.session.guidance import face
+from adis_gonio.session.plans import GYRO_TURNS, Plan, Position
 
 MOST_MESSAGES = 100
 
@@ -83,6 +84,10 @@ class BenchState:
         What is waited for.
     turn : TurnMeasured or None
         The last turn.
+    whole, turned : TurnProgress or None, TurnDone or None
+        Whole turns on a table: those in hand, and the last ones.
+    range_dps : float
+        Of the gyros.
     running : Running or None
         What the dwells so far give.
     temperature_c, began_c : float or None
@@ -123,6 +128,9 @@ class BenchState:
         self.limit_mg: float | None = None
         self.waits_for = ""
         self.turn: events.TurnMeasured | None = None
+        self.whole: events.TurnProgress | None = None
+        self.turned: events.TurnDone | None = None
+        self.range_dps = 300.0
         self.running: events.Running | None = None
         self.temperature_c: float | None = None
         self.began_c: float | None = None
@@ -184,6 +192,7 @@ class BenchState:
     @take.register
     def _(self, event: events.Configured) -> None:
         self.rate_hz = float(event.configuration["sample_rate_hz"])
+        self.range_dps = float(event.configuration.get("gyro_range_dps") or self.range_dps)
         self.link = event.why_polled and f"polled: {event.why_polled}"
         self.link = self.link or "at the data-ready edges"
         for name, (before, after) in event.changed.items():
@@ -221,7 +230,8 @@ class BenchState:
         self.doing = "waiting for you"
 
     def _ask(self, question: Question) -> None:
-        self.question, self.span, self.paused, self.quiet = question, None, False, False
+        self._goes_on()
+        self.question = question
         self.waits_for = "your answer"
 
     @take.register
@@ -264,6 +274,22 @@ class BenchState:
 
     def _goes_on(self) -> None:
         self.question, self.span, self.paused, self.quiet = None, None, False, False
+        self.whole = None
+
+    @take.register
+    def _(self, event: events.TurnProgress) -> None:
+        self._goes_on()
+        self.whole, self.angle_deg, self.lost = event, event.turned_deg, event.lost
+        self.spread_mg = None
+        self.doing = "turning"
+
+    @take.register
+    def _(self, event: events.TurnDone) -> None:
+        self._goes_on()
+        self.turned = event
+        lost = f", {event.lost} scans lost" if event.lost else ""
+        turned = f"{event.turned_deg:+.1f}°".replace("-", "−")
+        self.say(f"turned {turned} by the gyro in {event.length_s:.0f} s{lost}")
 
     @take.register
     def _(self, event: events.Waiting) -> None:
@@ -297,7 +323,9 @@ class BenchState:
         lost = f", {event.lost} lost" if event.lost else ""
         lost += f", {event.alarms} with an error or alarm" if event.alarms else ""
         mean = f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} mg".replace("-", "−")
-        self.say(f"✓ {event.position}: {mean}{lost}")
+        on_table = self.plan is not None and self.plan.name == GYRO_TURNS
+        place = (face(event.position) if on_table else "") or str(event.position)
+        self.say(f"✓ {place}: {mean}{lost}")
 
     @take.register
     def _(self, event: events.DwellInterrupted) -> None:
@@ -321,7 +349,8 @@ class BenchState:
 
     @take.register
     def _(self, event: events.Paused) -> None:
-        self.question, self.span, self.paused, self.quiet = None, None, True, True
+        self._goes_on()
+        self.paused = self.quiet = True
         self.angle_deg = self.spread_mg = None
         self.doing = "paused"
 

@@ -7,6 +7,7 @@ from adis_gonio.report.numbers import uncertain, with_unit
 from adis_gonio.session import events
 from adis_gonio.session.guidance import to_do
 from adis_gonio.session.plans import Position, attitude
+from adis_gonio.tui import whole_turns
 from adis_gonio.tui.state import BenchState, Mark
 
 SILENT_S = 5.0
@@ -49,8 +50,9 @@ def plan_rows(state: BenchState, height: int) -> list[tuple[str, str]]:
     """Lines of the plan with the name of their mark, as many as fit, around the position in hand."""
     if state.plan is None:
         return []
+    name = whole_turns.place_name if whole_turns.on_table(state) else place_name
     rows = [
-        (f"{mark.sign} {mark.word:<7} {place_name(position)}", mark.name.lower())
+        (f"{mark.sign} {mark.word:<7} {name(position)}", mark.name.lower())
         for place, position in enumerate(state.plan.positions)
         for mark in (state.mark(place),)
     ]
@@ -70,11 +72,15 @@ def task(state: BenchState) -> str:
     if state.paused:
         return "PAUSED. Nothing is measured; p goes on."
     question = state.question
+    if isinstance(question, events.PositionAsked) and whole_turns.on_table(state):
+        return whole_turns.task(state, question)
     if isinstance(question, events.PositionAsked):
         todo = to_do(question.position, state.here, reverse=state.reversed)
         return f"{question.number} of {question.total}: {todo}, then press Enter"
     if isinstance(question, events.GuardRaised):
         return question.message
+    if state.whole is not None:
+        return f"{state.position}: {whole_turns.doing(state.whole)}"
     if state.span is not None and state.span.what == "dwell":
         return f"{state.position}: hands off, recording" if state.position else "recording"
     if state.position is not None:
@@ -84,6 +90,8 @@ def task(state: BenchState) -> str:
 
 def target(state: BenchState) -> str:
     """The angle asked for, and how far it is from there."""
+    if whole_turns.on_table(state):
+        return whole_turns.target(state)
     if state.target_deg is None:
         return "free attitude: no angle to reach" if _is_free(state) else ""
     more = state.more_deg
@@ -103,7 +111,9 @@ def _is_free(state: BenchState) -> bool:
 
 
 def stillness(state: BenchState, width: int) -> str:
-    """Word, number, limit and a bar of the stillness."""
+    """Word, number, limit and a bar of the stillness; while the part is turned on a table, of its rate."""
+    if state.whole is not None:
+        return whole_turns.rate(state, width)
     if state.spread_mg is None:
         return "no samples yet"
     if state.limit_mg is None:
@@ -117,6 +127,8 @@ def waiting(state: BenchState, silence_s: float = 0.0) -> str:
     """What the session waits for; `silence_s` is how long nothing has come, which a trace is timed by."""
     if state.paused:
         return "paused"
+    if state.whole is not None:
+        return whole_turns.waiting(state)
     if state.quiet and silence_s >= 1:
         return f"for {duration(silence_s)} so far"
     return f"waits for {state.waits_for}" if state.waits_for else state.doing
@@ -142,6 +154,8 @@ def bar(share: float, width: int) -> str:
 
 def facts(state: BenchState) -> list[tuple[str, str]]:
     """Rows of name and value below the angle."""
+    if whole_turns.on_table(state):
+        return whole_turns.facts(state)
     return [("last turn", _turn(state.turn)), ("result", _running(state.running))]
 
 
@@ -241,7 +255,15 @@ def keys(state: BenchState) -> list[tuple[str, str]]:
     ]
 
 
-HELP = """\
+def explained(state: BenchState) -> str:
+    """The help: keys, signs, and what the angle is."""
+    return HELP.replace(_BY_GRAVITY, whole_turns.THE_ANGLE) if whole_turns.on_table(state) else HELP
+
+
+_BY_GRAVITY = """\
+The angle is by gravity, to a degree or two while biases and gains
+are not known yet: what counts is the stage's scale."""
+HELP = f"""\
 Enter  take: the part is at the position that is asked for
 t      take the last dwell again; the old one stays in the file
 s      skip this position
@@ -253,6 +275,5 @@ q      quit; all that is recorded stays, --resume goes on with it
 Ctrl-C quit at once
 
 ▶ now   ✓ done   – skipped   ! fault   ↶ again   · to do
-The angle is by gravity, to a degree or two while biases and gains
-are not known yet: what counts is the stage's scale.
+{_BY_GRAVITY}
 No question has a time limit."""
