@@ -4,8 +4,9 @@
 
 Each session is a part of its own, moved by hand through 8 to 24 positions (in order, there and back, or
 shuffled), dwells of 2 s, recorded through the chip's filter and in whole LSB, gyros with the faults of
-`gyros_of`, a fixture of 0.02° to 0.3°, which the file states, and a temperature that drifts. A faulty one
-has, in turn, a slip of 0.5° to 20° (during a move or after it), two positions swapped, or one mistyped.
+`adis_gonio.sim.gyro_faults`, a fixture of 0.02° to 0.3°, which the file states, and a temperature that
+drifts. A faulty one has, in turn, a slip of 0.5° to 20° (during a move or after it), two positions swapped,
+or one mistyped.
 
 *Right* is: nothing else accused, the name, the position, and the true angle within 4 u. *Alike* are entries
 that predict what another fault predicts (of the first and the last position): there the set of names has to
@@ -31,9 +32,11 @@ from adis_gonio.model.records import Dwell, Floats, Session
 from adis_gonio.sensor.variants import GYRO_LSB_DPS
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.filter import bartlett_sums
+from adis_gonio.sim.gyro_faults import realistic_gyros
 from adis_gonio.slips.diagnosis import Diagnosis
 from adis_gonio.slips.meant import may_have_been_meant
 from adis_gonio.slips.of_session import positions_of
+from slip_oracle import Law, Mistakes, answer
 
 PERIOD_S = 1 / 819.2
 FILTER_M = 2
@@ -42,6 +45,8 @@ FAULTS = ("slipped", "swapped", "mistyped")
 WITHIN = 4.0
 """Standard uncertainties from the truth at which an angle is right."""
 LEAST_DEG, MOST_DEG = 0.5, 20.0
+LAW = Law(LEAST_DEG, MOST_DEG, Mistakes(may_have_been_meant, LEAST_DEG))
+"""How faults are made here, for the oracle."""
 
 Row = dict[str, Any]
 
@@ -57,14 +62,7 @@ class Truth:
 
 def gyros_of(rng: np.random.Generator) -> dict[str, float]:
     """Faults of one part's gyros and of the hand that moves it."""
-    settings = {f"gyro_scale_{axis}": 1 + rng.normal(0, 0.01) for axis in "xyz"}
-    for one in "xyz":
-        for other in "xyz":
-            if one != other:
-                settings[f"gyro_misalignment_{one}{other}_deg"] = rng.normal(0, 0.3)
-                settings[f"gyro_g_sensitivity_{one}{other}_dps_per_g"] = rng.normal(0, 0.05)
-    return settings | {
-        "gyro_rate_walk_dps_per_rt_s": 0.002,
+    return realistic_gyros(rng) | {
         "hand_moves": 1.0,
         "hand_tremor_dps": rng.uniform(0.3, 2.0),
         "hand_vibration_mg": rng.uniform(1.0, 6.0),
@@ -139,7 +137,9 @@ def _with_fault(
         return angles, declared, Truth(fault, (i, j), float(angles[i] - angles[j]))
     k = int(rng.integers(0, n))
     wrong = [
-        v for v in may_have_been_meant(float(angles[k])) if abs((v - angles[k] + 180) % 360 - 180) > 0.5
+        v
+        for v in may_have_been_meant(float(angles[k]))
+        if abs((v - angles[k] + 180) % 360 - 180) > LEAST_DEG
     ]
     declared[k] = float(rng.choice(wrong))
     return angles, declared, Truth(fault, (k,), float(angles[k] - declared[k]))
@@ -205,6 +205,18 @@ def _detectable(found: Diagnosis, truth: Truth) -> float | None:
     return max(found.detectable_deg(name).get(k, np.inf) for k in truth.positions)
 
 
+def by_oracle(session: Session, truth: Truth | None) -> Row:
+    """What somebody says who knows how the sessions are made, held against the truth."""
+    said = answer(session, LAW)
+    row: Row = {"said": said.name, "at": list(said.positions), "probability": said.probability}
+    if truth is None:
+        return row | {"right": said.name == "none"}
+    off = float(np.degrees(wrap_rad(np.radians(said.error_deg - truth.error_deg))))
+    angle = abs(off) <= WITHIN * np.hypot(said.u_deg, session.fixture_sigma_deg or 0.0)
+    right = (said.name, said.positions) == (truth.name, truth.positions)
+    return row | {"right": bool(right and angle)}
+
+
 def one(job: tuple[int, str | None], *, gyros: bool = True) -> Row:
     """One session and what is said of it."""
     seed, fault = job
@@ -217,6 +229,7 @@ def one(job: tuple[int, str | None], *, gyros: bool = True) -> Row:
         row
         | {"at": None if truth is None else list(truth.positions)}
         | judged(positions_of(session), truth)
+        | {"oracle": by_oracle(session, truth)}
     )
 
 

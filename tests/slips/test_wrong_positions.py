@@ -90,6 +90,8 @@ def test_a_stage_that_counts_the_other_way_from_somewhere_on():
     stood[7:] = stood[6] - (AROUND[7:] - AROUND[6])
     (one,) = diagnose(angles(stood, AROUND)).findings
     assert (one.finding, one.position) == ("reversed", 7)
+    assert one.correction == "7-11=reverse"
+    assert "--angles 7-11=reverse" in one.sentence
 
 
 def test_a_pushed_reading_is_gravity_that_is_wrong_where_the_gyro_agrees_with_the_plan():

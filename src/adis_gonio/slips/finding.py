@@ -98,6 +98,8 @@ class PositionFinding:
                 return f"{self.position}={_plain(value)}"
             case "slipped":
                 return f"{_range(self.position, self.others)}+={_plain(self.error_deg[0])}"
+            case "reversed":
+                return f"{_range(self.position, self.others)}=reverse"
         return None
 
     @property
@@ -120,7 +122,7 @@ class PositionFinding:
         if self.finding == "reversed":
             return (
                 f"from position {self.position} on the part turned against the declared angles by "
-                f"{self._sources}: {self._named}; change the sign of the turns from there on"
+                f"{self._sources}: {self._named}; correct the file or give --angles {self.correction}"
             )
         said = f"{where}: {declared}{self._sources} {self._say} {_stated(self.angle_deg)}: {self._named}"
         if self.finding == "swapped":
