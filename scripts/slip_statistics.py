@@ -10,7 +10,8 @@ or one mistyped.
 
 *Right* is: nothing else accused, the name, the position, and the true angle within 4 u. *Alike* are entries
 that predict what another fault predicts (of the first and the last position): there the set of names has to
-hold the true one. `--still` leaves the gyros out.
+hold the true one, and the angle has to be right as well. `--still` leaves the gyros out. Beside it stands
+what `slip_oracle` says of the same session.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from adis_gonio.sensor.variants import GYRO_LSB_DPS
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.filter import bartlett_sums
 from adis_gonio.sim.gyro_faults import realistic_gyros
-from adis_gonio.slips.diagnosis import Diagnosis
+from adis_gonio.slips import Diagnosis, PositionFinding
 from adis_gonio.slips.meant import may_have_been_meant
 from adis_gonio.slips.of_session import positions_of
 from slip_oracle import Law, Mistakes, answer
@@ -181,22 +182,27 @@ def judged(found: Diagnosis, truth: Truth | None) -> Row:
     said = [(one.finding, one.position) for one in found.findings]
     if truth is None:
         return {"right": not said, "said": said}
-    right = sorted(said) == sorted((truth.name, k) for k in truth.positions)
-    first = next((one for one in found.findings if one.position == truth.positions[0]), None)
+    named = sorted(said) == sorted((truth.name, k) for k in truth.positions)
+    first = next((one for one in found.findings if (truth.name, truth.positions) in _names(one)), None)
     off = None
     if first is not None:
-        off = float(np.degrees(wrap_rad(np.radians(first.error_deg[0] - truth.error_deg))))
+        # What an error of the first position is, a slip right after it is with the opposite sign.
+        sign = 1.0 if first.position == truth.positions[0] else -1.0
+        off = float(np.degrees(wrap_rad(np.radians(first.error_deg[0] - sign * truth.error_deg))))
     allowed = WITHIN * max(np.hypot(first.error_deg[1], found.scatter_deg), 1e-3) if first else 0.0
     angle = off is not None and abs(off) <= allowed
-    named = [(n.name, n.positions) for one in found.findings for n in one.names]
     return {
-        "right": bool(right and angle),
-        "alike": bool(not right and (truth.name, truth.positions) in named),
+        "right": bool(named and angle),
+        "alike": bool(not named and len({one.position for one in found.findings}) == 1 and angle),
         "said": said,
         "off_deg": off,
         "size_deg": abs(truth.error_deg),
         "detectable_deg": _detectable(found, truth),
     }
+
+
+def _names(found: PositionFinding) -> set[tuple[str, tuple[int, ...]]]:
+    return {(named.name, named.positions) for named in found.names}
 
 
 def _detectable(found: Diagnosis, truth: Truth) -> float | None:
@@ -246,27 +252,27 @@ def run(faulty: int, good: int, seed: int, jobs: int, *, gyros: bool = True) -> 
 
 
 def summary(rows: Sequence[Row]) -> dict[str, Any]:
-    """Counts by fault, slips by size, and false accusations."""
+    """Counts by fault, of those that a session can show, and false accusations."""
     good = [row for row in rows if row["fault"] is None]
     bad = [row for row in rows if row["fault"] is not None]
-    seen = [row for row in bad if row["detectable_deg"] is None or row["size_deg"] >= row["detectable_deg"]]
+    seen = [row for row in bad if row["size_deg"] >= row["detectable_deg"]]
     return {
-        "faulty": len(bad),
-        "right": sum(row["right"] for row in bad),
-        "alike": sum(row["alike"] for row in bad),
-        "detectable": len(seen),
-        "right_of_detectable": sum(row["right"] for row in seen),
-        "alike_of_detectable": sum(row["alike"] for row in seen),
-        "by_fault": {
-            name: {
-                "sessions": sum(row["fault"] == name for row in bad),
-                "right": sum(row["right"] for row in bad if row["fault"] == name),
-                "alike": sum(row["alike"] for row in bad if row["fault"] == name),
-            }
-            for name in FAULTS
-        },
+        **_counts(bad),
+        "of_detectable": _counts(seen),
+        "of_oracle": _counts([row for row in bad if row["oracle"]["right"]]),
+        "by_fault": {name: _counts([row for row in bad if row["fault"] == name]) for name in FAULTS},
         "good": len(good),
         "accused": sum(not row["right"] for row in good),
+        "oracle_accused": sum(not row["oracle"]["right"] for row in good),
+    }
+
+
+def _counts(rows: Sequence[Row]) -> dict[str, int]:
+    return {
+        "sessions": len(rows),
+        "right": sum(row["right"] for row in rows),
+        "alike": sum(row["alike"] for row in rows),
+        "oracle": sum(row["oracle"]["right"] for row in rows),
     }
 
 
