@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 
 import numpy as np
@@ -11,15 +12,26 @@ from click.testing import CliRunner
 from adis_gonio.cli import app, main
 from adis_gonio.errors import UsageError
 from adis_gonio.fitting import fit
+from adis_gonio.fitting.gyro_gains import gains_of
 from adis_gonio.gyros import rate_intervals
 from adis_gonio.sensor import open_sensor
+from adis_gonio.sensor.settings import sample_period_s
 from adis_gonio.session import SessionRunner, Settings, load_session
 from adis_gonio.session.bench import Bench
-from adis_gonio.session.events import GuardRaised, PositionAsked, TurnDone, TurnProgress, Watching
+from adis_gonio.session.events import (
+    ExtensionOffered,
+    GuardRaised,
+    Paused,
+    PositionAsked,
+    TurnDone,
+    TurnProgress,
+    Watching,
+)
 from adis_gonio.session.guidance import to_do
 from adis_gonio.session.gyro_turns import GyroTurnsRunner, gyro_turns_plan
 from adis_gonio.session.plans import Plan, Position
 from adis_gonio.session.plans import plan as plan_by_name
+from adis_gonio.session.questions import KEPT_S
 from adis_gonio.session.view import ArchiveView
 from session.hand_bench import Hand, hand_sensor
 
@@ -296,18 +308,83 @@ def test_a_part_on_the_wrong_face_is_asked_again(tmp_path):
 # -- turns of sessions on the stage ------------------------------------------------------------------
 
 
-def test_turns_that_are_recorded_on_the_stage_give_the_gain_of_z(tmp_path):
-    path = tmp_path / "stage.session"
-    url = "sim:?seed=1&hand_moves=1&gyro_scale_z=1.01&gyro_instability_dps=0.003"
-    options = ["--plan", "four-position", "--dwell", "2", "--record-turns", "--auto", "-o", str(path)]
-    answer = CliRunner().invoke(app, ["calibrate", url, *options, "--json"])
+STAGE_URL = "sim:?seed=1&hand_moves=1&gyro_scale_z=1.01&gyro_instability_dps=0.003"
+
+
+def on_stage(path, *options):
+    plan = ["--plan", "four-position", "--dwell", "2", "--auto", "-o", str(path)]
+    answer = CliRunner().invoke(app, ["calibrate", STAGE_URL, *plan, *options])
     assert answer.exit_code == 0, answer.output
-    gyros = CliRunner().invoke(app, ["fit", str(path), "--sensor-part", "gyro", "--json"])
-    document = json.loads(gyros.stdout)
-    assert document["turns_used"] == 3
-    gain = document["parameters"]["gyro_scale_z"]
+    return answer.stdout
+
+
+def test_calibrate_keeps_the_moves_and_says_what_they_give_of_the_gain(tmp_path):
+    path = tmp_path / "stage.session"
+    document = json.loads(on_stage(path, "--json"))
+    gain = document["gyro_gains"]["gyro_scale_z"]
+    assert document["gyro_gains"]["turns_used"] == 3
+    assert set(document["gyro_gains"]) == {"gyro_scale_z", "turns_used"}
     assert abs(gain["value"] - 1.01) < 4 * gain["u"]
     assert gain["u"] < 0.003
+    gyros = CliRunner().invoke(app, ["fit", str(path), "--sensor-part", "gyro", "--json"])
+    fitted = json.loads(gyros.stdout)
+    assert fitted["turns_used"] == 3
+    assert fitted["parameters"]["gyro_scale_z"] == gain
+    line = gains_of(load_session(path)).line
+    assert line.startswith(f"gain of gyro Z {gain['value']:.4f}")
+    assert "by 3 turns" in line
+    assert line in CliRunner().invoke(app, ["fit", str(path)], terminal_width=200).output
+    assert line in html.unescape(inside(CliRunner(), path, tmp_path / "report.html"))
+
+
+def inside(runner, path, page):
+    assert runner.invoke(app, ["report", str(path), "-o", str(page)]).exit_code == 0
+    return page.read_text("utf-8")
+
+
+def test_moves_are_left_out_where_that_is_wanted_and_nothing_is_said_of_gains(tmp_path):
+    path = tmp_path / "stage.session"
+    told = on_stage(path, "--no-record-turns")
+    session = load_session(path)
+    assert "turns" not in session.facts["settings"]
+    assert not rate_intervals(session).turn.any()
+    assert gains_of(session) is None
+    assert "gain of gyro" not in told
+    assert "gyro_gains" not in json.loads(
+        on_stage(tmp_path / "other.session", "--no-record-turns", "--json")
+    )
+
+
+def test_the_option_of_earlier_versions_asks_for_what_is_the_default_now(tmp_path):
+    paths = tmp_path / "default.session", tmp_path / "asked.session"
+    for path, options in zip(paths, ([], ["--record-turns"]), strict=True):
+        on_stage(path, *options)
+    one, other = map(load_session, paths)
+    assert one.facts["settings"] == other.facts["settings"]
+    assert all(np.array_equal(a.gyro, b.gyro) for a, b in zip(one.turns, other.turns, strict=True))
+
+
+def test_a_move_that_is_broken_off_while_it_is_kept_is_made_again(tmp_path):
+    path, stopped, asked = tmp_path / "broken.session", False, 0
+    settings = Settings(dwell_s=0.5, settle_s=0.1, turns=True)
+    with open_sensor("sim:?seed=1&move_speed_dps=20") as sensor:
+        runner = SessionRunner.begin(
+            sensor, path, plan_by_name("two-position"), settings, fixture_sigma_deg=0
+        )
+        for event in runner.run():
+            if isinstance(event, PositionAsked):
+                asked += 1
+                runner.confirm()
+            elif isinstance(event, Watching) and event.state == "moving" and asked == 2 and not stopped:
+                stopped = True
+                runner.pause()
+            elif isinstance(event, Paused):
+                runner.unpause()
+            elif isinstance(event, (GuardRaised, ExtensionOffered)):
+                runner.answer(event.default if isinstance(event, GuardRaised) else "decline")
+    assert stopped
+    assert asked == 3
+    assert len(load_session(path).dwells) == 2
 
 
 def test_a_session_whose_turns_are_recorded_resumes_to_the_same_samples(tmp_path):
@@ -346,6 +423,37 @@ def test_turns_by_hand_are_kept_where_that_is_wanted_and_only_there(tmp_path):
     assert not missing.turn.any()
     assert missing.refused == ("turns to dwell 1, 2, 3: the part was turned while nothing was recorded",)
     assert "turns" not in held[False].facts["settings"]
+    for kept, bare in zip(held[True].dwells, held[False].dwells, strict=True):
+        assert np.array_equal(kept.accel, bare.accel)
+        assert np.array_equal(kept.time_s, bare.time_s)
+    rows = {wanted: session_rows(session) for wanted, session in held.items()}
+    assert rows[True] == rows[False]
+    documents = {wanted: fit(session).as_dict() for wanted, session in held.items()}
+    assert documents[True]["parameters"] == documents[False]["parameters"]
+
+
+def session_rows(session):
+    """What `export --format csv` writes of its samples."""
+    return session.to_pandas().to_csv()
+
+
+def test_a_long_question_costs_the_file_two_minutes_of_scans_and_no_more(tmp_path):
+    sizes, slow = {}, 0x30
+    for wanted in (False, True):
+        path = tmp_path / f"{wanted}.session"
+        with hand_sensor() as sensor:
+            settings = Settings(dwell_s=1, settle_s=0.1, smpl_prd=slow, turns=wanted)
+            runner = SessionRunner.begin(sensor, path, plan_by_name("two-position"), settings)
+            operator, asked_s = Hand(sensor), 0.0
+            for event in runner.run():
+                if isinstance(event, PositionAsked):
+                    asked_s = sensor.bus.now_s()
+                idle = isinstance(event, Watching) and event.state == "idle"
+                if not idle or sensor.bus.now_s() > asked_s + KEPT_S + 60.0:
+                    operator.see(runner, event)
+        sizes[wanted] = path.stat().st_size
+    kept = 2 * (KEPT_S / sample_period_s(slow)) * (8 * 2 + 8)  # words of eight registers, and the time
+    assert 0.9 < (sizes[True] - sizes[False]) / kept < 1.2
 
 
 def test_a_session_whose_file_has_gone_has_no_turns_and_is_fitted_all_the_same(tmp_path):

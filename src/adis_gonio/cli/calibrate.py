@@ -81,7 +81,13 @@ _METADATA = {
 @click.option(
     "--range", "range_dps", type=int, default=300, show_default=True, help="Gyros: 300, 150, 75 °/s."
 )
-@click.option("--record-turns", "record_turns", is_flag=True, help="Keep the turns between dwells: gyros.")
+@click.option(
+    "--record-turns/--no-record-turns",
+    "record_turns",
+    default=None,
+    help="Keep the moves between dwells, which calibrate the gyros: at most 2.4 MB each (default: yes;"
+    " of gyro-turns its whole turns alone).",
+)
 @poll_option
 @click.option("--gravity", "gravity_mps2", type=gravity, help="Local gravity in m/s² (default 9.80665).")
 @click.option("--latitude", type=float, help="Latitude in degrees: gravity of the ellipsoid there.")
@@ -160,23 +166,32 @@ def command(
     session = load_session(output)
     if session.facts["plan"]["name"] == GYRO_TURNS:
         return _show_gyros(session, complete=complete, as_json=as_json)
+    return _show(session, advisor, complete=complete, as_json=as_json)
+
+
+def _show(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_json: bool) -> int:
+    """What a session of positions gives, its gyros in a line."""
+    from adis_gonio.answer import Answer
+    from adis_gonio.cli.fit import print_answer, print_gains
+    from adis_gonio.fitting import fit
+    from adis_gonio.fitting.gyro_gains import gains_of
+
     truth = session.facts.get("truth")
     traced = _traced(session, advisor) if advisor is not None else None
-    from adis_gonio.answer import Answer
-    from adis_gonio.fitting import fit
-
     answer = Answer.of(fit(session), traced, own=False)
     if as_json:
         document = answer.as_dict()
-        document |= {"session": str(output), "complete": complete, "truth": truth}
+        document |= {"session": session.source, "complete": complete, "truth": truth}
         document["doubts"] = session.facts["doubts"]
+        gains = gains_of(session)
+        if gains is not None:
+            document["gyro_gains"] = gains.as_dict()
         if traced is not None:
             document |= {"trace": traced.as_dict(), "rounds": session.facts["advised"]}
         print_json(document)
         return _status(session, complete=complete)
-    from adis_gonio.cli.fit import print_answer
-
     print_answer(answer, truth)
+    print_gains(session)
     if traced is not None:
         from adis_gonio.cli.closing import print_loop
         from adis_gonio.cli.trace import print_trace
@@ -184,7 +199,7 @@ def command(
         click.echo()
         print_trace(session, traced)
         print_loop(session, traced)
-    click.echo(f"session: {output}")
+    click.echo(f"session: {session.source}")
     return _status(session, complete=complete)
 
 
@@ -319,7 +334,7 @@ def _runner(
         filter_m=options["filter_m"],
         gyro_range_dps=options["range_dps"],
         data_ready=False if options["poll"] else None,
-        turns=options["record_turns"],
+        turns=_keeps_moves(plan_name, options["record_turns"]),
     )
     return runner_of(chosen).begin(
         sensor,
@@ -335,6 +350,11 @@ def _runner(
         **_written(options, ask=on_terminal() and not auto),
         advisor=advisor,
     )
+
+
+def _keeps_moves(plan_name: str | None, wanted: bool | None) -> bool:
+    """Moves between positions are kept unless told otherwise; plans of turns record what they need."""
+    return plan_name not in _TURNED if wanted is None else wanted
 
 
 _TURNED = {

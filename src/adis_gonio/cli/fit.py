@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from adis_gonio.answer import Answer
     from adis_gonio.fitting import FitResult
     from adis_gonio.fitting.monte_carlo import MonteCarlo
+    from adis_gonio.model.records import Session
     from adis_gonio.session.overrides import Overrides
 
 
@@ -88,6 +89,7 @@ def command(
     # Of positions `calibrate` alone shows what a simulation hid.
     truth = loaded.facts.get("truth") if loaded.free_turn else None
     print_answer(answer, truth, shown=loaded.notes, everything=everything)
+    print_gains(loaded)
     if run is not None:
         _print_monte_carlo(screen, run)
 
@@ -126,6 +128,15 @@ def print_answer(
     for text in answer.warnings(everything=everything):
         if text not in shown:
             screen.print(text)
+
+
+def print_gains(session: Session) -> None:
+    """Say what the moves between the dwells give of the gyros' gains; nothing where they give none."""
+    from adis_gonio.fitting.gyro_gains import gains_of
+
+    gains = gains_of(session)
+    if gains is not None:
+        _screen().print(gains.line, markup=False)
 
 
 def _screen() -> Console:

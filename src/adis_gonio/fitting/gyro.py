@@ -211,8 +211,8 @@ def fit_gyro(session: Session) -> GyroFit:
     )
 
 
-def fit_gyro_readings(data: Readings) -> GyroFit:
-    """The same of readings."""
+def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
+    """The same of readings; without `scored` no dwell is left out, which costs most of the time."""
     if len(data) < 1:
         raise FitError("no dwell holds samples of the gyros")
     model = _Model.of(data, _calibrated())
@@ -226,7 +226,7 @@ def fit_gyro_readings(data: Readings) -> GyroFit:
     }
     turned = data.conditions.rate_dps
     turns = 0 if turned is None else int(turned.any(axis=1).sum())
-    scores = _scores(data, model)
+    scores = _scores(data, model) if scored else {}
     temperature = data.conditions.temperature_c
     return GyroFit(
         parameters=parameters,

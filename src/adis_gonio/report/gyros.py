@@ -8,6 +8,7 @@ from adis_gonio.calibration.with_gyros import gyros_as_recorded
 from adis_gonio.errors import AdisGonioError
 from adis_gonio.estimation.values import Value
 from adis_gonio.fitting.gyro import GyroFit, fit_gyro
+from adis_gonio.fitting.gyro_gains import gains_in
 from adis_gonio.handover.offsets import gyro_offset_words
 from adis_gonio.model.records import Session
 from adis_gonio.report.numbers import number, uncertain
@@ -31,6 +32,9 @@ def gyro_section(session: Session) -> Section | None:
         f"Residual {number(result.residual_rms_dps)} °/s rms; χ² / degrees of freedom "
         f"{number(result.chi2)} / {result.dof}.",
     ]
+    gains = gains_in(result)
+    if gains is not None:
+        said.append(gains.line)
     tables = [_parameters(result), *_scores(result), *_offsets(session)]
     return Section(
         "Gyros", words=said, points=tuple(result.warnings), figures=[_residuals(result)], tables=tables

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Protocol, runtime_checkable
@@ -99,6 +100,7 @@ class Bench:
         self.stage: Stage | None = source.stage
         self.world: World | None = source.world
         self._stream: SampleStream | None = None
+        self._moves_until_s = -math.inf
         self._scanning: JsonDict = {}
 
     @property
@@ -238,6 +240,9 @@ class Bench:
 
     def move_to(self, position: Position) -> Move | None:
         """Let the stage go to a position; None where nothing can be moved there."""
+        # A move that was broken off while it was watched goes on, and a stage makes one at a time.
+        if self._moves_until_s > self.now_s:
+            self.source.sleep_s(self._moves_until_s - self.now_s)
         move = Move(self.now_s, position.angle_deg, position.approach, position.direction)
         return move if self._carry_out(move) else None
 
@@ -246,13 +251,13 @@ class Bench:
         move = Move(self.now_s, None, 0, turned_deg=turned_deg)
         return move if self._carry_out(move) else None
 
-    def _carry_out(self, move: Move) -> bool:
+    def _carry_out(self, move: Move, *, watched: bool = True) -> bool:
         if move.turned_deg is not None:
             if not isinstance(self.stage, TurnTable):
                 return False
             self.stage.begin_turn(move.turned_deg)
             return True
-        if self.settings.turns and isinstance(self.stage, WatchedStage):
+        if watched and self.settings.turns and isinstance(self.stage, WatchedStage):
             return self._begin(self.stage, move)
         if self.stage is not None and move.angle_deg is not None:
             self.stage.move_to(move.angle_deg, move.approach)
@@ -262,13 +267,12 @@ class Bench:
             return True
         return False
 
-    @staticmethod
-    def _begin(stage: WatchedStage, move: Move) -> bool:
+    def _begin(self, stage: WatchedStage, move: Move) -> bool:
         """Begin a move that is scanned."""
         if move.angle_deg is not None:
-            stage.begin_move(move.angle_deg, move.approach)
+            self._moves_until_s = stage.begin_move(move.angle_deg, move.approach)
         elif move.direction is not None:
-            stage.begin_orient(move.direction)
+            self._moves_until_s = stage.begin_orient(move.direction)
         return move.angle_deg is not None or move.direction is not None
 
     @property
@@ -324,7 +328,7 @@ class Bench:
         Unlike `bring_world_to` this is another power-on at another time, as with a real bench.
         """
         for move in archive.moves_before(attempt)[-1:]:
-            self._carry_out(move)
+            self._carry_out(move, watched=False)
 
     def _wait_until(self, bus_s: float) -> None:
         source = self.source

@@ -8,7 +8,7 @@ import numpy as np
 
 from adis_gonio.session.answers import Answer, Inbox
 from adis_gonio.session.bench import Bench
-from adis_gonio.session.blocks import Block
+from adis_gonio.session.blocks import Block, join
 from adis_gonio.session.events import Event, GuardRaised, Noted, Paused, Unpaused, Waiting, Watching
 from adis_gonio.session.knowledge import Knowledge
 from adis_gonio.session.ledger import Ledger
@@ -43,9 +43,12 @@ class Questions:
         self._seen: list[Block] = []
 
     def take_seen(self) -> list[Block]:
-        """What was scanned while the last question stood, where turns are kept; once."""
+        """What was scanned while the last question stood, where turns are kept; once.
+
+        As one block: rows of the file that hold a few scans each would take half as much again.
+        """
         seen, self._seen = self._seen, []
-        return seen
+        return [join(seen)] if seen else []
 
     def _keep(self, block: Block) -> None:
         """Keep scans of a turn that is under way."""
