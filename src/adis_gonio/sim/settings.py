@@ -84,8 +84,8 @@ class WorldSettings(GyroSettings):
         Standard deviation of the angle error that each move draws; how far apart the same position
         reached from both sides lies; how far a move goes past its target to turn round.
     part_slip_deg, part_slip_position : float
-        By how much the part slips in its fixture, in the direction of declared angles, on the stage's way to
-        a position (counted from 0 by moves in the plane; its end shows it and all that follow).
+        By how much the part slips in its fixture, in the direction of declared angles, on the stage's way
+        to a position (moves in the plane, counted from 0).
     axis_tilt_deg : float
         Tilt of the rotation axis out of the horizontal.
     move_speed_dps : float

@@ -2,8 +2,9 @@
 
 In the plane the part turns about its Z axis, which lies horizontal. The true angle is
 ψ = α − θ + δ with the declared angle θ and the error δ that each move draws (fixture, N(0, σ)) plus half
-the backlash by the direction of approach, less what the part has slipped in its fixture; X then reads G cos ψ and Y G sin ψ. In space the stage turns the
-part until a given unit vector is what an ideal sensor would read, in units of G.
+the backlash by the direction of approach, less what the part has slipped in its fixture; X then reads
+G cos ψ and Y G sin ψ. In space the stage turns the part until a given unit vector is what an ideal sensor
+would read, in units of G.
 
 A move takes time; the part rings after it. A motor's speed rises and falls as a half sine, a hand moves as
 hands do (`hand_moves.HandMove`). Turns all around by hand (`hand.HandTurn`) have no declared angle.
