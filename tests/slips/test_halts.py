@@ -85,3 +85,13 @@ def test_a_rest_elsewhere_says_that_nothing_slipped_after_the_stage_had_arrived(
     at, elsewhere = rests.log_odds(np.radians([15.0, 6.0]), np.radians([0.05, 0.05]))
     assert at > 2.0
     assert elsewhere == pytest.approx(np.log(0.5))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_of_all_places_and_names_the_most_probable_one_is_said(seed):
+    """Not that of the place which two less probable names share."""
+    stood = AROUND + np.where(np.arange(12) >= 1, 11.18 + seed, 0.0)
+    halts = [Halts(np.zeros(0), float(turn)) for turn in np.radians(np.diff(stood))]
+    (one,) = diagnose(with_halts(stood, halts, seed=seed)).findings
+    assert (one.finding, (one.position,)) == (one.names[0].name, one.names[0].positions)
+    assert sum(named.probability for named in one.names if named.positions != (one.position,)) > 0.5

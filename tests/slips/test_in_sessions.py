@@ -16,7 +16,8 @@ from adis_gonio.session.overrides import AngleChange, Overrides
 from adis_gonio.slips.of_session import angles_of, in_context, positions_of
 from fakes import planar_session as planar
 from session.hand_bench import by_hand, hand_sensor
-from slip_statistics import session_of
+from slip_oracle import answer
+from slip_statistics import LAW, session_of
 from tracing.test_trace_sceptic import written
 
 AROUND = np.arange(12) * 30.0
@@ -69,6 +70,16 @@ def test_a_fit_says_which_position_is_wrong_and_the_override_mends_it(mistyped):
     assert "positions" not in mended.as_dict()
     old = session.dwells[k].angle_deg
     assert mended.overrides["angles"] == {"old": {str(k): old}, "new": {str(k): one.meant_deg}}
+
+
+def test_an_oracle_that_shares_no_code_says_the_same(mistyped):
+    """Its evidence is of the readings themselves, its priors those of the sessions' maker."""
+    session, truth = mistyped
+    (one,) = positions_of(session).findings
+    said = answer(session, LAW)
+    assert (said.name, said.positions) == (one.finding, (one.position,)) == ("mistyped", truth.positions)
+    assert said.error_deg == pytest.approx(truth.error_deg)
+    assert said.probability > 0.99
 
 
 def test_a_session_file_has_its_gyros_as_witnesses(tmp_path):
