@@ -4,12 +4,14 @@
 
 Each session is a part of its own, moved by hand through 8 to 24 positions (in order, there and back, or
 shuffled), dwells of 2 s, recorded through the chip's filter and in whole LSB, gyros with the faults of
-`gyros_of`, a fixture of 0.02° to 0.3°, which the file states, and a temperature that drifts. A faulty one
-has, in turn, a slip of 0.5° to 20° (during a move or after it), two positions swapped, or one mistyped.
+`adis_gonio.sim.gyro_faults`, a fixture of 0.02° to 0.3°, which the file states, and a temperature that
+drifts. A faulty one has, in turn, a slip of 0.5° to 20° (during a move or after it), two positions swapped,
+or one mistyped.
 
 *Right* is: nothing else accused, the name, the position, and the true angle within 4 u. *Alike* are entries
 that predict what another fault predicts (of the first and the last position): there the set of names has to
-hold the true one. `--still` leaves the gyros out.
+hold the true one, and the angle has to be right as well. `--still` leaves the gyros out. Beside it stands
+what `slip_oracle` says of the same session.
 """
 
 from __future__ import annotations
@@ -31,9 +33,11 @@ from adis_gonio.model.records import Dwell, Floats, Session
 from adis_gonio.sensor.variants import GYRO_LSB_DPS
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.filter import bartlett_sums
-from adis_gonio.slips.diagnosis import Diagnosis
+from adis_gonio.sim.gyro_faults import realistic_gyros
+from adis_gonio.slips import Diagnosis, PositionFinding
 from adis_gonio.slips.meant import may_have_been_meant
 from adis_gonio.slips.of_session import positions_of
+from slip_oracle import Law, Mistakes, answer
 
 PERIOD_S = 1 / 819.2
 FILTER_M = 2
@@ -42,6 +46,8 @@ FAULTS = ("slipped", "swapped", "mistyped")
 WITHIN = 4.0
 """Standard uncertainties from the truth at which an angle is right."""
 LEAST_DEG, MOST_DEG = 0.5, 20.0
+LAW = Law(LEAST_DEG, MOST_DEG, Mistakes(may_have_been_meant, LEAST_DEG))
+"""How faults are made here, for the oracle."""
 
 Row = dict[str, Any]
 
@@ -57,14 +63,7 @@ class Truth:
 
 def gyros_of(rng: np.random.Generator) -> dict[str, float]:
     """Faults of one part's gyros and of the hand that moves it."""
-    settings = {f"gyro_scale_{axis}": 1 + rng.normal(0, 0.01) for axis in "xyz"}
-    for one in "xyz":
-        for other in "xyz":
-            if one != other:
-                settings[f"gyro_misalignment_{one}{other}_deg"] = rng.normal(0, 0.3)
-                settings[f"gyro_g_sensitivity_{one}{other}_dps_per_g"] = rng.normal(0, 0.05)
-    return settings | {
-        "gyro_rate_walk_dps_per_rt_s": 0.002,
+    return realistic_gyros(rng) | {
         "hand_moves": 1.0,
         "hand_tremor_dps": rng.uniform(0.3, 2.0),
         "hand_vibration_mg": rng.uniform(1.0, 6.0),
@@ -139,7 +138,9 @@ def _with_fault(
         return angles, declared, Truth(fault, (i, j), float(angles[i] - angles[j]))
     k = int(rng.integers(0, n))
     wrong = [
-        v for v in may_have_been_meant(float(angles[k])) if abs((v - angles[k] + 180) % 360 - 180) > 0.5
+        v
+        for v in may_have_been_meant(float(angles[k]))
+        if abs((v - angles[k] + 180) % 360 - 180) > LEAST_DEG
     ]
     declared[k] = float(rng.choice(wrong))
     return angles, declared, Truth(fault, (k,), float(angles[k] - declared[k]))
@@ -181,17 +182,18 @@ def judged(found: Diagnosis, truth: Truth | None) -> Row:
     said = [(one.finding, one.position) for one in found.findings]
     if truth is None:
         return {"right": not said, "said": said}
-    right = sorted(said) == sorted((truth.name, k) for k in truth.positions)
-    first = next((one for one in found.findings if one.position == truth.positions[0]), None)
+    named = sorted(said) == sorted((truth.name, k) for k in truth.positions)
+    first = next((one for one in found.findings if (truth.name, truth.positions) in _names(one)), None)
     off = None
     if first is not None:
-        off = float(np.degrees(wrap_rad(np.radians(first.error_deg[0] - truth.error_deg))))
+        # What an error of the first position is, a slip right after it is with the opposite sign.
+        sign = 1.0 if first.position == truth.positions[0] else -1.0
+        off = float(np.degrees(wrap_rad(np.radians(first.error_deg[0] - sign * truth.error_deg))))
     allowed = WITHIN * max(np.hypot(first.error_deg[1], found.scatter_deg), 1e-3) if first else 0.0
     angle = off is not None and abs(off) <= allowed
-    named = [(n.name, n.positions) for one in found.findings for n in one.names]
     return {
-        "right": bool(right and angle),
-        "alike": bool(not right and (truth.name, truth.positions) in named),
+        "right": bool(named and angle),
+        "alike": bool(not named and len({one.position for one in found.findings}) == 1 and angle),
         "said": said,
         "off_deg": off,
         "size_deg": abs(truth.error_deg),
@@ -199,10 +201,26 @@ def judged(found: Diagnosis, truth: Truth | None) -> Row:
     }
 
 
+def _names(found: PositionFinding) -> set[tuple[str, tuple[int, ...]]]:
+    return {(named.name, named.positions) for named in found.names}
+
+
 def _detectable(found: Diagnosis, truth: Truth) -> float | None:
     """Size from which this session shows a fault as the true one (of a swap one half of it)."""
     name = {"slipped": "slipped", "mistyped": "misset", "swapped": "misset"}[truth.name]
     return max(found.detectable_deg(name).get(k, np.inf) for k in truth.positions)
+
+
+def by_oracle(session: Session, truth: Truth | None) -> Row:
+    """What somebody says who knows how the sessions are made, held against the truth."""
+    said = answer(session, LAW)
+    row: Row = {"said": said.name, "at": list(said.positions), "probability": said.probability}
+    if truth is None:
+        return row | {"right": said.name == "none"}
+    off = float(np.degrees(wrap_rad(np.radians(said.error_deg - truth.error_deg))))
+    angle = abs(off) <= WITHIN * np.hypot(said.u_deg, session.fixture_sigma_deg or 0.0)
+    right = (said.name, said.positions) == (truth.name, truth.positions)
+    return row | {"right": bool(right and angle)}
 
 
 def one(job: tuple[int, str | None], *, gyros: bool = True) -> Row:
@@ -217,6 +235,7 @@ def one(job: tuple[int, str | None], *, gyros: bool = True) -> Row:
         row
         | {"at": None if truth is None else list(truth.positions)}
         | judged(positions_of(session), truth)
+        | {"oracle": by_oracle(session, truth)}
     )
 
 
@@ -233,27 +252,27 @@ def run(faulty: int, good: int, seed: int, jobs: int, *, gyros: bool = True) -> 
 
 
 def summary(rows: Sequence[Row]) -> dict[str, Any]:
-    """Counts by fault, slips by size, and false accusations."""
+    """Counts by fault, of those that a session can show, and false accusations."""
     good = [row for row in rows if row["fault"] is None]
     bad = [row for row in rows if row["fault"] is not None]
-    seen = [row for row in bad if row["detectable_deg"] is None or row["size_deg"] >= row["detectable_deg"]]
+    seen = [row for row in bad if row["size_deg"] >= row["detectable_deg"]]
     return {
-        "faulty": len(bad),
-        "right": sum(row["right"] for row in bad),
-        "alike": sum(row["alike"] for row in bad),
-        "detectable": len(seen),
-        "right_of_detectable": sum(row["right"] for row in seen),
-        "alike_of_detectable": sum(row["alike"] for row in seen),
-        "by_fault": {
-            name: {
-                "sessions": sum(row["fault"] == name for row in bad),
-                "right": sum(row["right"] for row in bad if row["fault"] == name),
-                "alike": sum(row["alike"] for row in bad if row["fault"] == name),
-            }
-            for name in FAULTS
-        },
+        **_counts(bad),
+        "of_detectable": _counts(seen),
+        "of_oracle": _counts([row for row in bad if row["oracle"]["right"]]),
+        "by_fault": {name: _counts([row for row in bad if row["fault"] == name]) for name in FAULTS},
         "good": len(good),
         "accused": sum(not row["right"] for row in good),
+        "oracle_accused": sum(not row["oracle"]["right"] for row in good),
+    }
+
+
+def _counts(rows: Sequence[Row]) -> dict[str, int]:
+    return {
+        "sessions": len(rows),
+        "right": sum(row["right"] for row in rows),
+        "alike": sum(row["alike"] for row in rows),
+        "oracle": sum(row["oracle"]["right"] for row in rows),
     }
 
 

@@ -16,7 +16,8 @@ from adis_gonio.session.overrides import AngleChange, Overrides
 from adis_gonio.slips.of_session import angles_of, in_context, positions_of
 from fakes import planar_session as planar
 from session.hand_bench import by_hand, hand_sensor
-from slip_statistics import session_of
+from slip_oracle import answer
+from slip_statistics import LAW, session_of
 from tracing.test_trace_sceptic import written
 
 AROUND = np.arange(12) * 30.0
@@ -25,7 +26,7 @@ AROUND = np.arange(12) * 30.0
 @pytest.fixture(scope="module")
 def mistyped():
     """A session by hand with gyros, one entry wrong, and the truth."""
-    return session_of(21, "mistyped")
+    return session_of(22, "mistyped")
 
 
 def test_the_gyro_between_the_dwells_of_a_recording_is_its_true_turn():
@@ -69,6 +70,16 @@ def test_a_fit_says_which_position_is_wrong_and_the_override_mends_it(mistyped):
     assert "positions" not in mended.as_dict()
     old = session.dwells[k].angle_deg
     assert mended.overrides["angles"] == {"old": {str(k): old}, "new": {str(k): one.meant_deg}}
+
+
+def test_an_oracle_that_shares_no_code_says_the_same(mistyped):
+    """Its evidence is of the readings themselves, its priors those of the sessions' maker."""
+    session, truth = mistyped
+    (one,) = positions_of(session).findings
+    said = answer(session, LAW)
+    assert (said.name, said.positions) == (one.finding, (one.position,)) == ("mistyped", truth.positions)
+    assert said.error_deg == pytest.approx(truth.error_deg)
+    assert said.probability > 0.99
 
 
 def test_a_session_file_has_its_gyros_as_witnesses(tmp_path):
@@ -180,7 +191,44 @@ def test_a_position_that_is_not_there_is_refused(file):
         load_session(file, Overrides(angles=(AngleChange(44, 44, 1.0),)))
 
 
-@pytest.mark.parametrize("text", ["7", "7=x", "=3", "9-7=3", "7=inf", "a=3", "7==3"])
+def test_a_stage_that_counted_the_other_way_from_somewhere_on_is_mended_by_what_is_advised(
+    tmp_path, capsys
+):
+    stood = np.where(np.arange(12) >= 7, 2 * AROUND[6] - AROUND, AROUND)
+    file = written(tmp_path / "back.csv", AROUND, stood)
+    _, out, _ = run(capsys, "fit", file, "--json")
+    (entry,) = json.loads(out)["positions"]
+    assert (entry["finding"], entry["angles"]) == ("reversed", "7-11=reverse")
+    status, out, _ = run(capsys, "fit", file, "--json", "--angles", entry["angles"])
+    document = json.loads(out)
+    assert status == 0
+    assert "positions" not in document
+    assert document["overrides"]["angles"]["new"] == {str(k): stood[k] for k in range(7, 12)}
+    _, out, _ = run(capsys, "fit", written(tmp_path / "good.csv", stood, stood), "--json")
+    good = json.loads(out)["parameters"]
+    for name, entry in document["parameters"].items():
+        assert entry["value"] == pytest.approx(good[name]["value"], abs=0.1 * good[name]["u"])
+
+
+def test_where_no_angle_is_declared_before_it_nothing_can_be_turned_back(file):
+    with pytest.raises(UsageError, match=r"--angles 0-3=reverse: before position 0 no angle is declared"):
+        load_session(file, Overrides(angles=(AngleChange(0, 3, None),)))
+
+
+def test_dwells_that_were_turned_back_were_reached_from_the_other_side(tmp_path):
+    path = tmp_path / "s.csv"
+    path.write_text(planar.text(planar.rows(), "accel_unit: mg", "sensor: generic"), encoding="utf-8")
+    plain = load_session(path)
+    plain = replace(plain, dwells=tuple(replace(dwell, approach=1) for dwell in plain.dwells))
+    session = Overrides(angles=(AngleChange(2, 3, None),)).apply(plain)
+    angles = [dwell.angle_deg for dwell in plain.dwells]
+    assert [d.angle_deg for d in session.dwells[2:4]] == [2 * angles[1] - v for v in angles[2:4]]
+    assert [d.approach for d in session.dwells[:5]] == [1, 1, -1, -1, 1]
+
+
+@pytest.mark.parametrize(
+    "text", ["7", "7=x", "=3", "9-7=3", "7=inf", "a=3", "7==3", "7-9+=reverse", "7-9=back"]
+)
 def test_what_is_no_correction_is_refused_in_one_line(capsys, file, text):
     status, _, err = run(capsys, "fit", file, "--angles", text)
     assert status == 2

@@ -83,6 +83,9 @@ def test_an_error_of_the_first_position_may_be_a_slip_after_it_and_the_set_says_
     (one,) = diagnose(angles(stood, AROUND)).findings
     said = {(named.name, named.positions) for named in one.names}
     assert {("misset", (0,)), ("slipped", (1,))} <= said
+    assert one.finding == "slipped"
+    assert "positions 1 to 11 stand -5.2" in one.sentence
+    assert "before position 1, or position 0 alone by +5.2" in one.sentence
 
 
 def test_a_stage_that_counts_the_other_way_from_somewhere_on():
@@ -90,6 +93,8 @@ def test_a_stage_that_counts_the_other_way_from_somewhere_on():
     stood[7:] = stood[6] - (AROUND[7:] - AROUND[6])
     (one,) = diagnose(angles(stood, AROUND)).findings
     assert (one.finding, one.position) == ("reversed", 7)
+    assert one.correction == "7-11=reverse"
+    assert "--angles 7-11=reverse" in one.sentence
 
 
 def test_a_pushed_reading_is_gravity_that_is_wrong_where_the_gyro_agrees_with_the_plan():

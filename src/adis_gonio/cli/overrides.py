@@ -85,16 +85,18 @@ _ANGLE = re.compile(r"(\d+)(?:-(\d+))?\s*(\+?=)\s*(\S+)")
 
 
 def _angles(text: str) -> tuple[AngleChange, ...]:
-    """Changes from `position=degrees,…`; `first-last+=degrees` adds to the declared ones."""
-    from adis_gonio.session.overrides import AngleChange
+    """Changes from `position=degrees,…`; `first-last+=degrees` adds, `first-last=reverse` turns back."""
+    from adis_gonio.session.overrides import REVERSE, AngleChange
 
     changes = []
     for part in text.split(","):
         found = _ANGLE.fullmatch(part.strip())
         value = None if found is None else _number(found[4])
-        if found is None or value is None or not math.isfinite(value):
+        back = found is not None and found[3] == "=" and found[4] == REVERSE
+        if found is None or not (back or (value is not None and math.isfinite(value))):
             raise click.BadParameter(
-                f"'{part.strip()}': write position=degrees, such as 7=210, or 7-12+=1.5 to add to several"
+                f"'{part.strip()}': write position=degrees, such as 7=210, 7-12+=1.5 to add to several, or"
+                f" 7-12={REVERSE} where the stage turned the other way"
             )
         first, last = int(found[1]), int(found[2] or found[1])
         if last < first:
@@ -142,7 +144,8 @@ _OPTIONS = (
         "--angles",
         type=_angles,
         metavar="POSITION=DEGREES,…",
-        help="Positions stood at other angles than declared, such as 7=210; 7-12+=1.5 adds to several.",
+        help="Positions stood at other angles than declared, such as 7=210; 7-12+=1.5 adds to several,"
+        " 7-12=reverse turns them the other way, seen from the position before.",
     ),
     click.option("--reverse", is_flag=True, help="The stage turned the other way than declared."),
     click.option(

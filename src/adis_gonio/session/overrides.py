@@ -14,6 +14,9 @@ from adis_gonio.model.records import ACCEL_UNITS, SENSORS, AccelUnit, Dwell, Ses
 
 _OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")
 
+REVERSE = "reverse"
+"""Stands for the degrees of positions to which the stage turned the other way."""
+
 
 def as_it_is(reason: str) -> str:
     """Why a file was refused, for commands that take no overrides: what its advice comes to there."""
@@ -30,27 +33,57 @@ class AngleChange:
     ----------
     first, last : int
         Numbers of the dwells.
-    degrees : float
-        The angle, or what is added to the declared ones.
+    degrees : float or None
+        The angle, or what is added to the declared ones; None: the stage turned the other way from the
+        position before the first on, so that each stands as far on the other side of that.
     added : bool
     """
 
     first: int
     last: int
-    degrees: float
+    degrees: float | None
     added: bool = False
 
     def __str__(self) -> str:
         where = str(self.first) if self.first == self.last else f"{self.first}-{self.last}"
+        if self.degrees is None:
+            return f"{where}={REVERSE}"
         return f"{where}{'+=' if self.added else '='}{self.degrees:g}"
 
-    def angle_deg(self, dwell: Dwell) -> float | None:
-        """Declared angle of a dwell after it."""
-        if not self.first <= dwell.position <= self.last:
-            return dwell.angle_deg
+    def applied(self, dwells: tuple[Dwell, ...]) -> tuple[Dwell, ...]:
+        """All dwells of a session after it.
+
+        Raises
+        ------
+        UsageError
+            There is no such position, or no declared angle before it from which to turn the other way.
+        """
+        numbers = [dwell.position for dwell in dwells]
+        if not any(self.first <= number <= self.last for number in numbers):
+            raise UsageError(
+                f"--angles {self}: there is no such position;"
+                f" numbers go from {min(numbers)} to {max(numbers)}"
+            )
+        before = [dwell for dwell in dwells if dwell.position < self.first]
+        pivot = max(before, key=lambda dwell: dwell.position).angle_deg if before else None
+        if self.degrees is None and pivot is None:
+            raise UsageError(
+                f"--angles {self}: before position {self.first} no angle is declared to turn back from;"
+                " give the angles themselves"
+            )
+        return tuple(
+            self._changed(dwell, pivot) if self.first <= dwell.position <= self.last else dwell
+            for dwell in dwells
+        )
+
+    def _changed(self, dwell: Dwell, pivot: float | None) -> Dwell:
+        old = dwell.angle_deg
+        if self.degrees is None:
+            turned = None if old is None or pivot is None else 2 * pivot - old
+            return replace(dwell, angle_deg=turned, approach=-dwell.approach)
         if not self.added:
-            return self.degrees
-        return None if dwell.angle_deg is None else dwell.angle_deg + self.degrees
+            return replace(dwell, angle_deg=self.degrees)
+        return dwell if old is None else replace(dwell, angle_deg=old + self.degrees)
 
 
 @dataclass(frozen=True)
@@ -147,15 +180,12 @@ class Overrides:
         source = session.source or "session"
         if session.plane != "xy" or not session.dwells:
             raise UsageError(f"{source}: has no declared angles of a plane, --angles changes nothing")
-        numbers = {dwell.position for dwell in session.dwells}
         dwells = session.dwells
         for change in self.angles:
-            if not any(change.first <= number <= change.last for number in numbers):
-                raise UsageError(
-                    f"{source}: --angles {change}: there is no such position; numbers go from"
-                    f" {min(numbers)} to {max(numbers)}"
-                )
-            dwells = tuple(replace(dwell, angle_deg=change.angle_deg(dwell)) for dwell in dwells)
+            try:
+                dwells = change.applied(dwells)
+            except UsageError as error:
+                raise UsageError(f"{source}: {error}") from None
         return dwells
 
 

@@ -83,6 +83,9 @@ class WorldSettings(GyroSettings):
     fixture_sigma_deg, backlash_deg, overshoot_deg : float
         Standard deviation of the angle error that each move draws; how far apart the same position
         reached from both sides lies; how far a move goes past its target to turn round.
+    part_slip_deg, part_slip_position : float
+        By how much the part slips in its fixture, in the direction of declared angles, on the stage's way
+        to a position (moves in the plane, counted from 0).
     axis_tilt_deg : float
         Tilt of the rotation axis out of the horizontal.
     move_speed_dps : float
@@ -150,6 +153,8 @@ class WorldSettings(GyroSettings):
     fixture_sigma_deg: float = 0.02
     backlash_deg: float = 0.0
     overshoot_deg: float = 5.0
+    part_slip_deg: float = 0.0
+    part_slip_position: float = 1.0
     axis_tilt_deg: float = 0.0
     move_speed_dps: float = 45.0
     vibration_mg: float = 20.0

@@ -2,8 +2,9 @@
 
 In the plane the part turns about its Z axis, which lies horizontal. The true angle is
 ψ = α − θ + δ with the declared angle θ and the error δ that each move draws (fixture, N(0, σ)) plus half
-the backlash by the direction of approach; X then reads G cos ψ and Y G sin ψ. In space the stage turns the
-part until a given unit vector is what an ideal sensor would read, in units of G.
+the backlash by the direction of approach, less what the part has slipped in its fixture; X then reads
+G cos ψ and Y G sin ψ. In space the stage turns the part until a given unit vector is what an ideal sensor
+would read, in units of G.
 
 A move takes time; the part rings after it. A motor's speed rises and falls as a half sine, a hand moves as
 hands do (`hand_moves.HandMove`). Turns all around by hand (`hand.HandTurn`) have no declared angle.
@@ -137,10 +138,10 @@ class Stage:
         self._movements = np.random.default_rng(0) if moves is None else moves
         self._alpha = alpha_rad
         self._rng = rng
+        self._moves = 0
         error = self._error(0)
         self._legs = [self._planar(-np.inf, -np.inf, 0.0, 0.0, error, error, 0, 0, 0.0)]
         self._starts = np.array([-np.inf])
-        self._moves = 0
         self._mark_error = 0.0
         self._course: tuple[Floats, Floats] | None = None
 
@@ -322,7 +323,9 @@ class Stage:
 
     def _error(self, approach: int) -> float:
         drawn = self._settings.fixture_sigma_deg * float(self._rng.standard_normal())
-        return float(np.radians(drawn + approach * self._settings.backlash_deg / 2))
+        slipped = self._moves > self._settings.part_slip_position  # the first move goes to position 0
+        slip = self._settings.part_slip_deg if slipped else 0.0
+        return float(np.radians(drawn + approach * self._settings.backlash_deg / 2 - slip))
 
     def _mark(self) -> float:
         drawn = self._settings.mark_sigma_deg * float(self._movements.standard_normal())

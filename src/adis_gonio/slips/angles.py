@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
+from adis_gonio.slips.halts import Halts
 
 TURN_RAD = 2 * math.pi
 
@@ -26,11 +27,15 @@ class Increments:
     force_gs : (n - 1, 2) float
         Integral over the turn of what X and Y read less the course between the two dwells, in g·s: what a
         g-sensitivity of 1 rad/s/g adds to the angle.
+    halts : tuple of (Halts or None)
+        Where the part rested on its way, n - 1 of them; None where only the whole turn is known. Empty: of
+        no turn.
     """
 
     angle_rad: Floats
     u_rad: Floats
     force_gs: Floats
+    halts: tuple[Halts | None, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -146,18 +146,18 @@ def _findings(
         beside = Beside.of(rows, rest)
         patterns = _others(patterns_of(rows, beside.error_rad), rest)
         weighed = weigh(rows, grid, patterns, beside)
-        best = weighed.best
-        if best is None:
+        if weighed.best is None:
             continue
         accusing = [v for (_, name), v in weighed.named.items() if name in ACCUSED]
         total = np.logaddexp.reduce([weighed.none, *weighed.named.values()])
         probability = float(np.exp(np.logaddexp.reduce(accusing) - total))
-        if probability < CERTAIN or best[1] not in ACCUSED:
+        number, name = weighed.likeliest
+        if probability < CERTAIN or name not in ACCUSED:
             continue
-        chosen = patterns[best[0]]
+        chosen = patterns[number]
         names = _set_of_names(angles.position, patterns, weighed)
         speaker = _Speaker(angles, rows, [*rest, chosen], chosen, weighed.scatter)
-        found += speaker.findings(best[1], probability, names)
+        found += speaker.findings(name, probability, names)
     return _once(found)
 
 

@@ -181,6 +181,11 @@ class Weighed:
     scatter: Scatter
 
     @property
+    def likeliest(self) -> tuple[int, Name]:
+        """The most probable pattern and name of all; there has to be one."""
+        return max(self.named, key=self.named.__getitem__)
+
+    @property
     def best(self) -> tuple[int, Name] | None:
         """The most probable pattern under all its names, with the best of them; None: no more is wrong."""
         whole: dict[int, float] = {}

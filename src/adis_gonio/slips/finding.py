@@ -21,6 +21,9 @@ MEANINGS: dict[Name, str] = {
     "gyro_wrong": "the gyro lost this turn",
 }
 
+SIZED: frozenset[Name] = frozenset({"mistyped", "misset", "slipped"})
+"""Names of one error, which has a size."""
+
 
 @dataclass(frozen=True)
 class Named:
@@ -98,6 +101,8 @@ class PositionFinding:
                 return f"{self.position}={_plain(value)}"
             case "slipped":
                 return f"{_range(self.position, self.others)}+={_plain(self.error_deg[0])}"
+            case "reversed":
+                return f"{_range(self.position, self.others)}=reverse"
         return None
 
     @property
@@ -111,16 +116,19 @@ class PositionFinding:
                 f"{self._named}; repeat it, or leave it out"
             )
         if self.finding == "slipped":
-            last = self.others[-1] if self.others else self.position
-            text = (
-                f"positions {self.position} to {last} stand {_signed(self.error_deg)} from where they are "
-                f"declared by {self._sources}: {self._named} before position {self.position}"
+            stands = f"{where} stands {_signed(self.error_deg)} from where it is"
+            if self.others:
+                those = f"positions {self.position} to {self.others[-1]}"
+                stands = f"{those} stand {_signed(self.error_deg)} from where they are"
+            repeat = "repeat them" if self.others else "repeat it"
+            return (
+                f"{stands} declared by {self._sources}: {self._named}; clamp the part and {repeat},"
+                f" or give --angles {self.correction}"
             )
-            return f"{text}; clamp it and repeat them, or give --angles {self.correction}"
         if self.finding == "reversed":
             return (
                 f"from position {self.position} on the part turned against the declared angles by "
-                f"{self._sources}: {self._named}; change the sign of the turns from there on"
+                f"{self._sources}: {self._named}; correct the file or give --angles {self.correction}"
             )
         said = f"{where}: {declared}{self._sources} {self._say} {_stated(self.angle_deg)}: {self._named}"
         if self.finding == "swapped":
@@ -141,13 +149,22 @@ class PositionFinding:
 
     @property
     def _named(self) -> str:
-        """The name that stands first, then the others of the set."""
-        own = [MEANINGS[self.finding]]
+        """The name that stands first, then the others of the set, with places where they are others."""
+        # One angle that is off from all others, or all others from it.
+        by = f"by {_signed((-self.error_deg[0], self.error_deg[1]))}"
+        own, elsewhere = [_meaning(self.finding, self.position)], dict[int, list[str]]()
         for named in self.names:
             if named.name == self.finding:
                 continue
-            here = self.position in named.positions
-            own.append(MEANINGS[named.name] + ("" if here else f" before position {named.positions[0]}"))
+            place = self.position if self.position in named.positions else named.positions[0]
+            text = _meaning(named.name, place)
+            if place == self.position or named.name not in SIZED:
+                own.append(text)
+            elif named.name == "slipped":
+                own.append(f"{text}, {by}")
+            else:
+                elsewhere.setdefault(place, []).append(text.split(",")[0])
+        own += [f"position {k} alone {by}: {' or '.join(texts)}" for k, texts in elsewhere.items()]
         return ", or ".join(dict.fromkeys(own))
 
     def as_dict(self) -> dict[str, Any]:
@@ -177,6 +194,10 @@ class PositionFinding:
 def listed(findings: Sequence[PositionFinding]) -> dict[str, Any]:
     """The key `positions` of a result's JSON; nothing where nothing was found."""
     return {"positions": [found.as_dict() for found in findings]} if findings else {}
+
+
+def _meaning(name: Name, position: int) -> str:
+    return MEANINGS[name] + (f" before position {position}" if name == "slipped" else "")
 
 
 def _range(first: int, others: tuple[int, ...]) -> str:

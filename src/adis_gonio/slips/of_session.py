@@ -14,6 +14,7 @@ from adis_gonio.model.records import Dwell, Floats, Session
 from adis_gonio.sensor.variants import VARIANTS
 from adis_gonio.slips.angles import Angles, Increments
 from adis_gonio.slips.diagnosis import LARGEST, Diagnosis, diagnose
+from adis_gonio.slips.halts import Halts, halts_of
 
 BIAS_MG = 60.0
 """Standard deviation of a bias before it is measured: one real ADIS16350 had +57, −21 and +46 mg (CHIP)."""
@@ -82,15 +83,17 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
     sampling, zero_dps2 = _sampling(session, dwells)
     pairs = list(zip(readings.position[:-1].tolist(), readings.position[1:].tolist(), strict=True))
     rows = np.full((len(pairs), 4), np.nan)
+    halts: list[Halts | None] = [None] * len(pairs)
     for k, pair in enumerate(pairs):
         if pair in turns and pair[0] in by_position and pair[1] in by_position:
             ends = by_position[pair[0]], by_position[pair[1]]
             path = path_between(session, turns[pair], *ends, _scale(session))
             found = None if path is None else _turned(path, sampling, zero_dps2)
             rows[k] = np.nan if found is None else found
+            halts[k] = None if path is None or found is None else halts_of(path, sampling)
         if not np.isfinite(rows[k, 0]) and pair in noted:
             rows[k] = (*noted[pair], 0.0, 0.0)
-    return Increments(np.radians(rows[:, 0]), np.radians(rows[:, 1]), rows[:, 2:])
+    return Increments(np.radians(rows[:, 0]), np.radians(rows[:, 1]), rows[:, 2:], tuple(halts))
 
 
 def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:

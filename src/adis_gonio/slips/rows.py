@@ -14,6 +14,7 @@ with its prior; s and the g-sensitivity are the gyro's. Effects that turn the pa
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from adis_gonio.model.effects import Conditions, Enters, catalogue
 from adis_gonio.model.measurement import PlanarTurn, wrap_rad
 from adis_gonio.model.records import Floats
 from adis_gonio.slips.angles import Angles
+from adis_gonio.slips.halts import Halts
 
 GAIN = 0.02
 """Standard deviation of a gain (CHIP, B: ±2 %)."""
@@ -70,6 +72,8 @@ class Rows:
     declared_rad : (n,) float
         θ; of a dwell without one what gravity shows.
     declared : (n,) bool
+    halts : mapping of int to Halts
+        Rests on the way to a dwell, where they are known.
     """
 
     seen_rad: Floats
@@ -84,6 +88,7 @@ class Rows:
     noise: Floats
     declared_rad: Floats
     declared: NDArray[np.bool_]
+    halts: Mapping[int, Halts]
 
     def __len__(self) -> int:
         return len(self.declared)
@@ -93,7 +98,7 @@ class Rows:
         n = 2 * len(self)
         return replace(
             self, gyro_rad=self.gyro_rad[:0], turn=self.turn[:0], design=self.design[:n],
-            stands=self.stands[:n], noise=self.noise[:n, :n],
+            stands=self.stands[:n], noise=self.noise[:n, :n], halts={},
         )  # fmt: skip
 
     def observed(self, error_rad: Floats, zero_rad: float) -> Floats:
@@ -230,6 +235,9 @@ def rows_at(angles: Angles, calibration: Calibration) -> Rows:
         noise,
         theta,
         declared,
+        {}
+        if angles.turns is None
+        else {k: h for k, h in enumerate(angles.turns.halts, 1) if h is not None},
     )
 
 
@@ -244,6 +252,11 @@ def _turns(angles: Angles) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
         angles.turns.u_rad[watched],
         angles.turns.force_gs[watched],
     )
+
+
+def _halts(angles: Angles) -> dict[int, Halts]:
+    known = () if angles.turns is None else angles.turns.halts
+    return {dwell: halts for dwell, halts in enumerate(known, 1) if halts is not None}
 
 
 def _beside(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
