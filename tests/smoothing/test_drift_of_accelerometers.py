@@ -1,4 +1,4 @@
-"""What 1/f noise of the accelerometers leaves in the angle, after the filter has averaged, is what u says."""
+"""What 1/f noise of the accelerometers leaves in the angle, after the filter averages, is what u says."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ OCTAVES_HZ = 2.0 ** np.arange(1, -16, -1)
 
 
 def angle_of(pulse_at: int | None, lag_s: float, floor_mg: float):
-    """The last angle of a part that lies still without noise, with a pulse of 0.01 mg of Y in one sample."""
+    """The last angle of a part that lies still without noise, with 0.01 mg more in one sample of Y."""
     sensing = Sensing(1 / RATE_HZ, NOISE_MG / 4, GYRO_NOISE_DPS / 4, drift_mg=floor_mg)
     smoother = AngleSmoother(sensing, lag_s=lag_s)
     accel = np.tile([1000.0, 0.0, 0.0], (COUNT, 1))
