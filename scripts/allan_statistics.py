@@ -26,6 +26,7 @@ from typing import Any
 
 import allantools
 import numpy as np
+from scipy import fft
 
 from adis_gonio.allan import AxisNoise, fit_allan
 from adis_gonio.estimation.intervals import wilson
@@ -96,7 +97,8 @@ def noise(case: Case, rng: np.random.Generator) -> Floats:
 
 def flicker(floor: float, n: int, rng: np.random.Generator) -> Floats:
     """Noise (n,) with the density B²/(2πf), B = floor/√(2 ln 2/π), of normal Fourier coefficients."""
-    size = 8 * n
+    size = fft.next_fast_len(8 * n, real=True)
+    size += size % 2
     b = floor / math.sqrt(2 * math.log(2) / math.pi)
     frequency = np.arange(1, size // 2 + 1) / size
     spread = np.sqrt(b**2 / (2 * math.pi * frequency) * size / 2)

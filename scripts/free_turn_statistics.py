@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+import turned_parts
 from adis_gonio.errors import AdisGonioError
 from adis_gonio.fitting import FitResult, fit
 from adis_gonio.model.measurement import PlanarTurn, wrap_rad
@@ -33,12 +34,11 @@ from adis_gonio.model.records import Dwell, Floats, Session
 from adis_gonio.sensor.variants import GYRO_LSB_DPS
 from adis_gonio.session.free_turn import TURNS
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.filter import bartlett_sums
+from turned_parts import FILTER_M, words
 
 RECORDED_S = 60.0
 DWELLS = 24
 PERIOD_S = 1 / 819.2
-FILTER_M = 2
 NAMES = ("delta_k", "delta_phi", "bias_x", "bias_y")
 TARGET = 1.2
 BAND = (0.94, 0.96)
@@ -48,22 +48,14 @@ Row = dict[str, Any]
 
 def hand_of(rng: np.random.Generator) -> dict[str, float]:
     """Settings of one part, its gyro and the hand that turns it, in the same time however many turns."""
-    return {
-        "lever_x_mm": rng.normal(0, 40),
-        "lever_y_mm": rng.normal(0, 40),
-        "gyro_scale_z": 1 + rng.normal(0, 0.01),
-        "gyro_misalignment_zx_deg": rng.normal(0, 0.3),
-        "gyro_misalignment_zy_deg": rng.normal(0, 0.3),
-        "gyro_g_sensitivity_zx_dps_per_g": rng.normal(0, 0.05),
-        "gyro_g_sensitivity_zy_dps_per_g": rng.normal(0, 0.05),
-        "gyro_rate_walk_dps_per_rt_s": 0.002,
-        "hand_turn_deg": rng.uniform(360, 380) * rng.choice([-1, 1]),
-        "hand_turn_s": rng.uniform(45, 52),
-        "hand_unevenness": rng.uniform(0.05, 0.25),
-        "hand_tremor_dps": rng.uniform(0.3, 2.0),
-        "hand_vibration_mg": rng.uniform(1.0, 6.0),
-        "axis_wobble_deg": rng.uniform(0.0, 0.04),
-    }
+
+    def turn(rng: np.random.Generator) -> dict[str, float]:
+        return {
+            "hand_turn_deg": rng.uniform(360, 380) * rng.choice([-1, 1]),
+            "hand_turn_s": rng.uniform(45, 52),
+        }
+
+    return turned_parts.part_of(rng, turn, (1.0, 6.0))
 
 
 def world_of(seed: int, *, returns: bool = False) -> World:
@@ -76,16 +68,9 @@ def samples_of(world: World, time_s: Floats) -> tuple[Floats, Floats]:
     """Accelerometers (n, 3) in mg and gyros (n, 3) in °/s behind the chip's filter, in whole LSB."""
     felt = world.sample(time_s)
     return (
-        _words(felt.accel_mg, world.variant.accel_mg_per_lsb),
-        _words(felt.gyro_dps, GYRO_LSB_DPS[300]),
+        words(felt.accel_mg, world.variant.accel_mg_per_lsb),
+        words(felt.gyro_dps, GYRO_LSB_DPS[300]),
     )
-
-
-def _words(values: Floats, lsb: float) -> Floats:
-    fine = np.rint(values * 1024 / lsb).astype(np.int64)
-    history = np.repeat(fine[:1], 2 * 2**FILTER_M - 2, axis=0)
-    sums = bartlett_sums(np.concatenate([history, fine]), FILTER_M)
-    return np.asarray(np.rint(sums / (1024 * 4**FILTER_M)) * lsb)
 
 
 def free_turn(

@@ -24,16 +24,16 @@ from typing import Any
 
 import numpy as np
 
+import turned_parts
 from adis_gonio.model.records import Floats
 from adis_gonio.sensor.variants import GYRO_LSB_DPS
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.filter import bartlett_sums
 from adis_gonio.smoothing import AngleSmoother, GyroKnowledge, Sensing
 from adis_gonio.smoothing.offline import smooth
+from turned_parts import FILTER_M, words
 
 LAGS_S = (0.0, 0.1, 0.25, 0.5, 1.0)
 PERIOD_S = 1 / 819.2
-FILTER_M = 2
 REST_S = 6.0
 AFTER_S = 3.0
 EVERY = 82
@@ -51,22 +51,14 @@ Row = dict[str, Any]
 def part_of(rng: np.random.Generator) -> dict[str, float]:
     """Settings of one part, its gyro and the hand that turns it."""
     turn_deg = rng.uniform(90, 400)
-    return {
-        "lever_x_mm": rng.normal(0, 40),
-        "lever_y_mm": rng.normal(0, 40),
-        "gyro_scale_z": 1 + rng.normal(0, 0.01),
-        "gyro_misalignment_zx_deg": rng.normal(0, 0.3),
-        "gyro_misalignment_zy_deg": rng.normal(0, 0.3),
-        "gyro_g_sensitivity_zx_dps_per_g": rng.normal(0, 0.05),
-        "gyro_g_sensitivity_zy_dps_per_g": rng.normal(0, 0.05),
-        "gyro_rate_walk_dps_per_rt_s": 0.002,
-        "hand_turn_deg": turn_deg * rng.choice([-1, 1]),
-        "hand_turn_s": turn_deg / rng.uniform(15, 60),
-        "hand_unevenness": rng.uniform(0.05, 0.25),
-        "hand_tremor_dps": rng.uniform(0.3, 2.0),
-        "hand_vibration_mg": rng.uniform(2.0, 30.0),
-        "axis_wobble_deg": rng.uniform(0.0, 0.04),
-    }
+
+    def turn(rng: np.random.Generator) -> dict[str, float]:
+        return {
+            "hand_turn_deg": turn_deg * rng.choice([-1, 1]),
+            "hand_turn_s": turn_deg / rng.uniform(15, 60),
+        }
+
+    return turned_parts.part_of(rng, turn, (2.0, 30.0))
 
 
 @dataclass(frozen=True)
@@ -136,19 +128,11 @@ def recording_of(seed: int, given: Mapping[str, float] | None = None) -> Recordi
     felt = world.sample(time_s)
     return Recording(
         time_s,
-        _words(felt.accel_mg, world.variant.accel_mg_per_lsb),
-        _words(felt.gyro_dps, GYRO_LSB_DPS[300]),
+        words(felt.accel_mg, world.variant.accel_mg_per_lsb),
+        words(felt.gyro_dps, GYRO_LSB_DPS[300]),
         world,
         (begin_s, end_s),
     )
-
-
-def _words(values: Floats, lsb: float) -> Floats:
-    """What the chip's filter makes of samples, in whole steps."""
-    fine = np.rint(values * 1024 / lsb).astype(np.int64)
-    history = np.repeat(fine[:1], 2 * 2**FILTER_M - 2, axis=0)
-    sums = bartlett_sums(np.concatenate([history, fine]), FILTER_M)
-    return np.asarray(np.rint(sums / (1024 * 4**FILTER_M)) * lsb)
 
 
 def sensing_of(recording: Recording) -> Sensing:
@@ -252,8 +236,8 @@ def rest(seed: int, lag_s: float = 0.5) -> float:
     felt = world.sample(time_s)
     recording = Recording(
         time_s,
-        _words(felt.accel_mg, world.variant.accel_mg_per_lsb),
-        _words(felt.gyro_dps, GYRO_LSB_DPS[300]),
+        words(felt.accel_mg, world.variant.accel_mg_per_lsb),
+        words(felt.gyro_dps, GYRO_LSB_DPS[300]),
         world,
         (np.inf, np.inf),
     )

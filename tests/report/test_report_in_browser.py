@@ -16,11 +16,23 @@ import pytest
 
 from adis_gonio.cli import main
 from report.browser import Browser, browser, missing
+from report.rests import rests_csv
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
 
 WIDTHS = (360, 800, 1000, 1400)
-KINDS = ("planar", "spatial", "recorded", "two positions", "odd", "untraceable", "one pose", "board")
+KINDS = (
+    "planar",
+    "spatial",
+    "recorded",
+    "two positions",
+    "odd",
+    "untraceable",
+    "one pose",
+    "board",
+    "noise",
+    "rests",
+)
 TWO = "time_s,position,angle_deg,ax,ay\n0,0,0,999,3\n60,1,90,4,-1001\n"
 ODD = (
     "<script>alert('x')</script> & \"quoted\" {{ 7 * 7 }} %s </title><h1> a title that was written late "
@@ -44,6 +56,8 @@ def session_of(kind: str, folder: Path, data: Path | None) -> Path:
         rows = TWO.rsplit("60,1")[0] if kind == "untraceable" else TWO
         path.write_text(f"# accel_unit: mg\n# reading_u_mg: 0.1\n{title}{rows}", encoding="utf-8")
         return path
+    if kind in ("noise", "rests"):
+        return rests_csv(folder / f"{kind}.csv")
     path = folder / f"{kind.replace(' ', '-')}.session"
     if kind == "one pose":
         path = path.with_suffix(".csv")
@@ -78,7 +92,11 @@ def made(request, folder) -> tuple[str, Path, Path]:
         return kind, page.with_suffix(".json"), page
     data = request.getfixturevalue("data_folder") if kind == "recorded" else None
     session = session_of(kind, folder, data)
+    if kind == "noise":
+        assert main(["allan", str(session), "-o", str(page)]) == 0
+        return kind, session, page
     assert main(["report", str(session), "-o", str(page)]) == 0
+    assert ("of the gyros at rest" in page.read_text(encoding="utf-8")) == (kind == "rests")
     assert ("could not be traced" in page.read_text(encoding="utf-8")) == (kind == "untraceable")
     return kind, session, page
 
@@ -158,7 +176,7 @@ TABLES = """[...document.querySelectorAll('table')].map(
 
 def test_the_numbers_of_the_page_are_those_of_fit_json(chrome, made, capsys):
     kind, session, page = made
-    if kind in ("untraceable", "one pose", "board"):
+    if kind in ("untraceable", "one pose", "board", "noise"):
         return  # none of them has results by method
     capsys.readouterr()
     with chrome.tab(page) as tab:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,24 +81,19 @@ def ordinates(
     """
     n = len(record)
     lines = np.asarray(fft.dct(record, type=2, norm="ortho"), np.float64)[1:]
-    starts, stops = _bins(n)
+    grid = _grid(n, filter_m, period_s)
+    starts = grid.starts
     kept = np.ones(n - 1, dtype=bool)
     kept[masked[(masked >= 1) & (masked < n)] - 1] = False
     square = np.where(kept, lines**2, 0.0)
     weight = np.add.reduceat(kept.astype(np.float64), starts - 1)
     power = np.add.reduceat(square, starts - 1) / np.maximum(weight, 1.0)
-    part = np.minimum(_POINTS, stops - starts)
-    owner = np.repeat(np.arange(len(starts)), part)
-    step = np.arange(len(owner)) - np.repeat(np.cumsum(part) - part, part)
-    k = starts[owner] + (step + 0.5) / part[owner] * (stops - starts)[owner] - 0.5
-    first = np.cumsum(part) - part
-    shapes = np.add.reduceat(variances(filter_m, n, k, period_s), first, axis=0) / part[:, None]
-    rounded = np.add.reduceat(ordinate_variances(rounding, n, k), first) / part
+    rounded = grid.mean(ordinate_variances(rounding, n, grid.points))
     singles = min(SINGLES, n - 1)
     number = np.arange(1, singles + 1)
     slope = np.where(kept[:singles], line(n, number.astype(np.float64)), 0.0)
     return Ordinates(
-        (stops - 1) / (2 * n), weight, power, shapes, rounded, ((0, lines[:singles].copy(), slope),)
+        grid.highest, weight, power, grid.shapes, rounded, ((0, lines[:singles].copy(), slope),)
     )
 
 
@@ -115,6 +111,48 @@ def together(parts: list[Ordinates]) -> Ordinates:
         np.concatenate([part.rounding for part in parts]),
         tuple(lines),
     )
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """What the bins of records of one length have in common, whatever was recorded.
+
+    Attributes
+    ----------
+    starts : (b,) int
+        First ordinate of each bin.
+    highest : (b,) float
+        Highest frequency in cycles a sample.
+    points : (p,) float
+        Ordinates at which densities are computed, `_POINTS` a bin at most.
+    first, count : (b,) int
+        A bin's first point, and how many it has.
+    shapes : (b, 4) float
+    """
+
+    starts: NDArray[np.intp]
+    highest: Floats
+    points: Floats
+    first: NDArray[np.intp]
+    count: NDArray[np.intp]
+    shapes: Floats
+
+    def mean(self, values: Floats) -> Floats:
+        """Mean (b,) over each bin's points of values (p,)."""
+        return np.asarray(np.add.reduceat(values, self.first) / self.count, np.float64)
+
+
+@lru_cache(maxsize=8)
+def _grid(n: int, filter_m: int, period_s: float) -> _Grid:
+    """Axes, and most dwells of a session, are of one length."""
+    starts, stops = _bins(n)
+    count = np.minimum(_POINTS, stops - starts)
+    first = np.cumsum(count) - count
+    owner = np.repeat(np.arange(len(starts)), count)
+    step = np.arange(len(owner)) - first[owner]
+    points = starts[owner] + (step + 0.5) / count[owner] * (stops - starts)[owner] - 0.5
+    shapes = np.add.reduceat(variances(filter_m, n, points, period_s), first, axis=0) / count[:, None]
+    return _Grid(starts, (stops - 1) / (2 * n), points, first, count, shapes)
 
 
 def _bins(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -63,6 +63,7 @@ def _page(session: Session, time_limit: float | None) -> str:
     from adis_gonio.budget import current, told
     from adis_gonio.errors import AdisGonioError
     from adis_gonio.fitting import applicable_methods, fit
+    from adis_gonio.report.allan import noise_section
     from adis_gonio.report.gyros import gyro_section
     from adis_gonio.report.page import build_page
     from adis_gonio.report.views import views
@@ -76,7 +77,8 @@ def _page(session: Session, time_limit: float | None) -> str:
             fits.append(fit(session, method=method))
         except AdisGonioError as error:
             failures[method] = str(error)
-    gyros = [section for section in (gyro_section(session),) if section is not None]
+    made = (gyro_section(session), noise_section(session))
+    gyros = [section for section in made if section is not None]
     try:
         traced = trace(session, time_limit=time_limit)
         drawn = views(session, traced)

@@ -1,15 +1,21 @@
-"""The page of a part's noise at rest: coefficients with u, and the Allan plot with the fitted curve."""
+"""A part's noise at rest, as a page and in a report: coefficients with u beside the Allan plot."""
 
 from __future__ import annotations
 
 from adis_gonio import __version__
-from adis_gonio.allan import AllanResult, AxisNoise
+from adis_gonio.allan import AllanResult, AxisNoise, fit_allan
 from adis_gonio.allan import words as said
+from adis_gonio.errors import DataError
+from adis_gonio.model.records import Session
+from adis_gonio.report.numbers import number
 from adis_gonio.report.parts import Figure, Section, Table
 from adis_gonio.report.render import render
 from adis_gonio.report.svg import ROLES, Series, plot
 
+LONG_S = 30.0
+"""Rests from which a gyro's floor shows (docs/allan.md): shorter ones know white noise and little else."""
 _TIME = "averaging time / s"
+_SLOW = ("flicker", "walk")
 
 
 def allan_page(result: AllanResult) -> str:
@@ -32,6 +38,31 @@ def allan_page(result: AllanResult) -> str:
     )
 
 
+def noise_section(session: Session) -> Section | None:
+    """The gyros' noise for a report of a session; None without gyros, and where rests are too short."""
+    try:
+        result = fit_allan(session)
+    except DataError:
+        return None
+    return section_of(result) if worth_saying(result) else None
+
+
+def worth_saying(result: AllanResult) -> bool:
+    """The rests are long enough to see slow noise, or show it."""
+    shown = any(axis[kind].present for axis in result.axes for kind in _SLOW)
+    return shown or result.longest_s >= LONG_S
+
+
+def section_of(result: AllanResult) -> Section:
+    """What `allan_page` holds, as a section of another page."""
+    return Section(
+        f"Noise of the {said.PARTS[result.part]} at rest",
+        words=(f"{said.headline(result)}.",),
+        notes=[*result.notes, *_reading()],
+        parts=[_section(result, axis) for axis in result.axes],
+    )
+
+
 def allan_svg(result: AllanResult) -> str:
     """Allan deviations of all axes with the fitted curves, as one drawing."""
     series = []
@@ -40,9 +71,11 @@ def allan_svg(result: AllanResult) -> str:
         series.append(Series(curve.tau_s, curve.deviation, axis.axis, role=role))
         series.append(Series(curve.tau_s, curve.model, "", role="model", style="line"))
     title = f"Allan deviation of the {said.PARTS[result.part]}"
+    described = " ".join(_described(result, axis) for axis in result.axes)
     return plot(
-        series, _TIME, _deviation(result), title=title, x_log=True, y_log=True, width=560, height=380
-    )
+        series, _TIME, _deviation(result), title=title, description=described, x_log=True, y_log=True,
+        width=560, height=380,
+    )  # fmt: skip
 
 
 def _deviation(result: AllanResult) -> str:
@@ -64,7 +97,8 @@ def _section(result: AllanResult, axis: AxisNoise) -> Section:
     absent: list[str] = []
     for parameter in axis.parameters:
         if parameter.present:
-            rows += said.cells(parameter)
+            # Every row has its name: who hears a table hears the head of each row.
+            rows += [(said.name_shown(parameter), *row[1:]) for row in said.cells(parameter)]
         elif parameter.kind != "quantization":
             unit = said.unit_shown(parameter.unit)
             absent.append(f"{said.name_shown(parameter)} / {unit}: {said.missing(parameter)}")
@@ -86,6 +120,18 @@ def _figure(result: AllanResult, axis: AxisNoise) -> Figure:
     ]
     title = f"Allan deviation of {axis.axis}"
     drawn = plot(
-        series, _TIME, _deviation(result), title=title, x_log=True, y_log=True, width=480, height=320
-    )
+        series, _TIME, _deviation(result), title=title, description=_described(result, axis), x_log=True,
+        y_log=True,
+    )  # fmt: skip
     return Figure(drawn, f"{title}: overlapping estimate with its interval, and the fitted noise's curve.")
+
+
+def _described(result: AllanResult, axis: AxisNoise) -> str:
+    """The curve in a sentence, for who does not see it."""
+    tau, deviation = axis.curve.tau_s, axis.curve.deviation
+    unit, least = said.unit_shown(result.unit), int(deviation.argmin())
+    return (
+        f"{axis.axis.upper()}: from {number(deviation[0])} {unit} at {number(tau[0])} s to"
+        f" {number(deviation[-1])} {unit} at {number(tau[-1])} s, least {number(deviation[least])} {unit}"
+        f" at {number(tau[least])} s."
+    )

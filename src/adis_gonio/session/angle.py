@@ -17,6 +17,7 @@ import numpy as np
 
 from adis_gonio.errors import BusError, ChipError, UsageError
 from adis_gonio.model.records import Floats
+from adis_gonio.sensor.bartlett import white_gain
 from adis_gonio.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT
 from adis_gonio.sensor.settings import Configuration
 from adis_gonio.session.blocks import Block, session_columns
@@ -24,7 +25,7 @@ from adis_gonio.session.settings import Settings
 from adis_gonio.session.smoothed import Smoothed, SmoothedMeter, sensing_of
 from adis_gonio.session.source import ChipSource, Measuring, SampleStream, open_source
 from adis_gonio.session.stillness import limits_from_noise
-from adis_gonio.session.watch import white_noise_gain, window_samples
+from adis_gonio.session.watch import window_samples
 
 if TYPE_CHECKING:
     from adis_gonio.calibration import Calibration
@@ -125,7 +126,7 @@ class AngleMeter:
         self._least = max(1, round(every_s * measuring.sample_rate_hz))
         # Samples behind the filter lean on one another: as many independent ones have its white noise.
         filter_m = measuring.filter_m if isinstance(measuring, Configuration) else 0
-        self._independent = white_noise_gain(filter_m) ** 2 if filter_m else 1.0
+        self._independent = white_gain(filter_m) ** 2 if filter_m else 1.0
         self._waiting: list[Block] = []
         self._kept = np.empty((0, 3))
         self._first_s: float | None = None

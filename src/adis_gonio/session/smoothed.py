@@ -14,12 +14,12 @@ import numpy as np
 
 from adis_gonio.errors import UsageError
 from adis_gonio.model.records import Floats
+from adis_gonio.sensor.bartlett import white_gain
 from adis_gonio.sensor.settings import Configuration
 from adis_gonio.sensor.variants import VARIANTS
 from adis_gonio.session.blocks import Block, session_columns
 from adis_gonio.session.expectation import wrapped_deg
 from adis_gonio.session.source import Measuring
-from adis_gonio.session.watch import white_noise_gain
 from adis_gonio.smoothing import LAG_S, AngleSmoother, GyroKnowledge, Sensing, SmoothedAngle
 from adis_gonio.smoothing.motion import BEND
 
@@ -83,7 +83,7 @@ def sensing_of(measuring: Measuring, part: str, noise_mg: float) -> Sensing:
     known = VARIANTS[part].performance if part in VARIANTS else None
     return Sensing(
         period_s,
-        noise_mg / white_noise_gain(filter_m),
+        noise_mg / white_gain(filter_m),
         known.gyro_noise_dps if known else GENERIC_WALK_DEG / math.sqrt(period_s),
         filter_m,
         range_dps,

@@ -14,6 +14,7 @@ from typing import Any, Protocol, Self
 
 from adis_gonio.bus.opening import SOURCE_GROUP, BusUrl
 from adis_gonio.errors import SessionError, UsageError
+from adis_gonio.sensor.bartlett import white_gain
 from adis_gonio.sensor.data_ready import MASK as DATA_READY_BITS
 from adis_gonio.sensor.data_ready import DataReadyLoan
 from adis_gonio.sensor.driver import Adis16354, open_sensor
@@ -21,7 +22,6 @@ from adis_gonio.sensor.registers import REGISTERS
 from adis_gonio.sensor.settings import Configuration, Status
 from adis_gonio.session.blocks import Block
 from adis_gonio.session.settings import Settings
-from adis_gonio.session.watch import white_noise_gain
 
 
 class Measuring(Protocol):
@@ -242,7 +242,7 @@ class ChipSource:
     def expected_noise_mg(self, measuring: Measuring) -> float:
         """The variant's estimate behind the filter that is set."""
         filter_m = measuring.filter_m if isinstance(measuring, Configuration) else 0
-        return self.sensor.variant.performance.noise_mg * white_noise_gain(filter_m)
+        return self.sensor.variant.performance.noise_mg * white_gain(filter_m)
 
     def samples(self, settings: Settings, block_samples: int) -> SampleStream:
         """Scans of the registers that the settings name."""

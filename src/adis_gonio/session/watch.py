@@ -48,12 +48,6 @@ def window_samples(measuring: Measuring) -> int:
     )
 
 
-def white_noise_gain(filter_m: int) -> float:
-    """Gain (rms) of the Bartlett filter for white noise: weights 1…N…1 over N², √((2N² + 1)/(3N³))."""
-    n = 2**filter_m
-    return float(np.sqrt((2 * n**2 + 1) / (3 * n**3)))
-
-
 @dataclass(frozen=True)
 class Look:
     """What one window shows.

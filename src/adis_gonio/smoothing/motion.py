@@ -2,7 +2,8 @@
 
 The state: angle (deg), zero rate of the gyro (°/s), relative error of its gain, its sensitivity to
 acceleration along X and Y (°/s/g), where the part is from the stage's axis (mm, X and Y), and the
-disturbance of gravity (mg across it; twice, now and a step ago: an autoregressive process of second order).
+disturbance of gravity (mg across it; twice, now and a step ago: an autoregressive process of second order),
+and the fast octaves of the accelerometers' 1/f noise across gravity (mg; `drift`).
 
 The gyro is an input, known but for its errors, which enter with measured factors, so that all stays linear.
 The gain's error walks as the part turns: accelerometers that are not calibrated, or not perfectly, bend
@@ -17,13 +18,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
+from adis_gonio.smoothing import drift
 from adis_gonio.smoothing.disturbance import START_MG, Disturbance
 from adis_gonio.smoothing.gyros import TURN_ON_DPS, GyroKnowledge
 from adis_gonio.smoothing.increments import Increment, Sensing
 from adis_gonio.smoothing.linear import State, Step
 
 ANGLE, ZERO, SCALE, G_X, G_Y, LEVER_X, LEVER_Y, NOW, BEFORE = range(9)
-SIZE = 9
+DRIFT = slice(9, 9 + drift.COUNT)
+SIZE = 9 + drift.COUNT
 LEVER_MM = 50.0
 """Spread of the part's distance from the axis (D)."""
 BEND = 0.012
@@ -98,6 +101,7 @@ class MotionModel:
         self._sensing = sensing
         self._gyros = gyros
         self._bend = bend
+        self._drift_mg2 = drift.process_mg2(sensing.drift_mg)
 
     def begin(self, angle_deg: float) -> State:
         """What is known before the first step: nothing of the angle."""
@@ -105,6 +109,7 @@ class MotionModel:
         u = np.array([
             OPEN_DEG, gyros.zero_dps, math.hypot(gyros.scale, self._bend), gyros.g_dps_per_g,
             gyros.g_dps_per_g, LEVER_MM, LEVER_MM, START_MG, START_MG,
+            *[math.sqrt(self._drift_mg2)] * drift.COUNT,
         ])  # fmt: skip
         mean = np.zeros(SIZE)
         mean[ANGLE] = angle_deg
@@ -131,6 +136,9 @@ class MotionModel:
         process[ZERO, ZERO] = self._gyros.walk_dps_per_rt_s**2 * length_s
         process[SCALE, SCALE] = 2 * self._bend**2 * abs(math.radians(turned.turn_deg))
         process[NOW, NOW] = disturbance.drive_mg2
+        kept = drift.memory(length_s, turned.turn_deg)
+        f[DRIFT, DRIFT] = np.diag(kept)
+        process[DRIFT, DRIFT] = np.diag(self._drift_mg2 * (1 - kept**2))
         if turned.lost:
             f[ANGLE, :] = f[NOW, :] = f[BEFORE, :] = 0.0
             shift[ANGLE], process[ANGLE, ANGLE] = seen_deg, OPEN_DEG**2
@@ -145,7 +153,7 @@ class MotionModel:
         design[ANGLE] = 1.0
         for k, lever in zip((LEVER_X, LEVER_Y), turned.lever_mg, strict=True):
             design[k] = per_mg * (lever * along.conjugate()).imag
-        design[NOW] = per_mg
+        design[NOW] = design[DRIFT] = per_mg
         predicted = float(f[ANGLE] @ before.mean) + shift[ANGLE]
         observed = predicted + (seen_deg - predicted + 180.0) % 360.0 - 180.0
         return Step(f, shift, process, design, observed, per_mg**2 * disturbance.white_mg2)

@@ -23,6 +23,7 @@ from adis_gonio.smoothing.disturbance import (
     coloured,
     disturbance_of,
 )
+from adis_gonio.smoothing.drift import slow_mg
 from adis_gonio.smoothing.gyros import GyroKnowledge
 from adis_gonio.smoothing.increments import BEGIN_S, Increment, Sensing, Stepper
 from adis_gonio.smoothing.linear import Passed, State, Step, advance, looked_back
@@ -48,9 +49,6 @@ DOUBT = 4.0
 """A calibration of the gyros is given up where the zero rate is off by so many of its uncertainties."""
 SATURATED_MG = 100.0
 """Disturbance of gravity where the part turns faster than its gyro can tell (D): a radius of 40 mm."""
-DRIFT_OCTAVES = 17
-"""Of 1/f noise, each with half the square of the Allan floor: between a second and a day, for a calibration
-of yesterday."""
 _NOTES = ("gap", "saturated", "out_of_plane")
 
 Corrected = Callable[[Floats, "float | None"], Floats]
@@ -327,9 +325,8 @@ class AngleSmoother:
         return at.increment.time_s - self._sensing.delay_s
 
     def _drift_deg(self, at: Turned) -> float:
-        """What 1/f noise of the accelerometers does to the angle within a day."""
-        drift_mg = self._sensing.drift_mg * math.sqrt(DRIFT_OCTAVES / 2)
-        return math.degrees(drift_mg / max(abs(at.gravity), 1.0))
+        """What the accelerometers' 1/f noise that no state has does to the angle."""
+        return math.degrees(slow_mg(self._sensing.drift_mg) / max(abs(at.gravity), 1.0))
 
 
 __all__ = ["LAG_S", "AngleSmoother", "SmoothedAngle"]

@@ -10,6 +10,7 @@ import numpy as np
 from adis_gonio.errors import SessionError, UsageError
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Floats
+from adis_gonio.sensor.bartlett import white_gain
 from adis_gonio.sensor.decoding import ScanBlock, join
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT, Kind
@@ -18,7 +19,7 @@ from adis_gonio.sensor.settings import Configuration
 from adis_gonio.sensor.variants import variant
 from adis_gonio.session.settings import LEAST_SAMPLES
 from adis_gonio.session.stillness import limits_from_noise
-from adis_gonio.session.watch import NoiseMeter, StillnessWatch, white_noise_gain, window_samples
+from adis_gonio.session.watch import NoiseMeter, StillnessWatch, window_samples
 
 REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 OF_GYROS = (*REGISTERS, *GYRO_OUT, *TEMP_OUT[1:])
@@ -102,7 +103,7 @@ def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool
 
 
 def _noise(sensor: Adis16354, stream: ScanStream, now: Configuration, patience_s: float) -> Floats:
-    expected = sensor.variant.performance.noise_mg * white_noise_gain(now.filter_m)
+    expected = sensor.variant.performance.noise_mg * white_gain(now.filter_m)
     meter = NoiseMeter(window_samples(now), expected)
     seen, begin_s = 0, sensor.bus.now_s()
     for scans in stream:
@@ -156,6 +157,6 @@ def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Float
     """Mean (3,) with its standard uncertainty, and the standard deviation of a sample."""
     deviation = values.std(axis=0, ddof=1)
     # The filter takes no noise out at the lowest frequencies: a mean is worth one of unfiltered samples.
-    spread = deviation / white_noise_gain(now.filter_m)
+    spread = deviation / white_gain(now.filter_m)
     rounding = lsb / np.sqrt(12) * np.where(deviation > lsb, 1 / np.sqrt(len(values)), 1.0)
     return values.mean(axis=0), np.hypot(spread / np.sqrt(len(values)), rounding), deviation
