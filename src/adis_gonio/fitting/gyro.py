@@ -141,22 +141,18 @@ class GyroFit:
         return f"{dwells} and {counted(self.turns, 'turn')}" if self.turns else dwells
 
     def calibration(self) -> GyroCalibration:
-        """What turns readings of the gyros into rates of turn by these parameters, as they were recorded.
+        """What turns readings of the gyros into rates of turn, for the part as it is.
 
         Raises
         ------
         FitError
             A zero rate is not determined.
+        SessionError
+            A write of gyro offsets was interrupted, so that only the sensor can tell.
         """
-        from adis_gonio.calibration.gyros import GyroCalibration
+        from adis_gonio.calibration.with_gyros import calibration_of_gyro_fit
 
-        where = self.provenance
-        return GyroCalibration.of(
-            self.parameters,
-            (list(self.parameters), self.covariance),
-            method=self.method,
-            **({} if where is None else {"temperature_c": where.temperature_c, "supply_v": where.supply_v}),
-        )
+        return calibration_of_gyro_fit(self)
 
     def _repr_html_(self) -> str:
         """The parameters as a table, for notebooks."""
