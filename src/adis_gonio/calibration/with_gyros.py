@@ -103,6 +103,7 @@ def _made(found: GyroEstimates, where: Provenance | None) -> GyroCalibration:
             "temperature_c": where.temperature_c,
             "supply_v": where.supply_v,
             "offsets_lsb": where.gyro_offsets_lsb,
+            "source": where.source,
         }
     return GyroCalibration.of(
         found.estimates,

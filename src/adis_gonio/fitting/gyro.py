@@ -506,6 +506,6 @@ def _drifting(data: Readings, model: _Model, parameters: dict[str, Value]) -> li
                 moved.setdefault(word, []).append(f"{name} {known.value:+.3f} to {float(value):+.3f}")
     return [
         f"in this order of poses force is not wholly told from a {word}: with one in the model "
-        f"{', '.join(names)} dps/g; repeat poses in another order"
+        f"{', '.join(names)} °/s/g; repeat poses in another order"
         for word, names in moved.items()
     ]

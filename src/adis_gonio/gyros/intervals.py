@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.counting import counted
+from adis_gonio.counting import counted, runs
 from adis_gonio.errors import DataError
 from adis_gonio.estimation.converter import steps_of
 from adis_gonio.estimation.flicker import spans
@@ -172,8 +172,7 @@ def rate_intervals(session: Session) -> RateIntervals:
 def _in_words(refused: dict[str, list[int]]) -> tuple[str, ...]:
     """Turns that were refused, those for one reason together."""
     return tuple(
-        f"turn{'s' if len(ends) > 1 else ''} to dwell {', '.join(map(str, ends))}: {why}"
-        for why, ends in refused.items()
+        f"turn{'s' if len(ends) > 1 else ''} to dwell {runs(ends)}: {why}" for why, ends in refused.items()
     )
 
 

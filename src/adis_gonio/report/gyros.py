@@ -14,9 +14,9 @@ from adis_gonio.report.numbers import number, uncertain
 from adis_gonio.report.parts import Figure, Section, Table
 from adis_gonio.report.svg import Role, Series, plot
 from adis_gonio.sensor.variants import VARIANTS
+from adis_gonio.showing import shown_unit
 
 _ROLES: tuple[Role, ...] = ("after", "third", "fourth")
-_UNITS = {"dps": "°/s", "dps/g": "°/s/g", "deg": "°", "1": ""}
 
 
 def gyro_section(session: Session) -> Section | None:
@@ -49,7 +49,7 @@ def _parameters(result: GyroFit) -> Table:
 def _row(name: str, value: Value) -> list[str]:
     return [
         name,
-        _UNITS.get(value.unit, value.unit),
+        shown_unit(value.unit),
         uncertain(value.value, value.u),
         number(value.U, 2),
         "–" if value.k is None else f"{value.k:.2f}",
