@@ -45,7 +45,12 @@ KINDS = {
 }
 TURNS = round(2 * 300 / STEP_DPS)
 SPAN = {"sibling": 256 * 900, "mg": 256 * 2600}
-COMPILERS = [one.name for one in MACHINES if not one.runner]
+RUNS = [
+    (kind, machine.name, 300 if machine.runner else 3000)
+    for kind in KINDS
+    for machine in MACHINES
+    if not machine.runner or kind in ("plane", "space, every effect")
+]
 
 
 def drawn(n, span, *, words):
@@ -73,13 +78,12 @@ def drawn(n, span, *, words):
     return table[:, :3], table[:, 3:6], table[:, 6], table[:, 7]
 
 
-@pytest.mark.parametrize("compiler", COMPILERS)
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_compiled_rates_are_bit_equal_to_their_reference(tmp_path, compiler, kind):
-    machine = next(one for one in MACHINES if one.name == compiler)
+@pytest.mark.parametrize(("kind", "name", "n"), RUNS)
+def test_the_compiled_rates_are_bit_equal_to_their_reference_on_every_machine(tmp_path, kind, name, n):
+    machine = next(one for one in MACHINES if one.name == name)
     if reason := machine.missing():
         pytest.skip(reason)
-    own, n = KINDS[kind](), 3000
+    own = KINDS[kind]()
     polynomial = rate_polynomial_of(own, own.gyro)
     words = polynomial.accelerometers.words
     span = SPAN.get(kind, 256 * 5400)
@@ -87,8 +91,11 @@ def test_the_compiled_rates_are_bit_equal_to_their_reference(tmp_path, compiler,
     options = [
         '-DHEADER="own.h"', "-DPREFIX=adis_gonio", f"-DSCANS={n}", f"-DSPAN={span}UL", f"-DTURNS={TURNS}UL",
         *(["-DWORDS"] if words else []),
+        *(["-Os"] if name == "avr" else []),  # by speed two copies of the gyros fill its 32 kB
     ]  # fmt: skip
-    lines = machine.run(tmp_path, *options, source=HERE / "sweep_rates.c").splitlines()
+    printed = machine.run(tmp_path, *options, source=HERE / "sweep_rates.c").splitlines()
+    lines = [line.removeprefix("O:").strip() for line in printed]
+    lines = [line for line in lines if re.fullmatch("([0-9a-f]{8} ?)+", line)]  # simavr talks between them
     assert int(lines[0], 16) == 0, "the header's own check"
     table = np.array([[int(word, 16) for word in line.split()] for line in lines[1:]], dtype=np.uint32)
     assert table.shape == (n, 6)
