@@ -26,6 +26,7 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm
 from adis_gonio.estimation.values import Value
 from adis_gonio.gyros.alignment import alignment
+from adis_gonio.gyros.plausible import implausible
 from adis_gonio.model.effects import AXES, Effect, effect
 from adis_gonio.model.provenance import Provenance, provenance_of
 from adis_gonio.model.records import Floats, Session
@@ -85,6 +86,8 @@ class GyroFit:
     turns : int
         Intervals that are turns.
     undetermined : tuple of str
+    doubts : tuple of str
+        Those of the warnings that say that these are hardly gyros at rest.
     inflation : mapping of str to float
         Factor on the noise variance of each gyro that its residual demanded; 1 where it agrees.
     scores : mapping of str to Score
@@ -100,6 +103,7 @@ class GyroFit:
     turns: int
     warnings: tuple[str, ...] = ()
     undetermined: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
     inflation: dict[str, float] = field(default_factory=dict)
     reference_temperature_c: float | None = None
     scores: dict[str, Score] = field(default_factory=dict)
@@ -199,9 +203,11 @@ def fit_gyro(session: Session) -> GyroFit:
         result = fit_gyro_readings(readings.training)
     except FitError as error:
         raise FitError(f"{session.source}: {error}" if session.source else str(error)) from error
+    doubts = implausible(session, [result[f"gyro_bias_{axis}"].value for axis in AXES])
     return replace(
         result,
-        warnings=(*session.notes, *result.warnings),
+        doubts=doubts,
+        warnings=(*session.notes, *doubts, *result.warnings),
         overrides=session.facts.get("overrides", {}),
         provenance=provenance_of(session),
     )

@@ -139,6 +139,11 @@ def rate_intervals(session: Session) -> RateIntervals:
     """
     source = session.source or "session"
     dwells = [dwell for dwell in session.dwells if dwell.gyro is not None and len(dwell) > 1]
+    if not dwells and any(dwell.gyro is not None for dwell in session.dwells):
+        raise DataError(
+            f"{source}: its dwells hold one sample of the gyros each, and nothing tells how noisy that is: "
+            "give all samples"
+        )
     if not dwells:
         raise DataError(
             f"{source}: no dwell holds samples of the gyros (gx, gy, gz): record them, or name the columns"
