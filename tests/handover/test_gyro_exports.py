@@ -338,6 +338,8 @@ def test_a_session_of_the_gyros_alone_says_how_they_are_handed_over(two_sessions
     (said,) = capsys.readouterr().err.splitlines()
     assert "--gyros table.session" in said
     assert not out.exists()
+    with pytest.raises(FitError, match="its gyros are calibrated"):
+        Calibration.load(table)
 
 
 @pytest.mark.parametrize("name", ["table.session", "alone.json", "gyros alone.json"])

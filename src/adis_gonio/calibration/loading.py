@@ -36,7 +36,7 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     made = calibration_in(path)
     if made is not None:
         return made
-    from adis_gonio.calibration.with_gyros import with_gyros
+    from adis_gonio.calibration.with_gyros import gyros_alone, with_gyros
     from adis_gonio.fitting import fit
     from adis_gonio.session import load_session
     from adis_gonio.session.overrides import as_it_is
@@ -47,7 +47,11 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
         session = load_session(path)
     except DataError as error:
         raise DataError(as_it_is(str(error))) from None
-    return with_gyros(fit(session, method=method).calibration(), session)
+    try:
+        own = fit(session, method=method).calibration()
+    except FitError as error:
+        raise FitError(f"{error}{gyros_alone(session)}") from None
+    return with_gyros(own, session)
 
 
 def calibration_in(path: str | Path) -> Calibration | None:

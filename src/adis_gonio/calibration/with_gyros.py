@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,6 +41,18 @@ def with_gyros(calibration: Calibration, session: Session, *, traced: bool = Fal
     except AdisGonioError:
         return calibration
     return replace(calibration, gyro=gyro)
+
+
+def gyros_alone(session: Session) -> str:
+    """What to do where a session calibrates its gyros and not its accelerometers; else nothing."""
+    try:
+        gyro_calibration_of(session)
+    except AdisGonioError:
+        return ""
+    return (
+        "; its gyros are calibrated: put them beside the accelerometers of another session of the part, "
+        f"export OTHER --gyros {PurePath(session.source).name} -o both.json"
+    )
 
 
 def gyro_calibration_of(session: Session, *, traced: bool = False) -> GyroCalibration:

@@ -11,8 +11,8 @@ from typing import Any
 from adis_gonio.calibration.calibration import Calibration
 from adis_gonio.calibration.document import json_text
 from adis_gonio.calibration.loading import calibration_in, load_gyro_calibration
-from adis_gonio.calibration.with_gyros import gyro_calibration_of, with_gyros
-from adis_gonio.errors import AdisGonioError, DataError, FitError, UsageError
+from adis_gonio.calibration.with_gyros import gyro_calibration_of, gyros_alone, with_gyros
+from adis_gonio.errors import DataError, FitError, UsageError
 from adis_gonio.handover.c_header import DEFAULT_NAME
 from adis_gonio.jsonable import finite
 from adis_gonio.model.records import Session
@@ -113,7 +113,7 @@ class Source:
             try:
                 own = self._result(session).calibration()
             except FitError as error:
-                raise FitError(f"{error}{_gyros_alone(session)}") from None
+                raise FitError(f"{error}{gyros_alone(session)}") from None
             return self._with_gyros(own, session)
         if self.method is not None or self.traced:
             raise UsageError(
@@ -151,19 +151,6 @@ class Source:
         else:
             document = {**self._with_gyros(made, session).as_dict(), **document}
         return json_text(finite(document))
-
-
-def _gyros_alone(session: Session) -> str:
-    """What to do where a session calibrates its gyros and not its accelerometers; else nothing."""
-    try:
-        gyro_calibration_of(session)
-    except AdisGonioError:
-        return ""
-    name = Path(session.source).name
-    return (
-        f". Its gyros are calibrated: export another session of the part, one that gives one, with --gyros "
-        f"{name}, or this one to .json"
-    )
 
 
 def _header(calibration: Calibration, name: str) -> str:
