@@ -10,7 +10,9 @@ from adis_gonio.calibration.gyro_building import estimates_of_gyro_fit
 from adis_gonio.counting import runs
 from adis_gonio.errors import DataError
 from adis_gonio.model.records import Dwell, Session
+from adis_gonio.report import words
 from adis_gonio.showing import shown_unit, with_u
+from adis_gonio.tracing.outcome.result import ErrorFigures, Step, TraceResult
 
 
 def session(zero=(0.4, -1.1, 0.2), noise=0.6, rows=60, unit="dps"):
@@ -68,3 +70,16 @@ def test_people_read_degrees_a_second_and_documents_dps():
     assert "dps" not in repr(result)
     assert not [line for line in result.warnings if "dps" in line]
     assert result.as_dict()["parameters"]["gyro_bias_x"]["unit"] == "dps"
+
+
+def test_a_trace_of_the_gyros_is_told_in_degrees_a_second():
+    axes = {"x": 0.11, "y": 0.07, "z": 0.12}
+    before = ErrorFigures(0.122, 0.0968, None, 12.6, axes, unit="dps")
+    after = ErrorFigures(0.025, 0.0526, None, 0.93, axes, 0.05, unit="dps")
+    traced = TraceResult(True, (), (Step("gyro_scale", after),), (), None, before, after, {}, ())
+    head, _ = words.error_rows(traced)
+    told = " ".join([words.gains(traced), *head])
+    assert "from 0.122 to 0.0250 °/s" in told
+    assert "x / (°/s)" in head
+    assert "dps" not in told
+    assert after.as_dict()["residual_rms_dps"] == 0.025
