@@ -17,9 +17,15 @@ Entries = Iterable[tuple[str, Row]]
 """Names and their entries in a document; two effects may share a name."""
 
 
+def shown_unit(unit: str) -> str:
+    """A unit of names and documents as people read it: ° for deg, °/s/g for dps/g, nothing for 1."""
+    return {"deg": "°", "1": ""}.get(unit, unit.replace("dps", "°/s"))
+
+
 def with_u(value: float, u: float | None, unit: str) -> str:
     """A value to the second digit of its u, such as `1.08 mg (u 0.13 mg)`."""
-    sign = {"deg": "°", "1": ""}.get(unit, f" {unit}")
+    sign = shown_unit(unit)
+    sign = f" {sign}" if sign not in ("", "°") else sign
     if u is None or not math.isfinite(u):
         return f"{value:.6g}{sign} (u unknown)"
     digits = max(0, 1 - math.floor(math.log10(u))) if u > 0 else 9

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,13 +13,16 @@ import pytest
 import adis_gonio
 from adis_gonio import Calibration
 from adis_gonio.calibration import GyroCalibration
-from adis_gonio.calibration.gyro_building import _gains, estimates_of_gyro_fit, estimates_of_gyro_trace
+from adis_gonio.calibration.gyro_building import _gains, estimates_of_gyro_fit
 from adis_gonio.calibration.with_gyros import gyro_calibration_of, with_gyros
 from adis_gonio.cli import main
-from adis_gonio.errors import DataError
+from adis_gonio.errors import DataError, FitError
+from adis_gonio.model.provenance import provenance_of
+from adis_gonio.sensor import Adis16354
 from adis_gonio.session import load_session
 from adis_gonio.session.export import write_csv
-from writeback.gyro_rig import FAULTS
+from adis_gonio.writeback import OffsetWriter, WriteSettings
+from writeback.gyro_rig import FAULTS, gyro_numbers
 from writeback.rig import new_bus, record
 
 
@@ -29,6 +34,11 @@ def path(tmp_path_factory):
 @pytest.fixture(scope="module")
 def fitted(path):
     return adis_gonio.fit(path, part="gyro")
+
+
+@pytest.fixture(scope="module")
+def traced(path):
+    return adis_gonio.trace(path, part="gyro")
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +62,7 @@ def test_a_session_s_calibration_holds_its_gyros_as_they_were_fitted(path, fitte
     assert made.offsets_lsb == (0, 0, 0)
     assert GyroCalibration.load(path) == made
     alone = fitted.calibration()
-    assert alone.bias_dps.tolist() == made.bias_dps.tolist()
+    assert alone == made
 
 
 def test_the_session_s_gyros_find_the_part_s_faults(path):
@@ -90,18 +100,39 @@ def test_every_export_of_a_session_with_gyros_has_them(path, tmp_path):
     assert document["gyro"]["parameters"]["gyro_bias_x"]["unit"] == "dps"
 
 
-def test_a_trace_of_the_gyros_is_a_calibration_too(path, fitted):
-    session = load_session(path)
-    traced = adis_gonio.trace(session, part="gyro")
-    found = estimates_of_gyro_trace(traced)
-    made = GyroCalibration.of(found.estimates, found.covariance, method=found.method)
+def test_a_trace_of_the_gyros_is_a_calibration_too(traced, fitted):
+    made = traced.calibration()
+    assert isinstance(made, GyroCalibration)
+    assert (made.method, made.offsets_lsb) == ("trace", (0, 0, 0))
+    assert made.temperature_c == fitted.calibration().temperature_c
     names = {one.effect for one in traced.found}
     assert "g_sensitivity" in names
     assert ("g_sensitivity_yx" in made) == ("g_sensitivity" in names)
     for name in ("gyro_bias_x", "gyro_bias_y", "g_sensitivity_yx"):
         limit = 5 * np.hypot(made[name].u, fitted[name].u)
         assert abs(made[name].value - fitted[name].value) < limit
-    assert not [one for one in found.not_corrected if one.effect == "g_sensitivity"]
+    assert not [one for one in made.not_corrected if one.effect == "g_sensitivity"]
+
+
+def test_the_calibration_of_a_fit_or_trace_holds_with_the_offsets_written_since(path, traced, tmp_path):
+    copy = Path(shutil.copy(path, tmp_path / "written.session"))
+    bus = new_bus(3, **FAULTS)
+    writer = OffsetWriter(Adis16354(bus, bus.world.variant), copy, WriteSettings(gyros=True, dwell_s=2.0))
+    writer.plan()
+    writer.write()
+    held, since = gyro_numbers(bus), provenance_of(load_session(copy))
+    for result in (adis_gonio.fit(copy, part="gyro"), replace(traced, provenance=since)):
+        made = result.calibration()
+        assert made.offsets_lsb == held != (0, 0, 0)
+        assert np.abs(made.bias_dps).max() < 0.1  # the chip corrects it; before it was more than 1 °/s
+
+
+def test_a_trace_that_did_not_end_or_of_no_gyros_gives_no_calibration(path, bare):
+    traced = adis_gonio.trace(path, part="gyro", time_limit=1e-3)
+    with pytest.raises(FitError, match="time limit"):
+        traced.calibration()
+    with pytest.raises(DataError, match="gyros"):
+        adis_gonio.trace(bare, part="gyro")
 
 
 def test_what_effects_add_becomes_the_gain_and_direction_of_the_same_gyro():
@@ -119,7 +150,7 @@ def test_what_effects_add_becomes_the_gain_and_direction_of_the_same_gyro():
 
 def test_turns_that_tell_nothing_for_one_reason_are_one_line(fitted):
     (told,) = [one for one in estimates_of_gyro_fit(fitted).remarks if "turns to dwell" in one]
-    assert "1, 2, 3" in told
+    assert "to dwell 1–13: " in told
     assert "nothing was recorded" in told
 
 

@@ -39,6 +39,7 @@ class Machine:
             *self.compiler,
             *STRICT,
             f"-I{folder}",
+            f"-I{HERE}",
             "-o",
             str(program),
             *options,

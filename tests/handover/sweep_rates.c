@@ -4,19 +4,7 @@
  */
 #include HEADER
 
-#include <stdio.h>
-
-#define JOIN_(a, b) a##b
-#define JOIN(a, b) JOIN_(a, b)
-#define OF(name) JOIN(PREFIX, name)
-
-static uint32_t state = 12345UL;
-
-static uint32_t next(void)
-{
-    state = state * 1664525UL + 1013904223UL;
-    return state >> 8;
-}
+#include "machine.h"
 
 static int32_t within(uint32_t span)
 {
@@ -27,7 +15,9 @@ int main(void)
 {
     uint32_t k;
     int i;
-    printf("%08lx\n", (unsigned long)OF(_self_check)());
+    state = 12345UL;
+    put_word((uint32_t)OF(_self_check)());
+    put('\n');
     for (k = 0; k < SCANS; k++) {
         int32_t fixed[3];
         float single[3];
@@ -49,17 +39,13 @@ int main(void)
         OF(_rates_udps)(&turn, &scan, fixed);
         OF(_rates_dps)(&turn, &scan, single);
         for (i = 0; i < 3; i++) {
-            printf("%08lx ", (unsigned long)(uint32_t)fixed[i]);
+            put_word((uint32_t)fixed[i]);
         }
         for (i = 0; i < 3; i++) {
-            union {
-                float value;
-                uint32_t word;
-            } both;
-            both.value = single[i];
-            printf("%08lx ", (unsigned long)both.word);
+            put_float(single[i]);
         }
-        putchar('\n');
+        put('\n');
     }
+    finish(0);
     return 0;
 }

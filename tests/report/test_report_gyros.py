@@ -8,7 +8,7 @@ import pytest
 
 from adis_gonio import fit
 from adis_gonio.fitting.gyro import fit_gyro
-from adis_gonio.report.gyros import gyro_section
+from adis_gonio.report.gyros import _by_gyro, _how_well, gyro_section
 from adis_gonio.report.numbers import number, uncertain
 from adis_gonio.report.page import build_page
 from adis_gonio.session import load_session
@@ -26,7 +26,8 @@ def section(session):
 
 def test_every_parameter_stands_with_u_and_expanded_uncertainty(session, section):
     result = fit_gyro(session)
-    rows = {row[0]: row for row in section.tables[0].rows}
+    (every,) = section.parts
+    rows = {row[0]: row for row in every.tables[0].rows}
     assert list(rows) == list(result.parameters)
     for name, value in result.parameters.items():
         assert rows[name][2] == uncertain(value.value, value.u)
@@ -35,12 +36,34 @@ def test_every_parameter_stands_with_u_and_expanded_uncertainty(session, section
     assert rows["g_sensitivity_yz"][1] == "°/s/g"
 
 
+def test_the_gyros_stand_beside_each_other_and_what_is_not_known_is_a_dash(session, section):
+    result = fit_gyro(session)
+    rows = {row[0]: row[1:] for row in section.tables[0].rows}
+    told = [uncertain(result[f"gyro_bias_{axis}"].value, result[f"gyro_bias_{axis}"].u) for axis in "xyz"]
+    assert rows["zero rate / (°/s)"] == told
+    along_z = result["g_sensitivity_yz"]
+    assert rows["force along Z adds / (°/s/g)"][1] == uncertain(along_z.value, along_z.u)
+    assert "gain" not in rows  # no turns
+    largest = max(result[f"gyro_bias_{axis}"].u for axis in "xyz")
+    assert f"zero rates to {number(largest, 2)} °/s" in section.words[0]
+    assert "gains" not in section.words[0]
+
+
+def test_one_gain_of_three_is_told_apart_from_those_that_are_not_known(session):
+    result = fit_gyro(session)
+    value = result["gyro_bias_z"]
+    one = replace(result, parameters={**result.parameters, "gyro_scale_z": value})
+    (gains,) = [row for row in _by_gyro(one).rows if row[0] == "gain"]
+    assert gains[1:] == ["–", "–", uncertain(value.value, value.u)]
+    assert f"gains to {number(100 * value.u, 2)} % (1 of them)" in _how_well(one)
+
+
 def test_what_is_not_determined_and_dwells_left_out_are_said(section):
     assert any("gyro_scale" in point and "gyro-turns" in point for point in section.points)
-    scores = {row[0]: row for row in section.tables[1].rows}
+    scores = {row[0]: row for row in section.tables[2].rows}
     assert float(scores["zero rate"][2]) == pytest.approx(0.243, abs=0.001)  # Y, as the recording shows
     assert float(scores["gyro"][2]) < 0.06
-    assert [row[0] for row in section.tables[2].rows] == ["XGYRO_OFF", "YGYRO_OFF", "ZGYRO_OFF"]
+    assert [row[0] for row in section.tables[1].rows] == ["XGYRO_OFF", "YGYRO_OFF", "ZGYRO_OFF"]
 
 
 def test_the_residuals_are_drawn_for_each_gyro_and_the_same_each_time(session, section):

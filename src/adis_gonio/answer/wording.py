@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from adis_gonio.estimation.values import Value
+from adis_gonio.showing import shown_unit
 
 NAMES = {
     "delta_k": "ΔK",
@@ -38,7 +39,7 @@ class Line:
     def of(cls, name: str, value: Value) -> Line:
         """Both rounded to two digits of u; `u unknown` where nothing tells it."""
         shown = NAMES.get(name, name)
-        unit = {"deg": "°", "1": ""}.get(value.unit, value.unit)
+        unit = shown_unit(value.unit)
         if value.u is None or value.U is None or value.k is None:
             return cls(shown, unit, _general(value.value), UNKNOWN, "–", "–")
         digits = decimals(value.u)

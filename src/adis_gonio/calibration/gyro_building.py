@@ -64,6 +64,7 @@ def estimates_of_gyro_fit(result: GyroFit) -> GyroEstimates:
     """Of `fit --sensor-part gyro`; a residual beyond the noise is a doubt."""
     large = [f"{axis} {math.sqrt(own):.2g}" for axis, own in result.inflation.items() if own > 1]
     doubts = [f"the gyros' residual is larger than their noise ({', '.join(large)} times)"] if large else []
+    doubts += result.doubts
     names = list(result.parameters)
     return GyroEstimates(
         result.method,

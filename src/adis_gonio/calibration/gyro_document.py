@@ -45,6 +45,7 @@ def gyro_document_of(gyro: GyroCalibration) -> dict[str, Any]:
             "session_supply_v": None if gyro.supply_v is None else gyro.supply_v.as_dict(),
         },
         "offsets_lsb": None if gyro.offsets_lsb is None else list(gyro.offsets_lsb),
+        "source": gyro.source,
     }
 
 
@@ -96,6 +97,7 @@ def _read(document: Mapping[str, Any]) -> GyroCalibration:
         temperature_c=_covered(reference["session_temperature_c"]),
         supply_v=_covered(reference["session_supply_v"]),
         offsets_lsb=_offsets(document["offsets_lsb"]),
+        source=str(document.get("source", "")),  # files of before have none
     )
 
 

@@ -96,6 +96,8 @@ class GyroCalibration:
         What the session covered.
     offsets_lsb : tuple of int or None
         Numbers in XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF with which the biases hold; None where unknown.
+    source : str
+        File of the session, without its folder; empty where it is none.
     """
 
     method: str
@@ -106,6 +108,7 @@ class GyroCalibration:
     temperature_c: Covered | None = None
     supply_v: Covered | None = None
     offsets_lsb: tuple[int, int, int] | None = None
+    source: str = ""
 
     @classmethod
     def of(

@@ -36,7 +36,7 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     made = calibration_in(path)
     if made is not None:
         return made
-    from adis_gonio.calibration.with_gyros import with_gyros
+    from adis_gonio.calibration.with_gyros import gyros_alone, with_gyros
     from adis_gonio.fitting import fit
     from adis_gonio.session import load_session
     from adis_gonio.session.overrides import as_it_is
@@ -47,7 +47,11 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
         session = load_session(path)
     except DataError as error:
         raise DataError(as_it_is(str(error))) from None
-    return with_gyros(fit(session, method=method).calibration(), session)
+    try:
+        own = fit(session, method=method).calibration()
+    except FitError as error:
+        raise FitError(f"{error}{gyros_alone(session)}") from None
+    return with_gyros(own, session)
 
 
 def calibration_in(path: str | Path) -> Calibration | None:
@@ -77,24 +81,38 @@ def load_gyro_calibration(path: str | Path, part: Provenance | None = None) -> G
         from adis_gonio.session import load_session
 
         session = load_session(path)
-        _refuse_another_part(part, provenance_of(session), path)
+        _refuse_another_part(part, _named(provenance_of(session)), path)
         return gyro_calibration_of(session)
     schema = document.get("schema") if isinstance(document, dict) else None
     if schema == SCHEMA:
         whole = calibration_from(document, str(path))
-        _refuse_another_part(part, whole.provenance, path)
+        _refuse_another_part(part, _named(whole.provenance), path)
         if whole.gyro is None:
             raise FitError(f"{path}: is a calibration without gyros")
         return whole.gyro
+    if schema is None and isinstance(document, dict) and isinstance(document.get("gyro"), dict):
+        # What `export` makes of a session that calibrates its gyros alone, as one of the plan gyro-turns.
+        _refuse_another_part(part, _exported(document.get("session")), path)
+        return gyro_calibration_from(document["gyro"], str(path))
     if schema != GYRO_SCHEMA:
         raise DataError(f"{path}: is no gyro calibration; GyroCalibration.save makes one")
     return gyro_calibration_from(document, str(path))
 
 
-def _refuse_another_part(part: Provenance | None, other: Provenance, path: str | Path) -> None:
+def _named(part: Provenance) -> tuple[str, str]:
+    return part.sensor, part.serial
+
+
+def _exported(session: Any) -> tuple[str, str]:
+    """Sensor and serial number as `session_dict` states them."""
+    about = session if isinstance(session, dict) else {}
+    return str(about.get("sensor") or ""), str(about.get("serial") or "")
+
+
+def _refuse_another_part(part: Provenance | None, other: tuple[str, str], path: str | Path) -> None:
     if part is None:
         return
-    for here, there in ((part.sensor, other.sensor), (part.serial, other.serial)):
+    for here, there in zip((part.sensor, part.serial), other, strict=True):
         if here and there and here != there:
             raise UsageError(f"{path}: its gyros are of {there}, the accelerometers of {here}")
 

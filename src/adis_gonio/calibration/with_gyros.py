@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,11 +16,14 @@ from adis_gonio.calibration.gyro_building import (
 )
 from adis_gonio.calibration.gyros import GyroCalibration
 from adis_gonio.errors import AdisGonioError, SessionError
-from adis_gonio.model.provenance import provenance_of
+from adis_gonio.model.provenance import Provenance, provenance_of
 from adis_gonio.model.records import Session
-from adis_gonio.sensor.registers import ACCEL_OFF, GYRO_OFF
 from adis_gonio.sensor.variants import VARIANTS
-from adis_gonio.writeback.journal import INTERRUPTED, operations_of
+from adis_gonio.writeback.journal import INTERRUPTED
+
+if TYPE_CHECKING:
+    from adis_gonio.fitting.gyro import GyroFit
+    from adis_gonio.tracing.outcome.result import TraceResult
 
 
 def with_gyros(calibration: Calibration, session: Session, *, traced: bool = False) -> Calibration:
@@ -38,6 +43,18 @@ def with_gyros(calibration: Calibration, session: Session, *, traced: bool = Fal
     return replace(calibration, gyro=gyro)
 
 
+def gyros_alone(session: Session) -> str:
+    """What to do where a session calibrates its gyros and not its accelerometers; else nothing."""
+    try:
+        gyro_calibration_of(session)
+    except AdisGonioError:
+        return ""
+    return (
+        "; its gyros are calibrated: put them beside the accelerometers of another session of the part, "
+        f"export OTHER --gyros {PurePath(session.source).name} -o both.json"
+    )
+
+
 def gyro_calibration_of(session: Session, *, traced: bool = False) -> GyroCalibration:
     """Calibration of a session's gyros, for the part as it is: with the offsets that were written since.
 
@@ -53,42 +70,73 @@ def gyro_calibration_of(session: Session, *, traced: bool = False) -> GyroCalibr
     SessionError
         A write of gyro offsets was interrupted, so that only the sensor can tell.
     """
-    made = gyros_as_recorded(session, traced=traced)
-    known = operations_of(session, GYRO_OFF)
-    if known and known[-1].open:
-        raise SessionError(f"{session.source}: {INTERRUPTED}")
-    if known and made.offsets_lsb is not None:
-        then = dict(zip(GYRO_OFF, made.offsets_lsb, strict=True))
-        made = made.with_offsets([known[-1].target.get(name, then[name]) for name in GYRO_OFF])
-    return _force_as_written(made, session)
+    return _as_written(gyros_as_recorded(session, traced=traced), provenance_of(session))
 
 
 def gyros_as_recorded(session: Session, *, traced: bool = False) -> GyroCalibration:
     """As `gyro_calibration_of`, for the offsets that stood while the session was recorded."""
-    found = gyro_estimates_of(session, traced=traced)
-    where = provenance_of(session)
-    held = ((session.facts.get("registers") or {}).get("configured")) or {}
-    numbers = [held.get(name) for name in GYRO_OFF]
-    offsets = tuple(numbers) if all(isinstance(one, int) for one in numbers) else None
+    return _made(gyro_estimates_of(session, traced=traced), provenance_of(session))
+
+
+def calibration_of_gyro_fit(result: GyroFit) -> GyroCalibration:
+    """Calibration by a fit of the gyros, for the part as it is.
+
+    Raises
+    ------
+    FitError
+        A zero rate is not determined.
+    SessionError
+        As `gyro_calibration_of`.
+    """
+    return _of_result(estimates_of_gyro_fit(result), result.provenance)
+
+
+def calibration_of_gyro_trace(result: TraceResult) -> GyroCalibration:
+    """Calibration by the final model of a trace of the gyros, for the part as it is.
+
+    Raises
+    ------
+    FitError
+        The trace was not finished, or a zero rate is not determined.
+    SessionError
+        As `gyro_calibration_of`.
+    """
+    return _of_result(estimates_of_gyro_trace(result), result.provenance)
+
+
+def _of_result(found: GyroEstimates, where: Provenance | None) -> GyroCalibration:
+    made = _made(found, where)
+    return made if where is None else _as_written(made, where)
+
+
+def _made(found: GyroEstimates, where: Provenance | None) -> GyroCalibration:
+    about: dict[str, Any] = {}
+    if where is not None:
+        about = {
+            "temperature_c": where.temperature_c,
+            "supply_v": where.supply_v,
+            "offsets_lsb": where.gyro_offsets_lsb,
+            "source": where.source,
+        }
     return GyroCalibration.of(
         found.estimates,
         found.covariance,
         method=found.method,
         not_corrected=found.not_corrected,
-        temperature_c=where.temperature_c,
-        supply_v=where.supply_v,
-        offsets_lsb=offsets,
+        **about,
     )
 
 
-def _force_as_written(gyro: GyroCalibration, session: Session) -> GyroCalibration:
-    """Gyros feel what the accelerometers read, which their own offsets move."""
-    where = provenance_of(session)
-    if where.offsets_lsb is None or where.written_lsb is None or session.sensor not in VARIANTS:
+def _as_written(gyro: GyroCalibration, where: Provenance) -> GyroCalibration:
+    """For the part as it is: what was written since is corrected by the chip, and moves the force."""
+    if where.gyro_write_open:
+        raise SessionError(f"{where.source}: {INTERRUPTED}")
+    if where.gyro_written_lsb is not None:
+        gyro = gyro.with_offsets(where.gyro_written_lsb)
+    if where.offsets_lsb is None or where.written_lsb is None or where.sensor not in VARIANTS:
         return gyro
     moved = np.array(where.written_lsb) - np.array(where.offsets_lsb)
-    assert len(moved) == len(ACCEL_OFF)
-    return gyro.with_force_moved(moved * VARIANTS[session.sensor].accel_mg_per_lsb / 1000)
+    return gyro.with_force_moved(moved * VARIANTS[where.sensor].accel_mg_per_lsb / 1000)
 
 
 def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimates:

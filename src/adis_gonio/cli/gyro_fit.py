@@ -44,12 +44,12 @@ def show_gyro_fit(
         screen.print(_parameters(result.triad))
         screen.print()
     screen.print(
-        f"  residual {result.residual_rms_dps:.3g} dps rms, χ² {result.chi2:.1f} at {result.dof} degrees of"
+        f"  residual {result.residual_rms_dps:.3g} °/s rms, χ² {result.chi2:.1f} at {result.dof} degrees of"
         " freedom"
     )
     if result.scores:
         screen.print()
-        screen.print("Each dwell left out in turn, error of its rate in dps, rms")
+        screen.print("Each dwell left out in turn, error of its rate in °/s, rms")
         screen.print(_scores(result))
     for text in result.warnings:
         screen.print(text, markup=False)

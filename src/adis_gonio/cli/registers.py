@@ -87,10 +87,9 @@ def command(
 
 def _wanted(path: Path) -> dict[str, WantedOffset]:
     """What a calibration would write, by register."""
-    from adis_gonio.calibration import load_calibration
-    from adis_gonio.handover.offsets import wanted_offsets
+    from adis_gonio.handover.offsets import wanted_offsets_in
 
-    return {one.name: one for one in wanted_offsets(load_calibration(path))}
+    return {one.name: one for one in wanted_offsets_in(path)}
 
 
 def _number(sensor: Adis16354, row: Register, text: str) -> int:

@@ -26,6 +26,7 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm
 from adis_gonio.estimation.values import Value
 from adis_gonio.gyros.alignment import alignment
+from adis_gonio.gyros.plausible import implausible
 from adis_gonio.model.effects import AXES, Effect, effect
 from adis_gonio.model.provenance import Provenance, provenance_of
 from adis_gonio.model.records import Floats, Session
@@ -86,6 +87,8 @@ class GyroFit:
     turns : int
         Intervals that are turns.
     undetermined : tuple of str
+    doubts : tuple of str
+        Those of the warnings that say that these are hardly gyros at rest.
     inflation : mapping of str to float
         Factor on the noise variance of each gyro that its residual demanded; 1 where it agrees.
     scores : mapping of str to Score
@@ -101,6 +104,7 @@ class GyroFit:
     turns: int
     warnings: tuple[str, ...] = ()
     undetermined: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
     inflation: dict[str, float] = field(default_factory=dict)
     reference_temperature_c: float | None = None
     scores: dict[str, Score] = field(default_factory=dict)
@@ -142,22 +146,18 @@ class GyroFit:
         return f"{dwells} and {counted(self.turns, 'turn')}" if self.turns else dwells
 
     def calibration(self) -> GyroCalibration:
-        """What turns readings of the gyros into rates of turn by these parameters, as they were recorded.
+        """What turns readings of the gyros into rates of turn, for the part as it is.
 
         Raises
         ------
         FitError
             A zero rate is not determined.
+        SessionError
+            A write of gyro offsets was interrupted, so that only the sensor can tell.
         """
-        from adis_gonio.calibration.gyros import GyroCalibration
+        from adis_gonio.calibration.with_gyros import calibration_of_gyro_fit
 
-        where = self.provenance
-        return GyroCalibration.of(
-            self.parameters,
-            (list(self.parameters), self.covariance),
-            method=self.method,
-            **({} if where is None else {"temperature_c": where.temperature_c, "supply_v": where.supply_v}),
-        )
+        return calibration_of_gyro_fit(self)
 
     def _repr_html_(self) -> str:
         """The parameters as a table, for notebooks."""
@@ -217,9 +217,11 @@ def fit_gyro(session: Session, accelerometers: Calibration | None = None) -> Gyr
         result = fit_gyro_readings(readings.training)
     except FitError as error:
         raise FitError(f"{session.source}: {error}" if session.source else str(error)) from error
+    doubts = implausible(session, [result[f"gyro_bias_{axis}"].value for axis in AXES])
     return replace(
         result,
-        warnings=(*session.notes, *result.warnings),
+        doubts=doubts,
+        warnings=(*session.notes, *doubts, *result.warnings),
         overrides=session.facts.get("overrides", {}),
         provenance=provenance_of(session),
     )
@@ -524,6 +526,6 @@ def _drifting(data: Readings, model: _Model, parameters: dict[str, Value]) -> li
                 moved.setdefault(word, []).append(f"{name} {known.value:+.3f} to {float(value):+.3f}")
     return [
         f"in this order of poses force is not wholly told from a {word}: with one in the model "
-        f"{', '.join(names)} dps/g; repeat poses in another order"
+        f"{', '.join(names)} °/s/g; repeat poses in another order"
         for word, names in moved.items()
     ]

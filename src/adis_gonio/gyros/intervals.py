@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.counting import counted
+from adis_gonio.counting import counted, runs
 from adis_gonio.errors import DataError
 from adis_gonio.estimation.converter import steps_of
 from adis_gonio.estimation.flicker import spans
@@ -154,6 +154,11 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
     """
     source = session.source or "session"
     dwells = [dwell for dwell in session.dwells if dwell.gyro is not None and len(dwell) > 1]
+    if not dwells and any(dwell.gyro is not None for dwell in session.dwells):
+        raise DataError(
+            f"{source}: its dwells hold one sample of the gyros each, and nothing tells how noisy that is: "
+            "give all samples"
+        )
     if not dwells:
         raise DataError(
             f"{source}: no dwell holds samples of the gyros (gx, gy, gz): record them, or name the columns"
@@ -187,8 +192,7 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
 def _in_words(refused: dict[str, list[int]]) -> tuple[str, ...]:
     """Turns that were refused, those for one reason together."""
     return tuple(
-        f"turn{'s' if len(ends) > 1 else ''} to dwell {', '.join(map(str, ends))}: {why}"
-        for why, ends in refused.items()
+        f"turn{'s' if len(ends) > 1 else ''} to dwell {runs(ends)}: {why}" for why, ends in refused.items()
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from adis_gonio.calibration.calibration import Calibration
 from adis_gonio.calibration.document import derived_delta_k, json_text
 from adis_gonio.errors import UsageError
-from adis_gonio.handover.c_rates import rate_remarks, rate_rows, rates_content
+from adis_gonio.handover.c_rates import of_gyros, rate_remarks, rate_rows, rates_content
 from adis_gonio.handover.fixed import (
     CORDIC_UDEG,
     LIMIT,
@@ -220,6 +220,7 @@ def _origin(calibration: Calibration) -> list[str]:
         ("file", where.source),
         ("data sha256", where.sha256),
         ("method", " + ".join([calibration.method, *(term.effect.name for term in calibration.effects)])),
+        ("gyros", "" if calibration.gyro is None else of_gyros(calibration.gyro)),
         ("made by", where.software),
     ]
     return [f"{label}: {comment(text)}" for label, text in told if text]

@@ -70,11 +70,16 @@ def rates_content(calibration: Calibration, gyro: GyroCalibration, name: str) ->
     }
 
 
+def of_gyros(gyro: GyroCalibration) -> str:
+    """Method and file of the gyros, which may be another than that of the accelerometers."""
+    return f"method {gyro.method}, file {gyro.source or 'not stated'}"
+
+
 def rate_rows(gyro: GyroCalibration) -> list[str]:
     """Lines of the header's table of coefficients."""
     return [
         comment(
-            f"{one.name:20} {one.value:<18.9g} {one.unit:13} "
+            f"{one.name:20} {one.value:<18.9g} {one.unit.replace('dps', 'deg/s'):13} "
             f"{'not known' if one.u is None else f'{one.u:.2g}'}"
         )
         for one in gyro.parameters

@@ -174,6 +174,10 @@ def _statements(calibration: Calibration) -> list[str]:
     texts += [f"Not corrected: {one.effect}: {one.reason}." for one in calibration.not_corrected]
     if calibration.gyro is not None:
         texts += _gyro_statements(calibration.gyro)
+        if calibration.gyro.source != calibration.provenance.source:
+            texts.append(
+                f"The gyros were calibrated in {calibration.gyro.source or 'a session not stated'}."
+            )
     if calibration.covariance is None:
         texts.append("The noise of the readings is not known, so that no uncertainty is stated.")
     return texts

@@ -11,7 +11,7 @@ from typing import Any
 from adis_gonio.calibration.calibration import Calibration
 from adis_gonio.calibration.document import json_text
 from adis_gonio.calibration.loading import calibration_in, load_gyro_calibration
-from adis_gonio.calibration.with_gyros import gyro_calibration_of, with_gyros
+from adis_gonio.calibration.with_gyros import gyro_calibration_of, gyros_alone, with_gyros
 from adis_gonio.errors import DataError, FitError, UsageError
 from adis_gonio.handover.c_header import DEFAULT_NAME
 from adis_gonio.jsonable import finite
@@ -110,7 +110,11 @@ class Source:
         made = calibration_in(self.path)
         if made is None:
             session = load_session(self.path, self.overrides)
-            return self._with_gyros(self._result(session).calibration(), session)
+            try:
+                own = self._result(session).calibration()
+            except FitError as error:
+                raise FitError(f"{error}{gyros_alone(session)}") from None
+            return self._with_gyros(own, session)
         if self.method is not None or self.traced:
             raise UsageError(
                 f"{self.path}: is a calibration already: --method and --trace go with a session"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from adis_gonio.calibration.calibration import Calibration
 from adis_gonio.calibration.gyros import GYRO_OFFSET_DPS, GyroCalibration
-from adis_gonio.errors import FitError
+from adis_gonio.calibration.loading import load_calibration, load_gyro_calibration
+from adis_gonio.errors import AdisGonioError, DataError, FitError
 from adis_gonio.model.effects import AXES
 from adis_gonio.sensor.registers import register
 from adis_gonio.sensor.variants import VARIANTS
@@ -147,12 +149,7 @@ def wanted_offsets(calibration: Calibration) -> tuple[WantedOffset, ...]:
     FitError
         It gives none at all.
     """
-    found = []
-    if calibration.gyro is not None:
-        found += [
-            WantedOffset(one.name, one.number, GYRO_OFFSET_DPS * one.number, one.u_dps, "°/s")
-            for one in gyro_offset_words(calibration.gyro)
-        ]
+    found = [] if calibration.gyro is None else list(wanted_gyro_offsets(calibration.gyro))
     try:
         lsb_mg = (
             0.0
@@ -169,6 +166,34 @@ def wanted_offsets(calibration: Calibration) -> tuple[WantedOffset, ...]:
                 "the calibration gives no offsets: neither biases nor zero rates of a part"
             ) from None
     return tuple(found)
+
+
+def wanted_gyro_offsets(gyro: GyroCalibration) -> tuple[WantedOffset, ...]:
+    """Offsets of the gyros alone; `FitError` as `gyro_offset_words`."""
+    return tuple(
+        WantedOffset(one.name, one.number, GYRO_OFFSET_DPS * one.number, one.u_dps, "°/s")
+        for one in gyro_offset_words(gyro)
+    )
+
+
+def wanted_offsets_in(path: str | Path) -> tuple[WantedOffset, ...]:
+    """Offsets by a calibration's file or a session, which may be of the gyros alone.
+
+    Raises
+    ------
+    DataError
+        The file is neither.
+    FitError
+        It gives no offsets.
+    """
+    try:
+        return wanted_offsets(load_calibration(path))
+    except (DataError, FitError) as error:
+        try:
+            gyro = load_gyro_calibration(path)
+        except AdisGonioError:
+            raise error from None
+        return wanted_gyro_offsets(gyro)
 
 
 def _gyro_lines(gyro: GyroCalibration) -> list[str]:
@@ -207,5 +232,9 @@ def registers_text(calibration: Calibration) -> str:
         lines.append(f"# bias {word.bias_mg:+.3f} mg (u {u}), {word.left_mg:+.3f} mg left{held}")
         lines.append(f"{word.name}={word.number}")
     if calibration.gyro is not None:
+        if calibration.gyro.source != where.source:
+            lines.append(f"# Gyros from {calibration.gyro.source or 'a session not stated'}.")
+        if calibration.gyro.offsets_lsb is None and words[0].before is not None:
+            lines.append("# What their registers held is not stated: these numbers hold where that was 0.")
         lines += _gyro_lines(calibration.gyro)
     return "\n".join(lines) + "\n"

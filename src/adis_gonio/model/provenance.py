@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.model.records import Floats, Plane, Session
-
-_OFFSET_REGISTERS = ("XACCL_OFF", "YACCL_OFF", "ZACCL_OFF")
+from adis_gonio.sensor.registers import ACCEL_OFF, GYRO_OFF
 
 
 @dataclass(frozen=True)
@@ -58,6 +57,8 @@ class Provenance:
         Numbers that were written there since; None where nothing was.
     write_open : bool
         True where a write was interrupted, so that only the sensor can tell.
+    gyro_offsets_lsb, gyro_written_lsb, gyro_write_open
+        The same of XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF.
     """
 
     sensor: str
@@ -77,6 +78,9 @@ class Provenance:
     offsets_lsb: tuple[int, int, int] | None = None
     written_lsb: tuple[int, int, int] | None = None
     write_open: bool = False
+    gyro_offsets_lsb: tuple[int, int, int] | None = None
+    gyro_written_lsb: tuple[int, int, int] | None = None
+    gyro_write_open: bool = False
 
 
 def provenance_of(session: Session) -> Provenance:
@@ -100,8 +104,10 @@ def provenance_of(session: Session) -> Provenance:
             temperature_c=_covered([dwell.temperature_c for dwell in session.dwells]),
             supply_v=_covered([dwell.supply_v for dwell in session.dwells]),
             software=f"adis-gonio {__version__}",
-            offsets_lsb=_offsets(session.facts),
-            **_written(session),
+            offsets_lsb=_offsets(session.facts, ACCEL_OFF),
+            **_written(session, ACCEL_OFF),
+            gyro_offsets_lsb=_offsets(session.facts, GYRO_OFF),
+            **{f"gyro_{name}": value for name, value in _written(session, GYRO_OFF).items()},
         )
         vars(session)["_provenance"] = kept
     return kept
@@ -130,25 +136,25 @@ def _covered(series: list[Floats | None]) -> Covered | None:
     return Covered(float(np.mean(means)), low, high) if np.isfinite([*means, low, high]).all() else None
 
 
-def _written(session: Session) -> dict[str, Any]:
-    held = _offsets(session.facts)
+def _written(session: Session, registers: tuple[str, ...]) -> dict[str, Any]:
+    held = _offsets(session.facts, registers)
     if held is None or not session.facts.get("offset_writes"):
         return {}
     from adis_gonio.writeback.journal import operations_of
 
-    known = operations_of(session, _OFFSET_REGISTERS)
+    known = operations_of(session, registers)
     if not known:
         return {}
     last = known[-1]
     if last.open:
         return {"write_open": True}
-    pairs = zip(_OFFSET_REGISTERS, held, strict=True)
+    pairs = zip(registers, held, strict=True)
     return {"written_lsb": tuple(last.target.get(name, number) for name, number in pairs)}
 
 
-def _offsets(facts: Mapping[str, Any]) -> tuple[int, int, int] | None:
+def _offsets(facts: Mapping[str, Any], registers: tuple[str, ...]) -> tuple[int, int, int] | None:
     held = ((facts.get("registers") or {}).get("configured")) or {}
-    numbers = [held.get(name) for name in _OFFSET_REGISTERS]
+    numbers = [held.get(name) for name in registers]
     if any(not isinstance(number, int) for number in numbers):
         return None
     x, y, z = (int(number) for number in numbers if number is not None)

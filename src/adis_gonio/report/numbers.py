@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from adis_gonio.showing import shown_unit
+
 SPACE = "\u00a0"
 """No line ends between a number and its unit."""
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -42,7 +44,7 @@ def with_unit(text: str, unit: str) -> str:
         return text
     if unit in ("deg", "°"):
         return f"({text})°" if "±" in text else f"{text}°"
-    return f"{text}{SPACE}{unit}"
+    return f"{text}{SPACE}{shown_unit(unit)}"
 
 
 def p_text(p: float) -> str:

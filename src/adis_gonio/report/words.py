@@ -13,6 +13,7 @@ from adis_gonio.model.effects import catalogue, effect
 from adis_gonio.model.effects.base import Parameter
 from adis_gonio.model.records import Session
 from adis_gonio.report.numbers import listed, number, p_text, percent, times, uncertain, with_unit
+from adis_gonio.showing import shown_unit
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, TraceResult
 
 _IN_SAMPLES = "looked for within the dwells"
@@ -119,10 +120,12 @@ def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
         ("base model", result.before),
         *((f"+ {step.effect}", step.error) for step in result.steps),
     ]
+    unit = shown_unit(result.before.unit)
+    unit = f"({unit})" if "/" in unit else unit
     columns: dict[str, list[float | None]] = {
-        f"residual / {result.before.unit}": [error.residual_rms for _, error in rows],
-        f"left out / {result.before.unit}": [error.heldout_rms for _, error in rows],
-        **_by_axis(rows, result.before.unit),
+        f"residual / {unit}": [error.residual_rms for _, error in rows],
+        f"left out / {unit}": [error.heldout_rms for _, error in rows],
+        **_by_axis(rows, unit),
         "error of the angle / °": [error.angle_rms_deg for _, error in rows],
         "χ² / dof": [error.chi2_per_dof for _, error in rows],
     }
@@ -249,22 +252,23 @@ def exact(result: TraceResult) -> bool:
 def gains(result: TraceResult) -> str:
     """Error before and after in a sentence."""
     before, after = result.before, result.after
+    unit = shown_unit(before.unit)
     if exact(result):
-        return f"The base model leaves {number(before.residual_rms)} {before.unit}."
+        return f"The base model leaves {number(before.residual_rms)} {unit}."
     parts = [
         f"The residual goes from {number(before.residual_rms)} to {number(after.residual_rms)}"
-        f" {before.unit}"
+        f" {unit}"
         f"{times(before.residual_rms, after.residual_rms)}"
     ]
     if before.heldout_rms is not None and after.heldout_rms is not None:
         left, kept = number(after.heldout_rms), number(after.heldout_kept)
         parts.append(
-            f"on data that took no part from {number(before.heldout_rms)} to {left} {before.unit}"
+            f"on data that took no part from {number(before.heldout_rms)} to {left} {unit}"
             f"{times(before.heldout_rms, after.heldout_rms)}"
         )
         if after.heldout_kept is not None and kept != left:
             parts[-1] += (
-                f", effects chosen anew each time, or to {kept} {before.unit} with those of this model kept"
+                f", effects chosen anew each time, or to {kept} {unit} with those of this model kept"
             )
     else:
         parts.append(

@@ -10,6 +10,7 @@ from adis_gonio.budget import Budget
 from adis_gonio.dwells.finding import WithinFinding
 from adis_gonio.errors import FitError
 from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.parts import ACCELEROMETER, GYRO
 from adis_gonio.estimation.values import Detectable, Value, finite_or_none
 from adis_gonio.model.effects.environment import REFERENCE_C
 from adis_gonio.model.provenance import Provenance
@@ -20,7 +21,7 @@ from adis_gonio.tracing.outcome.sets import CredibleSet
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from adis_gonio.calibration import Calibration
+    from adis_gonio.calibration import Calibration, GyroCalibration
 
 
 @dataclass(frozen=True)
@@ -359,21 +360,27 @@ class TraceResult:
         state = "adequate" if self.adequate else "not adequate"
         return f"TraceResult(found {found}; {state})"
 
-    def calibration(self) -> Calibration:
-        """What turns readings into angles by the final model.
+    def calibration(self) -> Calibration | GyroCalibration:
+        """What turns readings into angles by the final model; of gyros, into rates of turn.
 
-        Effects that are functions of the reading, the temperature or the supply are corrected; what belongs
-        to the bench is listed as not corrected.
+        Effects that are functions of the reading (of gyros: the rate and the force), the temperature or the
+        supply are corrected; what belongs to the bench is listed as not corrected.
 
         Raises
         ------
         UsageError
             The result was made from readings, not from a session.
         FitError
-            One pose only, a trace that its time limit ended before it was checked, or one of gyros.
+            One pose only, a trace that its time limit ended before it was checked, or another part.
+        SessionError
+            A write of offsets to the sensor was interrupted.
         """
-        if self.part != "accelerometer":
-            raise FitError("a trace of the gyros corrects rates, not angles: see calibration.gyros")
+        if self.part == GYRO:
+            from adis_gonio.calibration.with_gyros import calibration_of_gyro_trace
+
+            return calibration_of_gyro_trace(self)
+        if self.part != ACCELEROMETER:
+            raise FitError(f"no calibration is made of a trace of the part {self.part}")
         from adis_gonio.calibration.building import calibration_of_trace
 
         return calibration_of_trace(self)
@@ -381,7 +388,7 @@ class TraceResult:
     @property
     def part(self) -> str:
         """Part of the sensor that was traced."""
-        return self.fits[-1].data.model.part if self.fits else "accelerometer"
+        return self.fits[-1].data.model.part if self.fits else ACCELEROMETER
 
     @property
     def dof(self) -> float:
@@ -430,7 +437,7 @@ class TraceResult:
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `trace`."""
-        other = {} if self.part == "accelerometer" else {"part": self.part}
+        other = {} if self.part == ACCELEROMETER else {"part": self.part}
         return {
             **other,
             "adequate": self.adequate,
