@@ -4,9 +4,9 @@
 
 Every session is a part of its own (adis16354 and adis16350 in turn) with realistic gyros
 (`sim/gyro_faults.py`), laid by a hand in up to 24 random poses, 5 s each, the way between them recorded
-behind the chip's filter. Its first 4, 5, 6, 9, 14 and 24 poses are fitted by gravity alone, with the turns and the
-gyros' data sheet, and with the turns and a calibration of the gyros that is off by its stated uncertainty
-(gains 0.02 %, directions 0.02°, g-sensitivity 0.005 °/s/g: what `--plan gyro-turns` gives).
+behind the chip's filter. Its first 4, 5, 6, 9, 14 and 24 poses are fitted by gravity alone, with the turns
+and the gyros' data sheet, and with the turns and a calibration of the gyros that is off by its stated
+uncertainty (gains 0.02 %, directions 0.02°, g-sensitivity 0.005 °/s/g: what `--plan gyro-turns` gives).
 
 Then gyros that are false, in the first 9 poses: how often the turns are refused, and what the parameters
 are worth where they are not.
@@ -16,13 +16,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import secrets
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -136,9 +136,7 @@ def _told(result: FitResult | None, true: dict[str, float]) -> Row:
     if result is None:
         return {"parameters": {}}
     told: Row = {
-        "parameters": {
-            one.name: [one.value - true[one.name], one.u, one.U] for one in result.parameters
-        }
+        "parameters": {one.name: [one.value - true[one.name], one.u, one.U] for one in result.parameters}
     }
     if result.links is not None:
         links = result.links
@@ -258,8 +256,7 @@ def main() -> int:
     options = parser.parse_args()
     rows = run(options.sessions, options.seed, options.jobs)
     if options.rows:
-        with open(options.rows, "w", encoding="utf-8") as file:
-            json.dump(rows, file)
+        Path(options.rows).write_text(json.dumps(rows), encoding="utf-8")
     print(json.dumps({"seed": options.seed, **summary(rows)}, indent=1))
     return 0
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from adis_gonio.errors import UsageError
 from adis_gonio.estimation.parts import ACCELEROMETER, GYRO, known_part
@@ -17,12 +17,16 @@ from adis_gonio.session import load_session
 from adis_gonio.tracing import TraceResult
 from adis_gonio.tracing.trace import trace as _trace
 
+if TYPE_CHECKING:
+    from adis_gonio.calibration.gyros import GyroCalibration
+
 
 @overload
 def fit(
     session: Session | str | PathLike[str],
     method: str | None = None,
     part: Literal["accelerometer"] = "accelerometer",
+    gyros: GyroCalibration | str | PathLike[str] | None = None,
 ) -> FitResult: ...
 
 
@@ -34,12 +38,19 @@ def fit(
 
 @overload
 def fit(
-    session: Session | str | PathLike[str], method: str | None = None, *, part: str
+    session: Session | str | PathLike[str],
+    method: str | None = None,
+    *,
+    part: str,
+    gyros: GyroCalibration | str | PathLike[str] | None = None,
 ) -> FitResult | GyroFit: ...
 
 
 def fit(
-    session: Session | str | PathLike[str], method: str | None = None, part: str = ACCELEROMETER
+    session: Session | str | PathLike[str],
+    method: str | None = None,
+    part: str = ACCELEROMETER,
+    gyros: GyroCalibration | str | PathLike[str] | None = None,
 ) -> FitResult | GyroFit:
     """`adis_gonio.fitting.fit` of a session, or of a file that holds one.
 
@@ -47,16 +58,22 @@ def fit(
     ----------
     part : {"accelerometer", "gyro"}
         Part of the sensor; gyros have one method, `gyro`.
+    gyros : GyroCalibration or path, optional
+        Of the same part's gyros, made of another session, or a file that `load_gyro_calibration` reads: for
+        poses in space between which the part was turned.
 
     Raises
     ------
     UsageError
-        Neither a session nor a path; no such method, or part.
+        Neither a session nor a path; no such method, or part; gyros that the session cannot use.
     DataError, FitError, SingularError
         As `adis_gonio.fitting.fit`.
     """
     if known_part(part) != GYRO:
-        return _fit(session_of(session, "fit"), method=method)
+        given = session_of(session, "fit")
+        return _fit(given, method=method, gyros=_gyros_beside(given, gyros))
+    if gyros is not None:
+        raise UsageError("a calibration of gyros serves a fit of the accelerometers; part is gyro")
     if method not in (None, GYRO_METHOD):
         raise UsageError(f"gyros have no method '{method}'; theirs is {GYRO_METHOD}")
     return fit_gyro(session_of(session, "fit"))
@@ -78,6 +95,23 @@ def trace(
         As `adis_gonio.tracing.trace`.
     """
     return _trace(session_of(session, "trace"), max_effects, time_limit, part)
+
+
+def _gyros_beside(
+    session: Session, given: GyroCalibration | str | PathLike[str] | None
+) -> GyroCalibration | None:
+    """Gyros of the session's part, read where a path is given; not those of the session itself."""
+    if not isinstance(given, str | PathLike):
+        return given
+    from adis_gonio.calibration.loading import load_gyro_calibration
+    from adis_gonio.model.provenance import provenance_of
+
+    if session.source and Path(given).resolve() == Path(session.source).resolve():
+        raise UsageError(
+            f"{given}: its gyros are calibrated by the turns that they shall serve for; give another"
+            " session"
+        )
+    return load_gyro_calibration(given, provenance_of(session))
 
 
 def session_of(given: Any, what: str) -> Session:

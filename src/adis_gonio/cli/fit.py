@@ -12,6 +12,7 @@ from adis_gonio.cli.overrides import load, override_options, part_option
 from adis_gonio.cli.show import WIDTH, console, json_option, print_json
 from adis_gonio.cli.working import working
 from adis_gonio.counting import counted
+from adis_gonio.errors import UsageError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -40,6 +41,12 @@ if TYPE_CHECKING:
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="Of the trials' random numbers.")
 @part_option
+@click.option(
+    "--gyros",
+    type=click.Path(path_type=Path),
+    help="Poses in space: gyros of another session of this part (plan gyro-turns), or of a calibration"
+    " file.",
+)
 @override_options
 @json_option
 def command(
@@ -47,6 +54,7 @@ def command(
     session: Path,
     method: str | None,
     part: str,
+    gyros: Path | None,
     everything: bool,
     trials: int | None,
     seed: int,
@@ -57,21 +65,24 @@ def command(
 
     Shows the recommended method in full and the others by their score on the same readings: every dwell of
     the session, left out of the fit where it was in it. --sensor-part gyro: zero rates, g-sensitivity, and
-    gains and directions where the part was turned between dwells.
+    gains and directions where the part was turned between dwells. Poses in space gain equations by turns
+    that were recorded between them (calibrate --record-turns).
     """
+    if part == "gyro" and gyros is not None:
+        raise UsageError("--gyros goes with the accelerometers: leave out --sensor-part gyro")
     if part == "gyro":
         from adis_gonio.cli.gyro_fit import show_gyro_fit
 
         show_gyro_fit(load(session, overrides), method, as_json=as_json)
         return
     from adis_gonio.answer import Answer
-    from adis_gonio.fitting import fit
+    from adis_gonio.api import fit
     from adis_gonio.model.records import METADATA
 
     loaded = load(session, overrides)
     what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
     with working(f"fitting {what} of {session.name}"):
-        answer = Answer.of(fit(loaded, method=method), own=method is not None)
+        answer = Answer.of(fit(loaded, method=method, gyros=gyros), own=method is not None)
         document = answer.as_dict()
     run = _monte_carlo(answer.result, trials, seed)
     if as_json:

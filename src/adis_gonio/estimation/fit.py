@@ -193,7 +193,7 @@ class Fit:
 
     @cached_property
     def modes(self) -> Floats | None:
-        """What each mode that rows share, of unit variance, adds to them: (rows, k), before `_without_shared`.
+        """What each mode of unit variance adds to rows (rows, k) that share it, these otherwise white.
 
         Those of the readings' 1/f noise, then those of the links' gyros.
         """

@@ -1,8 +1,8 @@
 """Links: what is known of the rotation of the part between two poses, as rows of a `Fit` in space.
 
-A pose in space leaves one equation: its attitude u is unknown. Where the rotation Φ from one pose to another
-is known but for a small error ε (`gyros.links`), u' = exp(ε×) Φ u gives two more. With P(u) two directions
-across u and ũ the attitudes that fit the readings best at some parameters, the rows of a link are
+A pose in space leaves one equation: its attitude u is unknown. Where the rotation Φ from one pose to
+another is known but for a small error ε (`gyros.links`), u' = exp(ε×) Φ u gives two more. With P(u) two
+directions across u and ũ the attitudes that fit the readings best at some parameters, a link's rows are
 
     y = P(ũ')ᵀ (ũ' − Φ ũ) = T' e' − F T e + K ε,    F = P(ũ')ᵀ Φ P(ũ),    K = −P(ũ')ᵀ [Φ ũ]×,
 

@@ -9,19 +9,19 @@ is left to test by, the gyros are not believed and the fit is that of gravity al
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.counting import counted
 from adis_gonio.errors import UsageError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.links import Links
 from adis_gonio.estimation.readings import Readings
-from adis_gonio.fitting.determination import Determination, determine
-from adis_gonio.fitting.noise import Noise, settle
+from adis_gonio.fitting.determination import Determination, covariance, determine, is_determined
+from adis_gonio.fitting.noise import settle
 from adis_gonio.model.records import Floats, Session
 
 if TYPE_CHECKING:
@@ -29,7 +29,9 @@ if TYPE_CHECKING:
     from adis_gonio.gyros.links import GyroLinks
     from adis_gonio.gyros.prior import GyroPrior
 
+Refused = tuple[int, int, str]
 LEAST_POSES = 3
+"""Two turns give four equations for nine parameters and the gyros' own."""
 LEVEL = 1e-3
 """Level at which links contradict gravity, as that of a residual beyond the noise."""
 MOST_LEFT_OUT = 0.25
@@ -67,7 +69,7 @@ class LinkReport:
     used: int
     chi2: float | None
     dof: int
-    refused: tuple[tuple[int, int, str], ...] = ()
+    refused: tuple[Refused, ...] = ()
     calibrated: bool = False
     why: str = ""
     gained: tuple[str, ...] = ()
@@ -95,7 +97,8 @@ class LinkReport:
         if self.gained:
             told.append(f"they determine {', '.join(self.gained)}")
         if self.ratio is not None:
-            told.append(f"u of the rest is {self.ratio:.2f} of that without, median")
+            of = "u of the others" if self.gained else "u with them"
+            told.append(f"{of} is {self.ratio:.2f} of that without, median")
         told.append(f"χ² {self.chi2:.1f} at {counted(self.dof, 'degree')} of freedom")
         left = "; ".join(f"{b} to {a} left out: {why}" for b, a, why in self.refused[:2])
         more = len(self.refused) - 2
@@ -145,118 +148,133 @@ def _linked(
                 " with calibrate --record-turns"
             )
         return readings, None
-    return _judged(readings, found, gyros is not None)
+    try:
+        judged = _Judged.of(readings.training, found)
+    except (np.linalg.LinAlgError, UsageError):  # few poses let the fit run to what no three axes are
+        judged = _Judged(None, found.refused, "a fit with them does not converge")
+    report = judged.report(calibrated=gyros is not None)
+    if judged.links is None:
+        return readings, report
+    rows = np.flatnonzero(~readings.check)
+    links = replace(judged.links, before=rows[judged.links.before], after=rows[judged.links.after])
+    return replace(readings, links=links), report
 
 
-def _judged(readings: Readings, found: GyroLinks, calibrated: bool) -> tuple[Readings, LinkReport]:
-    """Links tested on the readings that are fitted."""
-    training = readings.training
-    if len(training) < LEAST_POSES:
-        return readings, _unused("a turn needs poses on both sides, and three of them to be tested", calibrated)
-    alone = settle(training)
-    if not alone.noise.known:
-        return readings, _unused("nothing tells the noise of the poses beside them", calibrated)
-    data = alone.noise.applied(training)
-    plain = alone.determination
-    refused = list(found.refused)
-    links = found.at(found.prior.values, training.position.tolist())
-    links, far = _without_far(links, plain.fit, training.position)
-    refused += far
-    allowed = math.floor(MOST_LEFT_OUT * (len(links) + len(far)))
-    why = _nothing_to_use(len(links), len(far), allowed, refused)
-    left_out = len(far)
-    while not why:
-        links, linked = _settled(found, links, data, training.position)
-        if linked is None:
-            why = "the fit with them does not converge"
-            break
-        chi2 = linked.fit.chi2 - plain.fit.chi2
-        dof = _dof(linked) - _dof(plain)
-        if dof < 1:
-            why = "they are too few to be tested against gravity"
-        elif chi2 <= _quantile(dof):
-            rows = np.flatnonzero(~readings.check)
-            whole = replace(links, before=rows[links.before], after=rows[links.after])
-            report = _report(len(links), chi2, dof, refused, calibrated, plain, linked)
-            return replace(readings, links=whole), report
-        else:
-            left_out += 1
-            if left_out > allowed or len(links) < 2:
-                why = f"they contradict gravity (χ² {chi2:.3g} at {counted(dof, 'degree')} of freedom)"
-                break
+@dataclass(frozen=True)
+class _Judged:
+    """Links of a session, tested on the readings that are fitted.
+
+    Attributes
+    ----------
+    links : Links or None
+        Those that are believed, between these readings; None where there are none.
+    refused : tuple of (int, int, str)
+    why : str
+        Why there are none.
+    chi2, dof : float or None, int
+    plain, linked : Determination or None
+        The fit by gravity alone, and with the links, under the same noise.
+    """
+
+    links: Links | None
+    refused: tuple[Refused, ...]
+    why: str = ""
+    chi2: float | None = None
+    dof: int = 0
+    plain: Determination | None = None
+    linked: Determination | None = None
+
+    @classmethod
+    def of(cls, readings: Readings, found: GyroLinks) -> _Judged:
+        """Test, leave out what disagrees, test again."""
+        refused = list(found.refused)
+        if len(readings) < LEAST_POSES:
+            return cls(None, tuple(refused), "poses are too few to test them by")
+        alone = settle(readings)
+        if not alone.noise.known:
+            return cls(None, tuple(refused), "nothing tells the noise of the poses")
+        data, plain = alone.noise.applied(readings), alone.determination
+        position = readings.position
+        links = found.at(found.prior.values, position.tolist())
+        near = _near(links, plain.fit)
+        count, far = len(links), int((~near).sum())
+        allowed = math.floor(MOST_LEFT_OUT * count)
+        refused += [(*_ends(links, position, int(k)), _FAR) for k in np.flatnonzero(~near)]
+        if far > allowed:
+            return cls(
+                None, tuple(refused), f"in {far} of {count} {_FAR}: a wrong sign, axis, range or unit"
+            )
+        links = links.only(near)
+        left_out = far
+        while len(links):
+            links, linked = _settled(found, links, data)
+            chi2, dof = linked.fit.chi2 - plain.fit.chi2, _dof(linked) - _dof(plain)
+            if dof < 1:
+                return cls(None, tuple(refused), "they are too few to be tested against gravity")
+            if chi2 <= _quantile(dof):
+                return cls(links, tuple(refused), "", chi2, dof, plain, linked)
+            if left_out >= allowed:
+                told = f"they contradict gravity (χ² {chi2:.3g} at {counted(dof, 'degree')} of freedom)"
+                return cls(None, tuple(refused), told, chi2, dof)
             worst = _worst(linked.fit)
-            pair = links.before[worst], links.after[worst]
-            b, a = (int(training.position[k]) for k in pair)
-            refused.append((b, a, "it contradicts gravity and the other turns"))
+            refused.append((*_ends(links, position, worst), "it contradicts gravity and the other turns"))
             links = links.only(np.arange(len(links)) != worst)
-    return readings, _unused(why, calibrated, refused)
+            left_out += 1
+        why = refused[0][2] if refused else "none lies between two poses that are fitted"
+        return cls(None, tuple(refused), why)
+
+    def report(self, *, calibrated: bool) -> LinkReport:
+        """What is told of it."""
+        used = 0 if self.links is None else len(self.links)
+        gained, ratio = _gain(self.plain, self.linked)
+        return LinkReport(used, self.chi2, self.dof, self.refused, calibrated, self.why, gained, ratio)
 
 
-def _unused(
-    why: str, calibrated: bool, refused: Sequence[tuple[int, int, str]] = ()
-) -> LinkReport:
-    return LinkReport(0, None, 0, tuple(refused), calibrated, why)
+_FAR = "the gyros turn gravity to where it is not"
 
 
-def _nothing_to_use(
-    links: int, far: int, allowed: int, refused: Sequence[tuple[int, int, str]]
-) -> str:
-    if far > allowed:
-        return f"by {far} of {links + far} the gyros turn gravity elsewhere than it is: a wrong sign, axis or range"
-    if not links:
-        return refused[0][2] if refused else "no turn lies between two poses that are fitted"
-    return ""
+def _ends(links: Links, position: NDArray[np.intp], link: int) -> tuple[int, int]:
+    """Numbers of the two dwells of a link."""
+    return int(position[links.before[link]]), int(position[links.after[link]])
 
 
-def _without_far(
-    links: Links, fit: Fit, position: Floats
-) -> tuple[Links, list[tuple[int, int, str]]]:
-    """Links less those that are wrong whatever the parameters are."""
+def _near(links: Links, fit: Fit) -> NDArray[np.bool_]:
+    """Links (m,) that are not wrong whatever the parameters are."""
     attitude = fit.settled(4).values.attitude
     came = (links.rotation @ attitude[links.before][:, :, None])[:, :, 0]
     there = attitude[links.after]
     away = np.arctan2(np.linalg.norm(np.cross(came, there), axis=1), (came * there).sum(axis=1))
     turned = np.arccos(np.clip((np.trace(links.rotation, axis1=1, axis2=2) - 1) / 2, -1, 1))
-    far = away > np.maximum(FAR_RAD, FAR_SHARE * turned)
-    told = [
-        (
-            int(position[links.before[k]]),
-            int(position[links.after[k]]),
-            f"the gyros put gravity {math.degrees(away[k]):.0f}° from where it is",
-        )
-        for k in np.flatnonzero(far).tolist()
-    ]
-    return links.only(~far), told
+    return np.asarray(away <= np.maximum(FAR_RAD, FAR_SHARE * turned))
 
 
-def _settled(
-    found: GyroLinks, links: Links, data: Readings, position: Floats
-) -> tuple[Links, Determination | None]:
+def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, Determination]:
     """Fit with links, linearised where the gyros' parameters end up."""
-    used = {(int(b), int(a)) for b, a in zip(links.before, links.after, strict=True)}
-    size = np.sqrt(np.diagonal(found.prior.covariance))
+    size = np.maximum(np.sqrt(np.diagonal(found.prior.covariance)), 1e-12)
     values = found.prior.values
-    linked = None
+    linked = determine(replace(data, links=links))
     for _ in range(_PASSES):
-        whole = found.at(values, position.tolist())
-        pairs = zip(whole.before.tolist(), whole.after.tolist(), strict=True)
-        links = whole.only(np.array([pair in used for pair in pairs]))
-        try:
-            linked = determine(replace(data, links=links))
-        except (np.linalg.LinAlgError, UsageError):
-            return links, None
         moved = _gyros_of(linked.fit, found.prior)
-        change = float(np.max(np.abs(moved - values) / np.maximum(size, 1e-12)))
-        values = moved
-        if change < _SETTLED:
+        if float(np.max(np.abs(moved - values) / size)) < _SETTLED:
             break
+        values = moved
+        links = _alike(found.at(values, data.position.tolist()), links)
+        linked = determine(replace(data, links=links))
     return links, linked
+
+
+def _alike(found: Links, links: Links) -> Links:
+    """Those of `found` that lie between the same poses as `links`."""
+    wanted = set(zip(links.before.tolist(), links.after.tolist(), strict=True))
+    pairs = zip(found.before.tolist(), found.after.tolist(), strict=True)
+    return found.only(np.array([pair in wanted for pair in pairs]))
 
 
 def _gyros_of(fit: Fit, prior: GyroPrior) -> Floats:
     """Parameters of the gyros (21,) that the links of a fit make most likely."""
     links, rows = fit.link_rows, fit.modes
-    assert links is not None and rows is not None
+    assert links is not None
+    assert rows is not None
     flat = fit.unshared_residual
     count = links.links.modes_rad.shape[2]
     found = np.linalg.solve(np.eye(rows.shape[1]) + rows.T @ rows, rows.T @ flat)
@@ -281,23 +299,21 @@ def _quantile(dof: int) -> float:
     return float(chdtri(dof, LEVEL))
 
 
-def _report(
-    used: int,
-    chi2: float,
-    dof: int,
-    refused: Sequence[tuple[int, int, str]],
-    calibrated: bool,
-    plain: Determination,
-    linked: Determination,
-) -> LinkReport:
-    from adis_gonio.fitting.determination import covariance, is_determined
+def _gain(
+    plain: Determination | None, linked: Determination | None
+) -> tuple[tuple[str, ...], float | None]:
+    """Parameters that only links determine, and the median of u with links over u without."""
+    if plain is None or linked is None:
+        return (), None
+    without, together = _u_of(plain), _u_of(linked)
+    names = zip(linked.names, without, together, strict=True)
+    gained = tuple(name for name, a, b in names if math.isinf(a) and math.isfinite(b))
+    both = np.isfinite(without) & np.isfinite(together)
+    return gained, float(np.median(together[both] / without[both])) if both.any() else None
 
-    u = []
-    for found in (plain, linked):
-        spread = np.sqrt(np.maximum(np.diagonal(covariance(found.fisher, found.free, found.null)), 0.0))
-        seen = [found.free[k] and is_determined(row, found.null) for k, row in enumerate(np.eye(len(spread)))]
-        u.append(np.where(seen, spread, np.inf))
-    both = np.isfinite(u[0]) & np.isfinite(u[1])
-    gained = [n for n, a, b in zip(linked.names, u[0], u[1], strict=True) if math.isinf(a) and math.isfinite(b)]
-    ratio = float(np.median(u[1][both] / u[0][both])) if both.any() else None
-    return LinkReport(used, chi2, dof, tuple(refused), calibrated, "", tuple(gained), ratio)
+
+def _u_of(found: Determination) -> Floats:
+    """Standard uncertainty (p,) in natural units; inf where a parameter is not determined."""
+    u = np.sqrt(np.maximum(np.diagonal(covariance(found.fisher, found.free, found.null)), 0.0))
+    seen = [bool(found.free[k]) and is_determined(row, found.null) for k, row in enumerate(np.eye(len(u)))]
+    return np.where(seen, u, np.inf)

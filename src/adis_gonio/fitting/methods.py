@@ -41,9 +41,7 @@ _TWO_REVERSED = (0, 270)
 """The two positions where the stage turned the other way than declared."""
 
 
-def fit(
-    session: Session, method: str | None = None, gyros: GyroCalibration | None = None
-) -> FitResult:
+def fit(session: Session, method: str | None = None, gyros: GyroCalibration | None = None) -> FitResult:
     """Parameters of a session with their covariance.
 
     Parameters

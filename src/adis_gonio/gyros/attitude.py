@@ -6,8 +6,8 @@ rotations Φ. A small error δω of the rates turns the result by ε, u(t₁) �
 
     ε = −∫ Φ(t₁, t) δω(t) dt,
 
-which is linear in all that a gyro can have: with ω = A⁻¹ (m − z − a |m − z|) for readings m, zero rate z, gains
-and directions A, asymmetry a, it is ε = ∫ Φ(t₁, t) A⁻¹ (δA ω + δz + δa |m − z|) dt.
+which is linear in all that a gyro can have: with ω = A⁻¹ (m − z − a |m − z|) for readings m, zero rate z,
+gains and directions A, asymmetry a, it is ε = ∫ Φ(t₁, t) A⁻¹ (δA ω + δz + δa |m − z|) dt.
 """
 
 from __future__ import annotations

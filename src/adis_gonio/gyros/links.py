@@ -6,8 +6,8 @@ accelerometers as the part is turned. The uncertainty of the rotation has
 * white noise of the samples and of both dwells' means, and what bridges over lost scans leave;
 * 1/f noise: how far the zero rate over the turn is from that mean, by the three intervals' covariance;
 * the turning of the earth, whose share in the zero rate changes with the attitude;
-* what all links have in common: gains and directions of the gyros (`gyros.prior`), g-sensitivity as the dwells of
-  the session leave it, asymmetry of the gains.
+* what all links have in common: gains and directions of the gyros (`gyros.prior`), g-sensitivity as the
+  dwells of the session leave it, asymmetry of the gains.
 
 Neighbouring links share the dwell between them. What is farther apart is taken as independent: a zero rate
 less the mean of its neighbours is a difference in which slow noise cancels.
@@ -108,7 +108,7 @@ class GyroLinks:
 
     @cached_property
     def _wander(self) -> tuple[Floats, Floats]:
-        """1/f noise of an Allan variance of 1: variance (m,) over each leg, covariance (m,) with the next."""
+        """1/f noise of an Allan variance of 1: variance (m,) of each leg, covariance (m,) with the next."""
         own, following = np.zeros(len(self.legs)), np.zeros(len(self.legs))
         for k, leg in enumerate(self.legs):
             covariance = covariance_of_means(*leg.spans_s.T)
@@ -198,14 +198,15 @@ def _nothing_there(reason: str) -> bool:
 
 def _leg(session: Session, turn: Turn, rests: Rests) -> Leg | str:
     """Samples of a turn from rest to rest, or why it gives no link."""
-    ends = [rests.by_position.get(position) for position in (turn.before, turn.position)]
-    if ends[0] is None or ends[1] is None:
+    before, after = (rests.by_position.get(position) for position in (turn.before, turn.position))
+    if before is None or after is None:
         return "one of its dwells has no gyros"
-    before, after = ends
     path = path_between(session, turn, rests.dwells[before], rests.dwells[after], rests.scale)
-    integral = "nothing was recorded between the dwells" if path is None else integrate(path, rests.sampling)
-    if isinstance(integral, str) or path is None:
-        return str(integral)
+    if path is None:
+        return "nothing was recorded between the dwells"
+    integral = integrate(path, rests.sampling)
+    if isinstance(integral, str):
+        return integral
     return _cut(path, integral, rests, (before, after), (turn.before, turn.position))
 
 
