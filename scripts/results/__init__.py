@@ -6,6 +6,7 @@ SECTIONS: tuple[str, ...] = (
     "plan",
     "free_turn",
     "gyros",
+    "links",
     "slips",
     "smoother",
     "allan",

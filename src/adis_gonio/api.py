@@ -19,6 +19,7 @@ from adis_gonio.tracing.trace import trace as _trace
 
 if TYPE_CHECKING:
     from adis_gonio.calibration import Calibration
+    from adis_gonio.calibration.gyros import GyroCalibration
 
 
 @overload
@@ -26,6 +27,8 @@ def fit(
     session: Session | str | PathLike[str],
     method: str | None = None,
     part: Literal["accelerometer"] = "accelerometer",
+    *,
+    gyros: GyroCalibration | str | PathLike[str] | None = None,
 ) -> FitResult: ...
 
 
@@ -46,6 +49,7 @@ def fit(
     *,
     part: str,
     accelerometers: Calibration | None = None,
+    gyros: GyroCalibration | str | PathLike[str] | None = None,
 ) -> FitResult | GyroFit: ...
 
 
@@ -53,7 +57,9 @@ def fit(
     session: Session | str | PathLike[str],
     method: str | None = None,
     part: str = ACCELEROMETER,
+    *,
     accelerometers: Calibration | None = None,
+    gyros: GyroCalibration | str | PathLike[str] | None = None,
 ) -> FitResult | GyroFit:
     """`adis_gonio.fitting.fit` of a session, or of a file that holds one.
 
@@ -63,18 +69,25 @@ def fit(
         Part of the sensor; gyros have one method, `gyro`.
     accelerometers : Calibration, optional
         With gyros: of the same part's accelerometers, for the directions of axes (`fit_gyro`).
+    gyros : GyroCalibration or path, optional
+        Of the same part's gyros, made of another session, or a file that `load_gyro_calibration` reads: for
+        poses in space between which the part was turned.
 
     Raises
     ------
     UsageError
-        Neither a session nor a path; no such method, or part; a calibration of another part.
+        Neither a session nor a path; no such method, or part; a calibration of another part, or gyros that
+        the session cannot use.
     DataError, FitError, SingularError
         As `adis_gonio.fitting.fit`.
     """
     if known_part(part) != GYRO:
         if accelerometers is not None:
             raise UsageError("a calibration of the accelerometers goes with part='gyro'")
-        return _fit(session_of(session, "fit"), method=method)
+        given = session_of(session, "fit")
+        return _fit(given, method=method, gyros=_gyros_beside(given, gyros))
+    if gyros is not None:
+        raise UsageError("a calibration of gyros serves a fit of the accelerometers; part is gyro")
     if method not in (None, GYRO_METHOD):
         raise UsageError(f"gyros have no method '{method}'; theirs is {GYRO_METHOD}")
     return fit_gyro(session_of(session, "fit"), accelerometers)
@@ -96,6 +109,23 @@ def trace(
         As `adis_gonio.tracing.trace`.
     """
     return _trace(session_of(session, "trace"), max_effects, time_limit, part)
+
+
+def _gyros_beside(
+    session: Session, given: GyroCalibration | str | PathLike[str] | None
+) -> GyroCalibration | None:
+    """Gyros of the session's part, read where a path is given; not those of the session itself."""
+    if not isinstance(given, str | PathLike):
+        return given
+    from adis_gonio.calibration.loading import load_gyro_calibration
+    from adis_gonio.model.provenance import provenance_of
+
+    if session.source and Path(given).resolve() == Path(session.source).resolve():
+        raise UsageError(
+            f"{given}: its gyros are calibrated by the turns that they shall serve for; give another"
+            " session"
+        )
+    return load_gyro_calibration(Path(given), provenance_of(session))
 
 
 def session_of(given: Any, what: str) -> Session:

@@ -221,6 +221,10 @@ class Answer:
 
     def facts(self) -> list[str]:
         """What the recommended fit left, in a line or two."""
+        links = self.result.links if self.traced is None else None
+        return [*self._left(), *([] if links is None else [links.line])]
+
+    def _left(self) -> list[str]:
         r = self.result
         if self.traced is not None:
             after = self.traced.after
@@ -266,6 +270,7 @@ def _with_notes(best: FitResult, given: FitResult) -> FitResult:
         session_notes=notes,
         session=given.session,
         position_findings=given.position_findings,
+        links=given.links,
     )
 
 
@@ -275,7 +280,7 @@ def _of_trace(session: Readings, trace: TraceResult) -> Prediction | None:
     if not session.planar and not final.data.planar and final.data.axes != session.axes:
         return None
     used = np.isin(session.position, final.data.position) & ~session.check
-    data = replace(session, own_covariance=session.own_covariance, fixture_rad=final.data.fixture_rad)
+    data = replace(session, fixture_rad=final.data.fixture_rad, links=None)
     return predicted(data, used, final, lambda out: final.again(data.rows(used & ~out)))
 
 

@@ -49,6 +49,12 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="With --sensor-part gyro: calibration of the same part's accelerometers, or a session of theirs.",
 )
+@click.option(
+    "--gyros",
+    type=click.Path(path_type=Path),
+    help="Poses in space: gyros of another session of this part (plan gyro-turns), or of a calibration"
+    " file.",
+)
 @override_options
 @json_option
 def command(
@@ -57,6 +63,7 @@ def command(
     method: str | None,
     part: str,
     calibration: Path | None,
+    gyros: Path | None,
     everything: bool,
     trials: int | None,
     seed: int,
@@ -67,8 +74,11 @@ def command(
 
     Shows the recommended method in full and the others by their score on the same readings: every dwell of
     the session, left out of the fit where it was in it. --sensor-part gyro: zero rates, g-sensitivity, and
-    gains and directions where the part was turned between dwells.
+    gains and directions where the part was turned between dwells. Poses in space gain equations by turns
+    that were recorded between them (calibrate --record-turns).
     """
+    if part == "gyro" and gyros is not None:
+        raise UsageError("--gyros goes with the accelerometers: leave out --sensor-part gyro")
     if part == "gyro":
         from adis_gonio.cli.gyro_fit import show_gyro_fit
 
@@ -77,13 +87,13 @@ def command(
     if calibration is not None:
         raise UsageError("--calibration is that of the accelerometers, for --sensor-part gyro")
     from adis_gonio.answer import Answer
-    from adis_gonio.fitting import fit
+    from adis_gonio.api import fit
     from adis_gonio.model.records import METADATA
 
     loaded = load(session, overrides)
     what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
     with working(f"fitting {what} of {session.name}"):
-        answer = Answer.of(fit(loaded, method=method), own=method is not None)
+        answer = Answer.of(fit(loaded, method=method, gyros=gyros), own=method is not None)
         document = answer.as_dict()
     run = _monte_carlo(answer.result, trials, seed)
     if as_json:

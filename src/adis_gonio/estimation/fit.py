@@ -11,6 +11,9 @@ Noise that dwells share (1/f noise, F = Φ Φᵀ over all readings) leaves the r
 covariance 1 + A Aᵀ, A = W Φ. Its symmetric inverse root 1 − A g(Aᵀ A) Aᵀ, g(λ) = 1/(r (r + 1)) with
 r = √(1 + λ), is applied to them, which of all roots changes rows least: a row still belongs to its dwell.
 
+Rotations that are known between poses in space add two rows a link (`estimation.links`), and modes of
+their own to Φ.
+
 Cost is linear in the number of dwells.
 """
 
@@ -25,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.errors import UsageError
+from adis_gonio.estimation.links import LinkRows
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
 from adis_gonio.model.measurement import MG_PER_G, Measurement, PlanarTurn
@@ -181,20 +185,48 @@ class Fit:
         return whitening
 
     @cached_property
-    def _shared(self) -> tuple[Floats, Floats] | None:
-        """A (n·rows, k) and the middle V g(λ) Vᵀ (k, k), with Aᵀ A = V λ Vᵀ."""
-        slow = self.data.slow
-        if slow is None or not slow.shape[2]:
+    def link_rows(self) -> LinkRows | None:
+        """Rows of the links between poses, at the attitudes; None without any."""
+        if self.data.links is None:
             return None
-        rows = (self.whitener @ slow).reshape(-1, slow.shape[2])
+        return LinkRows.at(self.data.links, self.values.attitude, self.tangent, self.data.own_root)
+
+    @cached_property
+    def modes(self) -> Floats | None:
+        """What each mode of unit variance adds to rows (rows, k) that share it, these otherwise white.
+
+        Those of the readings' 1/f noise, then those of the links' gyros.
+        """
+        slow, links = self.data.slow, self.link_rows
+        found = [] if slow is None or not slow.shape[2] else [self._own(slow)]
+        if links is not None:
+            own = links.modes
+            rest = np.zeros((len(self.data) * self.whitener.shape[1], own.shape[1]))
+            found.append(np.concatenate([rest, own]))
+        return np.concatenate(found, axis=1) if found else None
+
+    @cached_property
+    def _shared(self) -> tuple[Floats, Floats] | None:
+        """A (rows, k) and the middle V g(λ) Vᵀ (k, k), with Aᵀ A = V λ Vᵀ."""
+        rows = self.modes
+        if rows is None:
+            return None
         values, vectors = np.linalg.eigh(rows.T @ rows)
         root = np.sqrt(1 + np.maximum(values, 0.0))
         return rows, (vectors / (root * (root + 1))) @ vectors.T
 
     def white(self, columns: Floats) -> Floats:
-        """Columns (n·rows, d), whitened, of what stands in readings (n, axes, d)."""
+        """Columns (rows, d), whitened, of what stands in readings (n, axes, d): by dwell, then by link."""
+        return self._without_shared(self._own(columns))
+
+    def _own(self, columns: Floats) -> Floats:
+        """The same without what rows share."""
         whitened = self.white_by_dwell(columns)
         flat: Floats = whitened.reshape(whitened.shape[0] * whitened.shape[1], columns.shape[2])
+        links = self.link_rows
+        return flat if links is None else np.concatenate([flat, links.white(columns)])
+
+    def _without_shared(self, flat: Floats) -> Floats:
         if self._shared is None:
             return flat
         rows, middle = self._shared
@@ -206,17 +238,34 @@ class Fit:
         return whitened
 
     def by_reading(self, slope: Floats) -> Floats:
-        """∂(slopeᵀ · whitened readings)/∂reading, (d, n, axes), of `slope` (n·rows, d)."""
-        if self._shared is not None:
-            rows, middle = self._shared
-            slope = slope - rows @ (middle @ (rows.T @ slope))
-        by_dwell = slope.reshape(len(self.data), -1, slope.shape[1])
-        return np.asarray(np.einsum("nrd,nra->dna", by_dwell, self.whitener))
+        """∂(slopeᵀ · whitened readings)/∂reading, (d, n, axes), of `slope` (rows, d)."""
+        slope = self._without_shared(slope)
+        of_dwells = len(self.data) * self.whitener.shape[1]
+        by_dwell = slope[:of_dwells].reshape(len(self.data), -1, slope.shape[1])
+        found = np.asarray(np.einsum("nrd,nra->dna", by_dwell, self.whitener))
+        links = self.link_rows
+        return found if links is None else found + links.by_reading(slope[of_dwells:])
+
+    def by_rotation(self, slope: Floats) -> Floats:
+        """The same by the rotation (rad) of each link: (m, 3, d)."""
+        links = self.link_rows
+        assert links is not None
+        return links.by_rotation(self._without_shared(slope)[-2 * len(links.links) :])
 
     @cached_property
     def residual(self) -> Floats:
-        """Whitened residual (n, rows)."""
-        return self.white(self.left[:, :, None]).reshape(len(self.data), -1)
+        """Whitened residual (n, rows); with links flat, theirs behind those of the dwells."""
+        if self.data.links is None:
+            return self.white(self.left[:, :, None]).reshape(len(self.data), -1)
+        return self._without_shared(self.unshared_residual[:, None])[:, 0]
+
+    @property
+    def unshared_residual(self) -> Floats:
+        """The same, flat, with what rows share in it."""
+        flat = self._own(self.left[:, :, None])[:, 0]
+        if self.link_rows is not None:
+            flat[-2 * len(self.link_rows.links) :] += self.link_rows.residual
+        return flat
 
     # -- columns -----------------------------------------------------------------------------------
 

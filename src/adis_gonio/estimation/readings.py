@@ -40,6 +40,7 @@ from adis_gonio.errors import DataError, FitError
 from adis_gonio.estimation.conic import conic_through
 from adis_gonio.estimation.converter import Converter, converter_of, steps_of
 from adis_gonio.estimation.flicker import covariance_of_means, modes, scatter_of_means, spans
+from adis_gonio.estimation.links import Links
 from adis_gonio.estimation.screening import limits_in_words, refuse_dead_data
 from adis_gonio.estimation.spectrum import MeanNoise, noise_of_means
 from adis_gonio.model.effects import Conditions
@@ -146,6 +147,8 @@ class Readings:
         What the readings are of; None: a turn in the plane, or poses in space, by their axes.
     converter : Converter or None
         What all samples show of it, those of dwells at a limit among them; None without samples.
+    links : Links or None
+        Rotations of the part between poses, by its gyros; None where none is used.
     """
 
     mean: Floats
@@ -171,6 +174,7 @@ class Readings:
     fitted: NDArray[np.bool_] | None = None
     measurement: Measurement | None = None
     converter: Converter | None = None
+    links: Links | None = None
 
     def __len__(self) -> int:
         return len(self.mean)
@@ -270,6 +274,7 @@ class Readings:
         return replace(
             self,
             conditions=self.conditions.rows(index),
+            links=None if self.links is None else self.links.rows(np.arange(len(self))[index]),
             **{name: getattr(self, name)[index] for name in by_dwell},
         )
 

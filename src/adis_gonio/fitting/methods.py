@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,10 +22,14 @@ from adis_gonio.fitting.closed_form import (
     rows_at,
 )
 from adis_gonio.fitting.likelihood import fit_ml
+from adis_gonio.fitting.linked import linked_readings
 from adis_gonio.fitting.result import FitResult
 from adis_gonio.model.provenance import provenance_of
 from adis_gonio.model.records import Floats, Session
 from adis_gonio.slips.of_session import in_context, positions_of
+
+if TYPE_CHECKING:
+    from adis_gonio.calibration.gyros import GyroCalibration
 
 METHODS = ("paper", "two-position", "four-position", "mmpm", "ml")
 """Names of the methods."""
@@ -36,7 +41,7 @@ _TWO_REVERSED = (0, 270)
 """The two positions where the stage turned the other way than declared."""
 
 
-def fit(session: Session, method: str | None = None) -> FitResult:
+def fit(session: Session, method: str | None = None, gyros: GyroCalibration | None = None) -> FitResult:
     """Parameters of a session with their covariance.
 
     Parameters
@@ -47,11 +52,14 @@ def fit(session: Session, method: str | None = None) -> FitResult:
         One of `METHODS`, or `free-turn` of a continuous recording; by default the best that the
         session supports: `ml`, or `two-position` where
         there is nothing but 0° and 90°.
+    gyros : GyroCalibration, optional
+        Of the session's gyros, made of another session: poses in space between which the part was turned on
+        record gain equations by them; by default their data sheet counts.
 
     Raises
     ------
     UsageError
-        No such method.
+        No such method; a calibration of gyros that the session cannot use.
     DataError
         Samples that cannot be used: all zero, stuck, not finite.
     FitError
@@ -70,7 +78,7 @@ def fit(session: Session, method: str | None = None) -> FitResult:
             f"{session.source or 'session'}: method {method} needs positions; this is one continuous turn:"
             " use method free-turn"
         )
-    readings = readings_of(session)
+    readings, links = linked_readings(session, readings_of(session), gyros)
     current().tell(f"method {method}" if method else "the best method")
     try:
         result = fit_of(readings, method)
@@ -86,6 +94,7 @@ def fit(session: Session, method: str | None = None) -> FitResult:
         position_findings=positions.findings,
         overrides=session.facts.get("overrides", {}),
         provenance=provenance_of(session),
+        links=links,
     )
 
 

@@ -183,7 +183,8 @@ def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
             moved += model.ideal(fit.values.base, attitude + away, turn) - exact
         for columns in shared:
             moved += columns @ rng.standard_normal(columns.shape[2])
-        return replace(data, mean=data.mean + moved)
+        links = None if data.links is None else data.links.drawn(rng)
+        return replace(data, mean=data.mean + moved, links=links)
 
     return draw
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from adis_gonio.estimation.readings import Readings
     from adis_gonio.estimation.shown import ShownAngle
     from adis_gonio.fitting.determination import Determination
+    from adis_gonio.fitting.linked import LinkReport
     from adis_gonio.fitting.noise import Noise
     from adis_gonio.fitting.outputs import Output
     from adis_gonio.fitting.sources import Sources
@@ -127,6 +128,8 @@ class FitResult:
         What the reader of the file had to tell, and what is wrong with positions; the first of `warnings`.
     position_findings : tuple of PositionFinding
         Positions that are not where they were declared (`adis_gonio.slips`).
+    links : LinkReport or None
+        What turns between poses in space gave; None where there are none.
     """
 
     method: str
@@ -147,6 +150,7 @@ class FitResult:
     session: Readings | None = field(default=None, repr=False, compare=False)
     session_notes: tuple[str, ...] = ()
     position_findings: tuple[PositionFinding, ...] = ()
+    links: LinkReport | None = None
 
     def __getitem__(self, name: str) -> Estimate:
         """Estimate by name; `KeyError` where the session does not determine it."""
@@ -306,4 +310,5 @@ class FitResult:
             "positions_used": len(self.positions),
             "overrides": dict(self.overrides),
             **listed(self.position_findings),
+            **({} if self.links is None else {"links": self.links.as_dict()}),
         }

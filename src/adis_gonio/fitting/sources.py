@@ -27,6 +27,8 @@ Kind = Literal["A", "B"]
 
 REPEATABILITY, FLICKER, FIXTURE = "repeatability", "1/f noise", "fixture"
 GRAVITY, QUANTIZATION, TEMPERATURE, MODEL = "gravity", "quantization", "temperature", "model choice"
+LINKS = "gyro links"
+"""Source of a fit in space with turns between its poses, and of no other."""
 SOURCES = (REPEATABILITY, FLICKER, FIXTURE, GRAVITY, QUANTIZATION, TEMPERATURE, MODEL)
 
 GRAVITY_HALF_MPS2 = 0.027
@@ -169,8 +171,20 @@ def response_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats:
     return fit.by_reading((fit.jacobian * natural) @ covariance)
 
 
+def by_rotation_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats | None:
+    """∂parameter/∂rotation of each link (p, m, 3) in natural units per rad; None without links."""
+    if fit.data.links is None:
+        return None
+    return np.asarray(fit.by_rotation((fit.jacobian * natural) @ covariance).transpose(2, 0, 1))
+
+
 def sources_of(
-    data: Readings, noise: Noise, fit: Fit, response: Floats, held: Sequence[int] = ()
+    data: Readings,
+    noise: Noise,
+    fit: Fit,
+    response: Floats,
+    held: Sequence[int] = (),
+    rotation: Floats | None = None,
 ) -> Sources:
     """Sources of the uncertainty of fitted parameters.
 
@@ -184,7 +198,10 @@ def sources_of(
         ∂parameter/∂reading in natural units per mg.
     held : sequence of int
         Axes whose bias was taken as zero.
+    rotation : (p, m, 3) float, optional
+        ∂parameter/∂rotation of each link, natural units per rad.
     """
+    links = () if rotation is None else (_links(fit, rotation),)
     return Sources(
         (
             _repeatability(data, noise, response),
@@ -194,7 +211,32 @@ def sources_of(
             _quantization(data, response),
             _temperature(data, fit, response),
             _model(data, noise, response, held),
+            *links,
         )
+    )
+
+
+def _links(fit: Fit, rotation: Floats) -> Source:
+    """Noise of the rotations between poses, and what is not known of the gyros."""
+    links = fit.data.links
+    assert links is not None
+    own = np.einsum("pma,maq->pq", rotation, links.own_product(rotation.transpose(1, 2, 0)))
+    size, axes = np.linalg.eigh((own + own.T) / 2)
+    # Parts of one source are independent: any root of their covariance is one.
+    moves = np.concatenate(
+        [axes * np.sqrt(np.maximum(size, 0.0)), np.einsum("pma,maq->pq", rotation, links.modes_rad)], axis=1
+    )
+    spread = links.own_rad2 + links.modes_rad @ links.modes_rad.transpose(0, 2, 1)
+    return Source(
+        LINKS,
+        "B",
+        "normal",
+        math.degrees(math.sqrt(float(np.trace(spread.mean(axis=0))) / 3)),
+        "deg",
+        moves,
+        *_unlimited(moves.shape[1]),
+        np.zeros((fit.data.axes, fit.data.axes)),
+        "turns between the poses: noise of the gyros and what is not known of them",
     )
 
 

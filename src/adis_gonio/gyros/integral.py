@@ -264,14 +264,14 @@ def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integ
         turned_deg=angle - length * zero,
         force_g=share @ force,
         moment_g=np.einsum("n,ni,nj->ij", share, force, force),
-        mean_abs_dps=share @ np.abs(_smooth(rate - zero, sampling.window)),
+        mean_abs_dps=share @ np.abs(smooth(rate - zero, sampling.window)),
         peak_dps=np.abs(rate).max(axis=0),
         samples=len(time),
         bridged=bridged,
     )
 
 
-def _smooth(rate: Floats, window: int) -> Floats:
+def smooth(rate: Floats, window: int) -> Floats:
     """Means of blocks, each for its samples: of noise about zero, |mean| is not mean |…|."""
     starts = np.arange(0, len(rate), window)
     counts = np.diff(np.append(starts, len(rate)))

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -152,26 +153,12 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
     DataError
         The session has no gyros, or none of its dwells has two samples.
     """
-    source = session.source or "session"
-    dwells = [dwell for dwell in session.dwells if dwell.gyro is not None and len(dwell) > 1]
-    if not dwells and any(dwell.gyro is not None for dwell in session.dwells):
-        raise DataError(
-            f"{source}: its dwells hold one sample of the gyros each, and nothing tells how noisy that is: "
-            "give all samples"
-        )
-    if not dwells:
-        raise DataError(
-            f"{source}: no dwell holds samples of the gyros (gx, gy, gz): record them, or name the columns"
-        )
-    if session.gyro_unit == "counts":
-        raise DataError(f"{source}: gyros in counts have no known scale; state gyro_unit dps or radps")
-    scale = DPS_PER_RADPS if session.gyro_unit == "radps" else 1.0
-    rows = [np.asarray(dwell.gyro) for dwell in dwells]
-    _refuse_not_finite(source, dwells, rows)
-    noise = noise_of_means(rows, scale)
-    sampling = _sampling(session, dwells, noise)
+    rests = rests_of(session)
+    dwells, rows, scale, noise, sampling = (
+        rests.dwells, rests.rows, rests.scale, rests.noise, rests.sampling,
+    )  # fmt: skip
     at_rest = _of_dwells(session, dwells, rows, scale, noise, sampling)
-    by_position = {dwell.position: k for k, dwell in enumerate(dwells)}
+    by_position = rests.by_position
     turns = [t for t in session.turns if t.before in by_position and t.position in by_position]
     triad = triad_of(session, calibration) if turns else None
     made: list[_Interval] = []
@@ -187,6 +174,89 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
         ):  # how a part is laid down between whole turns is free
             refused.setdefault(found, []).append(turn.position)
     return _joined(at_rest, made, noise, sampling, session, _in_words(refused), triad)
+
+
+@dataclass(frozen=True)
+class Rests:
+    """Dwells of a session with gyros, and what they say of how the rates were sampled.
+
+    Attributes
+    ----------
+    dwells : tuple of Dwell
+    rows : tuple of (n, 3) float
+        Rates of each, in the file's unit.
+    scale : float
+        °/s in that unit.
+    per_g : float
+        g in the unit of the accelerometers; NaN where that is not known.
+    noise : MeanNoise
+    sampling : Sampling
+    allan_dps2 : (3,) float
+        Allan variance of the 1/f noise.
+    """
+
+    dwells: tuple[Dwell, ...]
+    rows: tuple[Floats, ...]
+    scale: float
+    per_g: float
+    noise: MeanNoise
+    sampling: Sampling
+    allan_dps2: Floats
+
+    @property
+    def by_position(self) -> dict[int, int]:
+        """Place of a dwell by its number."""
+        return {dwell.position: k for k, dwell in enumerate(self.dwells)}
+
+    @cached_property
+    def mean_dps(self) -> Floats:
+        """Zero rates (n, 3), what force adds among them."""
+        return self.scale * np.array([row.mean(axis=0) for row in self.rows])
+
+    @cached_property
+    def variance_dps2(self) -> Floats:
+        """Variance (n, 3) of those by the samples' noise."""
+        return np.diagonal(self.noise.covariance, axis1=1, axis2=2)
+
+    @cached_property
+    def force_g(self) -> Floats:
+        """Mean of what the accelerometers read (n, 3), in g."""
+        return self.per_g * np.array([_three(dwell.accel).mean(axis=0) for dwell in self.dwells])
+
+    @cached_property
+    def spans_s(self) -> Floats:
+        """Begin and end (n, 2) of each dwell, the filter's delay taken off."""
+        return np.column_stack(spans([dwell.time_s for dwell in self.dwells])) - self.sampling.delay_s
+
+
+def rests_of(session: Session) -> Rests:
+    """Dwells of a session that have gyros.
+
+    Raises
+    ------
+    DataError
+        The session has no gyros, or none of its dwells has two samples; they are in counts, or not finite.
+    """
+    source = session.source or "session"
+    dwells = tuple(dwell for dwell in session.dwells if dwell.gyro is not None and len(dwell) > 1)
+    if not dwells and any(dwell.gyro is not None for dwell in session.dwells):
+        raise DataError(
+            f"{source}: its dwells hold one sample of the gyros each, and nothing tells how noisy that is: "
+            "give all samples"
+        )
+    if not dwells:
+        raise DataError(
+            f"{source}: no dwell holds samples of the gyros (gx, gy, gz): record them, or name the columns"
+        )
+    if session.gyro_unit == "counts":
+        raise DataError(f"{source}: gyros in counts have no known scale; state gyro_unit dps or radps")
+    scale = DPS_PER_RADPS if session.gyro_unit == "radps" else 1.0
+    rows = tuple(np.asarray(dwell.gyro) for dwell in dwells)
+    _refuse_not_finite(source, dwells, rows)
+    noise = noise_of_means(rows, scale)
+    per_g = 1e-3 * mg_per_unit(session) if session.accel_unit != "counts" else math.nan
+    sampling = _sampling(session, dwells, noise)
+    return Rests(dwells, rows, scale, per_g, noise, sampling, _allan(session, noise))
 
 
 def _in_words(refused: dict[str, list[int]]) -> tuple[str, ...]:

@@ -83,9 +83,11 @@ def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
     except AdisGonioError:
         return _as_read(session, *given)
     try:
-        from adis_gonio.api import fit
+        from adis_gonio.fitting import fit
+        from adis_gonio.fitting.methods import fit_of
 
-        result = fit(session, method="ml")
+        # In space by gravity alone: the turns are what these gyros are to be calibrated by.
+        result = fit(session, method="ml") if readings.planar else fit_of(readings, "ml")
     except AdisGonioError:
         return _as_read(session, *given)
     u_mg = np.sqrt(np.diagonal(readings.covariance, axis1=1, axis2=2).mean(axis=0))

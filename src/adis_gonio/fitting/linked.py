@@ -1,0 +1,319 @@
+"""Poses in space with the turns between them: which links are used, and whether the gyros may be believed.
+
+Links (`gyros.links`) and gravity's length say of the same parameters: χ² of the fit rises by what the links
+disagree, with as many degrees of freedom as they bring. Where that is beyond the 99.9 % quantile the link
+that disagrees most is left out and the test repeated; where more than a quarter would have to go, or none
+is left to test by, the gyros are not believed and the fit is that of gravity alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.counting import counted
+from adis_gonio.errors import UsageError
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.links import Links
+from adis_gonio.estimation.readings import Readings
+from adis_gonio.fitting.determination import Determination, covariance, determine, is_determined
+from adis_gonio.fitting.noise import settle
+from adis_gonio.model.records import Floats, Session
+
+if TYPE_CHECKING:
+    from adis_gonio.calibration.gyros import GyroCalibration
+    from adis_gonio.gyros.links import GyroLinks
+    from adis_gonio.gyros.prior import GyroPrior
+
+Refused = tuple[int, int, str]
+LEAST_POSES = 3
+"""Two turns give four equations for nine parameters and the gyros' own."""
+LEVEL = 1e-3
+"""Level at which links contradict gravity, as that of a residual beyond the noise."""
+MOST_LEFT_OUT = 0.25
+"""Share of the links that may be left out; where more disagree it is not the links that are odd."""
+FAR_RAD, FAR_SHARE = math.radians(10.0), 0.1
+"""Distance between gravity and where a gyro carries it, and its share of the way, at which a link is wrong
+whatever the parameters: a bias of 50 mg turns gravity by 3°."""
+_PASSES = 4
+_SETTLED = 0.05
+"""Change of the gyros' parameters, in standard uncertainties of the prior, at which they are settled."""
+
+
+@dataclass(frozen=True)
+class LinkReport:
+    """What the turns between poses gave to a fit.
+
+    Attributes
+    ----------
+    used : int
+        Links in the fit; 0 where it is that of gravity alone.
+    chi2, dof : float or None, int
+        By which the links raise χ², and their degrees of freedom.
+    refused : tuple of (int, int, str)
+        Turns that were left out: the dwells before and after, and why.
+    calibrated : bool
+        True where a calibration of the gyros was given, else their data sheet counts.
+    why : str
+        Why no link is used; empty where some are.
+    gained : tuple of str
+        Parameters that only the links determine.
+    ratio : float or None
+        Median of u with links over u without, of the parameters that both determine.
+    """
+
+    used: int
+    chi2: float | None
+    dof: int
+    refused: tuple[Refused, ...] = ()
+    calibrated: bool = False
+    why: str = ""
+    gained: tuple[str, ...] = ()
+    ratio: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The value of `links`."""
+        return {
+            "used": self.used,
+            "chi2": self.chi2,
+            "dof": self.dof,
+            "refused": [{"from": b, "to": a, "why": why} for b, a, why in self.refused],
+            "gyros": "calibrated" if self.calibrated else "data sheet",
+            "why_none": self.why or None,
+            "gained": list(self.gained),
+            "u_ratio": self.ratio,
+        }
+
+    @property
+    def line(self) -> str:
+        """All of it in a line."""
+        if not self.used:
+            return f"turns between the poses are not used: {self.why}"
+        told = [f"{counted(self.used, 'turn')} between the poses by the gyros"]
+        if self.gained:
+            told.append(f"they determine {', '.join(self.gained)}")
+        if self.ratio is not None:
+            of = "u of the others" if self.gained else "u with them"
+            told.append(f"{of} is {self.ratio:.2f} of that without, median")
+        told.append(f"χ² {self.chi2:.1f} at {counted(self.dof, 'degree')} of freedom")
+        left = "; ".join(f"{b} to {a} left out: {why}" for b, a, why in self.refused[:2])
+        more = len(self.refused) - 2
+        if more > 0:
+            left += f"; and {more} more"
+        return "; ".join([*told, *([left] if left else [])])
+
+
+def linked_readings(
+    session: Session, readings: Readings, gyros: GyroCalibration | None = None
+) -> tuple[Readings, LinkReport | None]:
+    """Readings of a session in space with the links that may be believed, and what became of them.
+
+    None, and the readings themselves, where nothing was recorded between the poses. Worked out once a
+    session where no calibration is given.
+
+    Raises
+    ------
+    UsageError
+        A calibration of gyros was given for a session that cannot use it.
+    """
+    if gyros is not None:
+        return _linked(session, readings, gyros)
+    kept: tuple[Readings, LinkReport | None] | None = vars(session).get("_linked")
+    if kept is None:
+        kept = _linked(session, readings, None)
+        vars(session)["_linked"] = kept
+    return kept
+
+
+def _linked(
+    session: Session, readings: Readings, gyros: GyroCalibration | None
+) -> tuple[Readings, LinkReport | None]:
+    if readings.planar or readings.check.all():
+        if gyros is not None:
+            raise UsageError("a calibration of gyros serves poses in space; this session has a plane")
+        return readings, None
+    from adis_gonio.gyros.links import gyro_links
+    from adis_gonio.gyros.prior import GyroPrior
+
+    prior = GyroPrior.of_sheet(session.sensor)
+    found = gyro_links(session, prior if gyros is None else prior.calibrated(gyros))
+    if found is None:
+        if gyros is not None:
+            raise UsageError(
+                "nothing was recorded between the poses: a calibration of gyros is of no use here; record"
+                " with calibrate --record-turns"
+            )
+        return readings, None
+    try:
+        judged = _Judged.of(readings.training, found)
+    except (np.linalg.LinAlgError, UsageError):  # few poses let the fit run to what no three axes are
+        judged = _Judged(None, found.refused, "a fit with them does not converge")
+    report = judged.report(calibrated=gyros is not None)
+    if judged.links is None:
+        return readings, report
+    rows = np.flatnonzero(~readings.check)
+    links = replace(judged.links, before=rows[judged.links.before], after=rows[judged.links.after])
+    return replace(readings, links=links), report
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """Links of a session, tested on the readings that are fitted.
+
+    Attributes
+    ----------
+    links : Links or None
+        Those that are believed, between these readings; None where there are none.
+    refused : tuple of (int, int, str)
+    why : str
+        Why there are none.
+    chi2, dof : float or None, int
+    plain, linked : Determination or None
+        The fit by gravity alone, and with the links, under the same noise.
+    """
+
+    links: Links | None
+    refused: tuple[Refused, ...]
+    why: str = ""
+    chi2: float | None = None
+    dof: int = 0
+    plain: Determination | None = None
+    linked: Determination | None = None
+
+    @classmethod
+    def of(cls, readings: Readings, found: GyroLinks) -> _Judged:
+        """Test, leave out what disagrees, test again."""
+        refused = list(found.refused)
+        if len(readings) < LEAST_POSES:
+            return cls(None, tuple(refused), "poses are too few to test them by")
+        alone = settle(readings)
+        if not alone.noise.known:
+            return cls(None, tuple(refused), "nothing tells the noise of the poses")
+        data, plain = alone.noise.applied(readings), alone.determination
+        position = readings.position
+        links = found.at(found.prior.values, position.tolist())
+        near = _near(links, plain.fit)
+        count, far = len(links), int((~near).sum())
+        allowed = math.floor(MOST_LEFT_OUT * count)
+        refused += [(*_ends(links, position, int(k)), _FAR) for k in np.flatnonzero(~near)]
+        if far > allowed:
+            return cls(
+                None, tuple(refused), f"in {far} of {count} {_FAR}: a wrong sign, axis, range or unit"
+            )
+        links = links.only(near)
+        left_out = far
+        while len(links):
+            links, linked = _settled(found, links, data)
+            chi2, dof = linked.fit.chi2 - plain.fit.chi2, _dof(linked) - _dof(plain)
+            if dof < 1:
+                return cls(None, tuple(refused), "they are too few to be tested against gravity")
+            if chi2 <= _quantile(dof):
+                return cls(links, tuple(refused), "", chi2, dof, plain, linked)
+            if left_out >= allowed:
+                told = f"they contradict gravity (χ² {chi2:.3g} at {counted(dof, 'degree')} of freedom)"
+                return cls(None, tuple(refused), told, chi2, dof)
+            worst = _worst(linked.fit)
+            refused.append((*_ends(links, position, worst), "it contradicts gravity and the other turns"))
+            links = links.only(np.arange(len(links)) != worst)
+            left_out += 1
+        why = refused[0][2] if refused else "none lies between two poses that are fitted"
+        return cls(None, tuple(refused), why)
+
+    def report(self, *, calibrated: bool) -> LinkReport:
+        """What is told of it."""
+        used = 0 if self.links is None else len(self.links)
+        gained, ratio = _gain(self.plain, self.linked)
+        return LinkReport(used, self.chi2, self.dof, self.refused, calibrated, self.why, gained, ratio)
+
+
+_FAR = "the gyros turn gravity to where it is not"
+
+
+def _ends(links: Links, position: NDArray[np.intp], link: int) -> tuple[int, int]:
+    """Numbers of the two dwells of a link."""
+    return int(position[links.before[link]]), int(position[links.after[link]])
+
+
+def _near(links: Links, fit: Fit) -> NDArray[np.bool_]:
+    """Links (m,) that are not wrong whatever the parameters are."""
+    attitude = fit.settled(4).values.attitude
+    came = (links.rotation @ attitude[links.before][:, :, None])[:, :, 0]
+    there = attitude[links.after]
+    away = np.arctan2(np.linalg.norm(np.cross(came, there), axis=1), (came * there).sum(axis=1))
+    turned = np.arccos(np.clip((np.trace(links.rotation, axis1=1, axis2=2) - 1) / 2, -1, 1))
+    return np.asarray(away <= np.maximum(FAR_RAD, FAR_SHARE * turned))
+
+
+def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, Determination]:
+    """Fit with links, linearised where the gyros' parameters end up."""
+    size = np.maximum(np.sqrt(np.diagonal(found.prior.covariance)), 1e-12)
+    values = found.prior.values
+    linked = determine(replace(data, links=links))
+    for _ in range(_PASSES):
+        moved = _gyros_of(linked.fit, found.prior)
+        if float(np.max(np.abs(moved - values) / size)) < _SETTLED:
+            break
+        values = moved
+        links = _alike(found.at(values, data.position.tolist()), links)
+        linked = determine(replace(data, links=links))
+    return links, linked
+
+
+def _alike(found: Links, links: Links) -> Links:
+    """Those of `found` that lie between the same poses as `links`."""
+    wanted = set(zip(links.before.tolist(), links.after.tolist(), strict=True))
+    pairs = zip(found.before.tolist(), found.after.tolist(), strict=True)
+    return found.only(np.array([pair in wanted for pair in pairs]))
+
+
+def _gyros_of(fit: Fit, prior: GyroPrior) -> Floats:
+    """Parameters of the gyros (21,) that the links of a fit make most likely."""
+    links, rows = fit.link_rows, fit.modes
+    assert links is not None
+    assert rows is not None
+    flat = fit.unshared_residual
+    count = links.links.modes_rad.shape[2]
+    found = np.linalg.solve(np.eye(rows.shape[1]) + rows.T @ rows, rows.T @ flat)
+    return np.asarray(prior.values + prior.root @ found[-count:])
+
+
+def _worst(fit: Fit) -> int:
+    """The link whose rows are farthest from what the others say."""
+    links = fit.link_rows
+    assert links is not None
+    rows = fit.residual[-2 * len(links.links) :].reshape(-1, 2)
+    return int((rows**2).sum(axis=1).argmax())
+
+
+def _dof(found: Determination) -> int:
+    return int(found.fit.equations) - int(found.free.sum()) + int(found.null.shape[1])
+
+
+def _quantile(dof: int) -> float:
+    from scipy.special import chdtri
+
+    return float(chdtri(dof, LEVEL))
+
+
+def _gain(
+    plain: Determination | None, linked: Determination | None
+) -> tuple[tuple[str, ...], float | None]:
+    """Parameters that only links determine, and the median of u with links over u without."""
+    if plain is None or linked is None:
+        return (), None
+    without, together = _u_of(plain), _u_of(linked)
+    names = zip(linked.names, without, together, strict=True)
+    gained = tuple(name for name, a, b in names if math.isinf(a) and math.isfinite(b))
+    both = np.isfinite(without) & np.isfinite(together)
+    return gained, float(np.median(together[both] / without[both])) if both.any() else None
+
+
+def _u_of(found: Determination) -> Floats:
+    """Standard uncertainty (p,) in natural units; inf where a parameter is not determined."""
+    u = np.sqrt(np.maximum(np.diagonal(covariance(found.fisher, found.free, found.null)), 0.0))
+    seen = [bool(found.free[k]) and is_determined(row, found.null) for k, row in enumerate(np.eye(len(u)))]
+    return np.where(seen, u, np.inf)
