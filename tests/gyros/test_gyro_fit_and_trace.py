@@ -255,7 +255,7 @@ def test_the_commands_take_the_part_and_the_accelerometers_stay_as_they_were(rec
     shown = run.invoke(app, ["fit", "--sensor-part", "gyro", str(POSES)])
     assert shown.exit_code == 0, shown.output
     assert "g_sensitivity_yz" in shown.output
-    assert "dps" in shown.output
+    assert "°/s" in shown.output
     assert " mg" not in shown.output
     wrong = run.invoke(app, ["fit", "--sensor-part", "compass", str(POSES)])
     assert wrong.exit_code == 2
