@@ -165,7 +165,8 @@ def test_each_whole_turn_is_three_hundred_and_sixty_degrees_by_its_mark(recorded
     assert angle == pytest.approx(np.full(6, 360.0))
     assert set(np.array(found.references)[found.turn]) == {"whole turns"}
     assert not found.refused
-    u = np.sqrt(np.linalg.eigvalsh(found.rotation_covariance_dps2[found.turn])[:, 0])
+    axis = found.rotation_dps[found.turn] / np.linalg.norm(found.rotation_dps[found.turn], axis=1)[:, None]
+    u = np.sqrt(np.einsum("ni,nij,nj->n", axis, found.rotation_covariance_dps2[found.turn], axis))
     # Two marks a turn, the one in the middle shared by both turns.
     assert u * found.length_s[found.turn] == pytest.approx(np.full(6, np.sqrt(3) * 0.05))
 
@@ -421,7 +422,7 @@ def test_turns_by_hand_are_kept_where_that_is_wanted_and_only_there(tmp_path):
     assert angle == pytest.approx([90, 90, 90], abs=1)
     missing = rate_intervals(held[False])
     assert not missing.turn.any()
-    assert missing.refused == ("turns to dwell 1, 2, 3: the part was turned while nothing was recorded",)
+    assert missing.refused == ("turns to dwell 1–3: the part was turned while nothing was recorded",)
     assert "turns" not in held[False].facts["settings"]
     for kept, bare in zip(held[True].dwells, held[False].dwells, strict=True):
         assert np.array_equal(kept.accel, bare.accel)
