@@ -15,7 +15,7 @@ from adis_gonio.calibration import load_calibration
 from adis_gonio.cli import app
 from adis_gonio.errors import UsageError
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.gyro import fit_gyro
+from adis_gonio.fitting.gyro import TIME_BASE_U, fit_gyro
 from adis_gonio.gyros import rate_intervals
 from adis_gonio.gyros.axes import NAMES, Axes, Prior
 from adis_gonio.gyros.triad import UNKNOWN_BIAS_MG
@@ -156,6 +156,29 @@ def test_a_calibration_of_the_accelerometers_makes_all_leans_sharp(faces, up_and
     assert np.abs(error / u).max() < 4
     assert not any("accelerometers" in warning for warning in result.warnings)
     assert rate_intervals(session).notes != ()
+
+
+def test_a_clock_that_runs_fast_moves_all_gains_alike_and_their_covariance_says_so(
+    up_and_down, monkeypatch
+):
+    fast = 1 + 100e-6
+    moved = replace(
+        up_and_down,
+        dwells=tuple(replace(dwell, time_s=fast * dwell.time_s) for dwell in up_and_down.dwells),
+        turns_from=lambda: tuple(replace(t, time_s=fast * t.time_s) for t in up_and_down.turns),
+    )
+    right, wrong = fit_gyro(up_and_down), fit_gyro(moved)
+    names = [f"gyro_scale_{axis}" for axis in "xyz"]
+    for name in names:
+        assert wrong[name].value / right[name].value == pytest.approx(fast, abs=1e-6)
+        assert right[name].u > TIME_BASE_U
+    assert right.as_dict()["time_base_u"] == pytest.approx(29e-6, rel=0.01)
+    monkeypatch.setattr("adis_gonio.fitting.gyro.TIME_BASE_U", 0.0)
+    exact = fit_gyro(up_and_down)
+    rows = [list(right.parameters).index(name) for name in names]
+    values = np.array([right[name].value for name in names])
+    added = (right.covariance - exact.covariance)[np.ix_(rows, rows)]
+    np.testing.assert_allclose(added, TIME_BASE_U**2 * np.outer(values, values), rtol=1e-3)
 
 
 def test_a_calibration_of_another_part_is_refused(up_alone, attitudes):

@@ -45,6 +45,10 @@ DRIFTS = {"drift with time": 0, "drift from dwell to dwell": 1}
 """Models besides, by which the others are judged: choice `steps` of `gyro_drift`."""
 LIMIT = 0.1
 """Largest standard uncertainty of a parameter that counts as determined, in 1 dps/g, a gain of 1, 1 rad."""
+TIME_BASE_U = 50e-6 / math.sqrt(3)
+"""Relative standard uncertainty of the samples' times: a crystal of ±50 ppm, uniform (an estimate, D; the
+chip's own clock does not count, since times are the host's). An angle is rate times time: it is the same in
+all gains."""
 LEVEL = 0.01
 """Level at which a residual is too large for the noise that was measured, as in a trace."""
 
@@ -185,6 +189,7 @@ class GyroFit:
             "reference_temperature_c": self.reference_temperature_c,
             "positions_used": len(self.positions) - self.turns,
             "turns_used": self.turns,
+            "time_base_u": TIME_BASE_U if self.turns else None,
             "overrides": dict(self.overrides),
         } | ({} if self.triad is None else {"triad": {k: one.as_dict() for k, one in self.triad.items()}})
 
@@ -236,6 +241,8 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
     inflation = _inflation(model)
     factor = np.sqrt([inflation[_gyro_of(name)][0] for name in model.names])
     names, values, covariance = _stated(model, model.covariance * np.outer(factor, factor))
+    gains = np.where([name.startswith("gyro_scale_") for name in names], TIME_BASE_U * values, 0.0)
+    covariance = covariance + np.outer(gains, gains)
     parameters = {
         name: Value(value, math.sqrt(max(covariance[k, k], 0.0)), _unit(name), inflation[_gyro_of(name)][1])
         for k, (name, value) in enumerate(zip(names, values.tolist(), strict=True))
