@@ -12,6 +12,7 @@ from adis_gonio.cli.overrides import load, override_options, part_option
 from adis_gonio.cli.show import WIDTH, console, json_option, print_json
 from adis_gonio.cli.working import working
 from adis_gonio.counting import counted
+from adis_gonio.errors import UsageError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -62,6 +63,10 @@ def command(
     if part == "gyro":
         from adis_gonio.cli.gyro_fit import show_gyro_fit
 
+        if everything or trials is not None:
+            raise UsageError(
+                "--all and --monte-carlo are of the accelerometers' methods: gyros have one, gyro"
+            )
         show_gyro_fit(load(session, overrides), method, as_json=as_json)
         return
     from adis_gonio.answer import Answer
