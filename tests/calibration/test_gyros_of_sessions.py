@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,9 +15,11 @@ import adis_gonio
 from adis_gonio import Calibration
 from adis_gonio.calibration import GyroCalibration
 from adis_gonio.calibration.gyro_building import _gains, estimates_of_gyro_fit
+from adis_gonio.calibration.loading import load_gyro_calibration
 from adis_gonio.calibration.with_gyros import gyro_calibration_of, with_gyros
 from adis_gonio.cli import main
 from adis_gonio.errors import DataError, FitError
+from adis_gonio.handover.exporting import Source
 from adis_gonio.model.provenance import provenance_of
 from adis_gonio.sensor import Adis16354
 from adis_gonio.session import load_session
@@ -112,6 +115,14 @@ def test_a_trace_of_the_gyros_is_a_calibration_too(traced, fitted):
         limit = 5 * np.hypot(made[name].u, fitted[name].u)
         assert abs(made[name].value - fitted[name].value) < limit
     assert not [one for one in made.not_corrected if one.effect == "g_sensitivity"]
+
+
+def test_the_gyros_of_another_session_are_traced_where_the_trace_is_exported(path, traced, monkeypatch):
+    monkeypatch.setattr(sys.modules["adis_gonio.tracing.trace"], "trace", lambda session, part: traced)
+    assert load_gyro_calibration(path, traced=True) == traced.calibration()
+    assert load_gyro_calibration(path).method == "gyro"
+    source = Source(path, traced=True, gyros=path)
+    assert source._with_gyros(adis_gonio.fit(path).calibration()).gyro.method == "trace"
 
 
 def test_the_calibration_of_a_fit_or_trace_holds_with_the_offsets_written_since(path, traced, tmp_path):

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 from adis_gonio import fit
+from adis_gonio.calibration import GyroCalibration
 from adis_gonio.calibration.gyro_building import estimates_of_gyro_fit
+from adis_gonio.cli import main
 from adis_gonio.counting import runs
 from adis_gonio.errors import DataError
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.report import words
+from adis_gonio.session.export import write_csv
 from adis_gonio.showing import shown_unit, with_u
 from adis_gonio.tracing.outcome.result import ErrorFigures, Step, TraceResult
 
@@ -83,3 +88,34 @@ def test_a_trace_of_the_gyros_is_told_in_degrees_a_second():
     assert "x / (°/s)" in head
     assert "dps" not in told
     assert after.as_dict()["residual_rms_dps"] == 0.025
+
+
+@pytest.mark.parametrize("option", [["--all"], ["--monte-carlo", "200"]])
+def test_options_of_the_accelerometers_are_refused_for_gyros(tmp_path, option, capsys):
+    path = tmp_path / "own.csv"
+    write_csv(session(), path)
+    assert main(["fit", str(path), "--sensor-part", "gyro", *option]) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert "--monte-carlo are of the accelerometers" in said
+
+
+def test_gyros_out_of_a_header_are_refused_for_what_it_is(tmp_path):
+    (tmp_path / "own.h").write_text("/* a header */")
+    with pytest.raises(DataError, match="made for others to read"):
+        GyroCalibration.load(tmp_path / "own.h")
+
+
+def test_the_screen_of_a_fit_says_degrees_a_second_in_eighty_columns_and_json_dps(tmp_path, capsys):
+    path = tmp_path / "own.csv"
+    write_csv(session(), path)
+    assert main(["fit", str(path), "--sensor-part", "gyro"]) == 0
+    screen = capsys.readouterr().out
+    table = [
+        line.rstrip() for line in screen.splitlines() if line.startswith(("gyro_", "parameter", "zero"))
+    ]
+    assert max(map(len, table)) <= 80
+    assert "°/s" in screen
+    assert "dps" not in screen
+    assert main(["fit", str(path), "--sensor-part", "gyro", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["parameters"]["g_sensitivity_xx"]["unit"] == "dps/g"

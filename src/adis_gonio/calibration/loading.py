@@ -42,7 +42,7 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     from adis_gonio.session.overrides import as_it_is
 
     if ends_in(path, *_FOR_OTHERS):
-        raise DataError(f"{path}: is made for others to read; give a session, or the .json of export")
+        raise DataError(_made_for_others(path))
     try:
         session = load_session(path)
     except DataError as error:
@@ -66,7 +66,9 @@ def calibration_in(path: str | Path) -> Calibration | None:
     return None if document is None else calibration_from(document, str(path))
 
 
-def load_gyro_calibration(path: str | Path, part: Provenance | None = None) -> GyroCalibration:
+def load_gyro_calibration(
+    path: str | Path, part: Provenance | None = None, *, traced: bool = False
+) -> GyroCalibration:
     """As `GyroCalibration.load`.
 
     Parameters
@@ -74,15 +76,19 @@ def load_gyro_calibration(path: str | Path, part: Provenance | None = None) -> G
     part : Provenance, optional
         Of the accelerometers beside which the gyros shall stand: another sensor's or serial number's are
         refused with `UsageError`.
+    traced : bool
+        Of a session: by the traced model of its gyros, with its effects.
     """
     document = _json_of(Path(path))
     if document is None:
         from adis_gonio.calibration.with_gyros import gyro_calibration_of
         from adis_gonio.session import load_session
 
+        if ends_in(path, *_FOR_OTHERS):
+            raise DataError(_made_for_others(path))
         session = load_session(path)
         _refuse_another_part(part, _named(provenance_of(session)), path)
-        return gyro_calibration_of(session)
+        return gyro_calibration_of(session, traced=traced)
     schema = document.get("schema") if isinstance(document, dict) else None
     if schema == SCHEMA:
         whole = calibration_from(document, str(path))
@@ -97,6 +103,10 @@ def load_gyro_calibration(path: str | Path, part: Provenance | None = None) -> G
     if schema != GYRO_SCHEMA:
         raise DataError(f"{path}: is no gyro calibration; GyroCalibration.save makes one")
     return gyro_calibration_from(document, str(path))
+
+
+def _made_for_others(path: str | Path) -> str:
+    return f"{path}: is made for others to read; give a session, or the .json of export"
 
 
 def _named(part: Provenance) -> tuple[str, str]:

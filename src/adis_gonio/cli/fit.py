@@ -82,6 +82,10 @@ def command(
     if part == "gyro":
         from adis_gonio.cli.gyro_fit import show_gyro_fit
 
+        if everything or trials is not None:
+            raise UsageError(
+                "--all and --monte-carlo are of the accelerometers' methods: gyros have one, gyro"
+            )
         show_gyro_fit(load(session, overrides), method, as_json=as_json, calibration=calibration)
         return
     if calibration is not None:

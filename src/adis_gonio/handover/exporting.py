@@ -123,7 +123,9 @@ class Source:
 
     def _with_gyros(self, made: Calibration, session: Session | None = None) -> Calibration:
         if self.gyros is not None:
-            return replace(made, gyro=load_gyro_calibration(self.gyros, made.provenance))
+            return replace(
+                made, gyro=load_gyro_calibration(self.gyros, made.provenance, traced=self.traced)
+            )
         return made if session is None else with_gyros(made, session, traced=self.traced)
 
     def _result(self, session: Session) -> Any:
