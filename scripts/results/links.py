@@ -102,7 +102,9 @@ def _sizes(found: Mapping[str, Any]) -> list[list[str]]:
 def _ratios(found: Mapping[str, Any]) -> list[list[str]]:
     ways = [way for way in links.WAYS if way != "alone"]
     head = ["poses"]
-    head += [f"{_NAMES[k]}, {_told(way)}, {part}" for part in links.PARTS for way in ways for k in links.KINDS]
+    head += [
+        f"{_NAMES[k]}, {_told(way)}, {part}" for part in links.PARTS for way in ways for k in links.KINDS
+    ]
     rows = [head]
     for poses, at in found["poses"].items():
         row = [poses]

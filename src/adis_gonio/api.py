@@ -111,7 +111,7 @@ def _gyros_beside(
             f"{given}: its gyros are calibrated by the turns that they shall serve for; give another"
             " session"
         )
-    return load_gyro_calibration(given, provenance_of(session))
+    return load_gyro_calibration(Path(given), provenance_of(session))
 
 
 def session_of(given: Any, what: str) -> Session:

@@ -290,7 +290,7 @@ def _worst(fit: Fit) -> int:
 
 
 def _dof(found: Determination) -> int:
-    return found.fit.equations - int(found.free.sum()) + found.null.shape[1]
+    return int(found.fit.equations) - int(found.free.sum()) + int(found.null.shape[1])
 
 
 def _quantile(dof: int) -> float:
