@@ -98,18 +98,25 @@ def one(seed: int, part: str = PARTS[0], false: bool = True) -> Row:
     """One part with all numbers of poses, and its false gyros."""
     session, world = session_of(seed, max(POSES), part)
     calibrated = calibration_of(world, np.random.default_rng([seed, 1]))
-    true = world.truth()
     row: Row = {"seed": seed, "part": part, "poses": {}, "false": {}}
     for poses in POSES:
         first = first_of(session, poses)
+        true = truth_of(world, first)
         row["poses"][str(poses)] = {
             "alone": _told(_alone(first), true),
             "sheet": _told(_fitted(first, None), true),
             "calibrated": _told(_fitted(first, calibrated), true),
         }
+    first = first_of(session, FALSE_POSES)
+    true = truth_of(world, first)
     for name, spoil in FALSE.items() if false else ():
-        row["false"][name] = _told(_fitted(spoilt(first_of(session, FALSE_POSES), spoil), None), true)
+        row["false"][name] = _told(_fitted(spoilt(first, spoil), None), true)
     return row
+
+
+def truth_of(world: World, session: Session) -> dict[str, float]:
+    """What is true on the average of the session's dwells: biases follow temperature and 1/f noise."""
+    return world.truth(np.concatenate([dwell.time_s for dwell in session.dwells]))
 
 
 def first_of(session: Session, poses: int) -> Session:
