@@ -8,7 +8,7 @@ from typing import Any
 import smoother_statistics as hands
 from results.section import Effort, Section, table
 
-HANDS, RESTS = 16, 500
+HANDS, RESTS = 22, 1000
 LAGS_S = (0.0, 0.25, 0.5, 1.0)
 WAYS = ("gravity", *(f"{lag:g}" for lag in LAGS_S), "offline")
 
@@ -50,8 +50,9 @@ Coverage is the share of angles within 1.96 u of the truth; ± is one standard d
 the longest lag. With long lags u in motion is rather too large: what shakes gravity is told by a second of
 samples, which says more of its fast part than of the slow one that a long lag averages.
 
-What is left at rest is the accelerometers' 1/f noise since they were calibrated, which no gyro sees and no
-average takes away: it is one draw for all of a rest, so that the table's hands say little of its size. Over
+What is left at rest is mostly the accelerometers' 1/f noise since they were calibrated. Its fast octaves
+are averaged by the filter, and u holds what is left of them; the slow ones no gyro sees and no average
+takes away: they are one draw for all of a rest, so that the table's hands say little of their size. Over
 {rests["parts"]} parts at rest, one angle of each, lag 0.5 s, the coverage is
 {100 * rests["coverage"]:.1f} ± {100 * rests["coverage_u"]:.1f} %, the mean square in units of u
 {rests["normalised_square"]:.2f}.
