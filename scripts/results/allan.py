@@ -14,7 +14,7 @@ from results.section import Effort, Section, svg, table
 if TYPE_CHECKING:
     from adis_gonio.allan import AxisNoise
 
-SESSIONS = 60
+SESSIONS = 120
 EXAMPLE = "all three"
 DRAWS = 20000
 
