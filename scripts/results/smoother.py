@@ -8,7 +8,7 @@ from typing import Any
 import smoother_statistics as hands
 from results.section import Effort, Section, table
 
-HANDS, RESTS = 22, 1000
+HANDS, RESTS = 50, 1000
 LAGS_S = (0.0, 0.25, 0.5, 1.0)
 WAYS = ("gravity", *(f"{lag:g}" for lag in LAGS_S), "offline")
 
