@@ -41,8 +41,14 @@ if TYPE_CHECKING:
 METHOD = "gyro"
 CALIBRATED = ("g_sensitivity", "gyro_scale", "gyro_misalignment")
 """Effects of a physical calibration, the first to be given up last."""
-DRIFTS = {"drift with time": 0, "drift from dwell to dwell": 1}
-"""Models besides, by which the others are judged: choice `steps` of `gyro_drift`."""
+DRIFTS = {
+    "drift with time": effect("gyro_drift", AXES, steps=0),
+    "drift from dwell to dwell": effect("gyro_drift", AXES, steps=1),
+    "warm-up": effect("gyro_warm_up", AXES),
+}
+"""Models besides, by which the others are judged."""
+BEGIN_TAU = 1 / 3
+"""Time constant from which a warm-up is fitted, in lengths of the session."""
 LIMIT = 0.1
 """Largest standard uncertainty of a parameter that counts as determined, in 1 dps/g, a gain of 1, 1 rad."""
 TIME_BASE_U = 50e-6 / math.sqrt(3)
@@ -300,7 +306,9 @@ class _Model:
     def begun(self) -> Fit:
         """All parameters at those of perfect gyros."""
         base = Fit.begin(self.data, with_prior=False)
-        return base.having(self.terms, [np.zeros(len(t.effect.parameters)) for t in self.terms])
+        tau = max(BEGIN_TAU * float(np.ptp(self.data.conditions.time_s)), 1.0)
+        values = [[tau if p.shape else 0.0 for p in term.effect.parameters] for term in self.terms]
+        return base.having(self.terms, [np.array(own) for own in values])
 
     @cached_property
     def fit(self) -> Fit:
@@ -343,8 +351,8 @@ def _calibrated() -> tuple[Effect, ...]:
     return tuple(effect(name, AXES) for name in CALIBRATED)
 
 
-def _with_drift(steps: int) -> tuple[Effect, ...]:
-    return (*_calibrated(), effect("gyro_drift", AXES, steps=steps))
+def _with_drift(word: str) -> tuple[Effect, ...]:
+    return (*_calibrated(), DRIFTS[word])
 
 
 def _lacks(data: Readings, name: str) -> bool:
@@ -352,8 +360,8 @@ def _lacks(data: Readings, name: str) -> bool:
 
 
 def _gyro_of(name: str) -> str:
-    """The gyro's letter: the first of those at the end of a name."""
-    return name.rsplit("_", 1)[1][0]
+    """The gyro's letter: the first of those at the end of a name; no axis where all share the parameter."""
+    return name.rsplit("_", 1)[-1][0]
 
 
 def _natural(names: Sequence[str]) -> Floats:
@@ -446,9 +454,7 @@ def _scores(data: Readings, model: _Model) -> dict[str, Score]:
     if len(data) < 3:
         return {}
     models = {"zero rate": _Model.of(data, ()), METHOD: model}
-    models |= {
-        f"{METHOD} with a {name}": _Model.of(data, _with_drift(steps)) for name, steps in DRIFTS.items()
-    }
+    models |= {f"{METHOD} with a {word}": _Model.of(data, _with_drift(word)) for word in DRIFTS}
     rest = _at_rest(data)
     found = {name: _left_out(one, rest) for name, one in models.items()}
     return {name: score for name, score in found.items() if score is not None}
@@ -520,19 +526,26 @@ def _remedy(data: Readings, model: _Model) -> str:
 
 def _drifting(data: Readings, model: _Model, parameters: dict[str, Value]) -> list[str]:
     """g-sensitivities that a drift would change by more than their own standard uncertainty."""
-    moved: dict[str, list[str]] = {}
-    for word, steps in DRIFTS.items():
-        with_drift = _Model.of(data, _with_drift(steps))
+    out = []
+    for word in DRIFTS:
+        with_drift = _Model.of(data, _with_drift(word))
         if with_drift.fit.dof <= 0:
             continue
-        for name, value in zip(with_drift.names, with_drift.fit.values.parameters, strict=True):
+        moved, open_ = [], []
+        rows = zip(with_drift.names, with_drift.fit.values.parameters, with_drift.free, strict=True)
+        for name, value, free in rows:
             known = parameters.get(name)
             if known is None or not name.startswith("g_") or known.u is None:
                 continue
-            if abs(float(value) - known.value) > known.u:
-                moved.setdefault(word, []).append(f"{name} {known.value:+.3f} to {float(value):+.3f}")
-    return [
-        f"in this order of poses force is not wholly told from a {word}: with one in the model "
-        f"{', '.join(names)} °/s/g; repeat poses in another order"
-        for word, names in moved.items()
-    ]
+            if not free:
+                open_.append(name)
+            elif abs(float(value) - known.value) > known.u:
+                moved.append(f"{name} {known.value:+.3f} to {float(value):+.3f}")
+        told = [f"with one in the model {', '.join(moved)} °/s/g"] if moved else []
+        told += [f"beside one {', '.join(_kinds(open_))} cannot be determined"] if open_ else []
+        if told:
+            out.append(
+                f"in this order of poses force is not wholly told from a {word}: {'; '.join(told)}; "
+                "repeat poses in another order"
+            )
+    return out
