@@ -26,7 +26,7 @@ from adis_gonio.fitting.likelihood import angle_errors
 from adis_gonio.fitting.noise import Noise, settle
 from adis_gonio.fitting.outputs import estimates, left_to_the_stage, outputs_of, variances
 from adis_gonio.fitting.result import FitResult, Origin
-from adis_gonio.fitting.sources import Sources, sources_of
+from adis_gonio.fitting.sources import Sources, Unseen, sources_of
 from adis_gonio.model.effects import effect
 from adis_gonio.model.records import Floats
 from adis_gonio.sensor.variants import VARIANTS
@@ -321,8 +321,8 @@ def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
 def _sources(data: Readings, linear: _Linear, noise: Noise) -> Sources:
     """Sources of the uncertainty of the natural parameters, the fixture by its tangent."""
     fit = _fit(noise.applied(data), linear.beta, bias=linear.has_bias)
-    held = () if linear.has_bias or not data.unit.known else (0, 1)
-    return sources_of(data, noise, fit, linear.derivative / data.gravity_mg, held)
+    unseen = Unseen() if linear.has_bias or not data.unit.known else Unseen(biases=(0, 1))
+    return sources_of(data, noise, fit, linear.derivative / data.gravity_mg, unseen)
 
 
 def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> list[str]:

@@ -21,7 +21,7 @@ from adis_gonio.fitting.determination import (
 from adis_gonio.fitting.noise import Settled, settle
 from adis_gonio.fitting.outputs import Output, estimates, left_to_the_stage, outputs_of, variances
 from adis_gonio.fitting.result import FitResult, Origin
-from adis_gonio.fitting.sources import Sources, by_rotation_of, response_of, sources_of
+from adis_gonio.fitting.sources import Sources, Unseen, by_rotation_of, response_of, sources_of
 from adis_gonio.model.measurement import PlanarTurn, wrap_rad
 from adis_gonio.model.records import Floats
 
@@ -103,9 +103,11 @@ def _sources(readings: Readings, settled: Settled) -> Sources | None:
     natural = natural_units(found.fit.data)
     response = response_of(found.fit, inverse, natural)
     first = len(found.fit.data.model.parameters)
-    held = [k - first for k in found.held if k >= first]
     rotation = by_rotation_of(found.fit, inverse, natural)
-    return sources_of(readings, settled.noise, found.fit, response, held, rotation)
+    unseen = Unseen(
+        tuple(k - first for k in found.held if k >= first), tuple(k for k in found.held if k < first)
+    )
+    return sources_of(readings, settled.noise, found.fit, response, unseen, rotation)
 
 
 def _warnings(

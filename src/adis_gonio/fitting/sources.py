@@ -118,6 +118,25 @@ class Source:
 
 
 @dataclass(frozen=True)
+class Unseen:
+    """Parameters that a session does not show and that were taken as zero.
+
+    Attributes
+    ----------
+    biases : tuple of int
+        Axes.
+    skews : tuple of int
+        Numbers among the base parameters.
+    """
+
+    biases: tuple[int, ...] = ()
+    skews: tuple[int, ...] = ()
+
+
+NOTHING_UNSEEN = Unseen()
+
+
+@dataclass(frozen=True)
 class Sources:
     """All sources of a fit's uncertainty."""
 
@@ -183,7 +202,7 @@ def sources_of(
     noise: Noise,
     fit: Fit,
     response: Floats,
-    held: Sequence[int] = (),
+    unseen: Unseen = NOTHING_UNSEEN,
     rotation: Floats | None = None,
 ) -> Sources:
     """Sources of the uncertainty of fitted parameters.
@@ -196,8 +215,8 @@ def sources_of(
         On the readings with that noise.
     response : (p, n, axes) float
         ∂parameter/∂reading in natural units per mg.
-    held : sequence of int
-        Axes whose bias was taken as zero.
+    unseen : Unseen
+        What was taken as zero.
     rotation : (p, m, 3) float, optional
         ∂parameter/∂rotation of each link, natural units per rad.
     """
@@ -210,7 +229,7 @@ def sources_of(
             _gravity(data, fit, len(response)),
             _quantization(data, response),
             _temperature(data, fit, response),
-            _model(data, noise, response, held),
+            _model(data, noise, fit, response, unseen),
             *links,
         )
     )
@@ -431,14 +450,18 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
     )
 
 
-def _model(data: Readings, noise: Noise, response: Floats, held: Sequence[int]) -> Source:
-    """What the residual shows beyond the noise, and biases that had to be taken as zero."""
+def _model(data: Readings, noise: Noise, fit: Fit, response: Floats, unseen: Unseen) -> Source:
+    """What the residual shows beyond the noise, and biases and skews that had to be taken as zero."""
     axes = data.axes
     extra = _each(response, np.tile(noise.extra_mg * np.eye(axes), (len(data), 1, 1)))
-    figure = VARIANTS[data.sensor].performance.initial_bias_mg if data.sensor in VARIANTS else 0.0
-    held = list(held)
-    blind = response[:, :, held].sum(axis=1) * figure
-    unseen = figure * np.eye(axes)[:, held]
+    figures = VARIANTS[data.sensor].performance if data.sensor in VARIANTS else None
+    figure = 0.0 if figures is None else figures.initial_bias_mg
+    lean_rad = 0.0 if figures is None else math.radians(figures.non_orthogonality_deg) / math.sqrt(3)
+    held = list(unseen.biases)
+    biases = np.tile(figure * np.eye(axes)[:, held], (len(data), 1, 1))
+    skews = lean_rad * fit.base_columns[:, :, list(unseen.skews)]
+    acts = np.concatenate([biases, skews], axis=2)
+    blind = np.einsum("pna,nak->pk", response, acts)
     notes, u = [], noise.extra_mg
     if noise.extra_mg > 0:
         notes.append("scatter beyond the noise within the dwells")
@@ -450,21 +473,33 @@ def _model(data: Readings, noise: Noise, response: Floats, held: Sequence[int]) 
             else "of a size that nothing states: not included"
         )
         notes.append(f"bias {letters} taken as zero ({size})")
-        u = math.hypot(u, figure)
-    statistical = noise.extra_mg > 0 and not figure * len(held)
+    if unseen.skews:
+        names = ", ".join(data.model.names[k].removeprefix("skew_") for k in unseen.skews)
+        size = (
+            f"{figures.non_orthogonality_deg:g}° at most, figure of the part"
+            if figures is not None
+            else "of a size that nothing states: not included"
+        )
+        notes.append(f"skew {names} taken as zero ({size})")
+    u = math.hypot(u, figure if held else 0.0, math.sqrt(float((skews**2).sum(axis=2).mean())))
+    statistical = noise.extra_mg > 0 and not acts.any()
+    stated = figures is not None or not acts.shape[2]
     return Source(
         MODEL,
         "A" if statistical else "B",
         "Student" if statistical else "normal",
-        None if held and not figure and not noise.extra_mg else u,
+        u if stated or noise.extra_mg else None,
         "mg",
         np.concatenate([extra, blind], axis=1),
-        np.concatenate([np.full(extra.shape[1], noise.dof), np.full(len(held), np.inf)]),
-        np.concatenate([np.full(extra.shape[1], _RESIDUAL), np.zeros(len(held), dtype=np.intp)]).astype(
+        np.concatenate([np.full(extra.shape[1], noise.dof), np.full(acts.shape[2], np.inf)]),
+        np.concatenate([np.full(extra.shape[1], _RESIDUAL), np.zeros(acts.shape[2], dtype=np.intp)]).astype(
             np.intp
         ),
         noise.extra_mg**2 * np.eye(axes),
         "; ".join(notes) or "the residual shows no more than the noise",
-        acts_mg=np.tile(unseen, (len(data), 1, 1)) if held and figure else None,
-        further_mg=np.concatenate([np.zeros((axes, extra.shape[1])), unseen], axis=1),
+        acts_mg=acts if acts.any() else None,
+        # Of a further reading the biases are the same; what skews do there its pose decides.
+        further_mg=np.concatenate(
+            [np.zeros((axes, extra.shape[1])), biases[0], np.zeros((axes, skews.shape[2]))], axis=1
+        ),
     )
