@@ -178,6 +178,7 @@ def test_a_command_ends_with_130_though_its_first_ctrl_c_was_lost(
 
     monkeypatch.setattr("adis_gonio.tracing.trace", deaf)
     monkeypatch.setattr("adis_gonio.fitting.fit", deaf)
+    monkeypatch.setattr("adis_gonio.api.fit", deaf)
     page = tmp_path / "page.html"
     assert main([command, str(two), *(["-o", str(page)] if command == "report" else [])]) == 130
     said = capsys.readouterr().err

@@ -337,7 +337,7 @@ def test_every_setting_is_described_and_named_with_its_unit():
     units = ("mg", "deg", "dps", "c", "s", "v", "hz", "mps2", "h", "g", "g2", "mm")
     pure = (
         r"delta_k|scale_[yz]|hand_(pauses|returns|unevenness|moves|miss)|gyro_(scale|asymmetry)_[xyz]"
-        r"|gyro_(range_gain_(150|75)|saturation|g_compensation)|origin_compensation"
+        r"|gyro_(range_gain_(150|75)|saturation|g_compensation)|origin_compensation|part_slip_position"
     )
     for entry in fields(WorldSettings):
         stem = re.sub(r"_[xyz](_|$)", r"_x\1", entry.name)

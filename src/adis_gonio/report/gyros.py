@@ -87,7 +87,7 @@ def _by_gyro(result: GyroFit) -> Table:
         "Value ± standard uncertainty. – was not determined and counts as that of a perfect gyro: "
         "see the remarks above."
     )
-    return Table(["", "gyro X", "gyro Y", "gyro Z"], rows, caption=caption, numeric=(1, 2, 3))
+    return Table(["quantity", "gyro X", "gyro Y", "gyro Z"], rows, caption=caption, numeric=(1, 2, 3))
 
 
 def _cell(result: GyroFit, name: str) -> str:
