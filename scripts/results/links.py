@@ -40,9 +40,8 @@ the gyros (gains {100 * links.GAIN_U:.2f} %, directions {links.LEAN_U_DEG}°, g-
 
 A share is known to ± {known:.1f} % (one standard deviation, parameters taken as independent). By gravity
 alone few poses determine little: the share that is determined stands in brackets where it is not all. What
-it then states of five or six poses holds skews at zero, which their u does not hold: its intervals are too
-narrow, and u with turns, which do determine the skews, is larger for that reason. With a data sheet
-intervals are a little wide where the sheet decides (few poses): these gyros are better than its limits.
+it then states of five or six poses takes skews as zero; what they may be by the data sheet is in its u.
+With a data sheet intervals are a little wide where the sheet decides (few poses): these gyros are better than its limits.
 
 ### u, median
 

@@ -46,7 +46,9 @@ DRIFTS = {
     "drift from dwell to dwell": effect("gyro_drift", AXES, steps=1),
     "warm-up": effect("gyro_warm_up", AXES),
 }
-"""Models besides, by which the others are judged."""
+"""Courses of the zero rate beside which a g-sensitivity is looked at again."""
+SCORED = ("drift with time", "drift from dwell to dwell")
+"""Those that are scored on dwells that took no part; a warm-up is not linear: the trace scores that."""
 BEGIN_TAU = 1 / 3
 """Time constant from which a warm-up is fitted, in lengths of the session."""
 LIMIT = 0.1
@@ -218,12 +220,18 @@ def fit_gyro(session: Session, accelerometers: Calibration | None = None) -> Gyr
     UsageError
         The calibration is of another part, or states no uncertainties.
     """
-    if accelerometers is None:
-        readings = readings_of_part(session, GYRO)
-    else:
+    if accelerometers is not None:
         from adis_gonio.gyros.readings import gyro_readings_by
 
-        readings = gyro_readings_by(session, accelerometers)
+        return _fit_session(session, gyro_readings_by(session, accelerometers))
+    kept: GyroFit | None = vars(session).get("_gyro_fit")  # the session is frozen: it cannot go stale
+    if kept is None:
+        kept = _fit_session(session, readings_of_part(session, GYRO))
+        vars(session)["_gyro_fit"] = kept
+    return kept
+
+
+def _fit_session(session: Session, readings: Readings) -> GyroFit:
     try:
         result = fit_gyro_readings(readings.training)
     except FitError as error:
@@ -454,7 +462,7 @@ def _scores(data: Readings, model: _Model) -> dict[str, Score]:
     if len(data) < 3:
         return {}
     models = {"zero rate": _Model.of(data, ()), METHOD: model}
-    models |= {f"{METHOD} with a {word}": _Model.of(data, _with_drift(word)) for word in DRIFTS}
+    models |= {f"{METHOD} with a {word}": _Model.of(data, _with_drift(word)) for word in SCORED}
     rest = _at_rest(data)
     found = {name: _left_out(one, rest) for name, one in models.items()}
     return {name: score for name, score in found.items() if score is not None}
