@@ -41,7 +41,8 @@ the gyros (gains {100 * links.GAIN_U:.2f} %, directions {links.LEAN_U_DEG}°, g-
 A share is known to ± {known:.1f} % (one standard deviation, parameters taken as independent). By gravity
 alone few poses determine little: the share that is determined stands in brackets where it is not all. What
 it then states of five or six poses takes skews as zero; what they may be by the data sheet is in its u.
-With a data sheet intervals are a little wide where the sheet decides (few poses): these gyros are better than its limits.
+With a data sheet intervals are a little wide where the sheet decides (few poses): these gyros are better
+than its limits.
 
 ### u, median
 
