@@ -54,3 +54,19 @@ def test_ctrl_c_after_the_work_changes_nothing_of_the_exit_status():
         said, complained = program.communicate(timeout=120)
     assert (program.returncode, complained) == (0, "")
     assert "adis-gonio" in said
+
+
+def test_ctrl_c_while_another_one_is_told_of_ends_with_130_and_not_by_the_signal():
+    program = (
+        "import signal\n"
+        "from adis_gonio import cli\n"
+        "def main():\n"
+        "    signal.raise_signal(signal.SIGINT)\n"
+        "cli.main = main\n"
+        "cli.run()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False
+    )
+    assert done.returncode == 130, done.stderr
+    assert "Traceback" not in done.stderr

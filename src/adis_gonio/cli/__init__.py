@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 
 import click
 
@@ -101,7 +101,10 @@ def _fail(message: str, status: int) -> int:
 def run() -> None:
     """Entry point of the `adis-gonio` program."""
     make_readable()
-    status = main()
+    status = 130
     # What the exit status says is decided: a late Ctrl-C must not turn it into a death by signal.
+    with suppress(KeyboardInterrupt):  # as main ends, while it tells of another one
+        status = main()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.exit(status)
