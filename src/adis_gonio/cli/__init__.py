@@ -6,6 +6,7 @@ Results go to standard output, everything else to standard error. Exit status: 0
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
@@ -107,4 +108,12 @@ def run() -> None:
         status = main()
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if status == 130:
+        # A Ctrl-C that passed an `exec` (of a dataclass that is being imported) has marked Python to die by
+        # the signal at its end, although it was caught.
+        atexit._run_exitfuncs()
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(status)
     sys.exit(status)
