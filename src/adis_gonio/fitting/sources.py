@@ -456,7 +456,7 @@ def _model(data: Readings, noise: Noise, fit: Fit, response: Floats, unseen: Uns
     extra = _each(response, np.tile(noise.extra_mg * np.eye(axes), (len(data), 1, 1)))
     figures = VARIANTS[data.sensor].performance if data.sensor in VARIANTS else None
     figure = 0.0 if figures is None else figures.initial_bias_mg
-    lean_rad = 0.0 if figures is None else math.radians(figures.non_orthogonality_deg) / math.sqrt(3)
+    lean_rad = 0.0 if figures is None else figures.skew_u_rad
     held = list(unseen.biases)
     biases = np.tile(figure * np.eye(axes)[:, held], (len(data), 1, 1))
     skews = lean_rad * fit.base_columns[:, :, list(unseen.skews)]

@@ -55,7 +55,7 @@ class GyroPrior:
         per_g = UNKNOWN_G_DPS
         if figures is not None:
             gain = SHEET_GAIN / math.sqrt(3)
-            lean = math.radians(figures.non_orthogonality_deg) / math.sqrt(3)
+            lean = figures.skew_u_rad
             turned = math.radians(SHEET_FRAME_DEG) * math.sqrt(2 / 3)
             per_g = figures.gyro_g_sensitivity_dps_per_g
         own = np.where(np.eye(3, dtype=bool), gain, lean).ravel() ** 2

@@ -169,6 +169,7 @@ def _forces(session: Session) -> dict[int, Floats]:
 def _prior(session: Session) -> Prior:
     """Of what nobody has measured: gains, skews (uniform within the sheet's limit), biases."""
     variant = VARIANTS.get(session.sensor)
-    limit = UNKNOWN_LEAN_DEG if variant is None else variant.performance.non_orthogonality_deg
-    gain = UNKNOWN_GAIN if variant is None else variant.performance.scale_error_typical
-    return Prior(gain, math.radians(limit) / math.sqrt(3), UNKNOWN_BIAS_MG)
+    if variant is None:
+        return Prior(UNKNOWN_GAIN, math.radians(UNKNOWN_LEAN_DEG) / math.sqrt(3), UNKNOWN_BIAS_MG)
+    figures = variant.performance
+    return Prior(figures.scale_error_typical, figures.skew_u_rad, UNKNOWN_BIAS_MG)

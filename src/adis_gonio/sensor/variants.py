@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -56,6 +57,11 @@ class Performance:
     gyro_g_sensitivity_dps_per_g: float = 0.05
     gyro_supply_sensitivity_dps_per_v: float = 0.25
     gyro_instability_dps: float = 0.015
+
+    @property
+    def skew_u_rad(self) -> float:
+        """Standard uncertainty in rad of an angle between axes that nobody has measured: uniform."""
+        return math.radians(self.non_orthogonality_deg) / math.sqrt(3)
 
 
 @dataclass(frozen=True)
