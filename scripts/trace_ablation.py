@@ -6,6 +6,7 @@ Sessions: of each kind of tests/tracing (`--sessions`), and of the challenge in 
 (`--ladder`), where effects come down to nothing. A first run records where each rule of
 `adis_gonio.tracing.thresholds` would decide otherwise if it were off; each rule is then switched off on
 those sessions alone, since the others cannot change. A run that was broken off goes on where it was.
+With `--records FILE` what the first run stated is kept for `trace_calibration.py tables`.
 """
 
 from __future__ import annotations
@@ -32,17 +33,19 @@ from adis_gonio.tracing.thresholds import Limits, limits
 from blind_residual.generator import Truth, draw
 from blind_residual.runners.adis_gonio import from_trace
 from blind_residual.scoring import coverage, score
+from trace_calibration import RESIDUAL, record_of
 from tracing.blind import KINDS
 from tracing.rounds import judge_answer, trace_file, write_session
 
 LADDER = "ladder"
-WHOLE = {"reach", "robust"}
-"""Rules that are no comparison: tried on every session."""
+WHOLE = {"reach"}
+"""No comparison: tried on every session."""
 RULES = {
     field.name: field.metadata["off"]
     for field in dataclasses.fields(Limits)
     if field.metadata["off"] is not None
 }
+FIGURES = ("right", "false", "wrong", "covered", "left_out")
 decided: set[str] = set()
 
 
@@ -108,6 +111,11 @@ def session_path(work: Path, kind: str, index: int) -> Path:
     return work / "sessions" / kind / str(index) / "session.csv"
 
 
+def secret(seed: int) -> str:
+    """Of the challenge's sessions."""
+    return f"ablation {seed}"
+
+
 def make(work: Path, kind: str, seed: int, index: int) -> None:
     """Write one session, unless it is there."""
     path = session_path(work, kind, index)
@@ -115,7 +123,7 @@ def make(work: Path, kind: str, seed: int, index: int) -> None:
         return
     path.parent.mkdir(parents=True, exist_ok=True)
     if kind == LADDER:
-        csv, truth = draw(f"ablation {seed}", index)
+        csv, truth = draw(secret(seed), index)
         truth.save(path.with_name("truth.json"))
         path.write_text(csv, encoding="utf-8")
     else:
@@ -138,6 +146,9 @@ def traced(work: Path, kind: str, seed: int, index: int, rule: str) -> dict[str,
             setattr(limits, name, getattr(Limits(), name))
         answer = trace_file(str(path))
     row: dict[str, Any] = {"kind": kind, "index": index, "rule": rule, "decided": depends}
+    if not rule:
+        task = (RESIDUAL, secret(seed)) if kind == LADDER else (kind, str(seed))
+        row["record"] = record_of(answer, (*task, index))
     return row | (_on_ladder(path, answer) if kind == LADDER else _judged(kind, seed, index, answer))
 
 
@@ -210,7 +221,7 @@ def line(rule: str, pairs: Sequence[tuple[dict[str, Any], dict[str, Any]]]) -> s
     held = " → ".join(f"{sum(side)}/{len(side)}" for side in hits)
     ratios = [after["left_out"] / before["left_out"] for before, after in pairs if _both(before, after)]
     worse = f"{np.exp(np.mean(np.log(ratios))):.3f}" if ratios else ""
-    changed = sum(before != after | {"rule": "", "decided": before["decided"]} for before, after in pairs)
+    changed = sum(any(before[key] != after[key] for key in FIGURES) for before, after in pairs)
     return (
         f"| `{rule}` | {_number(getattr(Limits(), rule))} | {len(pairs)} | {changed} | {total('right')} "
         f"| {total('false')} | {total('wrong')} | {held} | {worse} |"
@@ -253,6 +264,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--rules", default="", help="names, by default every rule")
     parser.add_argument("--work", type=Path, default=Path("/tmp/ablation"), help="sessions and answers")
+    parser.add_argument("--records", type=Path, help="write there what the first run stated")
     parser.add_argument("--numbers", action="store_true", help="only print the table of the numbers")
     options = parser.parse_args()
     if options.numbers:
@@ -270,6 +282,8 @@ def main() -> int:
     every += [(LADDER, k, "") for k in range(options.ladder)]
     usual = run(options, out, every)
     print(f"{len(usual)} sessions with every rule", file=sys.stderr)
+    if options.records:
+        options.records.write_text("".join(json.dumps(row["record"]) + "\n" for row in usual))
     lines = []
     for rule in wanted:
         concerned = [row for row in usual if rule in row["decided"]]

@@ -110,9 +110,6 @@ class Limits:
         "share of the excess from which a bias is taken out first: five times what varies",
         off=1.0,
     )
-    scatter_ratio: float = number(
-        0.5, "chosen", "least scatter in u of a reading: less changes no weight", off=0.0
-    )
     scatter_checks: float = number(
         6, "derived", "least degrees of freedom: a variance is known to a third", off=1
     )
@@ -149,9 +146,7 @@ class Limits:
         "share of what a cause adds from which others stand in its place in a model without several causes",
         off=0.0,
     )
-    open_level: float = number(
-        0.1, "level", "F-test of what could explain an inadequate model's rest", off=0.0
-    )
+    open_level: float = number(0.1, "level", "F-test of what could explain an inadequate model's rest")
     open_alike: float = number(10.0, "chosen", "likelihood ratio up to which other names are as good there")
     visible: float = number(
         0.05, "chosen", "least part of a formula beside base and names, for it to be averaged", off=0.0
@@ -161,6 +156,7 @@ class Limits:
     )
 
     # Effort
+    scatter_ratio: float = number(0.5, "effort", "least scatter in u of a reading: less changes no weight")
     rounds: int = number(4, "effort", "rounds of choosing and refitting")
     widest: int = number(6, "effort", "models of each size that every term extends")
     names_only: int = number(3, "effort", "one model in so many of the beam has names only", off=1000000)
