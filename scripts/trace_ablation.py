@@ -276,6 +276,7 @@ def main() -> int:
         parser.error(f"{unknown[0]} is no rule; known: {', '.join(RULES)}")
 
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    options.work /= str(options.seed)  # sessions and answers of another seed are others
     options.work.mkdir(parents=True, exist_ok=True)
     out = options.work / "answers.jsonl"
     every = [(kind, k, "") for kind in KINDS for k in range(options.sessions)]
