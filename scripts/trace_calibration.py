@@ -516,7 +516,16 @@ def verdicts_table(groups: Mapping[str, list[Record]]) -> str:
         for line in figures(kind.removeprefix(SPACE), verdicts):
             met = {None: "", True: line.target, False: f"{line.target}: **not met**"}[line.met]
             rows.append((kind, line.what, " ".join(line.value.split()), met))
+        if any(record["truth"] for record in records):
+            held = share(sum(map(_said, records)), len(records))
+            rows.append((kind, "every true name is found or in a set", held, ""))
     return table(("kind", "figure", "measured", "target"), rows)
+
+
+def _said(record: Record) -> bool:
+    """Whether all true names stand somewhere in what was said."""
+    said = {name for name, _ in record["found"]} | {name for one in record["sets"] for name in one["names"]}
+    return set(record["truth"]) <= said
 
 
 def wrong_names(record: Record) -> list[str]:
