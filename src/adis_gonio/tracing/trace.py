@@ -6,7 +6,7 @@ Session ─ readings ─▶ candidates ─▶ selection ─▶ validation ─▶
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from adis_gonio.budget import attempt, current, spent, within
@@ -37,7 +37,7 @@ from adis_gonio.tracing.outcome.naming import judge
 from adis_gonio.tracing.outcome.openings import undecided
 from adis_gonio.tracing.outcome.positions import as_the_part_stood, ruled_out, with_positions
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, Measurement, Step, Stopped, TraceResult
-from adis_gonio.tracing.outcome.sets import credible_sets
+from adis_gonio.tracing.outcome.sets import CredibleSet, credible_sets
 from adis_gonio.tracing.outcome.shares import excesses, shares, unnamed_with_share, with_shares
 from adis_gonio.tracing.selection.scatter import Scatter, with_scatter
 from adis_gonio.tracing.selection.select import Selection, select
@@ -175,7 +175,8 @@ def trace_readings(
         averaged = None
     final = selection if averaged is None else selection.with_fit(averaged.fit)
     findings = [finding_of(final, name) for name in names.stand]
-    weak = _weak(findings, figures[-1])
+    sets = tuple(one for one in credible_sets(selection) if one.present >= limits.certain)
+    weak = _weak(findings, figures[-1], _likelier(sets, terms))
     names = without(replace(names, open={**names.open, **weak}), weak)
     notes = list(notes_of(selection, scatter))
     adequate = final.adequate and scatter is None and (final.fit.dof > 0 or not training.noise_known)
@@ -184,7 +185,6 @@ def trace_readings(
         notes += disagreement
         adequate = not disagreement
     open_still = replace(selection, adequate=adequate)
-    sets = tuple(one for one in credible_sets(selection) if one.present >= limits.certain)
     of_step = shares(steps, excesses(fits, figures))
     seen = _seen([f for f in findings if f.effect not in weak], data, scatter, of_step)
     nothing: tuple[tuple[str, ...], tuple[Measurement, ...]] = ((), ())
@@ -282,11 +282,19 @@ def _reported(figures: Sequence[ErrorFigures]) -> tuple[float, float] | None:
     return None if first is None or last is None else (first, last)
 
 
-def _weak(findings: Sequence[Finding], final: ErrorFigures) -> dict[str, str]:
+def _likelier(sets: Sequence[CredibleSet], terms: Sequence[Term]) -> dict[str, str]:
+    """What is likelier in the place of a name, where that is a function without one."""
+    names = {term.name for term in terms}
+    return {one.cause: one.names[0] for one in sets if one.names[0] not in names and one.cause in names}
+
+
+def _weak(findings: Sequence[Finding], final: ErrorFigures, likelier: Mapping[str, str]) -> dict[str, str]:
     """Names that do not stand after all, with the reason."""
     weak = {}
     for finding in findings:
-        if final.heldout_rms is None and finding.effect != "bias":
+        if finding.effect in likelier:
+            weak[finding.effect] = f"in its place is likelier: {likelier[finding.effect]}"
+        elif final.heldout_rms is None and finding.effect != "bias":
             weak[finding.effect] = "no dwell could be left out to check it by"
         elif not told_from_zero(finding):
             weak[finding.effect] = "its values are no larger than their own uncertainty"
