@@ -1,8 +1,8 @@
 """What each number of the trace means, said so that half or twice of it is noticed.
 
-`scripts/trace_numbers.py --quick` runs these with every number of `tracing/thresholds.py` halved and
-doubled. What is expected stands here in words and figures of its own (docs/thresholds.md); where a number
-is derived it is derived here once more.
+`scripts/trace_numbers.py` runs each test with the number of `tracing/thresholds.py` that it is marked with
+halved and doubled. What is expected stands here in words and figures of its own (docs/thresholds.md); where
+a number is derived it is derived here once more.
 """
 
 from __future__ import annotations
@@ -61,12 +61,9 @@ def ideal_mg(c: Conditions, slips_deg: np.ndarray | float = 0.0) -> np.ndarray:
     return G * np.column_stack([np.cos(psi), np.sin(psi)])
 
 
-def read(
-    c: Conditions, mean: np.ndarray, u: float = U, fixture_deg: float = 0.0, **others: Any
-) -> Readings:
-    """Readings of known noise; without a fixture's uncertainty each is two rows of the linear problem."""
-    covariance = np.tile(u**2 * np.eye(2), (len(mean), 1, 1))
-    return from_means(mean, covariance, c, fixture_rad=math.radians(fixture_deg), **others)
+def read(c: Conditions, mean: np.ndarray, u: float = U) -> Readings:
+    """Readings of known noise at angles that are known, so that each is two rows of the linear problem."""
+    return from_means(mean, np.tile(u**2 * np.eye(2), (len(mean), 1, 1)), c)
 
 
 def noisy(c: Conditions, seed: int, u: float = U) -> Readings:
@@ -90,7 +87,9 @@ def surroundings(n: int = 24, seed: int = 1) -> Conditions:
     )
 
 
-def function(label: str, of: Any, covariates: tuple[str, ...] = ("time",), where: Any = "bias", **how: Any):
+def function(
+    label: str, of: Any, covariates: tuple[str, ...] = ("time",), where: Any = "bias", **how: Any
+) -> NamelessTerm:
     """A function without a name of the conditions, on x or at the angle."""
     axes = () if where == "angle" else (0,)
     basis = Basis(label, covariates, lambda c: of(c)[:, None], **how)
@@ -116,22 +115,27 @@ class TestPrior:
     def share(self, name: str, data: Readings | None = None) -> float:
         return prior(t for t in named_terms(data or self.data)[0] if t.name == name)
 
+    @pytest.mark.number("effect_share")
     @pytest.mark.parametrize("name", ["cubic", "warm_up", "stage_periodic", "outlier_dwell", "backlash"])
     def test_an_effect_is_there_in_seven_sessions_of_two_hundred_however_many_variants_it_has(
         self, name: str
     ) -> None:
         assert self.share(name) == pytest.approx(7 / 200)
 
+    @pytest.mark.number("nameless_share")
     def test_functions_without_a_name_have_three_tenths_together(self) -> None:
         assert prior(nameless_terms(self.data)) == pytest.approx(0.3)
         assert sum(math.exp(-process.price) for process in processes(self.data)) == pytest.approx(0.3)
 
+    @pytest.mark.number("bias_weight")
+    @pytest.mark.number("quadratic_weight")
     @pytest.mark.parametrize(("name", "times"), [("bias", 6.0), ("quadratic", 1.5)])
     def test_a_bias_is_six_times_and_a_curvature_half_again_as_likely_as_a_cubic(
         self, name: str, times: float
     ) -> None:
         assert self.share(name) / self.share("cubic") == pytest.approx(times)
 
+    @pytest.mark.number("g_weight")
     def test_a_gyro_that_feels_gravity_is_four_times_as_likely_as_one_that_drifts(self) -> None:
         rng = np.random.default_rng(2)
         force = rng.normal(size=(12, 3))
@@ -140,23 +144,27 @@ class TestPrior:
         ratio = self.share("g_sensitivity", gyros) / self.share("gyro_drift", gyros)
         assert ratio == pytest.approx(4.0)
 
+    @pytest.mark.number("family_weight")
     @pytest.mark.parametrize("covariate", ["supply", "approach", "previous_angle"])
     def test_supply_approach_and_memory_are_seven_tenths_as_likely_as_time(self, covariate: str) -> None:
         terms = nameless_terms(self.data)
         of = {name: [t for t in terms if t.covariates == (name,)] for name in ("time", covariate)}
         assert prior(of[covariate]) / prior(of["time"]) == pytest.approx(0.7)
 
+    @pytest.mark.number("smooth_weight")
     @pytest.mark.parametrize("covariate", ["time", "temperature", "supply"])
     def test_a_quarter_of_a_covariate_is_polynomials_that_only_approximate(self, covariate: str) -> None:
         terms = [t for t in nameless_terms(self.data) if t.covariates == (covariate,)]
         smooth = prior(t for t in terms if t.basis.approximates)
         assert smooth / prior(terms) == pytest.approx(0.25)
 
+    @pytest.mark.number("pair_weight")
     def test_a_process_in_two_covariates_is_three_tenths_as_likely_as_one_in_time(self) -> None:
         terms = [process.term for process in processes(self.data)]
         pair = prior(t for t in terms if t.covariates == ("time", "temperature"))
         assert pair / prior(t for t in terms if t.covariates == ("time",)) == pytest.approx(0.3)
 
+    @pytest.mark.number("prior_snr")
     def test_an_outlier_is_expected_at_some_four_uncertainties_of_a_reading(self) -> None:
         # The price of one row is what a normal prior of four uncertainties costs where nothing is seen:
         # the mean of the likelihood over it.
@@ -164,6 +172,7 @@ class TestPrior:
         mean = integrate.quad(lambda a: stats.norm.pdf(a, 0, 4) * math.exp(-0.5 * a**2), -9, 9)[0]
         assert problem.column_price[0] == pytest.approx(-math.log(mean), rel=0.15)
 
+    @pytest.mark.number("scatter_prior")
     def test_scatter_that_nobody_declared_is_there_once_in_twenty(self) -> None:
         c = turn()
         ideal = ideal_mg(c)
@@ -223,6 +232,7 @@ def names_only(*names: str) -> LinearProblem:
 class TestWhatASessionCanShow:
     """Which columns and models are told apart, and which functions are looked for at all."""
 
+    @pytest.mark.number("observable")
     @pytest.mark.parametrize(("part", "shown"), [(0.017, False), (0.024, True)])
     def test_a_function_is_seen_if_two_hundredths_of_it_lie_beside_the_base_model(
         self, part: float, shown: bool
@@ -235,6 +245,7 @@ class TestWhatASessionCanShow:
         problem = linearise(fit, [nearly])
         assert (not problem.hidden) == shown
 
+    @pytest.mark.number("independent")
     @pytest.mark.parametrize(("apart", "columns"), [(0.8e-4, 1), (1.3e-4, 2)])
     def test_effects_that_correlate_by_all_but_a_ten_thousandth_are_one(
         self, apart: float, columns: int
@@ -243,6 +254,7 @@ class TestWhatASessionCanShow:
         problem = single([1, 1, 1], [[1, 0, 0], [r, math.sqrt(1 - r**2), 0]], [named("a"), named("b")])
         assert span(problem, [0, 1])[0].shape[1] == columns
 
+    @pytest.mark.number("same_prediction")
     @pytest.mark.parametrize(("differ_by_u", "models"), [(0.5, 1), (0.7, 2)])
     def test_models_that_differ_by_half_an_uncertainty_altogether_are_one(
         self, differ_by_u: float, models: int
@@ -255,6 +267,8 @@ class TestWhatASessionCanShow:
         assert np.linalg.norm(one - other) == pytest.approx(differ_by_u, rel=0.01)
         assert len(believed(problem, {(0,): 0.5, (1,): 0.5}).verdict.weights) == models
 
+    @pytest.mark.number("least_range_c")
+    @pytest.mark.number("least_range_v")
     @pytest.mark.parametrize(
         ("what", "span_of_it", "looked_for"),
         [
@@ -274,6 +288,7 @@ class TestWhatASessionCanShow:
         pairs = {term.covariates for term in nameless_terms(data)}
         assert (("time", what) in pairs) == looked_for
 
+    @pytest.mark.number("bump_dwells")
     @pytest.mark.parametrize(("dwells", "alone"), [(1, True), (2, False)])
     def test_a_bump_over_two_dwells_is_a_candidate_and_one_over_a_single_dwell_is_an_outlier(
         self, dwells: int, alone: bool
@@ -283,6 +298,7 @@ class TestWhatASessionCanShow:
         assert bump.basis.over(c).sum() == dwells
         assert of_one_dwell(bump, c) == alone
 
+    @pytest.mark.number("most_cycles")
     def test_a_worm_of_72_teeth_is_looked_for_and_nothing_finer(self) -> None:
         angles = np.random.default_rng(5).uniform(0, 2 * np.pi, 40)
         assert max(cycles_shown(angles)) == 72
@@ -291,6 +307,7 @@ class TestWhatASessionCanShow:
 class TestPhysicalBounds:
     """What no part and no bench does."""
 
+    @pytest.mark.number("largest")
     @pytest.mark.parametrize(("where", "size"), [("bias", G), ("angle", 1.0)])
     @pytest.mark.parametrize(("share", "possible"), [(0.08, True), (0.13, False)])
     def test_no_function_adds_more_than_a_tenth_of_g_or_of_a_radian(
@@ -310,6 +327,7 @@ class TestPhysicalBounds:
         problem = linearise(at.settled(), [term])
         assert (beyond_bounds(data, problem, [0]) is None) == possible
 
+    @pytest.mark.number("steepest")
     @pytest.mark.parametrize(("share", "possible"), [(0.8, True), (1.3, False)])
     def test_nothing_follows_the_temperature_more_steeply_than_the_worst_zero(
         self, share: float, possible: bool
@@ -341,20 +359,24 @@ def set_right(data: Readings) -> int:
 class TestGrossSlips:
     """Slips that are taken out before the search, since no linear problem reaches so far."""
 
+    @pytest.mark.number("gross_slip_deg")
     @pytest.mark.parametrize(("by_deg", "gross"), [(6.0, 0), (8.0, 1)])
     def test_a_slip_of_seven_degrees_is_gross(self, by_deg: float, gross: int) -> None:
         assert set_right(slipped(by_deg=by_deg)) == gross
 
+    @pytest.mark.number("gross_spreads")
     @pytest.mark.parametrize(("spreads", "gross"), [(5.0, 0), (7.5, 1)])
     def test_it_stands_out_of_six_spreads_of_the_others(self, spreads: float, gross: int) -> None:
         assert set_right(slipped(by_deg=spreads * 2.0, scatter_deg=2.0)) == gross
 
+    @pytest.mark.number("gross_share")
     @pytest.mark.parametrize(("dwells", "gross"), [(4, 4), (6, 0)])
     def test_a_fifth_of_the_dwells_may_have_slipped_and_not_a_quarter(
         self, dwells: int, gross: int
     ) -> None:
         assert set_right(slipped(24, dwells=dwells)) == gross
 
+    @pytest.mark.number("gross_length")
     @pytest.mark.parametrize(("longer", "gross"), [(0.15, 1), (0.25, 0)])
     def test_a_slip_leaves_the_length_of_a_reading_but_for_a_fifth(self, longer: float, gross: int) -> None:
         data = slipped()
@@ -362,6 +384,7 @@ class TestGrossSlips:
         mean[1] *= 1 + longer
         assert set_right(replace(data, mean=mean)) == gross
 
+    @pytest.mark.number("gross_dwells")
     @pytest.mark.parametrize(("n", "gross"), [(5, 0), (6, 1)])
     def test_of_five_dwells_no_gross_slip_is_said(self, n: int, gross: int) -> None:
         # Over an arc, where no bias can be told from the rest: of a turn a bias leaves too few to judge by.
@@ -373,6 +396,7 @@ class TestGrossSlips:
 class TestChoice:
     """What is called adequate, found, scatter."""
 
+    @pytest.mark.number("adequate")
     @pytest.mark.parametrize(("p", "adequate"), [(0.007, False), (0.014, True)])
     def test_a_model_is_adequate_down_to_a_chance_of_one_in_a_hundred(
         self, p: float, adequate: bool
@@ -383,6 +407,7 @@ class TestChoice:
         data = replace(data, own_covariance=scale * data.own_covariance)
         assert select(data, labelled(data, "quadratic[x]"), 0).adequate == adequate
 
+    @pytest.mark.number("certain")
     @pytest.mark.parametrize(("posterior", "found"), [(0.53, ()), (0.57, ("cubic",))])
     def test_a_name_is_found_from_a_posterior_of_fifty_five_percent(
         self, posterior: float, found: tuple[str, ...]
@@ -390,12 +415,14 @@ class TestChoice:
         selection = believed(names_only("cubic", "warm_up"), {(0,): posterior, (): 1 - posterior})
         assert judge(selection).stand == found
 
+    @pytest.mark.number("told")
     @pytest.mark.parametrize(("value", "told"), [(1.9, False), (2.1, True), (-2.1, True)])
     def test_a_value_is_a_finding_from_two_uncertainties(self, value: float, told: bool) -> None:
         assert stats.norm.cdf(2) - stats.norm.cdf(-2) == pytest.approx(0.95, abs=0.005)
         k3 = {"k3_x": Value(value, 1.0, "mg/g³")}
         assert told_from_zero(Finding("cubic", ("x",), k3, 0.0, 0.0, 1.0)) == told
 
+    @pytest.mark.number("mostly_bias")
     @pytest.mark.parametrize(("times", "apart"), [(4.5, False), (7.0, True)])
     def test_a_bias_five_times_what_varies_is_no_part_of_its_form(self, times: float, apart: bool) -> None:
         assert math.sqrt(0.97 / 0.03) == pytest.approx(5.7, abs=0.05)
@@ -409,6 +436,7 @@ class TestChoice:
         left = {term.label for term in select(data, terms, 2).problem.terms}
         assert left == {"bias[x]", "wave"} | (set() if apart else {"wave + const"})
 
+    @pytest.mark.number("scatter_checks")
     @pytest.mark.parametrize("dwells", [5, 6])
     def test_scatter_is_said_where_a_standard_deviation_is_known_to_a_third(self, dwells: int) -> None:
         checks = 2 * dwells - 4 - 2  # two rows each, four base parameters, a bias on each axis
@@ -428,12 +456,15 @@ def beside_one(basis: Basis) -> Any:
 class TestLeftOutDwells:
     """How dwells are left out, and what they decide."""
 
+    @pytest.mark.number("folds")
+    @pytest.mark.number("alone")
     @pytest.mark.parametrize(("dwells", "count"), [(16, 16), (17, 5)])
     def test_up_to_sixteen_dwells_each_is_left_out_alone_and_of_more_a_fifth(
         self, dwells: int, count: int
     ) -> None:
         assert len(folds(noisy(turn(dwells), 11))["whole dwells"]) == count
 
+    @pytest.mark.number("blocks")
     def test_a_turn_there_and_back_is_left_out_by_quarters_of_its_time(self) -> None:
         steps = np.arange(0, 360, 15.0)
         data = noisy(turn(angles_deg=[*steps, *steps[::-1]]), 12)
@@ -442,12 +473,14 @@ class TestLeftOutDwells:
             list(range(first, first + 12)) for first in (0, 12, 24, 36)
         ]
 
+    @pytest.mark.number("repeated_deg")
     @pytest.mark.parametrize(("apart_deg", "one"), [(1.5, True), (3.0, False)])
     def test_dwells_within_two_degrees_are_in_one_position(self, apart_deg: float, one: bool) -> None:
         steps = np.arange(0, 360, 30.0)
         data = noisy(turn(angles_deg=[*steps, *(steps + apart_deg)]), 13)
         assert ("body axes" in folds(data)) == one
 
+    @pytest.mark.number("predicted")
     def test_a_dwell_counts_where_the_others_predict_it_to_four_times_the_noise(self) -> None:
         # A turn that lacks more and more of itself: what is left out lies farther and farther outside.
         data = noisy(turn(36), 14)
@@ -463,16 +496,18 @@ class TestLeftOutDwells:
         assert sum(2 < v < 3.9 for v in variances) > 5
         assert sum(4.1 < v < 8 for v in variances) > 5
 
+    @pytest.mark.number("reach")
     def test_what_a_term_adds_elsewhere_goes_half_its_range_beyond(self) -> None:
-        c = turn(31)
+        # A drift of 1 mg over the 20 minutes that were fitted; 20 more were left out.
+        data = noisy(turn(41), 15)
+        fitted = np.arange(41) <= 20
         line = function("line", lambda c: c.time_s / 1200.0)
-        data = noisy(c, 15)
-        fit = Fit.begin(data.rows(np.arange(31) <= 20)).having([line], [np.array([1.0])]).settled()
-        there = data.rows(np.arange(31) > 20)
-        added = bounded(fit)[0].added(np.array([1.0]), there.mean, there.conditions)[:, 0]
-        np.testing.assert_allclose(added, np.minimum(there.conditions.time_s / 1200.0, 1.5))
-        assert there.conditions.time_s.max() / 1200.0 == 1.5
+        fit = Fit.begin(data.rows(fitted)).having([line], [np.array([1.0])]).settled()
+        out = data.rows(~fitted)
+        added = bounded(fit)[0].added(np.array([1.0]), out.mean, out.conditions)[:, 0]
+        np.testing.assert_allclose(added, np.minimum(np.arange(21, 41) / 20.0, 1.5))
 
+    @pytest.mark.number("least_choice")
     @pytest.mark.parametrize(("dwells", "anew"), [(8, False), (9, True)])
     def test_effects_are_chosen_anew_from_nine_dwells(self, dwells: int, anew: bool) -> None:
         c = turn(dwells)
@@ -484,14 +519,15 @@ class TestLeftOutDwells:
         errors = guarding(selection, fits, Fold(terms, None, 1))
         assert all((error is not None) == anew for error in errors)
 
+    @pytest.mark.number("least_checks")
     @pytest.mark.parametrize(("left", "found"), [(1, ("bias",)), (2, ("bias", "cubic"))])
     def test_with_fewer_than_two_readings_to_check_by_nothing_but_a_bias_is_found(
         self, left: int, found: tuple[str, ...]
     ) -> None:
-        # Of seven dwells 14 rows; four base parameters, a bias of two and outliers leave so many.
         selection: Any = SimpleNamespace(fit=SimpleNamespace(dof=left))
         assert checkable(Names(("bias", "cubic"), {}, ()), selection).stand == found
 
+    @pytest.mark.number("worse")
     @pytest.mark.parametrize(("growth", "kept"), [(1.04, 1), (1.08, 0)])
     def test_an_effect_may_raise_the_left_out_error_by_a_twentieth(self, growth: float, kept: int) -> None:
         names = Names(("cubic",), {}, ())
@@ -511,6 +547,7 @@ def base_and_bias(c: Conditions) -> np.ndarray:
 class TestWhatIsSaid:
     """Which rivals, sets and openings a reader is told."""
 
+    @pytest.mark.number("near")
     @pytest.mark.parametrize(("odds", "said"), [(0.12, ()), (0.18, (("cubic", "warm_up"),))])
     def test_a_rival_is_named_from_a_seventh_of_the_best(
         self, odds: float, said: tuple[tuple[str, ...], ...]
@@ -518,6 +555,7 @@ class TestWhatIsSaid:
         selection = believed(names_only("cubic", "warm_up"), {(0,): 1.0, (1,): odds})
         assert judge(selection).confounded == said
 
+    @pytest.mark.number("sure")
     @pytest.mark.parametrize(
         ("rival", "probability", "said"), [(0.06, 0.94, ()), (0.12, 0.88, (("cubic", "warm_up"),))]
     )
@@ -531,6 +569,7 @@ class TestWhatIsSaid:
         assert selection.verdict.names["cubic"] == pytest.approx(probability)
         assert judge(selection).confounded == said
 
+    @pytest.mark.number("set_level")
     @pytest.mark.parametrize(("shares", "names"), [((0.60, 0.36, 0.04), 2), ((0.60, 0.33, 0.07), 3)])
     def test_a_set_is_the_fewest_names_that_hold_95_percent(
         self, shares: tuple[float, ...], names: int
@@ -539,6 +578,7 @@ class TestWhatIsSaid:
         selection = believed(problem, {(k,): share for k, share in enumerate(shares)})
         assert set_of(selection, "cubic").names == ("cubic", "warm_up", "backlash")[:names]
 
+    @pytest.mark.number("in_place")
     @pytest.mark.parametrize(("share", "stands"), [(0.4, False), (0.65, True)])
     def test_one_name_stands_for_two_in_the_place_of_that_of_which_it_adds_half(
         self, share: float, stands: bool
@@ -548,6 +588,7 @@ class TestWhatIsSaid:
         selection = believed(single([9, 9, 9], rows, terms), {(0, 1): 0.7, (2,): 0.3})
         assert ("backlash" in votes(selection, "cubic")[0]) == stands
 
+    @pytest.mark.number("open_level")
     @pytest.mark.parametrize(("p", "said"), [(0.13, ()), (0.08, ("cubic",))])
     def test_what_could_explain_the_rest_is_said_at_one_in_ten(
         self, p: float, said: tuple[str, ...]
@@ -557,6 +598,7 @@ class TestWhatIsSaid:
         target[0] = math.sqrt(stats.f.isf(p, 1, 19))
         assert undecided(believed(single(target, rows[:1], [named("cubic")]), {(): 1.0})) == said
 
+    @pytest.mark.number("open_alike")
     @pytest.mark.parametrize(("rarer", "said"), [(8.0, ("cubic", "backlash")), (12.0, ("cubic",))])
     def test_there_a_name_ten_times_less_likely_is_as_good(
         self, rarer: float, said: tuple[str, ...]
@@ -567,6 +609,7 @@ class TestWhatIsSaid:
         terms = [named("cubic"), named("backlash", math.log(rarer))]
         assert undecided(believed(single(target, [rows[0], rows[0]], terms), {(): 1.0})) == said
 
+    @pytest.mark.number("visible")
     @pytest.mark.parametrize(("part", "member"), [(0.035, False), (0.07, True)])
     def test_a_formula_is_averaged_if_a_twentieth_of_it_lies_beside_the_base_model(
         self, part: float, member: bool
@@ -584,6 +627,7 @@ class TestWhatIsSaid:
         assert "wave" in labels
         assert ("nearly" in labels) == member
 
+    @pytest.mark.number("dependence_z")
     @pytest.mark.parametrize(("size", "said"), [(0.6, False), (0.9, True)])
     def test_the_rest_follows_a_covariate_from_four_and_a_half_permuted_deviations(
         self, size: float, said: bool
