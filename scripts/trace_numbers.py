@@ -1,88 +1,62 @@
 """Whether a test notices each number of the trace at half and at twice its value.
 
-    python scripts/trace_numbers.py --work /tmp/numbers
-    python scripts/trace_numbers.py --numbers told,worse --work /tmp/numbers
+    python scripts/trace_numbers.py
+    python scripts/trace_numbers.py --numbers told,worse
 
-For each number of `adis_gonio.tracing.thresholds` that is no effort (or those of `--numbers`) the quick
-tests of the trace run twice, until the first that fails. Printed: a row a number with the test that fails
-at half and at twice, or a dash. A run that was broken off goes on where it was.
+For each number of `adis_gonio.tracing.thresholds` that is no effort (or those of `--numbers`) the tests
+that are marked with it (`pytest.mark.number`, all in `tests/tracing/test_trace_numbers.py`) run as it is,
+halved and doubled. Printed: a row a number with the first test that fails at half and at twice, or a dash.
+Exit status 1 where a number goes unnoticed, or a test fails with the numbers as they are.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
-import os
-import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
-from adis_gonio.tracing.thresholds import Limits
+import pytest
+from _pytest.runner import runtestprotocol
+
+from adis_gonio.tracing.thresholds import Limits, limits
 
 ROOT = Path(__file__).resolve().parents[1]
-TESTS = tuple(
-    f"tests/tracing/test_trace_{name}.py"
-    for name in (
-        "numbers",
-        "engine",
-        "gates",
-        "sets",
-        "openings",
-        "proposals",
-        "left_out",
-        "small_sessions",
-        "smooth",
-        "shared_noise",
-        "sceptic",
-    )
-)
-CHANGED = "ADIS_GONIO_TRACE_NUMBER"
-PLUGIN = f'''
-import os
-from adis_gonio.tracing.thresholds import limits
-name, value = os.environ["{CHANGED}"].split("=")
-setattr(limits, name, type(getattr(limits, name))(float(value)))
-'''
-"""A number is changed before any test is collected."""
+TESTS = ROOT / "tests" / "tracing" / "test_trace_numbers.py"
+NUMBERS = {field.name: field for field in dataclasses.fields(Limits)}
 
 
-def first_failure(folder: Path, name: str, value: float) -> str:
-    """Name of the first test that fails with a number changed; empty if all pass.
-
-    Raises
-    ------
-    RuntimeError
-        pytest could not run.
-    """
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "changed_number"]
-    environment = os.environ | {
-        CHANGED: f"{name}={value!r}",
-        "PYTHONPATH": os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]),
-        "OPENBLAS_NUM_THREADS": "1",
-    }
-    done = subprocess.run(
-        [*command, "-rf", *TESTS],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=3600,
-        check=False,
-    )
-    if done.returncode == pytest_passed():
-        return ""
-    failed = [line for line in done.stdout.splitlines() if line.startswith("FAILED ")]
-    if not failed:
-        raise RuntimeError(f"{name} = {value}: {done.stdout[-500:]}{done.stderr[-500:]}")
-    return failed[0].split(" ")[1].rsplit("::", 1)[1]
+def first_failure(items: Sequence[pytest.Item], name: str, factor: float) -> str:
+    """Name of the first of some tests that fails with a number changed; empty if all pass."""
+    usual = getattr(limits, name)
+    setattr(limits, name, type(usual)(usual * factor))
+    try:
+        for item in items:
+            if any(report.failed for report in runtestprotocol(item, log=False)):
+                return item.name
+    finally:
+        setattr(limits, name, usual)
+    return ""
 
 
-def pytest_passed() -> int:
-    """Exit status of a run without a failure."""
-    import pytest
+class Changing:
+    """Runs tests with numbers changed, in the place of pytest's own loop."""
 
-    return int(pytest.ExitCode.OK)
+    def __init__(self, wanted: Sequence[str]) -> None:
+        self.wanted, self.wrong = wanted, 0
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """Print a row a number."""
+        print("\n| number | at half | at twice |\n|---|---|---|", flush=True)
+        for name in self.wanted:
+            items = [i for i in session.items if name in {m.args[0] for m in i.iter_markers("number")}]
+            usual, *told = (first_failure(items, name, factor) for factor in (1, 0.5, 2))
+            self.wrong += bool(usual) + told.count("")
+            row = " | ".join(f"`{test}`" if test else "–" for test in told)
+            print(f"| `{name}` | {row} |" + f" fails as it is: {usual}" * bool(usual), flush=True)
+        return True
 
 
 def main() -> int:
@@ -91,33 +65,18 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--numbers", default="", help="names, by default all that are no effort")
-    parser.add_argument("--work", type=Path, default=Path("/tmp/trace_numbers"), help="what is done")
     options = parser.parse_args()
-    fields = {field.name: field for field in dataclasses.fields(Limits)}
     wanted = [name for name in options.numbers.split(",") if name] or [
-        name for name, field in fields.items() if field.metadata["origin"] != "effort"
+        name for name, field in NUMBERS.items() if field.metadata["origin"] != "effort"
     ]
-    unknown = [name for name in wanted if name not in fields]
+    unknown = [name for name in wanted if name not in NUMBERS]
     if unknown:
-        parser.error(f"{unknown[0]} is no number of the trace; known: {', '.join(fields)}")
-    options.work.mkdir(parents=True, exist_ok=True)
-    (options.work / "changed_number.py").write_text(PLUGIN, encoding="utf-8")
-    kept = options.work / "done.json"
-    done: dict[str, str] = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else {}
-    print("| number | at half | at twice |\n|---|---|---|", flush=True)
-    missed = 0
-    for name in wanted:
-        told = []
-        for factor in (0.5, 2):
-            value = fields[name].default * factor
-            key = f"{name}={value!r}"
-            if key not in done:
-                done[key] = first_failure(options.work, name, value)
-                kept.write_text(json.dumps(done, indent=1), encoding="utf-8")
-            missed += not done[key]
-            told.append(f"`{done[key]}`" if done[key] else "–")
-        print(f"| `{name}` | {' | '.join(told)} |", flush=True)
-    return int(missed > 0)
+        parser.error(f"{unknown[0]} is no number of the trace; known: {', '.join(NUMBERS)}")
+    changing = Changing(wanted)
+    quiet = ["-s", "-qq", "-p", "no:cacheprovider", "-c", str(ROOT / "pyproject.toml")]
+    status = pytest.main([*quiet, str(TESTS)], plugins=[changing])
+    collected = status in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
+    return int(changing.wrong > 0 or not collected)
 
 
 if __name__ == "__main__":
