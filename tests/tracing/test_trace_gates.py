@@ -20,11 +20,12 @@ from adis_gonio.tracing.validation.leaving_out import bounded
 from adis_gonio.tracing.validation.survival import never_worse
 
 
-def forth_and_back(bias=(8.0, -5.0), k2_x=0.0, slip_mg=0.0, seed=3) -> Session:
-    """A turn forth and back in steps of 20°, single readings of 0.1 mg; dwell 7 off by `slip_mg` on x."""
+def forth_and_back(bias=(8.0, -5.0), k2_x=0.0, slip_mg=0.0, seed=3, slip_deg=0.0) -> Session:
+    """A turn forth and back in steps of 20°, 0.1 mg a reading; dwell 7 off on x, or turned."""
     rng = np.random.default_rng(seed)
     angles = np.concatenate([np.arange(0, 360, 20.0), np.arange(350, -10, -20.0)])
     psi = np.radians(12.0 - angles + 0.003 * rng.standard_normal(len(angles)))
+    psi[7] += np.radians(slip_deg)
     readings = 1000 * np.stack([1.002 * np.cos(psi), np.sin(psi + np.radians(0.2))], axis=1) + bias
     readings[:, 0] += k2_x * np.cos(psi) ** 2
     readings[7, 0] += slip_mg
@@ -73,6 +74,16 @@ def test_a_cause_that_is_there_but_has_two_names_is_a_set_and_no_finding() -> No
     assert open_.present > 0.9
     assert sum(open_.probability) > 0.95
     assert result.as_dict()["sets"][-1] == open_.as_dict()
+
+
+@pytest.mark.parametrize("slip_deg", [2.0, 5.0])
+def test_a_slip_of_degrees_is_one_slip_and_no_scatter(slip_deg: float) -> None:
+    # Off by 4° a reading is 2.4 mg shorter along its old direction than a linear slip says.
+    result = trace(forth_and_back(slip_deg=slip_deg))
+    assert {finding.effect for finding in result.found} == {"bias", "position_slip"}
+    assert result.adequate
+    (slip,) = [f for f in result.found if f.effect == "position_slip"]
+    assert abs(slip.parameters["slip"].value - slip_deg) < 4 * (slip.parameters["slip"].u or 0)
 
 
 def test_no_term_adds_much_more_to_other_dwells_than_to_those_of_its_fit() -> None:

@@ -359,10 +359,16 @@ def set_right(data: Readings) -> int:
 class TestGrossSlips:
     """Slips that are taken out before the search, since no linear problem reaches so far."""
 
-    @pytest.mark.number("gross_slip_deg")
-    @pytest.mark.parametrize(("by_deg", "gross"), [(6.0, 0), (8.0, 1)])
-    def test_a_slip_of_seven_degrees_is_gross(self, by_deg: float, gross: int) -> None:
-        assert set_right(slipped(by_deg=by_deg)) == gross
+    @pytest.mark.parametrize("u_mg", [0.1, 1.0])
+    @pytest.mark.parametrize(("times", "gross"), [(0.9, 0), (1.1, 1)])
+    def test_a_slip_is_gross_where_it_shortens_a_reading_by_its_uncertainty(
+        self, u_mg: float, times: float, gross: int
+    ) -> None:
+        # Off by δ, a reading is G (1 − cos δ) shorter along its old direction: 0.1 mg at 0.81°.
+        from_deg = math.degrees(math.acos(1 - u_mg / G))
+        data = slipped(by_deg=times * from_deg)
+        data = replace(data, own_covariance=np.tile(u_mg**2 * np.eye(2), (len(data), 1, 1)))
+        assert set_right(data) == gross
 
     @pytest.mark.number("gross_spreads")
     @pytest.mark.parametrize(("spreads", "gross"), [(5.0, 0), (7.5, 1)])

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio import load_session
+from adis_gonio import load_session, trace
 from adis_gonio.estimation.readings import readings_of
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
@@ -84,3 +84,16 @@ def test_a_process_that_is_adequate_outweighs_formulas_that_are_not(tmp_path: Pa
     assert final.adequate
     assert final.inflation == 1.0
     assert averaged.smooth.covariates == ("time",)
+
+
+def test_a_name_is_not_found_where_its_set_holds_a_function_without_one_for_likelier(
+    tmp_path: Path,
+) -> None:
+    # The whole part turns with the temperature; in one plane a misalignment of one axis does half of it.
+    path = tmp_path / "blind.csv"
+    write(path, *draw("uncatalogued", 1263815290, 7))
+    result = trace(load_session(path))
+    (one,) = result.sets
+    assert one.names == ("unnamed: temperature", "misalignment_temperature")
+    assert not result.found
+    assert "likelier: unnamed: temperature" in result.reasons["misalignment_temperature"]

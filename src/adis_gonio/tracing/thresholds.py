@@ -85,10 +85,9 @@ class Limits:
         "most that a nameless function adds, in g (100 °/s) or rad: beyond, it and the base model cancel",
         off=INFINITE,
     )
-    gross_slip_deg: float = number(
-        7.0, "derived", "slip from which the linear problem errs by more than a reading's u", off=INFINITE
+    gross_spreads: float = number(
+        6.0, "chosen", "slip from which it is gross, in spreads of the dwells about their median"
     )
-    gross_spreads: float = number(6.0, "chosen", "the same in spreads of the dwells about their median")
     gross_share: float = number(0.2, "chosen", "largest share of the dwells that slipped grossly")
     gross_length: float = number(0.2, "chosen", "largest change of a reading's length in a gross slip")
     gross_dwells: int = number(6, "chosen", "least dwells of which a gross slip is said")
@@ -111,7 +110,7 @@ class Limits:
         off=1.0,
     )
     scatter_checks: float = number(
-        6, "derived", "least degrees of freedom: a variance is known to a third", off=1
+        6, "derived", "least degrees of freedom: a standard deviation is known to a third", off=1
     )
 
     # Left-out dwells

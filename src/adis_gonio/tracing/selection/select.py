@@ -173,9 +173,9 @@ def _with_constant(term: Term) -> bool:
 def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
     """Dwells that stand elsewhere by a gross slip: their term, and by how much in degrees.
 
-    So far the linear problem does not reach: 15° off, a reading is 34 mg shorter along its old direction
-    than a slip says, and only an outlier of both axes explains it. About a state that has the slip it is
-    exact.
+    So far the linear problem does not reach: off by δ, a reading is G (1 − cos δ) shorter along its old
+    direction than a slip says (2 mg at 4°). Where that is more than its uncertainty, only an outlier of
+    both axes would explain it. About a state that has the slip it is exact.
     """
     theta = data.conditions.angle_rad
     if not data.planar or theta is None or data.free or len(data) < limits.gross_dwells:
@@ -187,7 +187,8 @@ def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
     off = np.angle(np.exp(1j * (off - np.median(off))))
     typical = MAD_TO_SD * float(np.median(np.abs(off)))
     length = np.linalg.norm(reading, axis=1) / data.gravity_mg
-    far = np.degrees(np.abs(off)) > limits.gross_slip_deg
+    reading_u = np.sqrt(np.trace(data.covariance, axis1=1, axis2=2) / data.axes)
+    far = data.gravity_mg * (1 - np.cos(off)) > reading_u
     far &= np.abs(off) > limits.gross_spreads * typical
     if (
         not far.any()
