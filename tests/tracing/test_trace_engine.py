@@ -15,6 +15,7 @@ from adis_gonio.model.effects import Conditions, Enters, effect
 from adis_gonio.tracing import trace_readings
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
+from adis_gonio.tracing.outcome.result import TraceResult
 from adis_gonio.tracing.selection.design import amplitudes, linearise, span
 from adis_gonio.tracing.selection.search import price, search
 from adis_gonio.tracing.selection.select import select
@@ -241,9 +242,15 @@ def test_temperature_that_only_rises_with_time_is_not_called_found_by_one_name()
     assert len(named) <= 1
 
 
-def test_check_dwells_take_no_part() -> None:
+@pytest.fixture(scope="module")
+def checked() -> tuple[Readings, TraceResult]:
+    """A curved axis, the last five dwells for checking."""
     data = observations([QUADRATIC], seed=6, check=5)
-    result = trace_readings(data)
+    return data, trace_readings(data)
+
+
+def test_check_dwells_take_no_part(checked: tuple[Readings, TraceResult]) -> None:
+    data, result = checked
     broken = data.mean.copy()
     broken[data.check] += 50.0
     other = trace_readings(replace(data, mean=broken))
@@ -278,8 +285,14 @@ def test_a_large_bias_stands_beside_a_nameless_step() -> None:
     assert result.unnamed.covariates == ("time",)
 
 
-def test_detectable_amplitude_is_found_and_a_third_of_it_is_not() -> None:
-    seen = trace_readings(observations(seed=30)).detectable["quadratic"]
+@pytest.fixture(scope="module")
+def quiet() -> TraceResult:
+    """Trace of a session without effects."""
+    return trace_readings(observations(seed=30))
+
+
+def test_detectable_amplitude_is_found_and_a_third_of_it_is_not(quiet: TraceResult) -> None:
+    seen = quiet.detectable["quadratic"]
     assert seen.unit == "mg/g²"
     hits, misses = 0, 0
     for seed in range(6):
@@ -295,11 +308,10 @@ def test_detectable_amplitude_is_found_and_a_third_of_it_is_not() -> None:
     assert misses <= 1
 
 
-def test_what_a_session_cannot_show_has_no_amplitude_but_a_reason() -> None:
-    result = trace_readings(observations(seed=31))
+def test_what_a_session_cannot_show_has_no_amplitude_but_a_reason(quiet: TraceResult) -> None:
     for name in ("scale", "misalignment", "gravity", "tone", "vibration_rectification"):
-        assert result.detectable[name].amplitude is None
-        assert result.detectable[name].reason
+        assert quiet.detectable[name].amplitude is None
+        assert quiet.detectable[name].reason
 
 
 def test_scatter_that_nothing_explains_is_called_that_with_its_size() -> None:
@@ -316,8 +328,8 @@ def test_scatter_that_nothing_explains_is_called_that_with_its_size() -> None:
     assert any("no covariate explains it" in note for note in result.notes)
 
 
-def test_as_dict_is_the_document_of_the_formats_and_is_json() -> None:
-    document = trace_readings(observations([QUADRATIC], seed=13)).as_dict()
+def test_as_dict_is_the_document_of_the_formats_and_is_json(checked: tuple[Readings, TraceResult]) -> None:
+    document = checked[1].as_dict()
     keys = {"adequate", "found", "steps", "confounded", "unnamed", "error", "detectable", "next"}
     assert keys <= set(document)
     errors = {"residual_rms_mg", "heldout_rms_mg", "angle_rms_deg", "chi2_per_dof"}

@@ -9,7 +9,7 @@ from adis_gonio.dwells import density_of, look_within
 from adis_gonio.dwells.courses import grid
 from tracing.dwell_samples import draw
 
-SEEDS = 30
+SEEDS = 15
 SORTS = {
     "24 dwells of 5 s": {},
     "six long dwells, three axes": {"dwells": 6, "n": 1200, "axes": 3},
@@ -69,10 +69,10 @@ def test_the_stated_amplitude_is_found_and_a_third_of_it_is_not(name: str, sort:
             added = EFFECTS[name](size, len(quiet), quiet.axes, shape)
             found, _ = look_within(draw(np.random.default_rng([seed, 4]), added=added, **options))
             hits[share] += any(finding.kind == name for finding in found)
-    # Of 30 at 90 %: 22 to 30 in 99.5 %; the amplitude itself is known to a tenth. The power rises slowly
-    # where it is tested against the scatter of six dwells.
-    assert hits[1.0] >= 20, hits
-    assert hits[0.33] <= 10, hits
+    # Eleven or more of 15 have 98.7 % at 90 %, 5.9 % at 50 %. The power rises slowly where it is tested
+    # against the scatter of six dwells.
+    assert hits[1.0] >= 11, hits
+    assert hits[0.33] <= 3, hits
 
 
 def test_dwells_that_are_too_short_say_so() -> None:
