@@ -29,17 +29,19 @@ def record(
     path: Path,
     seed: int,
     *effects: str,
-    plan: str = "tumble",
+    positions: int | None = None,
     dwell_s: float = 3.0,
     filter_m: int = 2,
     **settings: float,
 ) -> Path:
-    """Record a session of the plan to `path`, which is given back.
+    """Record a tumble to `path`, which is given back.
 
     Parameters
     ----------
     effects : str
         As after `--effect`: "quadratic:k2_x=3".
+    positions : int, optional
+        Angles of a turn; there and back are twice as many dwells. By default those of the plan, twelve.
     settings : float
         Of the simulated world, as after `--set`.
     """
@@ -52,7 +54,7 @@ def record(
         runner = _Unattended.begin(
             sensor,
             path,
-            plan_by(plan, None, 0),
+            plan_by("tumble", positions, 0),
             Settings(dwell_s=dwell_s, smpl_prd=1, filter_m=filter_m),
             auto=True,
             gravity_mps2=world.gravity_mps2,

@@ -29,8 +29,8 @@ TONE = "tone:tone_x=2,tone_y=1,frequency=50"
 
 
 def simulated(path: Path, *effects: str, seed: int = 1, filter_m: int = 2, **settings: float) -> Path:
-    """A turn there and back, dwells of 4 s."""
-    return record(path, seed, *effects, dwell_s=4.0, filter_m=filter_m, **settings)
+    """Six positions there and back, dwells of 4 s."""
+    return record(path, seed, *effects, positions=6, dwell_s=4.0, filter_m=filter_m, **settings)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_tone_through_the_chip(tmp_path, humming):
     for source in (humming, simulated(tmp_path / "other.session", TONE, seed=0)):
         (found,) = within(source)
         gain = abs(FILTER @ np.exp(-2j * np.pi * 50 / RATE_HZ * np.arange(len(FILTER))))
-        assert (found.kind, found.axes, len(found.positions)) == ("tone", ("x", "y"), 24)
+        assert (found.kind, found.axes, len(found.positions)) == ("tone", ("x", "y"), 12)
         assert held(found, "frequency", 50.0)
         assert held(found, "tone_x", 2 * gain)
         assert held(found, "tone_y", 1 * gain)
@@ -99,13 +99,13 @@ def test_settling_through_the_chip(tmp_path):
 def test_noise_change_through_the_chip(tmp_path):
     gain = float(np.sqrt((FILTER**2).sum()))
     for seed in range(2):
-        effect = "noise_change:extra_x=4,extra_y=4,start=80"
+        effect = "noise_change:extra_x=4,extra_y=4,start=40"
         path = simulated(tmp_path / f"{seed}.session", effect, seed=seed)
         (found,) = within(path)
         assert (found.kind, found.effect) == ("noise_change", "noise_change")
         assert held(found, "extra_x", 4 * gain)
         # The chip's clock begins when it is switched on, the session's a little later.
-        assert found.parameters["start"].value == pytest.approx(80, abs=1.0)
+        assert found.parameters["start"].value == pytest.approx(40, abs=1.0)
 
 
 def test_vibration_raises_the_scatter_and_moves_the_mean(tmp_path):
