@@ -75,7 +75,8 @@ def test_tone_is_found_with_frequency_and_amplitude():
         assert len(found[0].positions) == 24
         for name, value in truth.items():
             held[name] += covered(found[0], name, value)
-    # Intervals of 80 % would hold in 11 or more of 12 once in four.
+    # Of 12: fewer than 11 in one of eight at 95 % (these seeds are not), in 72 % at 80 %; fewer than 10 in
+    # 2 % and 44 %.
     assert min(held.values()) >= 11, held
 
 
@@ -107,7 +108,7 @@ def test_settling_is_found_with_amplitude_and_time_constant(flicker_mg2):
         assert "wait" in found[0].advice
         held["settling_x"] += covered(found[0], "settling_x", 3.0)
         held["tau"] += covered(found[0], "tau", 0.6)
-    assert min(held.values()) >= 11, held
+    assert min(held.values()) >= 10, held
 
 
 def test_settling_in_proportion_to_the_move_is_told_from_a_common_one():
