@@ -242,15 +242,9 @@ def test_temperature_that_only_rises_with_time_is_not_called_found_by_one_name()
     assert len(named) <= 1
 
 
-@pytest.fixture(scope="module")
-def checked() -> tuple[Readings, TraceResult]:
-    """A curved axis, the last five dwells for checking."""
+def test_check_dwells_take_no_part() -> None:
     data = observations([QUADRATIC], seed=6, check=5)
-    return data, trace_readings(data)
-
-
-def test_check_dwells_take_no_part(checked: tuple[Readings, TraceResult]) -> None:
-    data, result = checked
+    result = trace_readings(data)
     broken = data.mean.copy()
     broken[data.check] += 50.0
     other = trace_readings(replace(data, mean=broken))
@@ -259,10 +253,15 @@ def test_check_dwells_take_no_part(checked: tuple[Readings, TraceResult]) -> Non
     assert "5 check dwells" in result.heldout_design
 
 
-def test_a_slipped_dwell_is_reported_and_does_not_spoil_the_rest() -> None:
+@pytest.fixture(scope="module")
+def slipped() -> TraceResult:
+    """Trace of a curved axis and a dwell that slipped."""
     slip = (effect("position_slip", dwell=7), {"slip": -0.12})
-    result = trace_readings(observations([QUADRATIC, slip], seed=15))
-    found = {finding.effect: finding for finding in result.found}
+    return trace_readings(observations([QUADRATIC, slip], seed=15))
+
+
+def test_a_slipped_dwell_is_reported_and_does_not_spoil_the_rest(slipped: TraceResult) -> None:
+    found = {finding.effect: finding for finding in slipped.found}
     assert set(found) == {"position_slip", "quadratic"}
     assert found["position_slip"].parameters["dwell"].value == 7
     assert found["position_slip"].parameters["slip"].value == pytest.approx(-0.12, abs=0.03)
@@ -328,8 +327,8 @@ def test_scatter_that_nothing_explains_is_called_that_with_its_size() -> None:
     assert any("no covariate explains it" in note for note in result.notes)
 
 
-def test_as_dict_is_the_document_of_the_formats_and_is_json(checked: tuple[Readings, TraceResult]) -> None:
-    document = checked[1].as_dict()
+def test_as_dict_is_the_document_of_the_formats_and_is_json(slipped: TraceResult) -> None:
+    document = slipped.as_dict()
     keys = {"adequate", "found", "steps", "confounded", "unnamed", "error", "detectable", "next"}
     assert keys <= set(document)
     errors = {"residual_rms_mg", "heldout_rms_mg", "angle_rms_deg", "chi2_per_dof"}
