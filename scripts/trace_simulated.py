@@ -2,6 +2,7 @@
 
     python scripts/trace_simulated.py --sessions 40 --jobs 2
     python scripts/trace_simulated.py --case tumble-3s --effects 1 --keep /tmp/sessions
+    python scripts/trace_simulated.py --case tumble-3s --alone creep
 
 Sessions are those of `adis-gonio simulate`: the sensor of the seed (gains, misalignments, biases), its
 white noise and its 1/f noise, on a stage of the default tolerance. A session says something false where
@@ -54,6 +55,18 @@ EFFECTS = (
     ("position_slip", "position_slip:dwell=5,slip=0.5"),
 )
 """Effects of several times the smallest amplitude that 24 dwells of 3 s show."""
+ALONE = {
+    "creep": ("creep:creep_x=5,creep_y=-3,tau=20", ()),
+    "stage_periodic": (
+        "stage_periodic:cycles=17,per_sin=0.1,per_cos=0.05",
+        ("--set", "fixture_sigma_deg=0.01"),
+    ),
+    "supply_scale": (
+        "supply_scale:supply_scale_y=20000",
+        ("--set", "fixture_sigma_deg=0.01", "--set", "supply_drift_v_per_h=-4"),
+    ),
+}
+"""Effects that tests/tracing/test_trace_simulated.py puts in alone, by one seed: text, further options."""
 POWER_OF = ("quadratic", "backlash", "hysteresis", "bias_drift", "outlier_dwell")
 
 
@@ -100,26 +113,29 @@ def drawn(count: int, index: int) -> tuple[tuple[str, str], ...]:
     return tuple(EFFECTS[k] for k in order[:count])
 
 
-def simulate(path: Path, case: str, seed: int, effects: Sequence[str]) -> None:
+def simulate(path: Path, case: str, seed: int, effects: Sequence[str], further: Sequence[str] = ()) -> None:
     """Write a session as the command line does, to a place where there is none."""
     from adis_gonio.cli.simulate import command
 
     if path.exists():
         return
-    options = ["-o", str(path), "--seed", str(seed), *CASES[case]]
+    options = ["-o", str(path), "--seed", str(seed), *CASES[case], *further]
     for effect in effects:
         options += ["--effect", effect]
     with contextlib.redirect_stderr(io.StringIO()):
         command.main(options, standalone_mode=False)
 
 
-def answer(folder: str, case: str, seed: int, count: int, index: int) -> Answer:
+def answer(folder: str, case: str, seed: int, count: int, alone: str | None, index: int) -> Answer:
     """Simulate one session and trace its file."""
     from adis_gonio import load_session, trace
 
-    effects = drawn(count, index)
-    path = Path(folder) / f"{case}-{seed}-{count}-{index}.session"
-    simulate(path, case, 1000 * seed + index, [text for _, text in effects])
+    effects, further = drawn(count, index), ()
+    if alone is not None:
+        text, further = ALONE[alone]
+        effects = ((alone, text),)
+    path = Path(folder) / f"{case}-{seed}-{alone or count}-{index}.session"
+    simulate(path, case, 1000 * seed + index, [text for _, text in effects], further)
     begin = time.perf_counter()
     result = trace(load_session(path))
     return Answer(
@@ -172,6 +188,7 @@ def main() -> int:
     parser.add_argument("--case", choices=[*CASES, "all"], default="all")
     parser.add_argument("--sessions", type=int, default=40, help="sessions of each case (default 40)")
     parser.add_argument("--effects", type=int, default=0, help="effects of a session beside the bias")
+    parser.add_argument("--alone", choices=ALONE, help="this effect alone, instead of --effects")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="folder of the sessions, which are made where missing")
@@ -181,7 +198,7 @@ def main() -> int:
         folder = options.keep or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         for case in CASES if options.case == "all" else (options.case,):
-            one = partial(answer, str(folder), case, options.seed, options.effects)
+            one = partial(answer, str(folder), case, options.seed, options.effects, options.alone)
             answers = list(pool.map(one, range(options.sessions), chunksize=2))
             every += answers
             print("\n".join(lines(case, answers)), flush=True)

@@ -1,9 +1,11 @@
-"""`trace` on blind sessions: a fixed-seed round of every figure of scripts/trace_statistics.py.
+"""`trace` on blind sessions: a small round of every figure of scripts/trace_statistics.py.
 
-Files are written by one process and traced by another, which is told nothing but their paths.
+Files are written by one process and traced by another, which is told nothing but their paths. Most bounds
+are what these very sessions miss: with so few, one more is a change to look at. Rates are the script's.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
@@ -11,18 +13,32 @@ import pytest
 from tracing.blind import KINDS
 from tracing.named_truth import NAMES
 from tracing.rounds import crew, rounds
-from tracing.space import BEYOND_TERMS, FOREIGN_TERMS, SPACE
 from tracing.space import NAMES as SPACE_NAMES
+from tracing.space import SPACE
 from tracing.undeclared import BEYOND, GRAMMAR
 from tracing.verdict import Verdict
 
+Pools = tuple[ProcessPoolExecutor, ProcessPoolExecutor]
 SEED = 11
-COUNTS = {
-    "none": 24,
-    "one": 2 * len(NAMES),
-    "two": 100,
-    "uncatalogued": len(GRAMMAR),
-    "beyond": len(BEYOND),
+FAMILIES = {
+    "reading": ("bias", "cross_axis", "quadratic", "cubic", "asymmetry", "cross_quadratic"),
+    "temperature": ("bias_temperature", "scale_temperature", "misalignment_temperature", "thermal_lag"),
+    "time": ("bias_drift", "scale_drift", "warm_up", "creep"),
+    "supply": ("supply_bias", "supply_scale"),
+    "approach": ("hysteresis", "backlash"),
+    "stage": ("stage_eccentricity", "stage_ellipticity", "stage_periodic"),
+    "dwell": ("position_slip", "outlier_dwell"),
+}
+"""Names by what drives them."""
+TWO = (*range(5), *range(6, 13), 16, 17, 21, 24, 26, 28, 29, 32, 33, 43, 44, 47, 52, 57, 70, 72, 85, 90)
+"""Of sessions 0 to 99 the first of each pair of families, the first with a name that these lack, and the
+first other up to thirty."""
+SESSIONS = {
+    "none": range(12),
+    "one": range(len(NAMES)),
+    "two": TWO,
+    "uncatalogued": range(len(GRAMMAR)),
+    "beyond": range(len(BEYOND)),
 }
 
 
@@ -32,27 +48,46 @@ def at_least(share: float, hits: Iterable[bool]) -> bool:
     return sum(every) >= min(np.floor(share * len(every)), len(every) - 1)
 
 
+def missed(hits: Iterable[bool]) -> int:
+    """How many did not."""
+    return sum(not hit for hit in hits)
+
+
+def pairs_of_families(verdicts: Iterable[Verdict]) -> int:
+    """Different pairs of families among the truths."""
+    family = {name: which for which, names in FAMILIES.items() for name in names}
+    return len({tuple(sorted(family[name] for name in v.truth)) for v in verdicts})
+
+
 def told(verdicts: list[Verdict]) -> str:
     """What was said of each session, for a failing test."""
     return "\n" + "\n".join(f"{v.truth}: {v.claimed} wrong {v.wrong} {v.said}" for v in verdicts)
 
 
+@pytest.fixture(scope="module")
+def pools() -> Iterator[Pools]:
+    """A process that writes and judges, and one that traces."""
+    with crew(1) as both:
+        yield both
+
+
 @pytest.mark.parametrize("kind", KINDS)
-def test_trace_names_what_is_there_and_nothing_else(kind: str) -> None:
-    with crew(1) as pools:
-        verdicts = rounds(kind, range(COUNTS[kind]), SEED, pools)
+def test_trace_names_what_is_there_and_nothing_else(kind: str, pools: Pools) -> None:
+    verdicts = rounds(kind, SESSIONS[kind], SEED, pools)
     assert not any(v.failure for v in verdicts), next(v.failure for v in verdicts if v.failure)
     if kind == "none":
-        assert at_least(0.99, (not v.claimed and not v.unnamed for v in verdicts)), told(verdicts)
+        assert not any(v.claimed or v.unnamed for v in verdicts), told(verdicts)
     elif kind == "one":
-        assert at_least(0.97, (v.found for v in verdicts)), told(verdicts)
-        assert at_least(0.95, (v.exact for v in verdicts)), told(verdicts)
+        assert all(v.found for v in verdicts), told(verdicts)
+        assert all(v.exact for v in verdicts), told(verdicts)
         covered = [hit for v in verdicts for _, hit, _ in v.covered]
         assert len(covered) > 20
-        assert np.mean(covered) > 0.85
+        assert missed(covered) <= 2
     elif kind == "two":
-        # The true share is about 93 % (docs/trace.md): twenty sessions do not tell it from the bound.
-        assert at_least(0.90, (v.exact for v in verdicts)), told(verdicts)
+        assert pairs_of_families(verdicts) == 26  # of 28: two by supply or by approach are too rare
+        assert {name for v in verdicts for name in v.truth} == set(NAMES)
+        # A slip beside an outlier: the slip alone is said.
+        assert missed(v.exact for v in verdicts) <= 1, told(verdicts)
     else:
         share, most = (0.90, 0.05) if kind == "uncatalogued" else (0.60, 0.15)
         assert at_least(share, (v.covariate for v in verdicts)), told(verdicts)
@@ -64,25 +99,18 @@ def test_trace_names_what_is_there_and_nothing_else(kind: str) -> None:
     assert max(v.worse for v in verdicts) <= 1.05
 
 
-IN_SPACE = {
-    "none": 12,
-    "one": len(SPACE_NAMES),
-    "two": 12,
-    "uncatalogued": len(FOREIGN_TERMS),
-    "beyond": len(BEYOND_TERMS),
-}
+IN_SPACE = {"none": 6, "one": len(SPACE_NAMES), "two": 8}
 
 
-@pytest.mark.parametrize("kind", ["none", "one", "two"])
-def test_trace_in_space_names_what_the_norm_shows(kind: str) -> None:
+@pytest.mark.parametrize("kind", IN_SPACE)
+def test_trace_in_space_names_what_the_norm_shows(kind: str, pools: Pools) -> None:
     """Bounds against regressions: one equation a pose tells less than two, see docs/trace.md."""
-    with crew(1) as pools:
-        verdicts = rounds(SPACE + kind, range(IN_SPACE[kind]), SEED, pools)
+    verdicts = rounds(SPACE + kind, range(IN_SPACE[kind]), SEED, pools)
     assert not any(v.failure for v in verdicts), next(v.failure for v in verdicts if v.failure)
     assert at_least(0.95, (not v.wrong for v in verdicts)), told(verdicts)
     if kind == "none":
-        assert at_least(0.99, (not v.claimed and not v.unnamed for v in verdicts)), told(verdicts)
+        assert not any(v.claimed or v.unnamed for v in verdicts), told(verdicts)
     elif kind == "one":
         assert at_least(0.90, (v.exact for v in verdicts)), told(verdicts)
     elif kind == "two":
-        assert at_least(0.60, (v.exact for v in verdicts)), told(verdicts)
+        assert missed(v.exact for v in verdicts) <= 1, told(verdicts)

@@ -15,6 +15,7 @@ from adis_gonio.model.effects import Conditions, Enters, effect
 from adis_gonio.tracing import trace_readings
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
+from adis_gonio.tracing.outcome.result import TraceResult
 from adis_gonio.tracing.selection.design import amplitudes, linearise, span
 from adis_gonio.tracing.selection.search import price, search
 from adis_gonio.tracing.selection.select import select
@@ -252,10 +253,15 @@ def test_check_dwells_take_no_part() -> None:
     assert "5 check dwells" in result.heldout_design
 
 
-def test_a_slipped_dwell_is_reported_and_does_not_spoil_the_rest() -> None:
+@pytest.fixture(scope="module")
+def slipped() -> TraceResult:
+    """Trace of a curved axis and a dwell that slipped."""
     slip = (effect("position_slip", dwell=7), {"slip": -0.12})
-    result = trace_readings(observations([QUADRATIC, slip], seed=15))
-    found = {finding.effect: finding for finding in result.found}
+    return trace_readings(observations([QUADRATIC, slip], seed=15))
+
+
+def test_a_slipped_dwell_is_reported_and_does_not_spoil_the_rest(slipped: TraceResult) -> None:
+    found = {finding.effect: finding for finding in slipped.found}
     assert set(found) == {"position_slip", "quadratic"}
     assert found["position_slip"].parameters["dwell"].value == 7
     assert found["position_slip"].parameters["slip"].value == pytest.approx(-0.12, abs=0.03)
@@ -278,8 +284,14 @@ def test_a_large_bias_stands_beside_a_nameless_step() -> None:
     assert result.unnamed.covariates == ("time",)
 
 
-def test_detectable_amplitude_is_found_and_a_third_of_it_is_not() -> None:
-    seen = trace_readings(observations(seed=30)).detectable["quadratic"]
+@pytest.fixture(scope="module")
+def quiet() -> TraceResult:
+    """Trace of a session without effects."""
+    return trace_readings(observations(seed=30))
+
+
+def test_detectable_amplitude_is_found_and_a_third_of_it_is_not(quiet: TraceResult) -> None:
+    seen = quiet.detectable["quadratic"]
     assert seen.unit == "mg/g²"
     hits, misses = 0, 0
     for seed in range(6):
@@ -295,11 +307,10 @@ def test_detectable_amplitude_is_found_and_a_third_of_it_is_not() -> None:
     assert misses <= 1
 
 
-def test_what_a_session_cannot_show_has_no_amplitude_but_a_reason() -> None:
-    result = trace_readings(observations(seed=31))
+def test_what_a_session_cannot_show_has_no_amplitude_but_a_reason(quiet: TraceResult) -> None:
     for name in ("scale", "misalignment", "gravity", "tone", "vibration_rectification"):
-        assert result.detectable[name].amplitude is None
-        assert result.detectable[name].reason
+        assert quiet.detectable[name].amplitude is None
+        assert quiet.detectable[name].reason
 
 
 def test_scatter_that_nothing_explains_is_called_that_with_its_size() -> None:
@@ -316,8 +327,8 @@ def test_scatter_that_nothing_explains_is_called_that_with_its_size() -> None:
     assert any("no covariate explains it" in note for note in result.notes)
 
 
-def test_as_dict_is_the_document_of_the_formats_and_is_json() -> None:
-    document = trace_readings(observations([QUADRATIC], seed=13)).as_dict()
+def test_as_dict_is_the_document_of_the_formats_and_is_json(slipped: TraceResult) -> None:
+    document = slipped.as_dict()
     keys = {"adequate", "found", "steps", "confounded", "unnamed", "error", "detectable", "next"}
     assert keys <= set(document)
     errors = {"residual_rms_mg", "heldout_rms_mg", "angle_rms_deg", "chi2_per_dof"}

@@ -1,6 +1,7 @@
 """Gates of `trace`: held-out folds speak against single effects only, and cannot be made to explode."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.between import effects
 from adis_gonio.tracing.outcome.naming import Names
+from adis_gonio.tracing.outcome.result import TraceResult
 from adis_gonio.tracing.selection.design import amplitudes
 from adis_gonio.tracing.selection.select import select
 from adis_gonio.tracing.validation.leaving_out import bounded
@@ -50,9 +52,15 @@ def fitted(data: Readings, *labels: str):
     return Fit.begin(data).having(model, values).refit()
 
 
+@cache
+def trace_of_a_curved_axis(seed: int) -> TraceResult:
+    """Trace of a turn with a bias and a curved X axis."""
+    return trace(forth_and_back(k2_x=3.0, seed=seed))
+
+
 @pytest.mark.parametrize("seed", [2, 3, 5])
 def test_bias_and_curvature_stand_whatever_else_comes_in(seed: int) -> None:
-    result = trace(forth_and_back(k2_x=3.0, seed=seed))
+    result = trace_of_a_curved_axis(seed)
     assert {"bias", "quadratic"} <= {finding.effect for finding in result.found}
     assert not {"bias", "quadratic"} & set(result.reasons)
     assert result.after.heldout_rms < 0.1 * result.before.heldout_rms
@@ -180,7 +188,7 @@ def test_models_with_amplitudes_that_no_part_has_take_no_share_of_the_posterior(
 
 
 def test_fits_of_the_result_belong_to_its_steps_and_stay_out_of_the_json() -> None:
-    result = trace(forth_and_back(k2_x=3.0))
+    result = trace_of_a_curved_axis(3)
     final = result.fits[-1]
     assert {term.name for term in final.terms} == {step.effect for step in result.steps}
     assert len(result.fits) == len(result.steps) + 1

@@ -80,7 +80,6 @@ def test_the_average_holds_no_polynomial_where_a_process_bends_as_well() -> None
         ("uncatalogued", 35, "time", 1.05),  # a gain that jumps, seen before the jump in one block only
         ("beyond", 46, "time", 0.5),  # a misalignment that wanders, beside an asymmetry
         ("beyond", 66, "time", 0.6),
-        ("beyond", 107, "time", 1.0),
     ],
 )
 def test_the_corrected_model_does_not_run_off_where_dwells_are_left_out(

@@ -141,14 +141,15 @@ def test_a_smooth_function_does_not_run_off_beyond_what_was_measured() -> None:
         assert beyond < 2 * inside
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_wavy_zero_is_unnamed_and_its_held_out_error_falls_towards_the_noise(seed: int) -> None:
     data = observations(added=wavy_zero(), n=48, seed=seed)
     result = trace_readings(data)
     assert not result.found
     assert result.unnamed is not None
     assert "temperature" in result.unnamed.covariates
-    assert result.after.heldout_rms < 0.5 * result.before.heldout_rms
+    # The noise alone is a fifth of what it was before.
+    assert result.after.heldout_rms < 0.3 * result.before.heldout_rms
 
 
 def test_a_lean_that_follows_temperature_by_no_line_is_said_to_be_one() -> None:

@@ -4,7 +4,7 @@ The clocks count how often they are asked, so that nothing here depends on the s
 """
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from adis_gonio.cli import main
 from adis_gonio.errors import UsageError
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.report import words
+from adis_gonio.tracing.outcome.result import TraceResult
 from adis_gonio.tracing.trace import UNCHECKED
 
 NEVER = 10**9
@@ -66,38 +67,48 @@ def limited(session: Session, ticks: float):
         return trace(session)
 
 
-def looks(session: Session) -> int:
-    """How often a whole trace looks at the clock."""
-    clock = Ticks()
-    with within(Budget(NEVER, clock=clock)):
-        trace(session)
-    return clock.count
+@dataclass(frozen=True)
+class Watched:
+    """A whole trace, how often it looked at the clock, and the stages that it told."""
+
+    result: TraceResult
+    looks: int
+    told: list[str]
+
+
+def watched(session: Session) -> Watched:
+    """Trace under a limit that is not reached."""
+    clock, told = Ticks(), []
+    with within(Budget(NEVER, clock=clock, tell=told.append)):
+        result = trace(session)
+    return Watched(result, clock.count, told)
 
 
 @pytest.fixture(scope="module")
-def whole():
-    return trace(turn())
+def whole() -> Watched:
+    return watched(turn())
 
 
 def test_without_a_limit_nothing_is_stopped_and_a_limit_that_is_not_reached_changes_nothing(whole) -> None:
-    assert whole.stopped is None
-    assert whole.as_dict()["stopped"] is None
-    assert {finding.effect for finding in whole.found} == {"bias", "quadratic"}
-    assert limited(turn(), NEVER).as_dict() == whole.as_dict()
+    free = trace(turn())
+    assert free.stopped is None
+    assert free.as_dict()["stopped"] is None
+    assert {finding.effect for finding in free.found} == {"bias", "quadratic"}
+    assert whole.result.as_dict() == free.as_dict()
 
 
 def test_wherever_it_ends_what_was_not_validated_is_not_called_found(whole) -> None:
     outcomes = set()
-    total = looks(turn())
-    for ticks in np.unique(np.geomspace(1, total - 2, 9).round()):
+    reached = whole.result
+    for ticks in np.unique(np.geomspace(1, whole.looks - 2, 9).round()):
         result = limited(turn(), ticks)
         assert result.stopped is not None
         assert result.stopped.left_out
         outcomes.add(result.stopped.checked)
         if result.stopped.checked:
-            assert [f.effect for f in result.found] == [f.effect for f in whole.found]
-            assert result.adequate == whole.adequate
-            assert result.after == whole.after
+            assert [f.effect for f in result.found] == [f.effect for f in reached.found]
+            assert result.adequate == reached.adequate
+            assert result.after == reached.after
         else:
             assert result.found == ()
             assert result.unnamed is None
@@ -110,7 +121,10 @@ def test_wherever_it_ends_what_was_not_validated_is_not_called_found(whole) -> N
 
 
 def test_at_once_over_it_still_gives_a_model_and_says_what_was_left_out() -> None:
-    result = limited(turn(), 0.5)
+    told: list[str] = []
+    with within(Budget(clock=Ticks(), tell=told.append)):
+        result = trace(turn(), time_limit=0.5)
+    assert told[0] == "noise of the readings"  # a limit of its own tells the same listeners
     assert result.steps
     assert result.after.residual_rms < 0.5 * result.before.residual_rms
     assert result.after.heldout_rms is None
@@ -130,12 +144,13 @@ def test_check_dwells_need_no_folds_and_keep_their_error() -> None:
 
 
 def test_one_pose_keeps_what_the_blocks_of_time_have_proved() -> None:
-    assert [finding.effect for finding in trace(one_pose()).found] == ["bias_temperature"]
+    free = watched(one_pose())
+    assert [finding.effect for finding in free.result.found] == ["bias_temperature"]
     early = limited(one_pose(), 0.5)
     assert early.found == ()
     assert early.stopped is not None
     assert "further effects" in early.stopped.left_out
-    late = limited(one_pose(), looks(one_pose()) - 2)
+    late = limited(one_pose(), free.looks - 2)
     assert [finding.effect for finding in late.found] == ["bias_temperature"]
     assert late.stopped is not None
 
@@ -159,10 +174,8 @@ def test_a_stage_that_runs_out_of_time_leaves_no_half_of_itself() -> None:
     assert current().left_out == []
 
 
-def test_stages_are_told_in_order() -> None:
-    told: list[str] = []
-    with within(Budget(tell=told.append)):
-        trace(turn(), time_limit=NEVER)
+def test_stages_are_told_in_order(whole) -> None:
+    told = whole.told
     assert told[:2] == ["noise of the readings", "the search for effects"]
     folds = told.index("the error on left-out dwells, effects chosen anew")
     assert folds < told.index("what to measure next")

@@ -1,12 +1,11 @@
 """From simulated chip to trace, through files: what stands inside the dwells is found, and nothing else.
 
-What a finding says is of the recorded samples: amplitudes lie behind the chip's filter.
+What a finding says is of the recorded samples: amplitudes lie behind the chip's filter. Recordings of real
+parts are in test_trace_real_data.py, the command line in tests/cli/test_trace_command.py.
 """
 
 from __future__ import annotations
 
-import json
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,27 +13,34 @@ import numpy as np
 import pytest
 
 from adis_gonio import load_session, trace
-from adis_gonio.cli import main
+from adis_gonio.cli.trace import print_trace
 from adis_gonio.dwells import WithinFinding, samples_of, search_within
 from adis_gonio.estimation.readings import readings_of
+from adis_gonio.model.records import Dwell, Session
+from adis_gonio.report.page import build_page
 from tracing.dwell_samples import bartlett
+from tracing.recorded import record
 
-DATA = Path(os.environ.get("ADIS_GONIO_DATA", Path(__file__).parents[3] / "shared" / "data"))
 RATE_HZ = 819.2
 FILTER = bartlett(2)
 
 
-def simulated(path: Path, *effects: str, seed: int = 1, options: tuple[str, ...] = ()) -> Path:
-    """A turn there and back, dwells of 4 s, from the simulator's command line."""
-    words = ["simulate", "--plan", "tumble", "--dwell", "4", "--seed", str(seed), "-o", str(path)]
-    for effect in effects:
-        words += ["--effect", effect]
-    assert main([*words, *options]) == 0
-    return path
+TONE = "tone:tone_x=2,tone_y=1,frequency=50"
 
 
-def within(path: Path) -> tuple[WithinFinding, ...]:
-    session = load_session(path)
+def simulated(path: Path, *effects: str, seed: int = 1, filter_m: int = 2, **settings: float) -> Path:
+    """Six positions there and back, dwells of 4 s."""
+    return record(path, seed, *effects, positions=6, dwell_s=4.0, filter_m=filter_m, **settings)
+
+
+@pytest.fixture(scope="module")
+def humming(tmp_path_factory) -> Session:
+    """A session with a tone of 2 and 1 mg at 50 Hz."""
+    return load_session(simulated(tmp_path_factory.mktemp("humming") / "tone.session", TONE))
+
+
+def within(source: Path | Session) -> tuple[WithinFinding, ...]:
+    session = source if isinstance(source, Session) else load_session(source)
     samples = samples_of(session, readings_of(session))
     assert samples is not None
     return search_within(samples)
@@ -48,16 +54,15 @@ def held(finding: WithinFinding, name: str, truth: float, factor: float = 3.0) -
 
 def test_without_effects_the_simulator_shows_nothing(tmp_path):
     """Bias instability, ringing after moves and fixture errors as by default; three seeds at 1 % each."""
-    shown = {seed: within(simulated(tmp_path / f"{seed}.csv", seed=seed)) for seed in range(3)}
+    shown = {seed: within(simulated(tmp_path / f"{seed}.session", seed=seed)) for seed in range(3)}
     assert sum(bool(found) for found in shown.values()) <= 1, shown
 
 
-def test_tone_through_the_chip(tmp_path):
-    effect = "tone:tone_x=2,tone_y=1,frequency=50"
-    for seed in range(2):
-        (found,) = within(simulated(tmp_path / f"{seed}.csv", effect, seed=seed))
+def test_tone_through_the_chip(tmp_path, humming):
+    for source in (humming, simulated(tmp_path / "other.session", TONE, seed=0)):
+        (found,) = within(source)
         gain = abs(FILTER @ np.exp(-2j * np.pi * 50 / RATE_HZ * np.arange(len(FILTER))))
-        assert (found.kind, found.axes, len(found.positions)) == ("tone", ("x", "y"), 24)
+        assert (found.kind, found.axes, len(found.positions)) == ("tone", ("x", "y"), 12)
         assert held(found, "frequency", 50.0)
         assert held(found, "tone_x", 2 * gain)
         assert held(found, "tone_y", 1 * gain)
@@ -68,7 +73,7 @@ def test_a_tone_above_half_the_rate_is_seen_as_its_alias_and_named_among_what_fo
     tmp_path, above_hz
 ):
     effect = f"tone:tone_x=4,frequency={above_hz}"
-    (found,) = within(simulated(tmp_path / "alias.csv", effect))
+    (found,) = within(simulated(tmp_path / "alias.session", effect))
     seen_hz = abs(above_hz - RATE_HZ * round(above_hz / RATE_HZ))
     gain = abs(FILTER @ np.exp(-2j * np.pi * seen_hz / RATE_HZ * np.arange(len(FILTER))))
     assert (found.kind, found.axes) == ("tone", ("x",))
@@ -83,7 +88,7 @@ def test_a_tone_above_half_the_rate_is_seen_as_its_alias_and_named_among_what_fo
 
 def test_settling_through_the_chip(tmp_path):
     for seed in range(2):
-        path = simulated(tmp_path / f"{seed}.csv", "settling:settling_x=8,tau=0.8", seed=seed)
+        path = simulated(tmp_path / f"{seed}.session", "settling:settling_x=8,tau=0.8", seed=seed)
         (found,) = within(path)
         assert (found.kind, found.axes) == ("settling", ("x",))
         assert held(found, "tau", 0.8)
@@ -94,28 +99,19 @@ def test_settling_through_the_chip(tmp_path):
 def test_noise_change_through_the_chip(tmp_path):
     gain = float(np.sqrt((FILTER**2).sum()))
     for seed in range(2):
-        effect = "noise_change:extra_x=4,extra_y=4,start=80"
-        path = simulated(tmp_path / f"{seed}.csv", effect, seed=seed)
+        effect = "noise_change:extra_x=4,extra_y=4,start=40"
+        path = simulated(tmp_path / f"{seed}.session", effect, seed=seed)
         (found,) = within(path)
         assert (found.kind, found.effect) == ("noise_change", "noise_change")
         assert held(found, "extra_x", 4 * gain)
         # The chip's clock begins when it is switched on, the session's a little later.
-        assert found.parameters["start"].value == pytest.approx(80, abs=1.0)
+        assert found.parameters["start"].value == pytest.approx(40, abs=1.0)
 
 
 def test_vibration_raises_the_scatter_and_moves_the_mean(tmp_path):
-    path = simulated(
-        tmp_path / "v.csv",
-        "vibration_rectification:vre_x=4000",
-        options=("--filter", "0", "--set", "fixture_sigma_deg=0", "--set", "bias_instability_mg=0"),
-    )
-    plain = simulated(
-        tmp_path / "p.csv",
-        options=(
-            *("--filter", "0", "--set", "fixture_sigma_deg=0", "--set", "bias_instability_mg=0"),
-            *("--set", "table_vibration_mg=20"),
-        ),
-    )
+    still = {"filter_m": 0, "fixture_sigma_deg": 0, "bias_instability_mg": 0}
+    path = simulated(tmp_path / "v.session", "vibration_rectification:vre_x=4000", **still)
+    plain = simulated(tmp_path / "p.session", table_vibration_mg=20, **still)
     session, other = load_session(path), load_session(plain)
     variance = np.array([d.accel[:, 0].var() for d in session.dwells]) * 0.4672**2
     assert variance.max() > 5 * variance.min()
@@ -128,24 +124,22 @@ def test_vibration_raises_the_scatter_and_moves_the_mean(tmp_path):
     assert 1e6 * slope == pytest.approx(4000, rel=0.3)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_mean_that_follows_the_vibration_is_named(tmp_path, seed: int) -> None:
-    """A machine that runs at four strengths: K2 of X turns its variance into a shift, Y has none."""
+def machine(seed: int) -> Session:
+    """A turn on a machine that runs at four strengths: K2 of X turns its variance into a shift."""
     rng = np.random.default_rng([seed, 77])
-    rows, time = [], 0.0
+    dwells = []
     for k, angle in enumerate(np.arange(24) * 15.0):
         psi, sd = 0.05 - np.deg2rad(angle), float(rng.choice([3.0, 10.0, 25.0, 50.0]))
         mean = np.array([1005 * np.cos(psi), 998 * np.sin(psi + 0.004)])
         mean = mean + np.array([2000 * (sd / 1000) ** 2, 0.0])
-        for x, y in mean + rng.normal(0, sd, (1000, 2)):
-            rows.append(f"{time:.5f},{k},{angle},{x:.3f},{y:.3f}")
-            time += 0.00122
-        time += 3.0
-    head = ["# sensor: generic", "# fixture_sigma_deg: 0.005", "# accel_unit: mg"]
-    head.append("time_s,position,angle_deg,ax,ay")
-    path = tmp_path / "machine.csv"
-    path.write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
-    result = trace(load_session(path)).as_dict()
+        time = k * 4.22 + 0.00122 * np.arange(1000)
+        dwells.append(Dwell(k, time, mean + rng.normal(0, sd, (1000, 2)), angle_deg=float(angle)))
+    return Session(tuple(dwells), sensor="generic", fixture_sigma_deg=0.005, accel_unit="mg")
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_mean_that_follows_the_vibration_is_named(seed: int) -> None:
+    result = trace(machine(seed)).as_dict()
     assert [entry["effect"] for entry in result["found"]] == ["vibration_rectification"]
     (entry,) = result["found"]
     assert entry["axes"] == ["x"]
@@ -154,34 +148,19 @@ def test_a_mean_that_follows_the_vibration_is_named(tmp_path, seed: int) -> None
     assert result["error"]["after"]["heldout_rms_mg"] < result["error"]["before"]["heldout_rms_mg"]
 
 
-def test_trace_counts_what_is_beyond_doubt_and_only_remarks_the_rest(tmp_path, capsys):
-    path = simulated(tmp_path / "t.csv", "tone:tone_x=2,tone_y=1,frequency=50")
-    capsys.readouterr()
-    assert main(["trace", str(path), "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+def test_trace_counts_what_is_beyond_doubt_and_only_remarks_the_rest(humming, capsys):
+    result = trace(humming)
+    document = result.as_dict()
     assert [entry["kind"] for entry in document["within"]] == ["tone"]
     (tone,) = [entry for entry in document["found"] if entry["effect"] == "tone"]
     assert tone["explains"] == 0.0
     assert tone["p_value"] <= 1e-6
-    assert main(["trace", str(path)]) == 0
+    print_trace(humming, result)
     text = " ".join(capsys.readouterr().out.split())
     assert "Inside the dwells: tone (x, y)." in text
     assert "A spectral line at" in text
-    assert main(["report", str(path), "-o", str(tmp_path / "t.html")]) == 0
-    page = (tmp_path / "t.html").read_text(encoding="utf-8")
-    assert "Spectrum of x inside the dwells" in page
+    assert "Spectrum of x inside the dwells" in build_page(humming, [], result)
     # The same samples, cut out of a continuous recording: nobody declared that the part was at rest.
-    cut = trace(replace(load_session(path), cut_by_stillness=True))
+    cut = trace(replace(humming, cut_by_stillness=True))
     assert [finding.kind for finding in cut.within] == ["tone"]
     assert "tone" not in [finding.effect for finding in cut.found]
-
-
-@pytest.mark.parametrize("name", [*(f"mpu9150_{k}_recording" for k in range(5)), "xsens_mti_recording"])
-def test_hand_held_recordings_claim_nothing_inside_the_dwells(name):
-    path = DATA / f"{name}.csv.gz"
-    if not path.exists():
-        pytest.skip(f"{path} is not there (docs/data.md says where to get it)")
-    session = load_session(path)
-    assert session.cut_by_stillness
-    claimed = {finding.effect for finding in trace(session).found}
-    assert claimed <= {"bias", "scale", "misalignment"}, claimed

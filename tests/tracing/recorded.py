@@ -1,0 +1,65 @@
+"""Sessions of the simulated sensor, as `adis-gonio simulate` records them, in a third of its time.
+
+Driver, bus, world, plan and file are the same and so are the samples, bit by bit (test_trace_simulated.py
+compares them). What is left out is for an operator: a fit after each dwell, and a look at whether each
+place is the one that was asked for.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from urllib.parse import quote
+
+from adis_gonio.planning.document import plan_by
+from adis_gonio.sensor import open_sensor
+from adis_gonio.session import SessionRunner, Settings
+
+
+class _Unattended(SessionRunner):
+    """A runner that nobody watches."""
+
+    judges_places = False
+
+    def __init__(self, *given: object, **options: object) -> None:
+        super().__init__(*given, **options)
+        self._knowledge.running = lambda: None
+
+
+def record(
+    path: Path,
+    seed: int,
+    *effects: str,
+    positions: int | None = None,
+    dwell_s: float = 3.0,
+    filter_m: int = 2,
+    **settings: float,
+) -> Path:
+    """Record a tumble to `path`, which is given back.
+
+    Parameters
+    ----------
+    effects : str
+        As after `--effect`: "quadratic:k2_x=3".
+    positions : int, optional
+        Angles of a turn; there and back are twice as many dwells. By default those of the plan, twelve.
+    settings : float
+        Of the simulated world, as after `--set`.
+    """
+    pairs = {"seed": seed, "variant": "adis16354", **settings}
+    if effects:
+        pairs["effects"] = ";".join(effects)
+    url = "sim:?" + "&".join(f"{key}={quote(str(value), safe=':=,;.')}" for key, value in pairs.items())
+    with open_sensor(url) as sensor:
+        world = sensor.bus.world.settings
+        runner = _Unattended.begin(
+            sensor,
+            path,
+            plan_by("tumble", positions, 0),
+            Settings(dwell_s=dwell_s, smpl_prd=1, filter_m=filter_m),
+            auto=True,
+            gravity_mps2=world.gravity_mps2,
+            fixture_sigma_deg=world.fixture_sigma_deg,
+        )
+        for _ in runner.run():
+            pass
+    return path
