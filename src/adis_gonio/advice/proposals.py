@@ -28,7 +28,7 @@ from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.outcome.openings import undecided
-from adis_gonio.tracing.outcome.result import Measurement, Purpose
+from adis_gonio.tracing.outcome.result import NextDwell, Purpose
 from adis_gonio.tracing.selection.select import Selection, fit_model
 
 MOST_RIVALS = 10
@@ -132,7 +132,7 @@ def propose(
     selection: Selection,
     terms: Sequence[Term],
     most: int = 4,
-) -> tuple[Measurement, ...]:
+) -> tuple[NextDwell, ...]:
     """Measurements that are worth while, the most informative first.
 
     Parameters
@@ -367,10 +367,10 @@ def _greedy(
     before: list[Place],
     least: float = LEAST_SEPARATION,
     heating: bool = True,
-) -> tuple[list[Place], list[Measurement]]:
+) -> tuple[list[Place], list[NextDwell]]:
     """Dwells one by one, each the most informative for its effort given those before it."""
     places = list(before)
-    out: list[Measurement] = []
+    out: list[NextDwell] = []
     if len(hypotheses) < 2:
         return places, out
     weights = np.array([h.weight for h in hypotheses])
@@ -485,11 +485,11 @@ def _measurement(
     separation: float,
     information: float,
     purpose: Purpose,
-) -> Measurement:
+) -> NextDwell:
     first = set(hypotheses[one].labels)
     second = set(hypotheses[parted[0]].labels)
     others = [name for k in parted for name in hypotheses[k].labels if name not in first]
-    return Measurement(
+    return NextDwell(
         angle_deg=place.angle_deg,
         direction=place.direction,
         approach=place.approach,

@@ -67,12 +67,12 @@ class Step(ABC):
     settles: tuple[str, ...] = ()
 
     @abstractmethod
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Do it; `AdisGonioError` where the part or the bridge fails."""
 
 
 @dataclass
-class Bench:
+class BringupBench:
     """The bench of one run.
 
     Attributes

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from adis_gonio.bringup.bench import LONGEST_S, Bench, Effect, Floats, Step, not_measured
+from adis_gonio.bringup.bench import LONGEST_S, BringupBench, Effect, Floats, Step, not_measured
 from adis_gonio.bringup.result import Answer, Curve, Measured, Outcome, StepResult, Verdict
 from adis_gonio.sensor.bartlett import bartlett, response, rounding, white_gain
 from adis_gonio.sensor.decoding import scales
@@ -66,7 +66,7 @@ class Noise(Step):
     effect = Effect.LENDS
     settles = ("accel_noise", "gyro_noise")
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Judge six axes."""
         sensor = bench.sensor
         configuration = sensor.configuration()
@@ -174,7 +174,7 @@ def floors(part: Variant, expected: Floats) -> Floats:
     )
 
 
-def _by_variance(bench: Bench, numbers: Floats, m: int, spacing: float, expected: Floats) -> _Judged:
+def _by_variance(bench: BringupBench, numbers: Floats, m: int, spacing: float, expected: Floats) -> _Judged:
     """Where scans have gaps: the variance alone."""
     # Over so few octaves flicker has about the variance of twice its floor.
     extra = 2 * floors(bench.sensor.variant, expected) ** 2
@@ -188,7 +188,7 @@ def _by_variance(bench: Bench, numbers: Floats, m: int, spacing: float, expected
     return judged
 
 
-def _by_spectrum(bench: Bench, numbers: Floats, m: int, rate_hz: float, expected: Floats) -> _Judged:
+def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, expected: Floats) -> _Judged:
     """Level, shape and tones where the noise is above rounding and flicker."""
     cycles, power = spectrum(numbers)
     gain = response(m, cycles)
@@ -253,7 +253,7 @@ class FilterSteps(Step):
     settles = ("filter_gain",)
     _scans = 2048
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Compare each variance with what the fewest taps and the table's gain give."""
         lsb = bench.sensor.variant.accel_mg_per_lsb
         flicker = (bench.sensor.variant.performance.bias_instability_mg / lsb) ** 2

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from adis_gonio import __version__
-from adis_gonio.bringup.bench import Bench, Effect, Step, not_measured, writable
+from adis_gonio.bringup.bench import BringupBench, Effect, Step, not_measured, writable
 from adis_gonio.bringup.ceiling import ClockCeiling
 from adis_gonio.bringup.health import Health, WhichPart
 from adis_gonio.bringup.limits import Budget
@@ -113,7 +113,7 @@ class _Run:
         self._budget = Budget()
         self._rows: list[Row] = []
         self._answers: dict[str, Answer] = {}
-        self._bench: Bench | None = None
+        self._bench: BringupBench | None = None
         self._undo: Undo | None = None
 
     def all(self, steps: tuple[Step, ...]) -> Bringup:
@@ -121,7 +121,7 @@ class _Run:
         stopped, failure = False, ""
         try:
             sensor = Adis16354(self._bus, self._variant, check=False)
-            self._bench = Bench(self._bus, sensor, self._budget, lends=self._permission.lends)
+            self._bench = BringupBench(self._bus, sensor, self._budget, lends=self._permission.lends)
         except KeyboardInterrupt:
             stopped = True
         except AdisGonioError as error:
@@ -148,7 +148,7 @@ class _Run:
                 stopped = True
         return self._whole(begun, stopped)
 
-    def _one(self, bench: Bench, step: Step) -> StepResult:
+    def _one(self, bench: BringupBench, step: Step) -> StepResult:
         refusal = bench.blocked or self._refusal(step)
         if refusal:
             return not_measured(refusal)
@@ -217,7 +217,7 @@ class _Run:
         )
 
 
-def _attempt(bench: Bench, step: Step) -> StepResult:
+def _attempt(bench: BringupBench, step: Step) -> StepResult:
     try:
         return step.run(bench)
     except AdisGonioError as error:
@@ -240,4 +240,4 @@ def _bridge(bus: ClockCeiling) -> dict[str, Any]:
     return said
 
 
-__all__ = ["STEPS", "Bench", "Permission", "bring_up"]
+__all__ = ["STEPS", "BringupBench", "Permission", "bring_up"]

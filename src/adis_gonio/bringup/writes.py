@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from adis_gonio.bringup.bench import Bench, Effect, Floats, Step, not_measured
+from adis_gonio.bringup.bench import BringupBench, Effect, Floats, Step, not_measured
 from adis_gonio.bringup.noise import GYRO_FLOOR_DPS
 from adis_gonio.bringup.result import Answer, Measured, Outcome, StepResult, Verdict
 from adis_gonio.errors import ChipError
@@ -31,7 +31,7 @@ class Offset(Step):
     question = f"Write XACCL_OFF, YACCL_OFF and ZACCL_OFF ({_STEP:+d} LSB for a second)?"
     settles = ("accel_offset_lsb", "offset_after_filter")
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Means before, with and after the offset; drift between before and after cancels."""
         sensor = bench.sensor
         bench.sample_quickly()
@@ -75,12 +75,12 @@ class Offset(Step):
         )
 
     @staticmethod
-    def _write(bench: Bench, values: list[int]) -> None:
+    def _write(bench: BringupBench, values: list[int]) -> None:
         for name, value in zip(ACCEL_OFF, values, strict=True):
             bench.sensor.write(name, value)
 
     @staticmethod
-    def _behind_filter(bench: Bench, held: int, step: int, ratio: float) -> Answer:
+    def _behind_filter(bench: BringupBench, held: int, step: int, ratio: float) -> Answer:
         """With the longest filter: whether the step is there at once, or comes in over 127 samples."""
         sensor = bench.sensor
         sensor.write("SENS_AVG", sens_avg_word(300, _MOST_M))
@@ -111,7 +111,7 @@ class Offset(Step):
         )
 
 
-def _mean_u(bench: Bench, count: int) -> Floats:
+def _mean_u(bench: BringupBench, count: int) -> Floats:
     """Standard uncertainty in LSB of means of accelerometers and gyros over `count` scans.
 
     White noise of the figures, their flicker's floor, and rounding; the noise that was measured is not far.
@@ -133,7 +133,7 @@ class SelfTests(Step):
     question = "Run the self-tests (MSC_CTRL[10:8], about 3 s, volatile)?"
     settles = ("self_test_gyro", "self_test_accel")
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Means of six axes without, with +, without, with −, without."""
         internal = bench.sensor.self_test()
         bench.sample_quickly()
@@ -213,7 +213,7 @@ class StatusBits(Step):
     settles = ("alarm_stays", "over_range_falls", "over_range_threshold")
     _halvings = 9
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """First the alarm, which the table says stays, then over-range, which it says falls."""
         bench.sample_quickly()
         bench.status()
@@ -233,7 +233,7 @@ class StatusBits(Step):
         )  # fmt: skip
 
     @staticmethod
-    def _alarm(bench: Bench) -> Answer:
+    def _alarm(bench: BringupBench) -> Answer:
         bench.sensor.set_alarm(1, Alarm("SUPPLY_OUT", threshold=1.0))
         bench.wait_updates()
         raised = bench.alarm_stands()
@@ -253,7 +253,7 @@ class StatusBits(Step):
             else "an alarm's bit is not cleared by a read of STATUS",
         )  # fmt: skip
 
-    def _over_range(self, bench: Bench) -> tuple[tuple[Measured, ...], dict[str, Answer]]:
+    def _over_range(self, bench: BringupBench) -> tuple[tuple[Measured, ...], dict[str, Answer]]:
         """Push the axis that gravity loads most over its range by its offset register."""
         sensor = bench.sensor
         part = sensor.variant
@@ -340,7 +340,7 @@ class FlashCount(Step):
     question = "Reset the part and write the flash once (10 000 writes are its life)?"
     settles = ("flash_count",)
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Save what is saved already."""
         if not bench.supply_ok:
             return not_measured("the supply is outside its limits, where a flash update fails")

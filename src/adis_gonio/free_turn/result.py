@@ -17,7 +17,7 @@ from adis_gonio.fitting.scores import Score
 from adis_gonio.fitting.standing import Recommendation, Standing
 from adis_gonio.fitting.uncertainty_budget import BudgetRow
 from adis_gonio.free_turn import checks
-from adis_gonio.free_turn.estimate import NAMES, Problem, Solution, solve
+from adis_gonio.free_turn.estimate import NAMES, LeastSquaresProblem, Solution, solve
 from adis_gonio.free_turn.windows import Series, Windows
 from adis_gonio.model.provenance import provenance_of
 from adis_gonio.model.records import Floats, Session
@@ -154,7 +154,7 @@ def _fitted(session: Session) -> FreeTurnResult:
     checks.require_axis(series, windows)
     variant = VARIANTS.get(session.sensor)
     floor = 0.0 if variant is None else variant.performance.bias_instability_mg
-    problem = Problem(series, windows, session.gravity_mg, floor)
+    problem = LeastSquaresProblem(series, windows, session.gravity_mg, floor)
     checks.require_turn(problem.begin()[-len(windows) :])
     solution = solve(problem)
     checks.require_turn(solution.psi_rad)

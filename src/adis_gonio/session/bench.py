@@ -74,7 +74,7 @@ class ControlledWorld(World, Protocol):
         """Heat or cool the part, or set the supply, from a time on."""
 
 
-class Bench:
+class SessionBench:
     """What a session measures with.
 
     Parameters

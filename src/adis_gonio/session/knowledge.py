@@ -8,7 +8,7 @@ import numpy as np
 
 from adis_gonio.errors import UsageError
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
-from adis_gonio.session.bench import Bench
+from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.blocks import Block, join
 from adis_gonio.session.events import NoiseMeasured, Running, Withdrawn
 from adis_gonio.session.expectation import Spread
@@ -30,7 +30,7 @@ class Knowledge:
 
     Parameters
     ----------
-    bench : Bench
+    bench : SessionBench
     ledger : Ledger
     judging : bool
         False where no place is declared that the part could be at.
@@ -47,7 +47,7 @@ class Knowledge:
         True where the session is taken as turned the other way.
     """
 
-    def __init__(self, bench: Bench, ledger: Ledger, *, judging: bool) -> None:
+    def __init__(self, bench: SessionBench, ledger: Ledger, *, judging: bool) -> None:
         self._bench = bench
         self._ledger = ledger
         self._judging = judging

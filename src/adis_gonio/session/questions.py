@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Iterator
 import numpy as np
 
 from adis_gonio.session.answers import Answer, Inbox
-from adis_gonio.session.bench import Bench
+from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.blocks import Block, join
 from adis_gonio.session.events import Event, GuardRaised, Noted, Paused, Unpaused, Waiting, Watching
 from adis_gonio.session.knowledge import Knowledge
@@ -33,7 +33,7 @@ class Questions:
     """
 
     def __init__(
-        self, inbox: Inbox, bench: Bench, ledger: Ledger, knowledge: Knowledge, *, auto: bool
+        self, inbox: Inbox, bench: SessionBench, ledger: Ledger, knowledge: Knowledge, *, auto: bool
     ) -> None:
         self.auto = auto
         self._inbox = inbox
@@ -136,7 +136,7 @@ class Questions:
 class _Idle:
     """The newest samples while a question stands."""
 
-    def __init__(self, bench: Bench, knowledge: Knowledge, keep: Callable[[Block], None]) -> None:
+    def __init__(self, bench: SessionBench, knowledge: Knowledge, keep: Callable[[Block], None]) -> None:
         self._keep = keep
         self._stream = bench.scans()
         self._window = bench.window

@@ -8,7 +8,7 @@ from dataclasses import replace
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.session.answers import Answer
 from adis_gonio.session.archive import read_session
-from adis_gonio.session.bench import Bench
+from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.closing import Advisor
 from adis_gonio.session.dwelling import TakesDwells
 from adis_gonio.session.events import (
@@ -41,7 +41,7 @@ class Visiting:
 
     def __init__(
         self,
-        bench: Bench,
+        bench: SessionBench,
         ledger: Ledger,
         knowledge: Knowledge,
         questions: Questions,

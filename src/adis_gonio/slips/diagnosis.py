@@ -15,7 +15,7 @@ from adis_gonio.slips.evidence import Beside, Scatter, Weighed, Whitened, scatte
 from adis_gonio.slips.faults import ACCUSED, Name, Pattern, patterns_of
 from adis_gonio.slips.finding import Angle, Named, PositionFinding
 from adis_gonio.slips.meant import may_have_been_meant
-from adis_gonio.slips.rows import BASE, Calibration, Rows, calibrated_by_length, rows_at
+from adis_gonio.slips.rows import BASE, BelievedParameters, Rows, calibrated_by_length, rows_at
 from adis_gonio.slips.sight import Sight
 
 CERTAIN = 0.99
@@ -109,13 +109,13 @@ def _others(patterns: Sequence[Pattern], accepted: Sequence[Pattern]) -> list[Pa
 
 
 def _recalibrated(
-    rows: Rows, calibration: Calibration, accepted: Sequence[Pattern], scatter: Scatter
-) -> Calibration:
+    rows: Rows, calibration: BelievedParameters, accepted: Sequence[Pattern], scatter: Scatter
+) -> BelievedParameters:
     mean, _ = _posterior(rows, accepted, scatter)
     return calibration.moved(mean[1 : 1 + BASE])
 
 
-def _apart(rows: Rows, one: Calibration, other: Calibration) -> float:
+def _apart(rows: Rows, one: BelievedParameters, other: BelievedParameters) -> float:
     """Most that two calibrations differ in an angle."""
     step = other.values - one.values
     return float(np.abs(rows.design[: len(rows), 1 : 1 + BASE] @ step).max())

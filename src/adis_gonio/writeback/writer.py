@@ -29,7 +29,7 @@ from adis_gonio.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354
 from adis_gonio.sensor.registers import registers
 from adis_gonio.sensor.undo import Undo
 from adis_gonio.session.archive import Archive
-from adis_gonio.session.bench import Bench
+from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.faults import SUPPLY_LIMITS_V
 from adis_gonio.session.plans import Position
 from adis_gonio.session.settings import Settings
@@ -162,7 +162,7 @@ class OffsetWriter:
         self.session = load(self.path)
         self._tell = tell
         with ArchiveView(self.path) as view:
-            self._bench = Bench(sensor, Settings.from_dict(view.header().settings))
+            self._bench = SessionBench(sensor, Settings.from_dict(view.header().settings))
             self._bench.require_same_sensor(view)
             self._angle_deg = self._angle(view)
         own = self.settings
