@@ -65,7 +65,7 @@ _EFFORT_WAIT_S = 300.0
 
 
 @dataclass(frozen=True)
-class Place:
+class ImaginedDwell:
     """An imagined dwell, relative to the last one.
 
     Attributes
@@ -364,10 +364,10 @@ def _greedy(
     hypotheses: list[Hypothesis],
     most: int,
     purpose: Purpose,
-    before: list[Place],
+    before: list[ImaginedDwell],
     least: float = LEAST_SEPARATION,
     heating: bool = True,
-) -> tuple[list[Place], list[NextDwell]]:
+) -> tuple[list[ImaginedDwell], list[NextDwell]]:
     """Dwells one by one, each the most informative for its effort given those before it."""
     places = list(before)
     out: list[NextDwell] = []
@@ -478,7 +478,7 @@ def _apart(dwells: _Predicted) -> Floats:
 
 
 def _measurement(
-    place: Place,
+    place: ImaginedDwell,
     hypotheses: list[Hypothesis],
     one: int,
     parted: list[int],
@@ -507,12 +507,12 @@ def _measurement(
 # -- imagined dwells --------------------------------------------------------------------------------------
 
 
-def _options(data: Readings) -> list[Place]:
+def _options(data: Readings) -> list[ImaginedDwell]:
     """Every position as it is; a coarser choice of them with one other condition."""
     c = data.conditions
     if data.planar:
         sides = (1, -1) if c.approach is not None else (0,)
-        fine = [Place(float(a), None, side) for a in range(0, 360, 15) for side in sides]
+        fine = [ImaginedDwell(float(a), None, side) for a in range(0, 360, 15) for side in sides]
         coarse = [place for place in fine if place.angle_deg is not None and place.angle_deg % 45 == 0]
         coarse = [place for place in coarse if place.approach >= 0]
     else:
@@ -520,7 +520,7 @@ def _options(data: Readings) -> list[Place]:
         for v in itertools.product((-1, 0, 1), repeat=3):
             if any(v):
                 x, y, z = (float(s) for s in np.array(v) / np.linalg.norm(v))
-                fine.append(Place(None, (x, y, z)))
+                fine.append(ImaginedDwell(None, (x, y, z)))
         coarse = [place for place in fine if place.direction and max(map(abs, place.direction)) == 1.0]
     length = float(np.ptp(c.time_s))
     out = list(fine)
@@ -539,8 +539,8 @@ def _predict(
     data: Readings,
     inflation: float,
     hypotheses: list[Hypothesis],
-    options: list[Place],
-    before: list[Place],
+    options: list[ImaginedDwell],
+    before: list[ImaginedDwell],
 ) -> _Predicted:
     """Whitened predictions of each option as the dwell after `before`."""
     groups: dict[float | None, list[int]] = {}
@@ -578,7 +578,7 @@ def _imagining(fit: Fit, imagined: Readings) -> Fit:
 
 
 def _imagined(
-    data: Readings, options: list[Place], before: list[Place], temperature_c: float | None
+    data: Readings, options: list[ImaginedDwell], before: list[ImaginedDwell], temperature_c: float | None
 ) -> Readings:
     """Readings of the options, all at one temperature, after the session and the dwells `before`."""
     c, n = data.conditions, len(options)

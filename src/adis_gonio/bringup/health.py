@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.bringup.bench import BringupBench, Floats, Step
+from adis_gonio.bringup.bench import BringupBench, BringupStep, Floats
 from adis_gonio.bringup.result import Measured, StepResult, Verdict
 from adis_gonio.sensor.bartlett import white_gain
 from adis_gonio.sensor.decoding import scales
@@ -32,7 +32,7 @@ def mean_and_u(numbers: Floats, gain: float = 1.0) -> tuple[Floats, Floats]:
     return numbers.mean(axis=0), np.hypot(spread / np.sqrt(len(numbers)), 1 / np.sqrt(12))
 
 
-class Health(Step):
+class Health(BringupStep):
     """Supply and temperature, and what STATUS says of them."""
 
     name = "supply"
@@ -77,7 +77,7 @@ class Health(Step):
         )
 
 
-class WhichPart(Step):
+class WhichPart(BringupStep):
     """|a| at rest: the only mark of the variant."""
 
     name = "variant"

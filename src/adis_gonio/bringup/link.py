@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.bringup.bench import BOARD_CLOCK_U, BringupBench, Step
+from adis_gonio.bringup.bench import BOARD_CLOCK_U, BringupBench, BringupStep
 from adis_gonio.bringup.limits import at_most
 from adis_gonio.bringup.result import Curve, Measured, StepResult, Verdict
 from adis_gonio.bus import SpiTiming, Words
@@ -62,7 +62,7 @@ _READINGS: tuple[tuple[str, Callable[[int], int]], ...] = (
 )
 
 
-class Link(Step):
+class Link(BringupStep):
     """Whether there is a chip, and whether it is read the right way."""
 
     name = "link"
@@ -123,7 +123,7 @@ def _unsteady(words: Words) -> str:
     return ""
 
 
-class Timing(Step):
+class Timing(BringupStep):
     """What the bridge says of clock, stall and period, and how long a frame takes by its clock."""
 
     name = "timing"
@@ -186,7 +186,7 @@ class _Trial:
     frame_us: float
 
 
-class BitErrors(Step):
+class BitErrors(BringupStep):
     """Constant registers at every clock, slowest first; ends at the first clock with errors.
 
     A flipped bit on the way in may make a write of a read, so no clock above one with errors is tried.

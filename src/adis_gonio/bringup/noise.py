@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from adis_gonio.bringup.bench import LONGEST_S, BringupBench, Effect, Floats, Step, not_measured
+from adis_gonio.bringup.bench import LONGEST_S, BringupBench, BringupStep, Floats, SideEffect, not_measured
 from adis_gonio.bringup.result import Answer, Curve, Measured, Outcome, StepResult, Verdict
 from adis_gonio.sensor.bartlett import bartlett, response, rounding, white_gain
 from adis_gonio.sensor.decoding import scales
@@ -58,12 +58,12 @@ def spectrum(values: Floats) -> tuple[Floats, Floats]:
     return np.asarray(np.fft.rfftfreq(n), np.float64), np.asarray(power, np.float64)
 
 
-class Noise(Step):
+class Noise(BringupStep):
     """Noise against the variant's figures, and its spectrum against the filter's shape."""
 
     name = "noise"
     does = f"{_SCANS} scans of accelerometers and gyros at rest: rms, bands of the spectrum, tones"
-    effect = Effect.LENDS
+    effect = SideEffect.LENDS
     settles = ("accel_noise", "gyro_noise")
 
     def run(self, bench: BringupBench) -> StepResult:
@@ -243,12 +243,12 @@ def _answer(
     return Answer(Outcome.CONTRADICTS if any(off) else Outcome.CONFIRMS, text, figures)
 
 
-class FilterSteps(Step):
+class FilterSteps(BringupStep):
     """Noise gain of each step of the filter."""
 
     name = "filter steps"
     does = "writes M = 0 … 6 in SENS_AVG and measures the noise of the accelerometers at each"
-    effect = Effect.WRITES
+    effect = SideEffect.WRITES
     question = "Write SENS_AVG (filter M = 0 … 6, about 20 s)?"
     settles = ("filter_gain",)
     _scans = 2048

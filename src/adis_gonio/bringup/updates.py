@@ -12,9 +12,9 @@ from adis_gonio.bringup.bench import (
     BOARD_CLOCK_U,
     HOST_CLOCK_U,
     BringupBench,
-    Effect,
+    BringupStep,
     Floats,
-    Step,
+    SideEffect,
     not_measured,
 )
 from adis_gonio.bringup.result import Answer, Curve, Measured, Outcome, StepResult, Verdict
@@ -108,7 +108,7 @@ def nearest_code(period_s: float) -> int:
     return min(_CODES, key=lambda n: abs(math.log(period_s / sample_period_s(n))))
 
 
-class Rate(Step):
+class Rate(BringupStep):
     """Rate of ND against SMPL_PRD."""
 
     name = "sample rate"
@@ -197,14 +197,14 @@ class _NoEdgeError(Exception):
     """A stream waits in vain."""
 
 
-class DataReady(Step):
+class DataReady(BringupStep):
     """Edges of data-ready: their rate, whose they are, which of the two leads, jitter, missed ones."""
 
     name = "data-ready"
     does = (
         "enables data-ready, counts edges, starts scans at both edges of the pulse and looks where ND comes"
     )
-    effect = Effect.LENDS
+    effect = SideEffect.LENDS
     settles = ("data_ready_edge", "data_ready_pulse")
     _scans = 256
     _lists = (16, 8)
@@ -450,12 +450,12 @@ def _histogram(first: _Edges, second: _Edges) -> Curve:
     )  # fmt: skip
 
 
-class SamplePeriods(Step):
+class SamplePeriods(BringupStep):
     """Steps of SMPL_PRD in both time bases."""
 
     name = "sample periods"
     does = "writes eight steps of SMPL_PRD in both time bases and measures the period of each"
-    effect = Effect.WRITES
+    effect = SideEffect.WRITES
     question = "Write SMPL_PRD (eight values, about 10 s)?"
     settles = ("sample_period",)
     _codes = (0x01, 0x04, 0x09, 0x0A, 0x1F, 0x7F, 0x80, 0x83)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from adis_gonio.bringup.bench import BringupBench, Effect, Floats, Step, not_measured
+from adis_gonio.bringup.bench import BringupBench, BringupStep, Floats, SideEffect, not_measured
 from adis_gonio.bringup.noise import GYRO_FLOOR_DPS
 from adis_gonio.bringup.result import Answer, Measured, Outcome, StepResult, Verdict
 from adis_gonio.errors import ChipError
@@ -22,12 +22,12 @@ _OVER_RANGE = BY_NAME["STATUS"].field("over_range").mask
 _ALARM = BY_NAME["STATUS"].field("alarm1").mask
 
 
-class Offset(Step):
+class Offset(BringupStep):
     """Size of the offsets' LSB, and on which side of the filter they act."""
 
     name = "offset"
     does = f"writes {_STEP:+d} to XACCL_OFF, YACCL_OFF, ZACCL_OFF and looks how far the outputs move"
-    effect = Effect.WRITES
+    effect = SideEffect.WRITES
     question = f"Write XACCL_OFF, YACCL_OFF and ZACCL_OFF ({_STEP:+d} LSB for a second)?"
     settles = ("accel_offset_lsb", "offset_after_filter")
 
@@ -124,12 +124,12 @@ def _mean_u(bench: BringupBench, count: int) -> Floats:
     return result
 
 
-class SelfTests(Step):
+class SelfTests(BringupStep):
     """Internal self-test, and the manual one with both signs."""
 
     name = "self-test"
     does = "runs the internal self-test, then the manual one with the positive and the negative stimulus"
-    effect = Effect.WRITES
+    effect = SideEffect.WRITES
     question = "Run the self-tests (MSC_CTRL[10:8], about 3 s, volatile)?"
     settles = ("self_test_gyro", "self_test_accel")
 
@@ -203,12 +203,12 @@ def _self_test_answers(
     }  # fmt: skip
 
 
-class StatusBits(Step):
+class StatusBits(BringupStep):
     """Which bits of STATUS fall by themselves, and the threshold of over-range."""
 
     name = "status"
     does = "raises an alarm and over-range by registers alone, ends them, and looks at EA and STATUS"
-    effect = Effect.WRITES
+    effect = SideEffect.WRITES
     question = "Write ALM_MAG1, ALM_CTRL and an accelerometer's offset (a second each)?"
     settles = ("alarm_stays", "over_range_falls", "over_range_threshold")
     _halvings = 9
@@ -331,12 +331,12 @@ def _falling(*, stood: bool, falls: bool) -> Answer:
     return Answer(Outcome.CONTRADICTS, "over-range does not fall by itself: it stands until STATUS is read")
 
 
-class FlashCount(Step):
+class FlashCount(BringupStep):
     """ENDURANCE counts a flash update."""
 
     name = "flash count"
     does = "resets the part, so that the registers hold what the flash holds, and saves that: ENDURANCE + 1"
-    effect = Effect.FLASH
+    effect = SideEffect.FLASH
     question = "Reset the part and write the flash once (10 000 writes are its life)?"
     settles = ("flash_count",)
 

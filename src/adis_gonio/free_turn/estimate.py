@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adis_gonio.errors import SingularError
-from adis_gonio.free_turn.windows import LONG_RUN, Series, Windows
+from adis_gonio.free_turn.windows import LONG_RUN, TurnRecording, Windows
 from adis_gonio.model.measurement import SENSOR_SPREAD
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
 
@@ -121,14 +121,14 @@ class LeastSquaresProblem:
 
     Parameters
     ----------
-    series : Series
+    series : TurnRecording
     gravity_mg : float
         Local gravity.
     floor_mg : float
         Stated Allan floor of the accelerometers; 0 for no drift.
     """
 
-    def __init__(self, series: Series, windows: Windows, gravity_mg: float, floor_mg: float) -> None:
+    def __init__(self, series: TurnRecording, windows: Windows, gravity_mg: float, floor_mg: float) -> None:
         self.series, self.windows, self.gravity_mg = series, windows, gravity_mg
         mean = windows.mean
         self.reading = mean(series.accel_mg[:, :2])

@@ -9,7 +9,7 @@ import numpy as np
 from adis_gonio.model.records import Floats
 from adis_gonio.session.blocks import Block
 from adis_gonio.session.events import TurnMeasured
-from adis_gonio.session.expectation import Expectation, Spread, turned_deg, wrapped_deg
+from adis_gonio.session.expectation import Expectation, PriorKnowledge, turned_deg, wrapped_deg
 from adis_gonio.session.guards import (
     Guard,
     Reading,
@@ -44,7 +44,7 @@ class Judge:
     ----------
     planar : bool
         False where attitudes are free.
-    spread : Spread
+    spread : PriorKnowledge
         What may be off in a sane part; a fixture of infinite uncertainty is not judged.
     sense : {1, -1}
         -1 in a session that is taken as reversed.
@@ -52,7 +52,7 @@ class Judge:
         As `Turning`.
     """
 
-    def __init__(self, spread: Spread, *, planar: bool, sense: int, longest_gap_s: float) -> None:
+    def __init__(self, spread: PriorKnowledge, *, planar: bool, sense: int, longest_gap_s: float) -> None:
         self._spread = spread
         self._planar = planar
         self.sense = sense

@@ -11,7 +11,7 @@ from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
 from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.blocks import Block, join
 from adis_gonio.session.events import NoiseMeasured, Running, Withdrawn
-from adis_gonio.session.expectation import Spread
+from adis_gonio.session.expectation import PriorKnowledge
 from adis_gonio.session.judge import Judge
 from adis_gonio.session.ledger import Ledger
 from adis_gonio.session.live import LiveView, vector
@@ -82,7 +82,7 @@ class Knowledge:
         fixture = ledger.header.fixture_sigma_deg
         if not self._judging or (planar and fixture is not None and math.isinf(fixture)):
             return None
-        spread = Spread(
+        spread = PriorKnowledge(
             max(bench.source.part.initial_bias_mg, LEAST_BIAS_MG),
             noise_mg / math.sqrt(SETTLINGS_PER_WINDOW),
             fixture,

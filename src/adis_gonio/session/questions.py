@@ -6,7 +6,7 @@ from collections.abc import Callable, Generator, Iterator
 
 import numpy as np
 
-from adis_gonio.session.answers import Answer, Inbox
+from adis_gonio.session.answers import Inbox, Reply
 from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.blocks import Block, join
 from adis_gonio.session.events import Event, GuardRaised, Noted, Paused, Unpaused, Waiting, Watching
@@ -74,11 +74,11 @@ class Questions:
         return f"{'stopped' if self.stopped else 'paused'} by the operator"
 
     def ask(
-        self, question: Event, answers: set[Answer], default: Answer, place: int | None = None
-    ) -> Generator[Event, None, Answer]:
+        self, question: Event, answers: set[Reply], default: Reply, place: int | None = None
+    ) -> Generator[Event, None, Reply]:
         """Put a question until it is answered; after a pause it is put again."""
         if self._ledger.last_place is not None and not isinstance(question, GuardRaised):
-            answers = answers | {Answer.REPEAT, Answer.UNDO}
+            answers = answers | {Reply.REPEAT, Reply.UNDO}
         idle: _Idle | None = None
         self._seen = []
         try:
@@ -95,7 +95,7 @@ class Questions:
                     yield idle.look()
                 idle = None
                 yield from self.heed(place)
-            return Answer.STOP
+            return Reply.STOP
         finally:
             self._inbox.open(frozenset())
             self._bench.close_stream()

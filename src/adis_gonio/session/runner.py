@@ -30,7 +30,7 @@ from adis_gonio.errors import AdisGonioError, UsageError
 from adis_gonio.model.gravity import checked_gravity_mps2
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.sensor.driver import Adis16354
-from adis_gonio.session.answers import Answer, Operator
+from adis_gonio.session.answers import Operator, Reply
 from adis_gonio.session.archive import Archive, Header
 from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.closing import Advisor
@@ -301,4 +301,4 @@ class SessionRunner(Operator):
         )
 
 
-__all__ = ["Answer", "SessionRunner"]
+__all__ = ["Reply", "SessionRunner"]

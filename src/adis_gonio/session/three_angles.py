@@ -10,7 +10,7 @@ import numpy as np
 
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
-from adis_gonio.session.expectation import UNMODELLED_MG, UNSTATED_FIXTURE_DEG, Spread
+from adis_gonio.session.expectation import UNMODELLED_MG, UNSTATED_FIXTURE_DEG, PriorKnowledge
 from adis_gonio.session.guards import Guard
 from adis_gonio.session.turning import GyroIntegral
 from adis_gonio.slips import Angles, Diagnosis, Increments, PositionFinding, diagnose
@@ -39,7 +39,7 @@ class Stand:
     approach: int = 0
 
 
-def diagnosed(stands: Sequence[Stand], spread: Spread, sense: int) -> Diagnosis:
+def diagnosed(stands: Sequence[Stand], spread: PriorKnowledge, sense: int) -> Diagnosis:
     """What the three angles say of all stands; the last one is where the part is now."""
     stands = stands[-LARGEST:]
     n = len(stands)
