@@ -158,13 +158,13 @@ class _Listener(SerialBus):
 def _listener(path: str) -> SerialBus:
     from adis_gonio.bus.contract import SpiBus
     from adis_gonio.bus.host import SAFE_TIMING, WALL
-    from adis_gonio.bus.serial.link import Link
+    from adis_gonio.bus.serial.link import SerialLink
 
     bus = _Listener.__new__(_Listener)
     SpiBus.__init__(bus, SAFE_TIMING)
     bus.url = f"serial:{path}"
     bus._clock = WALL
-    bus._link = Link(open_port(path, 500_000, bus.url), url=bus.url, clock=WALL)
+    bus._link = SerialLink(open_port(path, 500_000, bus.url), url=bus.url, clock=WALL)
     return bus
 
 

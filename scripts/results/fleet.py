@@ -12,7 +12,7 @@ import numpy as np
 
 from adis_gonio.fleet import LocalPool, Options, files_of, run_fleet, summarise, survey
 from adis_gonio.fleet.columns import COLUMNS
-from adis_gonio.fleet.outputs import Outcome
+from adis_gonio.fleet.outputs import FleetResult
 from adis_gonio.fleet.pool import cores
 from results.section import Effort, Section, table
 
@@ -41,13 +41,13 @@ def drawn(path: Path, number: int, rng: np.random.Generator) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def seconds(files: list[str], options: Options, workers: int) -> tuple[float, Outcome]:
+def seconds(files: list[str], options: Options, workers: int) -> tuple[float, FleetResult]:
     """Time from the first session to the last, processes running already."""
     found = survey(files)
     marks: list[float] = []
     with LocalPool(workers) as pool:
         fleet = run_fleet(found, options, pool, tell=lambda progress: marks.append(time.perf_counter()))
-    return (marks[-1] - marks[0]) / (len(marks) - 1), Outcome(fleet, options)
+    return (marks[-1] - marks[0]) / (len(marks) - 1), FleetResult(fleet, options)
 
 
 def rows(rng: np.random.Generator, count: int) -> list[dict[str, object]]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adis_gonio.bringup.limits import FALSE_ALARM, MOST_TESTS, Budget, at_most
+from adis_gonio.bringup.limits import FALSE_ALARM, MOST_TESTS, AlarmBudget, at_most
 from adis_gonio.bringup.noise import degrees_of_freedom, flicker, response, rounding, spectrum
 from adis_gonio.bringup.updates import nearest_code
 from adis_gonio.sensor.settings import sample_period_s
@@ -13,7 +13,7 @@ from adis_gonio.sim.noise import Flicker
 
 
 def test_the_limits_of_a_whole_run_add_up_to_the_false_alarm_rate_of_a_board():
-    budget = Budget()
+    budget = AlarmBudget()
     spent = sum(budget.alpha() for _ in range(MOST_TESTS))
     assert spent == pytest.approx(FALSE_ALARM)
     with pytest.raises(RuntimeError, match="comparisons"):
@@ -22,12 +22,12 @@ def test_the_limits_of_a_whole_run_add_up_to_the_false_alarm_rate_of_a_board():
 
 def test_each_limit_is_exceeded_with_its_probability():
     alpha = FALSE_ALARM / MOST_TESTS
-    assert 2 * stats.norm.sf(Budget().z()) == pytest.approx(alpha)
+    assert 2 * stats.norm.sf(AlarmBudget().z()) == pytest.approx(alpha)
     for dof in (3.0, 60.0, 4000.0):
-        low, high = Budget().variance_ratio(dof)
+        low, high = AlarmBudget().variance_ratio(dof)
         assert stats.chi2.cdf(low * dof, dof) == pytest.approx(alpha / 2)
         assert stats.chi2.sf(high * dof, dof) == pytest.approx(alpha / 2)
-    highest = Budget().highest_bin(1000)
+    highest = AlarmBudget().highest_bin(1000)
     assert 1000 * np.exp(-highest) == pytest.approx(alpha)
     assert at_most(0, 16000) == pytest.approx(3 / 16000, rel=0.01)
     assert at_most(5, 5) == 1.0

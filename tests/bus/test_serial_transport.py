@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from adis_gonio.bus import BusUrl, Capability, SpiTiming, open_bus
 from adis_gonio.bus.serial import find_devices, open_from_url, ports
 from adis_gonio.bus.serial.clocks import ClockMap
-from adis_gonio.bus.serial.link import Link
+from adis_gonio.bus.serial.link import SerialLink
 from adis_gonio.bus.wire import Packet, Receiver, encode, load_cobs
 from adis_gonio.bus.wire import protocol as wire
 from adis_gonio.errors import (
@@ -192,7 +192,7 @@ def test_boot_loaders_are_never_spoken_to_whenever_they_begin_to_listen():
     dice = random.Random(11)
     for _ in range(250):
         bench = BootingBench(start_s=dice.uniform(0.001, 0.09), blinks_s=dice.choice([0.0, 0.19, 0.375]))
-        link = Link(bench.port, url="serial:fake", clock=bench.clock, dice=dice)
+        link = SerialLink(bench.port, url="serial:fake", clock=bench.clock, dice=dice)
         link.hello(3.0)
         loader = bench.firmware.loader
         assert (loader.erased, loader.overheard) == (0, 0)

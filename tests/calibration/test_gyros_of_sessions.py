@@ -19,7 +19,7 @@ from adis_gonio.calibration.loading import load_gyro_calibration
 from adis_gonio.calibration.with_gyros import gyro_calibration_of, with_gyros
 from adis_gonio.cli import main
 from adis_gonio.errors import DataError, FitError
-from adis_gonio.handover.exporting import Source
+from adis_gonio.handover.exporting import ExportSource
 from adis_gonio.model.provenance import provenance_of
 from adis_gonio.sensor import Adis16354
 from adis_gonio.session import load_session
@@ -121,7 +121,7 @@ def test_the_gyros_of_another_session_are_traced_where_the_trace_is_exported(pat
     monkeypatch.setattr(sys.modules["adis_gonio.tracing.trace"], "trace", lambda session, part: traced)
     assert load_gyro_calibration(path, traced=True) == traced.calibration()
     assert load_gyro_calibration(path).method == "gyro"
-    source = Source(path, traced=True, gyros=path)
+    source = ExportSource(path, traced=True, gyros=path)
     assert source._with_gyros(adis_gonio.fit(path).calibration()).gyro.method == "trace"
 
 

@@ -166,13 +166,13 @@ def test_nothing_is_replaced_unless_forced(recorded, tmp_path, capsys):
 def test_an_export_that_fails_half_way_leaves_the_old_file_alone(
     recorded, tmp_path, capsys, monkeypatch, name
 ):
-    from adis_gonio.handover.exporting import Source
+    from adis_gonio.handover.exporting import ExportSource
 
     def half(source, kind, path):
         path.write_bytes(b"half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Source, "write", half)
+    monkeypatch.setattr(ExportSource, "write", half)
     (tmp_path / name).write_bytes(b"mine")
     status, said = failed(capsys, recorded, "-o", tmp_path / name, "--force")
     assert status == 1

@@ -18,7 +18,7 @@ from adis_gonio.sensor.registers import ACCEL_OUT, BY_NAME
 from adis_gonio.sensor.variants import variant
 from adis_gonio.sim import SimBus, SimulatedChip, World, WorldSettings
 from adis_gonio.sim.inputs import Inputs
-from adis_gonio.sim.sampling import ACCEL_COLUMNS, SELF_TEST_ACCEL_MG, Sampler
+from adis_gonio.sim.sampling import ACCEL_COLUMNS, SELF_TEST_ACCEL_MG, SignalChain
 
 TRIGGER_S = 4e-6
 """From an edge to the fall of chip select."""
@@ -115,7 +115,7 @@ class BoardWorld(World):
         return inputs
 
 
-class BoardSampler(Sampler):
+class BoardSampler(SignalChain):
     """Offsets with an LSB of their own, over-range of the output, a self-test with deaf axes."""
 
     def __init__(self, part, memory, board: Board) -> None:

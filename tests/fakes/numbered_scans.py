@@ -11,7 +11,7 @@ import numpy as np
 from adis_gonio.sensor.decoding import ScanBlock
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.inputs import Inputs
-from adis_gonio.sim.sampling import OUTPUTS, Sampler, Updates
+from adis_gonio.sim.sampling import OUTPUTS, SignalChain, Updates
 
 WRAP = 1 << 14
 """Updates after which the words of a column come again: 20 s at the full rate."""
@@ -26,7 +26,7 @@ def words_of(updates: np.ndarray, names: Sequence[str]) -> np.ndarray:
     return (updates[:, None] * np.array([_FACTORS[name] for name in names]) & DATA).astype(np.uint16)
 
 
-class NumberingSampler(Sampler):
+class NumberingSampler(SignalChain):
     """Counts the updates instead of measuring."""
 
     taken = 0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.fitting import fit, fit_readings
-from adis_gonio.fitting.scores import Prediction, Score
+from adis_gonio.fitting.scores import DwellPrediction, Score
 from adis_gonio.fitting.standing import recommend
 from fitting.test_uncertainty import FOUR, NINE, turn
 
@@ -77,7 +77,7 @@ def test_the_rule_follows_the_scores_and_is_not_a_fixed_name():
     errors = {r.method: np.abs(rng.normal(1e-4, 1e-5, 24)) for r in results}
 
     def chosen(errors):
-        found = {name: Prediction(e, np.ones((24, 2))) for name, e in errors.items()}
+        found = {name: DwellPrediction(e, np.ones((24, 2))) for name, e in errors.items()}
         scores = {
             name: Score(float(np.sqrt((e**2).mean())), float(e.max()), 1.0, 1.0, 24)
             for name, e in errors.items()

@@ -12,7 +12,7 @@ import pytest
 from adis_gonio import __version__
 from adis_gonio.errors import DataError, OutputError, SessionError
 from adis_gonio.fleet import Journal, Options, run_fleet, survey
-from adis_gonio.fleet.outputs import Outcome
+from adis_gonio.fleet.outputs import FleetResult
 from adis_gonio.fleet.work import work
 from adis_gonio.population import SessionEvidence, evidence_of, trace_population
 from adis_gonio.session import load_session
@@ -41,7 +41,7 @@ def files(tmp_path_factory):
 
 
 def document_of(fleet):
-    return Outcome(fleet, FITS).as_dict()
+    return FleetResult(fleet, FITS).as_dict()
 
 
 def test_the_order_of_arrival_changes_no_byte(files, tmp_path):
@@ -49,7 +49,7 @@ def test_the_order_of_arrival_changes_no_byte(files, tmp_path):
     for seed in (1, 2):
         fleet = run_fleet(found, FITS, Here(seed))
         path = tmp_path / "a.parquet"
-        Outcome(fleet, FITS).write(path)
+        FleetResult(fleet, FITS).write(path)
         written.append((document_of(fleet), path.read_bytes()))
     assert written[0] == written[1]
 
@@ -148,12 +148,12 @@ def test_the_population_is_traced_from_the_journal_as_from_the_files(files, tmp_
     with Journal(tmp_path / "journal") as journal:
         run_fleet(survey(files), asked, Here(), journal)
     with Journal(tmp_path / "journal") as journal:
-        kept = Outcome(run_fleet(survey(files), asked, Here(), journal), asked)
+        kept = FleetResult(run_fleet(survey(files), asked, Here(), journal), asked)
     told = [evidence_of(load_session(path)).as_dict() for path in files]  # rounded, as evidence is kept
     own = trace_population([SessionEvidence.from_dict(one) for one in told])
     assert kept.as_dict()["population"] == own.as_dict()
     assert kept.population_lines == own.summary()
-    few = Outcome(run_fleet(survey(files[:2]), asked, Here()), asked)
+    few = FleetResult(run_fleet(survey(files[:2]), asked, Here()), asked)
     assert "it needs" in few.as_dict()["population"]["reason"]
 
 

@@ -12,7 +12,7 @@ import pytest
 from adis_gonio import __version__
 from adis_gonio.errors import FleetError
 from adis_gonio.fleet import Journal, LocalPool, Options, run_fleet, survey
-from adis_gonio.fleet.outputs import Outcome
+from adis_gonio.fleet.outputs import FleetResult
 from adis_gonio.fleet.work import digest_of_file, work
 from fleet.sessions import write_fleet
 
@@ -38,9 +38,9 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_changes_nothing(tmp_pat
     assert stormy.failed == 0
     assert len(lines) == 1 + len(found.jobs)
     for name in ("a.json", "a.parquet", "a.html"):
-        Outcome(calm, FITS).write(tmp_path / name)
+        FleetResult(calm, FITS).write(tmp_path / name)
         calm_bytes = (tmp_path / name).read_bytes()
-        Outcome(stormy, FITS).write(tmp_path / name)
+        FleetResult(stormy, FITS).write(tmp_path / name)
         assert (tmp_path / name).read_bytes() == calm_bytes
 
 

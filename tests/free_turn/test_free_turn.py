@@ -14,7 +14,7 @@ import free_turn_statistics as script
 from adis_gonio.answer import Answer
 from adis_gonio.errors import FitError
 from adis_gonio.fitting import applicable_methods, fit
-from adis_gonio.free_turn.estimate import Problem, _drifts, solve
+from adis_gonio.free_turn.estimate import LeastSquaresProblem, _drifts, solve
 from adis_gonio.free_turn.result import series_of
 from adis_gonio.free_turn.windows import Windows
 from adis_gonio.model.records import Dwell, Session
@@ -124,7 +124,7 @@ def test_noise_of_the_windows_is_what_their_slow_part_has():
         settings = {"bias_instability_mg": 0.0, "hand_vibration_mg": 0.0, "hand_tremor_dps": 0.0}
         series = series_of(recorded(seed, noise_mg=5.0, **settings))
         windows = Windows(series)
-        solution = solve(Problem(series, windows, 1000.0, 0.7))
+        solution = solve(LeastSquaresProblem(series, windows, 1000.0, 0.7))
         white = 5.0**2 * series.period_s / windows.hop_s  # density over the windows' distance
         found.append(float(solution.variances.accel_mg2.mean()) / white)
     assert np.mean(found) == pytest.approx(1.0, abs=0.06)

@@ -17,7 +17,7 @@ from adis_gonio.gyros import rate_intervals
 from adis_gonio.sensor import open_sensor
 from adis_gonio.sensor.settings import sample_period_s
 from adis_gonio.session import SessionRunner, Settings, load_session
-from adis_gonio.session.bench import Bench
+from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.events import (
     ExtensionOffered,
     GuardRaised,
@@ -113,7 +113,7 @@ def test_auto_is_refused_where_the_stage_turns_no_table():
         def orient(self, vector: object) -> None: ...
 
     with open_sensor("sim:?seed=1") as sensor:
-        bench = Bench(sensor, QUICK)
+        bench = SessionBench(sensor, QUICK)
         bench.stage = Planar()
         with pytest.raises(UsageError, match="does not turn a table"):
             bench.require_auto(PLAN)

@@ -24,7 +24,7 @@ from adis_gonio.fitting.determination import covariance, determine, names_of, na
 from adis_gonio.fitting.gyro import fit_gyro
 from adis_gonio.fitting.methods import fit_of, fit_readings
 from adis_gonio.fitting.sources import by_rotation_of, response_of
-from adis_gonio.gyros.attitude import PARAMETERS, Rates, attitude
+from adis_gonio.gyros.attitude import PARAMETERS, AssumedGyros, attitude
 from adis_gonio.gyros.prior import GyroPrior
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import sensitivity
@@ -45,8 +45,8 @@ def _rate_dps(time_s: Floats) -> Floats:
     return np.stack([course, course * np.sin(3 * time_s), 60 * np.sin(np.pi * time_s) ** 2], axis=-1)
 
 
-def _gyros(rng: np.random.Generator) -> Rates:
-    return Rates(
+def _gyros(rng: np.random.Generator) -> AssumedGyros:
+    return AssumedGyros(
         np.eye(3) + 0.02 * rng.standard_normal((3, 3)), 0.1 * rng.standard_normal((3, 3)), np.zeros(3)
     )
 
@@ -77,14 +77,14 @@ def test_what_an_error_of_the_gyros_does_to_attitude_is_its_derivative() -> None
     time = np.linspace(0, 2, 400)
     read, force = _rate_dps(time), np.stack([np.sin(time), np.cos(time), 0.3 * time], axis=1)
     begin = np.concatenate([_gyros(rng).sensitivity.ravel(), 0.1 * rng.standard_normal(9), np.zeros(3)])
-    found = attitude(time, read, force, Rates.of(begin), NOISE)
+    found = attitude(time, read, force, AssumedGyros.of(begin), NOISE)
 
     def turned(values: Floats, zero: Floats) -> Floats:
-        there = attitude(time, read - zero, force, Rates.of(values), NOISE, np.abs(read - force))
+        there = attitude(time, read - zero, force, AssumedGyros.of(values), NOISE, np.abs(read - force))
         return Rotation.from_matrix(there.rotation @ here.T).as_rotvec()
 
     magnitude = np.abs(read - force)
-    found = attitude(time, read, force, Rates.of(begin), NOISE, magnitude)
+    found = attitude(time, read, force, AssumedGyros.of(begin), NOISE, magnitude)
     here = found.rotation
     step = 1e-5
     for k in range(PARAMETERS):
@@ -101,7 +101,7 @@ def test_noise_of_attitude_is_that_of_drawn_rates() -> None:
     rng = np.random.default_rng(3)
     time = np.linspace(0, 2, 300)
     read, force = _rate_dps(time), np.zeros((300, 3))
-    perfect = Rates.of(np.concatenate([np.eye(3).ravel(), np.zeros(12)]))
+    perfect = AssumedGyros.of(np.concatenate([np.eye(3).ravel(), np.zeros(12)]))
     spread = np.diag([0.2, 0.5, 1.0])
     found = attitude(time, read, force, perfect, spread)
     root = np.sqrt(spread)

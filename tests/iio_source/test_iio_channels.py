@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adis_gonio.errors import CannotOpenError
-from adis_gonio.iio.channels import IioChannel, SampleFormat, ScanLayout, wanted
+from adis_gonio.iio.channels import BufferLayout, IioChannel, SampleFormat, wanted
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def test_what_cannot_be_read_is_refused(text):
 
 def test_scans_are_laid_out_by_index_and_aligned():
     small, time = SampleFormat.parse("le:s16/16>>0"), SampleFormat.parse("le:s64/64>>0")
-    layout = ScanLayout([IioChannel("timestamp", 5, time), IioChannel("accel_x", 2, small)])
+    layout = BufferLayout([IioChannel("timestamp", 5, time), IioChannel("accel_x", 2, small)])
     assert layout.size == 16
     scan = b"\x07\x00" + b"\xee" * 6 + (99).to_bytes(8, "little")
     numbers = layout.numbers(scan * 2)

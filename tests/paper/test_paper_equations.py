@@ -24,7 +24,7 @@ from adis_gonio.paper.crossing import (
     points_to_check,
 )
 from adis_gonio.paper.crossing import readings as by_readings
-from adis_gonio.paper.sessions import Found, Part, Results, measured, quantities
+from adis_gonio.paper.sessions import MethodValues, Part, Results, measured, quantities
 from adis_gonio.sensor import open_sensor
 from adis_gonio.session import SessionRunner, Settings, plan
 from adis_gonio.session.events import DwellDone
@@ -169,7 +169,7 @@ def test_points_to_check_are_places_of_the_map():
 def handmade(paper_deg, ours_deg, seed=1):
     true = truth_of("x").delta_phi_deg
     found = {
-        method: Found({"non_orthogonality": true + error}, {"non_orthogonality": 0.1})
+        method: MethodValues({"non_orthogonality": true + error}, {"non_orthogonality": 0.1})
         for method, error in (("paper", paper_deg), ("ml", ours_deg))
         if error is not None
     }

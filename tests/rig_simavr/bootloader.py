@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from adis_gonio.bus.serial import SerialBus
-from adis_gonio.bus.serial.link import HELLO_EVERY_S, Link
+from adis_gonio.bus.serial.link import HELLO_EVERY_S, SerialLink
 from adis_gonio.bus.wire import Packet, encode
 from adis_gonio.bus.wire import protocol as wire
 from adis_gonio.errors import BusTimeoutError
@@ -156,7 +156,7 @@ class CapturingPort:
 def transport_sends(dice: random.Random) -> list[tuple[float, bytes]]:
     """What the serial transport sends to a board that stays silent."""
     port = CapturingPort()
-    link = Link(port, url="serial:", clock=port, dice=dice)
+    link = SerialLink(port, url="serial:", clock=port, dice=dice)
     try:
         SerialBus(port, clock=port, link=link)
     except BusTimeoutError:

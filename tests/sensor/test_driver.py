@@ -23,7 +23,7 @@ from adis_gonio.sensor.frames import FAST, NORMAL
 from adis_gonio.sensor.registers import BY_NAME, REGISTERS
 from adis_gonio.sim import SimBus, SimulatedChip, World
 from adis_gonio.sim.chip import State
-from adis_gonio.sim.sampling import OUTPUTS, Sampler
+from adis_gonio.sim.sampling import OUTPUTS, SignalChain
 from fakes.buses import ConstantBus, RecordingBus, ScriptedBus
 from fakes.numbered_scans import Judge, NumberedChip
 
@@ -428,7 +428,7 @@ BROKEN = {  # column (supply, gyros, accelerometers), sign of the stimulus, answ
 @pytest.mark.parametrize("said", BROKEN)
 def test_the_manual_self_test_names_the_sensor_that_answers_wrongly(sensor, monkeypatch, said):
     column, sign, answer = BROKEN[said]
-    scaled = Sampler._scaled
+    scaled = SignalChain._scaled
 
     def wrong(sampler, inputs):
         new = scaled(sampler, inputs)
@@ -439,7 +439,7 @@ def test_the_manual_self_test_names_the_sensor_that_answers_wrongly(sensor, monk
             new[:, column] = rest[:, column] + np.int64(answer * sampler._gain[column])
         return new
 
-    monkeypatch.setattr(Sampler, "_scaled", wrong)
+    monkeypatch.setattr(SignalChain, "_scaled", wrong)
     assert sensor.manual_self_test().failures == (said,)
 
 

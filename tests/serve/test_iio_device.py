@@ -10,7 +10,7 @@ from adis_gonio.errors import UsageError
 from adis_gonio.sensor import DEFAULT_SCAN, VARIANTS
 from adis_gonio.sensor.registers import REGISTERS
 from adis_gonio.sensor.settings import Configuration, low_pass_3db_hz, smpl_prd_for
-from adis_gonio.serve.device import IioDevice, ScanFormat, SensorState, filter_for
+from adis_gonio.serve.device import ScanFormat, SensorState, ServedDevice, filter_for
 from adis_gonio.serve.protocol import Errno, Refused
 from adis_gonio.serve.queues import ScanQueue
 
@@ -26,7 +26,7 @@ def state_of(**changes):
 
 
 def device_of(part="adis16354", names=DEFAULT_SCAN):
-    return IioDevice(VARIANTS[part], names, 'a "sensor" & more')
+    return ServedDevice(VARIANTS[part], names, 'a "sensor" & more')
 
 
 def value(device, channel, name, state):

@@ -10,7 +10,7 @@ import pytest
 from adis_gonio.errors import UsageError
 from adis_gonio.sensor import open_sensor
 from adis_gonio.session import SessionRunner, Settings, plan, read_session
-from adis_gonio.session.answers import Answer
+from adis_gonio.session.answers import Reply
 from adis_gonio.session.archive import ArchiveView
 from adis_gonio.session.events import (
     DwellInterrupted,
@@ -246,7 +246,7 @@ def test_a_part_that_is_not_laid_down_at_the_start_is_waited_for(path):
 def test_an_unknown_answer_is_a_typed_error(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan(), QUICK)
     with pytest.raises(UsageError, match="open: nothing"):
-        runner.answer(Answer.KEEP)
+        runner.answer(Reply.KEEP)
 
 
 def test_nonsense_is_a_usage_error_that_names_what_is_open_and_the_question_stands(sensor, path):

@@ -16,7 +16,7 @@ import pytest
 from adis_gonio.model.records import Session
 from adis_gonio.sensor import open_sensor
 from adis_gonio.session.archive import ArchiveView, read_session
-from adis_gonio.session.bench import Bench
+from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.closing import AT_ONCE, Advice, TraceAdvisor
 from adis_gonio.session.events import (
     Advised,
@@ -30,7 +30,7 @@ from adis_gonio.session.events import (
 from adis_gonio.session.plans import Plan, Position, plan
 from adis_gonio.session.runner import SessionRunner
 from adis_gonio.session.settings import Settings
-from adis_gonio.tracing.outcome.result import Measurement
+from adis_gonio.tracing.outcome.result import NextDwell
 
 SHORT = Settings(dwell_s=1.0, settle_s=0.1)
 LONGER = Settings(dwell_s=2.0)
@@ -248,7 +248,7 @@ def test_what_was_skipped_cannot_be_reached_again(path):
 
 
 def test_a_program_alone_cannot_heat_where_the_world_does_not_let_it(path, monkeypatch):
-    monkeypatch.setattr(Bench, "sets_conditions", False)
+    monkeypatch.setattr(SessionBench, "sets_conditions", False)
     space = Position(None, 0, direction=(0.0, 0.0, 1.0))
     advisor = Scripted(
         (Position(45.0), Position(45.0, temperature_c=35.0), Position(45.0, supply_v=5.2), space)
@@ -287,8 +287,8 @@ def test_attitudes_in_space_are_asked_for_too(path):
 # -- the trace as advisor -------------------------------------------------------------------------------
 
 
-def measurement(angle: float, **changes: object) -> Measurement:
-    made = Measurement(
+def measurement(angle: float, **changes: object) -> NextDwell:
+    made = NextDwell(
         angle, None, 1, 0.0, None, None, 5.0, 0.5, "decide", ("quadratic",), ("asymmetry",), "measure"
     )
     return replace(made, **changes)

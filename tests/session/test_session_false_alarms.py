@@ -9,7 +9,7 @@ from adis_gonio.model.effects import catalogue
 from adis_gonio.sensor import open_sensor
 from adis_gonio.session import SessionRunner, plan
 from adis_gonio.session.events import DwellDone, Problem
-from adis_gonio.session.expectation import FALSE_ALARM, Expectation, Spread
+from adis_gonio.session.expectation import FALSE_ALARM, Expectation, PriorKnowledge
 from adis_gonio.session.guards import GUARD_KINDS
 from session.hand_bench import QUICK
 
@@ -45,7 +45,7 @@ def test_the_rate_of_false_alarms_of_the_limits_is_what_they_say():
     fixture. At 1e-4 a position 2.5 of 25 200 alarm, and more than 10 once in 10 000 times.
     """
     rng = np.random.default_rng(7)
-    spread = Spread(bias_mg=10.0, reading_mg=0.7, fixture_deg=0.1)
+    spread = PriorKnowledge(bias_mg=10.0, reading_mg=0.7, fixture_deg=0.1)
     count = wrong = 0
     for angles in ([40.0 * k for k in range(9)], [*range(0, 360, 60), *range(300, -1, -60)]):
         for _ in range(1200):
@@ -68,7 +68,7 @@ def test_the_rate_of_false_alarms_of_the_limits_is_what_they_say():
 def test_the_first_limit_is_what_the_sheet_s_spread_explains_and_the_last_what_the_fixture_does():
     """An independent Monte Carlo of the second position: the limit is near the spread's own quantile."""
     rng = np.random.default_rng(3)
-    spread, n = Spread(bias_mg=10.0, reading_mg=0.7, fixture_deg=0.02), 200_000
+    spread, n = PriorKnowledge(bias_mg=10.0, reading_mg=0.7, fixture_deg=0.02), 200_000
     gain, skew = 1 + rng.uniform(-0.02, 0.02, (n, 2)), np.radians(rng.uniform(-0.75, 0.75, n))
     bias = rng.normal(0, 10.0, (n, 2))
 

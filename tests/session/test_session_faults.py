@@ -13,7 +13,7 @@ from adis_gonio.sensor import Adis16354, open_sensor
 from adis_gonio.sensor.decoding import ScanBlock
 from adis_gonio.sensor.registers import ACCEL_OUT, EA, ND
 from adis_gonio.session import export_csv, load_session, plan
-from adis_gonio.session.answers import Answer
+from adis_gonio.session.answers import Reply
 from adis_gonio.session.archive import ArchiveView, read_session
 from adis_gonio.session.events import (
     DwellDone,
@@ -76,7 +76,7 @@ def answer(runner: SessionRunner, event: Event, *, repeat: bool = False) -> None
     elif isinstance(event, ExtensionOffered):
         runner.decline()
     elif isinstance(event, GuardRaised):
-        runner.answer(Answer.RETAKE if repeat else Answer.KEEP)
+        runner.answer(Reply.RETAKE if repeat else Reply.KEEP)
     elif isinstance(event, RepetitionOffered):
         (runner.accept if repeat else runner.decline)()
 

@@ -13,7 +13,7 @@ from adis_gonio.sensor.decoding import ScanBlock, join
 from adis_gonio.sensor.registers import EA
 from adis_gonio.sensor.scanning import ScanStream
 from adis_gonio.session.archive import Archive, ArchiveView, read_session
-from adis_gonio.session.bench import Bench
+from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.events import (
     Configured,
     DwellDone,
@@ -175,10 +175,10 @@ def test_a_dwell_begins_only_after_the_move_and_the_ringing(path):
 
 
 def test_settling_covers_the_filter(sensor):
-    bench = Bench(sensor, Settings(settle_s=0.0, filter_m=6))
+    bench = SessionBench(sensor, Settings(settle_s=0.0, filter_m=6))
     bench.configure()
     assert bench.settle_s == pytest.approx(127 * bench.period_s)
-    bench = Bench(sensor, Settings(settle_s=0.7, filter_m=6))
+    bench = SessionBench(sensor, Settings(settle_s=0.7, filter_m=6))
     bench.configure()
     assert bench.settle_s == 0.7
 

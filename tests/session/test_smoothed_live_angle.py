@@ -15,7 +15,7 @@ from adis_gonio.sensor import open_sensor
 from adis_gonio.sensor.settings import Configuration
 from adis_gonio.session.angle import LiveBlocks, LiveSource, calibration_for, live_angles, open_live
 from adis_gonio.session.blocks import ValueBlock
-from adis_gonio.session.judge import Judge, Spread
+from adis_gonio.session.judge import Judge, PriorKnowledge
 from adis_gonio.session.live import LiveView
 from adis_gonio.session.plans import plan
 from adis_gonio.session.runner import SessionRunner
@@ -214,7 +214,7 @@ def test_a_sensor_without_gyros_has_no_smoothed_angle():
 def test_the_bench_screens_angle_has_no_shaking():
     rng = np.random.default_rng(3)
     view = LiveView()
-    view.judge = Judge(Spread(10.0, 0.5, 0.02), planar=True, sense=1, longest_gap_s=0.3)
+    view.judge = Judge(PriorKnowledge(10.0, 0.5, 0.02), planar=True, sense=1, longest_gap_s=0.3)
     view.smoother = SmoothedMeter(sensing_of(RATE, "adis16354", 2.0), lag_s=0.0)
     plain, smooth = [], []
     for k in range(60):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adis_gonio.session.expectation import Spread
+from adis_gonio.session.expectation import PriorKnowledge
 from adis_gonio.session.guards import Guard
 from adis_gonio.session.three_angles import Stand, diagnosed, with_three_angles
-from adis_gonio.session.turning import Turn
+from adis_gonio.session.turning import GyroIntegral
 
-SPREAD = Spread(bias_mg=10.0, reading_mg=0.5, fixture_deg=0.05)
+SPREAD = PriorKnowledge(bias_mg=10.0, reading_mg=0.5, fixture_deg=0.05)
 OFF = Guard("wrong_angle", "off", {"off_deg": 1.0}, spoils=True)
 
 
@@ -28,7 +28,7 @@ def stands(stood_deg, asked_deg, *, sense=1, gyro=True, push_mg=(0.0, 0.0), seed
         Stand(
             float(asked),
             mean,
-            None if angle is None or not gyro else Turn(np.array([0, 0, angle]), 1.0, 0.2),
+            None if angle is None or not gyro else GyroIntegral(np.array([0, 0, angle]), 1.0, 0.2),
         )
         for asked, mean, angle in zip(asked_deg, means, turned, strict=True)
     ]

@@ -3,22 +3,24 @@
 import numpy as np
 import pytest
 
-from adis_gonio.smoothing.linear import State, Step, backward, forward, looked_back
+from adis_gonio.smoothing.linear import StateEstimate, TimeStep, backward, forward, looked_back
 
 SIZE, COUNT = 4, 30
 
 
-def model(seed: int, *, singular: bool = False, gaps: tuple[int, ...] = ()) -> tuple[State, list[Step]]:
+def model(
+    seed: int, *, singular: bool = False, gaps: tuple[int, ...] = ()
+) -> tuple[StateEstimate, list[TimeStep]]:
     """A model that changes from step to step, and observations drawn from it."""
     return drawn(seed, singular=singular, gaps=gaps)[:2]
 
 
 def drawn(
     seed: int, *, singular: bool = False, gaps: tuple[int, ...] = ()
-) -> tuple[State, list[Step], list[np.ndarray]]:
+) -> tuple[StateEstimate, list[TimeStep], list[np.ndarray]]:
     """The same with the true states."""
     rng = np.random.default_rng(seed)
-    prior = State(rng.standard_normal(SIZE), np.diag(rng.uniform(0.5, 2, SIZE)))
+    prior = StateEstimate(rng.standard_normal(SIZE), np.diag(rng.uniform(0.5, 2, SIZE)))
     x = rng.multivariate_normal(prior.mean, prior.covariance)
     steps, truth = [], []
     for k in range(COUNT):
@@ -31,11 +33,11 @@ def drawn(
         x = f @ x + shift + np.sqrt(np.diag(process)) * rng.standard_normal(SIZE)
         truth.append(x)
         observed = None if k in gaps else float(design @ x + np.sqrt(variance) * rng.standard_normal())
-        steps.append(Step(f, shift, process, design, observed, variance))
+        steps.append(TimeStep(f, shift, process, design, observed, variance))
     return prior, steps, truth
 
 
-def batch(prior: State, steps: list[Step]) -> tuple[np.ndarray, np.ndarray]:
+def batch(prior: StateEstimate, steps: list[TimeStep]) -> tuple[np.ndarray, np.ndarray]:
     """Means (n, k) and covariances (n, k, k) of all states at once: the joint Gaussian, conditioned.
 
     Independent of the recursions: the states are written as a linear function of prior and drives.

@@ -12,7 +12,7 @@ from adis_gonio.advice.proposals import _apart, _information, _Predicted
 from adis_gonio.advice.words import duration, place, sentences
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing import trace
-from adis_gonio.tracing.outcome.result import Measurement
+from adis_gonio.tracing.outcome.result import NextDwell
 
 RNG = np.random.default_rng(11)
 
@@ -191,8 +191,8 @@ def test_in_space_attitudes_are_proposed_as_directions():
 # -- words ----------------------------------------------------------------------------------------------
 
 
-def made(angle: float, **changes: object) -> Measurement:
-    first = Measurement(angle, None, 1, 0.0, None, None, 7.3, 0.5, "decide", ("quadratic",), ("asymmetry",))
+def made(angle: float, **changes: object) -> NextDwell:
+    first = NextDwell(angle, None, 1, 0.0, None, None, 7.3, 0.5, "decide", ("quadratic",), ("asymmetry",))
     return replace(first, **changes)
 
 

@@ -28,7 +28,7 @@ from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.outcome.openings import undecided
-from adis_gonio.tracing.outcome.result import Measurement, Purpose
+from adis_gonio.tracing.outcome.result import NextDwell, Purpose
 from adis_gonio.tracing.selection.select import Selection, fit_model
 
 MOST_RIVALS = 10
@@ -65,7 +65,7 @@ _EFFORT_WAIT_S = 300.0
 
 
 @dataclass(frozen=True)
-class Place:
+class ImaginedDwell:
     """An imagined dwell, relative to the last one.
 
     Attributes
@@ -132,7 +132,7 @@ def propose(
     selection: Selection,
     terms: Sequence[Term],
     most: int = 4,
-) -> tuple[Measurement, ...]:
+) -> tuple[NextDwell, ...]:
     """Measurements that are worth while, the most informative first.
 
     Parameters
@@ -364,13 +364,13 @@ def _greedy(
     hypotheses: list[Hypothesis],
     most: int,
     purpose: Purpose,
-    before: list[Place],
+    before: list[ImaginedDwell],
     least: float = LEAST_SEPARATION,
     heating: bool = True,
-) -> tuple[list[Place], list[Measurement]]:
+) -> tuple[list[ImaginedDwell], list[NextDwell]]:
     """Dwells one by one, each the most informative for its effort given those before it."""
     places = list(before)
-    out: list[Measurement] = []
+    out: list[NextDwell] = []
     if len(hypotheses) < 2:
         return places, out
     weights = np.array([h.weight for h in hypotheses])
@@ -478,18 +478,18 @@ def _apart(dwells: _Predicted) -> Floats:
 
 
 def _measurement(
-    place: Place,
+    place: ImaginedDwell,
     hypotheses: list[Hypothesis],
     one: int,
     parted: list[int],
     separation: float,
     information: float,
     purpose: Purpose,
-) -> Measurement:
+) -> NextDwell:
     first = set(hypotheses[one].labels)
     second = set(hypotheses[parted[0]].labels)
     others = [name for k in parted for name in hypotheses[k].labels if name not in first]
-    return Measurement(
+    return NextDwell(
         angle_deg=place.angle_deg,
         direction=place.direction,
         approach=place.approach,
@@ -507,12 +507,12 @@ def _measurement(
 # -- imagined dwells --------------------------------------------------------------------------------------
 
 
-def _options(data: Readings) -> list[Place]:
+def _options(data: Readings) -> list[ImaginedDwell]:
     """Every position as it is; a coarser choice of them with one other condition."""
     c = data.conditions
     if data.planar:
         sides = (1, -1) if c.approach is not None else (0,)
-        fine = [Place(float(a), None, side) for a in range(0, 360, 15) for side in sides]
+        fine = [ImaginedDwell(float(a), None, side) for a in range(0, 360, 15) for side in sides]
         coarse = [place for place in fine if place.angle_deg is not None and place.angle_deg % 45 == 0]
         coarse = [place for place in coarse if place.approach >= 0]
     else:
@@ -520,7 +520,7 @@ def _options(data: Readings) -> list[Place]:
         for v in itertools.product((-1, 0, 1), repeat=3):
             if any(v):
                 x, y, z = (float(s) for s in np.array(v) / np.linalg.norm(v))
-                fine.append(Place(None, (x, y, z)))
+                fine.append(ImaginedDwell(None, (x, y, z)))
         coarse = [place for place in fine if place.direction and max(map(abs, place.direction)) == 1.0]
     length = float(np.ptp(c.time_s))
     out = list(fine)
@@ -539,8 +539,8 @@ def _predict(
     data: Readings,
     inflation: float,
     hypotheses: list[Hypothesis],
-    options: list[Place],
-    before: list[Place],
+    options: list[ImaginedDwell],
+    before: list[ImaginedDwell],
 ) -> _Predicted:
     """Whitened predictions of each option as the dwell after `before`."""
     groups: dict[float | None, list[int]] = {}
@@ -578,7 +578,7 @@ def _imagining(fit: Fit, imagined: Readings) -> Fit:
 
 
 def _imagined(
-    data: Readings, options: list[Place], before: list[Place], temperature_c: float | None
+    data: Readings, options: list[ImaginedDwell], before: list[ImaginedDwell], temperature_c: float | None
 ) -> Readings:
     """Readings of the options, all at one temperature, after the session and the dwells `before`."""
     c, n = data.conditions, len(options)

@@ -10,7 +10,7 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
 from adis_gonio.model.effects import AXES
 from adis_gonio.tracing.outcome.cycles import cycles_alike
-from adis_gonio.tracing.outcome.result import Measurement
+from adis_gonio.tracing.outcome.result import NextDwell
 from adis_gonio.tracing.selection.select import Selection
 
 PLAIN = 100.0
@@ -77,7 +77,7 @@ def advise(
     selection: Selection,
     terms: Sequence[Term],
     confounded: Sequence[Sequence[str]],
-) -> tuple[tuple[str, ...], tuple[Measurement, ...]]:
+) -> tuple[tuple[str, ...], tuple[NextDwell, ...]]:
     """Advice in words, and as measurements; the most informative first.
 
     Parameters
@@ -110,12 +110,12 @@ def advise(
     return tuple(lines), measurements
 
 
-def sentences(measurements: Sequence[Measurement]) -> tuple[str, ...]:
+def sentences(measurements: Sequence[NextDwell]) -> tuple[str, ...]:
     """One sentence for all measurements that part the same."""
     return tuple(_sentence(group) for group in _grouped(measurements))
 
 
-def place(measurement: Measurement) -> str:
+def place(measurement: NextDwell) -> str:
     """Position and conditions, such as `45° from above, after waiting 5 min`."""
     words = [where(measurement)]
     if measurement.temperature_c is not None:
@@ -127,7 +127,7 @@ def place(measurement: Measurement) -> str:
     return ", ".join(words)
 
 
-def where(measurement: Measurement) -> str:
+def where(measurement: NextDwell) -> str:
     """Position alone, such as `45° from above`."""
     if measurement.angle_deg is not None:
         side = " from above" if measurement.approach < 0 else ""
@@ -142,9 +142,9 @@ def duration(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 60 else f"{seconds / 60:.3g} min"
 
 
-def _grouped(measurements: Sequence[Measurement]) -> list[list[Measurement]]:
+def _grouped(measurements: Sequence[NextDwell]) -> list[list[NextDwell]]:
     """Measurements that part the same, in order; all that only look for what was not to be seen."""
-    groups: dict[object, list[Measurement]] = {}
+    groups: dict[object, list[NextDwell]] = {}
     for m in measurements:
         key: object = (m.one, m.other)
         if m.purpose == "cover":
@@ -155,7 +155,7 @@ def _grouped(measurements: Sequence[Measurement]) -> list[list[Measurement]]:
     return list(groups.values())
 
 
-def _sentence(group: Sequence[Measurement]) -> str:
+def _sentence(group: Sequence[NextDwell]) -> str:
     first = group[0]
     what = _joined([place(m) for m in group], "; " if any("," in place(m) for m in group) else ", ")
     if first.purpose == "cover":
@@ -172,7 +172,7 @@ def _sentence(group: Sequence[Measurement]) -> str:
     return f"measure at {what}: that tells {one} from {other} ({apart})"
 
 
-def _faint(group: Sequence[Measurement]) -> str:
+def _faint(group: Sequence[NextDwell]) -> str:
     """The positions that tell most where a dwell at none of them decides."""
     what = list(dict.fromkeys(place(m) for m in group))
     where = _joined(what, "; " if any("," in w for w in what) else ", ")
@@ -185,7 +185,7 @@ def _faint(group: Sequence[Measurement]) -> str:
     )
 
 
-def _varying(measurement: Measurement) -> tuple[str, ...]:
+def _varying(measurement: NextDwell) -> tuple[str, ...]:
     """Names in which two models differ."""
     return tuple(sorted(set(measurement.one) ^ set(measurement.other)))
 

@@ -11,7 +11,7 @@ from scipy import stats
 
 from adis_gonio.allan.deviation import curve
 from adis_gonio.allan.likelihood import LEVEL, Likelihood, Profile, profile
-from adis_gonio.allan.lines import Line, without_lines
+from adis_gonio.allan.lines import SpectralLine, without_lines
 from adis_gonio.allan.ordinates import Ordinates, ordinates, together
 from adis_gonio.allan.processes import KINDS, Kind
 from adis_gonio.allan.rests import LEAST, Part, Rests, rests_of
@@ -185,7 +185,7 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
     flat = [_flat(column) for column in columns]
     rounding, coarse = _rounding(flat, step, m)
     highest = _highest(m)
-    lines: list[list[Line]] = []
+    lines: list[list[SpectralLine]] = []
     parts = []
     for record in flat:
         clean, own, masked = without_lines(record, period_s, highest)
@@ -277,9 +277,9 @@ def _ramp(fitted: _Fitted, slopes: list[float], period_s: float, unit: str) -> V
     return Value(mean / period_s, 1 / math.sqrt(weight.sum()) / period_s, f"{unit}/s", factor=NORMAL_95)
 
 
-def _joined(lines: list[Line]) -> tuple[Line, ...]:
+def _joined(lines: list[SpectralLine]) -> tuple[SpectralLine, ...]:
     """Lines of all records; those within 1 % of each other are one, with the largest amplitude."""
-    kept: list[Line] = []
+    kept: list[SpectralLine] = []
     for line in sorted(lines, key=lambda one: -one.amplitude):
         if all(abs(line.frequency_hz / other.frequency_hz - 1) > 0.01 for other in kept):
             kept.append(line)

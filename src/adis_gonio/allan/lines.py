@@ -24,7 +24,7 @@ _LEAKS = 4
 
 
 @dataclass(frozen=True)
-class Line:
+class SpectralLine:
     """A sinusoid of a record.
 
     Attributes
@@ -45,7 +45,7 @@ class Line:
 
 def without_lines(
     record: Floats, period_s: float, highest: float
-) -> tuple[Floats, list[Line], NDArray[np.intp]]:
+) -> tuple[Floats, list[SpectralLine], NDArray[np.intp]]:
     """The record without its sinusoids, those, and the DCT-II ordinates about them.
 
     Parameters
@@ -55,7 +55,7 @@ def without_lines(
     highest : float
         Cycles a sample up to which sinusoids are looked for.
     """
-    found: list[Line] = []
+    found: list[SpectralLine] = []
     masked: list[NDArray[np.intp]] = []
     taken = np.zeros(len(record) // 2 + 1, dtype=bool)
     while len(found) < MOST:
@@ -68,7 +68,7 @@ def without_lines(
         middle = round(place)
         taken[max(0, middle - reach) : middle + reach + 1] = True
         masked.append(np.arange(2 * (middle - reach), 2 * (middle + reach) + 1))
-        found.append(Line(place / len(record) / period_s, amplitude))
+        found.append(SpectralLine(place / len(record) / period_s, amplitude))
     return record, found, np.concatenate(masked) if masked else np.zeros(0, np.intp)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from adis_gonio.allan.deviation import AllanCurve
 from adis_gonio.allan.likelihood import Profile
-from adis_gonio.allan.lines import Line
+from adis_gonio.allan.lines import SpectralLine
 from adis_gonio.allan.processes import FLOOR_OF_B, KINDS, Kind
 from adis_gonio.estimation.values import Value, finite_or_none
 from adis_gonio.jsonable import finite
@@ -141,7 +141,7 @@ class AxisNoise:
         Chance of a spectrum so far from the fitted one.
     band_hz : (float, float)
         Frequencies that were fitted.
-    lines : tuple of Line
+    lines : tuple of SpectralLine
         Sinusoids that were taken off.
     step : float
         Step of the converter; its rounding is accounted for and no part of the coefficients. 0 unknown.
@@ -156,7 +156,7 @@ class AxisNoise:
     slow_p_value: float
     adequacy: float
     band_hz: tuple[float, float]
-    lines: tuple[Line, ...]
+    lines: tuple[SpectralLine, ...]
     step: float
     curve: AllanCurve
     notes: tuple[str, ...]

@@ -21,7 +21,7 @@ from adis_gonio.counting import counted
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.values import Value
 from adis_gonio.fitting.result import FitResult
-from adis_gonio.fitting.scores import Prediction, Score, predicted, scores_of
+from adis_gonio.fitting.scores import DwellPrediction, Score, predicted, scores_of
 from adis_gonio.fitting.standing import Recommendation, Standing, surely_worse
 from adis_gonio.fitting.uncertainty_budget import BudgetRow
 from adis_gonio.tracing.outcome.result import TraceResult
@@ -274,7 +274,7 @@ def _with_notes(best: FitResult, given: FitResult) -> FitResult:
     )
 
 
-def _of_trace(session: Readings, trace: TraceResult) -> Prediction | None:
+def _of_trace(session: Readings, trace: TraceResult) -> DwellPrediction | None:
     """Predictions of the traced model, its effects kept and their values fitted anew without each dwell."""
     final = trace.fits[-1]
     if not session.planar and not final.data.planar and final.data.axes != session.axes:
@@ -285,7 +285,7 @@ def _of_trace(session: Readings, trace: TraceResult) -> Prediction | None:
 
 
 def _reason(
-    trace: TraceResult, found: dict[str, Prediction], scores: dict[str, Score], best: str
+    trace: TraceResult, found: dict[str, DwellPrediction], scores: dict[str, Score], best: str
 ) -> str | None:
     """Why the traced model is the answer; None where it is not."""
     if trace.stopped is not None and not trace.stopped.checked:

@@ -12,7 +12,7 @@ from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.intervals import factor_over
 from adis_gonio.estimation.shown import ShownAngle
 from adis_gonio.estimation.values import Value
-from adis_gonio.fitting.noise import Noise
+from adis_gonio.fitting.noise import NoiseAssumptions
 from adis_gonio.fitting.sources import MODEL, response_of, sources_of
 from adis_gonio.fitting.uncertainty_budget import BudgetRow, budget_of
 from adis_gonio.model.records import Floats
@@ -44,7 +44,7 @@ def budgets_of_trace(traced: TraceResult, values: Mapping[str, Value]) -> dict[s
         return {}
     data = final.data
     # Where nothing states the noise, `inflation` is its estimate.
-    noise = Noise(scale=math.sqrt(traced.inflation), sigma_rad=data.fixture_rad, dof=traced.dof)
+    noise = NoiseAssumptions(scale=math.sqrt(traced.inflation), sigma_rad=data.fixture_rad, dof=traced.dof)
     response = response_of(final, covariance, np.ones(len(covariance)))
     sources = sources_of(data, noise, final, response)
     slopes = {name: (row[None], None) for name, row in _gradients(final).items()}

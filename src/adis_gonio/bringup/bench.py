@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.bringup.ceiling import ClockCeiling
-from adis_gonio.bringup.limits import Budget
+from adis_gonio.bringup.limits import AlarmBudget
 from adis_gonio.bringup.result import StepResult, Verdict
 from adis_gonio.bus import Capability, Words
 from adis_gonio.sensor.decoding import ScanBlock, join
@@ -34,7 +34,7 @@ FEWEST = 16
 """… unless there are not even so many scans."""
 
 
-class Effect(StrEnum):
+class SideEffect(StrEnum):
     """What a step does to the part."""
 
     READS = "reads"
@@ -44,7 +44,7 @@ class Effect(StrEnum):
     FLASH = "flash write"
 
 
-class Step(ABC):
+class BringupStep(ABC):
     """A step of the bring-up.
 
     Attributes
@@ -53,7 +53,7 @@ class Step(ABC):
         Names the row.
     does : str
         One line: what is done.
-    effect : Effect
+    effect : SideEffect
     question : str
         What is asked before something is written.
     settles : tuple of str
@@ -62,17 +62,17 @@ class Step(ABC):
 
     name: str
     does: str
-    effect: Effect = Effect.READS
+    effect: SideEffect = SideEffect.READS
     question: str = ""
     settles: tuple[str, ...] = ()
 
     @abstractmethod
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Do it; `AdisGonioError` where the part or the bridge fails."""
 
 
 @dataclass
-class Bench:
+class BringupBench:
     """The bench of one run.
 
     Attributes
@@ -91,7 +91,7 @@ class Bench:
 
     bus: ClockCeiling
     sensor: Adis16354
-    budget: Budget = field(default_factory=Budget)
+    budget: AlarmBudget = field(default_factory=AlarmBudget)
     lends: bool = True
     blocked: str = ""
     clock: float = 1.0

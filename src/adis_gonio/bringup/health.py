@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.bringup.bench import Bench, Floats, Step
+from adis_gonio.bringup.bench import BringupBench, BringupStep, Floats
 from adis_gonio.bringup.result import Measured, StepResult, Verdict
 from adis_gonio.sensor.bartlett import white_gain
 from adis_gonio.sensor.decoding import scales
@@ -32,13 +32,13 @@ def mean_and_u(numbers: Floats, gain: float = 1.0) -> tuple[Floats, Floats]:
     return numbers.mean(axis=0), np.hypot(spread / np.sqrt(len(numbers)), 1 / np.sqrt(12))
 
 
-class Health(Step):
+class Health(BringupStep):
     """Supply and temperature, and what STATUS says of them."""
 
     name = "supply"
     does = f"{_SCANS} readings of supply and temperatures; STATUS, read twice (a read clears it)"
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Compare with the limits of operation."""
         found = bench.status()
         bench.wait_updates()
@@ -77,7 +77,7 @@ class Health(Step):
         )
 
 
-class WhichPart(Step):
+class WhichPart(BringupStep):
     """|a| at rest: the only mark of the variant."""
 
     name = "variant"
@@ -86,7 +86,7 @@ class WhichPart(Step):
         " ADIS16350/55"
     )
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Compare |a| with 1 g of each variant."""
         block, _ = bench.scans(_SCANS, ACCEL_OUT)
         mean, u = mean_and_u(block.numbers().astype(np.float64), _gain(bench))
@@ -149,6 +149,6 @@ def _tolerance(part: Variant, warm_c: float) -> float:
     )
 
 
-def _gain(bench: Bench) -> float:
+def _gain(bench: BringupBench) -> float:
     """Gain of the filter in force for white noise, rms."""
     return white_gain(BY_NAME["SENS_AVG"].field("m").of(bench.sensor.read("SENS_AVG")))

@@ -17,7 +17,7 @@ MOST_TESTS = 256
 """Comparisons that a run may make."""
 
 
-class Budget:
+class AlarmBudget:
     """Shares the probability of a false alarm out."""
 
     def __init__(self, total: float = FALSE_ALARM, tests: int = MOST_TESTS) -> None:

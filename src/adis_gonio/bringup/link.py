@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.bringup.bench import BOARD_CLOCK_U, Bench, Step
+from adis_gonio.bringup.bench import BOARD_CLOCK_U, BringupBench, BringupStep
 from adis_gonio.bringup.limits import at_most
 from adis_gonio.bringup.result import Curve, Measured, StepResult, Verdict
 from adis_gonio.bus import SpiTiming, Words
@@ -62,13 +62,13 @@ _READINGS: tuple[tuple[str, Callable[[int], int]], ...] = (
 )
 
 
-class Link(Step):
+class Link(BringupStep):
     """Whether there is a chip, and whether it is read the right way."""
 
     name = "link"
     does = "reads the control registers three times: silence, a stuck, inverted or shifted data line"
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Try every way of reading that a wrong board makes."""
         frames = np.append(np.tile(read_frames(_CONSTANT), _PASSES), np.uint16(IDLE))
         words = bench.bus.exchange_array(frames)[1:].reshape(_PASSES, -1)
@@ -123,14 +123,14 @@ def _unsteady(words: Words) -> str:
     return ""
 
 
-class Timing(Step):
+class Timing(BringupStep):
     """What the bridge says of clock, stall and period, and how long a frame takes by its clock."""
 
     name = "timing"
     does = "asks the bridge for both modes' timing and times 500 frames"
     _frames = 500
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Compare with the limits of the part."""
         figures, wrong = [], []
         for mode, asked in (("fast", FAST), ("normal", NORMAL)):
@@ -162,7 +162,7 @@ class Timing(Step):
         )
 
 
-def _frame_s(bench: Bench, count: int) -> float:
+def _frame_s(bench: BringupBench, count: int) -> float:
     """Time of a frame by the bus's clock, in one batch."""
     begin_s = bench.bus.now_s()
     bench.bus.exchange_array(np.full(count, IDLE, np.uint16))
@@ -186,7 +186,7 @@ class _Trial:
     frame_us: float
 
 
-class BitErrors(Step):
+class BitErrors(BringupStep):
     """Constant registers at every clock, slowest first; ends at the first clock with errors.
 
     A flipped bit on the way in may make a write of a read, so no clock above one with errors is tried.
@@ -197,7 +197,7 @@ class BitErrors(Step):
     name = "bit errors"
     does = "1000 reads of constant registers at each clock of the bridge, slowest first"
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Try the clocks and set the ceiling."""
         smpl_prd = bench.constants["SMPL_PRD"] & 0xFF
         mode, limit = ("fast", FAST) if smpl_prd <= FAST_UP_TO else ("normal", NORMAL)
@@ -266,7 +266,7 @@ class BitErrors(Step):
         return StepResult(Verdict.FAULT, text, figures, curves=(curve,))
 
 
-def _offered(bench: Bench, most_hz: float, limit: SpiTiming) -> list[float]:
+def _offered(bench: BringupBench, most_hz: float, limit: SpiTiming) -> list[float]:
     """Clocks of the bridge within the limits of the mode, slowest first."""
     found = set()
     for asked in CLOCKS_HZ:
@@ -278,7 +278,7 @@ def _offered(bench: Bench, most_hz: float, limit: SpiTiming) -> list[float]:
     return sorted(clock for clock in found if clock <= most_hz)
 
 
-def _try(bench: Bench, clock_hz: float, expected: Words) -> tuple[_Trial, Words]:
+def _try(bench: BringupBench, clock_hz: float, expected: Words) -> tuple[_Trial, Words]:
     passes = -(-READS // len(_CONSTANT))
     frames = np.append(np.tile(read_frames(_CONSTANT), passes), np.uint16(IDLE))
     begin_s = bench.bus.now_s()

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from adis_gonio.bringup.bench import LONGEST_S, Bench, Effect, Floats, Step, not_measured
+from adis_gonio.bringup.bench import LONGEST_S, BringupBench, BringupStep, Floats, SideEffect, not_measured
 from adis_gonio.bringup.result import Answer, Curve, Measured, Outcome, StepResult, Verdict
 from adis_gonio.sensor.bartlett import bartlett, response, rounding, white_gain
 from adis_gonio.sensor.decoding import scales
@@ -58,15 +58,15 @@ def spectrum(values: Floats) -> tuple[Floats, Floats]:
     return np.asarray(np.fft.rfftfreq(n), np.float64), np.asarray(power, np.float64)
 
 
-class Noise(Step):
+class Noise(BringupStep):
     """Noise against the variant's figures, and its spectrum against the filter's shape."""
 
     name = "noise"
     does = f"{_SCANS} scans of accelerometers and gyros at rest: rms, bands of the spectrum, tones"
-    effect = Effect.LENDS
+    effect = SideEffect.LENDS
     settles = ("accel_noise", "gyro_noise")
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Judge six axes."""
         sensor = bench.sensor
         configuration = sensor.configuration()
@@ -174,7 +174,7 @@ def floors(part: Variant, expected: Floats) -> Floats:
     )
 
 
-def _by_variance(bench: Bench, numbers: Floats, m: int, spacing: float, expected: Floats) -> _Judged:
+def _by_variance(bench: BringupBench, numbers: Floats, m: int, spacing: float, expected: Floats) -> _Judged:
     """Where scans have gaps: the variance alone."""
     # Over so few octaves flicker has about the variance of twice its floor.
     extra = 2 * floors(bench.sensor.variant, expected) ** 2
@@ -188,7 +188,7 @@ def _by_variance(bench: Bench, numbers: Floats, m: int, spacing: float, expected
     return judged
 
 
-def _by_spectrum(bench: Bench, numbers: Floats, m: int, rate_hz: float, expected: Floats) -> _Judged:
+def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, expected: Floats) -> _Judged:
     """Level, shape and tones where the noise is above rounding and flicker."""
     cycles, power = spectrum(numbers)
     gain = response(m, cycles)
@@ -243,17 +243,17 @@ def _answer(
     return Answer(Outcome.CONTRADICTS if any(off) else Outcome.CONFIRMS, text, figures)
 
 
-class FilterSteps(Step):
+class FilterSteps(BringupStep):
     """Noise gain of each step of the filter."""
 
     name = "filter steps"
     does = "writes M = 0 … 6 in SENS_AVG and measures the noise of the accelerometers at each"
-    effect = Effect.WRITES
+    effect = SideEffect.WRITES
     question = "Write SENS_AVG (filter M = 0 … 6, about 20 s)?"
     settles = ("filter_gain",)
     _scans = 2048
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Compare each variance with what the fewest taps and the table's gain give."""
         lsb = bench.sensor.variant.accel_mg_per_lsb
         flicker = (bench.sensor.variant.performance.bias_instability_mg / lsb) ** 2

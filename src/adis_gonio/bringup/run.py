@@ -9,10 +9,10 @@ from datetime import UTC, datetime
 from typing import Any
 
 from adis_gonio import __version__
-from adis_gonio.bringup.bench import Bench, Effect, Step, not_measured, writable
+from adis_gonio.bringup.bench import BringupBench, BringupStep, SideEffect, not_measured, writable
 from adis_gonio.bringup.ceiling import ClockCeiling
 from adis_gonio.bringup.health import Health, WhichPart
-from adis_gonio.bringup.limits import Budget
+from adis_gonio.bringup.limits import AlarmBudget
 from adis_gonio.bringup.link import BitErrors, Link, Timing
 from adis_gonio.bringup.noise import FilterSteps, Noise
 from adis_gonio.bringup.questions import QUESTIONS
@@ -26,7 +26,7 @@ from adis_gonio.sensor.frames import NORMAL
 from adis_gonio.sensor.undo import Undo
 from adis_gonio.sensor.variants import Variant
 
-STEPS: tuple[Step, ...] = (
+STEPS: tuple[BringupStep, ...] = (
     Link(),
     Timing(),
     BitErrors(),
@@ -75,7 +75,7 @@ def bring_up(
     variant: str | Variant = "adis16354",
     permission: Permission = Permission(),
     tell: Callable[[Row], object] = lambda row: None,
-    steps: tuple[Step, ...] = STEPS,
+    steps: tuple[BringupStep, ...] = STEPS,
 ) -> Bringup:
     """Check a board step by step.
 
@@ -110,18 +110,18 @@ class _Run:
         self._variant = variant
         self._permission = permission
         self._tell = tell
-        self._budget = Budget()
+        self._budget = AlarmBudget()
         self._rows: list[Row] = []
         self._answers: dict[str, Answer] = {}
-        self._bench: Bench | None = None
+        self._bench: BringupBench | None = None
         self._undo: Undo | None = None
 
-    def all(self, steps: tuple[Step, ...]) -> Bringup:
+    def all(self, steps: tuple[BringupStep, ...]) -> Bringup:
         begun = datetime.now(UTC).isoformat(timespec="seconds")
         stopped, failure = False, ""
         try:
             sensor = Adis16354(self._bus, self._variant, check=False)
-            self._bench = Bench(self._bus, sensor, self._budget, lends=self._permission.lends)
+            self._bench = BringupBench(self._bus, sensor, self._budget, lends=self._permission.lends)
         except KeyboardInterrupt:
             stopped = True
         except AdisGonioError as error:
@@ -148,13 +148,13 @@ class _Run:
                 stopped = True
         return self._whole(begun, stopped)
 
-    def _one(self, bench: Bench, step: Step) -> StepResult:
+    def _one(self, bench: BringupBench, step: BringupStep) -> StepResult:
         refusal = bench.blocked or self._refusal(step)
         if refusal:
             return not_measured(refusal)
-        if step.effect in (Effect.WRITES, Effect.FLASH) and not self._permission.ask(step.question):
+        if step.effect in (SideEffect.WRITES, SideEffect.FLASH) and not self._permission.ask(step.question):
             return not_measured("the answer to its question was no")
-        if step.effect is Effect.READS:
+        if step.effect is SideEffect.READS:
             return _attempt(bench, step)
         if self._undo is None:
             try:
@@ -170,14 +170,14 @@ class _Run:
                 if self._undo.left:
                     bench.blocked = f"{', '.join(self._undo.left)} could not be put back"
 
-    def _refusal(self, step: Step) -> str:
-        if step.effect is Effect.WRITES and not self._permission.writes:
+    def _refusal(self, step: BringupStep) -> str:
+        if step.effect is SideEffect.WRITES and not self._permission.writes:
             return "it writes registers (and undoes it); --allow-writes permits that"
-        if step.effect is Effect.FLASH and not (self._permission.writes and self._permission.flash):
+        if step.effect is SideEffect.FLASH and not (self._permission.writes and self._permission.flash):
             return "it writes the flash once; --allow-writes --flash permits that"
         return ""
 
-    def _add(self, step: Step, result: StepResult) -> None:
+    def _add(self, step: BringupStep, result: StepResult) -> None:
         row = Row(step.name, step.does, step.effect, result)
         self._rows.append(row)
         why = result.text.removeprefix("not measured: ")
@@ -217,7 +217,7 @@ class _Run:
         )
 
 
-def _attempt(bench: Bench, step: Step) -> StepResult:
+def _attempt(bench: BringupBench, step: BringupStep) -> StepResult:
     try:
         return step.run(bench)
     except AdisGonioError as error:
@@ -240,4 +240,4 @@ def _bridge(bus: ClockCeiling) -> dict[str, Any]:
     return said
 
 
-__all__ = ["STEPS", "Bench", "Permission", "bring_up"]
+__all__ = ["STEPS", "BringupBench", "Permission", "bring_up"]

@@ -8,7 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.bringup.bench import BOARD_CLOCK_U, HOST_CLOCK_U, Bench, Effect, Floats, Step, not_measured
+from adis_gonio.bringup.bench import (
+    BOARD_CLOCK_U,
+    HOST_CLOCK_U,
+    BringupBench,
+    BringupStep,
+    Floats,
+    SideEffect,
+    not_measured,
+)
 from adis_gonio.bringup.result import Answer, Curve, Measured, Outcome, StepResult, Verdict
 from adis_gonio.bus import Capability, Words
 from adis_gonio.errors import BusTimeoutError, UsageError
@@ -36,7 +44,7 @@ class Period:
     u_s: float
 
 
-def measured_period(bench: Bench, expected_s: float, updates: int) -> Period | str:
+def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Period | str:
     """Period of the update from ND of one register read again and again; or why it cannot be.
 
     The first read after an update carries ND, so a span of ND flags is a whole number of periods long to
@@ -71,7 +79,7 @@ def measured_period(bench: Bench, expected_s: float, updates: int) -> Period | s
     return Period(value, math.hypot(frame_s * math.sqrt(ends / 6) / periods, clock_u * value))
 
 
-def _by_clock(bench: Bench, expected_s: float, updates: int) -> Period | str:
+def _by_clock(bench: BringupBench, expected_s: float, updates: int) -> Period | str:
     """The same by short batches and the bus's clock: each finds at most one update."""
     first = last = 0.0
     count, longest = -1, 0.0
@@ -100,13 +108,13 @@ def nearest_code(period_s: float) -> int:
     return min(_CODES, key=lambda n: abs(math.log(period_s / sample_period_s(n))))
 
 
-class Rate(Step):
+class Rate(BringupStep):
     """Rate of ND against SMPL_PRD."""
 
     name = "sample rate"
     does = "counts new-data flags (ND) of one register that is read without a pause"
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Compare with the period that SMPL_PRD says."""
         configuration = bench.sensor.configuration()
         expected = configuration.sample_period_s
@@ -189,20 +197,20 @@ class _NoEdgeError(Exception):
     """A stream waits in vain."""
 
 
-class DataReady(Step):
+class DataReady(BringupStep):
     """Edges of data-ready: their rate, whose they are, which of the two leads, jitter, missed ones."""
 
     name = "data-ready"
     does = (
         "enables data-ready, counts edges, starts scans at both edges of the pulse and looks where ND comes"
     )
-    effect = Effect.LENDS
+    effect = SideEffect.LENDS
     settles = ("data_ready_edge", "data_ready_pulse")
     _scans = 256
     _lists = (16, 8)
     """Reads of a scan: the firmware takes 16; 8 are what a usual scan has."""
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Both polarities where the bridge starts scans, a count where it only counts."""
         streams, counts = bench.has(Capability.STREAM), bench.has(Capability.EVENT_COUNTER)
         if not (streams or counts):
@@ -250,7 +258,7 @@ class DataReady(Step):
             bench.refresh()
         return self._judge(bench, period, first, second, figures)
 
-    def _enable(self, bench: Bench, before: int, *, first: bool) -> None:
+    def _enable(self, bench: BringupBench, before: int, *, first: bool) -> None:
         """Data-ready on DIO1, so that the bridge's edge is the pulse's first or second one."""
         low = before & ~(_MISC.field("polarity").mask | _MISC.field("line").mask)
         low |= _MISC.field("data_ready").mask
@@ -258,10 +266,10 @@ class DataReady(Step):
             low |= _MISC.field("polarity").mask
         self._write(bench, low)
 
-    def _write(self, bench: Bench, word: int) -> None:
+    def _write(self, bench: BringupBench, word: int) -> None:
         bench.bus.exchange_array(write_frames(_MISC, word & _MISC.write_mask, byte_mask=0x00FF))
 
-    def _count(self, bench: Bench, period_s: float) -> tuple[float, int]:
+    def _count(self, bench: BringupBench, period_s: float) -> tuple[float, int]:
         """Updates expected and edges counted meanwhile."""
         bench.bus.read_event_counter()
         begin_s = bench.bus.now_s()
@@ -278,7 +286,7 @@ class DataReady(Step):
         )
         return f"{rate:.0f} edges a second where {1 / period_s:.1f} updates are configured: {rest}"
 
-    def _scan(self, bench: Bench, period_s: float) -> _Edges:
+    def _scan(self, bench: BringupBench, period_s: float) -> _Edges:
         """Scans that nearly fill the period with reads of one register.
 
         A bridge may be too slow to hand on long scans: edges count as missed where short ones miss them.
@@ -304,7 +312,7 @@ class DataReady(Step):
             raise UsageError("the period is too short for a list of reads")
         return min(found, key=lambda edges: edges.lost)
 
-    def _stream(self, bench: Bench, reads: int, period_s: float, frame_us: float) -> _Edges:
+    def _stream(self, bench: BringupBench, reads: int, period_s: float, frame_us: float) -> _Edges:
         frame = int(read_frames([BY_NAME[_READ]])[0])
         with bench.bus.stream([frame] * reads, block_scans=self._scans // 4) as stream:
             try:
@@ -320,7 +328,7 @@ class DataReady(Step):
         return _Edges(_positions(words), lost, *_jitter(times, period_s), expected, frame_us, reads)
 
     def _judge(
-        self, bench: Bench, period_s: float, first: _Edges, second: _Edges, figures: list[Measured]
+        self, bench: BringupBench, period_s: float, first: _Edges, second: _Edges, figures: list[Measured]
     ) -> StepResult:
         for name, edges in (("first", first), ("second", second)):
             figures += [
@@ -401,7 +409,7 @@ def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
     return 1e6 * float(np.std(rest)), (len(time_s) - 1) / float(time_s[-1] - time_s[0])
 
 
-def _delay_us(edges: _Edges, period_s: float, bench: Bench) -> tuple[float, float]:
+def _delay_us(edges: _Edges, period_s: float, bench: BringupBench) -> tuple[float, float]:
     """Between which times after the edge the update lies in µs; negative is before it.
 
     A word is taken at the end of its frame, so the update lies between the end of the read before the one
@@ -413,7 +421,7 @@ def _delay_us(edges: _Edges, period_s: float, bench: Bench) -> tuple[float, floa
     return (edges.reads - 1) * edges.frame_us + taken_us - 1e6 * period_s, taken_us
 
 
-def _pulse(first: _Edges, second: _Edges, period_s: float, bench: Bench) -> Answer:
+def _pulse(first: _Edges, second: _Edges, period_s: float, bench: BringupBench) -> Answer:
     """Width of the pulse from where the update lies behind its two edges."""
     one, two = (_delay_us(edges, period_s, bench) for edges in (first, second))
     low, high = one[0] - two[1], one[1] - two[0]
@@ -442,17 +450,17 @@ def _histogram(first: _Edges, second: _Edges) -> Curve:
     )  # fmt: skip
 
 
-class SamplePeriods(Step):
+class SamplePeriods(BringupStep):
     """Steps of SMPL_PRD in both time bases."""
 
     name = "sample periods"
     does = "writes eight steps of SMPL_PRD in both time bases and measures the period of each"
-    effect = Effect.WRITES
+    effect = SideEffect.WRITES
     question = "Write SMPL_PRD (eight values, about 10 s)?"
     settles = ("sample_period",)
     _codes = (0x01, 0x04, 0x09, 0x0A, 0x1F, 0x7F, 0x80, 0x83)
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Compare each with base × (N + 1)."""
         figures, off, why = [], [], ""
         for code in self._codes:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from adis_gonio.bringup.bench import Bench, Effect, Floats, Step, not_measured
+from adis_gonio.bringup.bench import BringupBench, BringupStep, Floats, SideEffect, not_measured
 from adis_gonio.bringup.noise import GYRO_FLOOR_DPS
 from adis_gonio.bringup.result import Answer, Measured, Outcome, StepResult, Verdict
 from adis_gonio.errors import ChipError
@@ -22,16 +22,16 @@ _OVER_RANGE = BY_NAME["STATUS"].field("over_range").mask
 _ALARM = BY_NAME["STATUS"].field("alarm1").mask
 
 
-class Offset(Step):
+class Offset(BringupStep):
     """Size of the offsets' LSB, and on which side of the filter they act."""
 
     name = "offset"
     does = f"writes {_STEP:+d} to XACCL_OFF, YACCL_OFF, ZACCL_OFF and looks how far the outputs move"
-    effect = Effect.WRITES
+    effect = SideEffect.WRITES
     question = f"Write XACCL_OFF, YACCL_OFF and ZACCL_OFF ({_STEP:+d} LSB for a second)?"
     settles = ("accel_offset_lsb", "offset_after_filter")
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Means before, with and after the offset; drift between before and after cancels."""
         sensor = bench.sensor
         bench.sample_quickly()
@@ -75,12 +75,12 @@ class Offset(Step):
         )
 
     @staticmethod
-    def _write(bench: Bench, values: list[int]) -> None:
+    def _write(bench: BringupBench, values: list[int]) -> None:
         for name, value in zip(ACCEL_OFF, values, strict=True):
             bench.sensor.write(name, value)
 
     @staticmethod
-    def _behind_filter(bench: Bench, held: int, step: int, ratio: float) -> Answer:
+    def _behind_filter(bench: BringupBench, held: int, step: int, ratio: float) -> Answer:
         """With the longest filter: whether the step is there at once, or comes in over 127 samples."""
         sensor = bench.sensor
         sensor.write("SENS_AVG", sens_avg_word(300, _MOST_M))
@@ -111,7 +111,7 @@ class Offset(Step):
         )
 
 
-def _mean_u(bench: Bench, count: int) -> Floats:
+def _mean_u(bench: BringupBench, count: int) -> Floats:
     """Standard uncertainty in LSB of means of accelerometers and gyros over `count` scans.
 
     White noise of the figures, their flicker's floor, and rounding; the noise that was measured is not far.
@@ -124,16 +124,16 @@ def _mean_u(bench: Bench, count: int) -> Floats:
     return result
 
 
-class SelfTests(Step):
+class SelfTests(BringupStep):
     """Internal self-test, and the manual one with both signs."""
 
     name = "self-test"
     does = "runs the internal self-test, then the manual one with the positive and the negative stimulus"
-    effect = Effect.WRITES
+    effect = SideEffect.WRITES
     question = "Run the self-tests (MSC_CTRL[10:8], about 3 s, volatile)?"
     settles = ("self_test_gyro", "self_test_accel")
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Means of six axes without, with +, without, with −, without."""
         internal = bench.sensor.self_test()
         bench.sample_quickly()
@@ -203,17 +203,17 @@ def _self_test_answers(
     }  # fmt: skip
 
 
-class StatusBits(Step):
+class StatusBits(BringupStep):
     """Which bits of STATUS fall by themselves, and the threshold of over-range."""
 
     name = "status"
     does = "raises an alarm and over-range by registers alone, ends them, and looks at EA and STATUS"
-    effect = Effect.WRITES
+    effect = SideEffect.WRITES
     question = "Write ALM_MAG1, ALM_CTRL and an accelerometer's offset (a second each)?"
     settles = ("alarm_stays", "over_range_falls", "over_range_threshold")
     _halvings = 9
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """First the alarm, which the table says stays, then over-range, which it says falls."""
         bench.sample_quickly()
         bench.status()
@@ -233,7 +233,7 @@ class StatusBits(Step):
         )  # fmt: skip
 
     @staticmethod
-    def _alarm(bench: Bench) -> Answer:
+    def _alarm(bench: BringupBench) -> Answer:
         bench.sensor.set_alarm(1, Alarm("SUPPLY_OUT", threshold=1.0))
         bench.wait_updates()
         raised = bench.alarm_stands()
@@ -253,7 +253,7 @@ class StatusBits(Step):
             else "an alarm's bit is not cleared by a read of STATUS",
         )  # fmt: skip
 
-    def _over_range(self, bench: Bench) -> tuple[tuple[Measured, ...], dict[str, Answer]]:
+    def _over_range(self, bench: BringupBench) -> tuple[tuple[Measured, ...], dict[str, Answer]]:
         """Push the axis that gravity loads most over its range by its offset register."""
         sensor = bench.sensor
         part = sensor.variant
@@ -331,16 +331,16 @@ def _falling(*, stood: bool, falls: bool) -> Answer:
     return Answer(Outcome.CONTRADICTS, "over-range does not fall by itself: it stands until STATUS is read")
 
 
-class FlashCount(Step):
+class FlashCount(BringupStep):
     """ENDURANCE counts a flash update."""
 
     name = "flash count"
     does = "resets the part, so that the registers hold what the flash holds, and saves that: ENDURANCE + 1"
-    effect = Effect.FLASH
+    effect = SideEffect.FLASH
     question = "Reset the part and write the flash once (10 000 writes are its life)?"
     settles = ("flash_count",)
 
-    def run(self, bench: Bench) -> StepResult:
+    def run(self, bench: BringupBench) -> StepResult:
         """Save what is saved already."""
         if not bench.supply_ok:
             return not_measured("the supply is outside its limits, where a flash update fails")

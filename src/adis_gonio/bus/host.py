@@ -69,7 +69,7 @@ class Pace:
         self._start_s = self._over_s - FRAME_BITS / timing.clock_hz
 
 
-class Options:
+class UrlOptions:
     """Options of a URL, taken one by one; what is left over is an error that names what exists."""
 
     def __init__(self, url: BusUrl, names: Sequence[str]) -> None:

@@ -110,7 +110,7 @@ def _left_out(term: Term) -> NotCorrected:
 def _stated(
     fit: Fit, kept: Sequence[NamedTerm], inflation: float
 ) -> tuple[tuple[Coefficient, ...], Floats]:
-    """Parameters with gains K and leans of D, and their covariance."""
+    """Parameters with gains K and misalignments of D, and their covariance."""
     names, units, places = [], [], []
     for k, parameter in enumerate(fit.data.model.parameters):
         names.append(parameter.name)
@@ -138,20 +138,20 @@ def _stated(
 
 
 def _gains(names: Sequence[str], values: Floats) -> Floats:
-    """The same with what effects add to a perfect gyro turned into its gain and the leans of its axis.
+    """The same with what effects add to a perfect gyro turned into its gain and its misalignments.
 
     A gyro that adds e Ω_i + Σ sin m_p Ω_p − (1 − c) Ω_i to Ω_i, c² = 1 − Σ sin² m_p, has the row
     (c + e, sin m_p, …) of K D, whose length is K.
     """
     out = np.array(values, dtype=float)
     for axis in AXES:
-        leans = [k for k, name in enumerate(names) if name.startswith(f"gyro_misalignment_{axis}")]
-        sines = np.sin(np.radians(out[leans]))
+        angles = [k for k, name in enumerate(names) if name.startswith(f"gyro_misalignment_{axis}")]
+        sines = np.sin(np.radians(out[angles]))
         along = math.sqrt(max(1 - float(sines @ sines), 0.0))
         scale = f"gyro_scale_error_{axis}"
         if scale not in names:
             continue
         gain = math.hypot(along + float(out[names.index(scale)]), *sines)
         out[names.index(scale)] = gain
-        out[leans] = np.degrees(np.arcsin(sines / gain))
+        out[angles] = np.degrees(np.arcsin(sines / gain))
     return out

@@ -83,9 +83,9 @@ class GyroCalibration:
         What determined it: `gyro` (the fit), `trace`, or another's name.
     parameters : tuple of Coefficient
         `gyro_bias_x …` (dps), and what was determined of `gyro_scale_x …` (1), `gyro_misalignment_xy …`
-        (deg; the gyro, and the axis that it leans towards), `g_sensitivity_xy …` (dps/g; the gyro, and the
-        axis of force), `g2_sensitivity_xy …` (dps/g²), `gyro_bias_temperature_x …` (dps/°C; …2, …3
-        of its square and cube), `gyro_scale_temperature_x …` (ppm/°C), `gyro_supply_x …` (dps/V).
+        (deg; the gyro, and the axis towards which it is misaligned), `g_sensitivity_xy …` (dps/g; the
+        gyro, and the axis of force), `g2_sensitivity_xy …` (dps/g²), `gyro_bias_temperature_x …` (dps/°C;
+        …2, …3 of its square and cube), `gyro_scale_temperature_x …` (ppm/°C), `gyro_supply_x …` (dps/V).
     covariance : (p, p) float or None
         In the order and units of `parameters`; None where no noise is known.
     assumed : tuple of str
@@ -155,8 +155,8 @@ class GyroCalibration:
             kind = kind_of(one.name)
             if kind is None or one.unit != _KINDS[kind][1]:
                 raise FitError(f"{one.name} in {one.unit} is no parameter of a gyro")
-        lean = self._matrix("gyro_misalignment", self._stated())
-        if (np.abs(lean) >= 45).any() or abs(np.linalg.det(self.sensitivity)) < LEAST_DETERMINANT:
+        misalignment = self._matrix("gyro_misalignment", self._stated())
+        if (np.abs(misalignment) >= 45).any() or abs(np.linalg.det(self.sensitivity)) < LEAST_DETERMINANT:
             raise FitError(
                 "gains and directions are those of no three gyros: one hardly turns with the part"
             )
@@ -390,12 +390,12 @@ class GyroCalibration:
 
     def _values(self, values: Floats) -> _Values:
         held = {one.name: float(v) for one, v in zip(self.parameters, values, strict=True)}
-        lean = np.sin(np.radians(self._matrix("gyro_misalignment", held)))
-        own = np.sqrt(np.maximum(1 - (lean**2).sum(axis=1), 0.0))
+        misalignment = np.sin(np.radians(self._matrix("gyro_misalignment", held)))
+        own = np.sqrt(np.maximum(1 - (misalignment**2).sum(axis=1), 0.0))
         gains = self._vector("gyro_scale", held, 1.0)
         return _Values(
             bias=self._vector("gyro_bias", held),
-            sensitivity=gains[:, None] * (lean + np.diag(own)),
+            sensitivity=gains[:, None] * (misalignment + np.diag(own)),
             per_g=self._matrix("g_sensitivity", held),
             per_g2=self._matrix("g2_sensitivity", held),
             per_c=(

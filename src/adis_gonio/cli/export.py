@@ -16,7 +16,7 @@ from adis_gonio.cli.working import working
 from adis_gonio.errors import UsageError
 
 if TYPE_CHECKING:
-    from adis_gonio.handover.exporting import Source
+    from adis_gonio.handover.exporting import ExportSource
     from adis_gonio.session.overrides import Overrides
 
 STANDARD_OUTPUT = "-"
@@ -67,14 +67,14 @@ def command(
 
     SESSION may be a calibration file for c-header, dcc and registers.
     """
-    from adis_gonio.handover.exporting import OF_SAMPLES, Source, format_of
+    from adis_gonio.handover.exporting import OF_SAMPLES, ExportSource, format_of
     from adis_gonio.output import check_output, replacing
 
     if kind is None and output in (None, STANDARD_OUTPUT):
         raise UsageError("what shall be made? Give -o FILE with an ending such as .h or .json, or --format")
     kind = kind or format_of(str(output))
     named = {} if name is None else {"name": name}
-    source = Source(session, method, traced, samples, **named, overrides=overrides, gyros=gyros)
+    source = ExportSource(session, method, traced, samples, **named, overrides=overrides, gyros=gyros)
     source.check(kind)
     if output is None and kind in OF_SAMPLES:
         raise UsageError(f"--format {kind} needs -o FILE; -o - is standard output")
@@ -87,7 +87,7 @@ def command(
             source.write(kind, beside)
 
 
-def _to_standard_output(source: Source, kind: str) -> None:
+def _to_standard_output(source: ExportSource, kind: str) -> None:
     """Whole or not at all: what fails half-way has said nothing."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "export"

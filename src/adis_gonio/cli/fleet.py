@@ -16,7 +16,7 @@ from adis_gonio.errors import UsageError
 
 if TYPE_CHECKING:
     from adis_gonio.fleet import Cluster, Journal, LocalPool
-    from adis_gonio.fleet.outputs import Outcome
+    from adis_gonio.fleet.outputs import FleetResult
 
 
 @click.command("fleet")
@@ -74,7 +74,7 @@ def command(
     """
     from adis_gonio.budget import current
     from adis_gonio.fleet import Options, files_of, run_fleet, survey
-    from adis_gonio.fleet.outputs import Outcome, check_outputs
+    from adis_gonio.fleet.outputs import FleetResult, check_outputs
 
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler: the one is for this machine, the other for a cluster")
@@ -91,7 +91,7 @@ def command(
         with _workers(workers, scheduler) as hands:
             fleet = run_fleet(found, options, hands, held, lambda progress: tell(str(progress)))
         tell("summary")
-        outcome = Outcome(fleet, options)
+        outcome = FleetResult(fleet, options)
         for path in outputs:
             outcome.write(path)
     if as_json:
@@ -128,7 +128,7 @@ def _workers(workers: int | None, scheduler: str | None) -> AbstractContextManag
     return LocalPool(workers) if scheduler is None else Cluster(scheduler)
 
 
-def _show(outcome: Outcome) -> None:
+def _show(outcome: FleetResult) -> None:
     from adis_gonio.fleet import words
 
     screen = console()

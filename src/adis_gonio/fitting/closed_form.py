@@ -23,7 +23,7 @@ from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm
 from adis_gonio.fitting.likelihood import angle_errors
-from adis_gonio.fitting.noise import Noise, settle
+from adis_gonio.fitting.noise import NoiseAssumptions, settle
 from adis_gonio.fitting.outputs import estimates, left_to_the_stage, outputs_of, variances
 from adis_gonio.fitting.result import FitResult, Origin
 from adis_gonio.fitting.sources import Sources, Unseen, sources_of
@@ -103,7 +103,7 @@ def fit_mmpm(readings: Readings) -> FitResult:
     return _finish(chosen, "mmpm", linear, _noise(readings, chosen), [])
 
 
-def model_without(method: str, rest: Readings, noise: Noise) -> Fit:
+def model_without(method: str, rest: Readings, noise: NoiseAssumptions) -> Fit:
     """Model of a closed form from dwells that are left, at the first place of the turn where it can be had.
 
     Raises
@@ -294,19 +294,21 @@ def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
     return _Linear(beta, derivative, bias)
 
 
-def _noise(readings: Readings, chosen: Readings) -> Noise:
+def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
     """Noise as the whole session settles it, where it has positions to spare."""
     try:
         return settle(readings).noise
     except FitError:
         if not chosen.noise_known:
-            return Noise(
+            return NoiseAssumptions(
                 sigma_rad=readings.fixture_rad,
                 known=False,
                 notes=("nothing states the noise of a reading: no uncertainty can be given",),
             )
         stated = ("fixture_sigma_deg is not stated: declared angles were taken as exact",)
-        return Noise(sigma_rad=readings.fixture_rad, notes=() if readings.fixture_stated else stated)
+        return NoiseAssumptions(
+            sigma_rad=readings.fixture_rad, notes=() if readings.fixture_stated else stated
+        )
 
 
 def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
@@ -318,7 +320,7 @@ def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
     return replace(fit, values=values).having(terms, own)
 
 
-def _sources(data: Readings, linear: _Linear, noise: Noise) -> Sources:
+def _sources(data: Readings, linear: _Linear, noise: NoiseAssumptions) -> Sources:
     """Sources of the uncertainty of the natural parameters, the fixture by its tangent."""
     fit = _fit(noise.applied(data), linear.beta, bias=linear.has_bias)
     unseen = Unseen() if linear.has_bias or not data.unit.known else Unseen(biases=(0, 1))
@@ -352,7 +354,7 @@ def _finish(
     chosen: Readings,
     method: str,
     linear: _Linear,
-    noise: Noise,
+    noise: NoiseAssumptions,
     warnings: list[str],
     only: tuple[str, ...] | None = None,
 ) -> FitResult:
@@ -364,7 +366,7 @@ def _finish(
     sources = _sources(chosen, linear, noise) if noise.known else None
     found = estimates(outputs, sources)
     warnings = [*warnings, *left_to_the_stage(found, noise.sigma_rad)]
-    assumed = Noise(scale=noise.scale, sigma_rad=noise.sigma_rad).applied(chosen)
+    assumed = NoiseAssumptions(scale=noise.scale, sigma_rad=noise.sigma_rad).applied(chosen)
     fit = _fit(assumed, linear.beta, bias=linear.has_bias)
     dof = 2 * len(chosen) - (6 if linear.has_bias else 4)
     lost = () if linear.has_bias else ("bias_x", "bias_y")

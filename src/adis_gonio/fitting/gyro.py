@@ -3,8 +3,8 @@
 The model is the gyros' base model (`model.rates`) with the effects of a physical calibration:
 `g_sensitivity` where poses show it, `gyro_scale` and `gyro_misalignment` where turns do. Each gyro is
 determined by itself, since no parameter belongs to two. What the intervals do not determine is held at that
-of a perfect gyro, and said. Of gains and leans a result states K and D of rate = K D ω, however large they
-are.
+of a perfect gyro, and said. Of gains and misalignments a result states K and D of rate = K D ω, however
+large they are.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ LEVEL = 0.01
 
 
 @dataclass(frozen=True)
-class Score:
+class GyroScore:
     """Residuals of the dwells, each left out of the fit in turn, by axis in °/s."""
 
     rms_dps: dict[str, float]
@@ -87,7 +87,7 @@ class GyroFit:
     parameters : mapping of str to Value
         `gyro_bias_x …` (dps) and what is determined of `g_sensitivity_xy …` (dps/g; the gyro, the axis of
         force), `gyro_scale_x …` (1 is perfect), `gyro_misalignment_xy …` (deg; the gyro, the axis towards
-        which it leans).
+        which it is misaligned).
     covariance : (p, p) float
         In the order and units of `parameters`.
     chi2, dof : float, int
@@ -103,7 +103,7 @@ class GyroFit:
         Those of the warnings that say that these are hardly gyros at rest.
     inflation : mapping of str to float
         Factor on the noise variance of each gyro that its residual demanded; 1 where it agrees.
-    scores : mapping of str to Score
+    scores : mapping of str to GyroScore
         `zero rate`, `gyro` and models with a drift on the same dwells, left out one by one.
     """
 
@@ -119,7 +119,7 @@ class GyroFit:
     doubts: tuple[str, ...] = ()
     inflation: dict[str, float] = field(default_factory=dict)
     reference_temperature_c: float | None = None
-    scores: dict[str, Score] = field(default_factory=dict)
+    scores: dict[str, GyroScore] = field(default_factory=dict)
     provenance: Provenance | None = field(default=None, repr=False, compare=False)
     overrides: dict[str, Any] = field(default_factory=dict)
     fit: Fit | None = field(default=None, repr=False, compare=False)
@@ -433,10 +433,10 @@ def _stated(model: _Model, covariance: Floats) -> tuple[list[str], Floats, Float
 
 
 def _of_k_and_d(model: _Model, values: Floats) -> Floats:
-    """The parameters (p,) with gains K and leans of D in the place of what the effects add.
+    """The parameters (p,) with gains K and misalignments of D in the place of what the effects add.
 
     A gyro that adds e Ω_i + Σ sin m_p Ω_p − (1 − c) Ω_i, c² = 1 − Σ sin² m_p, to Ω_i has the row
-    (c + e, sin m_p, …) of K D: K is its length, the leans are those of its direction.
+    (c + e, sin m_p, …) of K D: K is its length, the misalignments are those of its direction.
     """
     out = values.copy()
     at = {name: k for k, name in enumerate(model.names)}
@@ -444,20 +444,20 @@ def _of_k_and_d(model: _Model, values: Floats) -> Floats:
         scale = at.get(f"gyro_scale_error_{axis}")
         if scale is None:
             continue
-        leans = [k for name, k in at.items() if name.startswith(f"gyro_misalignment_{axis}")]
-        sines = np.sin(np.radians(values[leans]))
+        angles = [k for name, k in at.items() if name.startswith(f"gyro_misalignment_{axis}")]
+        sines = np.sin(np.radians(values[angles]))
         gain = math.hypot(
             math.sqrt(1 - float(sines @ sines)) + float(values[scale]), float(np.hypot(*sines))
         )
         out[scale] = gain
-        out[leans] = np.degrees(np.arcsin(sines / gain))
+        out[angles] = np.degrees(np.arcsin(sines / gain))
     return out
 
 
 # -- how good it is, and what is said ---------------------------------------------------------------------
 
 
-def _scores(data: Readings, model: _Model) -> dict[str, Score]:
+def _scores(data: Readings, model: _Model) -> dict[str, GyroScore]:
     """Each dwell left out in turn: of the zero rate alone, of the calibration, and with drifts besides."""
     if len(data) < 3:
         return {}
@@ -473,7 +473,7 @@ def _at_rest(data: Readings) -> NDArray[np.intp]:
     return np.flatnonzero(np.ones(len(data), dtype=bool) if rate is None else ~rate.any(axis=1))
 
 
-def _left_out(model: _Model, rows: NDArray[np.intp]) -> Score | None:
+def _left_out(model: _Model, rows: NDArray[np.intp]) -> GyroScore | None:
     """Residuals of rows that are left out one by one; None where the others do not determine the model."""
     data, left = model.data, []
     for row in rows.tolist():
@@ -485,7 +485,7 @@ def _left_out(model: _Model, rows: NDArray[np.intp]) -> Score | None:
         left.append(there.misfit[0])
     size = np.abs(np.array(left))
     rms, most = np.sqrt((size**2).mean(axis=0)), size.max(axis=0)
-    return Score(
+    return GyroScore(
         *({axis: float(v) for axis, v in zip(AXES, values, strict=True)} for values in (rms, most))
     )
 

@@ -29,7 +29,7 @@ _LARGEST_SIGMA_RAD = 0.2
 
 
 @dataclass(frozen=True)
-class Noise:
+class NoiseAssumptions:
     """What is assumed about readings and angles.
 
     Attributes
@@ -70,7 +70,7 @@ class Settled:
     """A fit with its noise settled; `chi2` is that of the measured noise."""
 
     determination: Determination
-    noise: Noise
+    noise: NoiseAssumptions
     chi2: float
     dof: int
 
@@ -78,7 +78,7 @@ class Settled:
 def settle(readings: Readings) -> Settled:
     """Fit base model and bias, and settle what the session leaves open about its noise."""
     open_sigma = not readings.fixture_stated and readings.planar and not readings.free
-    noise = Noise(sigma_rad=readings.fixture_rad)
+    noise = NoiseAssumptions(sigma_rad=readings.fixture_rad)
     determination = determine(readings)
     dof = determination.fit.equations - int(determination.free.sum()) + determination.null.shape[1]
     follow = _Follow(readings, determination)
@@ -113,17 +113,19 @@ class _Follow:
         self.first = first
         self.last = first
 
-    def __call__(self, noise: Noise) -> Fit:
+    def __call__(self, noise: NoiseAssumptions) -> Fit:
         fit = self.last.refitted(noise.applied(self.readings))
         self.last = replace(self.last, fit=fit)
         return fit
 
-    def determination(self, noise: Noise) -> Determination:
+    def determination(self, noise: NoiseAssumptions) -> Determination:
         """Fit under `noise` with what is determined looked at again."""
         return determine(noise.applied(self.readings), self.first.held)
 
 
-def _unknown_readings(follow: _Follow, noise: Noise, dof: int, open_sigma: bool) -> Noise:
+def _unknown_readings(
+    follow: _Follow, noise: NoiseAssumptions, dof: int, open_sigma: bool
+) -> NoiseAssumptions:
     notes = ["fixture_sigma_deg is not stated: declared angles were taken as exact"] if open_sigma else []
     if dof <= 0:
         notes.append(
@@ -146,7 +148,7 @@ def _unknown_readings(follow: _Follow, noise: Noise, dof: int, open_sigma: bool)
     return replace(noise, scale=scale, dof=float(dof), notes=tuple(notes))
 
 
-def _unknown_fixture(follow: _Follow, noise: Noise, dof: int) -> Noise:
+def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> NoiseAssumptions:
     """Restricted maximum likelihood for σ_f."""
     if dof < 2:
         note = (

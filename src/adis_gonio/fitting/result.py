@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from adis_gonio.estimation.shown import ShownAngle
     from adis_gonio.fitting.determination import Determination
     from adis_gonio.fitting.linked import LinkReport
-    from adis_gonio.fitting.noise import Noise
+    from adis_gonio.fitting.noise import NoiseAssumptions
     from adis_gonio.fitting.outputs import Output
     from adis_gonio.fitting.sources import Sources
     from adis_gonio.fitting.standing import Standing
@@ -83,7 +83,7 @@ class Origin:
     """
 
     readings: Readings
-    noise: Noise
+    noise: NoiseAssumptions
     fit: Fit
     outputs: tuple[Output, ...]
     sources: Sources | None

@@ -29,7 +29,7 @@ MOST_FOLDS = 40
 
 
 @dataclass(frozen=True)
-class Prediction:
+class DwellPrediction:
     """What a model says of dwells: errors of the angle (n,), rad, residuals (n, r), mg; NaN unknown."""
 
     angle_rad: Floats
@@ -68,12 +68,12 @@ class Score:
         }
 
 
-def predictions(session: Readings, results: Sequence[FitResult]) -> dict[str, Prediction]:
+def predictions(session: Readings, results: Sequence[FitResult]) -> dict[str, DwellPrediction]:
     """What each method says of every dwell of a session, by parameters that never saw it."""
     return {result.method: _of_method(session, result) for result in results}
 
 
-def scores_of(found: Mapping[str, Prediction]) -> dict[str, Score]:
+def scores_of(found: Mapping[str, DwellPrediction]) -> dict[str, Score]:
     """Scores over the dwells that every one of the models predicts."""
     if not found:
         return {}
@@ -81,7 +81,7 @@ def scores_of(found: Mapping[str, Prediction]) -> dict[str, Score]:
     return {name: _score(prediction, common) for name, prediction in found.items()}
 
 
-def _score(prediction: Prediction, rows: NDArray[np.bool_]) -> Score:
+def _score(prediction: DwellPrediction, rows: NDArray[np.bool_]) -> Score:
     count = int(rows.sum())
     if not count:
         return Score(None, None, None, None, 0)
@@ -97,7 +97,7 @@ def _score(prediction: Prediction, rows: NDArray[np.bool_]) -> Score:
     )
 
 
-def _of_method(session: Readings, result: FitResult) -> Prediction:
+def _of_method(session: Readings, result: FitResult) -> DwellPrediction:
     made = result.origin
     assert made is not None
     used = np.isin(session.position, result.positions) & ~session.check
@@ -116,7 +116,7 @@ def predicted(
     used: NDArray[np.bool_],
     fit: Fit,
     again: Callable[[NDArray[np.bool_]], Fit],
-) -> Prediction:
+) -> DwellPrediction:
     """Predictions of all dwells by `fit`, those `used` by `again(rows that are left)`.
 
     Parameters
@@ -138,7 +138,7 @@ def predicted(
         else:
             model = fit
         angle[left_out], residual[left_out] = errors_of(model, data.rows(left_out))
-    return Prediction(angle, residual)
+    return DwellPrediction(angle, residual)
 
 
 def errors_of(model: Fit, rows: Readings) -> tuple[Floats, Floats]:

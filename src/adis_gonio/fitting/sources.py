@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.intervals import effective_dof
 from adis_gonio.estimation.readings import Readings
-from adis_gonio.fitting.noise import Noise
+from adis_gonio.fitting.noise import NoiseAssumptions
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
 from adis_gonio.sensor.variants import VARIANTS
 
@@ -199,7 +199,7 @@ def by_rotation_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats | No
 
 def sources_of(
     data: Readings,
-    noise: Noise,
+    noise: NoiseAssumptions,
     fit: Fit,
     response: Floats,
     unseen: Unseen = NOTHING_UNSEEN,
@@ -285,7 +285,7 @@ def _unlimited(k: int) -> tuple[Floats, NDArray[np.intp]]:
     return np.full(k, np.inf), np.zeros(k, dtype=np.intp)
 
 
-def _own(data: Readings, noise: Noise) -> Floats:
+def _own(data: Readings, noise: NoiseAssumptions) -> Floats:
     """Covariance (n, axes, axes) of the means by the noise that averaging lowers."""
     factor = np.where(data.known, 1.0, noise.scale**2)[:, None, None]
     own = data.own_covariance * factor
@@ -294,7 +294,7 @@ def _own(data: Readings, noise: Noise) -> Floats:
     return np.asarray(own)
 
 
-def repeatability_of(data: Readings, noise: Noise) -> tuple[Floats, Floats, NDArray[np.intp]]:
+def repeatability_of(data: Readings, noise: NoiseAssumptions) -> tuple[Floats, Floats, NDArray[np.intp]]:
     """Roots (n, axes, axes) of that; degrees of freedom and numbers (n, axes) of the estimates behind."""
     n, axes = data.mean.shape
     first = np.full(n, _POOLED) if data.pooled else 3 * np.arange(n) + _EACH
@@ -306,7 +306,7 @@ def repeatability_of(data: Readings, noise: Noise) -> tuple[Floats, Floats, NDAr
     return _root(_own(data, noise)), np.repeat(dof[:, None], axes, axis=1), estimate.astype(np.intp)
 
 
-def _repeatability(data: Readings, noise: Noise, response: Floats) -> Source:
+def _repeatability(data: Readings, noise: NoiseAssumptions, response: Floats) -> Source:
     roots, dof, estimate = repeatability_of(data, noise)
     stated = bool((data.known & np.isinf(data.dof)).all())
     mean = _own(data, noise).mean(axis=0)
@@ -348,7 +348,7 @@ def _flicker(data: Readings, response: Floats) -> Source:
     )
 
 
-def _fixture(data: Readings, noise: Noise, fit: Fit, response: Floats) -> Source:
+def _fixture(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats) -> Source:
     sigma = np.where(np.isfinite(fit.data.fixture), fit.data.fixture, 0.0)
     if data.planar:
         moves = np.einsum("pna,na,n->pn", response, fit.tangent[:, :, 0], sigma)
@@ -450,7 +450,7 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
     )
 
 
-def _model(data: Readings, noise: Noise, fit: Fit, response: Floats, unseen: Unseen) -> Source:
+def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, unseen: Unseen) -> Source:
     """What the residual shows beyond the noise, and biases and skews that had to be taken as zero."""
     axes = data.axes
     extra = _each(response, np.tile(noise.extra_mg * np.eye(axes), (len(data), 1, 1)))

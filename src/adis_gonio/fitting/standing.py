@@ -14,7 +14,7 @@ from adis_gonio.errors import FitError
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.fitting.methods import applicable_to, default_method, fit_of
 from adis_gonio.fitting.result import FitResult
-from adis_gonio.fitting.scores import Prediction, Score, predictions, scores_of
+from adis_gonio.fitting.scores import DwellPrediction, Score, predictions, scores_of
 from adis_gonio.model.records import Floats
 
 BEYOND = 3.0
@@ -46,7 +46,7 @@ class Standing:
         In the order of `METHODS`.
     failures : mapping of str to str
         Why other methods give nothing.
-    predictions : mapping of str to Prediction
+    predictions : mapping of str to DwellPrediction
         What each says of every dwell without having seen it.
     scores : mapping of str to Score
     recommended : Recommendation
@@ -54,7 +54,7 @@ class Standing:
 
     results: tuple[FitResult, ...]
     failures: dict[str, str]
-    predictions: dict[str, Prediction]
+    predictions: dict[str, DwellPrediction]
     scores: dict[str, Score]
     recommended: Recommendation
 
@@ -99,7 +99,7 @@ def _worked_out(session: Readings) -> Standing:
 
 def recommend(
     results: Sequence[FitResult],
-    found: Mapping[str, Prediction],
+    found: Mapping[str, DwellPrediction],
     scores: Mapping[str, Score],
     preferred: str,
 ) -> Recommendation:
@@ -126,7 +126,7 @@ def recommend(
     return Recommendation(chosen, _why(result, results, good, scores, scored))
 
 
-def _squares(prediction: Prediction) -> Floats:
+def _squares(prediction: DwellPrediction) -> Floats:
     """Squared error of each dwell, of the angle where it is declared."""
     if np.isfinite(prediction.angle_rad).any():
         return np.asarray(prediction.angle_rad**2)
@@ -137,7 +137,7 @@ def _rms(score: Score) -> float:
     return float(score.residual_rms_mg or 0.0) if score.angle_rms_deg is None else score.angle_rms_deg
 
 
-def surely_worse(one: Prediction, best: Prediction) -> bool:
+def surely_worse(one: DwellPrediction, best: DwellPrediction) -> bool:
     """True where the squared errors of `one` are larger by more than `BEYOND` standard errors."""
     base = _squares(best)
     difference = _squares(one) - base

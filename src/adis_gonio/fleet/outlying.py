@@ -70,7 +70,7 @@ class Test:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class FamilyOfTests:
     """All groups of a kind by one quantity.
 
     Attributes
@@ -85,7 +85,7 @@ class Comparison:
     find: Callable[[float], list[Test]]
 
 
-def outlying(comparisons: Sequence[Comparison]) -> tuple[int, list[Test]]:
+def outlying(comparisons: Sequence[FamilyOfTests]) -> tuple[int, list[Test]]:
     """How many tests there are in all, and those that pass `LEVEL` of a family of so many; oddest first."""
     total = sum(one.count for one in comparisons)
     passed = [test for one in comparisons if one.count for test in one.find(LEVEL / total)]
@@ -94,7 +94,7 @@ def outlying(comparisons: Sequence[Comparison]) -> tuple[int, list[Test]]:
     )
 
 
-def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> Comparison:
+def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTests:
     """Every unit against all units, by the median of its sessions.
 
     Parameters
@@ -117,7 +117,7 @@ def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> Comparison
             for k in np.flatnonzero(p < level)
         ]
 
-    return Comparison(len(names) if len(names) >= FEWEST_UNITS else 0, find)
+    return FamilyOfTests(len(names) if len(names) >= FEWEST_UNITS else 0, find)
 
 
 def robust_z(values: Floats, u: Floats) -> tuple[Floats, float]:
@@ -143,14 +143,14 @@ def robust_z(values: Floats, u: Floats) -> tuple[Floats, float]:
     return np.divide(values - centre, scale, out=np.zeros_like(values), where=scale > 0), centre
 
 
-def by_rank(kind: str, quantity: str, values: Floats, group: Codes, unit: Codes) -> Comparison:
+def by_rank(kind: str, quantity: str, values: Floats, group: Codes, unit: Codes) -> FamilyOfTests:
     """Every stage or operator against the others, by ranks of its units' medians."""
     good = np.isfinite(values) & (group >= 0)
     x, code = _by_unit(values[good], group[good], _own(unit)[good])
     return _Stepwise(kind, quantity, x, code, _normal_scores, np.median).comparison
 
 
-def by_share(kind: str, effect: str, found: Flags, group: Codes, unit: Codes) -> Comparison:
+def by_share(kind: str, effect: str, found: Flags, group: Codes, unit: Codes) -> FamilyOfTests:
     """Every group by how many of its units show an effect in half of their sessions or more.
 
     For units themselves (`kind` is `unit`) their sessions are counted.
@@ -215,9 +215,9 @@ class _Stepwise:
     middle: Callable[[Floats], Any]
 
     @property
-    def comparison(self) -> Comparison:
+    def comparison(self) -> FamilyOfTests:
         count = np.unique(self.code, return_counts=True)[1]
-        return Comparison(int(_able(count).sum()), self.find)
+        return FamilyOfTests(int(_able(count).sum()), self.find)
 
     def find(self, level: float) -> list[Test]:
         values, code = self.values, self.code

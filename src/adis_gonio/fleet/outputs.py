@@ -25,7 +25,7 @@ ENDINGS = (".parquet", ".json", ".html")
 
 
 @dataclass(frozen=True)
-class Outcome:
+class FleetResult:
     """A fleet with its summary: the same whoever worked on it, and in whatever order."""
 
     fleet: Fleet

@@ -11,7 +11,7 @@ from adis_gonio.answer.wording import NAMES
 from adis_gonio.counting import counted
 from adis_gonio.fleet import words
 from adis_gonio.fleet.run import Repeated
-from adis_gonio.fleet.summary import GROUPS, Outlying, Parameter, Summary
+from adis_gonio.fleet.summary import GROUPS, Outlying, QuantitySummary, Summary
 from adis_gonio.model.records import Floats
 from adis_gonio.report.numbers import percent, with_unit
 from adis_gonio.report.parts import Figure, KeyFigure, Section, Table
@@ -90,7 +90,7 @@ def _parameters(summary: Summary) -> Section:
     )
 
 
-def _histogram(one: Parameter, values: Floats) -> Figure | None:
+def _histogram(one: QuantitySummary, values: Floats) -> Figure | None:
     """How many sessions lie where, beside what the median u alone would make of one true value."""
     x = values[np.isfinite(values)]
     spread = one.distribution

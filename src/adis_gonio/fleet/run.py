@@ -137,7 +137,7 @@ def run_fleet(
     options: Options,
     workers: Workers,
     journal: Journal | None = None,
-    tell: Callable[[Progress], None] | None = None,
+    tell: Callable[[FleetProgress], None] | None = None,
 ) -> Fleet:
     """Have every session worked on that the journal does not hold.
 
@@ -153,7 +153,7 @@ def run_fleet(
         job.path: _named(held[key], job) for job in found.jobs if (key := job.key(options)) in held
     }
     todo = [job for job in found.jobs if job.path not in documents]
-    progress = Progress(len(todo), again=len(documents))
+    progress = FleetProgress(len(todo), again=len(documents))
     for job, document in workers.results(todo, options) if todo else ():
         if journal is not None and document["final"]:
             journal.keep(job.key(options), document)
@@ -196,7 +196,7 @@ def _named(document: Document, job: Job) -> Document:
     return {**document, "record": {**document["record"], "path": job.path}}
 
 
-class Progress:
+class FleetProgress:
     """How far a fleet is.
 
     Attributes

@@ -15,7 +15,16 @@ import numpy as np
 from adis_gonio import __version__
 from adis_gonio.estimation.intervals import wilson
 from adis_gonio.fleet.columns import Row, Table, table_of, unit_of
-from adis_gonio.fleet.outlying import LEVEL, Codes, Comparison, Test, by_rank, by_share, by_unit, outlying
+from adis_gonio.fleet.outlying import (
+    LEVEL,
+    Codes,
+    FamilyOfTests,
+    Test,
+    by_rank,
+    by_share,
+    by_unit,
+    outlying,
+)
 from adis_gonio.fleet.statistics import Beyond, Distribution, Repeats, beyond, repeats
 from adis_gonio.memory.record import COLUMNS as QUANTITIES
 from adis_gonio.model.records import Floats
@@ -31,7 +40,7 @@ _RMS = "angle"
 
 
 @dataclass(frozen=True)
-class Parameter:
+class QuantitySummary:
     """One quantity over all sessions that determine it.
 
     Attributes
@@ -128,7 +137,7 @@ class Summary:
         Counts: `n`, `ok`, `failed`, `traced`, `adequate`, `doubted`, `units`, `stages`, `operators`.
     failures : tuple of (str, str)
         Path and reason.
-    parameters : tuple of Parameter
+    parameters : tuple of QuantitySummary
     effects : tuple of Frequency
         The most frequent first.
     tests : int
@@ -139,7 +148,7 @@ class Summary:
 
     sessions: dict[str, int]
     failures: tuple[tuple[str, str], ...]
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[QuantitySummary, ...]
     effects: tuple[Frequency, ...]
     tests: int
     outlying: tuple[Outlying, ...]
@@ -214,14 +223,14 @@ def _doubt(table: Table, name: str) -> Floats:
     return np.full(len(table[name]), np.nan) if name == _RMS else table[f"{name}_u"]
 
 
-def _parameters(table: Table, unit: Codes) -> list[Parameter]:
+def _parameters(table: Table, unit: Codes) -> list[QuantitySummary]:
     found = []
     for name in _quantities(table):
         values, u, dof = table[name], _doubt(table, name), table[f"{name}_dof"]
         dof = np.where(np.isfinite(dof), dof, np.inf)
         known = values[np.isfinite(values)]
         by_u = beyond(values, u, dof), repeats(values, u, dof, unit)
-        found.append(Parameter(name, unit_of(name), Distribution.of(known), *by_u))
+        found.append(QuantitySummary(name, unit_of(name), Distribution.of(known), *by_u))
     return found
 
 
@@ -241,7 +250,7 @@ def _frequencies(table: Table, traced: int) -> list[Frequency]:
     return sorted(found, key=lambda one: (-one.found, one.effect))
 
 
-def _comparisons(table: Table, groups: dict[str, Codes], traced: Any) -> list[Comparison]:
+def _comparisons(table: Table, groups: dict[str, Codes], traced: Any) -> list[FamilyOfTests]:
     """All units, stages and operators by all parameters and effects."""
     unit = groups["unit"]
     made = []

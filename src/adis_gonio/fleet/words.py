@@ -8,7 +8,7 @@ from adis_gonio.answer.wording import NAMES
 from adis_gonio.counting import counted
 from adis_gonio.fleet.outlying import FEWEST, FEWEST_UNITS, LEVEL
 from adis_gonio.fleet.statistics import Beyond
-from adis_gonio.fleet.summary import Outlying, Parameter, Summary
+from adis_gonio.fleet.summary import Outlying, QuantitySummary, Summary
 from adis_gonio.report.numbers import number, p_text, percent, with_unit
 
 PARAMETER_HEAD = [
@@ -63,7 +63,7 @@ def parameter_rows(summary: Summary) -> list[list[str]]:
     return [_parameter(one) for one in summary.parameters]
 
 
-def _parameter(one: Parameter) -> list[str]:
+def _parameter(one: QuantitySummary) -> list[str]:
     spread = one.distribution
     q = spread.quantiles
     return [

@@ -8,7 +8,7 @@ import numpy as np
 
 from adis_gonio.counting import counted
 from adis_gonio.errors import FitError
-from adis_gonio.free_turn.windows import Series, Windows
+from adis_gonio.free_turn.windows import TurnRecording, Windows
 from adis_gonio.model.records import Floats
 from adis_gonio.model.sweeps import Sweeps
 
@@ -29,7 +29,7 @@ REST_DPS = 0.5
 _AGAIN = "turn once more"
 
 
-def require_recording(series: Series) -> None:
+def require_recording(series: TurnRecording) -> None:
     """Raise `FitError` where a recording is too short, broken, too fast or not about Z."""
     if series.length_s < LEAST_S:
         raise FitError(
@@ -45,7 +45,7 @@ def require_recording(series: Series) -> None:
         )
 
 
-def require_slow(series: Series, windows: Windows, range_dps: float | None) -> None:
+def require_slow(series: TurnRecording, windows: Windows, range_dps: float | None) -> None:
     """Raise `FitError` where the turn was faster than the model reaches, or than the gyro."""
     rate = np.degrees(np.abs(windows.mean(series.rate[:, 2])))
     fastest = float(rate.max())
@@ -57,7 +57,7 @@ def require_slow(series: Series, windows: Windows, range_dps: float | None) -> N
         )
 
 
-def require_axis(series: Series, windows: Windows) -> None:
+def require_axis(series: TurnRecording, windows: Windows) -> None:
     """Raise `FitError` where the gyros saw a turn about another axis than Z."""
     rates = windows.mean(series.rate)
     rates = rates - np.median(rates, axis=0)
@@ -88,7 +88,7 @@ def require_turn(psi_rad: Floats) -> None:
         )
 
 
-def require_plane(series: Series, windows: Windows, psi_rad: Floats, gravity_mg: float) -> list[str]:
+def require_plane(series: TurnRecording, windows: Windows, psi_rad: Floats, gravity_mg: float) -> list[str]:
     """Warnings of how flat the turn was; without Z nobody can tell.
 
     Raises
@@ -121,7 +121,7 @@ def require_plane(series: Series, windows: Windows, psi_rad: Floats, gravity_mg:
 
 
 def remarks(
-    series: Series, windows: Windows, psi_rad: Floats, u_phi_deg: float, wanted: int = 0
+    series: TurnRecording, windows: Windows, psi_rad: Floats, u_phi_deg: float, wanted: int = 0
 ) -> list[str]:
     """What has to be said of a turn that holds; `wanted` is how many full turns the plan asked for."""
     said = []

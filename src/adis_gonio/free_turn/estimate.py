@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adis_gonio.errors import SingularError
-from adis_gonio.free_turn.windows import LONG_RUN, Series, Windows
+from adis_gonio.free_turn.windows import LONG_RUN, TurnRecording, Windows
 from adis_gonio.model.measurement import SENSOR_SPREAD
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
 
@@ -116,19 +116,19 @@ class Solution:
         return float(self.values[NAMES.index(name)])
 
 
-class Problem:
+class LeastSquaresProblem:
     """The recording in windows, ready for Gauss–Newton.
 
     Parameters
     ----------
-    series : Series
+    series : TurnRecording
     gravity_mg : float
         Local gravity.
     floor_mg : float
         Stated Allan floor of the accelerometers; 0 for no drift.
     """
 
-    def __init__(self, series: Series, windows: Windows, gravity_mg: float, floor_mg: float) -> None:
+    def __init__(self, series: TurnRecording, windows: Windows, gravity_mg: float, floor_mg: float) -> None:
         self.series, self.windows, self.gravity_mg = series, windows, gravity_mg
         mean = windows.mean
         self.reading = mean(series.accel_mg[:, :2])
@@ -265,7 +265,7 @@ def _of_cosines(count: int) -> Floats:
     return np.asarray(found)
 
 
-def solve(problem: Problem) -> Solution:
+def solve(problem: LeastSquaresProblem) -> Solution:
     """The most probable values, and how surely they are known.
 
     Raises
@@ -292,7 +292,7 @@ def solve(problem: Problem) -> Solution:
     return _finished(problem, values, variances)
 
 
-def _first(problem: Problem) -> Variances:
+def _first(problem: LeastSquaresProblem) -> Variances:
     spread = np.diff(problem.reading, n=3, axis=0)
     quiet = float(np.median(spread**2)) / 0.455 / 20
     m = problem.m
@@ -300,7 +300,7 @@ def _first(problem: Problem) -> Variances:
 
 
 def _system(
-    problem: Problem, values: Floats, variances: Variances
+    problem: LeastSquaresProblem, values: Floats, variances: Variances
 ) -> tuple[Floats, Floats, tuple[Floats, ...]]:
     """Information, its right side for the step, and information by cause."""
     accel, gyro, by_accel, by_gyro = problem.model(values)
@@ -336,7 +336,9 @@ def _inverse(information: Floats) -> Floats:
     return np.asarray(cho_solve(factor, np.eye(len(size))) * size[:, None] * size)
 
 
-def _step(problem: Problem, values: Floats, variances: Variances) -> tuple[Floats, Floats, float]:
+def _step(
+    problem: LeastSquaresProblem, values: Floats, variances: Variances
+) -> tuple[Floats, Floats, float]:
     information, right, _ = _system(problem, values, variances)
     covariance = _inverse(information)
     step = covariance @ right
@@ -345,7 +347,9 @@ def _step(problem: Problem, values: Floats, variances: Variances) -> tuple[Float
     return values + step * min(1.0, 0.5 / max(largest, 1e-12)), covariance, change
 
 
-def _renewed(problem: Problem, values: Floats, covariance: Floats, before: Variances) -> Variances:
+def _renewed(
+    problem: LeastSquaresProblem, values: Floats, covariance: Floats, before: Variances
+) -> Variances:
     """Variances by what is left over and by how much of it was not used up."""
     accel, gyro, by_accel, by_gyro = problem.model(values)
     flat = by_accel.reshape(-1, problem.size)
@@ -381,7 +385,7 @@ def _renewed(problem: Problem, values: Floats, covariance: Floats, before: Varia
     )  # fmt: skip
 
 
-def _finished(problem: Problem, values: Floats, variances: Variances) -> Solution:
+def _finished(problem: LeastSquaresProblem, values: Floats, variances: Variances) -> Solution:
     information, _, (by_accel, by_gyro, precision) = _system(problem, values, variances)
     covariance = _inverse(information)
     keep = np.r_[0 : problem.common, problem.size - problem.m : problem.size]

@@ -17,8 +17,8 @@ from adis_gonio.fitting.scores import Score
 from adis_gonio.fitting.standing import Recommendation, Standing
 from adis_gonio.fitting.uncertainty_budget import BudgetRow
 from adis_gonio.free_turn import checks
-from adis_gonio.free_turn.estimate import NAMES, Problem, Solution, solve
-from adis_gonio.free_turn.windows import Series, Windows
+from adis_gonio.free_turn.estimate import NAMES, LeastSquaresProblem, Solution, solve
+from adis_gonio.free_turn.windows import TurnRecording, Windows
 from adis_gonio.model.provenance import provenance_of
 from adis_gonio.model.records import Floats, Session
 from adis_gonio.sensor.variants import VARIANTS
@@ -154,7 +154,7 @@ def _fitted(session: Session) -> FreeTurnResult:
     checks.require_axis(series, windows)
     variant = VARIANTS.get(session.sensor)
     floor = 0.0 if variant is None else variant.performance.bias_instability_mg
-    problem = Problem(series, windows, session.gravity_mg, floor)
+    problem = LeastSquaresProblem(series, windows, session.gravity_mg, floor)
     checks.require_turn(problem.begin()[-len(windows) :])
     solution = solve(problem)
     checks.require_turn(solution.psi_rad)
@@ -192,7 +192,7 @@ def _fitted(session: Session) -> FreeTurnResult:
     )
 
 
-def series_of(session: Session) -> Series:
+def series_of(session: Session) -> TurnRecording:
     """The recording of a session in mg and rad/s.
 
     Raises
@@ -217,7 +217,7 @@ def series_of(session: Session) -> Series:
     accel = whole.accel * per_mg
     if not (np.isfinite(accel).all() and np.isfinite(rate).all()):
         raise DataError(f"{session.source or 'session'}: the recording holds NaN or infinity")
-    return Series(
+    return TurnRecording(
         whole.time_s - whole.time_s[0], accel, rate, whole.temperature_c, _smear_s(session, whole.time_s)
     )
 

@@ -29,7 +29,7 @@ GAP_PERIODS = 5.0
 
 
 @dataclass(frozen=True)
-class Series:
+class TurnRecording:
     """Samples of one continuous recording.
 
     Attributes
@@ -76,7 +76,7 @@ class Windows:
         Time without samples between neighbouring centres.
     """
 
-    def __init__(self, series: Series) -> None:
+    def __init__(self, series: TurnRecording) -> None:
         from scipy.sparse import csr_matrix
 
         time_s, period = series.time_s, series.period_s

@@ -24,7 +24,7 @@ PARAMETERS = 21
 
 
 @dataclass(frozen=True)
-class Rates:
+class AssumedGyros:
     """What three gyros are taken for.
 
     Attributes
@@ -42,7 +42,7 @@ class Rates:
     asymmetry: Floats
 
     @classmethod
-    def of(cls, values: Floats) -> Rates:
+    def of(cls, values: Floats) -> AssumedGyros:
         """From `PARAMETERS` values in their order."""
         return cls(values[:9].reshape(3, 3), values[9:18].reshape(3, 3), values[18:])
 
@@ -76,7 +76,7 @@ def attitude(
     time_s: Floats,
     rate_dps: Floats,
     force_g: Floats,
-    gyros: Rates,
+    gyros: AssumedGyros,
     noise_dps2: Floats,
     magnitude_dps: Floats | None = None,
 ) -> Attitude:
@@ -89,7 +89,7 @@ def attitude(
         Readings less the zero rate without force.
     force_g : (n, 3) float
         What the accelerometers read beyond the force at which that zero rate holds.
-    gyros : Rates
+    gyros : AssumedGyros
     noise_dps2 : (3, 3) float
         Covariance of one sample, as the spectral density at frequency zero has it.
     magnitude_dps : (n, 3) float, optional

@@ -153,7 +153,7 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
     DataError
         The session has no gyros, or none of its dwells has two samples.
     """
-    rests = rests_of(session)
+    rests = gyro_dwells_of(session)
     dwells, rows, scale, noise, sampling = (
         rests.dwells, rests.rows, rests.scale, rests.noise, rests.sampling,
     )  # fmt: skip
@@ -177,7 +177,7 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
 
 
 @dataclass(frozen=True)
-class Rests:
+class GyroDwells:
     """Dwells of a session with gyros, and what they say of how the rates were sampled.
 
     Attributes
@@ -229,7 +229,7 @@ class Rests:
         return np.column_stack(spans([dwell.time_s for dwell in self.dwells])) - self.sampling.delay_s
 
 
-def rests_of(session: Session) -> Rests:
+def gyro_dwells_of(session: Session) -> GyroDwells:
     """Dwells of a session that have gyros.
 
     Raises
@@ -256,7 +256,7 @@ def rests_of(session: Session) -> Rests:
     noise = noise_of_means(rows, scale)
     per_g = 1e-3 * mg_per_unit(session) if session.accel_unit != "counts" else math.nan
     sampling = _sampling(session, dwells, noise)
-    return Rests(dwells, rows, scale, per_g, noise, sampling, _allan(session, noise))
+    return GyroDwells(dwells, rows, scale, per_g, noise, sampling, _allan(session, noise))
 
 
 def _in_words(refused: dict[str, list[int]]) -> tuple[str, ...]:

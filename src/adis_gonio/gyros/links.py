@@ -25,9 +25,9 @@ import numpy as np
 from adis_gonio.errors import DataError
 from adis_gonio.estimation.flicker import covariance_of_means
 from adis_gonio.estimation.links import Links
-from adis_gonio.gyros.attitude import Attitude, Rates, attitude
+from adis_gonio.gyros.attitude import AssumedGyros, Attitude, attitude
 from adis_gonio.gyros.integral import Integral, Path, Sampling, integrate, smooth
-from adis_gonio.gyros.intervals import Rests, path_between, rests_of
+from adis_gonio.gyros.intervals import GyroDwells, gyro_dwells_of, path_between
 from adis_gonio.gyros.prior import GyroPrior
 from adis_gonio.model.records import Floats, Session
 from adis_gonio.model.turns import Turn
@@ -100,7 +100,7 @@ class GyroLinks:
 
     def integrated(self, values: Floats) -> tuple[Attitude, ...]:
         """Rotation of each leg with the gyros at some parameters (21,)."""
-        gyros = Rates.of(values)
+        gyros = AssumedGyros.of(values)
         return tuple(
             attitude(leg.time_s, leg.rate_dps, leg.force_g, gyros, self.noise_dps2, leg.size_dps)
             for leg in self.legs
@@ -168,7 +168,7 @@ def gyro_links(session: Session, prior: GyroPrior | None = None) -> GyroLinks | 
     if not turns:
         return None
     try:
-        rests = rests_of(session)
+        rests = gyro_dwells_of(session)
     except DataError:
         return None
     legs: list[Leg] = []
@@ -196,7 +196,7 @@ def _nothing_there(reason: str) -> bool:
     return any(word in reason for word in ("recorded", "recording", "no samples", "not turned"))
 
 
-def _leg(session: Session, turn: Turn, rests: Rests) -> Leg | str:
+def _leg(session: Session, turn: Turn, rests: GyroDwells) -> Leg | str:
     """Samples of a turn from rest to rest, or why it gives no link."""
     before, after = (rests.by_position.get(position) for position in (turn.before, turn.position))
     if before is None or after is None:
@@ -211,7 +211,7 @@ def _leg(session: Session, turn: Turn, rests: Rests) -> Leg | str:
 
 
 def _cut(
-    path: Path, integral: Integral, rests: Rests, ends: tuple[int, int], positions: tuple[int, int]
+    path: Path, integral: Integral, rests: GyroDwells, ends: tuple[int, int], positions: tuple[int, int]
 ) -> Leg:
     sampling: Sampling = rests.sampling
     delay = sampling.delay_s
@@ -238,7 +238,7 @@ def _cut(
     )
 
 
-def _by_dwells(prior: GyroPrior, rests: Rests) -> GyroPrior:
+def _by_dwells(prior: GyroPrior, rests: GyroDwells) -> GyroPrior:
     """The prior with what the zero rates of the dwells say of the g-sensitivity."""
     if len(rests.dwells) < 2 or not np.isfinite(rests.force_g).all():
         return prior

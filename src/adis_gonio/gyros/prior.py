@@ -23,7 +23,7 @@ SHEET_FRAME_DEG = 0.5
 """Limit of the angle between a triad and the package (CHIP), of the gyros' and of the accelerometers'."""
 SHEET_ASYMMETRY = 0.002
 """Limit of what a gain depends on the sign of the rate by (CHIP: nonlinearity ±0.2 % of full scale)."""
-UNKNOWN_GAIN, UNKNOWN_LEAN_DEG, UNKNOWN_G_DPS = 0.05, 2.0, 0.1
+UNKNOWN_GAIN, UNKNOWN_MISALIGNMENT_DEG, UNKNOWN_G_DPS = 0.05, 2.0, 0.1
 """Standard uncertainties of gyros without a data sheet: estimates (D)."""
 _STEP = 1e-6
 
@@ -46,19 +46,23 @@ class GyroPrior:
     def of_sheet(cls, sensor: str) -> GyroPrior:
         """Perfect gyros, as uncertain as their data sheet leaves them: rectangles within its limits.
 
-        Gains and leans of each gyro, and a rotation of the whole triad against the accelerometers', whose
-        own place in the package is as uncertain.
+        Gains and misalignments of each gyro, and a rotation of the whole triad against the
+        accelerometers', whose own place in the package is as uncertain.
         """
         values = np.concatenate([np.eye(3).ravel(), np.zeros(PARAMETERS - 9)])
         figures = VARIANTS[sensor].performance if sensor in VARIANTS else None
-        gain, lean, turned = UNKNOWN_GAIN, math.radians(UNKNOWN_LEAN_DEG), math.radians(UNKNOWN_LEAN_DEG)
+        gain, misalignment, turned = (
+            UNKNOWN_GAIN,
+            math.radians(UNKNOWN_MISALIGNMENT_DEG),
+            math.radians(UNKNOWN_MISALIGNMENT_DEG),
+        )
         per_g = UNKNOWN_G_DPS
         if figures is not None:
             gain = SHEET_GAIN / math.sqrt(3)
-            lean = figures.skew_u_rad
+            misalignment = figures.skew_u_rad
             turned = math.radians(SHEET_FRAME_DEG) * math.sqrt(2 / 3)
             per_g = figures.gyro_g_sensitivity_dps_per_g
-        own = np.where(np.eye(3, dtype=bool), gain, lean).ravel() ** 2
+        own = np.where(np.eye(3, dtype=bool), gain, misalignment).ravel() ** 2
         own = np.concatenate([own, np.full(9, per_g**2), np.full(3, SHEET_ASYMMETRY**2 / 3)])
         covariance = np.diag(own)
         for i, j in ((0, 1), (0, 2), (1, 2)):
@@ -108,8 +112,8 @@ class GyroPrior:
 def _stated(gyros: GyroCalibration, values: Floats) -> Floats:
     """Parameters (21,) by the values of a calibration."""
     held = dict(zip((one.name for one in gyros.parameters), values.tolist(), strict=True))
-    lean = np.array([[held.get(f"gyro_misalignment_{i}{j}", 0.0) for j in AXES] for i in AXES])
-    sines = np.sin(np.radians(lean)) * (1 - np.eye(3))
+    misalignment = np.array([[held.get(f"gyro_misalignment_{i}{j}", 0.0) for j in AXES] for i in AXES])
+    sines = np.sin(np.radians(misalignment)) * (1 - np.eye(3))
     gains = np.array([held.get(f"gyro_scale_{i}", 1.0) for i in AXES])
     rows = gains[:, None] * (sines + np.diag(np.sqrt(1 - (sines**2).sum(axis=1))))
     per_g = np.array([[held.get(f"g_sensitivity_{i}{j}", 0.0) for j in AXES] for i in AXES])

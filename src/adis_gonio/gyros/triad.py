@@ -30,11 +30,11 @@ _NOT_SQUARE = (
     "the angles between the accelerometers are not determined: u of the directions of axes holds what they"
     " may be; rest the part with gravity shared between two axes"
 )
-UNKNOWN_LEAN_DEG = 0.25
+UNKNOWN_SKEW_DEG = 0.25
 UNKNOWN_BIAS_MG = 50.0
 """Of a part that nobody has measured: the one real ADIS16350 showed +57, −21, +46 mg. The figure of 10 mg
 that simulated parts have by default is an estimate, and no limit."""
-UNKNOWN_GAIN = 0.02
+UNKNOWN_ACCEL_GAIN = 0.02
 
 
 @dataclass(frozen=True)
@@ -170,6 +170,6 @@ def _prior(session: Session) -> Prior:
     """Of what nobody has measured: gains, skews (uniform within the sheet's limit), biases."""
     variant = VARIANTS.get(session.sensor)
     if variant is None:
-        return Prior(UNKNOWN_GAIN, math.radians(UNKNOWN_LEAN_DEG) / math.sqrt(3), UNKNOWN_BIAS_MG)
+        return Prior(UNKNOWN_ACCEL_GAIN, math.radians(UNKNOWN_SKEW_DEG) / math.sqrt(3), UNKNOWN_BIAS_MG)
     figures = variant.performance
     return Prior(figures.scale_error_typical, figures.skew_u_rad, UNKNOWN_BIAS_MG)

@@ -45,7 +45,7 @@ def format_of(name: str) -> str:
 
 
 @dataclass(frozen=True)
-class Source:
+class ExportSource:
     """What is exported: a session, with how its coefficients are found; or a calibration's file.
 
     Attributes

@@ -130,7 +130,7 @@ def wanted(channels: Sequence[IioChannel], where: str) -> tuple[IioChannel, ...]
     return tuple(chosen.values())
 
 
-class ScanLayout:
+class BufferLayout:
     """Where the samples of enabled channels stand in a scan.
 
     Each stands at a multiple of its own size, in the order of the index; a scan's size is a multiple of its

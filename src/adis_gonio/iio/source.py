@@ -20,14 +20,14 @@ import numpy as np
 
 from adis_gonio.bus.opening import BusUrl, Device
 from adis_gonio.errors import AdisGonioError, CannotOpenError, ProtocolError, UsageError
-from adis_gonio.iio.channels import ScanLayout, wanted
+from adis_gonio.iio.channels import BufferLayout, wanted
 from adis_gonio.iio.device import TIMESTAMP, IioDevice
 from adis_gonio.iio.local import LocalDevice, local_accelerometers
 from adis_gonio.iio.network import PORT, NetworkDevice
 from adis_gonio.model.records import Floats
 from adis_gonio.session.blocks import GENERIC, ValueBlock
 from adis_gonio.session.settings import Settings
-from adis_gonio.session.source import Measuring, Part
+from adis_gonio.session.source import KnownPart, Measuring
 
 TYPICAL_NOISE_MG = 5.0
 """Estimate for a sample of an unknown accelerometer; a sample that varies by ten times that moves."""
@@ -132,7 +132,7 @@ class IioSource:
             {channel.id: channel.offset for channel in self.channels},
         )
         step_mg = max(abs(float(np.ptp(c.values(np.array([0, 1]))))) for c in self.channels[:3])
-        self.part = Part(GENERIC, TYPICAL_BIAS_MG, step_mg)
+        self.part = KnownPart(GENERIC, TYPICAL_BIAS_MG, step_mg)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -245,7 +245,7 @@ class BufferedSamples(IioStream):
     def __init__(self, source: IioSource, block_samples: int) -> None:
         super().__init__(source, block_samples)
         stamp = source._time
-        self._layout = ScanLayout([*source.channels, *([stamp] if stamp else [])])
+        self._layout = BufferLayout([*source.channels, *([stamp] if stamp else [])])
         self._stamped = stamp is not None
         self.how = "scans by the device's own clock; " + (
             "lost ones show in their times" if stamp else "it gives no times, so lost ones cannot be seen"

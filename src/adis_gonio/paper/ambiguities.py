@@ -29,7 +29,7 @@ _DRAWS = 20_000
 
 
 @dataclass(frozen=True)
-class Value:
+class LabelledValue:
     """A number with its words: `as read`, or `with the other reading`."""
 
     name: str
@@ -47,14 +47,14 @@ class Ambiguity:
         The question in a few words.
     reading, why : str
         The reading chosen, and the reason.
-    values : tuple of Value
+    values : tuple of LabelledValue
         By the reading chosen and by others.
     """
 
     what: str
     reading: str
     why: str
-    values: tuple[Value, ...] = ()
+    values: tuple[LabelledValue, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -110,10 +110,10 @@ def _other_axis() -> Ambiguity:
         "Only so does the quotient compare two gains. The other candidates depend on the start angle"
         " first.",
         (
-            Value("ΔK, true", truth_of("x").delta_k, "1"),
-            Value("ΔK with U_x′ = −U_y2", x1 / -y2 - 1, "1"),
-            Value("ΔK with U_x′ = U_x2 (X itself after the turn)", x1 / x2 - 1, "1"),
-            Value("ΔK with U_x′ = U_y1 (Y before the turn)", x1 / y1 - 1, "1"),
+            LabelledValue("ΔK, true", truth_of("x").delta_k, "1"),
+            LabelledValue("ΔK with U_x′ = −U_y2", x1 / -y2 - 1, "1"),
+            LabelledValue("ΔK with U_x′ = U_x2 (X itself after the turn)", x1 / x2 - 1, "1"),
+            LabelledValue("ΔK with U_x′ = U_y1 (Y before the turn)", x1 / y1 - 1, "1"),
         ),
     )
 
@@ -128,10 +128,10 @@ def _sense() -> Ambiguity:
         "The figure does not show it. Turned the other way both readings change their sign, and equation 5"
         " compares a gain with its negative.",
         (
-            Value("ΔK with this sense", float(values[0][0]), "1"),
-            Value("ΔK of a stage that turns the other way", float(values[1][0]), "1"),
-            Value("Δφ with this sense", math.degrees(values[0][1]), "deg"),
-            Value("Δφ of a stage that turns the other way", math.degrees(values[1][1]), "deg"),
+            LabelledValue("ΔK with this sense", float(values[0][0]), "1"),
+            LabelledValue("ΔK of a stage that turns the other way", float(values[1][0]), "1"),
+            LabelledValue("Δφ with this sense", math.degrees(values[0][1]), "deg"),
+            LabelledValue("Δφ of a stage that turns the other way", math.degrees(values[1][1]), "deg"),
         ),
     )
 
@@ -147,9 +147,11 @@ def _equation_10() -> Ambiguity:
         "sin Δφ = (1 + ab)/(a + b), a = U_y1/U_x1, b = U_y2/U_x2.",
         "Equations 11 and 12 follow from this form and from no other.",
         (
-            Value("Δφ, true", truth_of("x").delta_phi_deg, "deg"),
-            Value("Δφ with a", math.degrees(math.asin((1 + a * b) / (a + b))), "deg"),
-            Value("Δφ with α (in radians) in the place of a", math.degrees(math.asin(literal)), "deg"),
+            LabelledValue("Δφ, true", truth_of("x").delta_phi_deg, "deg"),
+            LabelledValue("Δφ with a", math.degrees(math.asin((1 + a * b) / (a + b))), "deg"),
+            LabelledValue(
+                "Δφ with α (in radians) in the place of a", math.degrees(math.asin(literal)), "deg"
+            ),
         ),
     )
 
@@ -166,9 +168,9 @@ def _pole(rng: np.random.Generator) -> Ambiguity:
         finite = np.degrees(phi[np.isfinite(phi)])
         # Half the width of the middle 68 %: at the pole there is no variance.
         low, high = np.quantile(finite, (0.1587, 0.8413))
-        values.append(Value(f"spread of Δφ at α = {alpha:g}°", float(high - low) / 2, "deg"))
+        values.append(LabelledValue(f"spread of Δφ at α = {alpha:g}°", float(high - low) / 2, "deg"))
     exact = np.degrees(by_positions(FOUR[:2], at, bias=False)[:, 3])
-    values.append(Value("the same at 45° by two-position", float(exact.std()), "deg"))
+    values.append(LabelledValue("the same at 45° by two-position", float(exact.std()), "deg"))
     return Ambiguity(
         "The singularity at 45°",
         "The method is applied as printed, and refused where a + b of equation 12 nearly vanishes.",
@@ -188,9 +190,11 @@ def _units() -> Ambiguity:
         " readings can show; N in radians would be beyond any part. Whether “after” is what a method gives"
         " or what it leaves is not said either: as what is left, each would leave more than half of SF.",
         (
-            Value("standard deviation of Δφ from two readings with a noise of 0.16 mg", two_sigma, "deg"),
-            Value("the table's Δφ of X, were it an angle", row_of("offset", "x").measured, "deg"),
-            Value(
+            LabelledValue(
+                "standard deviation of Δφ from two readings with a noise of 0.16 mg", two_sigma, "deg"
+            ),
+            LabelledValue("the table's Δφ of X, were it an angle", row_of("offset", "x").measured, "deg"),
+            LabelledValue(
                 "the table's N of X, were it in radians",
                 math.degrees(row_of("non_orthogonality", "x").measured),
                 "deg",
@@ -215,15 +219,15 @@ def _sign_of_n() -> Ambiguity:
         " declared, and the printed sizes are alike. On the sign alone rests that the paper's method is"
         " nearer to the measured column anywhere in its table.",
         (
-            Value(
+            LabelledValue(
                 "N by MMPM of X's truth, turned as declared",
                 row_of("non_orthogonality", "x").measured,
                 "deg",
             ),
-            Value("N by MMPM, turned the other way (modulo 180°)", folded, "deg"),
-            Value("N by MMPM as printed", row_of("non_orthogonality", "x").mmpm, "deg"),
-            Value(f"of {len(TABLE)} rows as printed, the paper's method is nearer in", signed, ""),
-            Value("of as many without signs", sizes, ""),
+            LabelledValue("N by MMPM, turned the other way (modulo 180°)", folded, "deg"),
+            LabelledValue("N by MMPM as printed", row_of("non_orthogonality", "x").mmpm, "deg"),
+            LabelledValue(f"of {len(TABLE)} rows as printed, the paper's method is nearer in", signed, ""),
+            LabelledValue("of as many without signs", sizes, ""),
         ),
     )
 
@@ -237,9 +241,9 @@ def _two_angles() -> Ambiguity:
         "A turn in one plane cannot tell how each axis leans, only how far their angle is from 90°; in each"
         " column of the table but the first the two values are the same within 0.002°.",
         (
-            Value("Δφ, column X", x, "deg"),
-            Value("Δφ, column Y", y, "deg"),
-            Value("Δφ if each were the lean of its axis towards the other", x + y, "deg"),
+            LabelledValue("Δφ, column X", x, "deg"),
+            LabelledValue("Δφ, column Y", y, "deg"),
+            LabelledValue("Δφ if each were the lean of its axis towards the other", x + y, "deg"),
         ),
     )
 
@@ -254,7 +258,7 @@ def _static_load(load: Sequence[Results]) -> Ambiguity:
     ):
         before, after = (one.found[method].values[key] for one in load)
         moved = None if before is None or after is None else after - before
-        values.append(Value(f"{name} by {method} moves by", moved, unit))
+        values.append(LabelledValue(f"{name} by {method} moves by", moved, unit))
     return Ambiguity(
         "A “static load” that moves gain and zero",
         "Gravity along the axis is the load: a quadratic term of the response, part of which is read as"

@@ -12,16 +12,16 @@ import numpy as np
 from adis_gonio.model.records import Floats
 from adis_gonio.paper.crossing import rms
 from adis_gonio.paper.sessions import METHODS, Part, Results, true_values
-from adis_gonio.paper.truth import TABLE, Axis, Row, Truth, truth_of
+from adis_gonio.paper.truth import TABLE, Axis, TableRow, Truth, truth_of
 
 BIAS_MG = 10.0
 """Standard deviation of an axis's bias in the sessions that ask what a bias does."""
 COLUMNS = {"paper": "paper", "mmpm": "mmpm"}
-"""Methods that the table has, with the field of `Row` that holds what it prints."""
+"""Methods that the table has, with the field of `TableRow` that holds what it prints."""
 
 
 @dataclass(frozen=True)
-class Spread:
+class MethodSpread:
     """What a method gave over sessions.
 
     Attributes
@@ -47,8 +47,8 @@ class Spread:
 class Cell:
     """A row of table 1 with what our sessions give beside it, by method."""
 
-    row: Row
-    ours: Mapping[str, Spread]
+    row: TableRow
+    ours: Mapping[str, MethodSpread]
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -63,19 +63,19 @@ class Comparison:
     ----------
     cells : tuple of Cell
         In the order of the table.
-    gain : mapping of str to Spread
+    gain : mapping of str to MethodSpread
         ΔK, which the table does not have and the method is about, by method; of column X.
     """
 
     cells: tuple[Cell, ...]
-    gain: Mapping[str, Spread]
+    gain: Mapping[str, MethodSpread]
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
         return {"rows": [cell.as_dict() for cell in self.cells], "delta_k": dict(_dicts(self.gain))}
 
 
-def _dicts(by_method: Mapping[str, Spread]) -> list[tuple[str, dict[str, Any]]]:
+def _dicts(by_method: Mapping[str, MethodSpread]) -> list[tuple[str, dict[str, Any]]]:
     return [(method, asdict(spread)) for method, spread in by_method.items()]
 
 
@@ -89,7 +89,7 @@ def table_of(results: Mapping[Axis, Sequence[Results]]) -> Comparison:
     return Comparison(tuple(cells), gain)
 
 
-def spread_of(results: Sequence[Results], method: str, key: str) -> Spread:
+def spread_of(results: Sequence[Results], method: str, key: str) -> MethodSpread:
     """Statistics of one quantity by one method."""
     values, uncertainties = [], []
     for one in results:
@@ -99,10 +99,10 @@ def spread_of(results: Sequence[Results], method: str, key: str) -> Spread:
             values.append((value, value - true_values(one.part.truth)[key]))
             uncertainties.append(found.u[key])
     if not values:
-        return Spread()
+        return MethodSpread()
     data = np.array(values, dtype=float)
     stated = [u for u in uncertainties if u is not None]
-    return Spread(
+    return MethodSpread(
         float(data[:, 0].mean()),
         float(data[:, 0].std(ddof=1)) if len(data) > 1 else None,
         rms(np.array(stated)) if stated else None,

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from adis_gonio import __version__
 from adis_gonio.counting import counted
-from adis_gonio.paper.ambiguities import Ambiguity, Value
-from adis_gonio.paper.comparison import COLUMNS, Cell, Spread, printed_verdicts
+from adis_gonio.paper.ambiguities import Ambiguity, LabelledValue
+from adis_gonio.paper.comparison import COLUMNS, Cell, MethodSpread, printed_verdicts
 from adis_gonio.paper.crossing import BIASES_MG, FIXTURES_DEG, NOISES_MG, Checked, Point
 from adis_gonio.paper.sessions import DWELL_S, METHODS, TRACED
 from adis_gonio.paper.study import Study
@@ -108,7 +108,7 @@ def _summary(done: Study) -> Section:
     )
 
 
-def _cell(spread: Spread) -> str:
+def _cell(spread: MethodSpread) -> str:
     if spread.mean is None:
         return "not determined"
     return f"{_fixed(spread.mean)} ±{SPACE}{_fixed(spread.spread or 0.0)}"
@@ -253,7 +253,7 @@ def _others(done: Study) -> Section:
     )
 
 
-def _error(spread: Spread) -> str:
+def _error(spread: MethodSpread) -> str:
     return "–" if spread.error is None else number(spread.error, 2)
 
 
@@ -422,7 +422,7 @@ def _question(one: Ambiguity) -> Section:
     return Section(one.what, words=(f"Read as: {one.reading}", one.why), tables=(table,) if rows else ())
 
 
-def value_text(value: Value) -> str:
+def value_text(value: LabelledValue) -> str:
     """Number with its unit; a count as it is."""
     if value.value is None:
         return "–"

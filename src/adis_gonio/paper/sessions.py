@@ -108,7 +108,7 @@ def measured(part: Part, plan_name: str) -> Session:
 
 
 @dataclass(frozen=True)
-class Found:
+class MethodValues:
     """What a method gives for one part; None where it does not determine it.
 
     Attributes
@@ -138,7 +138,7 @@ def true_values(truth: Truth) -> dict[str, float]:
     return dict(zip(QUANTITIES, values, strict=True))
 
 
-def quantities(result: FitResult | TraceResult) -> Found:
+def quantities(result: FitResult | TraceResult) -> MethodValues:
     """The paper's parameters from a result.
 
     The paper gives ΔK and Δφ only. Its scales are those that go with them: X's from equation 6, the length
@@ -168,7 +168,7 @@ def quantities(result: FitResult | TraceResult) -> Found:
             value, spread = found[name]
             values[key] = (value - zero) * factor
             u[key] = None if spread is None else spread * factor
-    return Found(values, u)
+    return MethodValues(values, u)
 
 
 @dataclass(frozen=True)
@@ -176,14 +176,14 @@ class Results:
     """What each method gave for one part; a method that refused is not there, its reason in `refused`."""
 
     part: Part
-    found: Mapping[str, Found]
+    found: Mapping[str, MethodValues]
     refused: Mapping[str, str] = field(default_factory=dict)
 
 
 def results_of(part: Part, *, traced: bool = False) -> Results:
     """Measure a part and apply every method."""
     sessions = {name: measured(part, name) for name in PLANS}
-    found: dict[str, Found] = {}
+    found: dict[str, MethodValues] = {}
     refused: dict[str, str] = {}
     for method, used in USES.items():
         try:

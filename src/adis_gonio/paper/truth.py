@@ -23,7 +23,7 @@ AXES: tuple[Axis, ...] = ("x", "y")
 
 
 @dataclass(frozen=True)
-class Row:
+class TableRow:
     """One row of table 1 for one axis, as printed.
 
     Attributes
@@ -50,13 +50,13 @@ class Row:
         return f"{self.printed}, {self.axis.upper()}"
 
 
-TABLE: tuple[Row, ...] = (
-    Row("scale_error", "SF", "1", "x", 0.0214, 0.0116, 0.0128, 0.0),
-    Row("scale_error", "SF", "1", "y", 0.021, 0.0121, 0.0129, 0.0),
-    Row("offset", "Δφ", "g", "x", -0.003, -0.0025, -0.003, -0.001),
-    Row("offset", "Δφ", "g", "y", -0.0029, -0.0023, -0.003, 0.001),
-    Row("non_orthogonality", "N", "deg", "x", 0.0612, 0.051, -0.057, 0.05),
-    Row("non_orthogonality", "N", "deg", "y", 0.0673, 0.0514, -0.055, 0.05),
+TABLE: tuple[TableRow, ...] = (
+    TableRow("scale_error", "SF", "1", "x", 0.0214, 0.0116, 0.0128, 0.0),
+    TableRow("scale_error", "SF", "1", "y", 0.021, 0.0121, 0.0129, 0.0),
+    TableRow("offset", "Δφ", "g", "x", -0.003, -0.0025, -0.003, -0.001),
+    TableRow("offset", "Δφ", "g", "y", -0.0029, -0.0023, -0.003, 0.001),
+    TableRow("non_orthogonality", "N", "deg", "x", 0.0612, 0.051, -0.057, 0.05),
+    TableRow("non_orthogonality", "N", "deg", "y", 0.0673, 0.0514, -0.055, 0.05),
 )
 """Table 1, mean values."""
 
@@ -64,7 +64,7 @@ RMSD = 0.0033
 """Printed beside the specification of SF."""
 
 
-def row_of(key: str, axis: Axis) -> Row:
+def row_of(key: str, axis: Axis) -> TableRow:
     """Row of a parameter and an axis."""
     return next(row for row in TABLE if (row.key, row.axis) == (key, axis))
 

@@ -15,7 +15,7 @@ from adis_gonio.errors import FitError, UsageError
 from adis_gonio.planning.candidates import Candidates, Choice, candidates
 from adis_gonio.planning.criteria import CRITERIA, MEANING, Best, Criterion
 from adis_gonio.planning.imagined import Bench
-from adis_gonio.planning.prediction import Prediction, Reach, predict, reach_of
+from adis_gonio.planning.prediction import PlanUncertainty, Prediction, predict, reach_of
 from adis_gonio.planning.search import search
 from adis_gonio.session.plans import Plan, Position, plan
 
@@ -260,7 +260,7 @@ def fewest(
     return found
 
 
-def _error(reach: Reach) -> float:
+def _error(reach: PlanUncertainty) -> float:
     return math.inf if reach.angle.u is None else reach.angle.u
 
 

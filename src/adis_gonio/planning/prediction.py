@@ -38,7 +38,7 @@ _DEPENDS = (
 
 
 @dataclass(frozen=True)
-class Reach:
+class PlanUncertainty:
     """Uncertainties that a plan reaches; the values are those of no part, and NaN.
 
     Attributes
@@ -87,7 +87,7 @@ class Prediction:
 
     plan: Plan
     bench: Bench
-    reach: Reach
+    reach: PlanUncertainty
     sight: Sight
 
     @property
@@ -119,7 +119,7 @@ def predict(plan: Plan, bench: Bench) -> Prediction:
     return Prediction(plan, bench, reach_of(plan, bench), sight_of(imagined(plan, bench).training))
 
 
-def reach_of(plan: Plan, bench: Bench) -> Reach:
+def reach_of(plan: Plan, bench: Bench) -> PlanUncertainty:
     """Uncertainties alone; see `predict`."""
     stages = np.random.default_rng(0).normal(0.0, bench.fixture_deg, (_STAGES, len(plan)))
     exact = _reach(fit_readings(imagined(plan, bench).training))
@@ -128,7 +128,7 @@ def reach_of(plan: Plan, bench: Bench) -> Reach:
     return _median(exact, [_off(plan, bench, stage) for stage in stages])
 
 
-def _off(plan: Plan, bench: Bench, stage_deg: Floats) -> Reach | None:
+def _off(plan: Plan, bench: Bench, stage_deg: Floats) -> PlanUncertainty | None:
     """The same of a stage that is off by (n,) degrees; None where such a session determines nothing."""
     try:
         return _reach(fit_readings(imagined(plan, bench, stage_deg).training))
@@ -136,17 +136,17 @@ def _off(plan: Plan, bench: Bench, stage_deg: Floats) -> Reach | None:
         return None
 
 
-def _agree(one: Reach, other: Reach | None) -> bool:
+def _agree(one: PlanUncertainty, other: PlanUncertainty | None) -> bool:
     if other is None or one.undetermined != other.undetermined:
         return False
     pairs = [(value.u, other.parameters[name].u) for name, value in one.parameters.items()]
     return all(a is None or b is None or abs(b - a) <= _ALIKE * a for a, b in pairs)
 
 
-def _median(exact: Reach, stages: Sequence[Reach | None]) -> Reach:
+def _median(exact: PlanUncertainty, stages: Sequence[PlanUncertainty | None]) -> PlanUncertainty:
     """Medians over sessions; without an uncertainty what fewer than half of them determine."""
 
-    def middle(value: Value, of: Callable[[Reach], float | None]) -> Value:
+    def middle(value: Value, of: Callable[[PlanUncertainty], float | None]) -> Value:
         found = [None if stage is None else of(stage) for stage in stages]
         u = float(np.median([math.inf if u is None else u for u in found]))
         return replace(value, u=u if math.isfinite(u) else None)
@@ -170,11 +170,11 @@ def _median(exact: Reach, stages: Sequence[Reach | None]) -> Reach:
     )
 
 
-def _u_of(reach: Reach, name: str) -> float | None:
+def _u_of(reach: PlanUncertainty, name: str) -> float | None:
     return reach.parameters[name].u if name in reach.parameters else None
 
 
-def _reach(result: FitResult) -> Reach:
+def _reach(result: FitResult) -> PlanUncertainty:
     made = result.origin
     assert made is not None
     assert made.sources is not None  # the imagined noise is known
@@ -184,7 +184,7 @@ def _reach(result: FitResult) -> Reach:
     whole = float(np.sqrt(made.sources.by_place(shown.gradient, shown.reading).max()))
     fitted = float(np.sqrt(fitted_variance(result).max()))
     sure = angle.u is not None
-    return Reach(
+    return PlanUncertainty(
         result.method,
         {one.name: replace(one.stated, value=math.nan) for one in result.parameters},
         angle,

@@ -31,7 +31,7 @@ SIMPLER = 1e-3
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """The best plan that was found."""
 
     choice: Choice
@@ -40,7 +40,7 @@ class Found:
 
 def search(
     ground: Candidates, criterion: Criterion, starts: Sequence[Choice], rng: np.random.Generator
-) -> Found:
+) -> SearchResult:
     """The best of what is reached from several starts, in the simplest order that is as good.
 
     Parameters
@@ -59,7 +59,7 @@ def search(
     for one in (simple, simple[::-1]):
         score = climb.score(one)
         if score >= best.score - SIMPLER and not _repeats(ground.angle_deg[one]):
-            return Found(one, score)
+            return SearchResult(one, score)
     return best
 
 
@@ -76,8 +76,8 @@ class _Climb:
     def score(self, choice: Choice) -> float:
         return float(self.criterion(self.ground.information(choice)[None])[0])
 
-    def from_(self, start: Choice) -> Found:
-        found = Found(start.copy(), self.score(start))
+    def from_(self, start: Choice) -> SearchResult:
+        found = SearchResult(start.copy(), self.score(start))
         for _ in range(_MOST_SWEEPS):
             before = found.score
             found = self._swapped(self._exchanged(found))
@@ -85,7 +85,7 @@ class _Climb:
                 break
         return found
 
-    def _exchanged(self, found: Found) -> Found:
+    def _exchanged(self, found: SearchResult) -> SearchResult:
         """After the best position in each dwell by turns."""
         choice, score = found.choice.copy(), found.score
         for dwell in self.rng.permutation(len(choice)).tolist():
@@ -95,7 +95,7 @@ class _Climb:
             best = int(scores.argmax())
             if scores[best] > score + _LEAST_GAIN:
                 choice[dwell], score = best, float(scores[best])
-        return Found(choice, score)
+        return SearchResult(choice, score)
 
     def _taken(self, choice: Choice, dwell: int) -> NDArray[np.bool_]:
         """Positions (m,) at the angle of a neighbour."""
@@ -106,7 +106,7 @@ class _Climb:
                 taken |= angle == angle[choice[near]]
         return taken
 
-    def _swapped(self, found: Found) -> Found:
+    def _swapped(self, found: SearchResult) -> SearchResult:
         """After every exchange of two dwells that is better."""
         choice, score = found.choice.copy(), found.score
         pairs = np.array(list(itertools.combinations(range(len(choice)), 2)))
@@ -119,4 +119,4 @@ class _Climb:
             reached = self.score(trial)
             if reached > score + _LEAST_GAIN:
                 choice, score = trial, reached
-        return Found(choice, score)
+        return SearchResult(choice, score)

@@ -9,7 +9,7 @@ import numpy as np
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.records import Floats
 from adis_gonio.population.mixture import MOST_OF_KNOWN, Group, log_factor, log_sum, mixed
-from adis_gonio.population.selection import Part, Population, group_at, parameters_of
+from adis_gonio.population.selection import ChosenCause, Population, group_at, parameters_of
 
 _LEVELS = (0.025, 0.975)
 _SHARES = np.concatenate([np.linspace(0.005, 0.2, 40), np.linspace(0.21, 1.0, 80)])
@@ -17,7 +17,9 @@ _FACTORS = np.geomspace(0.4, 2.5, 9)
 """Means and spreads about the most probable ones over which the share is averaged."""
 
 
-def share_of(population: Population, others: Sequence[Part], part: Part) -> tuple[float, float, float]:
+def share_of(
+    population: Population, others: Sequence[ChosenCause], part: ChosenCause
+) -> tuple[float, float, float]:
     """Posterior mean of the share of affected sessions, and its 95 % interval; uniform prior."""
     inside = part.group.inside & population.units.seen(part.candidate.index)
     blocks = population.beside(others, part.candidate.index, part.amplitudes.relative)
@@ -45,7 +47,7 @@ def _at(factors: Sequence[tuple[Floats, Floats]], share: float) -> float:
 
 
 def means_of(
-    population: Population, others: Sequence[Part], part: Part
+    population: Population, others: Sequence[ChosenCause], part: ChosenCause
 ) -> tuple[dict[str, Value], dict[str, float]]:
     """Mean amplitude with its uncertainty, and spread, by parameter in its unit.
 
@@ -64,7 +66,7 @@ def means_of(
     return mean, {column.parameter: float(start.spread * size[k]) for k, column in enumerate(columns)}
 
 
-def _sizes(population: Population, others: Sequence[Part], part: Part) -> Floats:
+def _sizes(population: Population, others: Sequence[ChosenCause], part: ChosenCause) -> Floats:
     """What an amplitude of one is in the unit of each column (d,).
 
     Where amplitudes are alike against each session's own uncertainty it is the median of that over the
@@ -85,7 +87,7 @@ def _sizes(population: Population, others: Sequence[Part], part: Part) -> Floats
     return out
 
 
-def _uncertainty(population: Population, others: Sequence[Part], part: Part) -> Floats | None:
+def _uncertainty(population: Population, others: Sequence[ChosenCause], part: ChosenCause) -> Floats | None:
     """Of the mean (d,) in typical uncertainties; None where it is zero or the curvature says nothing."""
     start = part.amplitudes
     at = parameters_of(start)

@@ -36,7 +36,7 @@ _STEP = 2.0**-15
 
 
 @dataclass(frozen=True)
-class Scatter:
+class ResidualChi2:
     """χ² of the residual and its degrees of freedom, of one direction of the readings."""
 
     chi2: float
@@ -57,7 +57,7 @@ class SessionEvidence:
         1/u of each amplitude alone, in 1/unit.
     directions : (k, m) float
         Unit vectors: products of two columns are the correlations of their scores.
-    scatter : tuple of Scatter
+    scatter : tuple of ResidualChi2
         Of the residual beside base and bias, along the turn and across it; one where attitudes are free.
     noise_known : bool
         False where nothing states the uncertainty, so that the residual alone does.
@@ -74,7 +74,7 @@ class SessionEvidence:
     z: Floats
     length: Floats
     directions: Floats
-    scatter: tuple[Scatter, ...]
+    scatter: tuple[ResidualChi2, ...]
     noise_known: bool
     missing: Mapping[str, str] = field(default_factory=dict)
     digest: str = ""
@@ -140,7 +140,7 @@ class SessionEvidence:
                 z=np.array(document["z"], dtype=float),
                 length=np.array(document["length"], dtype=float),
                 directions=_unit(packed.reshape(int(document["rank"]), len(keys)) * _STEP),
-                scatter=tuple(Scatter(float(chi2), float(dof)) for chi2, dof in document["scatter"]),
+                scatter=tuple(ResidualChi2(float(chi2), float(dof)) for chi2, dof in document["scatter"]),
                 noise_known=bool(document["noise_known"]),
                 missing=dict(document["missing"]),
                 temperature_c=document["temperature_c"],
@@ -254,18 +254,18 @@ def _reduced(unit: Floats) -> Floats:
     return _unit(s[kept, None] * vt[kept])
 
 
-def _scatter(fit: Fit, rest: Floats, base: Floats) -> tuple[Scatter, ...]:
+def _scatter(fit: Fit, rest: Floats, base: Floats) -> tuple[ResidualChi2, ...]:
     """χ² along the turn and across it, with the degrees of freedom that the nuisance parameters leave."""
     data = fit.data
     rows = rest.reshape(len(data), -1)
     held = base.reshape(len(data), -1, base.shape[1])
     if rows.shape[1] != 2 or not isinstance(data.model, PlanarTurn):
-        return (Scatter(float((rows**2).sum()), max(fit.equations - base.shape[1], 0.0)),)
+        return (ResidualChi2(float((rows**2).sum()), max(fit.equations - base.shape[1], 0.0)),)
     along = (data.own_root @ fit.tangent)[:, :, 0]
     along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     return tuple(
-        Scatter(
+        ResidualChi2(
             float(((rows * way).sum(axis=1) ** 2).sum()),
             len(data) - float((np.einsum("nr,nrk->nk", way, held) ** 2).sum()),
         )

@@ -17,7 +17,14 @@ from adis_gonio.population.distribution import means_of, share_of
 from adis_gonio.population.evidence import SessionEvidence
 from adis_gonio.population.reach import reach_of
 from adis_gonio.population.result import Affected, Common, PopulationResult
-from adis_gonio.population.selection import LEAST_UNITS, Kind, Part, Population, Step, memberships
+from adis_gonio.population.selection import (
+    LEAST_UNITS,
+    ChosenCause,
+    Kind,
+    Population,
+    SelectionStep,
+    memberships,
+)
 from adis_gonio.population.units import Units, units_of
 from adis_gonio.tracing.thresholds import limits
 
@@ -84,9 +91,9 @@ def trace_population(
     )
 
 
-def _chosen(population: Population) -> tuple[list[Step], dict[str, str]]:
+def _chosen(population: Population) -> tuple[list[SelectionStep], dict[str, str]]:
     """Steps of the forward selection, each sharpened, and why the last one is none."""
-    steps: list[Step] = []
+    steps: list[SelectionStep] = []
     for _ in range(MOST_PARTS):
         parts = [step.part for step in steps]
         step = population.step(parts)
@@ -100,7 +107,7 @@ def _chosen(population: Population) -> tuple[list[Step], dict[str, str]]:
     return steps, {}
 
 
-def _objection(population: Population, parts: Sequence[Part], step: Step) -> str:
+def _objection(population: Population, parts: Sequence[ChosenCause], step: SelectionStep) -> str:
     """Why a step that the likelihood asks for is not taken; empty where nothing speaks against it."""
     if step.heldout <= 0:
         return "sessions that took no part do not agree with it"
@@ -111,7 +118,9 @@ def _objection(population: Population, parts: Sequence[Part], step: Step) -> str
     return ""
 
 
-def _standing(population: Population, steps: Sequence[Step]) -> tuple[list[Step], dict[str, str]]:
+def _standing(
+    population: Population, steps: Sequence[SelectionStep]
+) -> tuple[list[SelectionStep], dict[str, str]]:
     """Steps that the others do not explain after all."""
     kept = list(steps)
     dropped: dict[str, str] = {}
@@ -132,7 +141,7 @@ def _word(kind: Kind) -> str:
     return kind[0] if kind[1] else f"unnamed: {kind[0]}"
 
 
-def _merged(population: Population, steps: Sequence[Step]) -> list[Common]:
+def _merged(population: Population, steps: Sequence[SelectionStep]) -> list[Common]:
     """One entry a cause: a second axis of the same name belongs to the first."""
     commons: dict[tuple[str, str, str], Common] = {}
     for k, step in enumerate(steps):
@@ -157,7 +166,7 @@ def _merged(population: Population, steps: Sequence[Step]) -> list[Common]:
     return list(commons.values())
 
 
-def _common(population: Population, others: Sequence[Part], step: Step) -> Common:
+def _common(population: Population, others: Sequence[ChosenCause], step: SelectionStep) -> Common:
     part, units = step.part, population.units
     kind = part.candidate.kind
     ranked = sorted(step.posterior.items(), key=lambda entry: -entry[1])

@@ -82,7 +82,7 @@ def memberships(units: Units, by: Sequence[str]) -> list[Membership]:
 
 
 @dataclass(frozen=True)
-class Part:
+class ChosenCause:
     """A cause that was chosen: where, and how its amplitudes are distributed."""
 
     candidate: Candidate
@@ -111,12 +111,12 @@ class Scores:
 
 
 @dataclass(frozen=True)
-class Step:
+class SelectionStep:
     """One step of the selection.
 
     Attributes
     ----------
-    part : Part
+    part : ChosenCause
         Best candidate of the most probable cause, its distribution that of the grid.
     log_evidence : float
         Of any cause at all against the model before, averaged over all candidates by their prior.
@@ -130,7 +130,7 @@ class Step:
         Log score of the units of each fold by the cause that the other folds choose.
     """
 
-    part: Part
+    part: ChosenCause
     log_evidence: float
     posterior: Mapping[Kind, float]
     places: Mapping[tuple[str, str], float]
@@ -151,7 +151,7 @@ class Population:
         self._sums = (inside[:, None, :] & folds[None, :, :]).reshape(-1, len(units)).astype(float)
 
     def beside(
-        self, parts: Sequence[Part], index: Sequence[int], relative: bool = False
+        self, parts: Sequence[ChosenCause], index: Sequence[int], relative: bool = False
     ) -> list[tuple[Floats, Block]]:
         """Log probability (n,) of each combination of parts, and the block (columns) left beside it."""
         own = self.units.joint(index, relative)
@@ -172,7 +172,12 @@ class Population:
         return [(weight - norm, block) for weight, block in out]
 
     def _given(
-        self, chosen: Sequence[Part], index: Sequence[int], own: Block, log_prior: Floats, relative: bool
+        self,
+        chosen: Sequence[ChosenCause],
+        index: Sequence[int],
+        own: Block,
+        log_prior: Floats,
+        relative: bool,
     ) -> tuple[Floats, Block]:
         """The block where some parts are present, their amplitudes averaged out."""
         if not chosen:
@@ -194,7 +199,7 @@ class Population:
         information = own.information - across.transpose(0, 2, 1) @ solved[:, :, 1:]
         return log_prior + log_factor(first, mean, spread), Block(score, information)
 
-    def by_unit(self, parts: Sequence[Part], candidate: Candidate, most: float = MOST) -> Floats:
+    def by_unit(self, parts: Sequence[ChosenCause], candidate: Candidate, most: float = MOST) -> Floats:
         """Log gain (n, 2 h) of each unit at each distribution of the candidate's grid."""
         grid = grid_of(len(candidate.index))
         out = []
@@ -204,7 +209,7 @@ class Population:
             out.append(rows[0] if len(rows) == 1 else log_sum(np.stack(rows), axis=0))
         return np.concatenate(out, axis=1)
 
-    def scores(self, parts: Sequence[Part], only: Sequence[Candidate] | None = None) -> Scores:
+    def scores(self, parts: Sequence[ChosenCause], only: Sequence[Candidate] | None = None) -> Scores:
         """All candidates, or some, in all groups beside a model."""
         candidates = self.candidates if only is None else only
         shape = (len(candidates), len(self.groups))
@@ -220,7 +225,7 @@ class Population:
             foreseen[k] = evidence[k][:, None] - trained[k]
         return Scores(evidence, trained, foreseen, best)
 
-    def step(self, parts: Sequence[Part]) -> Step:
+    def step(self, parts: Sequence[ChosenCause]) -> SelectionStep:
         """The most probable further cause."""
         scores = self.scores(parts)
         prior = self.log_prior
@@ -241,8 +246,8 @@ class Population:
             axes[self.candidates[j].axes] += float(share[j].sum() / share[own].sum())
         grid = grid_of(len(candidate.index))
         start = grid.group(int(scores.best[chosen, g]))
-        return Step(
-            part=Part(candidate, group, start),
+        return SelectionStep(
+            part=ChosenCause(candidate, group, start),
             log_evidence=any_,
             posterior=dict(posterior),
             places={(one.by, one.value): float(p) for one, p in zip(self.groups, places, strict=True)},
@@ -256,7 +261,7 @@ class Population:
         own = np.array([candidate.log_prior for candidate in self.candidates])
         return np.asarray(own[:, None] + np.array([group.log_prior for group in self.groups]))
 
-    def sharpened(self, parts: Sequence[Part], part: Part) -> Part:
+    def sharpened(self, parts: Sequence[ChosenCause], part: ChosenCause) -> ChosenCause:
         """The part with the distribution of greatest likelihood beside the others."""
         from scipy.optimize import minimize
 
@@ -284,7 +289,7 @@ class Population:
         best = group_at(found.x, start)
         return replace(part, amplitudes=best if at(best) > at(start) else start)
 
-    def affected(self, parts: Sequence[Part], part: Part) -> Floats:
+    def affected(self, parts: Sequence[ChosenCause], part: ChosenCause) -> Floats:
         """Probability (n,) that each unit is affected by a part, given the others."""
         amplitudes = part.amplitudes
         share = min(amplitudes.share, 1 - 1e-9)
@@ -296,7 +301,7 @@ class Population:
         odds = log_sum(np.stack(with_), axis=0) - log_sum(np.stack(without), axis=0)
         return np.where(part.group.inside, 1 / (1 + np.exp(-np.clip(odds, -500, 500))), 0.0)
 
-    def without_foremost(self, parts: Sequence[Part], part: Part, count: int) -> float:
+    def without_foremost(self, parts: Sequence[ChosenCause], part: ChosenCause, count: int) -> float:
         """Log likelihood that a part adds, without the units that add most to it."""
         amplitudes = part.amplitudes
         rows = [

@@ -71,7 +71,7 @@ def _how_well(result: GyroFit) -> str:
 _KINDS = {
     "gyro_bias_{}": "zero rate / (°/s)",
     "gyro_scale_{}": "gain",
-    **{f"gyro_misalignment_{{}}{j}": f"leans towards {j.upper()} / °" for j in "xyz"},
+    **{f"gyro_misalignment_{{}}{j}": f"misalignment towards {j.upper()} / °" for j in "xyz"},
     **{f"g_sensitivity_{{}}{j}": f"force along {j.upper()} adds / (°/s/g)" for j in "xyz"},
 }
 

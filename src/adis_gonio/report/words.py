@@ -28,7 +28,7 @@ _SURE = (
 
 
 @dataclass(frozen=True)
-class Sight:
+class SightWords:
     """What the session would have shown.
 
     Attributes
@@ -323,7 +323,7 @@ def unnamed(result: TraceResult) -> str:
     return f"{rest.form} (explains {percent(rest.explains)} of the excess; {sure})"
 
 
-def sight(result: TraceResult) -> Sight:
+def sight(result: TraceResult) -> SightWords:
     """What the session would have shown, from the smallest amplitude against what a bench sees."""
     found = {finding.effect for finding in result.found}
     undecided = {name for names in result.confounded for name in names} | set(result.reasons)
@@ -352,7 +352,7 @@ def sight(result: TraceResult) -> Sight:
     worded: dict[str, list[str]] = {}
     for reason, names in blind.items():
         worded.setdefault(_reason(reason), []).extend(names)
-    return Sight(
+    return SightWords(
         tuple(visible),
         tuple(weak),
         tuple((tuple(names), reason) for reason, names in worded.items()),

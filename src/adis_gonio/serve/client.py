@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 
 from adis_gonio.serve import protocol
-from adis_gonio.serve.device import IioDevice, ScanFormat
+from adis_gonio.serve.device import ScanFormat, ServedDevice
 from adis_gonio.serve.hub import Buffer, Hub
 from adis_gonio.serve.port import AttributePort
 from adis_gonio.serve.protocol import Errno, Parser, Refused, Request
@@ -40,7 +40,7 @@ class ClientSession:
         self,
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
-        device: IioDevice,
+        device: ServedDevice,
         port: AttributePort,
         hub: Hub,
     ) -> None:

@@ -135,7 +135,7 @@ WRITABLE = ("calibbias", "filter_low_pass_3db_frequency", "sampling_frequency")
 """Attributes of a channel or of the device that a client may write where writes are allowed."""
 
 
-class IioDevice:
+class ServedDevice:
     """Channels, attributes and XML of a sensor.
 
     Parameters
@@ -286,7 +286,7 @@ class ScanFormat:
     mask: str
 
     @classmethod
-    def of_mask(cls, device: IioDevice, mask: str) -> ScanFormat:
+    def of_mask(cls, device: ServedDevice, mask: str) -> ScanFormat:
         """Format by a mask; `Refused` where its length is wrong, or it names nothing or too much."""
         if len(mask) != device.mask_digits:
             raise Refused(Errno.EINVAL, f"a mask has {device.mask_digits} digits here")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from adis_gonio.serve.device import ScanFormat
 from adis_gonio.serve.queues import ScanQueue
-from adis_gonio.serve.sampler import Scans
+from adis_gonio.serve.sampler import FreshScans
 
 QUEUE_S = 30.0
 """Time that a client's queue bridges; all channels at full rate fill it with 0.6 MB."""
@@ -76,7 +76,7 @@ class Hub:
         if not self._buffers:
             self._want(False)
 
-    def publish(self, scans: Scans) -> None:
+    def publish(self, scans: FreshScans) -> None:
         """Append scans to every buffer, in its own format."""
         self._lost_by_sensor += scans.lost
         for buffer in self._buffers:

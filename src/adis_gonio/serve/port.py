@@ -18,7 +18,7 @@ from adis_gonio.serve.device import (
     OFFSET_OF,
     WRITABLE,
     Channel,
-    IioDevice,
+    ServedDevice,
     filter_for,
 )
 from adis_gonio.serve.protocol import Errno, Refused, Target
@@ -39,7 +39,7 @@ class AttributePort:
         Values of the debug attributes.
     """
 
-    device: IioDevice
+    device: ServedDevice
     sampler: Sampler
     allow_writes: bool
     debug: Callable[[], Mapping[str, int]]

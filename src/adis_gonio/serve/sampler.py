@@ -35,7 +35,7 @@ MOST_BLOCK = 256
 
 
 @dataclass(frozen=True)
-class Scans:
+class FreshScans:
     """Fresh scans for the clients.
 
     Attributes
@@ -76,7 +76,7 @@ class Sampler:
         self,
         sensor: Adis16354,
         names: Sequence[str],
-        on_scans: Callable[[Scans], object],
+        on_scans: Callable[[FreshScans], object],
         on_failure: Callable[[Exception], object],
     ) -> None:
         self.names = tuple(names)
@@ -196,7 +196,7 @@ class Sampler:
         numbers = block.numbers()
         self.newest = dict(zip(block.registers, numbers[-1].tolist(), strict=True))
         time_ns = np.rint(block.time_s * 1e9).astype(np.int64) + since_1970_ns
-        self._on_scans(Scans(numbers, time_ns, block.lost))
+        self._on_scans(FreshScans(numbers, time_ns, block.lost))
 
 
 def state_of(sensor: Adis16354) -> SensorState:

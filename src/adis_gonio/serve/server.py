@@ -17,10 +17,10 @@ from adis_gonio.counting import counted
 from adis_gonio.errors import CannotOpenError
 from adis_gonio.sensor import DEFAULT_SCAN, Adis16354
 from adis_gonio.serve.client import ClientSession
-from adis_gonio.serve.device import IioDevice
+from adis_gonio.serve.device import ServedDevice
 from adis_gonio.serve.hub import QUEUE_S, Hub
 from adis_gonio.serve.port import AttributePort
-from adis_gonio.serve.sampler import Sampler, Scans
+from adis_gonio.serve.sampler import FreshScans, Sampler
 
 PORT = 30431
 """iiod's port."""
@@ -85,7 +85,7 @@ class IioServer:
         self._tell = tell
         self._ready = ready
         description = f"{sensor.variant.name.upper()} at {sensor.bus.url}, adis-gonio {__version__}"
-        self._device = IioDevice(sensor.variant, settings.registers, description)
+        self._device = ServedDevice(sensor.variant, settings.registers, description)
         names = [row.name for row in self._device.table]
         self._sampler = Sampler(sensor, names, self._scans_came, self._sensor_failed)
         self._hub = Hub(self._sampler.want, settings.queue_s)
@@ -177,7 +177,7 @@ class IioServer:
 
     # -- from the sampler's thread ------------------------------------------------------------------
 
-    def _scans_came(self, scans: Scans) -> None:
+    def _scans_came(self, scans: FreshScans) -> None:
         self._call(lambda: self._hub.publish(scans))
 
     def _sensor_failed(self, error: Exception) -> None:

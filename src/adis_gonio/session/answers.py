@@ -11,7 +11,7 @@ from adis_gonio.errors import UsageError
 from adis_gonio.session.rows import utc_now
 
 
-class Answer(StrEnum):
+class Reply(StrEnum):
     """Answers to a question."""
 
     CONFIRM = "confirm"
@@ -50,9 +50,9 @@ class Inbox:
     """
 
     def __init__(self) -> None:
-        self._answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+        self._answers: queue.SimpleQueue[Reply] = queue.SimpleQueue()
         self._remarks: queue.SimpleQueue[Remark] = queue.SimpleQueue()
-        self._allowed: frozenset[Answer] = frozenset()
+        self._allowed: frozenset[Reply] = frozenset()
         self.stopping = threading.Event()
         self.pausing = threading.Event()
         self.going_on = threading.Event()
@@ -62,24 +62,24 @@ class Inbox:
         """True where the session is to end or to stand still."""
         return self.stopping.is_set() or self.pausing.is_set()
 
-    def answer(self, answer: Answer | str) -> None:
+    def answer(self, answer: Reply | str) -> None:
         """Put an answer in; `UsageError` where it is none to the question that stands."""
         if answer not in self._allowed:
             asked = ", ".join(sorted(self._allowed)) or "nothing"
             raise UsageError(f"'{answer}' answers no question that stands (open: {asked})")
-        self._answers.put(Answer(answer))
+        self._answers.put(Reply(answer))
 
     def remark(self, text: str) -> None:
         """Put a remark in."""
         self._remarks.put(Remark(text, utc_now()))
 
-    def open(self, answers: frozenset[Answer]) -> None:
+    def open(self, answers: frozenset[Reply]) -> None:
         """Let a question stand: what was said to another one is forgotten."""
         while not self._answers.empty():
             self._answers.get_nowait()
         self._allowed = answers
 
-    def given(self) -> Answer | None:
+    def given(self) -> Reply | None:
         """The answer to the question that stands; None while there is none."""
         try:
             answer = self._answers.get_nowait()
@@ -102,7 +102,7 @@ class Operator:
     def __init__(self) -> None:
         self._inbox = Inbox()
 
-    def answer(self, answer: Answer | str) -> None:
+    def answer(self, answer: Reply | str) -> None:
         """Answer the question that stands, by the answer's name; one of `GuardRaised.answers`, say.
 
         Raises
@@ -110,46 +110,46 @@ class Operator:
         UsageError
             It is no answer to a question that stands.
         """
-        if answer == Answer.STOP:
+        if answer == Reply.STOP:
             self.stop()
             return
         self._inbox.answer(answer)
 
     def confirm(self) -> None:
         """The part is (or the stage may go) where it was asked to be."""
-        self.answer(Answer.CONFIRM)
+        self.answer(Reply.CONFIRM)
 
     def skip(self) -> None:
         """Leave this position out."""
-        self.answer(Answer.SKIP)
+        self.answer(Reply.SKIP)
 
     def repeat(self) -> None:
         """Do the last dwell again; the new one takes its place, the old one stays in the archive."""
-        self.answer(Answer.REPEAT)
+        self.answer(Reply.REPEAT)
 
     def undo(self) -> None:
         """Withdraw the newest dwell: it stays in the archive, marked, and its position is asked again."""
-        self.answer(Answer.UNDO)
+        self.answer(Reply.UNDO)
 
     def keep(self) -> None:
         """Keep what a guard stopped at, as it is; what cannot be right is told at the end."""
-        self.answer(Answer.KEEP)
+        self.answer(Reply.KEEP)
 
     def retake(self) -> None:
         """Go back to the position that a guard stopped at: it is asked for again."""
-        self.answer(Answer.RETAKE)
+        self.answer(Reply.RETAKE)
 
     def reverse(self) -> None:
         """The stage's angles count the other way: take the whole session so."""
-        self.answer(Answer.REVERSE)
+        self.answer(Reply.REVERSE)
 
     def accept(self) -> None:
         """Go on with what was offered."""
-        self.answer(Answer.ACCEPT)
+        self.answer(Reply.ACCEPT)
 
     def decline(self) -> None:
         """Leave what was offered."""
-        self.answer(Answer.DECLINE)
+        self.answer(Reply.DECLINE)
 
     def stop(self) -> None:
         """End the session now; a dwell in hand is archived as interrupted. It can be resumed."""

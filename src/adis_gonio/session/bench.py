@@ -23,7 +23,7 @@ CHECKPOINT_S = 1e-3
 """Silence that ends in a checkpoint, so that no frame's timing reaches over the point of resuming."""
 
 
-class Stage(Protocol):
+class MovableStage(Protocol):
     """A stage that the program can move; a bus may bring one as its attribute `stage`."""
 
     def move_to(self, angle_deg: float, approach: int = 1) -> object:
@@ -31,14 +31,14 @@ class Stage(Protocol):
 
 
 @runtime_checkable
-class SpatialStage(Stage, Protocol):
+class SpatialStage(MovableStage, Protocol):
     """A stage that can also turn the part to any attitude in space."""
 
     def orient(self, vector: Sequence[float]) -> object:
         """Go where an ideal sensor reads along a vector (3,)."""
 
 
-class World(Protocol):
+class SimulatedWorld(Protocol):
     """The simulated surroundings of a sensor; a simulated bus brings one as its attribute `world`."""
 
     def truth(self, time_s: Floats | None = None) -> dict[str, float]:
@@ -57,7 +57,7 @@ class WatchedStage(SpatialStage, Protocol):
 
 
 @runtime_checkable
-class TurnTable(Stage, Protocol):
+class TurnTable(MovableStage, Protocol):
     """A stage that can also turn the part about the vertical, while others look on."""
 
     def begin_turn(self, angle_deg: float) -> float:
@@ -65,7 +65,7 @@ class TurnTable(Stage, Protocol):
 
 
 @runtime_checkable
-class ControlledWorld(World, Protocol):
+class ControlledWorld(SimulatedWorld, Protocol):
     """Surroundings whose temperature and supply a program can set."""
 
     def bring_to(
@@ -74,7 +74,7 @@ class ControlledWorld(World, Protocol):
         """Heat or cool the part, or set the supply, from a time on."""
 
 
-class Bench:
+class SessionBench:
     """What a session measures with.
 
     Parameters
@@ -97,8 +97,8 @@ class Bench:
     def __init__(self, sensor: Adis16354 | SampleSource, settings: Settings) -> None:
         self.source = source = as_source(sensor)
         self.settings = settings
-        self.stage: Stage | None = source.stage
-        self.world: World | None = source.world
+        self.stage: MovableStage | None = source.stage
+        self.world: SimulatedWorld | None = source.world
         self._stream: SampleStream | None = None
         self._moves_until_s = -math.inf
         self._scanning: JsonDict = {}

@@ -18,7 +18,7 @@ from adis_gonio.session.plans import Position
 
 if TYPE_CHECKING:
     from adis_gonio.tracing import TraceResult
-    from adis_gonio.tracing.outcome.result import Measurement
+    from adis_gonio.tracing.outcome.result import NextDwell
 
 MOST_EXTRA = 24
 """Positions that are asked for beyond the plan, by default."""
@@ -138,7 +138,7 @@ def where_it_stands(result: TraceResult, dwells: int) -> dict[str, Any]:
     }
 
 
-def _position(measurement: Measurement) -> Position:
+def _position(measurement: NextDwell) -> Position:
     approach = measurement.approach
     return Position(
         measurement.angle_deg,
@@ -151,7 +151,7 @@ def _position(measurement: Measurement) -> Position:
     )
 
 
-def _ended(result: TraceResult, wanted: list[Measurement], within: list[Measurement], visited: int) -> str:
+def _ended(result: TraceResult, wanted: list[NextDwell], within: list[NextDwell], visited: int) -> str:
     """Why nothing more is asked for."""
     from adis_gonio.advice.words import sentences
 

@@ -9,7 +9,7 @@ from typing import Protocol
 from adis_gonio.errors import AdisGonioError, SessionError
 from adis_gonio.model.records import Floats
 from adis_gonio.session.archive import utc_now
-from adis_gonio.session.bench import Bench
+from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.blocks import count_alarms
 from adis_gonio.session.events import DwellDone, DwellInterrupted, Event, Problem, StageMoved
 from adis_gonio.session.faults import problems
@@ -52,7 +52,9 @@ class _Broken:
 class Dwelling:
     """Makes dwells, one after another."""
 
-    def __init__(self, bench: Bench, ledger: Ledger, knowledge: Knowledge, questions: Questions) -> None:
+    def __init__(
+        self, bench: SessionBench, ledger: Ledger, knowledge: Knowledge, questions: Questions
+    ) -> None:
         self._bench = bench
         self._ledger = ledger
         self._knowledge = knowledge

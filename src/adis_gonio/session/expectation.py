@@ -33,7 +33,7 @@ _RECTANGULAR = 1 / math.sqrt(3)
 
 
 @dataclass(frozen=True)
-class Spread:
+class PriorKnowledge:
     """What is known of a part and its fixture before they are measured.
 
     Attributes
@@ -80,12 +80,12 @@ class Expectation:
 
     Parameters
     ----------
-    spread : Spread
+    spread : PriorKnowledge
     sense : {1, -1}
         -1 where the stage counts against the convention.
     """
 
-    def __init__(self, spread: Spread, sense: int = 1) -> None:
+    def __init__(self, spread: PriorKnowledge, sense: int = 1) -> None:
         self.sense = sense
         gravity = spread.gravity_mg
         gain, bias = GAIN_LIMIT * _RECTANGULAR, spread.bias_mg / gravity
@@ -172,4 +172,4 @@ def _norm_row(psi: float) -> Floats:
     return np.array([0.0, c * c, s * s, s * c, c, s])
 
 
-__all__ = ["Expectation", "Off", "Spread", "turned_deg", "wrapped_deg"]
+__all__ = ["Expectation", "Off", "PriorKnowledge", "turned_deg", "wrapped_deg"]

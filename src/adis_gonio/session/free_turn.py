@@ -15,7 +15,7 @@ from typing import Literal, Protocol, runtime_checkable
 from adis_gonio.counting import counted
 from adis_gonio.errors import UsageError
 from adis_gonio.model.sweeps import Sweeps
-from adis_gonio.session.bench import Bench
+from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.blocks import Block
 from adis_gonio.session.dwelling import BROKEN_STREAM, TakesDwells, why_broken_off
 from adis_gonio.session.events import Event, Problem, StageMoved, TurnDone, TurnProgress
@@ -71,7 +71,7 @@ class TurningStage(Protocol):
         """Begin, and return the time at which it ends."""
 
 
-class Turn:
+class FreeTurn:
     """The angle of gravity as the turn goes on, and when it is done.
 
     Attributes
@@ -146,7 +146,9 @@ class FreeTurnRunner(SessionRunner):
 class TurnTaking:
     """Records the whole turn as the dwell of the one place."""
 
-    def __init__(self, bench: Bench, ledger: Ledger, knowledge: Knowledge, questions: Questions) -> None:
+    def __init__(
+        self, bench: SessionBench, ledger: Ledger, knowledge: Knowledge, questions: Questions
+    ) -> None:
         self._bench = bench
         self._ledger = ledger
         self._knowledge = knowledge
@@ -213,7 +215,7 @@ class TurnTaking:
         return BROKEN_STREAM
 
 
-def _too_few(turn: Turn) -> str:
+def _too_few(turn: FreeTurn) -> str:
     """What is said where fewer full turns were seen than were asked for."""
     if not turn.sweeps.full:
         return f"it went {turn.sweeps.span_deg:.0f}°, no full turn: undo it and turn all around"
@@ -226,8 +228,8 @@ def _too_few(turn: Turn) -> str:
 class _Pieces:
     """What was recorded and goes to the archive piece by piece."""
 
-    def __init__(self, bench: Bench, ledger: Ledger, place: int) -> None:
-        self.place, self.turn = place, Turn(max(ledger.plan.turns, 1))
+    def __init__(self, bench: SessionBench, ledger: Ledger, place: int) -> None:
+        self.place, self.turn = place, FreeTurn(max(ledger.plan.turns, 1))
         self.samples = self.lost = 0
         self.length_s = 0.0
         self._bench, self._ledger = bench, ledger

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Generator, Iterator
 
 from adis_gonio.model.records import Floats
-from adis_gonio.session.answers import Answer
+from adis_gonio.session.answers import Reply
 from adis_gonio.session.blocks import Block
 from adis_gonio.session.events import Event, GuardRaised, Problem
 from adis_gonio.session.guards import Guard, insistent, judge_dwell, judge_shift
@@ -56,22 +56,22 @@ class Guarding:
             guard.answers,
             guard.default,
         )
-        allowed = {Answer(name) for name in guard.answers}
-        answer = yield from self._questions.ask(raised, allowed, Answer(guard.default), place)
+        allowed = {Reply(name) for name in guard.answers}
+        answer = yield from self._questions.ask(raised, allowed, Reply(guard.default), place)
         ledger.note(
             "guard", {"place": place, "kind": guard.kind, "message": guard.message, "answer": answer}
         )
-        if answer is Answer.KEEP:
+        if answer is Reply.KEEP:
             self._keep(guard)
-        elif answer is Answer.REVERSE:
+        elif answer is Reply.REVERSE:
             self._knowledge.reverse()
-        elif answer is Answer.SKIP:
+        elif answer is Reply.SKIP:
             ledger.skip(place)
             if guard.contradicts and ledger.done:
                 taken = sorted(ledger.done.values())
                 doubt = {"place": place, "dwells": taken, "kind": guard.kind, "message": guard.message}
                 ledger.note("contradiction", doubt)
-        return answer in (Answer.KEEP, Answer.REVERSE)
+        return answer in (Reply.KEEP, Reply.REVERSE)
 
     def settled(
         self, recording: Recording, mean_mg: Floats, rested_mg: Floats | None

@@ -23,7 +23,7 @@ from adis_gonio.session.watch import SHIFT_MG
 
 if TYPE_CHECKING:
     from adis_gonio.session.events import Problem
-    from adis_gonio.session.turning import Turn
+    from adis_gonio.session.turning import GyroIntegral
 
 GUARD_KINDS: tuple[str, ...] = get_args(GuardKind)
 
@@ -93,7 +93,7 @@ class Reading:
         Turn by gravity since the dwell before, within ±180°.
     off, off_reversed : Off
         From the angle asked for, if the stage counts as the session has it, or the other way.
-    turn : Turn or None
+    turn : GyroIntegral or None
         By the gyros.
     sense : int
         -1 in a session that is taken as reversed.
@@ -104,7 +104,7 @@ class Reading:
     gravity_deg: float
     off: Off
     off_reversed: Off | None
-    turn: Turn | None
+    turn: GyroIntegral | None
     sense: int = 1
 
 
@@ -154,7 +154,7 @@ def _reversed(reading: Reading, values: dict[str, float], seen: str) -> Guard:
     return Guard("reversed", message, values, answers, spoils=True)
 
 
-def _other_axis(turn: Turn) -> str | None:
+def _other_axis(turn: GyroIntegral) -> str | None:
     """The axis that was turned about most, where it is not z and more than the gyros' uncertainty."""
     size = np.abs(turn.angle_deg)
     most = int(np.argmax(size))

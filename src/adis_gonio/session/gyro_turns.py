@@ -20,7 +20,7 @@ from adis_gonio.errors import UsageError
 from adis_gonio.gyros.integral import Integral, Path, Sampling, integrate
 from adis_gonio.model.records import Floats
 from adis_gonio.sensor.driver import DEFAULT_SCAN
-from adis_gonio.session.answers import Answer
+from adis_gonio.session.answers import Reply
 from adis_gonio.session.blocks import Block, join, session_columns
 from adis_gonio.session.dwelling import BROKEN_STREAM, Dwelling, TakesDwells, why_broken_off
 from adis_gonio.session.events import (
@@ -204,9 +204,9 @@ class TurnedDwelling(Dwelling):
         message = f"the {axis} arrow does not point {face}: {off:.0f}° off; lay the part on another face"
         guard = Guard("upside_down", message, {"off_deg": off}, ("retake", "keep", "skip"), spoils=False)
         answer = yield from self._ask(guard, place)
-        if answer is Answer.RETAKE:
+        if answer is Reply.RETAKE:
             yield self._knowledge.withdraw(place)
-        elif answer is Answer.SKIP:
+        elif answer is Reply.SKIP:
             yield self._knowledge.withdraw(place)
             self._ledger.skip(place)
 
@@ -311,19 +311,19 @@ class TurnedDwelling(Dwelling):
             yield self._ledger.problem(problem)
             return True
         answer = yield from self._ask(guard, place)
-        if answer is Answer.REVERSE:
+        if answer is Reply.REVERSE:
             self._ledger.extend(_the_other_way(self._ledger.plan, place))
-        elif answer is Answer.SKIP:
+        elif answer is Reply.SKIP:
             self._ledger.skip(place)
-        return answer in (Answer.KEEP, Answer.REVERSE)
+        return answer in (Reply.KEEP, Reply.REVERSE)
 
-    def _ask(self, guard: Guard, place: int) -> Generator[Event, None, Answer]:
+    def _ask(self, guard: Guard, place: int) -> Generator[Event, None, Reply]:
         position = self._ledger.plan.positions[place]
         raised = GuardRaised(
             guard.kind, guard.message, place, position, guard.values, guard.answers, guard.default
         )
-        allowed = {Answer(name) for name in guard.answers}
-        answer = yield from self._questions.ask(raised, allowed, Answer(guard.default), place)
+        allowed = {Reply(name) for name in guard.answers}
+        answer = yield from self._questions.ask(raised, allowed, Reply(guard.default), place)
         self._ledger.note(
             "guard", {"place": place, "kind": guard.kind, "message": guard.message, "answer": answer}
         )

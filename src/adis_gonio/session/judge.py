@@ -9,7 +9,7 @@ import numpy as np
 from adis_gonio.model.records import Floats
 from adis_gonio.session.blocks import Block
 from adis_gonio.session.events import TurnMeasured
-from adis_gonio.session.expectation import Expectation, Spread, turned_deg, wrapped_deg
+from adis_gonio.session.expectation import Expectation, PriorKnowledge, turned_deg, wrapped_deg
 from adis_gonio.session.guards import (
     Guard,
     Reading,
@@ -21,7 +21,7 @@ from adis_gonio.session.guards import (
 )
 from adis_gonio.session.plans import Position
 from adis_gonio.session.three_angles import Stand, diagnosed, with_three_angles
-from adis_gonio.session.turning import Turn, Turning
+from adis_gonio.session.turning import GyroIntegral, Turning
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class _Taken:
     position: Position
     mean_mg: Floats
     doubted: bool
-    turn: Turn | None = None
+    turn: GyroIntegral | None = None
     since: int | None = None
     """Place of the dwell from which `turn` was watched."""
 
@@ -44,7 +44,7 @@ class Judge:
     ----------
     planar : bool
         False where attitudes are free.
-    spread : Spread
+    spread : PriorKnowledge
         What may be off in a sane part; a fixture of infinite uncertainty is not judged.
     sense : {1, -1}
         -1 in a session that is taken as reversed.
@@ -52,14 +52,14 @@ class Judge:
         As `Turning`.
     """
 
-    def __init__(self, spread: Spread, *, planar: bool, sense: int, longest_gap_s: float) -> None:
+    def __init__(self, spread: PriorKnowledge, *, planar: bool, sense: int, longest_gap_s: float) -> None:
         self._spread = spread
         self._planar = planar
         self.sense = sense
         self._taken: list[_Taken] = []
         self._longest_gap_s = longest_gap_s
         self.turning = Turning(longest_gap_s)
-        self._turned: tuple[Turn | None, int | None] = (None, None)
+        self._turned: tuple[GyroIntegral | None, int | None] = (None, None)
         self._rebuild()
 
     def settled(self, position: Position, accel_mg: Floats) -> Guard | None:
@@ -109,7 +109,7 @@ class Judge:
         self._learn(self._taken[-1])
         self.turning.rest(scans)
 
-    def last_turn(self) -> tuple[int, Turn] | None:
+    def last_turn(self) -> tuple[int, GyroIntegral] | None:
         """Turn into the newest dwell, and the place from which it was watched; None where nobody did."""
         last = self._taken[-1] if self._taken else None
         return None if last is None or last.turn is None or last.since is None else (last.since, last.turn)

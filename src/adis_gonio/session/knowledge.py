@@ -8,10 +8,10 @@ import numpy as np
 
 from adis_gonio.errors import UsageError
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
-from adis_gonio.session.bench import Bench
+from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.blocks import Block, join
 from adis_gonio.session.events import NoiseMeasured, Running, Withdrawn
-from adis_gonio.session.expectation import Spread
+from adis_gonio.session.expectation import PriorKnowledge
 from adis_gonio.session.judge import Judge
 from adis_gonio.session.ledger import Ledger
 from adis_gonio.session.live import LiveView, vector
@@ -30,7 +30,7 @@ class Knowledge:
 
     Parameters
     ----------
-    bench : Bench
+    bench : SessionBench
     ledger : Ledger
     judging : bool
         False where no place is declared that the part could be at.
@@ -47,7 +47,7 @@ class Knowledge:
         True where the session is taken as turned the other way.
     """
 
-    def __init__(self, bench: Bench, ledger: Ledger, *, judging: bool) -> None:
+    def __init__(self, bench: SessionBench, ledger: Ledger, *, judging: bool) -> None:
         self._bench = bench
         self._ledger = ledger
         self._judging = judging
@@ -82,7 +82,7 @@ class Knowledge:
         fixture = ledger.header.fixture_sigma_deg
         if not self._judging or (planar and fixture is not None and math.isinf(fixture)):
             return None
-        spread = Spread(
+        spread = PriorKnowledge(
             max(bench.source.part.initial_bias_mg, LEAST_BIAS_MG),
             noise_mg / math.sqrt(SETTLINGS_PER_WINDOW),
             fixture,

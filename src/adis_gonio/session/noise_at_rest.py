@@ -6,7 +6,7 @@ from collections.abc import Generator
 
 from adis_gonio.errors import SessionError
 from adis_gonio.model.records import Floats
-from adis_gonio.session.bench import Bench
+from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.events import Event, Problem
 from adis_gonio.session.knowledge import Knowledge
 from adis_gonio.session.ledger import Ledger
@@ -15,7 +15,7 @@ from adis_gonio.session.watch import NoiseMeter
 
 
 def measure_noise(
-    bench: Bench, ledger: Ledger, knowledge: Knowledge, questions: Questions
+    bench: SessionBench, ledger: Ledger, knowledge: Knowledge, questions: Questions
 ) -> Generator[Event, None, list[float] | None]:
     """Measure until the part has lain still long enough.
 
@@ -45,7 +45,7 @@ def measure_noise(
 
 
 def _meter(
-    bench: Bench, ledger: Ledger, knowledge: Knowledge, questions: Questions
+    bench: SessionBench, ledger: Ledger, knowledge: Knowledge, questions: Questions
 ) -> Generator[Event, None, Floats | None]:
     """The noise at rest; None where the operator stops or pauses, or has to be told what is wrong."""
     expected = bench.source.expected_noise_mg(bench.configuration)

@@ -6,8 +6,8 @@ from collections.abc import Callable, Generator, Iterator
 
 import numpy as np
 
-from adis_gonio.session.answers import Answer, Inbox
-from adis_gonio.session.bench import Bench
+from adis_gonio.session.answers import Inbox, Reply
+from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.blocks import Block, join
 from adis_gonio.session.events import Event, GuardRaised, Noted, Paused, Unpaused, Waiting, Watching
 from adis_gonio.session.knowledge import Knowledge
@@ -33,7 +33,7 @@ class Questions:
     """
 
     def __init__(
-        self, inbox: Inbox, bench: Bench, ledger: Ledger, knowledge: Knowledge, *, auto: bool
+        self, inbox: Inbox, bench: SessionBench, ledger: Ledger, knowledge: Knowledge, *, auto: bool
     ) -> None:
         self.auto = auto
         self._inbox = inbox
@@ -74,11 +74,11 @@ class Questions:
         return f"{'stopped' if self.stopped else 'paused'} by the operator"
 
     def ask(
-        self, question: Event, answers: set[Answer], default: Answer, place: int | None = None
-    ) -> Generator[Event, None, Answer]:
+        self, question: Event, answers: set[Reply], default: Reply, place: int | None = None
+    ) -> Generator[Event, None, Reply]:
         """Put a question until it is answered; after a pause it is put again."""
         if self._ledger.last_place is not None and not isinstance(question, GuardRaised):
-            answers = answers | {Answer.REPEAT, Answer.UNDO}
+            answers = answers | {Reply.REPEAT, Reply.UNDO}
         idle: _Idle | None = None
         self._seen = []
         try:
@@ -95,7 +95,7 @@ class Questions:
                     yield idle.look()
                 idle = None
                 yield from self.heed(place)
-            return Answer.STOP
+            return Reply.STOP
         finally:
             self._inbox.open(frozenset())
             self._bench.close_stream()
@@ -136,7 +136,7 @@ class Questions:
 class _Idle:
     """The newest samples while a question stands."""
 
-    def __init__(self, bench: Bench, knowledge: Knowledge, keep: Callable[[Block], None]) -> None:
+    def __init__(self, bench: SessionBench, knowledge: Knowledge, keep: Callable[[Block], None]) -> None:
         self._keep = keep
         self._stream = bench.scans()
         self._window = bench.window

@@ -30,9 +30,9 @@ from adis_gonio.errors import AdisGonioError, UsageError
 from adis_gonio.model.gravity import checked_gravity_mps2
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.sensor.driver import Adis16354
-from adis_gonio.session.answers import Answer, Operator
+from adis_gonio.session.answers import Operator, Reply
 from adis_gonio.session.archive import Archive, Header
-from adis_gonio.session.bench import Bench
+from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.closing import Advisor
 from adis_gonio.session.dwelling import Dwelling, TakesDwells
 from adis_gonio.session.events import Configured, Event, Finished, Started
@@ -57,7 +57,7 @@ class SessionRunner(Operator):
 
     def __init__(
         self,
-        bench: Bench,
+        bench: SessionBench,
         archive: Archive,
         *,
         auto: bool,
@@ -134,7 +134,7 @@ class SessionRunner(Operator):
         if fixture_sigma_deg is not None and not fixture_sigma_deg >= 0:
             raise UsageError(f"fixture_sigma_deg is {fixture_sigma_deg}: take 0° or more")
         settings = settings or Settings()
-        bench = Bench(sensor, settings)
+        bench = SessionBench(sensor, settings)
         source = bench.source
         if auto:
             bench.require_auto(plan)
@@ -181,7 +181,7 @@ class SessionRunner(Operator):
         """
         archive = Archive.open_existing(path)
         try:
-            bench = Bench(sensor, Settings.from_dict(archive.header().settings))
+            bench = SessionBench(sensor, Settings.from_dict(archive.header().settings))
             if auto:
                 bench.require_auto(archive.plan())
             bench.require_same_sensor(archive)
@@ -301,4 +301,4 @@ class SessionRunner(Operator):
         )
 
 
-__all__ = ["Answer", "SessionRunner"]
+__all__ = ["Reply", "SessionRunner"]

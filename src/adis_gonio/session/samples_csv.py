@@ -26,7 +26,7 @@ from adis_gonio.model.records import METADATA, Dwell, Floats, Session, Use
 from adis_gonio.output import ends_in
 from adis_gonio.session.overrides import Overrides
 from adis_gonio.session.samples.names import AXES, GYROS
-from adis_gonio.session.samples.table import Table, table_of
+from adis_gonio.session.samples.table import SamplesTable, table_of
 from adis_gonio.session.segmentation import segment_with_notes, shows_a_free_turn
 
 
@@ -198,7 +198,7 @@ def _texts_of(values: Floats) -> list[str]:
     return [_text_of(number) for number in numbers]
 
 
-def _whole(table: Table) -> Dwell:
+def _whole(table: SamplesTable) -> Dwell:
     """All rows as one recording; views, no copies."""
     return Dwell(
         0, table.time_s, table.accel, gyro=table.gyro, temperature_c=table.temperature_c,
@@ -206,7 +206,9 @@ def _whole(table: Table) -> Dwell:
     )  # fmt: skip
 
 
-def _dwells_by_stillness(table: Table, recording: Dwell | None) -> tuple[list[slice], tuple[str, ...]]:
+def _dwells_by_stillness(
+    table: SamplesTable, recording: Dwell | None
+) -> tuple[list[slice], tuple[str, ...]]:
     """Dwells of a continuous recording, and what was found."""
     try:
         slices, found = segment_with_notes(table.time_s, table.accel, table.gyro)
@@ -220,7 +222,7 @@ def _dwells_by_stillness(table: Table, recording: Dwell | None) -> tuple[list[sl
     return slices, tuple(found)
 
 
-def _dwells_by_position(table: Table) -> tuple[list[int], list[slice]]:
+def _dwells_by_position(table: SamplesTable) -> tuple[list[int], list[slice]]:
     numbers: list[int] = []
     starts: list[int] = []
     seen: dict[int, int] = {}
@@ -241,7 +243,7 @@ def _dwells_by_position(table: Table) -> tuple[list[int], list[slice]]:
     return numbers, [slice(a, b) for a, b in zip(starts, ends, strict=True)]
 
 
-def _position(table: Table, row: int, text: str) -> int:
+def _position(table: SamplesTable, row: int, text: str) -> int:
     try:
         # A spreadsheet may write an integer as 3.0 or 3,0.
         value = table.number("position", text)
@@ -252,7 +254,9 @@ def _position(table: Table, row: int, text: str) -> int:
     return int(value)
 
 
-def _constant(table: Table, name: str, slices: list[slice], parse: Callable[[str], Any]) -> list[Any]:
+def _constant(
+    table: SamplesTable, name: str, slices: list[slice], parse: Callable[[str], Any]
+) -> list[Any]:
     """Value of a column that must not change within a dwell; None where it is empty or absent."""
     if name not in table.runs:
         return [None] * len(slices)
@@ -277,7 +281,7 @@ def _constant(table: Table, name: str, slices: list[slice], parse: Callable[[str
     return values
 
 
-def _angle(table: Table, text: str) -> float | None:
+def _angle(table: SamplesTable, text: str) -> float | None:
     if not text:
         return None
     try:

@@ -80,7 +80,7 @@ class SampleStream(Protocol):
 
 
 @dataclass(frozen=True)
-class Part:
+class KnownPart:
     """What is known of a sensor before it is measured.
 
     Attributes
@@ -105,9 +105,10 @@ class SampleSource(Protocol):
     ----------
     url : str
         What it was opened by.
-    part : Part
+    part : KnownPart
     stage, world : object or None
-        What moves it and what is hidden, where these are simulated (see `bench.Stage`, `bench.World`).
+        What moves it and what is hidden, where these are simulated (see `bench.MovableStage`,
+        `bench.SimulatedWorld`).
     kept : tuple of str
         The settings of `Settings` that mean something to it; the archive keeps these.
     why_polled : str
@@ -115,7 +116,7 @@ class SampleSource(Protocol):
     """
 
     url: str
-    part: Part
+    part: KnownPart
     stage: Any
     world: Any
     kept: tuple[str, ...]
@@ -178,7 +179,7 @@ class ChipSource:
         self.sensor = sensor
         self.url = sensor.bus.url
         variant = sensor.variant
-        self.part = Part(variant.name, variant.performance.initial_bias_mg, variant.accel_mg_per_lsb)
+        self.part = KnownPart(variant.name, variant.performance.initial_bias_mg, variant.accel_mg_per_lsb)
         self.stage: Any = getattr(sensor.bus, "stage", None)
         self.world: Any = getattr(sensor.bus, "world", None)
         self.why_polled = ""

@@ -10,9 +10,9 @@ import numpy as np
 
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
-from adis_gonio.session.expectation import UNMODELLED_MG, UNSTATED_FIXTURE_DEG, Spread
+from adis_gonio.session.expectation import UNMODELLED_MG, UNSTATED_FIXTURE_DEG, PriorKnowledge
 from adis_gonio.session.guards import Guard
-from adis_gonio.session.turning import Turn
+from adis_gonio.session.turning import GyroIntegral
 from adis_gonio.slips import Angles, Diagnosis, Increments, PositionFinding, diagnose
 from adis_gonio.slips.diagnosis import LARGEST
 from adis_gonio.slips.finding import MEANINGS
@@ -27,7 +27,7 @@ class Stand:
     angle_deg : float or None
         As the stage counts; None of a dwell that was doubted and kept.
     mean_mg : (2 or more,) float
-    turn : Turn or None
+    turn : GyroIntegral or None
         By the gyros, since the stand before; None where nobody watched it from there.
     approach : int
         Direction from which it was reached, as the stage counts; 0 unknown.
@@ -35,11 +35,11 @@ class Stand:
 
     angle_deg: float | None
     mean_mg: Floats
-    turn: Turn | None
+    turn: GyroIntegral | None
     approach: int = 0
 
 
-def diagnosed(stands: Sequence[Stand], spread: Spread, sense: int) -> Diagnosis:
+def diagnosed(stands: Sequence[Stand], spread: PriorKnowledge, sense: int) -> Diagnosis:
     """What the three angles say of all stands; the last one is where the part is now."""
     stands = stands[-LARGEST:]
     n = len(stands)

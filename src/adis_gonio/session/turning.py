@@ -21,7 +21,7 @@ GYRO_NOISE_DPS = 0.6
 
 
 @dataclass(frozen=True)
-class Turn:
+class GyroIntegral:
     """Integral of the three gyros.
 
     Attributes
@@ -89,14 +89,14 @@ class Turning:
         self._period_s = float(np.median(steps_s))
         self._last_s, self._last = float(time_s[-1]), turning[-1]
 
-    def turn(self) -> Turn | None:
+    def turn(self) -> GyroIntegral | None:
         """The turn so far; None where it was not watched throughout."""
         if self._bias is None or self._broken or not self._length_s:
             return None
         wander = math.hypot(INSTABILITY_DPS, G_SENSITIVITY_DPS) * self._length_s
         noise = GYRO_NOISE_DPS * math.sqrt(self._period_s * self._length_s)
         zero = math.hypot(wander, noise)
-        return Turn(self._angle, math.hypot(zero, SCALE_ERROR * self._travel), zero)
+        return GyroIntegral(self._angle, math.hypot(zero, SCALE_ERROR * self._travel), zero)
 
 
 def _rates(block: Block) -> Floats | None:
@@ -106,4 +106,4 @@ def _rates(block: Block) -> Floats | None:
     return np.column_stack([columns[name] for name in ("gx", "gy", "gz")])
 
 
-__all__ = ["Turn", "Turning"]
+__all__ = ["GyroIntegral", "Turning"]

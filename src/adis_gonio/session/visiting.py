@@ -6,9 +6,9 @@ from collections.abc import Generator, Iterator
 from dataclasses import replace
 
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
-from adis_gonio.session.answers import Answer
+from adis_gonio.session.answers import Reply
 from adis_gonio.session.archive import read_session
-from adis_gonio.session.bench import Bench
+from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.closing import Advisor
 from adis_gonio.session.dwelling import TakesDwells
 from adis_gonio.session.events import (
@@ -41,7 +41,7 @@ class Visiting:
 
     def __init__(
         self,
-        bench: Bench,
+        bench: SessionBench,
         ledger: Ledger,
         knowledge: Knowledge,
         questions: Questions,
@@ -73,22 +73,22 @@ class Visiting:
             if not (yield from self._carry_out(answer, place)):
                 return
 
-    def _carry_out(self, answer: Answer, place: int | None) -> Generator[Event, None, bool]:
+    def _carry_out(self, answer: Reply, place: int | None) -> Generator[Event, None, bool]:
         """Do what was answered; False where that ends the session."""
         last = self._ledger.last_place
-        if answer is Answer.REPEAT and last is not None:
+        if answer is Reply.REPEAT and last is not None:
             yield from self._dwelling.take(last)
-        elif answer is Answer.UNDO and last is not None:
+        elif answer is Reply.UNDO and last is not None:
             yield self._knowledge.withdraw(last)
-        elif answer is Answer.CONFIRM and place is not None:
+        elif answer is Reply.CONFIRM and place is not None:
             yield from self._dwelling.take(place)
-        elif answer is Answer.SKIP and place is not None:
+        elif answer is Reply.SKIP and place is not None:
             self._ledger.skip(place)
         else:
-            return answer is Answer.ACCEPT
+            return answer is Reply.ACCEPT
         return True
 
-    def _ask_position(self, place: int) -> Generator[Event, None, Answer]:
+    def _ask_position(self, place: int) -> Generator[Event, None, Reply]:
         ledger = self._ledger
         position = ledger.plan.positions[place]
         asked = PositionAsked(
@@ -101,7 +101,7 @@ class Visiting:
             ledger.last_place is not None,
         )
         self._knowledge.view.target = position
-        return (yield from self._questions.ask(asked, {Answer.CONFIRM, Answer.SKIP}, Answer.CONFIRM, place))
+        return (yield from self._questions.ask(asked, {Reply.CONFIRM, Reply.SKIP}, Reply.CONFIRM, place))
 
     def _time_left_s(self) -> float:
         """How long the positions that are left take, by how long those of this run took."""
@@ -114,23 +114,23 @@ class Visiting:
             each = (bench.now_s - self._first_asked_s) / ledger.taken
         return left * each + sum(ledger.plan.positions[k].wait_s for k in ledger.open_places)
 
-    def _offer_repetition(self) -> Generator[Event, None, Answer]:
+    def _offer_repetition(self) -> Generator[Event, None, Reply]:
         """Ask about dwells with a fault: repeat them, or keep them as they are, which is recorded."""
         places = sorted(self._ledger.faulty)
         where = tuple(self._ledger.plan.positions[place] for place in places)
         offer = RepetitionOffered(tuple(places), where)
-        answer = yield from self._questions.ask(offer, {Answer.ACCEPT, Answer.DECLINE}, Answer.DECLINE)
-        if answer is Answer.DECLINE:
+        answer = yield from self._questions.ask(offer, {Reply.ACCEPT, Reply.DECLINE}, Reply.DECLINE)
+        if answer is Reply.DECLINE:
             self._ledger.keep_faulty(places)
-            return Answer.ACCEPT
-        if answer is Answer.ACCEPT:
+            return Reply.ACCEPT
+        if answer is Reply.ACCEPT:
             for place in places:
                 other = yield from self._take_again(place)
                 if other is not None:
                     return other
         return answer
 
-    def _take_again(self, place: int) -> Generator[Event, None, Answer | None]:
+    def _take_again(self, place: int) -> Generator[Event, None, Reply | None]:
         """Ask for a position that has a dwell until there is a new one; what else was answered, if so.
 
         Skipped, the dwell that it has is kept as it is.
@@ -139,17 +139,17 @@ class Visiting:
         before = done.get(place)
         while done.get(place) == before and not self._questions.stopped:
             answer = yield from self._ask_position(place)
-            if answer is Answer.CONFIRM:
+            if answer is Reply.CONFIRM:
                 yield from self._dwelling.take(place)
-            if answer is Answer.SKIP or (place in skipped and done.get(place) == before):
+            if answer is Reply.SKIP or (place in skipped and done.get(place) == before):
                 skipped.discard(place)
                 self._ledger.keep_faulty([place])
                 return None
-            if answer not in (Answer.CONFIRM, Answer.SKIP):
+            if answer not in (Reply.CONFIRM, Reply.SKIP):
                 return answer
         return None
 
-    def _offer_extension(self) -> Generator[Event, None, Answer]:
+    def _offer_extension(self) -> Generator[Event, None, Reply]:
         ledger = self._ledger
         longer = extension(ledger.plan, len(ledger.done))
         typical_mg = self._bench.source.part.initial_bias_mg
@@ -160,19 +160,19 @@ class Visiting:
         wanted = self._extend or self._advisor is not None
         return (yield from self._offer(ExtensionOffered(longer, blind), wanted))
 
-    def _offer(self, offer: ExtensionOffered, wanted: bool) -> Generator[Event, None, Answer]:
+    def _offer(self, offer: ExtensionOffered, wanted: bool) -> Generator[Event, None, Reply]:
         """Offer a longer plan; it is in the archive before its first position is asked for."""
-        default = Answer.ACCEPT if wanted else Answer.DECLINE
-        answer = yield from self._questions.ask(offer, {Answer.ACCEPT, Answer.DECLINE}, default)
-        if answer is Answer.ACCEPT:
+        default = Reply.ACCEPT if wanted else Reply.DECLINE
+        answer = yield from self._questions.ask(offer, {Reply.ACCEPT, Reply.DECLINE}, default)
+        if answer is Reply.ACCEPT:
             self._ledger.extend(offer.plan)
         return answer
 
-    def _ask_advisor(self) -> Generator[Event, None, Answer]:
+    def _ask_advisor(self) -> Generator[Event, None, Reply]:
         """Let the advisor see the archive, and offer what it asks for."""
         ledger = self._ledger
         if self._advisor is None or not ledger.done:
-            return Answer.STOP
+            return Reply.STOP
         yield Advising(len(ledger.done))
         rounds = [record.value for record in ledger.archive.records("advised")]
         visited = len(ledger.plan) - rounds[0]["planned"] if rounds else 0
@@ -191,7 +191,7 @@ class Visiting:
         )
         yield Advised(number, count, advice.ended, advice.summary)
         if not advice.positions:
-            return Answer.STOP
+            return Reply.STOP
         longer = extended(ledger.plan, advice.positions)
         return (yield from self._offer(ExtensionOffered(longer, None, advice.reasons), True))
 

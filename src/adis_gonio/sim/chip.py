@@ -53,7 +53,7 @@ from adis_gonio.sim.electronics import IDEAL, BringsElectronics, Electronics
 from adis_gonio.sim.inputs import Floats, Surroundings
 from adis_gonio.sim.lines import data_ready_enabled, gpio_word, levels
 from adis_gonio.sim.memory import Memory
-from adis_gonio.sim.sampling import GYRO_COLUMNS, OUTPUTS, Sampler, Updates
+from adis_gonio.sim.sampling import GYRO_COLUMNS, OUTPUTS, SignalChain, Updates
 
 Words = NDArray[np.uint16]
 UpdateEdge = Literal["first", "last"]
@@ -176,7 +176,7 @@ class SimulatedChip:
         if electronics is None and isinstance(surroundings, BringsElectronics):
             electronics = surroundings.electronics
         self._electronics = electronics or IDEAL
-        self._sampler = Sampler(self.variant, self._memory, self._electronics)
+        self._sampler = SignalChain(self.variant, self._memory, self._electronics)
         self._row: Words
         self._read_at: NDArray[np.int64]
         self._state: State

@@ -22,7 +22,7 @@ _STREAM = 10
 
 
 @dataclass(frozen=True)
-class Figure:
+class DrawnFault:
     """How one kind of fault is drawn.
 
     Attributes
@@ -73,26 +73,28 @@ class Figure:
 
 _ONE = ("",)
 _PART = "parts of this class"
-FIGURES: tuple[Figure, ...] = (
-    Figure("gyro_bias_{}_dps", AXES, "normal", 1.0, _PART, "D"),
-    Figure("gyro_bias_tempco_{}_dps_per_c", AXES, "normal", 0.02, _PART, "D"),
-    Figure("gyro_warm_up_{}_dps", AXES, "normal", 0.1, _PART, "D"),
-    Figure("gyro_warm_up_tau_s{}", _ONE, "uniform", 90.0, _PART, "D", middle=150.0),
-    Figure("gyro_scale_{}", AXES, "normal", 0.008, "CHIP: sensitivity ±2 %", "B", middle=1.0, most=0.02),
-    Figure("gyro_scale_tempco_{}_ppm_per_c", AXES, "normal", 100.0, "CHIP: 100 / 40 ppm/°C", "B"),
-    Figure("gyro_asymmetry_{}", AXES, "normal", 5e-4, "CHIP: nonlinearity ±0.2 % FS allows it", "D"),
-    Figure("gyro_misalignment_{}_deg", _OTHERS, "uniform", 0.25, "CHIP: non-orthogonality ±0.25°", "B"),
-    Figure("gyro_triad_{}_deg", AXES, "uniform", 0.5, "CHIP: axis to frame ±0.5°", "B"),
-    Figure("gyro_g_sensitivity_{}_dps_per_g", _ALL, "normal", 0.05, "CHIP: 0.05 °/s/g", "B"),
-    Figure("gyro_g2_sensitivity_{}_dps_per_g2", _ALL, "normal", 0.01, _PART, "D"),
-    Figure("gyro_supply_{}_dps_per_v", AXES, "normal", 0.25, "CHIP: 0.25 °/s/V", "B"),
-    Figure("gyro_rate_walk_dps_per_rt_s{}", _ONE, "uniform", 5e-4, _PART, "D", middle=5e-4),
-    Figure("gyro_range_gain_{}", ("150", "75"), "normal", 1e-3, _PART, "D", middle=1.0),
-    Figure("gyro_g_compensation{}", _ONE, "uniform", 0.1, _PART, "D", middle=0.9),
-    Figure("accel_place_{}_mm", _ALL, "normal", 2.0, _PART, "D"),
-    Figure("die_gradient_{}_c", AXES, "normal", 0.5, _PART, "D"),
-    Figure("die_lag_{}_s", AXES, "uniform", 15.0, _PART, "D", middle=20.0),
-    Figure("earth_rate_up_dps{}", _ONE, "uniform", 0.0036, "the earth, up to 60° of latitude", "A"),
+FIGURES: tuple[DrawnFault, ...] = (
+    DrawnFault("gyro_bias_{}_dps", AXES, "normal", 1.0, _PART, "D"),
+    DrawnFault("gyro_bias_tempco_{}_dps_per_c", AXES, "normal", 0.02, _PART, "D"),
+    DrawnFault("gyro_warm_up_{}_dps", AXES, "normal", 0.1, _PART, "D"),
+    DrawnFault("gyro_warm_up_tau_s{}", _ONE, "uniform", 90.0, _PART, "D", middle=150.0),
+    DrawnFault(
+        "gyro_scale_{}", AXES, "normal", 0.008, "CHIP: sensitivity ±2 %", "B", middle=1.0, most=0.02
+    ),
+    DrawnFault("gyro_scale_tempco_{}_ppm_per_c", AXES, "normal", 100.0, "CHIP: 100 / 40 ppm/°C", "B"),
+    DrawnFault("gyro_asymmetry_{}", AXES, "normal", 5e-4, "CHIP: nonlinearity ±0.2 % FS allows it", "D"),
+    DrawnFault("gyro_misalignment_{}_deg", _OTHERS, "uniform", 0.25, "CHIP: non-orthogonality ±0.25°", "B"),
+    DrawnFault("gyro_triad_{}_deg", AXES, "uniform", 0.5, "CHIP: axis to frame ±0.5°", "B"),
+    DrawnFault("gyro_g_sensitivity_{}_dps_per_g", _ALL, "normal", 0.05, "CHIP: 0.05 °/s/g", "B"),
+    DrawnFault("gyro_g2_sensitivity_{}_dps_per_g2", _ALL, "normal", 0.01, _PART, "D"),
+    DrawnFault("gyro_supply_{}_dps_per_v", AXES, "normal", 0.25, "CHIP: 0.25 °/s/V", "B"),
+    DrawnFault("gyro_rate_walk_dps_per_rt_s{}", _ONE, "uniform", 5e-4, _PART, "D", middle=5e-4),
+    DrawnFault("gyro_range_gain_{}", ("150", "75"), "normal", 1e-3, _PART, "D", middle=1.0),
+    DrawnFault("gyro_g_compensation{}", _ONE, "uniform", 0.1, _PART, "D", middle=0.9),
+    DrawnFault("accel_place_{}_mm", _ALL, "normal", 2.0, _PART, "D"),
+    DrawnFault("die_gradient_{}_c", AXES, "normal", 0.5, _PART, "D"),
+    DrawnFault("die_lag_{}_s", AXES, "uniform", 15.0, _PART, "D", middle=20.0),
+    DrawnFault("earth_rate_up_dps{}", _ONE, "uniform", 0.0036, "the earth, up to 60° of latitude", "A"),
 )
 """What is drawn, in this order. Noise and bias instability stay those of the variant."""
 

@@ -38,7 +38,7 @@ class GyroSettings:
         By how much the gain is greater for positive rates than for their mean, and less for negative ones
         (`a`).
     gyro_misalignment_xy_deg, … : float
-        How far the first gyro's axis leans towards the second axis of the gyros' frame.
+        Misalignment of the first gyro's axis towards the second axis of the gyros' frame.
     gyro_triad_x_deg, gyro_triad_y_deg, gyro_triad_z_deg : float
         Rotation (a rotation vector) of the gyros' frame against that of the accelerometers.
     gyro_g_dps_per_g : float or None

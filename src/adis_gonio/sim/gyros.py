@@ -1,8 +1,8 @@
 """Three gyros with their faults: what they read, and what is true of them.
 
-The convention is that of `gyro_settings.GyroSettings`. A gyro's axis leans towards the axes of the gyros'
-frame (`gyro_misalignment_…`), and that frame is turned against the accelerometers' (`gyro_triad_…`); what
-is stated is the two together, in the accelerometers' frame, as a fit sees it.
+The convention is that of `gyro_settings.GyroSettings`. A gyro's axis is misaligned towards the axes of the
+gyros' frame (`gyro_misalignment_…`), and that frame is turned against the accelerometers' (`gyro_triad_…`);
+what is stated is the two together, in the accelerometers' frame, as a fit sees it.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class GyroTriad:
     def truth(self) -> dict[str, float]:
         """Parameters at 25 °C, 5 V, long after power-on, by the names that fits use."""
         gains = np.linalg.norm(self.sensitivity, axis=1)
-        leans = np.degrees(np.arcsin(self.sensitivity / gains[:, None]))
+        misalignment_deg = np.degrees(np.arcsin(self.sensitivity / gains[:, None]))
         left = (1 - self._settings.gyro_g_compensation) * self.per_g
         result: dict[str, float] = {}
         for k, axis in enumerate(AXES):
@@ -173,7 +173,7 @@ class GyroTriad:
                 result[f"g_sensitivity_left_{axis}{other}"] = float(left[k, j])
                 result[f"g2_sensitivity_{axis}{other}"] = float(self._per_g2[k, j])
                 if j != k:
-                    result[f"gyro_misalignment_{axis}{other}"] = float(leans[k, j])
+                    result[f"gyro_misalignment_{axis}{other}"] = float(misalignment_deg[k, j])
         return result | {
             "gyro_warm_up_tau": self._settings.gyro_warm_up_tau_s,
             "gyro_range_gain_150": self._settings.gyro_range_gain_150,
@@ -201,15 +201,15 @@ class GyroTriad:
 
 def _sensitivity(settings: WorldSettings) -> Floats:
     gains = np.array([getattr(settings, f"gyro_scale_{axis}") for axis in AXES])
-    lean = np.zeros((3, 3))
+    misalignment = np.zeros((3, 3))
     for k, j in itertools.permutations(range(3), 2):
-        lean[k, j] = getattr(settings, f"gyro_misalignment_{AXES[k]}{AXES[j]}_deg")
-    lean = np.sin(np.radians(lean))
-    beside = (lean**2).sum(axis=1)
+        misalignment[k, j] = getattr(settings, f"gyro_misalignment_{AXES[k]}{AXES[j]}_deg")
+    misalignment = np.sin(np.radians(misalignment))
+    beside = (misalignment**2).sum(axis=1)
     if beside.max() >= 1:
         raise UsageError(f"gyro_misalignment_{AXES[int(beside.argmax())]}…: no axis leans so far")
     own = np.sqrt(1 - beside)
-    sensitivity = gains[:, None] * (lean + np.diag(own))
+    sensitivity = gains[:, None] * (misalignment + np.diag(own))
     turned = np.radians([getattr(settings, f"gyro_triad_{axis}_deg") for axis in AXES])
     return np.asarray(sensitivity @ _rotation(turned).T if turned.any() else sensitivity)
 

@@ -23,7 +23,7 @@ from adis_gonio.sim.smooth import (
     SWAY_HZ,
     TREMOR_HZ,
     Course,
-    Lines,
+    Sines,
     grips,
     hold,
     product,
@@ -62,10 +62,10 @@ class HandTurn:
         self._segments = list(zip(begins, lengths, np.radians(ways), strict=True))
         self.total_rad = float(np.radians(ways).sum())
         self.length_s = float(begins[-1] + lengths[-1])
-        self._uneven = Lines.drawn(rng, SUBMOVEMENT_HZ)
-        self._tremor = Lines.drawn(rng, TREMOR_HZ)
-        self._shaking = [Lines.drawn(rng, TREMOR_HZ) for _ in range(3)]
-        self._sway = Lines.drawn(rng, SWAY_HZ)
+        self._uneven = Sines.drawn(rng, SUBMOVEMENT_HZ)
+        self._tremor = Sines.drawn(rng, TREMOR_HZ)
+        self._shaking = [Sines.drawn(rng, TREMOR_HZ) for _ in range(3)]
+        self._sway = Sines.drawn(rng, SWAY_HZ)
         self._wobble_phase = rng.uniform(0, 2 * np.pi, 2)
         speed = float(np.radians(np.abs(ways)).sum()) / self.length_s
         self._uneven_rad = settings.hand_unevenness * speed / np.sqrt(self._uneven.mean_square_rate)

@@ -22,7 +22,7 @@ from adis_gonio.sim.smooth import (
     SWAY_HZ,
     TREMOR_HZ,
     Course,
-    Lines,
+    Sines,
     grips,
     hold,
     minimum_jerk,
@@ -89,13 +89,13 @@ class HandMove:
         ways = np.sign(span_rad) * np.radians(spans)
         self._pieces = list(zip(ends - lengths, lengths, ways, strict=True))
         self.length_s = float(ends[-1])
-        self._uneven, self._tremor = Lines.drawn(rng, SUBMOVEMENT_HZ), Lines.drawn(rng, TREMOR_HZ)
-        self._shaking = [Lines.drawn(rng, TREMOR_HZ) for _ in range(3)]
+        self._uneven, self._tremor = Sines.drawn(rng, SUBMOVEMENT_HZ), Sines.drawn(rng, TREMOR_HZ)
+        self._shaking = [Sines.drawn(rng, TREMOR_HZ) for _ in range(3)]
         mean_rad_s = abs(span_rad) / self.length_s
         self._uneven_rad = settings.hand_unevenness * mean_rad_s / np.sqrt(self._uneven.mean_square_rate)
         self._tremor_rad = np.radians(settings.hand_tremor_dps) / np.sqrt(self._tremor.mean_square_rate)
         self._vibration_mg = settings.hand_vibration_mg
-        self._sway, axis = Lines.drawn(rng, SWAY_HZ), rng.standard_normal(3)
+        self._sway, axis = Sines.drawn(rng, SWAY_HZ), rng.standard_normal(3)
         self._stray_axis = axis / np.linalg.norm(axis)
         self._stray_rad = float(np.radians(settings.hand_stray_deg)) if free else 0.0
         twist = settings.hand_twist_deg * float(rng.standard_normal())

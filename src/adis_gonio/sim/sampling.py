@@ -56,7 +56,7 @@ _SUPPLY_HIGH = STATUS.field("supply_high").mask
 
 
 @dataclass(frozen=True)
-class Alarm:
+class AlarmSetting:
     """Setting of one alarm.
 
     Attributes
@@ -96,7 +96,7 @@ class Updates:
     unfiltered: Integers
 
 
-class Sampler:
+class SignalChain:
     """The signal chain of the chip."""
 
     def __init__(self, variant: Variant, memory: Memory, electronics: Electronics = IDEAL) -> None:
@@ -219,7 +219,7 @@ class Sampler:
         status |= (inputs.supply_v > high) * _SUPPLY_HIGH
         return np.asarray(status, np.int64)
 
-    def _alarming(self, alarm: Alarm, source: Integers, n: int) -> NDArray[np.bool_]:
+    def _alarming(self, alarm: AlarmSetting, source: Integers, n: int) -> NDArray[np.bool_]:
         value, threshold = source[_HISTORY:], alarm.threshold
         known = np.ones(n, bool)
         if alarm.samples:
@@ -230,7 +230,7 @@ class Sampler:
         return known & (value > threshold if alarm.greater else value < threshold)
 
 
-def _alarms(memory: Memory) -> list[Alarm]:
+def _alarms(memory: Memory) -> list[AlarmSetting]:
     control, word = BY_NAME["ALM_CTRL"], memory["ALM_CTRL"]
     alarms = []
     for k in (1, 2):
@@ -247,7 +247,7 @@ def _alarms(memory: Memory) -> list[Alarm]:
         if rate and samples == 0:
             samples = 1
         alarms.append(
-            Alarm(
+            AlarmSetting(
                 ALARM_BITS[k - 1],
                 source - 1,
                 bool(magnitude >> 15),

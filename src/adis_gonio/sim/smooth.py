@@ -27,15 +27,15 @@ _LINES = 12
 
 
 @dataclass(frozen=True)
-class Lines:
+class Sines:
     """Sines of random frequency and phase with a root mean square of 1 in all."""
 
     omega: Floats
     phase: Floats
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, band_hz: tuple[float, float]) -> Lines:
-        """Lines of frequencies in a band."""
+    def drawn(cls, rng: np.random.Generator, band_hz: tuple[float, float]) -> Sines:
+        """Sines of frequencies in a band."""
         omega = 2 * np.pi * rng.uniform(*band_hz, _LINES)
         return cls(omega, rng.uniform(0, 2 * np.pi, _LINES))
 

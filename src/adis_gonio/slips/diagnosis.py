@@ -11,12 +11,12 @@ import numpy as np
 from adis_gonio.model.measurement import wrap_rad
 from adis_gonio.model.records import Floats
 from adis_gonio.slips.angles import Angles
-from adis_gonio.slips.evidence import Beside, Scatter, Weighed, Whitened, scatters, weigh
+from adis_gonio.slips.evidence import Beside, ScatterPoint, Weighed, Whitened, scatters, weigh
 from adis_gonio.slips.faults import ACCUSED, Name, Pattern, patterns_of
 from adis_gonio.slips.finding import Angle, Named, PositionFinding
 from adis_gonio.slips.meant import may_have_been_meant
-from adis_gonio.slips.rows import BASE, Calibration, Rows, calibrated_by_length, rows_at
-from adis_gonio.slips.sight import Sight
+from adis_gonio.slips.rows import BASE, BelievedParameters, Rows, calibrated_by_length, rows_at
+from adis_gonio.slips.sight import Detectability
 
 CERTAIN = 0.99
 """Posterior from which a position is accused."""
@@ -41,13 +41,13 @@ class Diagnosis:
         Accused positions, in their order.
     scatter_deg : float
         Standard deviation of a position, beyond what was found.
-    sight : Sight or None
+    sight : Detectability or None
         What would have been seen; None where nothing was looked at.
     """
 
     findings: tuple[PositionFinding, ...] = ()
     scatter_deg: float = math.nan
-    sight: Sight | None = field(default=None, repr=False, compare=False)
+    sight: Detectability | None = field(default=None, repr=False, compare=False)
 
     def detectable_deg(self, name: Name = "slipped") -> dict[int, float]:
         """Smallest error of a name at each position that is accused with 99 % power; inf: none is."""
@@ -79,7 +79,7 @@ def diagnose(angles: Angles) -> Diagnosis:
     return Diagnosis(
         tuple(sorted(findings, key=lambda found: found.position)),
         math.degrees(last.scatter.position_rad),
-        Sight(angles.position, rows, tuple(grid), Beside.of(rows, accepted)),
+        Detectability(angles.position, rows, tuple(grid), Beside.of(rows, accepted)),
     )
 
 
@@ -89,7 +89,7 @@ def _enough(angles: Angles) -> bool:
     return LEAST - watched <= declared and len(angles) <= LARGEST
 
 
-def _search(rows: Rows, grid: Sequence[Scatter]) -> tuple[list[Pattern], Weighed]:
+def _search(rows: Rows, grid: Sequence[ScatterPoint]) -> tuple[list[Pattern], Weighed]:
     """Faults one after another, the most probable first, until none more is probable."""
     accepted: list[Pattern] = []
     while True:
@@ -109,19 +109,19 @@ def _others(patterns: Sequence[Pattern], accepted: Sequence[Pattern]) -> list[Pa
 
 
 def _recalibrated(
-    rows: Rows, calibration: Calibration, accepted: Sequence[Pattern], scatter: Scatter
-) -> Calibration:
+    rows: Rows, calibration: BelievedParameters, accepted: Sequence[Pattern], scatter: ScatterPoint
+) -> BelievedParameters:
     mean, _ = _posterior(rows, accepted, scatter)
     return calibration.moved(mean[1 : 1 + BASE])
 
 
-def _apart(rows: Rows, one: Calibration, other: Calibration) -> float:
+def _apart(rows: Rows, one: BelievedParameters, other: BelievedParameters) -> float:
     """Most that two calibrations differ in an angle."""
     step = other.values - one.values
     return float(np.abs(rows.design[: len(rows), 1 : 1 + BASE] @ step).max())
 
 
-def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: Scatter) -> tuple[Floats, Floats]:
+def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: ScatterPoint) -> tuple[Floats, Floats]:
     """Mean (p + q,) and covariance of all columns' values."""
     beside = Beside.of(rows, accepted)
     white = Whitened(rows, scatter, beside.known)
@@ -136,7 +136,7 @@ def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: Scatter) -> tup
 
 
 def _findings(
-    angles: Angles, rows: Rows, grid: Sequence[Scatter], accepted: Sequence[Pattern]
+    angles: Angles, rows: Rows, grid: Sequence[ScatterPoint], accepted: Sequence[Pattern]
 ) -> list[PositionFinding]:
     found = []
     for pattern in accepted:
@@ -191,7 +191,7 @@ class _Speaker:
     rows: Rows
     accepted: list[Pattern]
     pattern: Pattern
-    scatter: Scatter
+    scatter: ScatterPoint
 
     @property
     def _beside(self) -> Beside:

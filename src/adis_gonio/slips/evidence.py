@@ -40,7 +40,7 @@ GYRO_FAILS = 0.01
 
 
 @dataclass(frozen=True)
-class Scatter:
+class ScatterPoint:
     """One point of the grid, with the logarithm of its prior."""
 
     position_rad: float
@@ -49,12 +49,12 @@ class Scatter:
     log_prior: float
 
 
-def scatters(fixture_rad: float | None) -> list[Scatter]:
+def scatters(fixture_rad: float | None) -> list[ScatterPoint]:
     """The grid."""
     more = MORE_UNSTATED if fixture_rad is None else MORE_STATED
     stated = LEAST_RAD if fixture_rad is None else max(fixture_rad, LEAST_RAD / 10)
     return [
-        Scatter(math.hypot(stated, a), b, c, math.log(pa * pb * pc))
+        ScatterPoint(math.hypot(stated, a), b, c, math.log(pa * pb * pc))
         for (a, pa), (b, pb), (c, pc) in itertools.product(
             zip(MORE_RAD, more, strict=True),
             zip(ROUGH, ROUGH_PRIOR, strict=True),
@@ -106,7 +106,7 @@ class Whitened:
     """
 
     rows: Rows
-    scatter: Scatter
+    scatter: ScatterPoint
     known: Floats
 
     @cached_property
@@ -172,13 +172,13 @@ class Weighed:
         ln of the probability that nothing more is wrong, not normalized.
     named : mapping of (int, Name) to float
         The same of each pattern, by its number, under each of its names.
-    scatter : Scatter
+    scatter : ScatterPoint
         The grid's most probable point under the best of them.
     """
 
     none: float
     named: dict[tuple[int, Name], float]
-    scatter: Scatter
+    scatter: ScatterPoint
 
     @property
     def likeliest(self) -> tuple[int, Name]:
@@ -200,7 +200,7 @@ class Weighed:
         return chosen, max(names, key=names.__getitem__)
 
 
-def weigh(rows: Rows, grid: Sequence[Scatter], patterns: Sequence[Pattern], beside: Beside) -> Weighed:
+def weigh(rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], beside: Beside) -> Weighed:
     """Weigh patterns beside what is known already, with the gyro and without."""
     table, keys = _weighed(rows, grid, patterns, beside)
     logs = np.logaddexp.reduce(table, axis=1)
@@ -213,7 +213,7 @@ def weigh(rows: Rows, grid: Sequence[Scatter], patterns: Sequence[Pattern], besi
 
 def _or_without_gyro(
     rows: Rows,
-    grid: Sequence[Scatter],
+    grid: Sequence[ScatterPoint],
     patterns: Sequence[Pattern],
     beside: Beside,
     logs: Floats,
@@ -233,7 +233,7 @@ def _or_without_gyro(
 
 
 def _weighed(
-    rows: Rows, grid: Sequence[Scatter], patterns: Sequence[Pattern], beside: Beside
+    rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], beside: Beside
 ) -> tuple[Floats, list[tuple[int, Name]]]:
     """Ln of prior times likelihood (1 + names, grid): of no pattern, then of each pattern and name."""
     m = len(rows.stands)

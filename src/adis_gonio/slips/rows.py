@@ -117,19 +117,19 @@ def common_zero(angle_rad: Floats) -> float:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class BelievedParameters:
     """Gains, misalignment and biases (5,) as they are believed: K_x, K_y, Δφ in rad, b_x and b_y in mg."""
 
     values: Floats
 
     @classmethod
-    def nominal(cls) -> Calibration:
+    def nominal(cls) -> BelievedParameters:
         """Of a perfect part."""
         return cls(np.array([1.0, 1.0, 0.0, 0.0, 0.0]))
 
-    def moved(self, step: Floats) -> Calibration:
+    def moved(self, step: Floats) -> BelievedParameters:
         """After a step (5,)."""
-        return Calibration(self.values + step)
+        return BelievedParameters(self.values + step)
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class _Local:
     ideal_mg: Floats
 
 
-def _local(angles: Angles, calibration: Calibration) -> _Local:
+def _local(angles: Angles, calibration: BelievedParameters) -> _Local:
     model = PlanarTurn(angles.gravity_mg)
     base = np.concatenate([[0.0], calibration.values[:3]])
     psi = model.angle_rad(base, angles.reading_mg - calibration.values[3:])
@@ -164,9 +164,9 @@ def _base_sd(angles: Angles) -> Floats:
     return np.array([GAIN, GAIN, SKEW_RAD, angles.bias_mg, angles.bias_mg])
 
 
-def calibrated_by_length(angles: Angles) -> Calibration:
+def calibrated_by_length(angles: Angles) -> BelievedParameters:
     """A first calibration, by the lengths of the readings alone: no declared angle can spoil it."""
-    calibration = Calibration.nominal()
+    calibration = BelievedParameters.nominal()
     sd, n = _base_sd(angles), len(angles)
     for _ in range(ROUNDS):
         near = _local(angles, calibration)
@@ -176,7 +176,7 @@ def calibrated_by_length(angles: Angles) -> Calibration:
         spread = max(float(np.median(np.abs(left))) / 0.6745, 1e-4)
         # A reading that a push has lengthened counts little.
         weight = 1 / ((noise + 1e-4**2) * (1 + (left / (TURNED_AWAY * spread)) ** 2))
-        prior = Calibration.nominal().values - calibration.values
+        prior = BelievedParameters.nominal().values - calibration.values
         precision = np.diag(sd**-2) + (design * weight[:, None]).T @ design
         step = np.linalg.solve(precision, prior / sd**2 + design.T @ (weight * left))
         calibration = calibration.moved(step)
@@ -185,7 +185,7 @@ def calibrated_by_length(angles: Angles) -> Calibration:
     return calibration
 
 
-def rows_at(angles: Angles, calibration: Calibration) -> Rows:
+def rows_at(angles: Angles, calibration: BelievedParameters) -> Rows:
     """The linear model about a calibration."""
     near, n = _local(angles, calibration), len(angles)
     seen_by = near.psi_rad + (near.along * near.left_mg).sum(axis=1)
@@ -211,7 +211,7 @@ def rows_at(angles: Angles, calibration: Calibration) -> Rows:
     )
     sd = np.concatenate([[np.pi], _base_sd(angles), sizes, [GYRO_GAIN, GYRO_FORCE_RAD, GYRO_FORCE_RAD]])
     mean = np.zeros(len(sd))
-    mean[1 : 1 + BASE] = Calibration.nominal().values - calibration.values
+    mean[1 : 1 + BASE] = BelievedParameters.nominal().values - calibration.values
     effect = np.zeros(len(sd), dtype=np.bool_)
     effect[1 + BASE : -3] = True
     both = np.stack([near.along, near.across], axis=1)
@@ -295,4 +295,4 @@ def _by_gravity(conditions: Conditions, near: _Local, angles: Angles) -> Conditi
     return replace(conditions, angle_rad=stands, previous_angle_rad=before)
 
 
-__all__ = ["BASE", "Calibration", "Rows", "calibrated_by_length", "common_zero", "rows_at"]
+__all__ = ["BASE", "BelievedParameters", "Rows", "calibrated_by_length", "common_zero", "rows_at"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.slips.evidence import Beside, Scatter, Whitened
+from adis_gonio.slips.evidence import Beside, ScatterPoint, Whitened
 from adis_gonio.slips.faults import Name, patterns_of
 from adis_gonio.slips.rows import Rows
 
@@ -18,7 +18,7 @@ SIZES_DEG = np.geomspace(0.02, 90.0, 60)
 
 
 @dataclass(frozen=True)
-class Sight:
+class Detectability:
     """A session with what was found in it taken out, and faults of each size put in.
 
     Attributes
@@ -29,7 +29,7 @@ class Sight:
 
     position: tuple[int, ...]
     rows: Rows
-    grid: tuple[Scatter, ...]
+    grid: tuple[ScatterPoint, ...]
     beside: Beside
 
     def detectable_deg(self, name: Name, certain: float) -> dict[int, float]:
@@ -70,4 +70,4 @@ class Sight:
         return found
 
 
-__all__ = ["Sight"]
+__all__ = ["Detectability"]

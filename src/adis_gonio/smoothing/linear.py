@@ -18,7 +18,7 @@ from adis_gonio.model.records import Floats
 
 
 @dataclass(frozen=True)
-class State:
+class StateEstimate:
     """Mean (k,) and covariance (k, k)."""
 
     mean: Floats
@@ -26,7 +26,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class Step:
+class TimeStep:
     """One step of the model.
 
     Attributes
@@ -59,38 +59,40 @@ class Passed:
 
     Attributes
     ----------
-    predicted, filtered : State
+    predicted, filtered : StateEstimate
         Before the step's observation and after it.
     innovation, innovation_variance : float
         Observed minus predicted, and its variance; 0 and inf where nothing was observed.
     gain : (k,) float
-    step : Step
+    step : TimeStep
     """
 
-    predicted: State
-    filtered: State
+    predicted: StateEstimate
+    filtered: StateEstimate
     innovation: float
     innovation_variance: float
     gain: Floats
-    step: Step
+    step: TimeStep
 
 
-def advance(state: State, step: Step) -> Passed:
+def advance(state: StateEstimate, step: TimeStep) -> Passed:
     """One step of the filter."""
     f = step.transition
     covariance = f @ state.covariance @ f.T + step.process
-    predicted = State(f @ state.mean + step.shift, 0.5 * (covariance + covariance.T))
+    predicted = StateEstimate(f @ state.mean + step.shift, 0.5 * (covariance + covariance.T))
     if step.observed is None:
         return Passed(predicted, predicted, 0.0, np.inf, np.zeros(len(state.mean)), step)
     seen = predicted.covariance @ step.design
     variance = float(step.design @ seen) + step.variance
     innovation = step.observed - float(step.design @ predicted.mean)
     gain = seen / variance
-    filtered = State(predicted.mean + gain * innovation, predicted.covariance - np.outer(gain, seen))
+    filtered = StateEstimate(
+        predicted.mean + gain * innovation, predicted.covariance - np.outer(gain, seen)
+    )
     return Passed(predicted, filtered, innovation, variance, gain, step)
 
 
-def forward(state: State, steps: Sequence[Step]) -> list[Passed]:
+def forward(state: StateEstimate, steps: Sequence[TimeStep]) -> list[Passed]:
     """The filter over many steps."""
     passed = []
     for step in steps:
@@ -99,7 +101,7 @@ def forward(state: State, steps: Sequence[Step]) -> list[Passed]:
     return passed
 
 
-def backward(passed: Sequence[Passed]) -> list[State]:
+def backward(passed: Sequence[Passed]) -> list[StateEstimate]:
     """Every step's state with all observations of these steps."""
     adjoint = _Adjoint(len(passed[0].gain)) if passed else None
     smoothed = []
@@ -110,7 +112,7 @@ def backward(passed: Sequence[Passed]) -> list[State]:
     return smoothed[::-1]
 
 
-def looked_back(state: State, later: Sequence[Passed]) -> State:
+def looked_back(state: StateEstimate, later: Sequence[Passed]) -> StateEstimate:
     """A filtered state with the observations of the steps after it: the fixed lag."""
     adjoint = _Adjoint(len(state.mean))
     for one in reversed(later):
@@ -125,10 +127,10 @@ class _Adjoint:
         self._vector = np.zeros(size)
         self._matrix = np.zeros((size, size))
 
-    def applied(self, state: State) -> State:
+    def applied(self, state: StateEstimate) -> StateEstimate:
         p = state.covariance
         covariance = p - p @ self._matrix @ p
-        return State(state.mean - p @ self._vector, 0.5 * (covariance + covariance.T))
+        return StateEstimate(state.mean - p @ self._vector, 0.5 * (covariance + covariance.T))
 
     def pass_back(self, one: Passed) -> None:
         """From after a step to before it."""
@@ -151,4 +153,4 @@ class _Adjoint:
         self._matrix = f.T @ self._matrix @ f
 
 
-__all__ = ["Passed", "State", "Step", "advance", "backward", "forward", "looked_back"]
+__all__ = ["Passed", "StateEstimate", "TimeStep", "advance", "backward", "forward", "looked_back"]

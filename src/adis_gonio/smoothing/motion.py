@@ -22,7 +22,7 @@ from adis_gonio.smoothing import drift
 from adis_gonio.smoothing.disturbance import START_MG, Disturbance
 from adis_gonio.smoothing.gyros import TURN_ON_DPS, GyroKnowledge
 from adis_gonio.smoothing.increments import Increment, Sensing
-from adis_gonio.smoothing.linear import State, Step
+from adis_gonio.smoothing.linear import StateEstimate, TimeStep
 
 ANGLE, ZERO, SCALE, G_X, G_Y, LEVER_X, LEVER_Y, NOW, BEFORE = range(9)
 DRIFT = slice(9, 9 + drift.COUNT)
@@ -103,7 +103,7 @@ class MotionModel:
         self._bend = bend
         self._drift_mg2 = drift.process_mg2(sensing.drift_mg)
 
-    def begin(self, angle_deg: float) -> State:
+    def begin(self, angle_deg: float) -> StateEstimate:
         """What is known before the first step: nothing of the angle."""
         gyros = self._gyros
         u = np.array([
@@ -113,9 +113,9 @@ class MotionModel:
         ])  # fmt: skip
         mean = np.zeros(SIZE)
         mean[ANGLE] = angle_deg
-        return State(mean, np.diag(u**2))
+        return StateEstimate(mean, np.diag(u**2))
 
-    def step(self, turned: Turned, disturbance: Disturbance, before: State) -> Step:
+    def step(self, turned: Turned, disturbance: Disturbance, before: StateEstimate) -> TimeStep:
         """The model of a step; its observation is that turn of gravity which is next to the prediction."""
         length_s = turned.increment.length_s
         f = np.eye(SIZE)
@@ -146,7 +146,7 @@ class MotionModel:
             process[ZERO, ZERO] += TURN_ON_DPS**2
         length_mg = abs(turned.gravity)
         if length_mg < LEAST_MG:
-            return Step(f, shift, process, np.zeros(SIZE), None, math.inf)
+            return TimeStep(f, shift, process, np.zeros(SIZE), None, math.inf)
         per_mg = math.degrees(1.0 / length_mg)
         along = turned.gravity / length_mg
         design = np.zeros(SIZE)
@@ -156,7 +156,7 @@ class MotionModel:
         design[NOW] = design[DRIFT] = per_mg
         predicted = float(f[ANGLE] @ before.mean) + shift[ANGLE]
         observed = predicted + (seen_deg - predicted + 180.0) % 360.0 - 180.0
-        return Step(f, shift, process, design, observed, per_mg**2 * disturbance.white_mg2)
+        return TimeStep(f, shift, process, design, observed, per_mg**2 * disturbance.white_mg2)
 
 
 __all__ = ["MotionModel", "Turned"]

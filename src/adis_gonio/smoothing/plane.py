@@ -15,7 +15,7 @@ REST_DPS = 1.0
 REST_MG = 10.0
 ACROSS_DPS = 4.0
 """A turn about X and Y above this, on the average of a second, is out of the plane…"""
-LEAN = 0.1
+TILT = 0.1
 """…where it is more than this part of the turn about Z: a bearing's wobble, axes that are not square."""
 TILT = 0.1
 """Gravity that goes out of the plane by this part of itself within the span."""
@@ -60,7 +60,7 @@ class PlaneWatch:
         if self._zero is None:
             return False
         about = np.abs(rows[:, :3].mean(axis=0) - self._zero)
-        return math.hypot(about[0], about[1]) > ACROSS_DPS + LEAN * float(about[2])
+        return math.hypot(about[0], about[1]) > ACROSS_DPS + TILT * float(about[2])
 
     def _learn(self, rows: Floats) -> None:
         spread = rows.std(axis=0)

@@ -26,7 +26,7 @@ from adis_gonio.smoothing.disturbance import (
 from adis_gonio.smoothing.drift import slow_mg
 from adis_gonio.smoothing.gyros import GyroKnowledge
 from adis_gonio.smoothing.increments import BEGIN_S, Increment, Sensing, Stepper
-from adis_gonio.smoothing.linear import Passed, State, Step, advance, looked_back
+from adis_gonio.smoothing.linear import Passed, StateEstimate, TimeStep, advance, looked_back
 from adis_gonio.smoothing.motion import (
     ANGLE,
     BEND,
@@ -152,7 +152,7 @@ class AngleSmoother:
         self._waiting: tuple[Increment, Increment | None] | None = None
         self._stepper = Stepper(sensing)
         self._plane = PlaneWatch(step_s)
-        self._state: State | None = None
+        self._state: StateEstimate | None = None
         self._done = 0
         """How many of the steps kept are behind the lag."""
         self._phase_rad, self._segment = 0.0, 0
@@ -203,7 +203,7 @@ class AngleSmoother:
             self._seen.popleft()
             self._done -= 1
 
-    def _pass(self, state: State) -> None:
+    def _pass(self, state: StateEstimate) -> None:
         """Let the filter go on by a step."""
         passed = advance(state, self._step_of(self._done, state))
         self._state = self._believed(passed.filtered)
@@ -212,7 +212,7 @@ class AngleSmoother:
             self._kept.append(Kept(self._time_s(at), self._drift_deg(at), passed))
         self._done += 1
 
-    def _believed(self, state: State) -> State:
+    def _believed(self, state: StateEstimate) -> StateEstimate:
         """The state, without the gyros' calibration from where it excludes the zero rate that is seen."""
         stated = self._gyros
         if self._doubted or stated.calibration is None or abs(state.mean[ZERO]) < DOUBT * stated.zero_dps:
@@ -223,7 +223,7 @@ class AngleSmoother:
         covariance = state.covariance.copy()
         for k, u in wider.items():
             covariance[k, k] += u * u
-        return State(state.mean, covariance)
+        return StateEstimate(state.mean, covariance)
 
     def finish(self) -> list[Kept]:
         """No sample comes any more: all steps, where they are kept."""
@@ -287,7 +287,7 @@ class AngleSmoother:
         level = np.array([span[k].level for k in alike])
         return disturbance_of(level, alike.index(place - first), self._sensing.step_noise_mg2)
 
-    def _step_of(self, place: int, before: State) -> Step:
+    def _step_of(self, place: int, before: StateEstimate) -> TimeStep:
         return self._model.step(self._seen[place].turned, self._disturbance(place), before)
 
     # -- telling -------------------------------------------------------------------------------------
@@ -302,7 +302,7 @@ class AngleSmoother:
             state = passed[-1].filtered
         return self._told(looked_back(self._state, passed))
 
-    def _told(self, state: State) -> SmoothedAngle:
+    def _told(self, state: StateEstimate) -> SmoothedAngle:
         at = self._seen[self._done - 1].turned
         mean, variance = state.mean, np.diag(state.covariance)
         said = [one.notes for one in self._seen]

@@ -36,7 +36,7 @@ from adis_gonio.tracing.outcome.findings import (
 from adis_gonio.tracing.outcome.naming import judge
 from adis_gonio.tracing.outcome.openings import undecided
 from adis_gonio.tracing.outcome.positions import as_the_part_stood, ruled_out, with_positions
-from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, Measurement, Step, Stopped, TraceResult
+from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, NextDwell, Step, Stopped, TraceResult
 from adis_gonio.tracing.outcome.sets import CredibleSet, credible_sets
 from adis_gonio.tracing.outcome.shares import excesses, shares, unnamed_with_share, with_shares
 from adis_gonio.tracing.selection.scatter import Scatter, with_scatter
@@ -187,7 +187,7 @@ def trace_readings(
     open_still = replace(selection, adequate=adequate)
     of_step = shares(steps, excesses(fits, figures))
     seen = _seen([f for f in findings if f.effect not in weak], data, scatter, of_step)
-    nothing: tuple[tuple[str, ...], tuple[Measurement, ...]] = ((), ())
+    nothing: tuple[tuple[str, ...], tuple[NextDwell, ...]] = ((), ())
     advice, measurements = attempt(
         "what to measure next", lambda: advise(data, open_still, terms, names.confounded), nothing
     )

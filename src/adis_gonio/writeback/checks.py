@@ -35,7 +35,7 @@ LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Agreement:
     """Measured against expected.
 
     Attributes
@@ -89,7 +89,7 @@ class Comparison:
 
 def against_session(
     session: Session, result: FitResult, plan: WritePlan, rest: Rest, angle_deg: float | None
-) -> Comparison:
+) -> Agreement:
     """A dwell at rest against what the session says of the part, with the offsets that are in it now.
 
     Parameters
@@ -125,7 +125,7 @@ def bias_found(
     return bias.propagated(left, bias.fixture_u(turn))
 
 
-def effect_of(plan: WritePlan, before: Rest, after: Rest) -> Comparison:
+def effect_of(plan: WritePlan, before: Rest, after: Rest) -> Agreement:
     """How far the outputs moved between two dwells in the same place, against the plan."""
     part = variant(plan.variant)
     rows = [AXES.index(axis.axis) for axis in plan.axes]
@@ -135,7 +135,7 @@ def effect_of(plan: WritePlan, before: Rest, after: Rest) -> Comparison:
         part.performance.bias_tempco_mg_per_c * (after.temperature_c - before.temperature_c),
     )
     u = np.sqrt(before.u_mg**2 + after.u_mg**2 + wander**2)[rows]
-    return Comparison(
+    return Agreement(
         "the write moved the outputs by",
         tuple(axis.axis.upper() for axis in plan.axes),
         (after.mean_mg - before.mean_mg)[rows],
@@ -219,17 +219,17 @@ class _Biased:
         return function(self.values, mean), np.sqrt(variance)
 
 
-def _at_angle(bias: _Biased, angle_rad: float) -> Comparison:
+def _at_angle(bias: _Biased, angle_rad: float) -> Agreement:
     def left(values: Floats, mean: Floats) -> Floats:
         return np.asarray(mean[:2] - bias.ideal_mg(values, angle_rad) - bias.bias_mg(values))
 
     value, u = bias.propagated(left, bias.fixture_u(angle_rad))
     predicted = bias.ideal_mg(bias.values, angle_rad) + bias.bias_mg(bias.values)
     where = f"readings at {math.degrees(angle_rad):g}° against the session"
-    return Comparison(where, ("X", "Y"), predicted + value, predicted, u)
+    return Agreement(where, ("X", "Y"), predicted + value, predicted, u)
 
 
-def _by_length(bias: _Biased) -> Comparison:
+def _by_length(bias: _Biased) -> Agreement:
     gravity = bias.session.gravity_mg
 
     def length(values: Floats, mean: Floats) -> Floats:
@@ -242,7 +242,7 @@ def _by_length(bias: _Biased) -> Comparison:
             f"X and Y read {value[0]:.0f} mg of gravity together: set the part up as in the session, its"
             " plane of rotation vertical"
         )
-    return Comparison(
+    return Agreement(
         "gravity's length by the session's calibration", ("|g|",), value, np.array([gravity]), u
     )
 

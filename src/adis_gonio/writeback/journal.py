@@ -36,7 +36,7 @@ INTERRUPTED = (
 Op = Literal["write", "undo", "autonull"]
 
 
-class Step(StrEnum):
+class WriteStep(StrEnum):
     """Steps of an operation, in their order; `DONE` and `SET_BACK` end it."""
 
     PLANNED = "planned"
@@ -48,15 +48,15 @@ class Step(StrEnum):
     SET_BACK = "set-back"
 
 
-AFTER: dict[Step | None, tuple[Step, ...]] = {
-    None: (Step.PLANNED,),
-    Step.PLANNED: (Step.WRITTEN, Step.SAVING, Step.SET_BACK),
-    Step.WRITTEN: (Step.VERIFIED, Step.SAVING, Step.DONE, Step.SET_BACK),
-    Step.VERIFIED: (Step.SAVING, Step.SAVED, Step.DONE, Step.SET_BACK),
-    Step.SAVING: (Step.SAVED, Step.SET_BACK),
-    Step.SAVED: (Step.DONE,),
-    Step.DONE: (),
-    Step.SET_BACK: (),
+AFTER: dict[WriteStep | None, tuple[WriteStep, ...]] = {
+    None: (WriteStep.PLANNED,),
+    WriteStep.PLANNED: (WriteStep.WRITTEN, WriteStep.SAVING, WriteStep.SET_BACK),
+    WriteStep.WRITTEN: (WriteStep.VERIFIED, WriteStep.SAVING, WriteStep.DONE, WriteStep.SET_BACK),
+    WriteStep.VERIFIED: (WriteStep.SAVING, WriteStep.SAVED, WriteStep.DONE, WriteStep.SET_BACK),
+    WriteStep.SAVING: (WriteStep.SAVED, WriteStep.SET_BACK),
+    WriteStep.SAVED: (WriteStep.DONE,),
+    WriteStep.DONE: (),
+    WriteStep.SET_BACK: (),
 }
 """Which steps may follow which; what is in flash already is `saved` without `saving`. An autonull is
 `saving` from the start, since the part saves it by itself, and `saved` says what it found."""
@@ -79,7 +79,7 @@ class Operation:
         goes back to them.
     save : bool
         Flash was asked for.
-    steps : tuple of Step
+    steps : tuple of WriteStep
         What was recorded.
     endurance : int or None
         ENDURANCE when saving began.
@@ -97,7 +97,7 @@ class Operation:
     new: dict[str, int]
     found: dict[str, int]
     save: bool
-    steps: tuple[Step, ...]
+    steps: tuple[WriteStep, ...]
     endurance: int | None = None
     endurance_after: int | None = None
     utc: str = ""
@@ -106,7 +106,7 @@ class Operation:
     @property
     def open(self) -> bool:
         """True where it was not brought to its end."""
-        return self.steps[-1] not in (Step.DONE, Step.SET_BACK)
+        return self.steps[-1] not in (WriteStep.DONE, WriteStep.SET_BACK)
 
     def concerns(self, names: Sequence[str]) -> bool:
         """True where it is about registers of these names."""
@@ -120,12 +120,12 @@ class Operation:
     @property
     def saved(self) -> bool:
         """True where the flash was written and the journal knows it."""
-        return Step.SAVED in self.steps
+        return WriteStep.SAVED in self.steps
 
     @property
     def target(self) -> dict[str, int]:
         """Numbers that stand after it."""
-        if self.steps[-1] is Step.SET_BACK:
+        if self.steps[-1] is WriteStep.SET_BACK:
             return self.found
         return self.old if self.op == "undo" else self.new
 
@@ -134,7 +134,7 @@ def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
     """Operations out of the journal's records, in order (`Session.facts["offset_writes"]`)."""
     found: dict[int, Operation] = {}
     for entry in entries:
-        number, step = int(entry["number"]), Step(entry["step"])
+        number, step = int(entry["number"]), WriteStep(entry["step"])
         before = found.get(number)
         found[number] = Operation(
             number,
@@ -184,7 +184,7 @@ def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[
 def to_undo(known: Sequence[Operation]) -> Operation | None:
     """The write that an undo takes back: the last one that is not taken back already."""
     for operation in reversed(known):
-        if operation.op != "undo" and operation.steps[-1] is not Step.SET_BACK:
+        if operation.op != "undo" and operation.steps[-1] is not WriteStep.SET_BACK:
             return operation
         if operation.op == "undo" and not operation.open:
             return None
@@ -195,7 +195,7 @@ RegisterState = Literal["old", "new", "half", "other"]
 
 
 @dataclass(frozen=True)
-class Standing:
+class HeldOffsets:
     """What the sensor holds, in the words of the journal.
 
     Attributes
@@ -236,7 +236,7 @@ class Standing:
 
 def standing_of(
     known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation] = ()
-) -> Standing:
+) -> HeldOffsets:
     """What a sensor with these numbers and this ENDURANCE holds.
 
     Parameters
@@ -245,7 +245,7 @@ def standing_of(
         Those on these registers, and those on the other part's, whose flash updates take these along.
     """
     if not known:
-        return Standing(
+        return HeldOffsets(
             "untouched", None, False, {}, None, "this session has written nothing to the sensor"
         )
     last = known[-1]
@@ -258,7 +258,7 @@ def standing_of(
     saved = None if flash is None else all(flash.get(name) == now[name] for name in last.new)
     if registers == "old" and flash == {}:
         saved = None  # they were found there, in flash or not
-    return Standing(registers, saved, last.open, axes, last, _words(registers, flash, axes, last))
+    return HeldOffsets(registers, saved, last.open, axes, last, _words(registers, flash, axes, last))
 
 
 def flash_untouched(
@@ -299,7 +299,7 @@ def _in_flash(
         certain = None if None in asked.values() else {name: int(n or 0) for name, n in asked.items()}
         if operation.saved:
             flash = certain
-        elif Step.SAVING in operation.steps and operation.endurance is not None:
+        elif WriteStep.SAVING in operation.steps and operation.endurance is not None:
             written = (endurance - operation.endurance) % ENDURANCE_WRAP
             if operation is known[-1] and written == 1 and all(now[k] == asked[k] for k in asked):
                 flash = certain

@@ -11,22 +11,22 @@ from adis_gonio.errors import SessionError, UsageError
 from adis_gonio.model.records import Session
 from adis_gonio.session.archive import Archive, read_session
 from adis_gonio.session.database import is_archive
-from adis_gonio.writeback.journal import AFTER, KIND, Operation, Step
+from adis_gonio.writeback.journal import AFTER, KIND, Operation, WriteStep
 from adis_gonio.writeback.plan import recorded_offsets
 
 
-class Journal:
+class Logbook:
     """Writes an operation's steps to the archive; on return a step is on the disk."""
 
     def __init__(self, archive: Archive, operation: Operation, now_s: Callable[[], float]) -> None:
         self._archive, self.operation, self._now_s = archive, operation, now_s
 
     @property
-    def steps(self) -> tuple[Step, ...]:
+    def steps(self) -> tuple[WriteStep, ...]:
         """Steps so far."""
         return self.operation.steps
 
-    def note(self, step: Step, **facts: Any) -> None:
+    def note(self, step: WriteStep, **facts: Any) -> None:
         """Record a step.
 
         Raises

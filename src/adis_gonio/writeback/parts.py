@@ -21,7 +21,7 @@ from adis_gonio.model.records import Floats, Session
 from adis_gonio.sensor.driver import Adis16354
 from adis_gonio.sensor.registers import ACCEL_OFF, GYRO_OFF
 from adis_gonio.sensor.variants import variant
-from adis_gonio.writeback.checks import Comparison, against_session, bias_found, effect_of
+from adis_gonio.writeback.checks import Agreement, against_session, bias_found, effect_of
 from adis_gonio.writeback.plan import Numbers, WritePlan, plan_gyro_offsets, plan_offsets
 from adis_gonio.writeback.rest import Rest, measure
 
@@ -34,7 +34,7 @@ TEMPCO_DPS_PER_C = 0.02
 """What a zero rate may follow the temperature by where the session does not tell (D, as the catalogue)."""
 
 
-class Part(Protocol):
+class SensorHalf(Protocol):
     """Half of a sensor, with the session that calibrates it.
 
     Attributes
@@ -61,10 +61,10 @@ class Part(Protocol):
     def measure(self, sensor: Adis16354, dwell_s: float, patience_s: float) -> Rest:
         """A dwell at rest."""
 
-    def expected(self, plan: WritePlan, rest: Rest) -> Comparison:
+    def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
         """A dwell against the session, with the offsets that are in the sensor by the plan."""
 
-    def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Comparison:
+    def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
         """How far the outputs moved, against the plan."""
 
     def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
@@ -99,11 +99,11 @@ class Accelerometers:
         """As `rest.measure`."""
         return measure(sensor, dwell_s, patience_s)
 
-    def expected(self, plan: WritePlan, rest: Rest) -> Comparison:
+    def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
         """As `against_session`."""
         return against_session(self.session, self.result, plan, rest, self._angle_deg)
 
-    def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Comparison:
+    def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
         """As `effect_of`."""
         return effect_of(plan, before, after)
 
@@ -148,15 +148,15 @@ class Gyros:
         """As `rest.measure`, with the gyros."""
         return measure(sensor, dwell_s, patience_s, gyros=True)
 
-    def expected(self, plan: WritePlan, rest: Rest) -> Comparison:
+    def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
         """Zero rates in this pose by the session, force and warmth in them, against the dwell's means."""
         mean, u = _of_gyros(rest)
         moved = np.array([(axis.now - axis.recorded) * axis.lsb for axis in plan.axes])
         zero, of_zero = self.zero(rest)
         u = np.sqrt(u**2 + of_zero**2 + self.wander(rest) ** 2)
-        return Comparison("zero rates here against the session", _names(), mean, zero + moved, u, "dps")
+        return Agreement("zero rates here against the session", _names(), mean, zero + moved, u, "dps")
 
-    def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Comparison:
+    def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
         """How far the gyros moved between two dwells in the same place, against the plan."""
         (first, u_first), (second, u_second) = _of_gyros(before), _of_gyros(after)
         wander = math.hypot(
@@ -166,7 +166,7 @@ class Gyros:
         )
         u = np.sqrt(u_first**2 + u_second**2 + wander**2)
         planned = np.array([axis.effect for axis in plan.axes])
-        return Comparison("the write moved the gyros by", _names(), second - first, planned, u, "dps")
+        return Agreement("the write moved the gyros by", _names(), second - first, planned, u, "dps")
 
     def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
         """Zero rates (3,) of a dwell without what force adds there, and their standard uncertainties."""

@@ -29,23 +29,23 @@ from adis_gonio.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354
 from adis_gonio.sensor.registers import registers
 from adis_gonio.sensor.undo import Undo
 from adis_gonio.session.archive import Archive
-from adis_gonio.session.bench import Bench
+from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.faults import SUPPLY_LIMITS_V
 from adis_gonio.session.plans import Position
 from adis_gonio.session.settings import Settings
 from adis_gonio.session.view import ArchiveView
 from adis_gonio.writeback.autonull import PRECISE_S, AutonullFound, compared
-from adis_gonio.writeback.checks import Comparison
+from adis_gonio.writeback.checks import Agreement
 from adis_gonio.writeback.journal import (
+    HeldOffsets,
     Operation,
-    Standing,
-    Step,
+    WriteStep,
     flash_untouched,
     operations_of,
     standing_of,
     to_undo,
 )
-from adis_gonio.writeback.logbook import Journal, load
+from adis_gonio.writeback.logbook import Logbook, load
 from adis_gonio.writeback.parts import Gyros, part_of
 from adis_gonio.writeback.plan import UNITS, WritePlan, recorded_offsets
 from adis_gonio.writeback.rest import Rest
@@ -88,16 +88,16 @@ class WriteSettings:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class WriteResult:
     """What was done.
 
     Attributes
     ----------
-    standing : Standing
+    standing : HeldOffsets
         What the sensor holds now.
     endurance_before, endurance_after : int
         Flash writes.
-    checks : tuple of Comparison
+    checks : tuple of Agreement
         All agree.
     bias, bias_u : tuple of float
         Biases (x, y) that the dwell after the write shows by itself, where its angle is known; zero rates
@@ -108,10 +108,10 @@ class Outcome:
         What the chip's own null was, where it was asked for.
     """
 
-    standing: Standing
+    standing: HeldOffsets
     endurance_before: int
     endurance_after: int
-    checks: tuple[Comparison, ...] = ()
+    checks: tuple[Agreement, ...] = ()
     bias: tuple[float, ...] = ()
     bias_u: tuple[float, ...] = ()
     unit: str = "mg"
@@ -162,7 +162,7 @@ class OffsetWriter:
         self.session = load(self.path)
         self._tell = tell
         with ArchiveView(self.path) as view:
-            self._bench = Bench(sensor, Settings.from_dict(view.header().settings))
+            self._bench = SessionBench(sensor, Settings.from_dict(view.header().settings))
             self._bench.require_same_sensor(view)
             self._angle_deg = self._angle(view)
         own = self.settings
@@ -170,7 +170,7 @@ class OffsetWriter:
         recorded_offsets(self.session, self._part.registers)
         self._plan: WritePlan | None = None
         self._before: Rest | None = None
-        self._checks: list[Comparison] = []
+        self._checks: list[Agreement] = []
 
     # -- looking --------------------------------------------------------------------------------------
 
@@ -184,7 +184,7 @@ class OffsetWriter:
         """Operations on the registers of the other half of the sensor."""
         return operations_of(self.session, self._part.others)
 
-    def standing(self) -> Standing:
+    def standing(self) -> HeldOffsets:
         """What the sensor holds, by its registers, ENDURANCE and the journal."""
         now, endurance = self._read()
         return standing_of(self.known, now, endurance, self.others)
@@ -235,7 +235,7 @@ class OffsetWriter:
 
     # -- doing ----------------------------------------------------------------------------------------
 
-    def write(self) -> Outcome:
+    def write(self) -> WriteResult:
         """Carry out the plan: write, read back, verify by a dwell, save where asked.
 
         Raises
@@ -258,7 +258,7 @@ class OffsetWriter:
         saves = self.settings.save and not in_flash
         if not plan.changes and not saves and not standing.open:
             self._tell("nothing is to be written: the registers hold it already")
-            return Outcome(standing, endurance, endurance, tuple(self._checks))
+            return WriteResult(standing, endurance, endurance, tuple(self._checks))
         earlier = to_undo(self.known)
         held = {name: now[name] for name in plan.new}
         old = earlier.old if earlier else held
@@ -269,21 +269,21 @@ class OffsetWriter:
             try:
                 if plan.changes:
                     self._put(plan)
-                journal.note(Step.WRITTEN)
+                journal.note(WriteStep.WRITTEN)
                 if plan.changes:
                     bias = self._verify(plan)
-                journal.note(Step.VERIFIED, checks=[check.as_dict() for check in self._checks])
+                journal.note(WriteStep.VERIFIED, checks=[check.as_dict() for check in self._checks])
                 if in_flash:
-                    journal.note(Step.SAVED, endurance=endurance, endurance_after=endurance)
+                    journal.note(WriteStep.SAVED, endurance=endurance, endurance_after=endurance)
                 elif saves:
                     self._save(journal, plan.new)
-                journal.note(Step.DONE)
+                journal.note(WriteStep.DONE)
             except BaseException as error:
                 self._break_off(journal, error)
                 raise
         return self._outcome(endurance, bias)
 
-    def undo(self) -> Outcome:
+    def undo(self) -> WriteResult:
         """Set the old offsets back, and save them where the new ones are in flash or `save` is asked for.
 
         Raises
@@ -310,11 +310,11 @@ class OffsetWriter:
                 back.put_back()
                 if back.left or not self._holds(earlier.old):
                     raise VerifyError(f"{', '.join(back.left) or 'the registers'} could not be set back")
-                journal.note(Step.WRITTEN)
+                journal.note(WriteStep.WRITTEN)
                 self._tell(f"set back and read back: {_listed(earlier.old)}")
                 if saves:
                     self._save(journal, earlier.old)
-                journal.note(Step.DONE)
+                journal.note(WriteStep.DONE)
             except AdisGonioError as error:
                 raise type(error)(f"{error}; {self._told()}") from error
             except KeyboardInterrupt:
@@ -322,7 +322,7 @@ class OffsetWriter:
                 raise
         return self._outcome(endurance, ((), ()))
 
-    def autonull(self, *, precise: bool = False) -> Outcome:
+    def autonull(self, *, precise: bool = False) -> WriteResult:
         """Let the chip null its gyros, and keep that where it agrees with the session; else set it back.
 
         The part must be at rest. Its null takes what force adds in this pose for a zero rate, so that it is
@@ -353,12 +353,12 @@ class OffsetWriter:
         self._require_supply(before.supply_v)
         operation = Operation(0, "autonull", now, now, now, True, ())
         with self._journal(operation) as journal:
-            journal.note(Step.SAVING, endurance=endurance, beside=self._beside())
+            journal.note(WriteStep.SAVING, endurance=endurance, beside=self._beside())
             try:
                 _ = self.sensor.precision_autonull() if precise else self.sensor.autonull()
                 nulled, after = self._read()
-                journal.note(Step.SAVED, new=nulled, endurance_after=after)
-                journal.note(Step.DONE)
+                journal.note(WriteStep.SAVED, new=nulled, endurance_after=after)
+                journal.note(WriteStep.DONE)
             except AdisGonioError as error:
                 raise type(error)(f"{error}; {self._told()}") from error
             except KeyboardInterrupt:
@@ -412,19 +412,19 @@ class OffsetWriter:
         self._tell(f"{what} by this dwell alone: {told}: {near} within an LSB ({lsb:.4g} {unit}) and 2 u")
         return tuple(value.tolist()), tuple(u.tolist())
 
-    def _save(self, journal: Journal, numbers: dict[str, int]) -> None:
+    def _save(self, journal: Logbook, numbers: dict[str, int]) -> None:
         """Save to flash; the registers are looked at last thing before, and after it."""
         self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
         now, endurance = self._read()
         _require(now, numbers, "changed by themselves before they were saved")
-        journal.note(Step.SAVING, endurance=endurance, beside=self._beside())
+        journal.note(WriteStep.SAVING, endurance=endurance, beside=self._beside())
         after = self.sensor.save_to_flash()
         now, _ = self._read()
         _require(now, numbers, "changed while they were saved")
-        journal.note(Step.SAVED, endurance_after=after)
+        journal.note(WriteStep.SAVED, endurance_after=after)
         self._tell(f"saved to flash: ENDURANCE {endurance} before, {after} after")
 
-    def _break_off(self, journal: Journal, error: BaseException) -> None:
+    def _break_off(self, journal: Logbook, error: BaseException) -> None:
         """After an error or a Ctrl-C: keep what is in flash, else set the old offsets back; say which."""
         # Twice suppressed: a second Ctrl-C in the first part must not keep the second from setting back.
         with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
@@ -437,33 +437,33 @@ class OffsetWriter:
             raise type(error)(f"{error}; {told}") from error
         self._tell(told)
 
-    def _keep_what_is_saved(self, journal: Journal) -> None:
+    def _keep_what_is_saved(self, journal: Logbook) -> None:
         """Bring the journal to its end where flash and registers hold the new offsets already."""
-        if Step.SAVING not in journal.steps:
+        if WriteStep.SAVING not in journal.steps:
             return
         self.sensor.bus.sleep_s(FLASH_UPDATE_S)
         now, endurance = self._read()
         new = journal.operation.new
         if endurance != journal.operation.endurance and all(now[name] == new[name] for name in new):
-            if Step.SAVED not in journal.steps:
-                journal.note(Step.SAVED, endurance_after=endurance)
-            journal.note(Step.DONE)
+            if WriteStep.SAVED not in journal.steps:
+                journal.note(WriteStep.SAVED, endurance_after=endurance)
+            journal.note(WriteStep.DONE)
 
-    def _set_back(self, journal: Journal, why: str) -> None:
+    def _set_back(self, journal: Logbook, why: str) -> None:
         found = journal.operation.found
         back = Undo(self.sensor, registers(found), _words(found))
         with contextlib.suppress(KeyboardInterrupt):
             back.put_back()
         if not back.left and self._holds(found):
-            journal.note(Step.SET_BACK, why=why)
+            journal.note(WriteStep.SET_BACK, why=why)
 
     # -- inside ---------------------------------------------------------------------------------------
 
-    def _outcome(self, endurance: int, bias: tuple[tuple[float, ...], tuple[float, ...]]) -> Outcome:
+    def _outcome(self, endurance: int, bias: tuple[tuple[float, ...], tuple[float, ...]]) -> WriteResult:
         self.session = load(self.path)
         now, after = self._read()
         standing = standing_of(self.known, now, after, self.others)
-        return Outcome(standing, endurance, after, tuple(self._checks), *bias, self._part.unit)
+        return WriteResult(standing, endurance, after, tuple(self._checks), *bias, self._part.unit)
 
     def _told(self) -> str:
         """What the sensor holds now, as far as it still says so."""
@@ -535,16 +535,16 @@ class OffsetWriter:
             raise ChipError(f"the supply is {supply_v:.2f} V, the part needs {low} to {high} V")
 
     @contextlib.contextmanager
-    def _journal(self, planned: Operation, **facts: Any) -> Iterator[Journal]:
+    def _journal(self, planned: Operation, **facts: Any) -> Iterator[Logbook]:
         last = max((one.number for one in (*self.known, *self.others)), default=0)
         operation = replace(planned, number=last + 1)
         with Archive.open_existing(self.path) as archive:
             now_s = self.sensor.bus.now_s()
             dwell = max((attempt.number for attempt in archive.dwells()), default=0)
             archive.begin_run(now_s, self._bench.clock_offset(archive, now_s), dwell)
-            journal = Journal(archive, operation, self.sensor.bus.now_s)
+            journal = Logbook(archive, operation, self.sensor.bus.now_s)
             journal.note(
-                Step.PLANNED,
+                WriteStep.PLANNED,
                 op=operation.op,
                 old=operation.old,
                 new=operation.new,

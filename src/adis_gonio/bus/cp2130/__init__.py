@@ -19,7 +19,7 @@ from typing import Any
 
 from adis_gonio.bus.cp2130.bus import TIMEOUT_S, Cp2130Bus
 from adis_gonio.bus.cp2130.requests import PRODUCT_ID, VENDOR_ID
-from adis_gonio.bus.host import WALL, Clock, Options, busy, gone, missing, no_permission, several
+from adis_gonio.bus.host import WALL, Clock, UrlOptions, busy, gone, missing, no_permission, several
 from adis_gonio.bus.opening import BusUrl, Device
 from adis_gonio.errors import BusError, NotInstalledError, ProtocolError
 
@@ -48,7 +48,7 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: Clock = WALL) -> C
     CannotOpenError
         No such board, no permission, or another program has it.
     """
-    options = Options(url, _OPTIONS)
+    options = UrlOptions(url, _OPTIONS)
     cs = options.number("cs", 0, 0, 10)
     reset_gpio = options.number_or_none("reset_gpio", 0, 10)
     event_counter = options.switch("event_counter")

@@ -31,8 +31,8 @@ from adis_gonio.bus.cp2130.requests import (
     PACKET,
     TYPE_IN,
     TYPE_OUT,
+    ControlRequest,
     GpioMode,
-    Request,
     clock_code,
     delay_request,
     frame_command,
@@ -160,11 +160,11 @@ class Cp2130Bus(SpiBus):
         self._timing = self._configure(SAFE_TIMING)
         offered = set()
         if reset_gpio is not None:
-            self._out(Request.SET_GPIO_MODE, gpio_request(reset_gpio, GpioMode.OPEN_DRAIN, 1))
+            self._out(ControlRequest.SET_GPIO_MODE, gpio_request(reset_gpio, GpioMode.OPEN_DRAIN, 1))
             offered.add(Capability.HARD_RESET)
         self._counted = 0
         if event_counter:
-            mode, self._counted = parse_counter(self._in(Request.GET_EVENT_COUNTER, 3))
+            mode, self._counted = parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
             if mode not in COUNTER_MODES:
                 raise UsageError(f"{url}: GPIO.{EVENT_PIN} of this board is no event counter (see its OTP)")
             offered.add(Capability.EVENT_COUNTER)
@@ -194,12 +194,12 @@ class Cp2130Bus(SpiBus):
 
     def _set_up(self, code: int) -> None:
         word = spi_word(code)
-        self._out(Request.SET_SPI_WORD, spi_word_request(self._cs, word))
-        self._out(Request.SET_SPI_DELAY, delay_request(self._cs))
-        self._out(Request.SET_CHIP_SELECT, select_request(self._cs))
-        if parse_spi_words(self._in(Request.GET_SPI_WORD, PACKET))[self._cs] != word:
+        self._out(ControlRequest.SET_SPI_WORD, spi_word_request(self._cs, word))
+        self._out(ControlRequest.SET_SPI_DELAY, delay_request(self._cs))
+        self._out(ControlRequest.SET_CHIP_SELECT, select_request(self._cs))
+        if parse_spi_words(self._in(ControlRequest.GET_SPI_WORD, PACKET))[self._cs] != word:
             raise ProtocolError(f"{self.url}: the CP2130 did not take its SPI word")
-        channels, pins = parse_selects(self._in(Request.GET_CHIP_SELECT, PACKET))
+        channels, pins = parse_selects(self._in(ControlRequest.GET_CHIP_SELECT, PACKET))
         if channels != {self._cs}:
             raise ProtocolError(f"{self.url}: the CP2130 did not take its chip select")
         if self._cs not in pins:
@@ -238,7 +238,9 @@ class Cp2130Bus(SpiBus):
                 raise self._lacks(Capability.HARD_RESET)
             self._settle()
             for level in (0, 1):
-                self._out(Request.SET_GPIO_MODE, gpio_request(self._reset_gpio, GpioMode.OPEN_DRAIN, level))
+                self._out(
+                    ControlRequest.SET_GPIO_MODE, gpio_request(self._reset_gpio, GpioMode.OPEN_DRAIN, level)
+                )
                 self.sleep_s(RESET_PULSE_S)
 
     def read_event_counter(self) -> int:
@@ -248,7 +250,7 @@ class Cp2130Bus(SpiBus):
             if Capability.EVENT_COUNTER not in self.capabilities:
                 raise self._lacks(Capability.EVENT_COUNTER)
             self._settle()
-            _, count = parse_counter(self._in(Request.GET_EVENT_COUNTER, 3))
+            _, count = parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
             # The counter is never set back, so that a read that fails loses nothing.
             new, self._counted = (count - self._counted) & 0xFFFF, count
             return new
@@ -259,13 +261,13 @@ class Cp2130Bus(SpiBus):
     def _timeout_ms(self) -> int:
         return max(1, round(self._timeout_s * 1000))
 
-    def _out(self, request: Request, data: bytes) -> None:
+    def _out(self, request: ControlRequest, data: bytes) -> None:
         self._call(
             lambda: self._device.ctrl_transfer(TYPE_OUT, request, 0, 0, data, self._timeout_ms),
             request.name,
         )
 
-    def _in(self, request: Request, size: int) -> bytes:
+    def _in(self, request: ControlRequest, size: int) -> bytes:
         ms = self._timeout_ms
         return _bytes(
             self._call(lambda: self._device.ctrl_transfer(TYPE_IN, request, 0, 0, size, ms), request.name)
@@ -325,9 +327,9 @@ class Cp2130Bus(SpiBus):
         assert code is not None, "the timing in force was configured"
         self._set_up(code)
         if self._reset_gpio is not None:
-            self._out(Request.SET_GPIO_MODE, gpio_request(self._reset_gpio, GpioMode.OPEN_DRAIN, 1))
+            self._out(ControlRequest.SET_GPIO_MODE, gpio_request(self._reset_gpio, GpioMode.OPEN_DRAIN, 1))
         if Capability.EVENT_COUNTER in self.capabilities:
-            _, self._counted = parse_counter(self._in(Request.GET_EVENT_COUNTER, 3))
+            _, self._counted = parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
         self._must_reset = False
         self._pace.done(self._timing)
 

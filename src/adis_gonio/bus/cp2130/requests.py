@@ -38,7 +38,7 @@ PIN_BITS = (3, 4, 5, 6, 7, 8, 10, 11, 12, 13, 14)
 which count from bit 0, and a word of pins: those whose function is a chip select and which are on."""
 
 
-class Request(IntEnum):
+class ControlRequest(IntEnum):
     """Control requests that this package sends; those of the OTP memory are not among them."""
 
     SET_GPIO_MODE = 0x23

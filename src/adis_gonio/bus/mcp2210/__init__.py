@@ -23,7 +23,7 @@ from urllib.parse import quote
 from adis_gonio.bus.host import (
     WALL,
     Clock,
-    Options,
+    UrlOptions,
     busy,
     claimed,
     missing,
@@ -62,7 +62,7 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp22
     CannotOpenError
         No such board, no permission, or another program has it.
     """
-    options = Options(url, _OPTIONS)
+    options = UrlOptions(url, _OPTIONS)
     backend = options.one_of("backend", _BACKENDS)
     cs = options.number("cs", 0, 0, 8)
     reset_gpio = options.number_or_none("reset_gpio", 0, 8)

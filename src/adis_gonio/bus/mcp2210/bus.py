@@ -36,13 +36,13 @@ from adis_gonio.bus.mcp2210.reports import (
     REPORT,
     SLOWEST_HZ,
     STARTS_WITHOUT_DATA,
+    AnswerStatus,
     ChipSettings,
     Command,
     Designation,
     Engine,
     Progress,
     SpiSettings,
-    Status,
     is_mark,
     mark,
     parse_events,
@@ -194,12 +194,12 @@ class Mcp2210Bus(SpiBus):
         for left in range(_TRIES - 1, -1, -1):
             answer = self._ask(Command.TRANSFER, transfer(data))
             status = status_of(answer, Command.TRANSFER)
-            if status == Status.DONE:
+            if status == AnswerStatus.DONE:
                 progress = Progress.parse(answer)
                 if STARTS_WITHOUT_DATA and progress.engine is not Engine.STARTED:
                     raise ProtocolError(f"{self.url}: data before the transfer has started")
                 return
-            if status not in (Status.BUSY, Status.NOT_OWNED):
+            if status not in (AnswerStatus.BUSY, AnswerStatus.NOT_OWNED):
                 raise ProtocolError(f"{self.url}: {status_words(status)}")
             if left:
                 self._cancel()
@@ -256,7 +256,7 @@ class Mcp2210Bus(SpiBus):
 
     def _ask_done(self, command: Command, report: bytes) -> None:
         status = status_of(self._ask(command, report), command)
-        if status != Status.DONE:
+        if status != AnswerStatus.DONE:
             raise ProtocolError(f"{self.url}: {status_words(status)}")
 
     def _ask(self, command: Command, report: bytes | None = None) -> bytes:

@@ -52,7 +52,7 @@ class Command(IntEnum):
     READ_EEPROM = 0x50
 
 
-class Status(IntEnum):
+class AnswerStatus(IntEnum):
     """Second byte of an answer."""
 
     DONE = 0x00
@@ -66,13 +66,13 @@ class Status(IntEnum):
 
 
 STATUS_WORDS = {
-    Status.NOT_OWNED: "another master has the SPI bus",
-    Status.BUSY: "the SPI engine is busy",
-    Status.UNKNOWN: "the command is unknown: is this an MCP2210?",
-    Status.WRITE_FAILED: "a write failed",
-    Status.ACCESS_1: "access denied: the settings are protected",
-    Status.ACCESS_2: "access denied: the settings are protected",
-    Status.ACCESS_3: "access denied: the settings are protected",
+    AnswerStatus.NOT_OWNED: "another master has the SPI bus",
+    AnswerStatus.BUSY: "the SPI engine is busy",
+    AnswerStatus.UNKNOWN: "the command is unknown: is this an MCP2210?",
+    AnswerStatus.WRITE_FAILED: "a write failed",
+    AnswerStatus.ACCESS_1: "access denied: the settings are protected",
+    AnswerStatus.ACCESS_2: "access denied: the settings are protected",
+    AnswerStatus.ACCESS_3: "access denied: the settings are protected",
 }
 
 
@@ -120,7 +120,7 @@ def status_of(answer: bytes, command: Command) -> int:
 def status_words(status: int) -> str:
     """What a status means."""
     try:
-        return STATUS_WORDS[Status(status)]
+        return STATUS_WORDS[AnswerStatus(status)]
     except (ValueError, KeyError):
         return f"status 0x{status:02X}"
 
@@ -237,7 +237,7 @@ class Progress:
 
         The engine refuses those too while it clocks (0xF8, data sheet DS22288A, figure 3-23): not yet.
         """
-        if status_of(answer, Command.TRANSFER) == Status.BUSY:
+        if status_of(answer, Command.TRANSFER) == AnswerStatus.BUSY:
             return cls(Engine.STARTED, b"")
         return cls.parse(answer)
 

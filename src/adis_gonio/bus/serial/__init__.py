@@ -13,15 +13,15 @@
 
 from __future__ import annotations
 
-from adis_gonio.bus.host import WALL, Clock, Options, missing, several
+from adis_gonio.bus.host import WALL, Clock, UrlOptions, missing, several
 from adis_gonio.bus.opening import BusUrl, Device
 from adis_gonio.bus.serial import ports
 from adis_gonio.bus.serial.bus import BOOT_S, SerialBus
-from adis_gonio.bus.serial.link import Link, Port
+from adis_gonio.bus.serial.link import Port, SerialLink
 from adis_gonio.bus.wire import load_cobs
 from adis_gonio.bus.wire import protocol as wire
 
-__all__ = ["Link", "Port", "SerialBus", "find_devices", "open_from_url"]
+__all__ = ["Port", "SerialBus", "SerialLink", "find_devices", "open_from_url"]
 
 _OPTIONS = ("baud", "edge", "boot_ms", "serial_number")
 
@@ -47,7 +47,7 @@ def open_from_url(url: BusUrl, *, port: Port | None = None, clock: Clock = WALL)
     BusTimeoutError
         No firmware answers.
     """
-    options = Options(url, _OPTIONS)
+    options = UrlOptions(url, _OPTIONS)
     baud = options.number("baud", wire.BAUD, 300, 4_000_000)
     trigger = wire.Trigger[options.one_of("edge", ("falling", "rising")).upper()]
     boot_ms = options.number("boot_ms", round(BOOT_S * 1000), 100, 60_000)

@@ -20,7 +20,7 @@ from adis_gonio.bus.contract import (
 )
 from adis_gonio.bus.host import RESET_PULSE_S, SAFE_TIMING, WALL, Clock
 from adis_gonio.bus.serial.clocks import ClockMap
-from adis_gonio.bus.serial.link import B, Link, Port, RefusedError
+from adis_gonio.bus.serial.link import B, Port, RefusedError, SerialLink
 from adis_gonio.bus.serial.stream import SerialStream
 from adis_gonio.bus.wire import Body, Packet
 from adis_gonio.bus.wire import protocol as wire
@@ -54,7 +54,7 @@ class SerialBus(SpiBus):
     baud : int
         Tells how long a packet was on its way, which its times take into account; a board that is a USB
         device itself has none.
-    link : Link
+    link : SerialLink
         In place of one of its own making.
     release : callable
         Called when the bus is closed, in place of the port's own `close`.
@@ -81,7 +81,7 @@ class SerialBus(SpiBus):
         boot_s: float = BOOT_S,
         trigger: wire.Trigger = wire.Trigger.FALLING,
         baud: int = wire.BAUD,
-        link: Link | None = None,
+        link: SerialLink | None = None,
         release: Callable[[], object] | None = None,
     ) -> None:
         super().__init__(SAFE_TIMING)
@@ -89,7 +89,7 @@ class SerialBus(SpiBus):
         self._clock = clock
         self._trigger = trigger
         self.edge_rises = trigger is wire.Trigger.RISING
-        self._link = link or Link(port, url=url, clock=clock)
+        self._link = link or SerialLink(port, url=url, clock=clock)
         self._release = release or port.close
         self._stream: SerialStream | None = None
         self._counted = 0

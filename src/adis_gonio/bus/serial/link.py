@@ -96,7 +96,7 @@ class _Answer(Generic[B]):
     sent: int
 
 
-class Link:
+class SerialLink:
     """The host's side of the protocol.
 
     Parameters

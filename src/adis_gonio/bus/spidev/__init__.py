@@ -16,7 +16,7 @@ from pathlib import Path
 from adis_gonio.bus.host import (
     WALL,
     Clock,
-    Options,
+    UrlOptions,
     busy,
     missing,
     no_permission,
@@ -55,7 +55,7 @@ def open_from_url(
     CannotOpenError
         No such file, no permission, or another program has it.
     """
-    options = Options(url, _OPTIONS)
+    options = UrlOptions(url, _OPTIONS)
     cs_high_us = options.number("cs_high_us", round(CS_HIGH_US), 0, 1_000_000)
     line = _line(url, options)
     path = url.place
@@ -105,7 +105,7 @@ def find_devices(*, folder: str = "/dev") -> list[Device]:
     return devices
 
 
-def _line(url: BusUrl, options: Options) -> tuple[str, int] | None:
+def _line(url: BusUrl, options: UrlOptions) -> tuple[str, int] | None:
     text = options.text("reset_gpio")
     if not text:
         return None

@@ -92,18 +92,18 @@ class ScaleTemperature(LinearAxisEffect):
 class MisalignmentTemperature(CrossEffect):
     """The direction of an axis follows the temperature.
 
-    In the plane a lean of both axes is a lean of one and a turn of the whole part. A part that turns with
-    its mount is no misalignment, so that a candidate of the trace leans one axis; two of them stand for
-    both.
+    In the plane a misalignment of both axes is that of one and a turn of the whole part. A part that turns
+    with its mount is no misalignment, so that a candidate of the trace misaligns one axis; two of them
+    stand for both.
     """
 
     name = "misalignment_temperature"
-    cause = "The sensitive direction of an axis leans towards another with the temperature of the die."
+    cause = "The misalignment of an axis changes with the temperature of the die."
     formula = "a_i += misalignment_tempco_ip · (T − 25 °C) · a_p (angle in radians)"
     separated_by = (
         "`scale_temperature` shows where the axis is along gravity, this where it is across it: several "
         "angles at two temperatures. A mount that turns with the temperature moves both axes by the same "
-        "angle; a lean that goes on in time needs the temperature to go both ways."
+        "angle; a misalignment that goes on in time needs the temperature to go both ways."
     )
     needs = ("temperature_c",)
     one_axis: ClassVar[bool] = True

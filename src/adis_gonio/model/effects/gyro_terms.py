@@ -189,18 +189,18 @@ class GyroScaleTemperature(LinearAxisEffect):
 
 
 class GyroMisalignment(AxisEffect):
-    """The axis of a gyro leans towards others; its direction stays a unit vector.
+    """The axis of a gyro is misaligned towards others; its direction stays a unit vector.
 
-    With s_p the sine of the lean towards axis p the direction is (√(1 − Σ s_p²), s_p, …): a lean of 1°
-    costs 1.5·10⁻⁴ of the gain, which ten turns show.
+    With s_p the sine of the misalignment towards axis p the direction is (√(1 − Σ s_p²), s_p, …):
+    1° costs 1.5·10⁻⁴ of the gain, which ten turns show.
     """
 
     name = "gyro_misalignment"
-    cause = "The axis of a gyro leans towards another axis of the accelerometers by a small angle."
+    cause = "The axis of a gyro is misaligned towards another axis of the accelerometers by a small angle."
     formula = "ω_i += Σ_p sin(gyro_misalignment_ip) · Ω_p − (1 − √(1 − Σ_p sin²)) · Ω_i"
     separated_by = (
-        "Only a turn about the axis towards which it leans shows it: one whole turn about each of the "
-        "three axes."
+        "Only a turn about the axis towards which it is misaligned shows it: one whole turn about each of "
+        "the three axes."
     )
     needs = ("rate_dps",)
     parts = GYRO
@@ -212,11 +212,11 @@ class GyroMisalignment(AxisEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Two leans a gyro."""
+        """Two angles a gyro."""
         return by_letters((self.coefficient,), [AXES[i] + AXES[p] for i, p in self._pairs()])
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """What the leans add, (n, 3) in °/s."""
+        """What the misalignments add, (n, 3) in °/s."""
         rate = conditions.covariate("rate_dps")
         self.columns_of(ideal)
         added = np.zeros(ideal.shape)

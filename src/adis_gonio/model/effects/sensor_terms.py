@@ -59,11 +59,12 @@ class Misalignment(CrossEffect):
     """
 
     name = "misalignment"
-    cause = "The sensitive direction of an axis leans towards another axis by a small angle."
+    cause = "The sensitive direction of an axis is misaligned towards another axis by a small angle."
     formula = "a_i += misalignment_ip · a_p (angle in radians)"
     separated_by = (
         "In the plane it is the base model's α and Δφ, in space its skews and an unseen rotation; only the "
-        "lean towards z of a part turned in the xy plane is left, and a turn in another plane shows it."
+        "misalignment towards z of a part turned in the xy plane is left, and a turn in another plane "
+        "shows it."
     )
     coefficient: ClassVar[Parameter] = Parameter("misalignment", "deg", -5.0, 5.0, 0.25)
 

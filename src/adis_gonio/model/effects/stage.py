@@ -264,7 +264,7 @@ class AxisTilt(Effect):
 
     a rotation that keeps the modulus. The in-plane angle does not change at all, whatever ε: both axes lose
     the same part ε²/2 of their gain (0.15 mg at 1°), which is `gravity` or a common `scale`; only z sees ε
-    in the first order (17.5 mg at 1°). A part mounted with an axis leaning by λ out of the plane of
+    in the first order (17.5 mg at 1°). A part mounted with an axis tilted by λ out of the plane of
     rotation reads G sin ε · λ besides, a constant, which is `bias`. So x and y alone cannot name it.
     """
 

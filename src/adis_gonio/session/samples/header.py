@@ -13,7 +13,7 @@ from adis_gonio.session.samples import names
 from adis_gonio.session.samples.dialect import DELIMITERS, IN_WORDS, SPACE, Dialect, header_cells
 from adis_gonio.session.samples.keys import Keys, keys_of
 from adis_gonio.session.samples.lines import chunks_of
-from adis_gonio.session.samples.names import AXES, COLUMNS, GYROS, Column
+from adis_gonio.session.samples.names import AXES, COLUMNS, GYROS, CsvColumn
 
 _SEPARATORS = ("\t", ";", ",", "|", ":", "^", "~")
 """What Excel's first line `sep=…` may state."""
@@ -33,7 +33,7 @@ class Head:
         Cells of the header.
     dialect : Dialect
         Its decimal mark is still to be decided where `keys` does not state it.
-    columns : dict of str to Column
+    columns : dict of str to CsvColumn
         Those that are read, by the format's names.
     keys : Keys
     notes : tuple of str
@@ -44,7 +44,7 @@ class Head:
     line: int
     width: int
     dialect: Dialect
-    columns: dict[str, Column]
+    columns: dict[str, CsvColumn]
     keys: Keys
     notes: tuple[str, ...]
 
@@ -147,7 +147,7 @@ class _Assignment:
     def _fail(self, message: str) -> DataError:
         return DataError(f"{self.path.name}, row {self.line}: {message}")
 
-    def columns(self, wanted: Mapping[str, str]) -> tuple[dict[str, Column], list[str]]:
+    def columns(self, wanted: Mapping[str, str]) -> tuple[dict[str, CsvColumn], list[str]]:
         told = dict(self._told(mine, theirs) for mine, theirs in wanted.items())
         found = told | self._by_name(told)
         if not found:
@@ -163,7 +163,7 @@ class _Assignment:
             chosen = {name: column for name, column in chosen.items() if name not in GYROS}
         return chosen, [*self._ignored(found), *_renamed(chosen), *notes]
 
-    def _told(self, mine: str, theirs: str) -> tuple[str, Column]:
+    def _told(self, mine: str, theirs: str) -> tuple[str, CsvColumn]:
         """A column that the user names."""
         known = names.recognised(mine)
         if known is None:
@@ -176,16 +176,18 @@ class _Assignment:
             shown = ", ".join(f"'{cell}'" for cell in self.cells)
             raise UsageError(f"columns: {what} '{theirs}' in {self.path.name}; there are {shown}")
         unit = known[1] or names.unit_in(self.cells[there[0]])
-        return known[0], Column(known[0], there[0], self.cells[there[0]], unit, plain=mine.endswith("_s"))
+        return known[0], CsvColumn(
+            known[0], there[0], self.cells[there[0]], unit, plain=mine.endswith("_s")
+        )
 
-    def _by_name(self, told: Mapping[str, Column]) -> dict[str, Column]:
+    def _by_name(self, told: Mapping[str, CsvColumn]) -> dict[str, CsvColumn]:
         taken = {column.place for column in told.values()}
-        found: dict[str, Column] = {}
+        found: dict[str, CsvColumn] = {}
         for k, cell in enumerate(self.cells):
             known = None if k in taken else names.recognised(cell)
             if known is None or known[0] in told:
                 continue
-            column = Column(known[0], k, cell, known[1], known[2])
+            column = CsvColumn(known[0], k, cell, known[1], known[2])
             other = found.get(column.name)
             if other is not None and other.plain == column.plain:
                 if column.plain:
@@ -198,9 +200,9 @@ class _Assignment:
                 found[column.name] = column
         return found
 
-    def _with_units(self, found: Mapping[str, Column]) -> tuple[dict[str, Column], list[str]]:
+    def _with_units(self, found: Mapping[str, CsvColumn]) -> tuple[dict[str, CsvColumn], list[str]]:
         """Columns with the format's spelling of their units; what is optional and unknown is left out."""
-        chosen: dict[str, Column] = {}
+        chosen: dict[str, CsvColumn] = {}
         notes = []
         for name, column in found.items():
             unit = column.unit
@@ -209,7 +211,7 @@ class _Assignment:
             else:
                 spelled = unit if names.scale_of(name, unit) is not None else None
             if spelled is not None:
-                chosen[name] = Column(name, column.place, column.text, spelled, column.plain)
+                chosen[name] = CsvColumn(name, column.place, column.text, spelled, column.plain)
                 continue
             known = ", ".join(names.known_units(name))
             if name in ("time_s", *AXES):
@@ -226,7 +228,7 @@ class _Assignment:
                 raise self._fail(f"columns {listed} do not have one unit; convert them to the same one")
         return chosen, notes
 
-    def _refuse_missing(self, chosen: Mapping[str, Column]) -> None:
+    def _refuse_missing(self, chosen: Mapping[str, CsvColumn]) -> None:
         missing = [name for name in ("time_s", "ax", "ay") if name not in chosen]
         if not missing:
             return
@@ -251,7 +253,7 @@ class _Assignment:
             f"others; say which are which, such as --columns '{example}'"
         )
 
-    def _ignored(self, found: Mapping[str, Column]) -> list[str]:
+    def _ignored(self, found: Mapping[str, CsvColumn]) -> list[str]:
         taken = {column.place for column in found.values()}
         left = [cell or f"column {k + 1}" for k, cell in enumerate(self.cells) if k not in taken]
         if not left:
@@ -284,7 +286,7 @@ def _numeric(cell: str) -> bool:
     return True
 
 
-def _renamed(chosen: Mapping[str, Column]) -> list[str]:
+def _renamed(chosen: Mapping[str, CsvColumn]) -> list[str]:
     """What stands for what, where the file has names of its own."""
     own = [column for column in chosen.values() if column.text.strip().lower() != column.name]
     if not own:

@@ -18,7 +18,7 @@ Scale = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Column:
+class CsvColumn:
     """A column that was recognised.
 
     Attributes

@@ -35,7 +35,7 @@ _SLOWEST_S = 2.0
 
 
 @dataclass(frozen=True)
-class Table:
+class SamplesTable:
     """A file in numbers, in the units of the format.
 
     Attributes
@@ -340,7 +340,7 @@ class _Reader:
                 self._next_line(row), f"time_s goes back from {before[k]:g} to {time[k]:g}; sort by time"
             )
 
-    def done(self) -> Table:
+    def done(self) -> SamplesTable:
         """The table, when all chunks have been taken."""
         if self._waiting is not None and self._waiting[2]:
             self.notes.append(self._waiting[2])
@@ -350,7 +350,7 @@ class _Reader:
             )
         self.notes += [self._joined] if self._joined else []
         others = {name: growing.done() for name, growing in self.others.items()}
-        table = Table(
+        table = SamplesTable(
             head=self.head,
             dialect=self.dialect,
             time_s=self.time.done(),
@@ -366,7 +366,7 @@ class _Reader:
         return table
 
 
-def table_of(path: Path, wanted: dict[str, str]) -> Table:
+def table_of(path: Path, wanted: dict[str, str]) -> SamplesTable:
     """Read a file; `wanted` names columns as in `head_of`.
 
     Raises
@@ -444,7 +444,7 @@ def _proof_in(head: Head, chunk: Chunk) -> tuple[str, tuple[int, str] | None]:
     return "", undecided
 
 
-def _refuse_unclear_time(table: Table) -> None:
+def _refuse_unclear_time(table: SamplesTable) -> None:
     """Refuse a time without a unit whose rows are far apart: it may be in milliseconds."""
     column = table.head.columns["time_s"]
     if column.plain or column.unit or len(table.time_s) < 2:

@@ -99,8 +99,8 @@ def _one_dwell(basis: Basis, conditions: Conditions) -> bool:
 
 def _bases(data: Readings) -> Iterator[_Made]:
     conditions = data.conditions
-    for driver in data.model.driven_by:
-        yield from _DRIVERS[driver](data)
+    for covariate in data.model.driven_by:
+        yield from _OF_COVARIATE[covariate](data)
     if conditions.angle_rad is not None:
         yield from _of_angle(data)
     yield from _of_time(data)
@@ -326,7 +326,7 @@ def _of_rotation(data: Readings) -> Iterator[_Made]:
         yield _Made("rotation", False, Basis(form, ("rotation",), by_axis=own(function)), ("bias",))
 
 
-_DRIVERS: dict[str, Callable[[Readings], Iterator[_Made]]] = {
+_OF_COVARIATE: dict[str, Callable[[Readings], Iterator[_Made]]] = {
     "reading": _of_reading,
     "force": _of_force,
     "rotation": _of_rotation,

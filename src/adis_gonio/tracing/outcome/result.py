@@ -164,7 +164,7 @@ Purpose = Literal["decide", "cover"]
 
 
 @dataclass(frozen=True)
-class Measurement:
+class NextDwell:
     """One more dwell that is worth while.
 
     Attributes
@@ -313,7 +313,7 @@ class TraceResult:
         How dwells were left out.
     sets : tuple of CredibleSet
         For each cause of the model the names that could stand in its place.
-    measurements : tuple of Measurement
+    measurements : tuple of NextDwell
         Advice in figures, for a program or a running session: further dwells, in the order in which they
         are worth while.
     fits : tuple of Fit
@@ -347,7 +347,7 @@ class TraceResult:
     within: tuple[WithinFinding, ...] = ()
     heldout_design: str = ""
     sets: tuple[CredibleSet, ...] = ()
-    measurements: tuple[Measurement, ...] = ()
+    measurements: tuple[NextDwell, ...] = ()
     fits: tuple[Fit, ...] = field(default=(), repr=False, compare=False)
     inflation: float = 1.0
     stopped: Stopped | None = None

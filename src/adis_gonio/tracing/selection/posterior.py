@@ -25,7 +25,7 @@ Skeleton = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ModelPosterior:
     """What the scored models say.
 
     Attributes
@@ -61,7 +61,7 @@ def posterior(found: Search) -> dict[Model, float]:
     return {m: w / total for m, w in raw.items()}
 
 
-def weigh(found: Search) -> Verdict:
+def weigh(found: Search) -> ModelPosterior:
     """Posterior of models, names and covariates."""
     terms = found.problem.terms
     each = posterior(found)
@@ -74,10 +74,12 @@ def weigh(found: Search) -> Verdict:
         skeletons[skeleton(found, model)] += weight
     likely = max(skeletons, key=lambda s: skeletons[s])
     best = max((m for m in weights if skeleton(found, m) == likely), key=lambda m: weights[m])
-    return Verdict(best, weights, same, names, covariates)
+    return ModelPosterior(best, weights, same, names, covariates)
 
 
-def without_models(verdict: Verdict, terms: Sequence[Term], impossible: Callable[[Model], bool]) -> Verdict:
+def without_models(
+    verdict: ModelPosterior, terms: Sequence[Term], impossible: Callable[[Model], bool]
+) -> ModelPosterior:
     """The same where models that are impossible have no share; a possible one of a class stands for it."""
     weights: dict[Model, float] = {}
     same: dict[Model, list[Model]] = {}
@@ -88,7 +90,7 @@ def without_models(verdict: Verdict, terms: Sequence[Term], impossible: Callable
             same[possible[0]] = possible[1:]
     total = sum(weights.values())
     weights = {model: weight / total for model, weight in weights.items()}
-    return Verdict(verdict.best, weights, same, *_present(terms, weights))
+    return ModelPosterior(verdict.best, weights, same, *_present(terms, weights))
 
 
 def _present(

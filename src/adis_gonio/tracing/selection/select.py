@@ -15,7 +15,7 @@ from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import effect
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, linearise, span
-from adis_gonio.tracing.selection.posterior import Verdict, weigh, without_models
+from adis_gonio.tracing.selection.posterior import ModelPosterior, weigh, without_models
 from adis_gonio.tracing.selection.search import Search, search
 from adis_gonio.tracing.thresholds import limits
 
@@ -29,7 +29,7 @@ class Selection:
     problem : LinearProblem
         About the final state.
     found : Search
-    verdict : Verdict
+    verdict : ModelPosterior
     base, fit : Fit
         Base model and chosen model, refitted in full.
     inflation : float
@@ -39,7 +39,7 @@ class Selection:
 
     problem: LinearProblem
     found: Search
-    verdict: Verdict
+    verdict: ModelPosterior
     base: Fit
     fit: Fit
     inflation: float
@@ -240,7 +240,9 @@ def _with_slips(data: Readings, terms: Sequence[Term], slipped: dict[Term, float
     return replace(begun, values=replace(begun.values, base=firm)).having(model, values).refit()
 
 
-def _fitted(problem: LinearProblem, verdict: Verdict, about: Fit, most: float) -> tuple[Verdict, Fit]:
+def _fitted(
+    problem: LinearProblem, verdict: ModelPosterior, about: Fit, most: float
+) -> tuple[ModelPosterior, Fit]:
     """Full refit of the best model, or of the next one if it ends above the χ² of the base model.
 
     A model that holds the base model cannot be worse, so that such a refit has run away from amplitudes
@@ -254,7 +256,7 @@ def _fitted(problem: LinearProblem, verdict: Verdict, about: Fit, most: float) -
     return verdict, fit_model(problem, verdict.best, about)
 
 
-def _impossible(data: Readings, problem: LinearProblem, verdict: Verdict) -> set[str]:
+def _impossible(data: Readings, problem: LinearProblem, verdict: ModelPosterior) -> set[str]:
     """Where the best model is impossible, a label each of it and of the impossible ones near it."""
     worst = beyond_bounds(data, problem, verdict.best)
     if worst is None:
