@@ -58,9 +58,8 @@ def test_a_name_that_may_be_shared_is_shared_by_these_modules_only(name):
 
 
 def test_classes_are_seen_where_they_stand():
-    text = (
-        "class A: pass\nclass _B: pass\nif x:\n    class C:\n        class D: pass\nelse:\n    class E: pass\n"
-    )
+    inside = "if x:\n    class C:\n        class D: pass\nelse:\n    class E: pass\n"
+    text = "class A: pass\nclass _B: pass\n" + inside
     assert public_classes(text) == ["A", "C", "E"]
     assert len(homes()) > 300
     assert homes()["Session"] == {"model.records"}

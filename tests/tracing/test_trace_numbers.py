@@ -117,10 +117,10 @@ class TestPrior:
 
     @pytest.mark.number("effect_share")
     @pytest.mark.parametrize("name", ["cubic", "warm_up", "stage_periodic", "outlier_dwell", "backlash"])
-    def test_an_effect_is_there_in_seven_sessions_of_two_hundred_however_many_variants_it_has(
+    def test_an_effect_is_there_in_seven_sessions_of_four_hundred_however_many_variants_it_has(
         self, name: str
     ) -> None:
-        assert self.share(name) == pytest.approx(7 / 200)
+        assert self.share(name) == pytest.approx(7 / 400)
 
     @pytest.mark.number("nameless_share")
     def test_functions_without_a_name_have_three_tenths_together(self) -> None:

@@ -28,7 +28,7 @@ class Limits:
 
     # Prior
     effect_share: float = number(
-        0.035,
+        0.0175,
         "measured",
         "prior share of an effect, whatever else a session can show (scripts/trace_level.py)",
     )
