@@ -29,7 +29,7 @@ import argparse
 import ast
 import contextlib
 import difflib
-import importlib
+import gc
 import math
 import os
 import pickle
@@ -48,7 +48,7 @@ from collections import defaultdict
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
+from types import CodeType, FrameType, FunctionType
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = "src/adis_gonio"
-UNNOTICED = {int(pytest.ExitCode.OK), int(pytest.ExitCode.NO_TESTS_COLLECTED)}
+ARGUMENTS = ("-q", "--no-header", "--tb=line", "-p", "no:cacheprovider", "--hypothesis-seed=0", "-n", "0")
 
 
 @dataclass(frozen=True)
@@ -88,24 +88,46 @@ ROOMS = {
     "estimation": Room(
         ("estimation", "fitting"),
         (
-            "tests/estimation/test_clipping.py",
+            "tests/estimation/test_conic.py",
+            "tests/estimation/test_converter.py",
+            "tests/estimation/test_intervals.py",
             "tests/estimation/test_other_measurements.py",
+            "tests/fitting/test_determination.py",
             "tests/fitting/test_flicker.py",
             "tests/fitting/test_readings.py",
             "tests/fitting/test_shared_noise.py",
             "tests/fitting/test_ml_against_full_least_squares.py",
             "tests/fitting/test_methods.py",
-            "--deselect=tests/fitting/test_methods.py::test_covariance_is_the_scatter_of_the_estimates",
+            "tests/fitting/test_scores.py",
+            "tests/fitting/test_uncertainty.py",
+            "tests/fitting/test_unseen_skews.py",
+            "tests/fitting/test_wide_fixture.py",
+            "tests/gyros/test_axes_of_accelerometers.py",
+            "tests/gyros/test_doubtful_gyros.py",
+            "tests/gyros/test_gyro_turns.py",
+            "tests/gyros/test_links.py",
+            "tests/gyros/test_order_of_poses.py",
+            "tests/gyros/test_vertical_of_a_turn.py",
         ),
     ),
     "tracing": Room(
         ("tracing",),
         (
+            "tests/tracing/test_trace_arithmetic.py",
+            "tests/tracing/test_trace_numbers.py",
             "tests/tracing/test_trace_engine.py",
             "tests/tracing/test_trace_gates.py",
+            "tests/tracing/test_trace_openings.py",
+            "tests/tracing/test_trace_proposals.py",
+            "tests/tracing/test_trace_sets.py",
+            "tests/tracing/test_trace_left_out.py",
+            "tests/tracing/test_trace_small_sessions.py",
+            "tests/tracing/test_trace_smooth.py",
         ),
     ),
 }
+
+NOT_EXCHANGED = 98  # exit status of a child
 
 Place = tuple[int, int]  # line from 1, column from 0, in characters
 Line = tuple[str, int]
@@ -265,18 +287,23 @@ def copy_of(root: Path, into: Path) -> Path:
 
 
 class Watch:
-    """Plugin of pytest that notes what each test costs and which lines of some files it runs."""
+    """Plugin of pytest that notes what each test costs and which lines of some files it runs.
 
-    def __init__(self, names: dict[str, str]) -> None:
+    A test that costs more than `longest_s` is skipped from there: it will not be asked.
+    """
+
+    def __init__(self, names: dict[str, str], longest_s: float = math.inf) -> None:
         self.names = names  # of the files as the mutants have them, by their paths
+        self.longest_s = longest_s
         self.cost_s: dict[str, float] = defaultdict(float)
         self.lines: dict[str, set[Line]] = defaultdict(set)
         self._now: set[Line] = set()
+        self._unseen: dict[int, set[int]] = {}  # by id of a function's code
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> Generator[None, None, None]:
         """What a fixture runs may be shared: it counts for every test of the file."""
-        return (yield from self._watch(item, _file_of(item)))
+        return (yield from self._watch(item, _file_of(item.nodeid)))
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item: pytest.Item) -> Generator[None, None, None]:
@@ -285,50 +312,98 @@ class Watch:
 
     def _watch(self, item: pytest.Item, of: str) -> Generator[None, None, None]:
         self._now = self.lines[of]
+        self._unseen = {}
         began = time.process_time()
+        if self.longest_s < math.inf:
+            signal.signal(signal.SIGPROF, lambda *_: pytest.skip("costs too much"))
+            signal.setitimer(signal.ITIMER_PROF, self.longest_s)
         threading.settrace(self._enter)
         sys.settrace(self._enter)
         try:
             return (yield)
         finally:
+            signal.setitimer(signal.ITIMER_PROF, 0)
             sys.settrace(None)
             threading.settrace(None)  # type: ignore[arg-type]
             self.cost_s[item.nodeid] += time.process_time() - began
 
     def _enter(self, frame: FrameType, event: str, argument: object) -> Any:
-        return self._line if frame.f_code.co_filename in self.names else None
-
-    def _line(self, frame: FrameType, event: str, argument: object) -> Any:
-        self._now.add((self.names[frame.f_code.co_filename], frame.f_lineno))
+        if frame.f_code.co_filename not in self.names or not self._missing(frame.f_code):
+            return None
         return self._line
 
+    def _line(self, frame: FrameType, event: str, argument: object) -> Any:
+        if event == "line":
+            self._missing(frame.f_code).discard(frame.f_lineno)
+            self._now.add((self.names[frame.f_code.co_filename], frame.f_lineno))
+        return self._line
 
-def _file_of(item: pytest.Item) -> str:
-    return item.nodeid.partition("::")[0]
+    def _missing(self, code: CodeType) -> set[int]:
+        """Lines of a function that the test has not run: one that it has run wholly need not be watched."""
+        if id(code) not in self._unseen:
+            lines = {line for _, _, line in code.co_lines() if line}
+            self._unseen[id(code)] = lines - {code.co_firstlineno}  # its head is no line event
+        return self._unseen[id(code)]
 
 
-class Choose:
-    """Plugin of pytest that keeps the tests that run one of some lines, the cheapest first.
+def _file_of(test: str) -> str:
+    return test.partition("::")[0]
 
-    Where no test runs them, as at import, all are kept; never one that costs more than `longest_s`.
-    """
 
-    def __init__(self, watch: Watch, lines: set[Line], longest_s: float) -> None:
-        self.watch = watch
-        self.wanted = lines
-        self.longest_s = longest_s
+class Session:
+    """Plugin of pytest that collects and then does some work instead of running the tests."""
 
-    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        """Choose and sort."""
-        ran = self.watch.lines
-        everywhere = not any(self.wanted & lines for lines in ran.values())
-        items[:] = [
-            item
-            for item in items
-            if self.watch.cost_s[item.nodeid] <= self.longest_s
-            and (everywhere or self.wanted & ran[item.nodeid] or self.wanted & ran[_file_of(item)])
-        ]
-        items.sort(key=lambda item: self.watch.cost_s[item.nodeid])
+    def __init__(self, work: Callable[[pytest.Session], None]) -> None:
+        self.work = work
+
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """Work."""
+        self.work(session)
+        return True
+
+
+def fails(session: pytest.Session, items: list[pytest.Item]) -> int:
+    """Run tests until the first fails; 1 if one did."""
+    for item, after in zip(items, [*items[1:], None], strict=True):
+        item.ihook.pytest_runtest_protocol(item=item, nextitem=after)
+        if session.testsfailed:
+            return 1
+    return 0
+
+
+def chosen(watch: Watch, lines: set[Line], imported: bool, longest_s: float) -> list[str]:
+    """Tests that run one of some lines, the cheapest first; for what runs at import all."""
+    ran = watch.lines
+    return sorted(
+        (
+            test
+            for test, cost_s in watch.cost_s.items()
+            if cost_s <= longest_s
+            and (imported or lines & ran.get(test, set()) or lines & ran.get(_file_of(test), set()))
+        ),
+        key=lambda test: watch.cost_s[test],
+    )
+
+
+def statement_at(tree: ast.Module, first: int, last: int) -> tuple[int, int]:
+    """Lines of the statement, or of the head of one with a body, that some lines belong to."""
+    spans = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.stmt):
+            body = getattr(node, "body", None)
+            end = max(node.lineno, body[0].lineno - 1) if body else node.end_lineno or last
+            if node.lineno <= first and last <= end:
+                spans.append((node.lineno, end))
+    return max(spans, default=(first, last))
+
+
+def at_import(tree: ast.Module, line: int) -> bool:
+    """Whether a line runs when its module is imported: it is in no function's body."""
+    return not any(
+        isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and node.body[0].lineno <= line <= (node.end_lineno or line)
+        for node in ast.walk(tree)
+    )
 
 
 def in_a_child(work: Callable[[], int], limit_s: float, output: Path) -> int | None:
@@ -364,71 +439,124 @@ def in_a_child(work: Callable[[], int], limit_s: float, output: Path) -> int | N
     return None
 
 
-def pytest_in(room: Room, plugin: object) -> int:
-    """Run the tests of a room in this process; hypothesis draws the same examples every time."""
-    arguments = ["-xq", "--no-header", "--tb=line", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
-    loaded = [
-        "-W",
-        "ignore::pytest.PytestAssertRewriteWarning",
-    ]  # libraries are imported before pytest begins
-    return int(pytest.main([*arguments, *loaded, *room.tests], plugins=[plugin]))
+def collected(room: Room, work: Callable[[pytest.Session], None]) -> None:
+    """Have pytest collect a room's tests and do some work; hypothesis draws the same examples each time."""
+    with contextlib.redirect_stdout(sys.stderr):
+        status = pytest.main([*ARGUMENTS, "-s", *room.tests], plugins=[Session(work)])
+    if status not in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED):
+        raise SystemExit(f"the tests of this room cannot be collected: {status!r}")
 
 
-def watched(copy: Path, room: Room, notes: Path) -> Watch:
+def watched(session: pytest.Session, copy: Path, room: Room, notes: Path, longest_s: float) -> Watch:
     """What the tests of a room cost and run on the code as it is; they must pass. Once a session."""
     paths = (path for folder in room.folders for path in (copy / SOURCE / folder).rglob("*.py"))
-    names = {str(path): str(path.relative_to(copy)) for path in paths}
+    watch = Watch({str(path): str(path.relative_to(copy)) for path in paths}, longest_s)
     output = copy.parent / "output.txt"
 
     def work() -> int:
-        sys.dont_write_bytecode = False  # of the code as it is: a mutant's file is younger than this
-        watch = Watch(names)
-        status = pytest_in(room, watch)
-        import adis_gonio
-
-        if not Path(adis_gonio.__file__).is_relative_to(copy):
-            print(f"the tests ran on {adis_gonio.__file__}, not on the copy")
-            return 1
-        libraries = [name for name, module in sys.modules.items() if _outside(module, copy)]
-        notes.write_bytes(pickle.dumps((dict(watch.cost_s), dict(watch.lines), libraries)))
+        session.config.pluginmanager.register(watch)
+        status = fails(session, session.items)
+        notes.write_bytes(pickle.dumps((dict(watch.cost_s), dict(watch.lines))))
         return status
 
     if not notes.exists() and in_a_child(work, 3600, output) != 0:
+        notes.unlink(missing_ok=True)
         raise SystemExit(f"the tests fail without any mutant:\n{output.read_text()[-3000:]}")
-    watch = Watch(names)
-    costs, lines, libraries = pickle.loads(notes.read_bytes())
+    costs, lines = pickle.loads(notes.read_bytes())
     watch.cost_s.update(costs)
     watch.lines.update(lines)
-    for library in libraries:  # once here, and not in the process of every mutant
-        with contextlib.suppress(ImportError):
-            importlib.import_module(library)
     return watch
 
 
-def _outside(module: object, copy: Path) -> bool:
-    """Whether a module is a library's."""
-    file = getattr(module, "__file__", None)
-    return bool(file) and "site-packages" in file and not Path(file).is_relative_to(copy)
+def code_of(tree: ast.Module, code: str, file: str, line: int) -> tuple[int, CodeType]:
+    """First line and code, of some source, of the outermost function that a line belongs to."""
+    outermost = next(
+        node
+        for node in _outermost(tree)
+        if node.body[0].lineno <= line <= (node.end_lineno or line)
+    )  # fmt: skip
+    waiting = [compile(code, file, "exec")]
+    while True:
+        for constant in waiting.pop().co_consts:
+            if isinstance(constant, CodeType):
+                first = min([outermost.lineno, *(d.lineno for d in outermost.decorator_list)])
+                if constant.co_name == outermost.name and constant.co_firstlineno == first:
+                    return first, constant
+                waiting.append(constant)
 
 
-def tested(copy: Path, room: Room, watch: Watch, longest_s: float, mutant: MutationSpec) -> WorkResult:
+def _outermost(tree: ast.AST) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    """Functions of a module and of its classes, without those inside of functions."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node
+        else:
+            yield from _outermost(node)
+
+
+def exchange(path: Path, before: str, after: str, line: int) -> None:
+    """Give a function that has been imported the code that it has after a change of a line of its body."""
+    _, code = code_of(ast.parse(after), after, str(path), line)
+    now = [
+        function
+        for function in gc.get_objects()
+        if isinstance(function, FunctionType)
+        and function.__code__.co_filename == str(path)
+        and function.__code__.co_firstlineno == code.co_firstlineno
+        and function.__code__.co_name == code.co_name
+    ]
+    if not now:
+        raise RuntimeError(f"{path}: no function {code.co_name} at line {code.co_firstlineno}")
+    for function in now:
+        function.__code__ = code
+
+
+def tested(
+    session: pytest.Session, copy: Path, watch: Watch, longest_s: float, mutant: MutationSpec
+) -> WorkResult:
     """Run the tests that run a mutant's lines on the mutant."""
-    from cosmic_ray.mutating import use_mutation
+    from cosmic_ray.mutating import mutate_code
     from cosmic_ray.plugins import get_operator
     from cosmic_ray.work_item import TestOutcome, WorkerOutcome, WorkResult
 
     path, output = copy / mutant.module_path, copy.parent / "output.txt"
-    lines = {(str(mutant.module_path), line) for line in range(mutant.start_pos[0], mutant.end_pos[0] + 1)}
+    before = path.read_text("utf-8")
+    after = mutate_code(before, get_operator(mutant.operator_name)(), mutant.occurrence)
+    tree = ast.parse(before)
+    imported = at_import(tree, mutant.start_pos[0])
+    first, last = statement_at(tree, mutant.start_pos[0], mutant.end_pos[0])
+    lines = {(str(mutant.module_path), line) for line in range(first, last + 1)}
+    tests = chosen(watch, lines, imported, longest_s)
     limit_s = 20 + 3 * sum(watch.cost_s.values())
-    with use_mutation(path, get_operator(mutant.operator_name)(), mutant.occurrence) as (before, after):
-        status = in_a_child(lambda: pytest_in(room, Choose(watch, lines, longest_s)), limit_s, output)
+    items = {item.nodeid: item for item in session.items}
+
+    def work() -> int:
+        try:
+            exchange(path, before, after, mutant.start_pos[0])
+        except (RuntimeError, ValueError):
+            return NOT_EXCHANGED
+        return fails(session, [items[test] for test in tests])
+
+    status: int | None = 0
+    output.write_text("no test runs the line\n")
+    if tests and not imported:
+        status = in_a_child(work, limit_s, output)
+    if tests and (imported or status == NOT_EXCHANGED):  # by another interpreter, which imports the mutant
+        path.write_text(after, "utf-8")
+        status = in_a_child(lambda: _afresh(tests), limit_s, output)
+        path.write_text(before, "utf-8")
     diff = "\n".join(difflib.unified_diff(before.splitlines(), after.splitlines(), lineterm="", n=0))
     return WorkResult(
         WorkerOutcome.NORMAL,
         output="timeout" if status is None else output.read_text(errors="replace"),
-        test_outcome=TestOutcome.SURVIVED if status in UNNOTICED else TestOutcome.KILLED,
+        test_outcome=TestOutcome.SURVIVED if status == 0 else TestOutcome.KILLED,
         diff=diff,
     )
+
+
+def _afresh(tests: list[str]) -> int:
+    """Have another interpreter take the place of this process and run tests."""
+    os.execv(sys.executable, [sys.executable, "-B", "-m", "pytest", "-x", *ARGUMENTS, *tests])
 
 
 def run(
@@ -444,21 +572,29 @@ def run(
             drawn = draw(copy, room, options.mutants, random.Random(f"{options.seed} {name}"))
             base.add_work_items(WorkItem.single(uuid.uuid4().hex, mutant) for mutant in drawn)
         pending = list(base.pending_work_items)
-        watch = watched(copy, room, session.with_suffix(".notes")) if pending else None
-        ends = time.monotonic() + 60 * options.minutes
-        for item in pending:
-            if time.monotonic() > ends:
-                break
-            assert watch is not None
-            began = time.monotonic()
-            result = tested(copy, room, watch, options.longest, item.mutations[0])
-            base.set_result(item.job_id, result)
-            print(
-                f"{base.num_results}/{base.num_work_items} {where_is(item)} {outcome(result)}"
-                f" after {time.monotonic() - began:.0f} s",
-                file=sys.stderr,
-                flush=True,
-            )
+
+        def work(tests: pytest.Session) -> None:
+            import adis_gonio
+
+            if not Path(adis_gonio.__file__).is_relative_to(copy):
+                raise SystemExit(f"the tests ran on {adis_gonio.__file__}, not on the copy")
+            watch = watched(tests, copy, room, session.with_suffix(".notes"), options.longest)
+            ends = time.monotonic() + 60 * options.minutes
+            for item in pending:
+                if time.monotonic() > ends:
+                    break
+                began = time.monotonic()
+                result = tested(tests, copy, watch, options.longest, item.mutations[0])
+                base.set_result(item.job_id, result)
+                print(
+                    f"{base.num_results}/{base.num_work_items} {where_is(item)} {outcome(result)}"
+                    f" after {time.monotonic() - began:.0f} s",
+                    file=sys.stderr,
+                    flush=True,
+                )
+
+        if pending:
+            collected(room, work)
         results = dict(base.results)
         return [(item, results[item.job_id]) for item in base.work_items if item.job_id in results]
 
