@@ -30,6 +30,7 @@ import ast
 import contextlib
 import difflib
 import gc
+import itertools
 import math
 import os
 import pickle
@@ -44,7 +45,7 @@ import threading
 import time
 import traceback
 import uuid
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -364,7 +365,7 @@ class Session:
 
 def fails(session: pytest.Session, items: list[pytest.Item]) -> int:
     """Run tests until the first fails; 1 if one did."""
-    for item, after in zip(items, [*items[1:], None], strict=True):
+    for item, after in itertools.zip_longest(items, items[1:]):
         item.ihook.pytest_runtest_protocol(item=item, nextitem=after)
         if session.testsfailed:
             return 1
@@ -406,37 +407,47 @@ def at_import(tree: ast.Module, line: int) -> bool:
     )
 
 
-def in_a_child(work: Callable[[], int], limit_s: float, output: Path) -> int | None:
-    """Exit status of some work in a forked process; None if it took more than `limit_s` of processor time.
+class Child:
+    """Some work in a forked process, ended if it takes more than `limit_s` of processor time.
 
     Processor time, since on a busy machine the clock would kill mutants that nothing is wrong with. What
     waits forever needs none: it is ended after fifty times that on the clock.
     """
-    child = os.fork()
-    if not child:
-        os.setsid()
-        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(limit_s), math.ceil(limit_s) + 1))
-        with output.open("w") as file:
-            os.dup2(file.fileno(), 1)
-            os.dup2(file.fileno(), 2)
-        status = 99
-        try:
-            status = work()
-        except Exception:
-            traceback.print_exc()
-        finally:
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(status)
-    ends = time.monotonic() + 50 * limit_s
-    while time.monotonic() < ends:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            return None if os.WIFSIGNALED(status) else os.waitstatus_to_exitcode(status)
-        time.sleep(0.02)
-    os.killpg(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return None
+
+    def __init__(self, work: Callable[[], int], limit_s: float, output: Path) -> None:
+        self.output = output
+        self.ends = time.monotonic() + 50 * limit_s
+        self.pid = os.fork()
+        if not self.pid:
+            os.setsid()
+            resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(limit_s), math.ceil(limit_s) + 1))
+            with output.open("w") as file:
+                os.dup2(file.fileno(), 1)
+                os.dup2(file.fileno(), 2)
+            status = 99
+            try:
+                status = work()
+            except Exception:
+                traceback.print_exc()
+            finally:
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(status)
+
+    def status(self) -> int | None:
+        """Exit status; None if it took too long."""
+        while time.monotonic() < self.ends:
+            done, status = os.waitpid(self.pid, os.WNOHANG)
+            if done:
+                return None if os.WIFSIGNALED(status) else os.waitstatus_to_exitcode(status)
+            time.sleep(0.02)
+        os.killpg(self.pid, signal.SIGKILL)
+        os.waitpid(self.pid, 0)
+        return None
+
+    def text(self) -> str:
+        """What it printed."""
+        return self.output.read_text(errors="replace")
 
 
 def collected(room: Room, work: Callable[[pytest.Session], None]) -> None:
@@ -447,21 +458,40 @@ def collected(room: Room, work: Callable[[pytest.Session], None]) -> None:
         raise SystemExit(f"the tests of this room cannot be collected: {status!r}")
 
 
-def watched(session: pytest.Session, copy: Path, room: Room, notes: Path, longest_s: float) -> Watch:
+def watched(
+    session: pytest.Session, copy: Path, room: Room, notes: Path, options: argparse.Namespace
+) -> Watch:
     """What the tests of a room cost and run on the code as it is; they must pass. Once a session."""
     paths = (path for folder in room.folders for path in (copy / SOURCE / folder).rglob("*.py"))
-    watch = Watch({str(path): str(path.relative_to(copy)) for path in paths}, longest_s)
-    output = copy.parent / "output.txt"
+    watch = Watch({str(path): str(path.relative_to(copy)) for path in paths}, options.longest)
+    files = list(dict.fromkeys(_file_of(item.nodeid) for item in session.items))
 
-    def work() -> int:
+    def work(share: int) -> int:
         session.config.pluginmanager.register(watch)
-        status = fails(session, session.items)
-        notes.write_bytes(pickle.dumps((dict(watch.cost_s), dict(watch.lines))))
+        mine = [
+            item for item in session.items if files.index(_file_of(item.nodeid)) % options.jobs == share
+        ]
+        status = fails(session, mine)
+        part(share).write_bytes(pickle.dumps((dict(watch.cost_s), dict(watch.lines))))
         return status
 
-    if not notes.exists() and in_a_child(work, 3600, output) != 0:
-        notes.unlink(missing_ok=True)
-        raise SystemExit(f"the tests fail without any mutant:\n{output.read_text()[-3000:]}")
+    def part(share: int) -> Path:
+        return copy.parent / f"notes{share}"
+
+    if not notes.exists():
+        children = [
+            Child(lambda share=share: work(share), 3600, copy.parent / f"output{share}.txt")
+            for share in range(options.jobs)
+        ]
+        for child in children:
+            if child.status() != 0:
+                raise SystemExit(f"the tests fail without any mutant:\n{child.text()[-3000:]}")
+        costs, lines = {}, {}
+        for share in range(options.jobs):
+            more_costs, more_lines = pickle.loads(part(share).read_bytes())
+            costs.update(more_costs)
+            lines.update(more_lines)
+        notes.write_bytes(pickle.dumps((costs, lines)))
     costs, lines = pickle.loads(notes.read_bytes())
     watch.cost_s.update(costs)
     watch.lines.update(lines)
@@ -511,52 +541,73 @@ def exchange(path: Path, before: str, after: str, line: int) -> None:
         function.__code__ = code
 
 
-def tested(
-    session: pytest.Session, copy: Path, watch: Watch, longest_s: float, mutant: MutationSpec
-) -> WorkResult:
-    """Run the tests that run a mutant's lines on the mutant."""
-    from cosmic_ray.mutating import mutate_code
-    from cosmic_ray.plugins import get_operator
-    from cosmic_ray.work_item import TestOutcome, WorkerOutcome, WorkResult
+class Trial:
+    """A mutant under the tests that run its lines.
 
-    path, output = copy / mutant.module_path, copy.parent / "output.txt"
-    before = path.read_text("utf-8")
-    after = mutate_code(before, get_operator(mutant.operator_name)(), mutant.occurrence)
-    tree = ast.parse(before)
-    imported = at_import(tree, mutant.start_pos[0])
-    first, last = statement_at(tree, mutant.start_pos[0], mutant.end_pos[0])
-    lines = {(str(mutant.module_path), line) for line in range(first, last + 1)}
-    tests = chosen(watch, lines, imported, longest_s)
-    limit_s = 20 + 3 * sum(watch.cost_s.values())
-    items = {item.nodeid: item for item in session.items}
+    What stands in a function's body takes the place of the function's code in a forked process, and any
+    number of such trials may run at a time. What runs at import is imported by another interpreter from the
+    changed file: such a trial is alone.
+    """
 
-    def work() -> int:
+    def __init__(
+        self, session: pytest.Session, copy: Path, watch: Watch, longest_s: float, mutant: MutationSpec
+    ) -> None:
+        from cosmic_ray.mutating import mutate_code
+        from cosmic_ray.plugins import get_operator
+
+        self.path = copy / mutant.module_path
+        self.line = mutant.start_pos[0]
+        self.before = self.path.read_text("utf-8")
+        after = mutate_code(self.before, get_operator(mutant.operator_name)(), mutant.occurrence)
+        assert after is not None
+        self.after = after
+        tree = ast.parse(self.before)
+        self.alone = at_import(tree, self.line)
+        first, last = statement_at(tree, self.line, mutant.end_pos[0])
+        lines = {(str(mutant.module_path), line) for line in range(first, last + 1)}
+        self.tests = chosen(watch, lines, self.alone, longest_s)
+        self.limit_s = 20 + 3 * sum(watch.cost_s.values())
+        self.items = {item.nodeid: item for item in session.items}
+        self.session = session
+        self.child: Child | None = None
+
+    def start(self, output: Path) -> None:
+        """Begin; `result` waits for the end."""
+        self.began = time.monotonic()
+        if not self.tests:
+            return
+        if self.alone:
+            self.path.write_text(self.after, "utf-8")
+        self.child = Child(self._work, self.limit_s, output)
+
+    def _work(self) -> int:
+        if self.alone:
+            os.execv(sys.executable, [sys.executable, "-B", "-m", "pytest", "-x", *ARGUMENTS, *self.tests])
         try:
-            exchange(path, before, after, mutant.start_pos[0])
+            exchange(self.path, self.before, self.after, self.line)
         except (RuntimeError, ValueError):
             return NOT_EXCHANGED
-        return fails(session, [items[test] for test in tests])
+        return fails(self.session, [self.items[test] for test in self.tests])
 
-    status: int | None = 0
-    output.write_text("no test runs the line\n")
-    if tests and not imported:
-        status = in_a_child(work, limit_s, output)
-    if tests and (imported or status == NOT_EXCHANGED):  # by another interpreter, which imports the mutant
-        path.write_text(after, "utf-8")
-        status = in_a_child(lambda: _afresh(tests), limit_s, output)
-        path.write_text(before, "utf-8")
-    diff = "\n".join(difflib.unified_diff(before.splitlines(), after.splitlines(), lineterm="", n=0))
-    return WorkResult(
-        WorkerOutcome.NORMAL,
-        output="timeout" if status is None else output.read_text(errors="replace"),
-        test_outcome=TestOutcome.SURVIVED if status == 0 else TestOutcome.KILLED,
-        diff=diff,
-    )
+    def result(self) -> WorkResult:
+        """What became of it."""
+        from cosmic_ray.work_item import TestOutcome, WorkerOutcome, WorkResult
 
-
-def _afresh(tests: list[str]) -> int:
-    """Have another interpreter take the place of this process and run tests."""
-    os.execv(sys.executable, [sys.executable, "-B", "-m", "pytest", "-x", *ARGUMENTS, *tests])
+        status, text = 0, "no test runs the line\n"
+        if self.child is not None:
+            status = self.child.status()
+            text = "timeout" if status is None else self.child.text()
+            if status == NOT_EXCHANGED:
+                raise SystemExit(f"{self.path}:{self.line}: the function of this line cannot be exchanged")
+        if self.alone:
+            self.path.write_text(self.before, "utf-8")
+        old, new = self.before.splitlines(), self.after.splitlines()
+        return WorkResult(
+            WorkerOutcome.NORMAL,
+            output=text,
+            test_outcome=TestOutcome.SURVIVED if status == 0 else TestOutcome.KILLED,
+            diff="\n".join(difflib.unified_diff(old, new, lineterm="", n=0)),
+        )
 
 
 def run(
@@ -578,20 +629,29 @@ def run(
 
             if not Path(adis_gonio.__file__).is_relative_to(copy):
                 raise SystemExit(f"the tests ran on {adis_gonio.__file__}, not on the copy")
-            watch = watched(tests, copy, room, session.with_suffix(".notes"), options.longest)
             ends = time.monotonic() + 60 * options.minutes
-            for item in pending:
+            watch = watched(tests, copy, room, session.with_suffix(".notes"), options)
+            running: deque[tuple[WorkItem, Trial]] = deque()
+            for number, item in enumerate(pending):
+                trial = Trial(tests, copy, watch, options.longest, item.mutations[0])
+                while running and (trial.alone or running[0][1].alone or len(running) >= options.jobs):
+                    finish(*running.popleft())
                 if time.monotonic() > ends:
                     break
-                began = time.monotonic()
-                result = tested(tests, copy, watch, options.longest, item.mutations[0])
-                base.set_result(item.job_id, result)
-                print(
-                    f"{base.num_results}/{base.num_work_items} {where_is(item)} {outcome(result)}"
-                    f" after {time.monotonic() - began:.0f} s",
-                    file=sys.stderr,
-                    flush=True,
-                )
+                trial.start(copy.parent / f"output{number}.txt")
+                running.append((item, trial))
+            while running:
+                finish(*running.popleft())
+
+        def finish(item: WorkItem, trial: Trial) -> None:
+            result = trial.result()
+            base.set_result(item.job_id, result)
+            print(
+                f"{base.num_results}/{base.num_work_items} {where_is(item)} {outcome(result)}"
+                f" after {time.monotonic() - trial.began:.0f} s",
+                file=sys.stderr,
+                flush=True,
+            )
 
         if pending:
             collected(room, work)
@@ -628,6 +688,7 @@ def main() -> None:
     parser.add_argument(
         "--minutes", type=float, default=math.inf, help="of each room; what was done by then is the sample"
     )
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument(
         "--longest",
         type=float,
@@ -637,8 +698,8 @@ def main() -> None:
     )
     parser.add_argument("--session", type=Path, help="database to keep the results in, or to go on with")
     options = parser.parse_args()
-    if options.mutants < 1:
-        parser.error("--mutants has to be at least 1")
+    if options.mutants < 1 or options.jobs < 1:
+        parser.error("--mutants and --jobs have to be at least 1")
     try:
         import cosmic_ray.mutating  # noqa: F401
     except ImportError:
