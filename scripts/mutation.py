@@ -9,6 +9,10 @@ number, a condition turned round, a loop that does not run, …). It is killed i
 exceeds the time-out, and has survived if all pass. Only tests that run the line are asked (all of them
 where it runs at import), the cheapest first. Everything happens in a copy in a temporary folder.
 
+Tests are collected once. For each mutant a forked process gives the function the code that it would have
+and runs them, so that neither imports nor collection are paid again; what runs at import is imported by
+another interpreter. A line of a function that no test of the room runs has survived at once.
+
 The draw takes as many different lines as there are, uniformly, before any line comes twice, and on a
 line a place and one of the place's mutants. Not drawn, since no behaviour hangs on them: annotations,
 type aliases, `__all__`, texts of errors, warnings and log, flags that guard only against the programmer
