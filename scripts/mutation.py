@@ -49,8 +49,8 @@ import threading
 import time
 import traceback
 import uuid
-from collections import defaultdict, deque
-from collections.abc import Callable, Generator, Iterator
+from collections import defaultdict
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import CodeType, FrameType, FunctionType
@@ -421,6 +421,8 @@ class Child:
     def __init__(self, work: Callable[[], int], limit_s: float, output: Path) -> None:
         self.output = output
         self.ends = time.monotonic() + 50 * limit_s
+        self._over = False
+        self._status: int | None = None
         self.pid = os.fork()
         if not self.pid:
             os.setsid()
@@ -438,16 +440,24 @@ class Child:
                 sys.stderr.flush()
                 os._exit(status)
 
+    def over(self) -> bool:
+        """Whether it has ended, by itself or because it took too long."""
+        if self._over:
+            return True
+        late = time.monotonic() > self.ends
+        if late:
+            os.killpg(self.pid, signal.SIGKILL)
+        done, status = os.waitpid(self.pid, 0 if late else os.WNOHANG)
+        self._over = bool(done)
+        if done and not os.WIFSIGNALED(status):
+            self._status = os.waitstatus_to_exitcode(status)
+        return self._over
+
     def status(self) -> int | None:
-        """Exit status; None if it took too long."""
-        while time.monotonic() < self.ends:
-            done, status = os.waitpid(self.pid, os.WNOHANG)
-            if done:
-                return None if os.WIFSIGNALED(status) else os.waitstatus_to_exitcode(status)
+        """Exit status, once it has ended; None if it took too long."""
+        while not self.over():
             time.sleep(0.02)
-        os.killpg(self.pid, signal.SIGKILL)
-        os.waitpid(self.pid, 0)
-        return None
+        return self._status
 
     def text(self) -> str:
         """What it printed."""
@@ -635,17 +645,17 @@ def run(
                 raise SystemExit(f"the tests ran on {adis_gonio.__file__}, not on the copy")
             ends = time.monotonic() + 60 * options.minutes
             watch = watched(tests, copy, room, session.with_suffix(".notes"), options)
-            running: deque[tuple[WorkItem, Trial]] = deque()
+            running: list[tuple[WorkItem, Trial]] = []
             for number, item in enumerate(pending):
                 trial = Trial(tests, copy, watch, options.longest, item.mutations[0])
                 while running and (trial.alone or running[0][1].alone or len(running) >= options.jobs):
-                    finish(*running.popleft())
+                    finish(*running.pop(_first_over(running)))
                 if time.monotonic() > ends:
                     break
                 trial.start(copy.parent / f"output{number}.txt")
                 running.append((item, trial))
             while running:
-                finish(*running.popleft())
+                finish(*running.pop(_first_over(running)))
 
         def finish(item: WorkItem, trial: Trial) -> None:
             result = trial.result()
@@ -661,6 +671,15 @@ def run(
             collected(room, work)
         results = dict(base.results)
         return [(item, results[item.job_id]) for item in base.work_items if item.job_id in results]
+
+
+def _first_over(running: Sequence[tuple[WorkItem, Trial]]) -> int:
+    """Place of the first trial to end."""
+    while True:
+        for place, (_, trial) in enumerate(running):
+            if trial.child is None or trial.child.over():
+                return place
+        time.sleep(0.02)
 
 
 def where_is(item: WorkItem) -> str:
