@@ -9,6 +9,10 @@ number, a condition turned round, a loop that does not run, …). It is killed i
 exceeds the time-out, and has survived if all pass. Only tests that run the line are asked (all of them
 where it runs at import), the cheapest first. Everything happens in a copy in a temporary folder.
 
+Tests are collected once. For each mutant a forked process gives the function the code that it would have
+and runs them, so that neither imports nor collection are paid again; what runs at import is imported by
+another interpreter. A line of a function that no test of the room runs has survived at once.
+
 The draw takes as many different lines as there are, uniformly, before any line comes twice, and on a
 line a place and one of the place's mutants. Not drawn, since no behaviour hangs on them: annotations,
 type aliases, `__all__`, texts of errors, warnings and log, flags that guard only against the programmer
@@ -29,7 +33,8 @@ import argparse
 import ast
 import contextlib
 import difflib
-import importlib
+import gc
+import itertools
 import math
 import os
 import pickle
@@ -45,10 +50,10 @@ import time
 import traceback
 import uuid
 from collections import defaultdict
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
+from types import CodeType, FrameType, FunctionType
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -58,7 +63,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = "src/adis_gonio"
-UNNOTICED = {int(pytest.ExitCode.OK), int(pytest.ExitCode.NO_TESTS_COLLECTED)}
+ARGUMENTS = ("-q", "--no-header", "--tb=line", "-p", "no:cacheprovider", "--hypothesis-seed=0", "-n", "0")
 
 
 @dataclass(frozen=True)
@@ -88,24 +93,46 @@ ROOMS = {
     "estimation": Room(
         ("estimation", "fitting"),
         (
-            "tests/estimation/test_clipping.py",
+            "tests/estimation/test_conic.py",
+            "tests/estimation/test_converter.py",
+            "tests/estimation/test_intervals.py",
             "tests/estimation/test_other_measurements.py",
+            "tests/fitting/test_determination.py",
             "tests/fitting/test_flicker.py",
             "tests/fitting/test_readings.py",
             "tests/fitting/test_shared_noise.py",
             "tests/fitting/test_ml_against_full_least_squares.py",
             "tests/fitting/test_methods.py",
-            "--deselect=tests/fitting/test_methods.py::test_covariance_is_the_scatter_of_the_estimates",
+            "tests/fitting/test_scores.py",
+            "tests/fitting/test_uncertainty.py",
+            "tests/fitting/test_unseen_skews.py",
+            "tests/fitting/test_wide_fixture.py",
+            "tests/gyros/test_axes_of_accelerometers.py",
+            "tests/gyros/test_doubtful_gyros.py",
+            "tests/gyros/test_gyro_turns.py",
+            "tests/gyros/test_links.py",
+            "tests/gyros/test_order_of_poses.py",
+            "tests/gyros/test_vertical_of_a_turn.py",
         ),
     ),
     "tracing": Room(
         ("tracing",),
         (
+            "tests/tracing/test_trace_arithmetic.py",
+            "tests/tracing/test_trace_numbers.py",
             "tests/tracing/test_trace_engine.py",
             "tests/tracing/test_trace_gates.py",
+            "tests/tracing/test_trace_openings.py",
+            "tests/tracing/test_trace_proposals.py",
+            "tests/tracing/test_trace_sets.py",
+            "tests/tracing/test_trace_left_out.py",
+            "tests/tracing/test_trace_small_sessions.py",
+            "tests/tracing/test_trace_smooth.py",
         ),
     ),
 }
+
+NOT_EXCHANGED = 98  # exit status of a child
 
 Place = tuple[int, int]  # line from 1, column from 0, in characters
 Line = tuple[str, int]
@@ -265,18 +292,23 @@ def copy_of(root: Path, into: Path) -> Path:
 
 
 class Watch:
-    """Plugin of pytest that notes what each test costs and which lines of some files it runs."""
+    """Plugin of pytest that notes what each test costs and which lines of some files it runs.
 
-    def __init__(self, names: dict[str, str]) -> None:
+    A test that costs more than `longest_s` is skipped from there: it will not be asked.
+    """
+
+    def __init__(self, names: dict[str, str], longest_s: float = math.inf) -> None:
         self.names = names  # of the files as the mutants have them, by their paths
+        self.longest_s = longest_s
         self.cost_s: dict[str, float] = defaultdict(float)
         self.lines: dict[str, set[Line]] = defaultdict(set)
         self._now: set[Line] = set()
+        self._unseen: dict[int, set[int]] = {}  # by id of a function's code
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> Generator[None, None, None]:
         """What a fixture runs may be shared: it counts for every test of the file."""
-        return (yield from self._watch(item, _file_of(item)))
+        return (yield from self._watch(item, _file_of(item.nodeid)))
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item: pytest.Item) -> Generator[None, None, None]:
@@ -285,150 +317,311 @@ class Watch:
 
     def _watch(self, item: pytest.Item, of: str) -> Generator[None, None, None]:
         self._now = self.lines[of]
+        self._unseen = {}
         began = time.process_time()
+        if self.longest_s < math.inf:
+            signal.signal(signal.SIGPROF, lambda *_: pytest.skip("costs too much"))
+            signal.setitimer(signal.ITIMER_PROF, self.longest_s)
         threading.settrace(self._enter)
         sys.settrace(self._enter)
         try:
             return (yield)
         finally:
+            signal.setitimer(signal.ITIMER_PROF, 0)
             sys.settrace(None)
             threading.settrace(None)  # type: ignore[arg-type]
             self.cost_s[item.nodeid] += time.process_time() - began
 
     def _enter(self, frame: FrameType, event: str, argument: object) -> Any:
-        return self._line if frame.f_code.co_filename in self.names else None
-
-    def _line(self, frame: FrameType, event: str, argument: object) -> Any:
-        self._now.add((self.names[frame.f_code.co_filename], frame.f_lineno))
+        if frame.f_code.co_filename not in self.names or not self._missing(frame.f_code):
+            return None
         return self._line
 
+    def _line(self, frame: FrameType, event: str, argument: object) -> Any:
+        if event == "line":
+            self._missing(frame.f_code).discard(frame.f_lineno)
+            self._now.add((self.names[frame.f_code.co_filename], frame.f_lineno))
+        return self._line
 
-def _file_of(item: pytest.Item) -> str:
-    return item.nodeid.partition("::")[0]
-
-
-class Choose:
-    """Plugin of pytest that keeps the tests that run one of some lines, the cheapest first.
-
-    Where no test runs them, as at import, all are kept; never one that costs more than `longest_s`.
-    """
-
-    def __init__(self, watch: Watch, lines: set[Line], longest_s: float) -> None:
-        self.watch = watch
-        self.wanted = lines
-        self.longest_s = longest_s
-
-    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        """Choose and sort."""
-        ran = self.watch.lines
-        everywhere = not any(self.wanted & lines for lines in ran.values())
-        items[:] = [
-            item
-            for item in items
-            if self.watch.cost_s[item.nodeid] <= self.longest_s
-            and (everywhere or self.wanted & ran[item.nodeid] or self.wanted & ran[_file_of(item)])
-        ]
-        items.sort(key=lambda item: self.watch.cost_s[item.nodeid])
+    def _missing(self, code: CodeType) -> set[int]:
+        """Lines of a function that the test has not run: one that it has run wholly need not be watched."""
+        if id(code) not in self._unseen:
+            lines = {line for _, _, line in code.co_lines() if line}
+            self._unseen[id(code)] = lines - {code.co_firstlineno}  # its head is no line event
+        return self._unseen[id(code)]
 
 
-def in_a_child(work: Callable[[], int], limit_s: float, output: Path) -> int | None:
-    """Exit status of some work in a forked process; None if it took more than `limit_s` of processor time.
+def _file_of(test: str) -> str:
+    return test.partition("::")[0]
+
+
+class Session:
+    """Plugin of pytest that collects and then does some work instead of running the tests."""
+
+    def __init__(self, work: Callable[[pytest.Session], None]) -> None:
+        self.work = work
+
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """Work."""
+        self.work(session)
+        return True
+
+
+def fails(session: pytest.Session, items: list[pytest.Item]) -> int:
+    """Run tests until the first fails; 1 if one did."""
+    for item, after in itertools.zip_longest(items, items[1:]):
+        item.ihook.pytest_runtest_protocol(item=item, nextitem=after)
+        if session.testsfailed:
+            return 1
+    return 0
+
+
+def chosen(watch: Watch, lines: set[Line], imported: bool, longest_s: float) -> list[str]:
+    """Tests that run one of some lines, the cheapest first; for what runs at import all."""
+    ran = watch.lines
+    return sorted(
+        (
+            test
+            for test, cost_s in watch.cost_s.items()
+            if cost_s <= longest_s
+            and (imported or lines & ran.get(test, set()) or lines & ran.get(_file_of(test), set()))
+        ),
+        key=lambda test: watch.cost_s[test],
+    )
+
+
+def statement_at(tree: ast.Module, first: int, last: int) -> tuple[int, int]:
+    """Lines of the statement, or of the head of one with a body, that some lines belong to."""
+    spans = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.stmt):
+            body = getattr(node, "body", None)
+            end = max(node.lineno, body[0].lineno - 1) if body else node.end_lineno or last
+            if node.lineno <= first and last <= end:
+                spans.append((node.lineno, end))
+    return max(spans, default=(first, last))
+
+
+def at_import(tree: ast.Module, line: int) -> bool:
+    """Whether a line runs when its module is imported: it is in no function's body."""
+    return not any(
+        isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and node.body[0].lineno <= line <= (node.end_lineno or line)
+        for node in ast.walk(tree)
+    )
+
+
+class Child:
+    """Some work in a forked process, ended if it takes more than `limit_s` of processor time.
 
     Processor time, since on a busy machine the clock would kill mutants that nothing is wrong with. What
     waits forever needs none: it is ended after fifty times that on the clock.
     """
-    child = os.fork()
-    if not child:
-        os.setsid()
-        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(limit_s), math.ceil(limit_s) + 1))
-        with output.open("w") as file:
-            os.dup2(file.fileno(), 1)
-            os.dup2(file.fileno(), 2)
-        status = 99
-        try:
-            status = work()
-        except Exception:
-            traceback.print_exc()
-        finally:
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(status)
-    ends = time.monotonic() + 50 * limit_s
-    while time.monotonic() < ends:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            return None if os.WIFSIGNALED(status) else os.waitstatus_to_exitcode(status)
-        time.sleep(0.02)
-    os.killpg(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return None
+
+    def __init__(self, work: Callable[[], int], limit_s: float, output: Path) -> None:
+        self.output = output
+        self.ends = time.monotonic() + 50 * limit_s
+        self._over = False
+        self._status: int | None = None
+        self.pid = os.fork()
+        if not self.pid:
+            os.setsid()
+            resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(limit_s), math.ceil(limit_s) + 1))
+            with output.open("w") as file:
+                os.dup2(file.fileno(), 1)
+                os.dup2(file.fileno(), 2)
+            status = 99
+            try:
+                status = work()
+            except Exception:
+                traceback.print_exc()
+            finally:
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(status)
+
+    def over(self) -> bool:
+        """Whether it has ended, by itself or because it took too long."""
+        if self._over:
+            return True
+        late = time.monotonic() > self.ends
+        if late:
+            os.killpg(self.pid, signal.SIGKILL)
+        done, status = os.waitpid(self.pid, 0 if late else os.WNOHANG)
+        self._over = bool(done)
+        if done and not os.WIFSIGNALED(status):
+            self._status = os.waitstatus_to_exitcode(status)
+        return self._over
+
+    def status(self) -> int | None:
+        """Exit status, once it has ended; None if it took too long."""
+        while not self.over():
+            time.sleep(0.02)
+        return self._status
+
+    def text(self) -> str:
+        """What it printed."""
+        return self.output.read_text(errors="replace")
 
 
-def pytest_in(room: Room, plugin: object) -> int:
-    """Run the tests of a room in this process; hypothesis draws the same examples every time."""
-    arguments = ["-xq", "--no-header", "--tb=line", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
-    loaded = [
-        "-W",
-        "ignore::pytest.PytestAssertRewriteWarning",
-    ]  # libraries are imported before pytest begins
-    return int(pytest.main([*arguments, *loaded, *room.tests], plugins=[plugin]))
+def collected(room: Room, work: Callable[[pytest.Session], None]) -> None:
+    """Have pytest collect a room's tests and do some work; hypothesis draws the same examples each time."""
+    with contextlib.redirect_stdout(sys.stderr):
+        status = pytest.main([*ARGUMENTS, "-s", *room.tests], plugins=[Session(work)])
+    if status not in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED):
+        raise SystemExit(f"the tests of this room cannot be collected: {status!r}")
 
 
-def watched(copy: Path, room: Room, notes: Path) -> Watch:
+def watched(
+    session: pytest.Session, copy: Path, room: Room, notes: Path, options: argparse.Namespace
+) -> Watch:
     """What the tests of a room cost and run on the code as it is; they must pass. Once a session."""
     paths = (path for folder in room.folders for path in (copy / SOURCE / folder).rglob("*.py"))
-    names = {str(path): str(path.relative_to(copy)) for path in paths}
-    output = copy.parent / "output.txt"
+    watch = Watch({str(path): str(path.relative_to(copy)) for path in paths}, options.longest)
+    files = list(dict.fromkeys(_file_of(item.nodeid) for item in session.items))
 
-    def work() -> int:
-        sys.dont_write_bytecode = False  # of the code as it is: a mutant's file is younger than this
-        watch = Watch(names)
-        status = pytest_in(room, watch)
-        import adis_gonio
-
-        if not Path(adis_gonio.__file__).is_relative_to(copy):
-            print(f"the tests ran on {adis_gonio.__file__}, not on the copy")
-            return 1
-        libraries = [name for name, module in sys.modules.items() if _outside(module, copy)]
-        notes.write_bytes(pickle.dumps((dict(watch.cost_s), dict(watch.lines), libraries)))
+    def work(share: int) -> int:
+        session.config.pluginmanager.register(watch)
+        mine = [
+            item for item in session.items if files.index(_file_of(item.nodeid)) % options.jobs == share
+        ]
+        status = fails(session, mine)
+        part(share).write_bytes(pickle.dumps((dict(watch.cost_s), dict(watch.lines))))
         return status
 
-    if not notes.exists() and in_a_child(work, 3600, output) != 0:
-        raise SystemExit(f"the tests fail without any mutant:\n{output.read_text()[-3000:]}")
-    watch = Watch(names)
-    costs, lines, libraries = pickle.loads(notes.read_bytes())
+    def part(share: int) -> Path:
+        return copy.parent / f"notes{share}"
+
+    if not notes.exists():
+        children = [
+            Child(lambda share=share: work(share), 3600, copy.parent / f"output{share}.txt")
+            for share in range(options.jobs)
+        ]
+        for child in children:
+            if child.status() != 0:
+                raise SystemExit(f"the tests fail without any mutant:\n{child.text()[-3000:]}")
+        costs, lines = {}, {}
+        for share in range(options.jobs):
+            more_costs, more_lines = pickle.loads(part(share).read_bytes())
+            costs.update(more_costs)
+            lines.update(more_lines)
+        notes.write_bytes(pickle.dumps((costs, lines)))
+    costs, lines = pickle.loads(notes.read_bytes())
     watch.cost_s.update(costs)
     watch.lines.update(lines)
-    for library in libraries:  # once here, and not in the process of every mutant
-        with contextlib.suppress(ImportError):
-            importlib.import_module(library)
     return watch
 
 
-def _outside(module: object, copy: Path) -> bool:
-    """Whether a module is a library's."""
-    file = getattr(module, "__file__", None)
-    return bool(file) and "site-packages" in file and not Path(file).is_relative_to(copy)
+def code_of(tree: ast.Module, code: str, file: str, line: int) -> tuple[int, CodeType]:
+    """First line and code, of some source, of the outermost function that a line belongs to."""
+    outermost = next(
+        node
+        for node in _outermost(tree)
+        if node.body[0].lineno <= line <= (node.end_lineno or line)
+    )  # fmt: skip
+    waiting = [compile(code, file, "exec")]
+    while True:
+        for constant in waiting.pop().co_consts:
+            if isinstance(constant, CodeType):
+                first = min([outermost.lineno, *(d.lineno for d in outermost.decorator_list)])
+                if constant.co_name == outermost.name and constant.co_firstlineno == first:
+                    return first, constant
+                waiting.append(constant)
 
 
-def tested(copy: Path, room: Room, watch: Watch, longest_s: float, mutant: MutationSpec) -> WorkResult:
-    """Run the tests that run a mutant's lines on the mutant."""
-    from cosmic_ray.mutating import use_mutation
-    from cosmic_ray.plugins import get_operator
-    from cosmic_ray.work_item import TestOutcome, WorkerOutcome, WorkResult
+def _outermost(tree: ast.AST) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    """Functions of a module and of its classes, without those inside of functions."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node
+        else:
+            yield from _outermost(node)
 
-    path, output = copy / mutant.module_path, copy.parent / "output.txt"
-    lines = {(str(mutant.module_path), line) for line in range(mutant.start_pos[0], mutant.end_pos[0] + 1)}
-    limit_s = 20 + 3 * sum(watch.cost_s.values())
-    with use_mutation(path, get_operator(mutant.operator_name)(), mutant.occurrence) as (before, after):
-        status = in_a_child(lambda: pytest_in(room, Choose(watch, lines, longest_s)), limit_s, output)
-    diff = "\n".join(difflib.unified_diff(before.splitlines(), after.splitlines(), lineterm="", n=0))
-    return WorkResult(
-        WorkerOutcome.NORMAL,
-        output="timeout" if status is None else output.read_text(errors="replace"),
-        test_outcome=TestOutcome.SURVIVED if status in UNNOTICED else TestOutcome.KILLED,
-        diff=diff,
-    )
+
+def exchange(path: Path, before: str, after: str, line: int) -> None:
+    """Give a function that has been imported the code that it has after a change of a line of its body."""
+    _, code = code_of(ast.parse(after), after, str(path), line)
+    now = [
+        function
+        for function in gc.get_objects()
+        if isinstance(function, FunctionType)
+        and function.__code__.co_filename == str(path)
+        and function.__code__.co_firstlineno == code.co_firstlineno
+        and function.__code__.co_name == code.co_name
+    ]
+    if not now:
+        raise RuntimeError(f"{path}: no function {code.co_name} at line {code.co_firstlineno}")
+    for function in now:
+        function.__code__ = code
+
+
+class Trial:
+    """A mutant under the tests that run its lines.
+
+    What stands in a function's body takes the place of the function's code in a forked process, and any
+    number of such trials may run at a time. What runs at import is imported by another interpreter from the
+    changed file: such a trial is alone.
+    """
+
+    def __init__(
+        self, session: pytest.Session, copy: Path, watch: Watch, longest_s: float, mutant: MutationSpec
+    ) -> None:
+        from cosmic_ray.mutating import mutate_code
+        from cosmic_ray.plugins import get_operator
+
+        self.path = copy / mutant.module_path
+        self.line = mutant.start_pos[0]
+        self.before = self.path.read_text("utf-8")
+        after = mutate_code(self.before, get_operator(mutant.operator_name)(), mutant.occurrence)
+        assert after is not None
+        self.after = after
+        tree = ast.parse(self.before)
+        self.alone = at_import(tree, self.line)
+        first, last = statement_at(tree, self.line, mutant.end_pos[0])
+        lines = {(str(mutant.module_path), line) for line in range(first, last + 1)}
+        self.tests = chosen(watch, lines, self.alone, longest_s)
+        self.limit_s = 20 + 3 * sum(watch.cost_s.values())
+        self.items = {item.nodeid: item for item in session.items}
+        self.session = session
+        self.child: Child | None = None
+
+    def start(self, output: Path) -> None:
+        """Begin; `result` waits for the end."""
+        self.began = time.monotonic()
+        if not self.tests:
+            return
+        if self.alone:
+            self.path.write_text(self.after, "utf-8")
+        self.child = Child(self._work, self.limit_s, output)
+
+    def _work(self) -> int:
+        if self.alone:
+            os.execv(sys.executable, [sys.executable, "-B", "-m", "pytest", "-x", *ARGUMENTS, *self.tests])
+        try:
+            exchange(self.path, self.before, self.after, self.line)
+        except (RuntimeError, ValueError):
+            return NOT_EXCHANGED
+        return fails(self.session, [self.items[test] for test in self.tests])
+
+    def result(self) -> WorkResult:
+        """What became of it."""
+        from cosmic_ray.work_item import TestOutcome, WorkerOutcome, WorkResult
+
+        status, text = 0, "no test runs the line\n"
+        if self.child is not None:
+            status = self.child.status()
+            text = "timeout" if status is None else self.child.text()
+            if status == NOT_EXCHANGED:
+                raise SystemExit(f"{self.path}:{self.line}: the function of this line cannot be exchanged")
+        if self.alone:
+            self.path.write_text(self.before, "utf-8")
+        old, new = self.before.splitlines(), self.after.splitlines()
+        return WorkResult(
+            WorkerOutcome.NORMAL,
+            output=text,
+            test_outcome=TestOutcome.SURVIVED if status == 0 else TestOutcome.KILLED,
+            diff="\n".join(difflib.unified_diff(old, new, lineterm="", n=0)),
+        )
 
 
 def run(
@@ -444,23 +637,49 @@ def run(
             drawn = draw(copy, room, options.mutants, random.Random(f"{options.seed} {name}"))
             base.add_work_items(WorkItem.single(uuid.uuid4().hex, mutant) for mutant in drawn)
         pending = list(base.pending_work_items)
-        watch = watched(copy, room, session.with_suffix(".notes")) if pending else None
-        ends = time.monotonic() + 60 * options.minutes
-        for item in pending:
-            if time.monotonic() > ends:
-                break
-            assert watch is not None
-            began = time.monotonic()
-            result = tested(copy, room, watch, options.longest, item.mutations[0])
+
+        def work(tests: pytest.Session) -> None:
+            import adis_gonio
+
+            if not Path(adis_gonio.__file__).is_relative_to(copy):
+                raise SystemExit(f"the tests ran on {adis_gonio.__file__}, not on the copy")
+            ends = time.monotonic() + 60 * options.minutes
+            watch = watched(tests, copy, room, session.with_suffix(".notes"), options)
+            running: list[tuple[WorkItem, Trial]] = []
+            for number, item in enumerate(pending):
+                trial = Trial(tests, copy, watch, options.longest, item.mutations[0])
+                while running and (trial.alone or running[0][1].alone or len(running) >= options.jobs):
+                    finish(*running.pop(_first_over(running)))
+                if time.monotonic() > ends:
+                    break
+                trial.start(copy.parent / f"output{number}.txt")
+                running.append((item, trial))
+            while running:
+                finish(*running.pop(_first_over(running)))
+
+        def finish(item: WorkItem, trial: Trial) -> None:
+            result = trial.result()
             base.set_result(item.job_id, result)
             print(
                 f"{base.num_results}/{base.num_work_items} {where_is(item)} {outcome(result)}"
-                f" after {time.monotonic() - began:.0f} s",
+                f" after {time.monotonic() - trial.began:.0f} s",
                 file=sys.stderr,
                 flush=True,
             )
+
+        if pending:
+            collected(room, work)
         results = dict(base.results)
         return [(item, results[item.job_id]) for item in base.work_items if item.job_id in results]
+
+
+def _first_over(running: Sequence[tuple[WorkItem, Trial]]) -> int:
+    """Place of the first trial to end."""
+    while True:
+        for place, (_, trial) in enumerate(running):
+            if trial.child is None or trial.child.over():
+                return place
+        time.sleep(0.02)
 
 
 def where_is(item: WorkItem) -> str:
@@ -492,6 +711,7 @@ def main() -> None:
     parser.add_argument(
         "--minutes", type=float, default=math.inf, help="of each room; what was done by then is the sample"
     )
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument(
         "--longest",
         type=float,
@@ -501,8 +721,8 @@ def main() -> None:
     )
     parser.add_argument("--session", type=Path, help="database to keep the results in, or to go on with")
     options = parser.parse_args()
-    if options.mutants < 1:
-        parser.error("--mutants has to be at least 1")
+    if options.mutants < 1 or options.jobs < 1:
+        parser.error("--mutants and --jobs have to be at least 1")
     try:
         import cosmic_ray.mutating  # noqa: F401
     except ImportError:

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -218,6 +219,34 @@ def test_loads_stand_from_the_first_to_the_last_sample_of_each_dwell():
     assert reduced(back).conditions.load_history is None, "times that run back tell no history"
 
 
+def test_times_of_dwells_that_overlap_tell_no_history():
+    rows = [[998.0, 0.0], [1002.0, 2.0]]
+    first = Dwell(0, np.array([0.0, 1.0]), np.array(rows))
+    later = Dwell(1, np.array([1.5, 2.5]), np.array(rows[::-1]))
+    assert reduced(session(first, later)).conditions.load_history is not None
+    within = replace(later, time_s=np.array([0.5, 1.5]))
+    assert reduced(session(first, within)).conditions.load_history is None
+
+
+def test_what_was_not_measured_or_has_no_unit_is_no_condition():
+    rng = np.random.default_rng(3)
+    rows = [rng.normal((100.0 * k, 900.0), 2.0 + k, (300, 2)) for k in range(6)]
+    many = reduced(session(*(dwell(own, k) for k, own in enumerate(rows)))).conditions
+    spread = [[np.sum((axis - np.sum(axis) / 300) ** 2) / 300 for axis in own.T] for own in rows]
+    np.testing.assert_allclose(many.variance_mg2, spread)
+    assert many.approach is many.temperature_c is many.supply_v is many.angle_rad is None
+    single = session(*(dwell(own[:1], k) for k, own in enumerate(rows)), reading_u_mg=0.1)
+    assert reduced(single).conditions.variance_mg2 is None, "one sample has no variance"
+    angles = np.radians(60.0 * np.arange(6))
+    turn = 500 * np.stack([np.cos(angles), np.sin(angles)], axis=1) + 2000
+    counts = [dwell(rng.normal(own, 2.0, (300, 2)), k) for k, own in enumerate(turn)]
+    assert reduced(session(*counts, accel_unit="counts")).conditions.variance_mg2 is None, "in no unit"
+    told = [dwell(own, k, approach=(-1) ** k) for k, own in enumerate(rows)]
+    assert reduced(session(*told)).conditions.approach.tolist() == [1, -1, 1, -1, 1, -1]
+    some = [*told[:5], dwell(rows[5], 5, temperature_c=np.full(300, 21.0))]
+    assert reduced(session(*some)).conditions.temperature_c is None, "recorded in one dwell only"
+
+
 def test_check_dwells_are_left_out():
     readings = reduced(session(dwell([[1.0, 2.0]], 0), dwell([[5.0, 6.0]], 1, use="check"), reading_u_mg=1))
     assert readings.training.position.tolist() == [0]
@@ -257,6 +286,11 @@ class TestDeadData:
         rows[:, 1] = rows[0, 1]
         assert "stuck data in position 7" in self.refused(dwell(self.words(), 6), dwell(rows, 7))
         assert "stuck" in self.refused(dwell(self.words(), 6), dwell(rows, 7), accel_unit="mg")
+
+    def test_one_dwell_that_stands_at_the_largest_word_of_an_axis_is_stuck_and_at_no_limit(self):
+        rows = self.words()
+        rows[:, 1] = 400.0  # a reading of 1.0 g, as gravity allows
+        assert "stuck data in position 7" in self.refused(dwell(self.words(), 6), dwell(rows, 7))
 
     def test_the_second_half_of_a_dwell_can_be_stuck(self):
         rows = self.words()

@@ -106,6 +106,14 @@ def test_the_budget_adds_up_to_u_and_its_shares_to_one(method, samples):
     np.testing.assert_allclose(matrix, [e.u for e in result.parameters], rtol=1e-9)
 
 
+def test_what_was_stated_is_of_type_b_and_normal_and_what_was_measured_of_type_a_and_students():
+    for samples, noise, known in ((1, 0.1, ("B", "normal")), (20, 1.0, ("A", "Student"))):
+        rows = {row.source: row for row in fit(turn(NINE, samples, noise=noise), "ml").budget["delta_phi"]}
+        assert (rows["repeatability"].kind, rows["repeatability"].distribution) == known
+        assert (rows["fixture"].kind, rows["fixture"].distribution) == ("B", "normal")
+        assert rows["repeatability"].as_dict()["type"] == known[0]
+
+
 def test_student_is_in_k_and_not_in_u():
     few = fit(turn((0, 90), samples=2, noise=1.0, sigma=0.0, bias=(0.0, 0.0)), "two-position")["delta_k"]
     many = fit(turn((0, 90), samples=2000, noise=1.0, sigma=0.0, bias=(0.0, 0.0)), "two-position")[
@@ -178,6 +186,9 @@ def test_monte_carlo_agrees_with_the_linear_uncertainty(method):
     for p in run.parameters:
         assert p.u == pytest.approx(p.linear.u, rel=0.01 + 3 * p.doubt), p.name
         assert (p.high - p.low) / 2 == pytest.approx(p.linear.U, rel=0.07), p.name
+        # The standard deviation of n normal values is known to 1/√(2 n) of itself.
+        stated = p.as_dict()["u_standard_error"]
+        assert stated == pytest.approx(p.u / math.sqrt(2 * 4000), rel=0.15), p.name
     assert run.failed == 0
 
 
