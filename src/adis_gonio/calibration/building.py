@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from adis_gonio.calibration.calibration import (
-    MG_PER_MPS2,
     Calibration,
     Coefficient,
     EffectTerm,
@@ -20,7 +19,7 @@ from adis_gonio.fitting.result import Estimate, FitResult
 from adis_gonio.model.effects import AXES, effect
 from adis_gonio.model.measurement import BaseParameter, FreeAttitude, PlanarTurn
 from adis_gonio.model.provenance import Provenance
-from adis_gonio.model.records import Floats
+from adis_gonio.model.records import MG_PER_MPS2, Floats
 from adis_gonio.tracing.outcome.result import TraceResult
 from adis_gonio.writeback.journal import INTERRUPTED
 

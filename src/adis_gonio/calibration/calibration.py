@@ -20,7 +20,7 @@ from adis_gonio.errors import UsageError
 from adis_gonio.model.effects import AXES, Conditions, Effect
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, wrap_rad
 from adis_gonio.model.provenance import Provenance
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
+from adis_gonio.model.records import MG_PER_MPS2, Floats
 from adis_gonio.showing import html_table, parameter_frame, with_u
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from adis_gonio.calibration.gyros import GyroCalibration
 
-MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
 STEP = 0.01
 """Of the central difference along each axis of the covariance, in standard uncertainties."""
 _PASSES = 60

@@ -29,7 +29,7 @@ from adis_gonio.dwells.finding import (
 )
 from adis_gonio.dwells.samples import Samples
 from adis_gonio.estimation.values import Value
-from adis_gonio.model.records import Floats
+from adis_gonio.model.records import MG_PER_G, Floats
 
 Usable = NDArray[np.bool_]
 
@@ -40,7 +40,6 @@ _LONGEST = 0.5
 """Longest time constant in lengths of a dwell: slower ones are a line."""
 _BENT = 9.0
 """Gain, in units of the noise, from which a course is settling and no line."""
-_MG_PER_G = 1000.0
 _POINTS = 120
 
 
@@ -75,7 +74,7 @@ def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Sampl
 
 def _regressors(samples: Samples) -> Floats:
     """What amplitudes may be proportional to (2, d, axes): one; the change of the own reading in g."""
-    change = np.diff(samples.reading, axis=0, prepend=samples.reading[:1]) / _MG_PER_G
+    change = np.diff(samples.reading, axis=0, prepend=samples.reading[:1]) / MG_PER_G
     return np.stack([np.ones_like(change), change])
 
 

@@ -31,8 +31,8 @@ from adis_gonio.errors import UsageError
 from adis_gonio.estimation.links import LinkRows
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
-from adis_gonio.model.measurement import MG_PER_G, Measurement, PlanarTurn
-from adis_gonio.model.records import Floats
+from adis_gonio.model.measurement import Measurement, PlanarTurn
+from adis_gonio.model.records import MG_PER_G, Floats
 
 NAMELESS_SPREAD = 0.1
 """Prior standard deviation of an amplitude without a name, in `Measurement.full` (100 mg; 100 mrad at the

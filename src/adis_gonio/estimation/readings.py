@@ -45,11 +45,8 @@ from adis_gonio.estimation.screening import limits_in_words, refuse_dead_data
 from adis_gonio.estimation.spectrum import MeanNoise, noise_of_means
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, gains_and_skews
-from adis_gonio.model.records import ACCEL_UNITS, STANDARD_GRAVITY_MPS2, Dwell, Floats, Session
+from adis_gonio.model.records import ACCEL_UNITS, MG_PER_MPS2, Dwell, Floats, Session
 from adis_gonio.sensor.variants import VARIANTS
-
-MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
-
 
 MOST_SHARED = 2000
 """Dwells up to which 1/f noise that they share counts between them: beyond, its covariance is too large to
@@ -205,13 +202,13 @@ class Readings:
     def noise_dof(self) -> float:
         """Degrees of freedom of the noise of all readings together.
 
-        Dwells that share one noise have its degrees of freedom each, more than there are dwells; those that
-        have noise of their own have few each, which add up.
+        Dwells that share one noise (`pooled`) have its degrees of freedom each; those of dwells that have
+        noise of their own add up.
         """
         finite = self.dof[np.isfinite(self.dof)]
         if not finite.size:
             return math.inf
-        return float(finite.max()) if finite.max() > len(finite) else float(finite.sum())
+        return float(finite.max() if self.pooled else finite.sum())
 
     @cached_property
     def fixture(self) -> Floats:

@@ -16,8 +16,7 @@ from typing import Literal
 import numpy as np
 
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters
-from adis_gonio.model.measurement import MG_PER_G
-from adis_gonio.model.records import Floats
+from adis_gonio.model.records import MG_PER_G, Floats
 
 Where = Literal["bias", "gain", "misalignment", "angle"]
 Local = Literal["", "step", "bump"]

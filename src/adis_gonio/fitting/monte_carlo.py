@@ -211,9 +211,9 @@ def _students(rng: np.random.Generator, dof: Floats, estimate: Any) -> Floats:
 
 def _propagated(made: Origin, linear: Estimate, values: Floats, k: int) -> Propagated:
     n = len(values)
+    if linear.unit == "deg":  # a mean of angles on both sides of ±180° is none
+        values = linear.value + (values - linear.value + 180) % 360 - 180
     centred = values - values.mean()
-    if linear.unit == "deg":
-        centred = (centred + 180) % 360 - 180
     u = float(np.sqrt((centred**2).sum() / (n - 1)))
     kurtosis = float((centred**4).mean() / max((centred**2).mean() ** 2, 1e-300))
     doubt = math.sqrt(max(kurtosis - 1, 1e-3) / (4 * n))

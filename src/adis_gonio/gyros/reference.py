@@ -31,7 +31,7 @@ MARK_U_DEG = 0.1
 """Standard uncertainty with which a part is set against a mark or a stop (an estimate, D)."""
 NOT_WHOLE = 0.25
 """Turns from the nearest whole number beyond which a turn is not whole; a gain of 2 % in ten is less."""
-LEAST_TURN_DEG = 20.0
+LEAST_REFERENCE_DEG = 20.0
 """Less tells too little about a gain."""
 LEAST_INCLINED = math.sin(math.radians(15))
 """Sine between the axis and gravity from which gravity tells the angle."""
@@ -84,8 +84,8 @@ def on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: float) -> 
     angle = part + 360.0 * turns
     if abs(seen - angle) > max(10.0, 0.1 * abs(angle)):
         return f"the gyro turned {seen:.1f}° where gravity says {angle:.1f}°: not about the stage's axis"
-    if abs(angle) < LEAST_TURN_DEG:
-        return f"a turn of {angle:.1f}° is too short; {LEAST_TURN_DEG:g}° or more tell a gain"
+    if abs(angle) < LEAST_REFERENCE_DEG:
+        return f"a turn of {angle:.1f}° is too short; {LEAST_REFERENCE_DEG:g}° or more tell a gain"
     return Reference("gravity", np.array([0.0, 0.0, angle]), np.diag([0.0, 0.0, u_deg**2]), turns)
 
 
@@ -98,8 +98,8 @@ def in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -
         Standard uncertainty of each direction of gravity.
     """
     size = float(np.linalg.norm(integral.turned_deg))
-    if size < LEAST_TURN_DEG:
-        return f"a turn of {size:.1f}° is too short; {LEAST_TURN_DEG:g}° or more tell a gain"
+    if size < LEAST_REFERENCE_DEG:
+        return f"a turn of {size:.1f}° is too short; {LEAST_REFERENCE_DEG:g}° or more tell a gain"
     travelled = float(np.linalg.norm(integral.mean_abs_dps)) * integral.length_s
     if size < STRAIGHT * travelled:
         return "it was not turned about one axis; turn about one axis at a time"

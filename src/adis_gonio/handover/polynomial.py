@@ -22,8 +22,8 @@ from adis_gonio.calibration.calibration import Calibration, EffectTerm
 from adis_gonio.errors import FitError
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
-from adis_gonio.model.effects.families import MG_PER_G, CrossEffect
-from adis_gonio.model.records import Floats
+from adis_gonio.model.effects.families import CrossEffect
+from adis_gonio.model.records import MG_PER_G, Floats
 from adis_gonio.sensor.registers import Kind
 from adis_gonio.sensor.variants import VARIANTS
 

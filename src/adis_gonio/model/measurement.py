@@ -32,12 +32,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.errors import UsageError
-from adis_gonio.model.records import Floats
+from adis_gonio.model.records import MG_PER_G, Floats
 
 if TYPE_CHECKING:
     from adis_gonio.model.effects.base import Conditions
 
-MG_PER_G = 1000.0
 SKEW_AXES: tuple[tuple[int, int], ...] = ((0, 1), (0, 2), (1, 2))
 """Axes that skew_xy, skew_xz and skew_yz lie between."""
 

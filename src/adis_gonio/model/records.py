@@ -34,6 +34,8 @@ ACCEL_UNITS: tuple[AccelUnit, ...] = get_args(AccelUnit)
 GYRO_UNITS: tuple[GyroUnit, ...] = get_args(GyroUnit)
 
 STANDARD_GRAVITY_MPS2 = 9.80665
+MG_PER_G = 1000.0
+MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
 
 METADATA = ("operator", "serial", "stage")
 """Fields of a session that hold what the operator wrote down besides its title."""

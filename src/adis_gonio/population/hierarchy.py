@@ -32,7 +32,7 @@ GROUPINGS = ("stage", "operator", "serial", "sensor")
 """What sessions can share."""
 MOST_PARTS = 4
 """Most causes of one population."""
-SET_LEVEL = 0.99
+POPULATION_SET_LEVEL = 0.99
 """Probability that a set of names holds the right one."""
 FOREMOST = 0.02
 """Share of the sessions, at least one, without which a common cause still has to be likely."""
@@ -176,7 +176,7 @@ def _common(population: Population, others: Sequence[ChosenCause], step: Selecti
     for one, probability in ranked:
         names.append(one)
         sum_ += probability
-        if sum_ >= SET_LEVEL:
+        if sum_ >= POPULATION_SET_LEVEL:
             break
     share, low, high = share_of(population, others, part)
     mean, spread = means_of(population, others, part)

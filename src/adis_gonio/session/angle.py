@@ -21,6 +21,7 @@ from adis_gonio.sensor.bartlett import white_gain
 from adis_gonio.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT
 from adis_gonio.sensor.settings import Configuration
 from adis_gonio.session.blocks import Block, session_columns
+from adis_gonio.session.expectation import wrapped_deg
 from adis_gonio.session.settings import Settings
 from adis_gonio.session.smoothed import Smoothed, SmoothedMeter, sensing_of
 from adis_gonio.session.source import ChipSource, Measuring, SampleStream, open_source
@@ -86,11 +87,6 @@ def raw_angle_deg(accel_mg: Floats) -> Floats:
     From U_x = G cos(−θ), U_y = G sin(−θ): the convention of `model.measurement` with α = 0.
     """
     return np.asarray(np.degrees(np.arctan2(-accel_mg[..., 1], accel_mg[..., 0])))
-
-
-def wrapped_deg(angle_deg: float) -> float:
-    """The same direction within −180° (inclusive) and 180°."""
-    return (angle_deg + 180.0) % 360.0 - 180.0
 
 
 class AngleMeter:

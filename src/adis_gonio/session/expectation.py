@@ -152,7 +152,7 @@ def turned_deg(before_mg: Floats, now_mg: Floats, sense: int = 1) -> float:
 
 
 def wrapped_deg(angle_deg: float) -> float:
-    """The same angle within ±180°."""
+    """The same direction within −180° (inclusive) and 180°."""
     return (angle_deg + 180.0) % 360.0 - 180.0
 
 

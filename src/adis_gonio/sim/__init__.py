@@ -1,6 +1,7 @@
 """The simulated sensor: a chip at frame level (`chip`), the world around it (`world`), the bus (`bus`)."""
 
-from adis_gonio.sim.bus import SAFE_TIMING, SimBus, SimStage, open_from_url
+from adis_gonio.bus.host import SAFE_TIMING
+from adis_gonio.sim.bus import SimBus, SimStage, open_from_url
 from adis_gonio.sim.chip import SimulatedChip, State
 from adis_gonio.sim.inputs import Inputs, Surroundings
 from adis_gonio.sim.settings import WorldSettings

@@ -29,6 +29,7 @@ from adis_gonio.bus.contract import (
     SpiTiming,
     Words,
 )
+from adis_gonio.bus.host import SAFE_TIMING
 from adis_gonio.bus.opening import BusUrl, Device
 from adis_gonio.errors import BusClosedError, BusTimeoutError, CapabilityError, UsageError
 from adis_gonio.model.effects.base import Effect
@@ -42,9 +43,6 @@ from adis_gonio.sim.inputs import Floats
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Stage
 from adis_gonio.sim.world import Values, World
-
-SAFE_TIMING = SpiTiming(clock_hz=250e3, stall_us=75.0, period_us=160.0)
-"""Slow enough for both of the chip's modes."""
 
 _POWERED_BEFORE_S = 0.5
 _TRIGGER_S = 2e-6

@@ -15,6 +15,7 @@ from adis_gonio.estimation.spectrum import noise_of_means
 from adis_gonio.estimation.terms import NamedTerm, Term
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, Parameter
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats, Session
+from adis_gonio.sensor.bartlett import bartlett
 from adis_gonio.sensor.settings import sample_period_s, smpl_prd_for
 from adis_gonio.sensor.variants import VARIANTS
 from adis_gonio.sim.noise import Flicker, White
@@ -40,12 +41,6 @@ class SamplesNoise:
     filter_m: int
     white_mg: Floats
     floor_mg: Floats
-
-
-def bartlett(filter_m: int) -> Floats:
-    """Weights of the chip's filter: two boxcars of 2^M taps, one after the other."""
-    taps = 2**filter_m
-    return np.convolve(np.full(taps, 1 / taps), np.full(taps, 1 / taps))
 
 
 def noise_of(session: Session, unit: Unit) -> SamplesNoise:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 SIGMAS = 4.0
 """Limit of a difference in standard uncertainties: a sound part is accused once in 16 000 comparisons."""
-UNSTATED_FIXTURE_DEG = 0.05
+SET_ANEW_U_DEG = 0.05
 """Standard uncertainty of an angle that is set anew where the session states none: a few positions of a
 session cannot estimate it, and a vernier is read no better."""
 LEAST_SHARE = 0.5
@@ -202,7 +202,7 @@ class _Biased:
     def fixture_u(self, angle_rad: float) -> Floats:
         """What the uncertainty of the declared angle makes of a reading (2,)."""
         unstated = self.session.fixture_sigma_deg is None
-        more = UNSTATED_FIXTURE_DEG if unstated else 0.0
+        more = SET_ANEW_U_DEG if unstated else 0.0
         sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
         tangent = self.model.tangent(self.base(self.values), np.zeros(1), np.array([-angle_rad]))
         return np.asarray(sigma * np.abs(tangent[0, :, 0]))

@@ -17,8 +17,6 @@ import numpy as np
 from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters, Parameter
 from adis_gonio.model.records import Floats
 
-MG_PER_G = 1000.0
-
 
 def by_letters(prototypes: Sequence[Parameter], letters: Sequence[str]) -> tuple[Parameter, ...]:
     """Each prototype once for each of the letters, letters outermost: `k2` becomes `k2_x`, `k2_y`."""

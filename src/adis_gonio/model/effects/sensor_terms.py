@@ -12,8 +12,8 @@ from typing import ClassVar
 import numpy as np
 
 from adis_gonio.model.effects.base import Conditions, Effect, Parameter
-from adis_gonio.model.effects.families import MG_PER_G, CrossEffect, LinearAxisEffect
-from adis_gonio.model.records import Floats
+from adis_gonio.model.effects.families import CrossEffect, LinearAxisEffect
+from adis_gonio.model.records import MG_PER_G, Floats
 
 
 class Bias(LinearAxisEffect):

@@ -17,14 +17,13 @@ import numpy as np
 from adis_gonio.errors import UsageError
 from adis_gonio.model.effects.base import Conditions, Effect, Parameter
 from adis_gonio.model.effects.families import (
-    MG_PER_G,
     AxisEffect,
     LinearAxisEffect,
     StageEffect,
     by_letters,
 )
 from adis_gonio.model.effects.lag import lagged
-from adis_gonio.model.records import Floats
+from adis_gonio.model.records import MG_PER_G, Floats
 
 LEAST_CYCLES = 3
 """Fewest cycles a turn of `stage_periodic`: one and two have names of their own."""
