@@ -77,7 +77,6 @@ def test_two_effects_are_found_by_name(tmp_path) -> None:
     ("seed", "dwell_s", "effects"),
     [
         (7, 10.0, {"quadratic": "k2_x=6", "bias_drift": "drift_x=1.5"}),
-        (9001, 3.0, {"cross_axis": "kip_xy=3", "bias_drift": "drift_y=1.5"}),
         (9017, 3.0, {"hysteresis": "hysteresis_x=1.5", "asymmetry": "asymmetry_y=3"}),
     ],
 )
