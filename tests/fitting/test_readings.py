@@ -362,3 +362,37 @@ def test_an_average_that_is_written_down_twice_shows_no_noise():
     poses = [(0, 0, -1.0), (0, 0, 1.0), (1.0, 0, 0), (-1.0, 0, 0), (0, 1.0, 0), (0, -1.0, 0), (0.6, 0.8, 0)]
     assert not readings_of(few_poses(poses, 2)).known.any()
     assert readings_of(few_poses(poses, 2, reading_u_mg=1.0)).known.all()
+
+
+@pytest.mark.parametrize(("dwells", "samples"), [(24, 2), (9, 2), (24, 3)])
+def test_noise_that_short_dwells_share_has_the_degrees_of_freedom_of_them_all_once(dwells, samples):
+    rng = np.random.default_rng(1)
+    turn = [np.radians(20 - k * 360 / dwells) for k in range(dwells)]
+    made = tuple(
+        Dwell(
+            k,
+            10.0 * k + np.arange(float(samples)),
+            1000 * np.array([np.cos(a), np.sin(a)]) + rng.normal(0, 1, (samples, 2)),
+            float(20 - np.degrees(a)),
+        )
+        for k, a in enumerate(turn)
+    )
+    data = readings_of(Session(made, accel_unit="mg", sensor="generic", fixture_sigma_deg=0.01))
+    assert data.pooled
+    assert data.noise_dof == dwells * (samples - 1)
+
+
+def test_dwells_with_noise_of_their_own_add_up_their_degrees_of_freedom():
+    rng = np.random.default_rng(2)
+    made = tuple(
+        Dwell(
+            k,
+            10.0 * k + np.arange(400.0) / 100,
+            1000 * np.array([np.cos(a), np.sin(a)]) + rng.normal(0, (1, 6)[k % 2], (400, 2)),
+            float(-np.degrees(a)),
+        )
+        for k, a in enumerate(-np.radians([0, 90, 180, 270]))
+    )
+    data = readings_of(Session(made, accel_unit="mg", sensor="generic", fixture_sigma_deg=0.01))
+    assert not data.pooled
+    assert data.noise_dof == 4 * 399

@@ -19,10 +19,12 @@ G = 1000.0
 FOUR, NINE = (0, 90, 180, 270), tuple(range(0, 360, 40))
 
 
-def turn(angles, samples=1, noise=0.1, sigma=0.02, stated=0.1, seed=1, bias=(5.0, -3.0), **more):
-    """A turn of a part with ΔK = 0.02, Δφ = 0.3° and α = 20°."""
+def turn(
+    angles, samples=1, noise=0.1, sigma=0.02, stated=0.1, seed=1, bias=(5.0, -3.0), start=20.0, **more
+):
+    """A turn of a part with ΔK = 0.02, Δφ = 0.3° and α = `start`."""
     rng = np.random.default_rng(seed)
-    psi = np.radians(20.0 - np.asarray(angles, float) + sigma * rng.standard_normal(len(angles)))
+    psi = np.radians(start - np.asarray(angles, float) + sigma * rng.standard_normal(len(angles)))
     level = G * np.stack([1.02 * np.cos(psi), np.sin(psi + math.radians(0.3))], axis=1) + bias
     dwells = tuple(
         Dwell(
@@ -200,3 +202,10 @@ def test_monte_carlo_says_few_degrees_of_freedom_from_a_model_that_bends():
     bent = fit(turn((0, 90), stated=300.0, noise=0.0, sigma=0.0, bias=(0.0, 0.0)), "two-position")
     run = monte_carlo(bent, 3000, np.random.default_rng(4))
     assert any("not linear enough" in p.why for p in run.parameters)
+
+
+def test_a_start_angle_beside_180_degrees_scatters_in_a_simulation_as_any_other():
+    # Draws lie at 179.99° and at −179.99°: their plain mean is no angle.
+    u = [monte_carlo(fit(turn(NINE, start=start), "ml"), 200, np.random.default_rng(3))["alpha"].u
+         for start in (20.0, 180.0)]  # fmt: skip
+    assert u[1] == pytest.approx(u[0], rel=0.2)  # 200 draws know it to 5 %
