@@ -86,8 +86,8 @@ def test_trace_names_what_is_there_and_nothing_else(kind: str, pools: Pools) -> 
     elif kind == "two":
         assert pairs_of_families(verdicts) == 26  # of 28: two by supply or by approach are too rare
         assert {name for v in verdicts for name in v.truth} == set(NAMES)
-        # A slip beside an outlier: the slip alone is said.
-        assert missed(v.exact for v in verdicts) <= 1, told(verdicts)
+        # A slip beside an outlier: the slip alone is said; a warm-up beside a gain that drifts: the latter.
+        assert missed(v.exact for v in verdicts) <= 2, told(verdicts)
     else:
         share, most = (0.90, 0.05) if kind == "uncatalogued" else (0.60, 0.15)
         assert at_least(share, (v.covariate for v in verdicts)), told(verdicts)
