@@ -199,6 +199,12 @@ class Readings:
         return bool(self.known.all())
 
     @property
+    def variance_of_mean(self) -> Floats:
+        """Variance (n,) of a reading, the mean over its axes, in unit of readings squared."""
+        mean: Floats = np.trace(self.covariance, axis1=1, axis2=2) / self.axes
+        return mean
+
+    @property
     def noise_dof(self) -> float:
         """Degrees of freedom of the noise of all readings together.
 

@@ -126,7 +126,7 @@ def evidence(
 
 
 def _reading_u(data: Readings) -> float:
-    return float(np.sqrt(np.trace(data.covariance, axis1=1, axis2=2).mean() / data.axes))
+    return float(np.sqrt(data.variance_of_mean.mean()))
 
 
 def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:

@@ -177,8 +177,7 @@ def _fit_under(fit: Fit, data: Readings) -> Fit:
 
 def _measured(data: Readings, kind: Kind) -> float:
     """Uncertainty of a reading, or of what a reading says of its angle with the fixture's (rad)."""
-    variance = np.trace(data.covariance, axis1=1, axis2=2) / data.axes
-    reading = float(np.sqrt(np.median(variance)))
+    reading = float(np.sqrt(np.median(data.variance_of_mean)))
     if kind == "reading_scatter":
         return reading
     return math.hypot(reading / data.model.size, data.fixture_rad)

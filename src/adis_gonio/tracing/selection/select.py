@@ -187,8 +187,7 @@ def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
     off = np.angle(np.exp(1j * (off - np.median(off))))
     typical = MAD_TO_SD * float(np.median(np.abs(off)))
     length = np.linalg.norm(reading, axis=1) / data.gravity_mg
-    reading_u = np.sqrt(np.trace(data.covariance, axis1=1, axis2=2) / data.axes)
-    far = data.gravity_mg * (1 - np.cos(off)) > reading_u
+    far = data.gravity_mg * (1 - np.cos(off)) > np.sqrt(data.variance_of_mean)
     far &= np.abs(off) > limits.gross_spreads * typical
     if (
         not far.any()
