@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -13,9 +14,11 @@ from adis_gonio import load_session, trace
 from adis_gonio.estimation.readings import readings_of
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
+from adis_gonio.tracing.outcome.naming import judge
 from adis_gonio.tracing.outcome.sets import set_of, votes
+from adis_gonio.tracing.selection.posterior import weigh
 from adis_gonio.tracing.selection.select import Selection, select
-from adis_gonio.tracing.unnamed.averaging import average
+from adis_gonio.tracing.unnamed.averaging import Averaged, AveragedFit, average
 from tracing.blind import draw, write
 from tracing.test_trace_gates import forth_and_back
 
@@ -30,8 +33,9 @@ def believed(selection: Selection, weight: Mapping[tuple[str, ...], float]) -> S
     """The selection with nothing but models of these labels, the first of them chosen."""
     number = {term.label: k for k, term in enumerate(selection.problem.terms)}
     scores = {tuple(sorted(number[label] for label in m)): float(np.log(w)) for m, w in weight.items()}
-    verdict = replace(selection.verdict, best=next(iter(scores)))
-    return replace(selection, verdict=verdict, found=replace(selection.found, scores=scores))
+    found = replace(selection.found, scores=scores)
+    verdict = replace(weigh(found), best=next(iter(scores)))
+    return replace(selection, verdict=verdict, found=found)
 
 
 def test_a_cause_is_what_models_have_in_its_place_and_absent_where_they_have_nothing(
@@ -69,6 +73,33 @@ def test_a_name_beside_an_unknown_function_of_its_kind_may_be_a_piece_of_that(se
     weight = {("bias[xy]", "quadratic[x]"): 0.7, ("bias[xy]", "quadratic[x]", unknown.label): 0.3}
     share, _ = votes(believed(selection, weight), "quadratic")
     assert share == pytest.approx({"quadratic": 0.7, "unnamed: angle": 0.3})
+
+
+def test_a_name_beside_a_smooth_function_of_its_kind_may_be_a_piece_of_that(selection: Selection) -> None:
+    alone = believed(selection, {("bias[xy]", "quadratic[x]"): 1.0})
+    smooth = next(t for t in nameless_terms(alone.data) if t.covariates == ("angle",))
+    averaged = Averaged(cast("AveragedFit", alone.fit), smooth, 0.6, ())
+    assert votes(alone, "quadratic", averaged)[0] == pytest.approx(
+        {"quadratic": 0.4, "unnamed: angle": 0.6}
+    )
+    assert votes(alone, "bias", averaged)[0] == pytest.approx({"bias": 1.0})
+    assert judge(alone, averaged).open == {"quadratic": "may be a piece of the same unnamed cause"}
+    assert judge(alone, averaged).stand == ("bias",)
+    slow = replace(
+        averaged, smooth=next(t for t in nameless_terms(alone.data) if t.covariates == ("time",))
+    )
+    assert votes(alone, "quadratic", slow)[0] == pytest.approx({"quadratic": 1.0})
+    assert set(judge(alone, slow).stand) == {"bias", "quadratic"}
+
+
+def test_a_page_does_not_name_slips_and_a_smooth_function_for_the_same_readings(tmp_path: Path) -> None:
+    # A worn tooth: harmonics and a slip do a part of it, a process of the angle the rest.
+    write(tmp_path / "session.csv", *draw("beyond", 77123, 86))
+    result = trace(load_session(tmp_path / "session.csv"))
+    assert result.unnamed is not None
+    assert result.unnamed.covariates == ("angle",)
+    assert [finding.effect for finding in result.found] == []
+    assert [one.names for one in result.sets] == [("unnamed: angle",)]
 
 
 def test_a_process_that_is_adequate_outweighs_formulas_that_are_not(tmp_path: Path) -> None:

@@ -151,7 +151,7 @@ def trace_readings(
         checking = data.checking
     guarded = _guarded(selection, terms, max_effects)
     selection, averaged, fits, steps = guarded.selection, guarded.averaged, guarded.fits, guarded.steps
-    names = checkable(judge(selection), selection)
+    names = checkable(judge(selection, averaged), selection)
     if scatter is not None or not selection.adequate:
         could = undecided(selection)
         if len(could) > 1:
@@ -174,8 +174,8 @@ def trace_readings(
         selection = selection.with_model(kept)
         averaged = None
     final = selection if averaged is None else selection.with_fit(averaged.fit)
-    findings = [finding_of(final, name) for name in names.stand]
-    sets = tuple(one for one in credible_sets(selection) if one.present >= limits.certain)
+    findings = [finding_of(final, name, averaged) for name in names.stand]
+    sets = tuple(one for one in credible_sets(selection, averaged) if one.present >= limits.certain)
     weak = _weak(findings, figures[-1], _likelier(sets, terms))
     names = without(replace(names, open={**names.open, **weak}), weak)
     notes = list(notes_of(selection, scatter))

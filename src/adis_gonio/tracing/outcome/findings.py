@@ -34,8 +34,8 @@ def dof_of(selection: Selection) -> float:
     return float(dof)
 
 
-def finding_of(selection: Selection, name: str) -> Finding:
-    """One name of the chosen model with its parameters and its test."""
+def finding_of(selection: Selection, name: str, averaged: Averaged | None = None) -> Finding:
+    """One name of the chosen model, beside what is averaged, with its parameters and its test."""
     from scipy import stats
 
     problem = selection.problem
@@ -45,7 +45,7 @@ def finding_of(selection: Selection, name: str) -> Finding:
     axes: list[str] = []
     cause = ""
     amplitude_of, mixture = effects(selection, name)
-    voted, present = votes(selection, name)
+    voted, present = votes(selection, name, averaged)
     dof = dof_of(selection)
     fit = selection.fit
     for index, (term, values) in enumerate(zip(fit.terms, fit.values.terms, strict=True)):

@@ -10,6 +10,7 @@ from adis_gonio.tracing.selection.posterior import skeleton
 from adis_gonio.tracing.selection.search import Model
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.thresholds import limits
+from adis_gonio.tracing.unnamed.averaging import Averaged
 
 SLOW = {"time", "order", "temperature", "temperature_rate", "supply", "variance"}
 """Covariates that move on from dwell to dwell; the others follow the position."""
@@ -33,16 +34,22 @@ class Names:
     confounded: tuple[tuple[str, ...], ...]
 
 
-def judge(selection: Selection) -> Names:
+def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
     """Names that stand.
 
     A name stands if the models that hold it have most of the posterior (`certain`), and no nameless term of
     the same kind of covariate (slow or of position) stands in the same model: that name may be a piece of
     the unknown cause.
+
+    Parameters
+    ----------
+    averaged : Averaged, optional
+        What stands beside the names of a model without nameless terms.
     """
     verdict, terms = selection.verdict, selection.problem.terms
     model = [terms[k] for k in verdict.best]
     unknown = [term for term in model if isinstance(term, NamelessTerm)]
+    unknown += [] if unknown or averaged is None else [averaged.smooth]
     stand: list[str] = []
     pending: dict[str, str] = {}
     confounded: list[tuple[str, ...]] = []

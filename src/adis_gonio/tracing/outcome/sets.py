@@ -8,7 +8,7 @@ correlated variables (Wang, Sarkar, Carbonetto and Stephens, J. R. Stat. Soc. B 
 a name compete on equal terms.
 
 A name beside a function without one of the same kind may be a piece of that unknown cause, and votes for
-it.
+it; where that function is an average over processes, by their probability.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.estimation.terms import Term
+from adis_gonio.estimation.terms import NamelessTerm, Term
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.outcome.naming import related
 from adis_gonio.tracing.selection.design import LinearProblem, span
 from adis_gonio.tracing.selection.search import Model
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.thresholds import limits
+from adis_gonio.tracing.unnamed.averaging import Averaged
 
 
 @dataclass(frozen=True)
@@ -60,14 +61,21 @@ class CredibleSet:
         }
 
 
-def credible_sets(selection: Selection) -> tuple[CredibleSet, ...]:
-    """A set for each cause of the chosen model, in the order of its terms."""
-    return tuple(set_of(selection, cause) for cause in dict.fromkeys(map(_word, selection.terms)))
+def credible_sets(selection: Selection, averaged: Averaged | None = None) -> tuple[CredibleSet, ...]:
+    """A set for each cause of the chosen model, in the order of its terms.
+
+    Causes that are likelier pieces of one function without a name have one set.
+    """
+    causes = dict.fromkeys(map(_word, selection.terms))
+    sets = [set_of(selection, cause, averaged) for cause in causes]
+    names = {term.name for term in selection.terms}
+    leads = [one.cause if one.names[0] in names else one.names[0] for one in sets]
+    return tuple(one for k, one in enumerate(sets) if leads[k] not in leads[:k])
 
 
-def set_of(selection: Selection, cause: str) -> CredibleSet:
+def set_of(selection: Selection, cause: str, averaged: Averaged | None = None) -> CredibleSet:
     """The set of one cause of the chosen model: a name, or a function without one by its covariates."""
-    share, present = votes(selection, cause)
+    share, present = votes(selection, cause, averaged)
     names: list[str] = []
     for name in sorted(share, key=lambda name: -share[name]):
         names.append(name)
@@ -76,8 +84,16 @@ def set_of(selection: Selection, cause: str) -> CredibleSet:
     return CredibleSet(cause, tuple(names), tuple(share[name] for name in names), present)
 
 
-def votes(selection: Selection, cause: str) -> tuple[dict[str, float], float]:
-    """Share of each name in the place of a cause, and the probability that there is any cause."""
+def votes(
+    selection: Selection, cause: str, averaged: Averaged | None = None
+) -> tuple[dict[str, float], float]:
+    """Share of each name in the place of a cause, and the probability that there is any cause.
+
+    Parameters
+    ----------
+    averaged : Averaged, optional
+        What stands beside the names of the chosen model.
+    """
     near = selection.found.near(limits.voting)
     top = max(near.values())
     place = _Place.of(selection, cause)
@@ -92,6 +108,10 @@ def votes(selection: Selection, cause: str) -> tuple[dict[str, float], float]:
     total = sum(weight.values())
     if not total > 0:
         return {cause: 1.0}, 0.0
+    if averaged is not None and _piece(selection, cause, averaged.smooth):
+        piece = weight[cause] * averaged.weight
+        weight[cause] -= piece
+        weight[_word(averaged.smooth)] += piece
     return {word: w / total for word, w in weight.items()}, total / (total + none)
 
 
@@ -140,6 +160,14 @@ class _Place:
         """Share of what the cause adds that some terms can add beside those that stay."""
         basis, _ = span(self.problem, [*fresh, *kept])
         return float(((basis.T @ self.added) ** 2).sum())
+
+
+def _piece(selection: Selection, cause: str, smooth: NamelessTerm) -> bool:
+    """True where a cause may be a piece of what a smooth function beside it stands for."""
+    terms = [selection.problem.terms[k] for k in selection.verdict.best]
+    if any(isinstance(term, NamelessTerm) for term in terms):
+        return False  # that function votes in the models that have it
+    return any(related(term, smooth) for term in terms if term.name == cause)
 
 
 def _word(term: Term) -> str:
