@@ -390,14 +390,6 @@ class TestGrossSlips:
         mean[1] *= 1 + longer
         assert set_right(replace(data, mean=mean)) == gross
 
-    @pytest.mark.number("gross_dwells")
-    @pytest.mark.parametrize(("n", "gross"), [(5, 0), (6, 1)])
-    def test_of_five_dwells_no_gross_slip_is_said(self, n: int, gross: int) -> None:
-        # Over an arc, where no bias can be told from the rest: of a turn a bias leaves too few to judge by.
-        c = turn(angles_deg=4.0 * np.arange(n))
-        slips = np.array([0.1, 0.0, 15.0, -0.1, 0.05, -0.05])[:n]
-        assert set_right(read(c, ideal_mg(c, slips))) == gross
-
 
 class TestChoice:
     """What is called adequate, found, scatter."""

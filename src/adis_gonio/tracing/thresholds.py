@@ -90,7 +90,6 @@ class Limits:
     )
     gross_share: float = number(0.2, "chosen", "largest share of the dwells that slipped grossly")
     gross_length: float = number(0.2, "chosen", "largest change of a reading's length in a gross slip")
-    gross_dwells: int = number(6, "chosen", "least dwells of which a gross slip is said")
     steepest: float = number(
         1.0, "physical", "slope in temperature or supply, of the catalogue's bound", off=INFINITE
     )

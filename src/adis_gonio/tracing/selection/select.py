@@ -178,7 +178,7 @@ def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
     both axes would explain it. About a state that has the slip it is exact.
     """
     theta = data.conditions.angle_rad
-    if not data.planar or theta is None or data.free or len(data) < limits.gross_dwells:
+    if not data.planar or theta is None or data.free:
         return {}
     reading = data.mean - _robust_bias(data, theta)
     shown = np.arctan2(reading[:, 1], reading[:, 0]) + theta
