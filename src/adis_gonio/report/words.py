@@ -292,9 +292,10 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
         rest = groups.setdefault(names[0], [])
         rest += [name for name in names[1:] if name not in rest]
     lines = []
+    known = catalogue()
     for first, others in groups.items():
         text = first
-        named = [name for name in others if name in catalogue()]
+        named = [name for name in others if name in known]
         nameless = [name for name in others if name not in named]
         told = named[:most] + nameless[:1]
         if told:

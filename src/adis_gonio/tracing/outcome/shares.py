@@ -45,7 +45,8 @@ def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Un
     """What has no name with the shares of its steps; without any, at most with what the steps leave."""
     if unnamed is None:
         return None
-    nameless = [name for name in of_step if name not in catalogue()]
+    known = catalogue()
+    nameless = [name for name in of_step if name not in known]
     if nameless:
         return replace(unnamed, explains=sum(of_step[name] for name in nameless))
     return replace(unnamed, explains=min(unnamed.explains, max(1.0 - sum(of_step.values()), 0.0)))
