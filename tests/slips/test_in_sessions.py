@@ -8,16 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio import load_session
+from adis_gonio import load_session, trace
 from adis_gonio.cli import main
 from adis_gonio.errors import FitError, UsageError
+from adis_gonio.estimation.readings import readings_of
 from adis_gonio.fitting import fit
 from adis_gonio.session.overrides import AngleChange, Overrides
 from adis_gonio.slips.of_session import angles_of, in_context, positions_of
+from adis_gonio.tracing.outcome.positions import as_the_part_stood
 from fakes import planar_session as planar
 from session.hand_bench import by_hand, hand_sensor
 from slip_oracle import answer
 from slip_statistics import LAW, session_of
+from tracing.blind import draw, write
 from tracing.test_trace_sceptic import written
 
 AROUND = np.arange(12) * 30.0
@@ -148,6 +151,37 @@ def test_a_slip_that_lasts_is_traced_as_the_part_stood(tmp_path, capsys):
     assert document["adequate"]
     assert {one["effect"] for one in document["found"]} == {"bias"}
     assert any("traced as the part stood" in note for note in document["notes"])
+
+
+def test_a_slip_that_a_line_reaches_stays_in_the_readings_as_a_step_of_the_true_angle(tmp_path):
+    stood = AROUND + np.where(np.arange(12) >= 5, 0.4, 0.0)
+    result = trace(load_session(written(tmp_path / "slipped.csv", AROUND, stood)))
+    assert [one.finding for one in result.position_findings] == ["slipped"]
+    assert not any("traced as the part stood" in note for note in result.notes)
+    assert result.adequate
+    assert result.unnamed.covariates == ("time",)
+    assert "true angle follows a step" in result.unnamed.form
+
+
+def test_a_part_that_turns_by_and_by_is_no_periodic_error_of_the_stage(tmp_path):
+    # Gravity alone takes the drift for two slips that last. A dial that was moved by these would stand off
+    # its 48 places, at which 48 cycles a turn show nothing.
+    path = tmp_path / "leaning.csv"
+    write(path, *draw("uncatalogued", 274912422, 187))
+    result = trace(load_session(path))
+    assert [one.finding for one in result.position_findings] == ["slipped", "slipped"]
+    assert result.found == ()
+    assert result.unnamed.covariates == ("time",)
+    assert "misalignment" in result.unnamed.form
+
+
+def test_a_dial_stays_where_it_was_when_the_part_has_slipped_on_it(tmp_path):
+    stood = AROUND + np.where(np.arange(12) >= 5, 8.0, 0.0)
+    session = load_session(written(tmp_path / "slipped.csv", AROUND, stood))
+    data = readings_of(session)
+    moved = as_the_part_stood(data, positions_of(session))
+    assert np.degrees(moved.angle_rad - data.angle_rad) == pytest.approx(stood - AROUND, abs=0.2)
+    assert moved.conditions is data.conditions
 
 
 def test_a_good_file_says_nothing_of_positions(tmp_path, capsys):

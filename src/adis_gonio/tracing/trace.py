@@ -107,12 +107,12 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
     from adis_gonio.dwells.second_pass import with_second_pass
 
     positions = positions_of(session) if own else Diagnosis()
-    session = as_the_part_stood(session, positions)
-    data = readings_of_part(session, part)
+    data = as_the_part_stood(readings_of_part(session, part), positions)
     try:
-        result = with_positions(trace_readings(data, max_effects, ruled_out(data, positions)), positions)
+        result = trace_readings(data, max_effects, ruled_out(data, positions))
     except FitError as error:
         raise FitError(in_context(session, error)) from error
+    result = with_positions(result, data, positions)
     checked = result.stopped is None or result.stopped.checked
     if own:
         result = attempt(

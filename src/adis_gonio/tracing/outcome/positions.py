@@ -1,37 +1,40 @@
 """A trace and what declared, gravity's and the gyro's angles say of the positions: one story.
 
 An effect of one dwell (`position_slip`, `outlier_dwell`) that the three angles rule out is no candidate.
-A part that slipped for all that followed has no name among the effects: the trace is then of the session as
-the part stood, and says so.
+A part that slipped for all that followed has no name among the effects. A slip that is gross is taken out
+before the search, and the trace says so; a smaller one competes as a step of the true angle with whatever
+else may have turned the part by and by.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from adis_gonio.estimation.readings import Readings
-from adis_gonio.model.records import Dwell, Session
 from adis_gonio.slips import Diagnosis, PositionFinding
 from adis_gonio.tracing.outcome.result import TraceResult
+from adis_gonio.tracing.selection.select import out_of_reach
 
 _MOVED = frozenset({"mistyped", "misset", "swapped"})
 
 
-def as_the_part_stood(session: Session, positions: Diagnosis) -> Session:
-    """The session with slips that last taken out; the same where there is none."""
+def as_the_part_stood(data: Readings, positions: Diagnosis) -> Readings:
+    """The readings with gross slips that last taken out; the same where there is none.
+
+    The stage's dial, and with it its errors, stays where it was: `Conditions.angle_rad` is not moved.
+    """
+    moved_deg = np.zeros(len(data))
+    for found in _gross(data, positions):
+        moved_deg[np.isin(data.position, [found.position, *found.others])] += found.error_deg[0]
+    return replace(data, angle_rad=data.angle_rad + np.radians(moved_deg)) if moved_deg.any() else data
+
+
+def _gross(data: Readings, positions: Diagnosis) -> list[PositionFinding]:
+    """Slips that last and that no linear problem reaches."""
     lasting = [found for found in positions.findings if found.finding == "slipped"]
-    if not lasting:
-        return session
-    moved = {dwell.position: 0.0 for dwell in session.dwells}
-    for found in lasting:
-        for position in (found.position, *found.others):
-            moved[position] += found.error_deg[0]
-    return replace(session, dwells=tuple(_moved(dwell, moved[dwell.position]) for dwell in session.dwells))
-
-
-def _moved(dwell: Dwell, by_deg: float) -> Dwell:
-    angle = dwell.angle_deg
-    return dwell if angle is None or not by_deg else replace(dwell, angle_deg=angle + by_deg)
+    return [f for f in lasting if out_of_reach(data, np.radians(f.error_deg[0])).mean() > 0.5]
 
 
 def ruled_out(data: Readings, positions: Diagnosis) -> frozenset[tuple[str, int]]:
@@ -51,13 +54,12 @@ def ruled_out(data: Readings, positions: Diagnosis) -> frozenset[tuple[str, int]
     return frozenset(gone)
 
 
-def with_positions(result: TraceResult, positions: Diagnosis) -> TraceResult:
+def with_positions(result: TraceResult, data: Readings, positions: Diagnosis) -> TraceResult:
     """The trace with what is said of positions, and how they are put right before anything else."""
     if not positions.findings:
         return result
     said = list(positions.sentences)
-    lasting = [found for found in positions.findings if found.finding == "slipped"]
-    said += [_traced_without(found) for found in lasting]
+    said += [_traced_without(found) for found in _gross(data, positions)]
     return replace(
         result,
         position_findings=positions.findings,

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.budget import spent
 from adis_gonio.estimation.fit import Fit, adequacy
@@ -173,9 +174,8 @@ def _with_constant(term: Term) -> bool:
 def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
     """Dwells that stand elsewhere by a gross slip: their term, and by how much in degrees.
 
-    So far the linear problem does not reach: off by δ, a reading is G (1 − cos δ) shorter along its old
-    direction than a slip says (2 mg at 4°). Where that is more than its uncertainty, only an outlier of
-    both axes would explain it. About a state that has the slip it is exact.
+    Where a slip is out of the linear problem's reach, only an outlier of both axes would explain it. About
+    a state that has the slip it is exact.
     """
     theta = data.conditions.angle_rad
     if not data.planar or theta is None or data.free:
@@ -187,7 +187,7 @@ def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
     off = np.angle(np.exp(1j * (off - np.median(off))))
     typical = MAD_TO_SD * float(np.median(np.abs(off)))
     length = np.linalg.norm(reading, axis=1) / data.gravity_mg
-    far = data.gravity_mg * (1 - np.cos(off)) > np.sqrt(data.variance_of_mean)
+    far = out_of_reach(data, off)
     far &= np.abs(off) > limits.gross_spreads * typical
     if (
         not far.any()
@@ -204,6 +204,15 @@ def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
             return {}
         out[term] = float(np.degrees(off[k]))
     return out
+
+
+def out_of_reach(data: Readings, off_rad: Floats | float) -> NDArray[np.bool_]:
+    """Dwells (n,) in which the linear problem does not reach a slip.
+
+    Off by δ, a reading is G (1 − cos δ) shorter along its old direction than a slip says (2 mg at 4°): out
+    of reach is what shortens it by more than its uncertainty.
+    """
+    return np.asarray(data.gravity_mg * (1 - np.cos(off_rad)) > np.sqrt(data.variance_of_mean))
 
 
 def _robust_bias(data: Readings, theta: Floats) -> Floats:
