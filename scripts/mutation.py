@@ -95,8 +95,10 @@ ROOMS = {
         (
             "tests/estimation/test_conic.py",
             "tests/estimation/test_converter.py",
+            "tests/estimation/test_fit.py",
             "tests/estimation/test_intervals.py",
             "tests/estimation/test_other_measurements.py",
+            "tests/estimation/test_terms.py",
             "tests/fitting/test_determination.py",
             "tests/fitting/test_flicker.py",
             "tests/fitting/test_readings.py",
