@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from adis_gonio.fitting import fit, fit_readings
-from adis_gonio.fitting.scores import DwellPrediction, Score
+from adis_gonio.fitting.scores import DwellPrediction, Score, _folds
 from adis_gonio.fitting.standing import recommend
+from adis_gonio.model.measurement import sensitivity
+from adis_gonio.model.records import Dwell, Session
 from fitting.test_uncertainty import FOUR, NINE, turn
 
 TUMBLE = (*range(0, 360, 30), *range(330, -30, -30))
@@ -117,3 +119,40 @@ def test_in_space_the_residual_of_the_norm_is_scored():
     assert 0.05 < score.residual_rms_mg < 0.5
     assert result.budget == {}
     assert fit_readings(result.session.training).method == "ml"
+
+
+def test_dwells_for_checking_in_space_have_the_residual_of_their_own_norms():
+    rng = np.random.default_rng(3)
+    u = rng.normal(size=(13, 3))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    rows = 1000 * u * [1.01, 0.99, 1.0] + rng.normal(0, 0.1, (13, 3))
+    rows[12] *= 1.004
+    dwells = tuple(
+        Dwell(k, np.array([float(k)]), row[None], use="fit" if k < 10 else "check")
+        for k, row in enumerate(rows)
+    )
+    session = Session(
+        dwells, accel_unit="mg", sensor="generic", plane="none", reading_u_mg=0.1, fixture_sigma_deg=np.inf
+    )
+    result = fit(session)
+    found = result.standing.predictions["ml"].residual_mg
+    assert found.shape == (13, 1)
+    made = result.origin.fit
+    values = made.values.parameters
+    gains = np.linalg.inv(sensitivity(values[:6]))
+    norms = np.linalg.norm((rows - values[6:]) @ gains.T, axis=1)
+    np.testing.assert_allclose(found[10:, 0], norms[10:] - 1000, rtol=1e-6, atol=1e-6)
+    assert found[12, 0] == pytest.approx(4.0, abs=0.5)
+
+
+@pytest.mark.parametrize("used", [0, 1, 7, 40, 41, 93])
+def test_every_dwell_is_left_out_once_and_those_that_took_no_part_together(used):
+    rows = np.zeros(100, dtype=bool)
+    rows[np.random.default_rng(1).permutation(100)[:used]] = True
+    folds = list(_folds(rows))
+    np.testing.assert_array_equal(np.sort(np.concatenate(folds)), np.arange(100))
+    np.testing.assert_array_equal(folds[0], np.flatnonzero(~rows))
+    assert len(folds) - 1 == min(used, 40)
+    assert all(rows[fold].all() for fold in folds[1:])
+    sizes = [len(fold) for fold in folds[1:]]
+    assert max(sizes, default=0) - min(sizes, default=0) <= 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,12 +17,13 @@ from adis_gonio.answer import Answer
 from adis_gonio.calibration.gyros import GyroCalibration
 from adis_gonio.errors import FitError, UsageError
 from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.links import Band, Links
+from adis_gonio.estimation.links import Band, LinkRows, Links
 from adis_gonio.estimation.readings import Readings, from_means, readings_of
 from adis_gonio.estimation.values import Value
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.determination import covariance, determine, names_of, natural_units
 from adis_gonio.fitting.gyro import fit_gyro
+from adis_gonio.fitting.linked import _Judged
 from adis_gonio.fitting.methods import fit_of, fit_readings
 from adis_gonio.fitting.sources import by_rotation_of, response_of
 from adis_gonio.gyros.attitude import PARAMETERS, AssumedGyros, attitude
@@ -259,6 +261,71 @@ def test_u_with_links_covers_what_it_says() -> None:
     # 720 intervals, nine a session alike: four of their standard deviations.
     assert len(inside) == 720
     assert 0.95 - 0.06 < np.mean(inside) < 0.95 + 0.04
+
+
+@pytest.mark.parametrize("noise_mg", [1e-3, 1.0, 1e4, 1e7])
+def test_an_attitude_moves_by_what_its_reading_moves_along_its_tangent(noise_mg: float) -> None:
+    data, links = _part(5, np.random.default_rng(4))
+    fit = determine(data).fit
+    root = noise_mg**-1 * data.own_root
+    rows = LinkRows.at(links, fit.values.attitude, fit.tangent, root)
+    assert rows.estimator @ fit.tangent == pytest.approx(np.tile(np.eye(2), (5, 1, 1)), abs=1e-9)
+    # What weighted least squares gives weight to is not what is across the tangent in its metric.
+    normal = (
+        np.linalg.inv(root)
+        @ np.linalg.inv(root).transpose(0, 2, 1)
+        @ np.cross(fit.tangent[:, :, 0], fit.tangent[:, :, 1])[:, :, None]
+    )
+    moved = rows.estimator @ (normal / np.linalg.norm(normal, axis=1, keepdims=True))
+    assert moved == pytest.approx(np.zeros((5, 2, 1)), abs=1e-12)
+
+
+class _Fixed:
+    """Links whose gyros are as they are taken to be."""
+
+    def __init__(self, links: Links) -> None:
+        self.links = links
+        self.refused = ((7, 8, "saturated"),)
+        count = links.modes_rad.shape[2]
+        self.prior = SimpleNamespace(values=np.zeros(count), covariance=np.eye(count), root=np.eye(count))
+
+    def at(self, values: Floats, position: list[int]) -> Links:
+        return self.links
+
+
+def test_the_link_that_contradicts_gravity_and_the_others_is_left_out_by_the_numbers_of_its_dwells() -> (
+    None
+):
+    data, links = _part(9, np.random.default_rng(9))
+    data = replace(data, position=10 + np.arange(9))
+    sound = _Judged.of(data, _Fixed(links))
+    assert sound.links is not None
+    assert len(sound.links) == 8
+    assert sound.refused == ((7, 8, "saturated"),)
+    assert sound.chi2 == pytest.approx(sound.linked.fit.chi2 - sound.plain.fit.chi2)
+    assert sound.dof > 8
+    turned = links.rotation.copy()
+    turned[5] = Rotation.from_rotvec([0.05, -0.05, 0.05]).as_matrix() @ turned[5]
+    found = _Judged.of(data, _Fixed(replace(links, rotation=turned)))
+    assert found.links is not None
+    assert found.links.before.tolist() == [0, 1, 2, 3, 4, 6, 7]
+    assert [(b, a) for b, a, _ in found.refused[1:]] == [(15, 16)]
+
+
+def test_links_that_turn_gravity_elsewhere_are_left_out_and_many_of_them_are_false_gyros() -> None:
+    data, links = _part(9, np.random.default_rng(9))
+    turned = links.rotation.copy()
+    turned[[2]] = Rotation.from_rotvec([2.0, -1.0, 1.0]).as_matrix() @ turned[[2]]
+    found = _Judged.of(data, _Fixed(replace(links, rotation=turned)))
+    assert found.links is not None
+    assert [(b, a) for b, a, why in found.refused[1:] if "to where it is not" in why] == [(2, 3)]
+    turned[:4] = Rotation.from_rotvec([2.0, -1.0, 1.0]).as_matrix() @ turned[:4]
+    none = _Judged.of(data, _Fixed(replace(links, rotation=turned)))
+    assert none.links is None
+    assert "of 8 the gyros turn gravity to where it is not" in none.why
+    assert none.report(calibrated=False).used == 0
+    few = _Judged.of(data.rows(np.arange(9) < 2), _Fixed(links))
+    assert (few.links, few.why) == (None, "poses are too few to test them by")
 
 
 def test_links_follow_readings_that_are_left_out() -> None:

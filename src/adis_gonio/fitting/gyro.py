@@ -120,9 +120,9 @@ class GyroFit:
     inflation: dict[str, float] = field(default_factory=dict)
     reference_temperature_c: float | None = None
     scores: dict[str, GyroScore] = field(default_factory=dict)
-    provenance: Provenance | None = field(default=None, repr=False, compare=False)
+    provenance: Provenance | None = field(default=None, compare=False)
     overrides: dict[str, Any] = field(default_factory=dict)
-    fit: Fit | None = field(default=None, repr=False, compare=False)
+    fit: Fit | None = field(default=None, compare=False)
 
     method = METHOD
     part = GYRO

@@ -143,7 +143,7 @@ def _unit(unit: str) -> str:
 def _advice(names: list[str]) -> str:
     if any(name.startswith("skew") for name in names) and not any(n.startswith("scale") for n in names):
         return "measure positions that share gravity between the two axes"
-    axes = sorted({name[-1] for name in names if name.startswith(("bias", "scale")) and len(name) == 6 + 1})
+    axes = sorted({name[-1] for name in names if name.startswith(("bias", "scale"))})
     if any(name.endswith("_z") for name in names):
         return f"measure positions with axis {', '.join(axes) or 'z'} up and down"
     if any(name.startswith("bias") for name in names) and not any(n.startswith("scale") for n in names):

@@ -144,10 +144,10 @@ class FitResult:
     undetermined: tuple[str, ...] = ()
     extra_mg: float = 0.0
     fixture_sigma_deg: float | None = None
-    provenance: Provenance | None = field(default=None, repr=False, compare=False)
+    provenance: Provenance | None = field(default=None, compare=False)
     overrides: dict[str, Any] = field(default_factory=dict)
-    origin: Origin | None = field(default=None, repr=False, compare=False)
-    session: Readings | None = field(default=None, repr=False, compare=False)
+    origin: Origin | None = field(default=None, compare=False)
+    session: Readings | None = field(default=None, compare=False)
     session_notes: tuple[str, ...] = ()
     position_findings: tuple[PositionFinding, ...] = ()
     links: LinkReport | None = None

@@ -1,0 +1,86 @@
+"""What a result advises: which positions to measure, and what an uncertainty does not hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from adis_gonio import fit
+from adis_gonio.fitting.likelihood import _advice
+from adis_gonio.fitting.linked import LinkReport
+from fitting.test_uncertainty import FOUR, turn
+
+
+@pytest.mark.parametrize(
+    ("lost", "advice"),
+    [
+        (["bias_z", "scale_z", "skew_xz", "skew_xy"], "measure positions with axis z up and down"),
+        (["bias_z"], "measure positions with axis z up and down"),
+        (["bias_x", "bias_z"], "measure positions with axis x, z up and down"),
+        (["scale_y", "bias_y", "bias_z"], "measure positions with axis y, z up and down"),
+        (["skew_xy"], "measure positions that share gravity between the two axes"),
+        (["bias_z", "skew_yz"], "measure positions that share gravity between the two axes"),
+        (["bias_x"], "measure the opposite positions too (180° and 270°)"),
+        (["bias_x", "scale_x"], "measure positions all around the turn (0°, 90°, 180°, 270°)"),
+        (["delta_phi"], "measure positions all around the turn (0°, 90°, 180°, 270°)"),
+    ],
+)
+def test_positions_that_would_show_what_is_lost_are_named(lost: list[str], advice: str) -> None:
+    assert _advice(lost) == advice
+
+
+@pytest.mark.parametrize(
+    ("sensor", "held"),
+    [
+        ("adis16354", "the uncertainty holds the part's figure for it"),
+        ("generic", "no uncertainty here holds that"),
+    ],
+)
+def test_two_positions_say_whether_u_holds_the_bias_that_they_cannot_see(sensor: str, held: str) -> None:
+    told = fit(replace(turn((0, 90)), sensor=sensor), "two-position").warnings
+    (line,) = [one for one in told if "a bias cannot be seen" in one]
+    assert f"{held}; measure 180° and 270° too and use method four-position" in line
+
+
+def test_where_the_session_itself_shows_the_bias_the_method_that_does_is_named() -> None:
+    told = fit(turn(FOUR), "two-position").warnings
+    (line,) = [one for one in told if "a bias cannot be seen" in one]
+    assert line.endswith("methods four-position and ml see it in this session")
+
+
+# -- turns between poses ----------------------------------------------------------------------------------
+
+USED = LinkReport(
+    5, 12.34, 6, ((1, 2, "saturated"),), calibrated=True, gained=("skew_xy", "bias_z"), ratio=0.5
+)
+
+
+def test_what_turns_between_poses_gave_is_told_in_a_line() -> None:
+    assert USED.line == (
+        "5 turns between the poses by the gyros; they determine skew_xy, bias_z; u of the others is 0.50 "
+        "of that without, median; χ² 12.3 at 6 degrees of freedom; 1 to 2 left out: saturated"
+    )
+    plain = replace(USED, refused=(), gained=(), used=1, dof=1)
+    assert plain.line == (
+        "1 turn between the poses by the gyros; u with them is 0.50 of that without, median; χ² 12.3 at 1 "
+        "degree of freedom"
+    )
+
+
+def test_of_many_turns_that_were_left_out_two_are_named() -> None:
+    many = tuple((k, k + 1, "saturated") for k in range(5))
+    told = replace(USED, refused=many).line
+    assert told.endswith("0 to 1 left out: saturated; 1 to 2 left out: saturated; and 3 more")
+    assert "more" not in replace(USED, refused=many[:2]).line
+
+
+def test_turns_that_are_not_used_say_why() -> None:
+    none = LinkReport(0, None, 0, why="they contradict gravity")
+    assert none.line == "turns between the poses are not used: they contradict gravity"
+    assert none.as_dict()["why_none"] == "they contradict gravity"
+    document = USED.as_dict()
+    assert document["why_none"] is None
+    assert document["gyros"] == "calibrated"
+    assert none.as_dict()["gyros"] == "data sheet"
+    assert document["refused"] == [{"from": 1, "to": 2, "why": "saturated"}]

@@ -1,0 +1,205 @@
+"""Propagation of distributions: what is drawn, what is made of the draws, and what is said of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adis_gonio import fit
+from adis_gonio.errors import FitError
+from adis_gonio.fitting import monte_carlo as module
+from adis_gonio.fitting.monte_carlo import monte_carlo
+from adis_gonio.fitting.result import Estimate, FitResult
+from fitting.test_uncertainty import FOUR, turn
+
+SIGMA_DEG = 0.02
+DRAWS = 1000
+
+
+@pytest.fixture(scope="module")
+def few() -> FitResult:
+    """Four positions of three samples each: eight degrees of freedom an axis."""
+    return fit(turn(FOUR, samples=3, noise=1.0, sigma=0.0), "four-position")
+
+
+@pytest.fixture(scope="module")
+def stated() -> FitResult:
+    """Four positions of stated uncertainty, 0.1 mg and 0.02°."""
+    return fit(turn(FOUR), "four-position")
+
+
+def moved(made: object, draws: int = DRAWS) -> np.ndarray:
+    draw = module._drawing(made, np.random.default_rng(1))
+    return np.array([draw().mean for _ in range(draws)]) - made.readings.mean
+
+
+def test_readings_are_drawn_with_their_noise_and_turned_by_the_stage(stated: FitResult) -> None:
+    made = stated.origin
+    found = moved(made)
+    # Across the direction of gravity a turn does not show: there only noise is left.
+    tangent = made.fit.tangent[:, :, 0]
+    expected = 0.1**2 + (math.radians(SIGMA_DEG) * tangent) ** 2
+    error = np.sqrt(2 / DRAWS)
+    np.testing.assert_allclose(found.var(axis=0), expected, rtol=5 * error)
+    assert (np.abs(found.mean(axis=0)) < 5 * np.sqrt(expected / DRAWS)).all()
+    products = np.einsum("dna,dnb->nab", found, found)[:, 0, 1] / DRAWS
+    by_stage = math.radians(SIGMA_DEG) ** 2 * tangent.prod(axis=1)
+    np.testing.assert_allclose(products, by_stage, atol=5 * expected.max() / math.sqrt(DRAWS))
+
+
+def test_a_converters_step_is_drawn_as_a_rectangle_and_what_dwells_share_together(
+    stated: FitResult,
+) -> None:
+    made = stated.origin
+    data = made.readings
+    quantization, flicker = np.full((4, 2), 0.5), np.full((4, 2), 0.2)
+    own = data.own_covariance + (quantization + flicker)[:, :, None] * np.eye(2)
+    slow = np.zeros((4, 2, 1))
+    slow[:, 0, 0] = 2.0
+    changed = replace(data, own_covariance=own, quantization=quantization, flicker=flicker, slow=slow)
+    still = replace(made.fit, data=replace(made.fit.data, fixture_rad=0.0))
+    found = moved(replace(made, readings=changed, fit=still))
+    # Student's kurtosis is 3, a rectangle's 1.8: that of the sum is between by the squared shares.
+    variance = np.array([4.0 + 0.7 + 0.01, 0.7 + 0.01])
+    np.testing.assert_allclose(found.var(axis=0), np.tile(variance, (4, 1)), rtol=5 * math.sqrt(2 / DRAWS))
+    assert (np.abs(found.mean(axis=0)) < 5 * np.sqrt(variance / DRAWS)).all()
+    kurtosis = (found[:, :, 1] ** 4).mean() / (found[:, :, 1] ** 2).mean() ** 2
+    assert kurtosis == pytest.approx(3 - 1.2 * (0.5 / 0.71) ** 2, abs=0.3)
+    # The shared part moves all dwells alike.
+    shared = np.mean(found[:, 0, 0] * found[:, 3, 0])
+    assert shared == pytest.approx(4.0, rel=5 * math.sqrt(2 / DRAWS))
+
+
+def test_scatter_beyond_the_noise_is_drawn_with_the_students_factor_of_its_degrees_of_freedom(
+    stated: FitResult,
+) -> None:
+    made = stated.origin
+    noise = replace(made.noise, extra_mg=3.0, dof=12.0)
+    still = replace(made.fit, data=replace(made.fit.data, fixture_rad=0.0))
+    found = moved(replace(made, noise=noise, fit=still), 1500)
+    assert found.var() == pytest.approx((3.0**2 + 0.1**2) * 12 / 10, rel=0.1)
+
+
+@pytest.mark.parametrize("kind", ["normal", "uniform", "exponential"])
+def test_the_doubt_is_the_scatter_of_the_standard_deviation(few: FitResult, kind: str) -> None:
+    rng = np.random.default_rng(2)
+    linear = Estimate("delta_k", 0.0, 1.0, "1")
+    draw = {"normal": rng.standard_normal, "uniform": rng.uniform, "exponential": rng.standard_exponential}
+    found = [module._propagated(few.origin, linear, draw[kind](size=800), 0) for _ in range(300)]
+    u = np.array([one.u for one in found])
+    # 300 sessions know a scatter to 4 %; of heavy tails the kurtosis itself is uncertain and low.
+    wide = 0.2 if kind == "exponential" else 0.1
+    assert np.mean([one.doubt for one in found]) == pytest.approx(u.std() / u.mean(), rel=wide)
+
+
+def test_the_interval_leaves_as_much_below_as_above(few: FitResult) -> None:
+    values = 3.0 + np.random.default_rng(3).standard_exponential(100_000)
+    found = module._propagated(few.origin, Estimate("delta_k", 4.0, 1.0, "1"), values, 0)
+    assert found.low == pytest.approx(3.0 - math.log(0.975), abs=0.003)
+    assert found.high == pytest.approx(3.0 - math.log(0.025), abs=0.06)
+    assert found.u == pytest.approx(1.0, abs=0.02)
+
+
+def test_angles_on_both_sides_of_half_a_turn_are_neighbours(few: FitResult) -> None:
+    values = np.array([179.9, -179.9, 180.0, 179.8, -179.8])
+    found = module._propagated(few.origin, Estimate("alpha", -179.9, 0.1, "deg"), values, 0)
+    assert found.u == pytest.approx(np.std([-0.1, 0.1, 0.0, -0.2, 0.2], ddof=1))
+    assert -180.3 < found.low < -180.0 < found.high < -179.7
+
+
+@pytest.mark.parametrize("name", ["bias_x", "alpha", "scale_y"])
+def test_students_standard_deviation_is_wider_by_its_degrees_of_freedom(few: FitResult, name: str) -> None:
+    k = [e.name for e in few.parameters].index(name)
+    linear = few.parameters[k]
+    assert linear.dof == pytest.approx(8)
+    wide = module._students_u(few.origin, few.origin.outputs[k].gradient)
+    assert wide == pytest.approx((linear.u or 0) * math.sqrt(8 / 6))
+
+
+def test_why_two_ways_differ_is_told_by_what_explains_it(few: FitResult) -> None:
+    k = [e.name for e in few.parameters].index("bias_x")
+    linear = few.parameters[k]
+    wide = linear.u * math.sqrt(8 / 6)
+    assert module._why(few.origin, linear, linear.u, 0.01, k) == ""
+    by_student = module._why(few.origin, linear, wide, 0.01, k)
+    assert by_student.startswith("u is 1.15 times the linear one: with 8 degrees of freedom Student's")
+    bent = module._why(few.origin, linear, 1.5 * wide, 0.01, k)
+    assert bent.startswith("u is 1.73 times the linear one: the model is not linear enough")
+    nothing = replace(linear, u=None)
+    assert module._why(few.origin, nothing, 1.0, 0.01, k).startswith("the linear u is zero")
+
+
+def test_values_of_students_distribution_are_hardly_ever_taken_for_a_model_that_bends(
+    few: FitResult,
+) -> None:
+    k = [e.name for e in few.parameters].index("bias_x")
+    linear = few.parameters[k]
+    rng = np.random.default_rng(4)
+    factor = np.sqrt(8 / rng.chisquare(8, (300, 400)))
+    drawn = linear.value + linear.u * factor * rng.standard_normal((300, 400))
+    told = [module._propagated(few.origin, linear, own, k).why for own in drawn]
+    # Three standard errors of heavy tails: 1 % of all at most.
+    assert sum("not linear" in why for why in told) <= 3
+    assert sum("Student" in why for why in told) > 100
+
+
+def test_with_two_degrees_of_freedom_no_standard_deviation_exists() -> None:
+    result = fit(turn((0, 90), samples=2, noise=1.0, sigma=0.0, bias=(0.0, 0.0)), "two-position")
+    k = [e.name for e in result.parameters].index("scale_x")
+    linear = result.parameters[k]
+    assert linear.dof == pytest.approx(2, abs=0.01)
+    assert math.isinf(module._students_u(result.origin, result.origin.outputs[k].gradient))
+    assert "no standard deviation exists" in module._why(result.origin, linear, 5 * linear.u, 0.05, k)
+
+
+def test_a_run_gives_each_parameter_both_ways_as_table_and_document(stated: FitResult) -> None:
+    run = monte_carlo(stated, 100, np.random.default_rng(5))
+    assert (run.method, run.trials, run.failed) == ("four-position", 100, 0)
+    head, rows = run.rows()
+    assert [row[0] for row in rows] == [e.name for e in stated.parameters]
+    for p, row in zip(run.parameters, rows, strict=True):
+        # 100 trials know u to 7 %.
+        assert p.u == pytest.approx(p.linear.u, rel=0.3)
+        assert p.low < p.linear.value < p.high
+        entry = run.as_dict()["parameters"][p.name]
+        assert entry["u_standard_error"] == pytest.approx(p.u / math.sqrt(200), rel=0.4)
+        assert entry["linear_U"] == pytest.approx(entry["linear_u"] * p.linear.k)
+        assert entry["agrees"] == (p.why == "")
+        by_head = dict(zip(head, row, strict=True))
+        assert float(by_head["half width"]) == pytest.approx((p.high - p.low) / 2, rel=1e-3)
+        assert float(by_head["U, linear"]) == pytest.approx(p.linear.U, rel=1e-3)
+    assert run["delta_k"].name == "delta_k"
+
+
+def test_what_is_remarked_on_are_differences_and_lost_trials(stated: FitResult) -> None:
+    run = monte_carlo(stated, 20, np.random.default_rng(5))
+    agreeing = replace(run, parameters=tuple(replace(p, why="") for p in run.parameters))
+    assert agreeing.remarks == ["the linear uncertainties agree within 1 % and the error of the trials"]
+    differing = replace(
+        run, failed=3, parameters=tuple(replace(p, why="it bends") for p in run.parameters[:1])
+    )
+    assert differing.remarks == ["delta_k: it bends", "3 trials gave no result and were left out"]
+
+
+def test_trials_without_a_result_are_counted_and_none_at_all_is_an_error(
+    stated: FitResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, asked = module._fitting(stated.origin, "four-position"), []
+
+    def every_third(data: object) -> object:
+        asked.append(data)
+        if len(asked) % 3 == 0:
+            raise FitError("not determined")
+        return whole(data)
+
+    monkeypatch.setattr(module, "_fitting", lambda made, method: every_third)
+    run = monte_carlo(stated, 12, np.random.default_rng(6))
+    assert (run.trials, run.failed) == (8, 4)
+    with pytest.raises(FitError, match="no trial"):
+        monte_carlo(stated, 1, np.random.default_rng(6))
+    unknown = fit(turn((0, 90), noise=0.0, sigma=0.0, stated=None, bias=(0.0, 0.0)))
+    with pytest.raises(FitError, match="nothing tells the noise"):
+        monte_carlo(unknown, 5, np.random.default_rng(6))
