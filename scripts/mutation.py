@@ -329,7 +329,7 @@ class Watch:
         self._unseen = {}
         began = time.process_time()
         if self.longest_s < math.inf:
-            signal.signal(signal.SIGPROF, lambda *_: pytest.skip("costs too much"))
+            signal.signal(signal.SIGPROF, lambda *_: self._stop(item))
             signal.setitimer(signal.ITIMER_PROF, self.longest_s)
         threading.settrace(self._enter)
         sys.settrace(self._enter)
@@ -340,6 +340,10 @@ class Watch:
             sys.settrace(None)
             threading.settrace(None)  # type: ignore[arg-type]
             self.cost_s[item.nodeid] += time.process_time() - began
+
+    def _stop(self, item: pytest.Item) -> None:
+        self.cost_s[item.nodeid] = math.inf  # of its lines only some were seen
+        pytest.skip("costs too much")
 
     def _enter(self, frame: FrameType, event: str, argument: object) -> Any:
         if frame.f_code.co_filename not in self.names or not self._missing(frame.f_code):
@@ -589,7 +593,7 @@ class Trial:
         first, last = statement_at(tree, self.line, mutant.end_pos[0])
         lines = {(str(mutant.module_path), line) for line in range(first, last + 1)}
         self.tests = chosen(watch, lines, self.alone, longest_s)
-        self.limit_s = 20 + 3 * sum(watch.cost_s.values())
+        self.limit_s = 20 + 3 * sum(watch.cost_s[test] for test in self.tests)
         self.items = {item.nodeid: item for item in session.items}
         self.session = session
         self.child: Child | None = None
