@@ -389,7 +389,7 @@ def chosen(data: Readings, terms: Sequence[Term], *models: tuple[Sequence[int], 
     scores = {
         tuple(sorted(number[terms[k].label] for k in model)): math.log(share) for model, share in models
     }
-    found = replace(bare.found, scores=scores)
+    found = replace(bare.found, scores=scores, inflation=1.0)
     return replace(bare, found=found, verdict=weigh(found)).with_model(next(iter(scores)))
 
 
