@@ -129,6 +129,8 @@ ROOMS = {
         (
             "tests/tracing/test_trace_arithmetic.py",
             "tests/tracing/test_trace_numbers.py",
+            "tests/tracing/test_trace_outcome.py",
+            "tests/tracing/test_trace_parts.py",
             "tests/tracing/test_trace_engine.py",
             "tests/tracing/test_trace_gates.py",
             "tests/tracing/test_trace_openings.py",

@@ -517,7 +517,8 @@ class Fit:
         """Angle by the calibrated goniometer minus declared angle (n,); None without declared angles."""
         if not isinstance(data.model, PlanarTurn) or data.conditions.angle_rad is None:
             return None
-        return self._placed_on(replace(data, fixture_rad=np.inf), terms).settled(4).values.attitude
+        # A stage that stands further on than declared has turned ψ = α − θ the other way.
+        return -self._placed_on(replace(data, fixture_rad=np.inf), terms).settled(4).values.attitude
 
     def foresees(self, data: Readings, most: float) -> NDArray[np.bool_]:
         """Dwells (n,) of others that it predicts to a variance of `most` in units of their noise."""

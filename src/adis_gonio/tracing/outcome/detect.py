@@ -35,7 +35,7 @@ def detectable(
         name = term.effect.name
         key = name if name in inside else None
         if key not in basis_of:
-            others = [m for m in model if problem.terms[m].name != key]
+            others = [m for m in model if key is None or problem.terms[m].name != key]
             basis_of[key] = span(problem, others)[0]
         basis = basis_of[key]
         lengths = _lengths(problem, k, basis)

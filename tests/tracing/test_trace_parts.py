@@ -1,0 +1,669 @@
+"""Parts of the trace by themselves: candidates, search, posterior, choice, validation, averages."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import unicodedata
+from collections.abc import Sequence
+from dataclasses import replace
+from types import MappingProxyType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import linalg, stats
+
+from adis_gonio.errors import FitError
+from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.readings import from_means
+from adis_gonio.estimation.values import Value
+from adis_gonio.model.effects import Conditions
+from adis_gonio.model.rates import MeanRate
+from adis_gonio.tracing.candidates.grammar import nameless_terms
+from adis_gonio.tracing.candidates.named import named_terms
+from adis_gonio.tracing.candidates.processes import RING, evidence, processes
+from adis_gonio.tracing.outcome.naming import Names
+from adis_gonio.tracing.outcome.result import ErrorFigures, Finding
+from adis_gonio.tracing.selection.design import LinearProblem, orthonormal
+from adis_gonio.tracing.selection.posterior import ModelPosterior, weigh, without_models
+from adis_gonio.tracing.selection.search import Model, search
+from adis_gonio.tracing.selection.select import select
+from adis_gonio.tracing.trace import _disagreement, _enough, _weak
+from adis_gonio.tracing.unnamed.averaging import AveragedTerm
+from adis_gonio.tracing.unnamed.dependence import dependence
+from adis_gonio.tracing.validation.errors import Fold, error_figures, in_order, without_folds
+from adis_gonio.tracing.validation.survival import longest, never_worse, refuted, without
+from tracing.test_trace_numbers import (
+    G,
+    U,
+    believed,
+    function,
+    ideal_mg,
+    labelled,
+    named,
+    names_only,
+    noisy,
+    read,
+    single,
+    surroundings,
+    turn,
+)
+from tracing.test_trace_outcome import biased, chosen
+
+
+class TestFunctionsWithoutAName:
+    """Forms are what their words say."""
+
+    c = surroundings()
+    terms = MappingProxyType({t.label: t for t in nameless_terms(noisy(surroundings(), 41))})
+
+    def column(self, label: str, reading: np.ndarray) -> np.ndarray:
+        """Of one axis, with readings in g."""
+        return self.terms[label].columns(G * reading, self.c)[:, :, 0]
+
+    @pytest.mark.parametrize(
+        "form",
+        [
+            "a⁴",
+            "a⁵",
+            "a⁶",
+            "a⁷",
+            "a|a|",
+            "|a|³",
+            "sign a",
+            "√|a|",
+            "sign a √|a|",
+            "max(a, 0)²",
+            "min(a, 0)²",
+            "max(a, 0)³",
+            "min(a, 0)³",
+            "max(a − -0.75 g, 0)",
+            "max(a − 0.25 g, 0)",
+            "|a_p|",
+            "a_p³",
+            "a a_p²",
+            "a² a_p",
+            "a |a_p|",
+            "a_p |a|",
+            "sign a_p",
+            "a_p⁴",
+            "a_p⁵",
+            "a² a_p²",
+            "a³ a_p",
+            "a a_p³",
+        ],
+    )
+    def test_a_form_of_the_readings_is_what_it_says(self, form: str) -> None:
+        reading = np.random.default_rng(41).uniform(-1, 1, (24, 2))
+        told = self.column(f"bias[y]~{form}", reading)
+        expected = [said(form, a, p) for p, a in reading.tolist()]
+        np.testing.assert_allclose(told[:, 1], expected, rtol=1e-9, atol=1e-12)
+        assert not told[:, 0].any()
+
+    @pytest.mark.parametrize(
+        ("form", "of"),
+        [
+            ("sin 3θ", lambda t, u: np.sin(3 * t)),
+            ("cos 2θ", lambda t, u: np.cos(2 * t)),
+            ("sign sin θ", lambda t, u: np.sign(np.round(np.sin(t), 9))),
+            ("|cos θ|", lambda t, u: np.abs(np.cos(t))),
+            ("θ within a turn (saw-tooth)", lambda t, u: t / np.pi - 1),
+            ("θ (along all turns)", lambda t, u: t / (2 * np.pi)),
+            ("sin 2θ′ of the previous position", lambda t, u: np.sin(2 * u)),
+            ("cos 1θ′ of the previous position", lambda t, u: np.cos(u)),
+            ("the move θ − θ′", lambda t, u: (t - u) / np.abs(t - u).max()),
+            ("|θ − θ′|", lambda t, u: np.abs(t - u) / np.abs(t - u).max()),
+            ("sign(θ − θ′)", lambda t, u: np.sign(np.round(t - u, 9))),
+        ],
+    )
+    def test_a_form_of_the_angle_or_the_one_before_is_what_it_says(self, form: str, of: Any) -> None:
+        told = self.column(f"bias[x]~{form}", np.ones((24, 2)))[:, 0]
+        assert self.c.angle_rad is not None
+        np.testing.assert_allclose(told, of(self.c.angle_rad, self.c.previous_angle_rad), atol=1e-12)
+
+    def test_a_rate_of_temperature_is_the_slope_of_its_history_over_the_steepest(self) -> None:
+        # 30 + 6 sin(t/200 s), read once a minute: its slope is 0.03 cos(t/200 s) °C/s.
+        told = self.column("gain[x]~dT/dt", np.ones((24, 2)))[:, 0]
+        slope = np.cos(self.c.time_s / 200.0)
+        inside = slice(1, -1)  # at the ends the history is held
+        ratio = told[inside] @ slope[inside] / (slope[inside] @ slope[inside])
+        np.testing.assert_allclose(told[inside], ratio * slope[inside], atol=0.02)
+        assert np.abs(told).max() == pytest.approx(1.0)
+
+    def test_a_product_is_of_both_covariates_from_their_own_zeros(self) -> None:
+        told = self.column("bias[x]~(T − 25 °C) × (V − 5 V)", np.ones((24, 2)))[:, 0]
+        temperature, supply = self.c.temperature_c, self.c.supply_v
+        assert temperature is not None
+        assert supply is not None
+        expected = (temperature - 25) / np.ptp(temperature) * 2 * (supply - 5) / np.ptp(supply) * 2
+        np.testing.assert_allclose(told, expected)
+
+    def test_of_a_gyro_forms_of_force_and_rate_are_what_they_say(self) -> None:
+        rng = np.random.default_rng(42)
+        force, rate = rng.normal(size=(20, 3)), 50 * rng.normal(size=(20, 3))
+        c = Conditions(60.0 * np.arange(20), force_g=force, rate_dps=rate)
+        gyros = from_means(rate.copy(), np.tile(np.eye(3), (20, 1, 1)), c, measurement=MeanRate())
+        terms = {t.label: t for t in nameless_terms(gyros)}
+
+        def told(label: str) -> np.ndarray:
+            return terms[label].columns(rate, c)[:, 1, 0]
+
+        x, _, z = force.T
+        expected = {
+            "f_x³": x**3,
+            "|f_z|": np.abs(z),
+            "f_z|f_z|": z * np.abs(z),
+            "sign f_x": np.sign(x),
+            "max(f_x, 0)²": np.maximum(x, 0) ** 2,
+            "min(f_x, 0)²": np.minimum(x, 0) ** 2,
+            "f_x f_z": x * z,
+            "(f_x² − f_z²)/2": (x * x - z * z) / 2,
+        }
+        for form, column in expected.items():
+            np.testing.assert_allclose(told(f"bias[y]~{form}"), column, err_msg=form)
+        # Amplitudes are stated at 100 °/s.
+        own = rate[:, 1] / 100.0
+        for form, column in {
+            "ω²": own**2,
+            "ω³": own**3,
+            "ω|ω|": own * np.abs(own),
+            "sign ω": np.sign(own),
+        }.items():
+            np.testing.assert_allclose(told(f"bias[y]~{form}"), column, err_msg=form)
+        # Of x, y, z and their products up to the second degree z² is 1 − x² − y².
+        smooth = terms["bias[y]~a smooth function of the force (degree 2)"].columns(rate, c)
+        assert smooth.shape[2] == 8
+
+
+def said(form: str, a: float, p: float) -> float:
+    """A form of the readings a of the axis and a_p of the other, computed from its words."""
+    words = form.replace("−", "-").replace(" g,", ",")
+    words = re.sub("[²³⁴⁵⁶⁷]", lambda power: f"**{unicodedata.digit(power[0])}", words)
+    words = re.sub(r"√\|a\|", " sqrt(abs(a))", words)
+    words = re.sub(r"\|(a_p|a)\|", r" abs(\1)", words)
+    words = re.sub(r"sign (a_p|a)", r"sign(\1)", words)
+    words = re.sub(r"(?<=[\w)]) +(?=[a-z])", "*", words.strip())  # factors stand side by side
+    functions = {"sqrt": math.sqrt, "sign": np.sign, "abs": abs, "max": max, "min": min}
+    return float(eval(words, functions | {"a": a, "a_p": p}))
+
+
+class TestProcesses:
+    data = noisy(surroundings(), 43)
+
+    def test_the_evidence_is_that_of_a_normal_prior_on_the_features(self) -> None:
+        # Against none: ln N(y; 0, 1 + φ s² φᵀ) − ln N(y; 0, 1), both beside the base model.
+        fit = Fit.begin(self.data).refit()
+        beside = orthonormal(fit.jacobian)
+        left = np.random.default_rng(43).normal(size=48) * 2
+        left -= beside @ (beside.T @ left)
+        space = linalg.null_space(beside.T)
+        candidates = processes(self.data)[:: len(processes(self.data)) // 12]
+        told = evidence(fit, beside, left, candidates, 2.0)
+        for process, score in zip(candidates, told, strict=True):
+            features = space.T @ fit.white(fit.candidate(process.term))
+            spread = (
+                2.0 * np.eye(len(features)) + (process.term.shrinkage or 0) ** 2 * features @ features.T
+            )
+            y = space.T @ left
+            ratio = stats.multivariate_normal(np.zeros(len(y)), spread).logpdf(y)
+            ratio -= stats.multivariate_normal(np.zeros(len(y)), 2.0 * np.eye(len(y))).logpdf(y)
+            assert score == pytest.approx(ratio - process.price, abs=1e-4)
+
+    @pytest.mark.parametrize("width", RING)
+    def test_features_of_the_angle_are_those_of_the_periodic_kernel(self, width: float) -> None:
+        number = RING.index(width)
+        seen: dict[int, Any] = {}
+        for process in processes(self.data):
+            if process.term.covariates == ("angle",) and process.term.where == "angle":
+                seen.setdefault(id(process.term.basis), process.term.basis)
+        features = list(seen.values())[number].over(self.data.conditions)
+        theta = self.data.conditions.angle_rad
+        assert theta is not None
+        kernel = np.exp(-2 * np.sin((theta[:, None] - theta) / 2) ** 2 / width**2)
+        np.testing.assert_allclose(features @ features.T, kernel, atol=2e-3)
+
+    def test_features_of_time_are_a_constant_a_line_and_the_squared_exponential(self) -> None:
+        seen: dict[int, Any] = {}
+        for process in processes(self.data):
+            if process.term.covariates == ("time",):
+                seen.setdefault(id(process.term.basis), process.term.basis)
+        u = self.data.conditions.time_s / np.ptp(self.data.conditions.time_s)
+        for length, basis in zip((0.1, 0.18, 0.32, 0.56, 1.0), seen.values(), strict=True):
+            features = basis.over(self.data.conditions)
+            line = 2 * u - 1
+            kernel = 1 + np.outer(line, line) + np.exp(-0.5 * ((u[:, None] - u) / length) ** 2)
+            np.testing.assert_allclose(features @ features.T, kernel, atol=5e-3)
+
+
+class TestSearch:
+    def exhaustive(self, problem: LinearProblem, prices: np.ndarray, most: int) -> dict[Model, float]:
+        """Score of every model by least squares."""
+        scores = {}
+        for size in range(most + 1):
+            for model in itertools.combinations(range(len(problem.terms)), size):
+                columns = problem.columns[:, list(model)]
+                fitted = columns @ np.linalg.lstsq(columns, problem.target, rcond=None)[0]
+                left = float(((problem.target - fitted) ** 2).sum())
+                scores[model] = 0.5 * (problem.chi2 - left) - float(prices[list(model)].sum())
+        return scores
+
+    @pytest.mark.parametrize("seed", range(4))
+    def test_it_finds_the_best_of_all_models_and_scores_it_right(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        rows = rng.normal(size=(9, 24))
+        rows /= np.linalg.norm(rows, axis=1)[:, None]
+        target = rng.normal(size=24) + 6 * rows[1] - 5 * rows[4] + 5 * rows[7]
+        terms = [named(letter, 2.0) for letter in "abcdefghi"]
+        problem = single(target, rows, terms)
+        expected = self.exhaustive(problem, problem.cost, 3)
+        found = search(problem, 3)
+        assert found.best == max(expected, key=expected.__getitem__)
+        for model, score in found.scores.items():
+            assert score == pytest.approx(expected[model], abs=1e-3)
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_terms_that_explain_nothing_by_themselves_are_found_by_exchange_or_growth(
+        self, seed: int
+    ) -> None:
+        # Two columns of which the difference counts, beside one that looks like it and is not.
+        rng = np.random.default_rng(seed)
+        basis = np.linalg.qr(rng.normal(size=(30, 3)))[0].T
+        one, two = basis[0], basis[0] + 0.3 * basis[1]
+        decoy = basis[1] + 0.6 * basis[2]
+        rows = [row / np.linalg.norm(row) for row in (one, two, decoy)]
+        problem = single(9 * basis[1] + 0.1 * rng.normal(size=30), rows, [named(n, 1.0) for n in "abc"])
+        assert search(problem, 2).best == (0, 1)
+
+    def test_noise_of_unknown_origin_costs_what_is_explained(self) -> None:
+        problem = single([4.0, 0.0, 0.0], [[1.0, 0.0, 0.0]], [named("cubic", 1.5)])
+        for inflation in (1.0, 2.0):
+            assert search(problem, 1, inflation, spare=1).scores[(0,)] == pytest.approx(8 / inflation - 1.5)
+
+    def test_half_of_the_checks_stay_but_for_one_name_no_wider_than_a_bias(self) -> None:
+        rows = np.eye(4)
+        terms = [named("bias"), named("cubic"), named(None), named("warm_up")]
+        found = search(single([9, 9, 9, 9], rows, terms), 4)
+        assert max(map(len, found.scores)) == 2
+        tight = search(single([9.0], [[1.0]] * 3, [named("bias"), named("cubic"), named(None)]), 2)
+        assert set(tight.scores) == {(), (0,), (1,)}
+
+    def test_without_a_candidate_the_base_model_stands(self) -> None:
+        assert search(single([3.0, 1.0], np.zeros((0, 2)), []), 3).scores == {(): 0.0}
+
+
+class TestPosterior:
+    def test_models_that_are_impossible_leave_their_share_to_the_others(self) -> None:
+        terms = [named(name) for name in ("cubic", "warm_up", "backlash")]
+        verdict = ModelPosterior(
+            (0,), {(0,): 0.4, (1,): 0.4, (2,): 0.2}, {(0,): [], (1,): [(0, 2), (1, 2)], (2,): []}, {}, {}
+        )
+        told = without_models(verdict, terms, {(1,), (0, 2), (2,)}.__contains__)
+        # One of the second class is possible and stands for it; of the third none is.
+        assert told.weights == pytest.approx({(0,): 0.5, (1, 2): 0.5})
+        assert told.same == {(0,): [], (1, 2): []}
+        assert told.names == pytest.approx({"cubic": 0.5, "warm_up": 0.5, "backlash": 0.5})
+        kept = without_models(verdict, terms, {(0,), (1,)}.__contains__)
+        assert kept.best == (0,)
+        assert kept.weights[(0,)] == pytest.approx(0.4), "the chosen one stays whatever is said of it"
+
+    def test_a_name_is_as_probable_as_all_models_that_have_it(self) -> None:
+        problem = names_only("cubic", "warm_up")
+        verdict = believed(problem, {(0,): 0.5, (0, 1): 0.3, (): 0.2}).verdict
+        assert verdict.names == pytest.approx({"cubic": 0.8, "warm_up": 0.3})
+        assert verdict.weights == pytest.approx({(0,): 0.5, (0, 1): 0.3, (): 0.2})
+
+    def test_the_model_is_the_best_of_the_names_that_are_most_probable_together(self) -> None:
+        # Variants of one name share what they have; a single model of another name has less than they.
+        problem = names_only("cubic", "cubic", "warm_up")
+        found = believed(problem, {(0,): 0.32, (1,): 0.28, (2,): 0.4}).found
+        assert weigh(found).best == (0,)
+
+
+class TestSelection:
+    def test_where_the_noise_is_not_known_it_is_what_the_model_leaves_and_no_model_is_inadequate(
+        self,
+    ) -> None:
+        c = turn()
+        rough = ideal_mg(c) + np.random.default_rng(44).normal([5.0, -3.0], 7 * U, (24, 2))
+        data = replace(read(c, rough), known=np.zeros(24, dtype=bool))
+        chose = select(data, labelled(data, "bias[xy]", "quadratic[x]"), 2)
+        assert chose.adequate
+        assert [term.name for term in chose.terms] == ["bias"]
+        assert chose.inflation == pytest.approx(chose.fit.chi2 / chose.fit.dof, rel=0.1)
+        assert chose.inflation == pytest.approx(49.0, rel=0.6)
+
+    def test_noise_that_no_candidate_explains_is_assumed_for_all(self) -> None:
+        c = turn()
+        wave = np.outer(2.0 * np.cos(5 * c.angle_rad), [1.0, 1.0])
+        data = read(c, ideal_mg(c) + wave)
+        chose = select(data, labelled(data, "quadratic[x]"), 2)
+        assert not chose.adequate
+        assert not chose.terms
+        # 24 squares of 2 cos on each axis over 44 degrees of freedom, in units of 0.1 mg.
+        assert chose.inflation == pytest.approx(2 * 12 * 4 / U**2 / 44, rel=0.01)
+
+    def test_models_beyond_physical_bounds_have_no_share_of_the_posterior(self) -> None:
+        # A temperature that hardly moves would explain a bias by thousands of mg/°C.
+        data = biased()
+        c = replace(
+            data.conditions, temperature_c=25.01 + 1e-4 * np.random.default_rng(45).standard_normal(24)
+        )
+        data = replace(data, conditions=c)
+        terms = labelled(data, "bias[xy]", "bias[x]", "bias_temperature[xy](degree=1)")
+        selection = chosen(data, terms, ((0,), 0.5), ((2,), 0.4), ((1,), 0.1))
+        told = selection.within_bounds()
+        k = {term.label: k for k, term in enumerate(told.problem.terms)}
+        assert (k["bias_temperature[xy](degree=1)"],) not in told.found.scores
+        assert "bias_temperature" not in told.verdict.names
+        assert told.verdict.names["bias"] == pytest.approx(1.0)
+
+    def test_without_a_function_that_was_refuted_the_best_of_the_others_stands(self) -> None:
+        data = biased()
+        drift = np.outer(0.4 * data.conditions.time_s / 1e3, [1.0, 0.0])
+        data = replace(data, mean=data.mean + drift)
+        wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
+        other = function("other", lambda c: np.sin(4 * c.angle_rad), ("angle",))
+        line = function("line", lambda c: c.time_s / 1e3, ("time",))
+        (bias,) = labelled(data, "bias[xy]")
+        terms = [bias, wave, other, line]
+        selection = chosen(data, terms, ((0, 1), 0.6), ((0, 2), 0.2), ((0, 3), 0.15), ((0,), 0.05))
+        told = selection.without_functions([wave])
+        assert {term.label for term in told.terms} == {"bias[xy]", "line"}
+        assert told.verdict.covariates == pytest.approx({("time",): 0.75})
+
+    def test_a_bias_that_is_far_larger_than_the_rest_is_taken_out_before_forms_with_a_constant(
+        self,
+    ) -> None:
+        data = biased(mg=(900.0, 400.0))
+        chose = select(data, labelled(data, "bias[xy]", "quadratic[x]", "quadratic[y]"), 3)
+        assert [term.name for term in chose.terms] == ["bias"]
+        assert chose.adequate
+        assert chose.fit.values.terms[0] == pytest.approx([900.0, 400.0], abs=0.2)
+
+
+class TestNestedModels:
+    def test_steps_come_by_what_they_take_and_each_fit_has_them_so_far(self) -> None:
+        data = biased(mg=(0.5, 0.0))
+        psi = np.radians(3.0) - data.conditions.angle_rad
+        data = replace(data, mean=data.mean + np.outer(5.0 * np.sin(psi) ** 3, [0.0, 1.0]))
+        terms = labelled(data, "bias[x]", "cubic[y]")
+        selection = chosen(data, terms, ((0, 1), 1.0))
+        fits, steps = in_order(selection, None)
+        assert steps == ["cubic", "bias"]
+        assert [[term.label for term in fit.terms] for fit in fits] == [
+            [],
+            ["cubic[y]"],
+            ["cubic[y]", "bias[x]"],
+        ]
+        assert fits[2].chi2 == pytest.approx(selection.fit.chi2, rel=1e-3)
+        assert fits[0].chi2 > fits[1].chi2 > fits[2].chi2
+
+    def test_errors_on_check_dwells_are_those_of_readings_and_angles_there(self) -> None:
+        every = biased()
+        check = np.arange(24) % 4 == 3
+        every = replace(every, check=check)
+        data, checking = every.training, every.checking
+        assert checking is not None
+        fits = [Fit.begin(data).refit()]
+        (term,) = labelled(data, "bias[xy]")
+        fits.append(fits[0].having([term], [np.zeros(2)]).refit())
+        figures, design = without_folds(fits, data, checking)
+        assert design == "6 check dwells"
+        start, scale_x, scale_y, lean = fits[1].values.base
+        bias = fits[1].values.terms[0]
+        theta = checking.conditions.angle_rad
+        assert theta is not None
+        psi = start - theta
+        left = checking.mean - bias - G * np.stack([scale_x * np.cos(psi), scale_y * np.sin(psi + lean)], 1)
+        assert figures[1].heldout_rms == pytest.approx(math.sqrt((left**2).mean()), rel=1e-3)
+        x, y = ((checking.mean - bias) / G / [scale_x, scale_y]).T
+        shown = np.arctan2((y - x * math.sin(lean)) / math.cos(lean), x)
+        off = np.degrees(np.angle(np.exp(1j * (shown - psi))))
+        assert figures[1].angle_rms_deg == pytest.approx(math.sqrt((off**2).mean()), rel=1e-2)
+        assert figures[1].residual_rms == pytest.approx(math.sqrt((fits[1].misfit ** 2).mean()))
+        assert figures[1].chi2_per_dof == pytest.approx(fits[1].chi2 / (36 - 6))
+        assert figures[0].heldout_rms is not None
+        assert figures[0].heldout_rms > 10 * (figures[1].heldout_rms or 0)
+
+    def test_without_time_and_check_dwells_nothing_is_left_out(self) -> None:
+        data = biased()
+        figures, design = without_folds([Fit.begin(data).refit()], data, None)
+        assert design == "no dwell"
+        assert (figures[0].heldout_rms, figures[0].angle_rms_deg) == (None, None)
+
+    def test_of_few_dwells_each_is_left_out_in_turn_with_the_effects_kept(self) -> None:
+        c = turn(8)
+        data = read(c, noisy(c, 46).mean + np.array([5.0, -3.0]))
+        terms = labelled(data, "bias[xy]")
+        selection = chosen(data, terms, ((0,), 1.0))
+        fits, _ = in_order(selection, None)
+        figures, design = error_figures(selection, data, None, fits, Fold(terms, None, 1))
+        assert design.startswith("each of 8 dwells in turn, effects kept")
+        # Leaving one out by hand: readings are linear in the parameters but for rounding.
+        psi = np.radians(3.0) - c.angle_rad
+        zero, one = np.zeros(8), np.ones(8)
+        rows = np.stack(
+            [
+                np.column_stack([-np.sin(psi), np.cos(psi), zero, zero, one, zero]),
+                np.column_stack([np.cos(psi), zero, np.sin(psi), np.cos(psi), zero, one]),
+            ],
+            axis=1,
+        )
+        away = data.mean - ideal_mg(c)
+        left = []
+        for k in range(8):
+            rest = np.arange(8) != k
+            solved = np.linalg.lstsq(rows[rest].reshape(-1, 6), away[rest].ravel(), rcond=None)[0]
+            left.append(away[k] - rows[k] @ solved)
+        assert figures[-1].heldout_rms == pytest.approx(math.sqrt(np.mean(np.square(left))), rel=0.02)
+        assert figures[-1].heldout_kept is None
+
+    def test_where_the_others_do_not_determine_the_model_no_dwell_is_left_out(self) -> None:
+        c = turn(4)
+        data = read(c, noisy(c, 47).mean + np.array([5.0, -3.0]))
+        terms = labelled(data, "bias[xy]", "quadratic[x]")
+        selection = chosen(data, terms, ((0, 1), 1.0))
+        fits, _ = in_order(selection, None)
+        figures, design = error_figures(selection, data, None, fits, Fold(terms, None, 2))
+        assert "the model has 7 parameters: 3 dwells do not determine it" in design
+        assert [one.heldout_rms for one in figures] == [None] * len(fits)
+
+    def test_in_folds_effects_are_chosen_anew_and_with_them_kept_the_error_is_said_too(self) -> None:
+        data = biased()
+        terms = labelled(data, "bias[xy]", "quadratic[x]")
+        selection = chosen(data, terms, ((0,), 1.0))
+        fits, _ = in_order(selection, None)
+        figures, design = error_figures(selection, data, None, fits, Fold(terms, None, 1))
+        assert "whole dwells (5 folds)" in design
+        assert "effects chosen anew in each fold" in design
+        # The bias is chosen in every fold, so that it does not matter whether it was kept.
+        assert figures[-1].heldout_kept == pytest.approx(figures[-1].heldout_rms, rel=0.01)
+        assert figures[-1].heldout_rms == pytest.approx(U * math.sqrt(1 + 6 / 38), rel=0.25)
+        assert figures[0].heldout_rms is not None
+        assert figures[0].heldout_rms > math.sqrt((25 + 9) / 2), "a fit without these dwells errs by more"
+
+    def test_of_gyros_errors_are_said_axis_by_axis(self) -> None:
+        rng = np.random.default_rng(48)
+        c = Conditions(60.0 * np.arange(20), rate_dps=np.zeros((20, 3)), force_g=np.zeros((20, 3)))
+        rates = rng.normal(size=(20, 3)) * [1.0, 2.0, 3.0]
+        gyros = from_means(rates, np.tile(np.eye(3), (20, 1, 1)), c, measurement=MeanRate())
+        check = np.arange(20) < 5
+        every = replace(gyros, check=check)
+        fit = Fit.begin(every.training).refit()
+        ((figure,), _) = without_folds([fit], every.training, every.checking)
+        expected = np.sqrt(((rates[check] - rates[~check].mean(axis=0)) ** 2).mean(axis=0))
+        assert figure.heldout_by_axis == pytest.approx(dict(zip("xyz", expected, strict=True)), rel=1e-6)
+        assert figure.unit == "dps"
+
+
+class TestSurvival:
+    def test_a_name_taken_away_stands_alone_among_the_confounded(self) -> None:
+        names = Names(("bias", "cubic"), {"gravity": "why"}, (("cubic", "gravity"), ("cubic",)))
+        told = without(names, {"cubic": "reason", "gravity": "reason"})
+        assert told == Names(("bias",), {"gravity": "why"}, (("cubic", "gravity"), ("cubic",)))
+
+    @pytest.mark.parametrize(
+        ("errors", "steps"),
+        [
+            ([1.0, 0.5, 0.4], 2),
+            ([1.0, 0.5, 0.6], 1),
+            ([1.0, 0.5, 0.524], 2),
+            ([1.0, 2.0, 0.9], 2),
+            ([1.0, 2.0, 3.0], 0),
+            ([1.0, None, 3.0], 2),
+        ],
+    )
+    def test_the_longest_model_that_is_never_worse_than_a_shorter_one_stays(
+        self, errors: Sequence[float | None], steps: int
+    ) -> None:
+        assert longest(errors, 2) == steps
+        names = Names(("bias", "cubic"), {}, ())
+        count, left, reasons = never_worse(names, ("bias", "cubic"), errors, None)
+        assert count == steps
+        assert left.stand == ("bias", "cubic")[:steps]
+        assert set(reasons) == {"bias", "cubic"} - set(left.stand)
+
+    def test_the_reason_has_the_errors_with_and_without_it_in_their_unit(self) -> None:
+        names = Names(("bias", "cubic"), {}, ())
+        reasons = never_worse(names, ("bias", "cubic"), (1.0, 0.5, 0.75), None, "dps")[2]
+        assert reasons == {"cubic": "the held-out error would go from 0.5 to 0.75 dps with it"}
+        stated = never_worse(names, ("bias",), (1.0, 0.5), (0.2, 0.4))[2]
+        assert stated == {"bias": "the held-out error would go from 0.2 to 0.4 mg with it"}
+
+    def test_functions_that_only_longer_models_have_are_refuted_and_names_are_not(self) -> None:
+        wave, line = named(None, covariates=("angle",)), named(None, covariates=("time",))
+        cubic = named("cubic")
+        fits: Any = [
+            SimpleNamespace(terms=terms) for terms in ((), (wave,), (wave, line), (wave, line, cubic))
+        ]
+        selection: Any = SimpleNamespace(terms=(wave, line, cubic))
+        assert refuted(selection, fits, [1.0, 0.5, 0.6, 0.6]) == [line]
+        assert refuted(selection, fits, [1.0, 0.5, 0.5, 0.5]) == []
+
+    def test_names_are_weak_by_what_is_likelier_what_was_not_checked_and_what_is_no_larger_than_its_u(
+        self,
+    ) -> None:
+        def of(name: str, value: float) -> Finding:
+            return Finding(name, (), {"a": Value(value, 1.0, "mg")}, 0.0, 0.0, 1.0)
+
+        found = [of("bias", 9.0), of("cubic", 9.0), of("gravity", 0.5), of("backlash", 9.0)]
+        checked, unchecked = ErrorFigures(1.0, 1.0, None, None), ErrorFigures(1.0, None, None, None)
+        weak = _weak(found, checked, {"backlash": "unnamed: angle"})
+        assert set(weak) == {"gravity", "backlash"}
+        assert "no larger than their own uncertainty" in weak["gravity"]
+        assert "unnamed: angle" in weak["backlash"]
+        assert set(_weak(found, unchecked, {})) == {"cubic", "gravity", "backlash"}
+
+    def test_check_dwells_that_do_not_agree_are_said_with_their_number(self) -> None:
+        check = np.arange(24) % 4 == 0
+        for off_mg, said in ((0.0, False), (1.0, True)):
+            data = biased()
+            data = replace(data, mean=data.mean + np.outer(check, [off_mg, 0.0]))
+            selection = chosen(data.rows(~check), labelled(data, "bias[xy]"), ((0,), 1.0))
+            told = _disagreement(selection, data.rows(check))
+            assert bool(told) == said
+            assert all(note.startswith("the 6 check dwells do not agree") for note in told)
+
+    @pytest.mark.parametrize(("n", "least"), [(1, "2 positions"), (2, None)])
+    def test_a_turn_wants_as_many_equations_as_base_parameters(self, n: int, least: str | None) -> None:
+        data = noisy(turn(24), 49).rows(np.arange(24) < n)
+        if least is None:
+            _enough(data)
+        else:
+            with pytest.raises(
+                FitError, match=f"2 equations for 4 base parameters; measure at least {least}"
+            ):
+                _enough(data)
+
+
+class TestDependence:
+    """What an inadequate model leaves, by covariate."""
+
+    def told(self, c: Conditions, size: np.ndarray) -> Any:
+        data = noisy(c, 50)
+        rows = 0.1 * np.random.default_rng(50).normal(size=(len(data), 2)) + size[:, None]
+        return dependence(
+            believed(single(rows.ravel(), np.zeros((0, rows.size)), []), {(): 1.0}, data=data)
+        )
+
+    @pytest.mark.parametrize("covariate", ["temperature", "supply", "approach", "angle", "previous_angle"])
+    def test_the_covariate_that_it_follows_is_said(self, covariate: str) -> None:
+        rng = np.random.default_rng(51)
+        c = surroundings(36, 51)
+        c = replace(
+            c, temperature_c=rng.uniform(20, 30, 36), previous_angle_rad=rng.permutation(c.angle_rad)
+        )
+        values: Any = {
+            "temperature": c.temperature_c,
+            "supply": c.supply_v,
+            "approach": c.approach,
+            "angle": np.sin(c.angle_rad),
+            "previous_angle": np.cos(c.previous_angle_rad),
+        }[covariate]
+        size = 3 * (values - values.mean()) / values.std()
+        told = self.told(c, size)
+        assert told.covariates == (covariate,)
+        assert told.form.startswith(f"a smooth function of {covariate}")
+        assert told.explains > 0.5
+        assert told.probability is None
+
+    def test_of_fewer_than_eight_dwells_nothing_is_said(self) -> None:
+        c = turn(7)
+        assert self.told(c, 9 * np.sin(c.time_s / 100)) is None
+
+    def test_in_space_a_reading_is_a_covariate(self) -> None:
+        rng = np.random.default_rng(52)
+        up = rng.normal(size=(40, 3))
+        up /= np.linalg.norm(up, axis=1)[:, None]
+        data = from_means(
+            G * up, np.tile(0.01 * np.eye(3), (40, 1, 1)), Conditions(60.0 * rng.permutation(40))
+        )
+        rows = 0.1 * rng.normal(size=40) + 3 * up[:, 1]
+        told = dependence(believed(single(rows, np.zeros((0, 40)), []), {(): 1.0}, data=data))
+        assert told is not None
+        assert told.covariates == ("reading_y",)
+
+
+class TestAverages:
+    def test_an_average_adds_the_weighted_mean_and_has_no_columns(self) -> None:
+        c = turn()
+        ideal = ideal_mg(c)
+        wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
+        line = function("line", lambda c: c.time_s / 1e3, ("time",))
+        members = ((0.3, wave, np.array([2.0])), (0.7, line, np.array([-1.0])))
+        term = AveragedTerm("average", ("time",), 0.0, "bias", (0,), line.basis, members=members)
+        expected = 0.3 * 2 * np.cos(4 * c.angle_rad) - 0.7 * c.time_s / 1e3
+        np.testing.assert_allclose(term.added(np.zeros(0), ideal, c), np.outer(expected, [1.0, 0.0]))
+        assert term.form == "bias of x follows line"
+        assert term.columns(ideal, c).shape == (24, 2, 0)
+
+
+class TestNamedCandidates:
+    def test_why_an_effect_is_no_candidate_is_said(self) -> None:
+        missing = named_terms(noisy(turn(), 53))[1]
+        assert missing["bias_temperature"] == "temperature_c not recorded"
+        assert missing["saturation"] == "looked for within the dwells"
+        free = from_means(G * np.eye(3), np.tile(np.eye(3), (3, 1, 1)), Conditions(np.arange(3.0)))
+        assert "stage_eccentricity" in named_terms(free)[1]
+
+    def test_in_space_an_outlier_is_of_the_axis_nearest_to_gravity(self) -> None:
+        mean = G * np.array([[0.9, 0.3, -0.3], [0.1, -0.99, 0.1], [0.0, 0.6, 0.8]])
+        c = Conditions(60.0 * np.arange(3), order=np.arange(3.0))
+        data = from_means(mean, np.tile(np.eye(3), (3, 1, 1)), c, check=np.array([False, False, True]))
+        labels = [t.label for t in named_terms(data)[0] if t.name == "outlier_dwell"]
+        assert labels == ["outlier_dwell[x](dwell=0)", "outlier_dwell[y](dwell=1)"]
+
+    def test_time_constants_go_from_the_distance_of_dwells_to_half_again_the_session(self) -> None:
+        # 24 dwells a minute apart.
+        data = noisy(turn(), 54)
+        grid = sorted({t.shapes[0][1] for t in named_terms(data)[0] if t.name == "warm_up"})
+        assert (grid[0], grid[-1]) == (pytest.approx(60.0), pytest.approx(1.5 * 23 * 60))
+        assert np.diff(np.log(grid)) == pytest.approx(np.full(len(grid) - 1, math.log(grid[1] / grid[0])))
+
+    @pytest.mark.parametrize(("levels", "degrees"), [(2, {1}), (3, {1, 2}), (24, {1, 2, 3})])
+    def test_a_temperature_of_few_levels_shows_few_powers(self, levels: int, degrees: set[int]) -> None:
+        c = turn(temperature_c=25 + np.arange(24.0) % levels)
+        terms = named_terms(noisy(c, 55))[0]
+        assert {t.effect.degree for t in terms if t.name == "bias_temperature"} == degrees
