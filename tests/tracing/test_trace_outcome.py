@@ -19,7 +19,6 @@ from adis_gonio.estimation.terms import Term
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.rates import MeanRate
-from adis_gonio.model.records import Dwell, Session
 from adis_gonio.slips import Diagnosis, PositionFinding
 from adis_gonio.slips.finding import Named
 from adis_gonio.tracing.candidates.named import named_terms
@@ -285,18 +284,6 @@ class TestFiguresOfWhatIsLeft:
         np.testing.assert_allclose(drawn["reading_z"].x, gyros.mean[:, 2] / 100.0)
 
 
-def session_at(*angles_deg: float | None) -> Session:
-    """Dwells at these angles, of no readings that matter."""
-    return Session(
-        tuple(
-            Dwell(k, np.array([20.0 * k]), np.zeros((1, 2)), angle_deg=angle)
-            for k, angle in enumerate(angles_deg)
-        ),
-        accel_unit="mg",
-        sensor="generic",
-    )
-
-
 def accused(position: int, finding: Any, *names: str, error_deg: float = 1.0, others: Any = ()) -> Any:
     """A position that is not where it was declared (10° a position)."""
     said = tuple(Named(name, (position,), 0.9) for name in (names or (finding,)))  # type: ignore[arg-type]
@@ -309,19 +296,30 @@ def accused(position: int, finding: Any, *names: str, error_deg: float = 1.0, ot
 class TestPositions:
     """What gravity and gyro say of positions, in one story with the trace."""
 
-    def test_slips_that_last_are_taken_out_of_all_that_follows_and_add_up(self) -> None:
-        session = session_at(0.0, 10.0, 20.0, None, 40.0)
+    def stood_deg(self, data: Readings, *findings: PositionFinding) -> np.ndarray:
+        """By how much the angles of the readings are moved."""
+        stood = as_the_part_stood(data, Diagnosis(findings))
+        assert stood.conditions is data.conditions
+        return np.degrees(stood.angle_rad - data.angle_rad)
+
+    def test_gross_slips_that_last_are_taken_out_of_all_that_follows_and_add_up(self) -> None:
+        data = noisy(turn(5), 27)
         slips = (
-            accused(1, "slipped", error_deg=0.5, others=(2, 3, 4)),
-            accused(4, "slipped", error_deg=-2.0),
+            accused(1, "slipped", error_deg=5.0, others=(2, 3, 4)),
+            accused(4, "slipped", error_deg=-20.0),
             accused(2, "mistyped", error_deg=7.0),
         )
-        stood = as_the_part_stood(session, Diagnosis(slips))
-        assert [dwell.angle_deg for dwell in stood.dwells] == [0.0, 10.5, 20.5, None, 38.5]
+        np.testing.assert_allclose(self.stood_deg(data, *slips), [0, 5, 5, 5, -15], atol=1e-9)
 
-    def test_without_a_slip_that_lasts_the_session_stays_as_it_is(self) -> None:
-        session = session_at(0.0, 10.0)
-        assert as_the_part_stood(session, Diagnosis((accused(1, "mistyped", error_deg=7.0),))) is session
+    def test_a_slip_is_taken_out_where_it_shortens_a_reading_by_its_uncertainty(self) -> None:
+        data = noisy(turn(5), 27)
+        reach = math.degrees(math.acos(1 - float(np.sqrt(data.variance_of_mean[0])) / G))
+        slips = [accused(1, "slipped", error_deg=times * reach, others=(2, 3, 4)) for times in (0.98, 1.02)]
+        assert [bool(self.stood_deg(data, slip).any()) for slip in slips] == [False, True]
+
+    def test_without_a_slip_that_lasts_the_readings_stay_as_they_are(self) -> None:
+        data = noisy(turn(5), 27)
+        assert as_the_part_stood(data, Diagnosis((accused(1, "mistyped", error_deg=7.0),))) is data
 
     @pytest.mark.parametrize(
         ("finding", "names", "gone"),
@@ -355,31 +353,35 @@ class TestPositions:
 
     def test_a_trace_begins_with_how_positions_are_put_right(self) -> None:
         findings = (
-            accused(1, "slipped", error_deg=0.5, others=(2, 3)),
+            accused(1, "slipped", error_deg=5.0, others=(2, 3)),
             accused(5, "mistyped"),
             accused(7, "gravity_wrong"),
             accused(9, "gyro_wrong"),
         )
         positions = Diagnosis(findings)
-        told = with_positions(self.result(), positions)
+        told = with_positions(self.result(), noisy(turn(), 27), positions)
         assert told.position_findings == findings
         assert told.advice == (
-            "look at what was written down; then trace again with --angles 1-3+=0.5,5=50",
+            "look at what was written down; then trace again with --angles 1-3+=5,5=50",
             "repeat position 7, 9",
             "measure on",
         )
         assert told.notes[:-1] == ("a note", *positions.sentences)
-        assert told.notes[-1].startswith("traced as the part stood: +0.50° from position 1 on")
+        assert told.notes[-1].startswith("traced as the part stood: +5.00° from position 1 on")
 
     def test_where_all_can_be_put_right_no_position_is_repeated_and_the_other_way_round(self) -> None:
-        (first, _) = with_positions(self.result(), Diagnosis((accused(5, "mistyped"),))).advice
+        (first, _) = with_positions(
+            self.result(), noisy(turn(), 27), Diagnosis((accused(5, "mistyped"),))
+        ).advice
         assert first.endswith("--angles 5=50")
-        advice = with_positions(self.result(), Diagnosis((accused(7, "gravity_wrong"),))).advice
+        advice = with_positions(
+            self.result(), noisy(turn(), 27), Diagnosis((accused(7, "gravity_wrong"),))
+        ).advice
         assert advice == ("repeat position 7", "measure on")
 
     def test_of_a_session_without_a_wrong_position_nothing_more_is_said(self) -> None:
         result = self.result()
-        assert with_positions(result, Diagnosis()) is result
+        assert with_positions(result, noisy(turn(), 27), Diagnosis()) is result
 
 
 def chosen(data: Readings, terms: Sequence[Term], *models: tuple[Sequence[int], float]) -> Selection:
