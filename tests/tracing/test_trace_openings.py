@@ -111,6 +111,11 @@ class TestNamesThatCouldExplainIt:
         assert undecided(left_by(np.array([5.0]), [np.ones(1)], ("bias",))) == ()
         assert undecided(left_by(np.ones(4))) == ()
 
+    def test_one_degree_of_freedom_is_enough_to_judge_by(self) -> None:
+        # F of 1 and 1 degrees of freedom is t² of one: 6.3 and more in one of ten.
+        assert undecided(left_by(np.array([7.0, 1.0]), [[1, 0]], ("bias",))) == ("bias",)
+        assert undecided(left_by(np.array([6.0, 1.0]), [[1, 0]], ("bias",))) == ()
+
 
 def replace_model(selection: SimpleNamespace, best: tuple[int, ...]) -> SimpleNamespace:
     return SimpleNamespace(

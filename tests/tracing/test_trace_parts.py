@@ -609,10 +609,6 @@ class TestDependence:
         assert told.explains > 0.5
         assert told.probability is None
 
-    def test_of_fewer_than_eight_dwells_nothing_is_said(self) -> None:
-        c = turn(7)
-        assert self.told(c, 9 * np.sin(c.time_s / 100)) is None
-
     def test_in_space_a_reading_is_a_covariate(self) -> None:
         rng = np.random.default_rng(52)
         up = rng.normal(size=(40, 3))
