@@ -311,7 +311,6 @@ class Ambient(MeanRate):
     unit = "lux"
     full = 1000.0
     driven_by = ()
-    steepest: ClassVar = {}
     named_forms: ClassVar = {}
 
 

@@ -327,19 +327,6 @@ class TestPhysicalBounds:
         problem = linearise(at.settled(), [term])
         assert (beyond_bounds(data, problem, [0]) is None) == possible
 
-    @pytest.mark.number("steepest")
-    @pytest.mark.parametrize(("share", "possible"), [(0.8, True), (1.3, False)])
-    def test_nothing_follows_the_temperature_more_steeply_than_the_worst_zero(
-        self, share: float, possible: bool
-    ) -> None:
-        # 20 mg/°C is the bound of `bias_temperature`; over 1 °C far less than a tenth of g.
-        above = np.random.default_rng(6).permutation(np.linspace(-0.5, 0.5, 24))
-        c = turn(temperature_c=25 + above)
-        term = function("line", lambda c: c.temperature_c - 25, ("temperature",))
-        data = read(c, ideal_mg(c) + np.outer(share * 20 * above, [1.0, 0.0]))
-        problem = linearise(Fit.begin(data).refit(), [term])
-        assert (beyond_bounds(data, problem, [0]) is None) == possible
-
 
 def slipped(n: int = 24, by_deg: float = 15.0, dwells: int = 1, scatter_deg: float = 0.0) -> Readings:
     """A turn of which some dwells, far from each other, stand elsewhere by a slip."""

@@ -100,10 +100,6 @@ class Measurement(ABC):
         What counts as one in a function without a name, in `unit`: an amplitude is what it adds there.
     driven_by : tuple of str
         What functions without a name may follow besides the conditions: `reading`, `force`, `rotation`.
-    steepest : mapping of str to (str, str)
-        Covariates whose influence has a bound: rows of the conditions, and the effect whose first
-        coefficient is bounded. A temperature that is constant but for its noise stands out in one dwell by
-        chance.
     named_forms : mapping of str to tuple of str
         Places (`bias`, `gain`, `misalignment`) at which the catalogue has the line of a covariate.
     """
@@ -115,10 +111,6 @@ class Measurement(ABC):
     unit: ClassVar[str] = "mg"
     full: ClassVar[float] = MG_PER_G
     driven_by: ClassVar[tuple[str, ...]] = ("reading",)
-    steepest: ClassVar[Mapping[str, tuple[str, str]]] = {
-        "temperature": ("temperature_c", "bias_temperature"),
-        "supply": ("supply_v", "supply_bias"),
-    }
     named_forms: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "time": ("bias", "gain"),
         "temperature": ("bias", "gain", "misalignment"),

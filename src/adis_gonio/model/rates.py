@@ -44,10 +44,6 @@ class MeanRate(Measurement):
     unit: ClassVar[str] = "dps"
     full: ClassVar[float] = FULL_DPS
     driven_by: ClassVar[tuple[str, ...]] = ("force", "rotation")
-    steepest: ClassVar[Mapping[str, tuple[str, str]]] = {
-        "temperature": ("temperature_c", "gyro_bias_temperature"),
-        "supply": ("supply_v", "gyro_supply"),
-    }
     named_forms: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "time": ("bias",),
         "temperature": ("bias", "gain"),

@@ -90,9 +90,6 @@ class Limits:
     )
     gross_share: float = number(0.2, "chosen", "largest share of the dwells that slipped grossly")
     gross_length: float = number(0.2, "chosen", "largest change of a reading's length in a gross slip")
-    steepest: float = number(
-        1.0, "physical", "slope in temperature or supply, of the catalogue's bound", off=INFINITE
-    )
 
     # Choice
     adequate: float = number(0.01, "level", "level of the test of adequacy")

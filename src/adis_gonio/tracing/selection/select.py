@@ -13,7 +13,6 @@ from adis_gonio.estimation.fit import Fit, adequacy
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.robust import MAD_TO_SD
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
-from adis_gonio.model.effects import effect
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, linearise, span
 from adis_gonio.tracing.selection.posterior import ModelPosterior, weigh, without_models
@@ -277,8 +276,7 @@ def _impossible(data: Readings, problem: LinearProblem, verdict: ModelPosterior)
 def beyond_bounds(data: Readings, problem: LinearProblem, chosen: Sequence[int]) -> str | None:
     """Label of the least common term of a model among those beyond their physical bounds, or None.
 
-    A nameless term has no bounds of its own, but no cause adds more than `limits.largest`, and none
-    follows the temperature or the supply more steeply than the catalogue's coefficients may. Where a
+    A nameless term has no bounds of its own, but no cause adds more than `limits.largest`. Where a
     covariate hardly moves (a temperature that is constant but for its noise) a column is a constant with a
     little noise on it, which can fit better than the constant with an amplitude that no part has. The
     amplitude of what it stands beside is then out of bounds as well, through no fault of that term.
@@ -293,22 +291,9 @@ def beyond_bounds(data: Readings, problem: LinearProblem, chosen: Sequence[int])
             added = term.added(term.start(own), data.mean, data.conditions)
             added = added * data.model.size if term.enters_angle else added
             beyond = bool(np.abs(added).max() > limits.largest * data.model.size)
-            beyond |= bool(np.ptp(added, axis=0).max() > _steepest(data, term))
         if beyond:
             out.append(term)
     return max(out, key=lambda term: term.cost).label if out else None
-
-
-def _steepest(data: Readings, term: Term) -> float:
-    """Most that a term of temperature and supply alone may vary in this session; no limit for others."""
-    total = 0.0
-    for covariate in term.covariates:
-        if covariate not in data.model.steepest:
-            return np.inf
-        rows, name = data.model.steepest[covariate]
-        bound = effect(name).parameters[0].high
-        total += limits.steepest * bound * float(np.ptp(data.conditions.covariate(rows)))
-    return total if term.covariates else np.inf
 
 
 def _inflated(
