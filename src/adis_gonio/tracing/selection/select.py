@@ -176,8 +176,8 @@ def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
     Where a slip is out of the linear problem's reach, only an outlier of both axes would explain it. About
     a state that has the slip it is exact.
     """
-    theta = data.conditions.angle_rad
-    if not data.planar or theta is None or data.free:
+    theta = data.angle_rad
+    if not data.planar or data.conditions.angle_rad is None or data.free:
         return {}
     reading = data.mean - _robust_bias(data, theta)
     shown = np.arctan2(reading[:, 1], reading[:, 0]) + theta
@@ -231,9 +231,8 @@ def _robust_bias(data: Readings, theta: Floats) -> Floats:
 
 def _with_slips(data: Readings, terms: Sequence[Term], slipped: dict[Term, float]) -> Fit:
     """Slips that are known roughly and a bias, which the linear problem needs as well, refitted."""
-    order, theta = data.conditions.order, data.conditions.angle_rad
+    order, theta = data.conditions.order, data.angle_rad
     assert order is not None
-    assert theta is not None
     kept = data.rows(~np.isin(np.round(order), [term.dwell for term in slipped if term.dwell is not None]))
     firm = Fit.begin(kept).refit().values.base
     values = [np.array([value]) for value in slipped.values()]
