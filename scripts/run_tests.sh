@@ -11,4 +11,6 @@ cd "$(dirname "$0")/.."
 .venv/bin/ruff format --check .
 .venv/bin/mypy
 .venv/bin/python scripts/generate_protocol.py --check
+# A worker a core: threads of BLAS besides would wait for one another on matrices of a hundred rows.
+export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
 exec .venv/bin/pytest -n auto "$@"
