@@ -267,10 +267,10 @@ def test_a_fit_within_a_plane_moves_nowhere_else() -> None:
 # -- dwells that took no part -----------------------------------------------------------------------------
 
 
-def test_the_angle_error_is_what_the_stage_is_off_by() -> None:
+def test_a_part_that_is_turned_on_shows_an_angle_that_is_smaller_by_it() -> None:
     data, delta = planar(n=12, noise=0.01)
     fit = at(data, BASE)
-    np.testing.assert_allclose(fit.angle_error_rad(data), delta, atol=1e-4)
+    np.testing.assert_allclose(fit.angle_error_rad(data), -delta, atol=1e-4)
     assert fit.angle_error_rad(planar(undeclared=(1,))[0]) is None
     space, base = spatial()
     assert at(space, base).angle_error_rad(space) is None

@@ -55,8 +55,14 @@ def test_loading_and_fitting_tell_their_stages_with_the_share(large):
     assert stages[-1] == "the best method"
 
 
-def test_ctrl_c_while_a_file_is_read_ends_with_130_and_one_line(large):
-    command = [sys.executable, "-m", "adis_gonio", "fit", str(large)]
+def test_ctrl_c_while_a_file_is_read_ends_with_130_and_one_line(large, tmp_path):
+    # Eight times its rows: of what is read within a second a log is told nothing.
+    head, rows = large.read_text().split("\n0", 1)
+    longer = tmp_path / "large.csv"
+    with longer.open("w") as file:
+        file.write(head)
+        file.writelines("\n0" + rows.rstrip("\n") for _ in range(8))
+    command = [sys.executable, "-m", "adis_gonio", "fit", str(longer)]
     with running(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         told = process.stderr.readline()
         process.send_signal(signal.SIGINT)
