@@ -74,6 +74,8 @@ def main() -> int:
         parser.error(f"{unknown[0]} is no number of the trace; known: {', '.join(NUMBERS)}")
     changing = Changing(wanted)
     quiet = ["-s", "-qq", "-p", "no:cacheprovider", "-c", str(ROOT / "pyproject.toml")]
+    # The package has a plugin of its own, which is imported here already.
+    quiet += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
     status = pytest.main([*quiet, str(TESTS)], plugins=[changing])
     collected = status in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
     return int(changing.wrong > 0 or not collected)
