@@ -37,11 +37,12 @@ from adis_gonio.tracing.outcome.findings import (
 )
 from adis_gonio.tracing.outcome.positions import as_the_part_stood, ruled_out, with_positions
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, TraceResult, Unnamed
-from adis_gonio.tracing.outcome.sets import credible_sets, votes
+from adis_gonio.tracing.outcome.sets import credible_sets, one_a_function, votes
 from adis_gonio.tracing.outcome.shares import excesses, unnamed_with_share, with_shares
 from adis_gonio.tracing.selection.posterior import weigh
 from adis_gonio.tracing.selection.scatter import Scatter
 from adis_gonio.tracing.selection.select import Selection, select
+from adis_gonio.tracing.trace import _likelier
 from tracing.test_trace_numbers import (
     G,
     U,
@@ -286,7 +287,7 @@ class TestFiguresOfWhatIsLeft:
 
 def accused(position: int, finding: Any, *names: str, error_deg: float = 1.0, others: Any = ()) -> Any:
     """A position that is not where it was declared (10° a position)."""
-    said = tuple(Named(name, (position,), 0.9) for name in (names or (finding,)))  # type: ignore[arg-type]
+    said = tuple(Named(name, (position,), 0.9) for name in (names or (finding,)))
     angle = (10.0 * position, 0.1)
     return PositionFinding(
         position, finding, 10.0 * position, angle, None, angle, (error_deg, 0.1), None, others, 0.99, said
@@ -768,7 +769,8 @@ class TestSets:
         problem = single(9 * rows.sum(axis=0), rows[:3], terms)
         for share, leads in ((0.8, ["unnamed: angle"]), (0.2, ["cubic", "gravity"])):
             selection = believed(problem, {(0, 1): 1 - share, (0, 1, 2): share}, terms=terms[:2])
-            sets = credible_sets(selection)
+            every = credible_sets(selection)
+            sets = one_a_function(every, _likelier(every, terms[:2]))
             assert [one.names[0] for one in sets] == leads
             assert sets[0].cause == "cubic"
             assert sets[0].as_dict() == {

@@ -15,7 +15,7 @@ from adis_gonio.estimation.readings import readings_of
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.naming import judge
-from adis_gonio.tracing.outcome.sets import set_of, votes
+from adis_gonio.tracing.outcome.sets import CredibleSet, one_a_function, set_of, votes
 from adis_gonio.tracing.selection.posterior import weigh
 from adis_gonio.tracing.selection.select import Selection, select
 from adis_gonio.tracing.unnamed.averaging import Averaged, AveragedFit, average
@@ -90,6 +90,14 @@ def test_a_name_beside_a_smooth_function_of_its_kind_may_be_a_piece_of_that(sele
     )
     assert votes(alone, "quadratic", slow)[0] == pytest.approx({"quadratic": 1.0})
     assert set(judge(alone, slow).stand) == {"bias", "quadratic"}
+
+
+def test_causes_led_by_one_function_without_a_name_have_one_set_and_by_one_name_each_its_own() -> None:
+    causes = ("bias", "quadratic", "cubic", "unnamed: angle")
+    led = [CredibleSet(cause, ("cross_quadratic", cause), (0.6, 0.4), 1.0) for cause in causes[:2]]
+    led += [CredibleSet(cause, ("unnamed: angle",), (1.0,), 1.0) for cause in causes[2:]]
+    likelier = {"cubic": "unnamed: angle"}
+    assert [one.cause for one in one_a_function(led, likelier)] == ["bias", "quadratic", "cubic"]
 
 
 def test_a_page_does_not_name_slips_and_a_smooth_function_for_the_same_readings(tmp_path: Path) -> None:

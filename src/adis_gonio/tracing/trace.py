@@ -37,7 +37,7 @@ from adis_gonio.tracing.outcome.naming import judge
 from adis_gonio.tracing.outcome.openings import undecided
 from adis_gonio.tracing.outcome.positions import as_the_part_stood, ruled_out, with_positions
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, NextDwell, Step, Stopped, TraceResult
-from adis_gonio.tracing.outcome.sets import CredibleSet, credible_sets
+from adis_gonio.tracing.outcome.sets import CredibleSet, credible_sets, one_a_function
 from adis_gonio.tracing.outcome.shares import excesses, shares, unnamed_with_share, with_shares
 from adis_gonio.tracing.selection.scatter import Scatter, with_scatter
 from adis_gonio.tracing.selection.select import Selection, select
@@ -176,7 +176,8 @@ def trace_readings(
     final = selection if averaged is None else selection.with_fit(averaged.fit)
     findings = [finding_of(final, name, averaged) for name in names.stand]
     sets = tuple(one for one in credible_sets(selection, averaged) if one.present >= limits.certain)
-    weak = _weak(findings, figures[-1], _likelier(sets, terms))
+    likelier = _likelier(sets, terms)
+    weak = _weak(findings, figures[-1], likelier)
     names = without(replace(names, open={**names.open, **weak}), weak)
     notes = list(notes_of(selection, scatter))
     adequate = final.adequate and scatter is None and (final.fit.dof > 0 or not training.noise_known)
@@ -194,7 +195,7 @@ def trace_readings(
     return TraceResult(
         adequate=adequate,
         found=seen,
-        sets=sets,
+        sets=one_a_function(sets, likelier),
         steps=tuple(Step(label, error) for label, error in zip(steps, figures[1:], strict=True)),
         confounded=names.confounded,
         unnamed=unnamed_with_share(unnamed_of(selection, averaged), of_step),

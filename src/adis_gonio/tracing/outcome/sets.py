@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,14 +62,20 @@ class CredibleSet:
 
 
 def credible_sets(selection: Selection, averaged: Averaged | None = None) -> tuple[CredibleSet, ...]:
-    """A set for each cause of the chosen model, in the order of its terms.
-
-    Causes that are likelier pieces of one function without a name have one set.
-    """
+    """A set for each cause of the chosen model, in the order of its terms."""
     causes = dict.fromkeys(map(_word, selection.terms))
-    sets = [set_of(selection, cause, averaged) for cause in causes]
-    names = {term.name for term in selection.terms}
-    leads = [one.cause if one.names[0] in names else one.names[0] for one in sets]
+    return tuple(set_of(selection, cause, averaged) for cause in causes)
+
+
+def one_a_function(sets: Sequence[CredibleSet], likelier: Mapping[str, str]) -> tuple[CredibleSet, ...]:
+    """The sets, but one for all causes that are likelier pieces of one function without a name.
+
+    Parameters
+    ----------
+    likelier : mapping of str to str
+        That function, by the cause in whose place it is likelier.
+    """
+    leads = [likelier.get(one.cause, one.cause) for one in sets]
     return tuple(one for k, one in enumerate(sets) if leads[k] not in leads[:k])
 
 
