@@ -56,12 +56,15 @@ def test_loading_and_fitting_tell_their_stages_with_the_share(large):
 
 
 def test_ctrl_c_while_a_file_is_read_ends_with_130_and_one_line(large, tmp_path):
-    # Eight times its rows: of what is read within a second a log is told nothing.
-    head, rows = large.read_text().split("\n0", 1)
+    # Eight times its rows, time going on: of what is read within a second a log is told nothing.
+    lines = large.read_text().splitlines()
+    head = [line for line in lines if not line[0].isdigit()]
+    rows = [line.split(",", 1) for line in lines[len(head) :]]
     longer = tmp_path / "large.csv"
     with longer.open("w") as file:
-        file.write(head)
-        file.writelines("\n0" + rows.rstrip("\n") for _ in range(8))
+        file.writelines(f"{line}\n" for line in head)
+        for copy in range(8):
+            file.writelines(f"{float(time) + 1000 * copy:.4f},{rest}\n" for time, rest in rows)
     command = [sys.executable, "-m", "adis_gonio", "fit", str(longer)]
     with running(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         told = process.stderr.readline()
