@@ -388,13 +388,14 @@ def _greedy(
         # Another temperature or supply brings its own effects in: only where no position decides.
         conditions = np.array([place.conditions for place in options])
         ranked = np.argsort(-gain / effort)
+        apart_before = _apart(set_of)
         places_first = ranked[~conditions[ranked]][:20].tolist()
         for k in (*places_first, *(ranked[conditions[ranked]][:20].tolist() if heating else ())):
             # The order of the grid would decide between equals; so does what was rounded.
             if gain[k] < LEAST_INFORMATION[purpose] * min(least / LEAST_SEPARATION, 1.0) ** 2:
                 continue
             with_it = predicted.of(k).after(set_of)
-            apart = _apart(with_it) - _apart(set_of)
+            apart = _apart(with_it) - apart_before
             worth = _worth(weights, apart, options[k].conditions, least)
             if worth is not None:
                 break
@@ -470,10 +471,13 @@ def _apart(dwells: _Predicted) -> Floats:
         return out
     flat = [root.reshape(-1, root.shape[2]) for root in dwells.root]
     covariance = [root @ root.T + np.eye(len(root)) for root in flat]
-    for i, j in itertools.permutations(range(count), 2):
-        difference = (dwells.mean[i] - dwells.mean[j]).ravel()
-        both = np.linalg.solve(covariance[j], np.column_stack([difference, covariance[i]]))
-        out[i, j] = difference @ both[:, 0] + np.trace(both[:, 1:]) - len(difference)
+    mean = np.array([own.ravel() for own in dwells.mean])
+    for j in range(count):
+        inverse = np.linalg.inv(covariance[j])
+        difference = mean - mean[j]
+        out[:, j] = ((difference @ inverse) * difference).sum(axis=1) - mean.shape[1]
+        out[:, j] += [(inverse * own).sum() for own in covariance]  # the trace of their product
+    np.fill_diagonal(out, 0.0)
     return out
 
 

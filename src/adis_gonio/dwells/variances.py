@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special, stats
 
 from adis_gonio.dwells.density import TAPER_LOSS, Density, without_line
 from adis_gonio.dwells.finding import (
@@ -63,7 +63,7 @@ class Levels:
         half = self.dof / 2
         correction = 1 + (np.sum(1 / self.dof) - 1 / self.dof.sum()) / (3 * (d - 1))
         statistic = 2 * (half.sum() * np.log(self.common) - half @ np.log(self.variance)) / correction
-        return float(stats.chi2.sf(max(statistic, 0.0), d - 1))
+        return float(special.chdtrc(d - 1, max(statistic, 0.0)))
 
 
 def noise_change(samples: Samples, density: Density | None) -> WithinFinding | None:
@@ -134,7 +134,7 @@ def _p_value(own: Levels, axes: int) -> float:
 def _ratio_p(one: Levels, other: Levels) -> float:
     ratio = other.common / one.common
     a, b = float(other.dof.sum()), float(one.dof.sum())
-    return min(1.0, 2 * min(float(stats.f.sf(ratio, a, b)), float(stats.f.cdf(ratio, a, b))))
+    return min(1.0, 2 * min(float(special.fdtrc(a, b, ratio)), float(special.fdtr(a, b, ratio))))
 
 
 def _best_cut(levels: list[Levels]) -> int | None:

@@ -19,6 +19,7 @@ Cost is linear in the number of dwells.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +31,7 @@ from numpy.typing import NDArray
 from adis_gonio.errors import UsageError
 from adis_gonio.estimation.links import LinkRows
 from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import Term
+from adis_gonio.estimation.terms import NamelessTerm, Term, Where
 from adis_gonio.model.measurement import Measurement, PlanarTurn
 from adis_gonio.model.records import MG_PER_G, Floats
 
@@ -281,6 +282,34 @@ class Fit:
         """Columns (n, axes, d) of a term by its amplitudes, at amplitude zero."""
         return self.as_readings(term, term.columns(self.ideal, self.data.conditions))
 
+    def candidates(self, terms: Sequence[Term]) -> tuple[Floats, NDArray[np.intp]]:
+        """The same of many terms side by side (n, axes, P), and how many each has (M,).
+
+        Nameless terms have the columns of one axis in common.
+        """
+        conditions = self.data.conditions
+        driven = self.data.model.stimulus(self.ideal, conditions)
+        of_axis: dict[tuple[int, Where, int], Floats] = {}
+        blocks: list[list[tuple[int | slice, Floats]]] = []
+        for term in terms:
+            if not isinstance(term, NamelessTerm) or term.enters_angle:
+                blocks.append([(slice(None), self.candidate(term))])
+                continue
+            own: list[tuple[int | slice, Floats]] = []
+            for axis in term.axes:
+                key = (id(term.basis), term.where, axis)
+                if key not in of_axis:
+                    of_axis[key] = term.on_axis(axis, driven, conditions)
+                own.append((axis, of_axis[key]))
+            blocks.append(own)
+        widths = np.array([sum(rows.shape[-1] for _, rows in own) for own in blocks], dtype=np.intp)
+        out = np.zeros((*self.ideal.shape, int(widths.sum())))
+        start = 0
+        for axes, rows in itertools.chain.from_iterable(blocks):
+            out[:, axes, start : start + rows.shape[-1]] = rows
+            start += rows.shape[-1]
+        return out, widths
+
     @cached_property
     def base_columns(self) -> Floats:
         """∂reading/∂base (n, axes, p); zero for parameters that the dwells do not show."""
@@ -412,14 +441,15 @@ class Fit:
             precision = np.where(fixed, 0.0, 1 / data.fixture**2)
         for _ in range(passes):
             along = data.root @ fit.tangent
-            pull = data.model.deviation_rad(fit.values.attitude)
-            right = (along.transpose(0, 2, 1) @ (data.root @ fit.misfit[:, :, None]))[:, :, 0]
-            right = right - precision[:, None] * pull
-            gram = along.transpose(0, 2, 1) @ along + precision[:, None, None] * np.eye(freedom)
+            left = data.root @ fit.misfit[:, :, None]
+            pull = precision[:, None] * data.model.deviation_rad(fit.values.attitude)
             if freedom == 1:
-                step = right / np.maximum(gram[:, :, 0], 1e-300)
+                gram = (along**2).sum(axis=1) + precision[:, None]
+                step = ((along * left).sum(axis=1) - pull) / np.maximum(gram, 1e-300)
                 step[fixed] = 0.0
             else:
+                right = (along.transpose(0, 2, 1) @ left)[:, :, 0] - pull
+                gram = along.transpose(0, 2, 1) @ along + precision[:, None, None] * np.eye(freedom)
                 # Where an axis has lost its gain a pose may have but one tangent.
                 trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
                 gram = gram + (1e-12 * trace + 1e-300) * np.eye(freedom)

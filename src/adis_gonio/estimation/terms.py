@@ -164,9 +164,13 @@ class NamedTerm(Term):
         """As the effect says."""
         return self.effect.derivative(values, ideal, conditions)
 
+    @cached_property
+    def _bounds(self) -> Floats:
+        return np.array([[p.low, p.high] for p in self.effect.parameters])
+
     def bounds(self) -> Floats:
         """Physical bounds of the catalogue."""
-        return np.array([[p.low, p.high] for p in self.effect.parameters])
+        return self._bounds
 
     def limited(self, old: Floats, new: Floats) -> Floats:
         """Within the bounds; a shape may at most double or halve in one step: the slope is only local."""
@@ -285,31 +289,31 @@ class NamelessTerm(Term):
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
         """Basis functions; amplitudes in the readings' unit, for a gain at full stimulus; angle in mrad."""
-        n, k = ideal.shape
+        if self.where == "angle":
+            return self.tangent_rad * self.basis.over(conditions)
         driven = self.stimulus(ideal, conditions)
-        if self.basis.common is not None:
-            common = self.basis.over(conditions)
-            if self.where == "angle":
-                return self.tangent_rad * common
-            by_axis = [common] * len(self.axes)
-        else:
-            assert self.basis.by_axis is not None
-            by_axis = [self.basis.by_axis(driven, axis) for axis in self.axes]
-        q = by_axis[0].shape[1]
-        if self.where == "misalignment":
-            others = {axis: [j for j in range(k) if j != axis] for axis in self.axes}
-            by_axis = [
-                np.concatenate([rows * driven[:, j, None] for j in others[axis]], axis=1)
-                for rows, axis in zip(by_axis, self.axes, strict=True)
-            ]
-            q = by_axis[0].shape[1]
-        out = np.zeros((n, k, q * len(self.axes)))
-        for j, axis in enumerate(self.axes):
-            rows = by_axis[j]
-            if self.where == "gain":
-                rows = rows * driven[:, axis, None]
-            out[:, axis, q * j : q * (j + 1)] = rows
+        blocks = [(axis, self.on_axis(axis, driven, conditions)) for axis in self.axes]
+        out = np.zeros((*ideal.shape, sum(rows.shape[1] for _, rows in blocks)))
+        start = 0
+        for axis, rows in blocks:
+            out[:, axis, start : start + rows.shape[1]] = rows
+            start += rows.shape[1]
         return out
+
+    def on_axis(self, axis: int, driven: Floats, conditions: Conditions) -> Floats:
+        """Columns (n, q) of an axis, where gains multiply `driven` (n, axes)."""
+        basis = self.basis
+        if basis.common is not None:
+            rows = basis.over(conditions)
+        else:
+            assert basis.by_axis is not None
+            rows = basis.by_axis(driven, axis)
+        if self.where == "gain":
+            return rows * driven[:, axis, None]
+        if self.where == "misalignment":
+            others = [j for j in range(driven.shape[1]) if j != axis]
+            return np.concatenate([rows * driven[:, j, None] for j in others], axis=1)
+        return rows
 
     def start(self, amplitudes: Floats) -> Floats:
         """The amplitudes: there are no shapes."""

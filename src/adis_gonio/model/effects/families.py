@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -20,6 +21,11 @@ from adis_gonio.model.records import Floats
 
 def by_letters(prototypes: Sequence[Parameter], letters: Sequence[str]) -> tuple[Parameter, ...]:
     """Each prototype once for each of the letters, letters outermost: `k2` becomes `k2_x`, `k2_y`."""
+    return _by_letters(tuple(prototypes), tuple(letters))
+
+
+@lru_cache(maxsize=1024)
+def _by_letters(prototypes: tuple[Parameter, ...], letters: tuple[str, ...]) -> tuple[Parameter, ...]:
     return tuple(replace(p, name=f"{p.name}_{suffix}") for suffix in letters for p in prototypes)
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
-from importlib.metadata import entry_points
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
 
 from adis_gonio.errors import UsageError
 from adis_gonio.model.effects import dwell_terms, environment, gyro_terms, sensor_terms, stage
@@ -35,7 +37,7 @@ def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
         effect's own, or takes a name that is already there.
     """
     found = dict(BUILT_IN)
-    for point in entry_points(group=ENTRY_POINT_GROUP):
+    for point in _installed(tuple(sys.path)):
         try:
             kind = point.load()
         except Exception as error:  # whatever a foreign module does on import
@@ -51,6 +53,12 @@ def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
         return found
     own = {name: kind.of_part(part) for name, kind in found.items()}
     return {name: kind for name, kind in own.items() if kind is not None}
+
+
+@cache
+def _installed(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """Entry points of the packages on a path, which is read once: that takes longer than a fit."""
+    return tuple(entry_points(group=ENTRY_POINT_GROUP))
 
 
 def effect(name: str, axes: Sequence[str] = ("x", "y"), **choices: int) -> Effect:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.errors import UsageError
 from adis_gonio.model.effects.base import Conditions, Effect, Parameter
@@ -39,9 +40,13 @@ def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
     With the phase of e^{i(m ∓ n)θ} constant over the angles, m cycles are n cycles: they are an alias. A
     constant is 0 cycles.
     """
-    turns = np.array([cycles - others, cycles + others])
-    length = np.abs(np.exp(1j * turns[:, None] * angle_rad).mean(axis=1))
-    return bool((length > 1 - _SAME_PHASE).any())
+    return bool(of_one_phase(np.array([cycles - others, cycles + others]), angle_rad).any())
+
+
+def of_one_phase(cycles: NDArray[np.int_], angle_rad: Floats) -> NDArray[np.bool_]:
+    """Numbers of cycles a turn (m,) whose phase is the same at all of these angles."""
+    length = np.abs(np.exp(1j * cycles[:, None] * angle_rad).mean(axis=1))
+    return np.asarray(length > 1 - _SAME_PHASE)
 
 
 class StageEccentricity(StageEffect):

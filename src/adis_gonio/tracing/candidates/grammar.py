@@ -67,9 +67,10 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
             for subset in subsets:
                 placed.setdefault((m.family, m.smooth), []).append((m, where, subset))
     terms = []
+    stimulus = data.model.stimulus
+    marked = {id(m): replace(m.basis, approximates=m.smooth) for m in made}
     for (family, smooth), members in placed.items():
         both = (family, not smooth) in placed
-        marked = {id(m): replace(m.basis, approximates=smooth) for m, _, _ in members}
         part = (limits.smooth_weight if smooth else 1 - limits.smooth_weight) if both else 1.0
         share = limits.nameless_share * weight[family] / total * part / len(members)
         for m, where, subset in members:
@@ -77,8 +78,17 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
                 continue  # the base model has the constant; the form without it keeps its own share
             axes = "".join("xyz"[k] for k in subset)
             label = f"{where}[{axes}]~{m.basis.form}" if axes else f"{where}~{m.basis.form}"
-            term = NamelessTerm(label, m.basis.covariates, -math.log(share), where, subset, marked[id(m)])
-            terms.append(replace(term, stimulus=data.model.stimulus))
+            terms.append(
+                NamelessTerm(
+                    label,
+                    m.basis.covariates,
+                    -math.log(share),
+                    where,
+                    subset,
+                    marked[id(m)],
+                    stimulus=stimulus,
+                )
+            )
     return terms
 
 

@@ -12,7 +12,7 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm
 from adis_gonio.model.effects import AXES, Effect, Enters, catalogue
 from adis_gonio.model.effects.base import Parameter
-from adis_gonio.model.effects.stage import LEAST_CYCLES, alike
+from adis_gonio.model.effects.stage import LEAST_CYCLES, of_one_phase
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.thresholds import limits
 
@@ -140,12 +140,14 @@ def _options(kind: type[Effect], data: Readings) -> list[dict[str, int]]:
 
 
 def cycles_shown(angle_rad: Floats, most: int | None = None) -> list[int]:
-    """Numbers of cycles a turn that these angles tell from a constant and from fewer cycles."""
-    shown = list(range(LEAST_CYCLES))
-    for cycles in range(LEAST_CYCLES, (limits.most_cycles if most is None else most) + 1):
-        if not any(alike(cycles, fewer, angle_rad) for fewer in shown):
-            shown.append(cycles)
-    return shown[LEAST_CYCLES:]
+    """Numbers of cycles a turn that these angles tell from a constant and from fewer cycles (`alike`)."""
+    most = limits.most_cycles if most is None else most
+    one = of_one_phase(np.arange(2 * most + 1), angle_rad)
+    shown = np.arange(LEAST_CYCLES)
+    for cycles in range(LEAST_CYCLES, most + 1):
+        if not (one[cycles - shown] | one[cycles + shown]).any():
+            shown = np.append(shown, cycles)
+    return [int(cycles) for cycles in shown[LEAST_CYCLES:]]
 
 
 def _grid(parameter: Parameter, data: Readings) -> list[float]:

@@ -63,6 +63,7 @@ def detectable(
 def _lengths(problem: LinearProblem, term: int, basis: np.ndarray) -> list[float]:
     """Length of each amplitude's own column, whitened and projected off base and model."""
     # Columns by amplitudes = block · back⁺, with `back` from block coefficients to amplitudes.
-    columns = problem.block(term) @ np.linalg.pinv(problem.back[term])
+    back = problem.back[term]
+    columns = problem.block(term) @ (1 / back if back.size == 1 else np.linalg.pinv(back))
     columns = columns - basis @ (basis.T @ columns)
     return [float(x) if x > 1e-9 else 0.0 for x in np.linalg.norm(columns, axis=0)]

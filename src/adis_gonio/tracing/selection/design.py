@@ -68,14 +68,16 @@ class LinearProblem:
 
     def gains(self, basis: Floats, residual: Floats) -> Floats:
         """χ² that each term (M,) takes from a residual (rows,), beside an orthonormal model (rows, k)."""
-        first, k = self.first, basis.shape[1]
+        return self.taken(residual @ self.columns, basis.T @ self.columns)
+
+    def taken(self, z: Floats, inside: Floats) -> Floats:
+        """The same from products with the columns: of the residual (P,), of the model's basis (k, P)."""
+        first, k = self.first, len(inside)
         if not len(first):
             return np.zeros(0)
-        z = residual @ self.columns
         square: Floats = np.add.reduceat(z**2, first)
         if not k:
             return square
-        inside = basis.T @ self.columns
         # A ridge takes the place of a rank decision: along a direction inside the model z is zero too. It
         # costs 1e-4 of the gain, more than any price where a bias of hundreds of uncertainties is gained; a
         # step of refinement, zᵀ(H + εH²)z, leaves 1e-8 of it. H = ((1 + ε) 1 − AᵀA)⁻¹ is of the size of the
@@ -108,6 +110,36 @@ class LinearProblem:
         )
 
 
+class Products:
+    """Products of a problem's blocks with the columns that may join them, each made once.
+
+    A model beside others then costs no pass over the rows.
+    """
+
+    def __init__(self, problem: LinearProblem, joining: LinearProblem) -> None:
+        self._problem, self._joining = problem, joining
+        self._target = problem.target @ joining.columns
+        self._of: dict[int, Floats] = {}
+
+    def beside(self, model: Sequence[int]) -> tuple[float, Floats, Floats]:
+        """χ² of what a model leaves, and products (P,), (k, P) of that and of an orthonormal basis."""
+        problem = self._problem
+        if not len(model):
+            return problem.chi2, self._target, np.zeros((0, len(self._target)))
+        for k in model:
+            if k not in self._of:
+                self._of[k] = problem.block(k).T @ self._joining.columns
+        columns = np.concatenate([problem.block(k) for k in model], axis=1)
+        along = problem.target @ columns
+        inside = np.concatenate([self._of[k] for k in model])
+        if len(model) > 1:  # one block is orthonormal by itself
+            values, vectors = np.linalg.eigh(columns.T @ columns)
+            seen = values > limits.independent
+            half = vectors[:, seen] / np.sqrt(values[seen])
+            along, inside = along @ half, half.T @ inside
+        return problem.chi2 - float(along @ along), self._target - along @ inside, inside
+
+
 def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     """Linear problem about a fit whose model may hold some of the terms."""
     left = fit.left
@@ -118,17 +150,11 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     base = orthonormal(fit.white(fit.base_columns))
     y = y - base @ (base.T @ y)
 
-    raw = [fit.candidate(term) for term in terms]
-    widths = np.array([block.shape[2] for block in raw], dtype=np.intp)
-    columns, length = _beside(base, fit.white(np.concatenate(raw, axis=2)), widths)
-    blocks = _orthonormal_blocks(columns, length, widths)
-
-    # Blocks of one width stand together.
-    chosen = sorted(blocks, key=lambda k: (blocks[k][0].shape[1], k))
-    width = np.array([blocks[k][0].shape[1] for k in chosen], dtype=np.intp)
+    raw, widths = fit.candidates(terms)
+    columns, length = _beside(base, fit.white(raw), widths)
+    chosen, width, together, back = _orthonormal_blocks(columns, length, widths)
     first = (np.cumsum(width) - width).astype(np.intp)
-    together = np.concatenate([np.zeros((len(y), 0)), *(blocks[k][0] for k in chosen)], axis=1)
-    together = np.ascontiguousarray(together)
+    seen = set(chosen)
     return LinearProblem(
         terms=tuple(terms[k] for k in chosen),
         columns=together,
@@ -136,8 +162,8 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
         width=width,
         target=y,
         dof=len(y) - base.shape[1],
-        back=tuple(blocks[k][1] for k in chosen),
-        hidden=tuple(term for k, term in enumerate(terms) if k not in blocks),
+        back=back,
+        hidden=tuple(term for k, term in enumerate(terms) if k not in seen),
         cost=np.array([terms[k].cost for k in chosen]),
         column_price=_column_prices(together, first),
     )
@@ -160,33 +186,41 @@ def _beside(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Fl
 
 def _orthonormal_blocks(
     columns: Floats, length: Floats, widths: NDArray[np.intp]
-) -> dict[int, tuple[Floats, Floats]]:
-    """By number of the term its orthonormal block, and amplitudes from the block's coefficients.
+) -> tuple[list[int], NDArray[np.intp], Floats, tuple[Floats, ...]]:
+    """Terms that the session can see, their widths (M,), orthonormal blocks (rows, P) and ways back.
 
-    Terms that the session cannot see have none. Blocks of one width are made at once.
+    Blocks of one width stand together and are made at once; a way back leads from the coefficients of a
+    block to amplitudes.
     """
     starts = np.cumsum(widths) - widths
-    blocks: dict[int, tuple[Floats, Floats]] = {}
-    for size in sorted({int(w) for w in widths}):
+    found: dict[int, list[tuple[int, Floats, Floats]]] = {}
+    for size in np.unique(widths).tolist():
         members = np.flatnonzero(widths == size)
         index = starts[members, None] + np.arange(size)
         stack = columns[:, index].transpose(1, 0, 2)  # (members, rows, width)
         gram = stack.transpose(0, 2, 1) @ stack
         root = np.linalg.cholesky(gram + 1e-10 * np.eye(size))
-        whole = [bool((np.diagonal(one) ** 2 > _RANK).all()) for one in root]
+        whole = np.all(np.diagonal(root, axis1=1, axis2=2) ** 2 > _RANK, axis=1)
         halves = np.linalg.inv(root).transpose(0, 2, 1)
         turned = stack @ halves
+        back = halves / length[index][:, :, None]
         for k, member in enumerate(members.tolist()):
-            half, block = halves[k], turned[k]
-            if not whole[k]:
-                values, vectors = np.linalg.eigh(gram[k])
-                seen = np.asarray(values > _RANK)
-                if not seen.any():
-                    continue
+            if whole[k]:
+                found.setdefault(size, []).append((member, turned[k], back[k]))
+                continue
+            values, vectors = np.linalg.eigh(gram[k])
+            seen = np.asarray(values > _RANK)
+            if seen.any():
                 half = vectors[:, seen] / np.sqrt(values[seen])
-                block = stack[k] @ half
-            blocks[member] = block, half / length[index[k]][:, None]
-    return blocks
+                own = (member, stack[k] @ half, half / length[index[k]][:, None])
+                found.setdefault(int(seen.sum()), []).append(own)
+    blocks = [block for size in sorted(found) for block in sorted(found[size], key=lambda own: own[0])]
+    return (
+        [member for member, _, _ in blocks],
+        np.array([block.shape[1] for _, block, _ in blocks], dtype=np.intp),
+        np.concatenate([np.zeros((len(columns), 0)), *(block for _, block, _ in blocks)], axis=1),
+        tuple(back for _, _, back in blocks),
+    )
 
 
 def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
@@ -219,6 +253,8 @@ def amplitudes(problem: LinearProblem, model: Sequence[int]) -> list[Floats]:
     """Amplitudes of each term of a model by linear least squares."""
     if not len(model):
         return []
+    if len(model) == 1:
+        return [problem.back[model[0]] @ (problem.target @ problem.block(model[0]))]
     columns = np.concatenate([problem.block(k) for k in model], axis=1)
     solved = np.linalg.lstsq(columns, problem.target, rcond=1e-8)[0]
     cuts = np.cumsum([0] + [int(problem.width[k]) for k in model])

@@ -69,8 +69,12 @@ class Scatter:
 def with_scatter(
     selection: Selection, terms: Sequence[Term], max_effects: int
 ) -> tuple[Selection, Scatter | None]:
-    """The selection, or one under the noise with a variance component where that is the better account."""
+    """The selection, or one under the noise with a variance component where that is the better account.
+
+    Components are weighed with the candidates that showed promise; under the one that is, all compete.
+    """
     data = selection.data
+    promising = selection.promising(terms)
     plain = {term.name for term in selection.terms} <= {"bias"}
     checks = selection.base.dof - data.axes
     untouched = plain and selection.adequate
@@ -79,7 +83,7 @@ def with_scatter(
     at_most = _evidence(selection)
     best: tuple[float, Selection, Kind, float] | None = None
     for kind in _kinds(data):
-        size, again = _settled(data, kind, selection, terms, max_effects)
+        size, again = _settled(data, kind, selection, promising, max_effects)
         if again is None:
             continue
         score = _evidence(again) - _price(data)
@@ -89,7 +93,8 @@ def with_scatter(
         at_most = max(at_most, _evidence_of_processes(selection))
     if best is None or best[0] <= at_most:
         return selection, None
-    score, chosen, kind, size = best
+    score, _, kind, size = best
+    chosen = _under(data, kind, size, terms, max_effects)
     return chosen, _stated(data, kind, size, chosen, score - at_most)
 
 
@@ -151,10 +156,16 @@ def _settled(
         if again is not None and abs(math.log(fresh / size)) < 0.1:
             break
         size = fresh
-        again = select(_with(data, kind, size), terms, max_effects, beam=12, rounds=2)
-        check()
+        again = _under(data, kind, size, terms, max_effects)
         kept = again.fit
     return size, again
+
+
+def _under(data: Readings, kind: Kind, size: float, terms: Sequence[Term], max_effects: int) -> Selection:
+    """The selection under a component of this size."""
+    found = select(_with(data, kind, size), terms, max_effects, beam=12, rounds=2)
+    check()
+    return found
 
 
 def _most_likely(fit: Fit, data: Readings, kind: Kind) -> float:

@@ -14,6 +14,7 @@ Models are sets and every set is scored once, so that the search cannot go round
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from adis_gonio.budget import spent
 from adis_gonio.estimation.terms import NamedTerm, Term
 from adis_gonio.model.records import Floats
-from adis_gonio.tracing.selection.design import LinearProblem, span
+from adis_gonio.tracing.selection.design import LinearProblem, Products
 from adis_gonio.tracing.thresholds import limits
 
 Model = tuple[int, ...]
@@ -107,137 +108,147 @@ def search(
     """
     if spare is None:
         spare = max(problem.dof // 2, 1)
-    prices = price(problem)
-    found = Search(problem, prices, inflation)
+    found = Search(problem, price(problem), inflation)
     found.scores[()] = 0.0
     found.promise = np.full(len(problem.terms), -np.inf)
-    if not problem.terms:
-        return found
-    level: list[Model] = [()]
-    for size in range(1, max_terms + 1):
-        if size > 1 and spent():
-            return found
-        fresh: dict[Model, float] = {}
-        for model in level[: limits.widest]:
-            fresh.update(_open(found, model, spare))
-        active = _active(found)
-        smaller = problem.only(active)
-        for model in level[limits.widest :]:
-            if spent():
-                break
-            fresh.update(_open(found, model, spare, smaller, active))
-        if not fresh:
-            break
-        level = _next_level(found, fresh, size, beam)
-        if not level:
-            break
-    _exchange(found, spare, max_terms)
+    if problem.terms:
+        _Beam(found, spare, max_terms, beam).run()
     return found
 
 
-def _next_level(found: Search, fresh: dict[Model, float], size: int, beam: int) -> list[Model]:
-    """Models of a size that are opened: the best of those that may still come near the best of all."""
-    top = max(found.scores.values())
-    wide = _widest(found.problem, fresh, 2 * beam if size == 1 else beam)
-    level = [m for m in wide if fresh[m] + found.hope(m) > top - 2.0]
-    if size > 2 and max(fresh.values()) < top - 2.0:
-        # One nameless surface may be ahead of two names that want a third beside them.
-        level = [m for m in level if _all_named(found.problem, m)]
-    return level
+@dataclass(frozen=True)
+class _Joining:
+    """Terms that models are extended by: their problem, their numbers in the whole one, products."""
+
+    problem: LinearProblem
+    number: NDArray[np.intp]
+    products: Products
 
 
-def _active(found: Search) -> NDArray[np.intp]:
-    """Terms (increasing numbers) that all models of the beam are extended by."""
-    named = np.array([term.name is not None for term in found.problem.terms])
-    promising = np.argsort(-found.promise)[: limits.active]
-    return np.union1d(np.flatnonzero(named), promising)
+class _Beam:
+    """A search on its way."""
 
+    def __init__(self, found: Search, spare: int, max_terms: int, width: int) -> None:
+        problem = found.problem
+        self.found, self.spare, self.max_terms, self.width = found, spare, max_terms, width
+        self.every = _Joining(problem, np.arange(len(problem.terms)), Products(problem, problem))
+        self.named = np.array([term.name is not None for term in problem.terms])
+        biases = (int(w) for w, t in zip(problem.width, problem.terms, strict=True) if t.name == "bias")
+        self.bias_width = max(biases, default=0)
+        self.top = 0.0
 
-def _widest(problem: LinearProblem, fresh: dict[Model, float], count: int) -> list[Model]:
-    """Best models, and the best of each name on each choice of axes, in order of score."""
-    ranked = sorted(fresh, key=lambda m: -fresh[m])
-    kept = ranked[:count]
-    named = [m for m in ranked[count:] if _all_named(problem, m)]
-    kept += named[: max(count // limits.names_only - len([m for m in kept if _all_named(problem, m)]), 0)]
-    if ranked and len(ranked[0]) == 1:
-        seen = {_face(problem.terms[m[0]]) for m in kept}
-        for model in ranked[count:]:
-            face = _face(problem.terms[model[0]])
-            if face is not None and face not in seen:
-                seen.add(face)
-                kept.append(model)
-    return kept
+    def run(self) -> None:
+        """Open level after level, then the neighbours of the best."""
+        level: list[Model] = [()]
+        for size in range(1, self.max_terms + 1):
+            if size > 1 and spent():
+                return
+            fresh: dict[Model, float] = {}
+            for model in level[: limits.widest]:
+                fresh.update(self.open(model, self.every))
+            if len(level) > limits.widest:
+                active = self._active()
+                for model in level[limits.widest :]:
+                    if spent():
+                        break
+                    fresh.update(self.open(model, active))
+            level = self._next_level(fresh, size)
+            if not level:
+                break
+        self._exchange()
 
+    def open(self, model: Model, joining: _Joining) -> dict[Model, float]:
+        """Score every model that has one term more."""
+        found, problem = self.found, self.found.problem
+        if model in found.opened:
+            return {}
+        chi2, z, inside = joining.products.beside(model)
+        found.opened[model] = chi2
+        number, width = joining.number, joining.problem.width
+        gains = joining.problem.taken(z, inside)
+        gained = 0.5 * gains / found.inflation - found.prices[number]
+        here = 0.5 * (problem.chi2 - chi2) / found.inflation - sum(float(found.prices[k]) for k in model)
+        room = problem.dof - len(inside) - width >= self.spare
+        if not model:
+            room |= self.named[number] & (width <= min(self.bias_width, problem.dof))
+        gained = np.where(room & (gains > 1e-9), gained, -np.inf)
+        for k in model:
+            gained[number == k] = -np.inf
+        if joining is self.every:
+            found.promise = np.maximum(found.promise, gained)
+        few = min(60, len(gained))
+        floor = min(
+            max(self.top - here, float(gained.max())) - found.window,
+            float(np.partition(gained, -few)[-few]),
+        )
+        wanted = gained >= floor
+        if not model:
+            # Alone a named term may be far behind sixty nameless ones that do the work of two named ones.
+            wanted |= self.named
+        kept = np.flatnonzero(wanted & np.isfinite(gained))
+        fresh = {
+            tuple(sorted((*model, k))): here + gain
+            for k, gain in zip(number[kept].tolist(), gained[kept].tolist(), strict=True)
+        }
+        found.scores.update(fresh)
+        self.top = max(self.top, *fresh.values()) if fresh else self.top
+        return fresh
 
-def _all_named(problem: LinearProblem, model: Model) -> bool:
-    return all(problem.terms[k].name is not None for k in model)
+    def _next_level(self, fresh: dict[Model, float], size: int) -> list[Model]:
+        """Models of a size that are opened: the best of those that may still come near the best of all."""
+        if not fresh:
+            return []
+        wide = self._widest(fresh, 2 * self.width if size == 1 else self.width)
+        level = [m for m in wide if fresh[m] + self.found.hope(m) > self.top - 2.0]
+        if size > 2 and max(fresh.values()) < self.top - 2.0:
+            # One nameless surface may be ahead of two names that want a third beside them.
+            level = [m for m in level if self._all_named(m)]
+        return level
+
+    def _active(self) -> _Joining:
+        """The terms that all models of the beam are extended by."""
+        found = self.found
+        number = np.union1d(np.flatnonzero(self.named), np.argsort(-found.promise)[: limits.active])
+        problem = found.problem.only(number)
+        return _Joining(problem, number, Products(found.problem, problem))
+
+    def _widest(self, fresh: dict[Model, float], count: int) -> list[Model]:
+        """Best models, and the best of each name on each choice of axes, in order of score."""
+        terms = self.found.problem.terms
+        ranked = sorted(fresh, key=fresh.__getitem__, reverse=True)
+        kept, rest = ranked[:count], ranked[count:]
+        wanted = max(count // limits.names_only - sum(map(self._all_named, kept)), 0)
+        kept += itertools.islice(filter(self._all_named, rest), wanted)
+        if len(ranked[0]) == 1:
+            seen = {_face(terms[m[0]]) for m in kept}
+            for model in rest:
+                face = _face(terms[model[0]])
+                if face is not None and face not in seen:
+                    seen.add(face)
+                    kept.append(model)
+        return kept
+
+    def _all_named(self, model: Model) -> bool:
+        return all(self.named[k] for k in model)
+
+    def _exchange(self) -> None:
+        """Open the neighbours of the best models (one term less) until none is better."""
+        for _ in range(6):
+            best = self.found.best
+            for model in _different(self.found, 6):
+                if spent():
+                    return
+                for k in range(len(model)):
+                    self.open((*model[:k], *model[k + 1 :]), self.every)
+                if len(model) < self.max_terms:
+                    self.open(model, self.every)
+            if self.found.best == best:
+                return
 
 
 def _face(term: Term) -> tuple[str, tuple[str, ...]] | None:
     """Name and axes; None for a nameless term."""
     return (term.effect.name, term.effect.axes) if isinstance(term, NamedTerm) else None
-
-
-def _open(
-    found: Search,
-    model: Model,
-    spare: int,
-    smaller: LinearProblem | None = None,
-    active: NDArray[np.intp] | None = None,
-) -> dict[Model, float]:
-    """Score every model that has one term more; of the active ones, where these are given."""
-    if model in found.opened:
-        return {}
-    problem = found.problem
-    basis, residual = span(problem, model)
-    chi2 = float(residual @ residual)
-    found.opened[model] = chi2
-    used = smaller or problem
-    prices = found.prices if active is None else found.prices[active]
-    gains = used.gains(basis, residual)
-    gained = 0.5 * gains / found.inflation - prices
-    here = 0.5 * (problem.chi2 - chi2) / found.inflation - sum(float(found.prices[k]) for k in model)
-    room = problem.dof - basis.shape[1] - used.width >= spare
-    if not model:
-        bias = max(
-            (int(w) for w, t in zip(used.width, used.terms, strict=True) if t.name == "bias"), default=0
-        )
-        room |= np.array([t.name is not None for t in used.terms]) & (used.width <= min(bias, problem.dof))
-    gained = np.where(room & (gains > 1e-9), gained, -np.inf)
-    number = np.arange(len(gained)) if active is None else active
-    if model:
-        gained[np.isin(number, model)] = -np.inf
-    if active is None:
-        found.promise = np.maximum(found.promise, gained)
-    top = max(found.scores.values())
-    few = min(60, len(gained))
-    floor = min(
-        max(top - here, float(gained.max())) - found.window, float(np.partition(gained, -few)[-few])
-    )
-    wanted = gained >= floor
-    if not model:
-        # Alone a named term may be far behind sixty nameless ones that do the work of two named ones.
-        wanted |= np.array([term.name is not None for term in problem.terms])
-    fresh: dict[Model, float] = {}
-    for k in np.flatnonzero(wanted & np.isfinite(gained)):
-        fresh[tuple(sorted((*model, int(number[k]))))] = here + float(gained[k])
-    found.scores.update(fresh)
-    return fresh
-
-
-def _exchange(found: Search, spare: int, max_terms: int) -> None:
-    """Open the neighbours of the best models (one term less) until none is better."""
-    for _ in range(6):
-        best = found.best
-        for model in _different(found, 6):
-            if spent():
-                return
-            for k in range(len(model)):
-                _open(found, (*model[:k], *model[k + 1 :]), spare)
-            if len(model) < max_terms:
-                _open(found, model, spare)
-        if found.best == best:
-            return
 
 
 def _different(found: Search, count: int) -> list[Model]:

@@ -55,6 +55,19 @@ class Selection:
         """Terms of the chosen model."""
         return self.fit.terms
 
+    def promising(self, terms: Sequence[Term]) -> list[Term]:
+        """Those of the candidates that showed promise anywhere, and the best of each name and axes."""
+        candidates = self.problem.terms
+        ranked = [candidates[k] for k in np.argsort(-self.found.promise)]
+        active = {term.label for term in ranked[: limits.fold_active]}
+        active |= {term.label for term in self.terms}
+        seen = set()
+        for term in ranked:
+            if isinstance(term, NamedTerm) and (term.effect.name, term.effect.axes) not in seen:
+                seen.add((term.effect.name, term.effect.axes))
+                active.add(term.label)
+        return [term for term in terms if term.label in active]
+
     def within_bounds(self) -> Selection:
         """The same where models with amplitudes that no part has take no share of the posterior.
 

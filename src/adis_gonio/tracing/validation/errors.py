@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import NamedTerm, Term
+from adis_gonio.estimation.terms import Term
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.candidates.grammar import of_one_dwell
@@ -48,23 +49,31 @@ class Fold:
     terms: Sequence[Term]
     averaged: Averaged | None
     max_effects: int
+    _made: dict[tuple[int, str], tuple[Fit | None, Left]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @classmethod
     def of(
         cls, selection: Selection, terms: Sequence[Term], averaged: Averaged | None, max_effects: int
     ) -> Fold:
-        """Candidates that showed promise anywhere, and the best of each name and axes."""
-        promise, candidates = selection.found.promise, selection.problem.terms
-        ranked = [candidates[k] for k in np.argsort(-promise)]
-        active = {term.label for term in ranked[: limits.fold_active]} | {
-            term.label for term in selection.terms
-        }
-        seen = set()
-        for term in ranked:
-            if isinstance(term, NamedTerm) and (term.effect.name, term.effect.axes) not in seen:
-                seen.add((term.effect.name, term.effect.axes))
-                active.add(term.label)
-        return cls([term for term in terms if term.label in active], averaged, max_effects)
+        """Candidates are those that showed promise (`Selection.promising`)."""
+        return cls(selection.promising(terms), averaged, max_effects)
+
+    def left_out(
+        self, data: Readings, designs: Mapping[str, list[NDArray[np.bool_]]], fit: Fit | None = None
+    ) -> dict[str, Left]:
+        """Residuals of readings under each design, made once for the guard and for the figures.
+
+        Parameters
+        ----------
+        fit : Fit, optional
+            Whose effects are kept in every fold; by default they are chosen anew.
+        """
+        fresh = {name: masks for name, masks in designs.items() if (id(fit), name) not in self._made}
+        made = cross_validate(data, fresh, self.chosen_anew if fit is None else _keeping(fit))
+        self._made.update({(id(fit), name): (fit, left) for name, left in made.items()})
+        return {name: self._made[id(fit), name][1] for name in designs}
 
     def chosen_anew(self, rows: Readings) -> Chosen:
         """Fit of the dwells that are kept, with everything chosen from them alone."""
@@ -123,17 +132,17 @@ def error_figures(
     else:
         designs = folds(data)
         counts = counting(data, designs, selection.terms)
-        anew = cross_validate(data, designs, fold.chosen_anew) if len(fits) > 1 else {}
+        anew = fold.left_out(data, designs) if len(fits) > 1 else {}
         counts = less_unknown(counts, anew) if anew else counts
         designs = {name: designs[name] for name in counts}
         design = "; ".join(f"{name} ({len(masks)} folds)" for name, masks in designs.items())
         kept = fits[:-1] if len(fits) > 1 else fits
-        lefts = [counted(cross_validate(data, designs, _keeping(fit)), counts) for fit in kept]
+        lefts = [counted(fold.left_out(data, designs, fit), counts) for fit in kept]
         if len(fits) > 1:
             lefts.append(counted(anew, counts))
             design += "; effects chosen anew in each fold"
             if fold.averaged is None:
-                parts = counted(cross_validate(data, designs, _keeping(fits[-1])), counts)
+                parts = counted(fold.left_out(data, designs, fits[-1]), counts)
                 again = rms(np.concatenate([part.residual for part in parts]), data.by_axis)
                 design += f", {again:.3g} {data.model.unit} with those found kept"
     figures = [_figures(fit, measured, left) for fit, left in zip(fits, lefts, strict=True)]
@@ -223,9 +232,8 @@ def guarding(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[floa
     designs = folds(data)
     counts = counting(data, designs, selection.terms)
     # A form that was found on all dwells knows those that are left out; an average more so.
-    final = _keeping(fits[-1]) if fold.averaged is None else fold.chosen_anew
-    every = [*(_keeping(fit) for fit in fits[:-1]), final]
-    lefts = [cross_validate(data, designs, answer) for answer in every]
+    final = fits[-1] if fold.averaged is None else None
+    lefts = [fold.left_out(data, designs, fit) for fit in (*fits[:-1], final)]
     counts = less_unknown(counts, lefts[-1])
     for left in lefts:
         parts = counted(left, counts)
