@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 
 import numpy as np
@@ -161,6 +162,27 @@ def test_what_a_session_could_show_is_said_and_holds():
         stood = AROUND + np.where(np.arange(12) >= 6, 1.05 * least[6], 0.0)
         (one,) = diagnose(angles(stood, AROUND, seed=seed)).findings
         assert (one.finding, one.position) == ("slipped", 6)
+
+
+@pytest.mark.parametrize("gyro", [True, False], ids=["with gyro", "gravity alone"])
+def test_a_part_that_turns_by_and_by_has_not_slipped_and_one_that_slips_has(gyro):
+    around = np.arange(24) * 15.0
+    gone = np.linspace(0, 1, 24)
+    courses = {"line": gone, "bends": gone**2, "settles": 1 - np.exp(-4 * gone), "step": 1.0 * (gone > 0.5)}
+    said = {name: [] for name in courses}
+    for seed, (name, course) in itertools.product(range(8), courses.items()):
+        found = diagnose(angles(around + 0.9 * course, around, seed=seed, gyro=gyro)).findings
+        said[name].append([one.finding for one in found])
+    assert [said[name].count([]) for name in ("line", "bends", "settles")] == [8, 8, 8]
+    assert said["step"].count(["slipped"]) >= 7
+
+
+def test_the_zero_of_an_axis_that_moves_by_and_by_accuses_no_position():
+    around = np.arange(24) * 15.0
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        pushed = dict(enumerate(np.cumsum(rng.normal(0, 2.0 / np.sqrt(24), (24, 2)), axis=0)))
+        assert diagnose(angles(around, around, seed=seed, gyro=False, push_mg=pushed)).findings == ()
 
 
 def test_an_angle_that_nobody_declared_is_not_accused():

@@ -33,6 +33,11 @@ ROUGH_PRIOR = (0.6, 0.3, 0.1)
 LARGER = (1.0, 8.0)
 """Factor on the size of the catalogue's effects."""
 LARGER_PRIOR = (0.7, 0.3)
+WANDERS = ((math.radians(0.1), 0.0), (math.radians(0.5), 0.0), (0.0, 0.002))
+"""What a part that turns slowly in its mount has turned by the end of a session (standard deviation of a
+random walk), and what the zero of an axis has moved, in g."""
+WANDERS_PRIOR = 0.02
+"""Of each of them."""
 NEGLIGIBLE = 40.0
 """Nats below the best at which an account is not worked out for all patterns."""
 GYRO_FAILS = 0.01
@@ -47,20 +52,28 @@ class ScatterPoint:
     reading: float
     effects: float
     log_prior: float
+    turns_rad: float = 0.0
+    drifts: float = 0.0
 
 
 def scatters(fixture_rad: float | None) -> list[ScatterPoint]:
     """The grid."""
     more = MORE_UNSTATED if fixture_rad is None else MORE_STATED
     stated = LEAST_RAD if fixture_rad is None else max(fixture_rad, LEAST_RAD / 10)
-    return [
-        ScatterPoint(math.hypot(stated, a), b, c, math.log(pa * pb * pc))
+    at_rest = math.log(1 - len(WANDERS) * WANDERS_PRIOR)
+    still = [
+        ScatterPoint(math.hypot(stated, a), b, c, math.log(pa * pb * pc) + at_rest)
         for (a, pa), (b, pb), (c, pc) in itertools.product(
             zip(MORE_RAD, more, strict=True),
             zip(ROUGH, ROUGH_PRIOR, strict=True),
             zip(LARGER, LARGER_PRIOR, strict=True),
         )
     ]
+    wandering = [
+        ScatterPoint(math.hypot(stated, a), 0.0, LARGER[0], math.log(pa * WANDERS_PRIOR), turns, drifts)
+        for (a, pa), (turns, drifts) in itertools.product(zip(MORE_RAD, more, strict=True), WANDERS)
+    ]
+    return still + wandering
 
 
 @dataclass(frozen=True)
@@ -132,7 +145,14 @@ class Whitened:
         turned = self.rows.stands * self.position_sd
         added = np.zeros(len(self.rows.stands))
         added[: 2 * n] = self.scatter.reading**2
-        return np.asarray(self.rows.noise + turned @ turned.T + np.diag(added))
+        noise = self.rows.noise + turned @ turned.T + np.diag(added)
+        if not (self.scatter.turns_rad or self.scatter.drifts):
+            return np.asarray(noise)
+        walk = np.minimum(self.rows.course[:, None], self.rows.course)
+        noise = noise + self.scatter.turns_rad**2 * self.rows.stands @ walk @ self.rows.stands.T
+        readings = np.tile(walk, (2, 2)) * (self.rows.reading[: 2 * n] @ self.rows.reading[: 2 * n].T)
+        noise[: 2 * n, : 2 * n] += self.scatter.drifts**2 * readings
+        return np.asarray(noise)
 
     @cached_property
     def root(self) -> Floats:

@@ -69,6 +69,10 @@ class Rows:
     stands : (2n + g, n) float
         ∂row/∂e.
     noise : (2n + g, 2n + g) float
+    reading : (2n + g, 2) float
+        ∂row/∂reading of its dwell on each axis, per G.
+    course : (n,) float
+        Time of each dwell as a share of the session.
     declared_rad : (n,) float
         θ; of a dwell without one what gravity shows.
     declared : (n,) bool
@@ -86,6 +90,8 @@ class Rows:
     effect: NDArray[np.bool_]
     stands: Floats
     noise: Floats
+    reading: Floats
+    course: Floats
     declared_rad: Floats
     declared: NDArray[np.bool_]
     halts: Mapping[int, Halts]
@@ -98,7 +104,7 @@ class Rows:
         n = 2 * len(self)
         return replace(
             self, gyro_rad=self.gyro_rad[:0], turn=self.turn[:0], design=self.design[:n],
-            stands=self.stands[:n], noise=self.noise[:n, :n], halts={},
+            stands=self.stands[:n], noise=self.noise[:n, :n], reading=self.reading[:n], halts={},
         )  # fmt: skip
 
     def observed(self, error_rad: Floats, zero_rad: float) -> Floats:
@@ -185,6 +191,11 @@ def calibrated_by_length(angles: Angles) -> BelievedParameters:
     return calibration
 
 
+def _course(time_s: Floats) -> Floats:
+    gone = time_s - time_s.min()
+    return np.asarray(gone / max(float(gone.max()), 1e-300))
+
+
 def rows_at(angles: Angles, calibration: BelievedParameters) -> Rows:
     """The linear model about a calibration."""
     near, n = _local(angles, calibration), len(angles)
@@ -233,6 +244,8 @@ def rows_at(angles: Angles, calibration: BelievedParameters) -> Rows:
         effect,
         np.concatenate([-np.eye(n), np.zeros((n, n)), steps]),
         noise,
+        np.concatenate([near.along * angles.gravity_mg, near.across * angles.gravity_mg, np.zeros((g, 2))]),
+        _course(angles.conditions.time_s),
         theta,
         declared,
         {}

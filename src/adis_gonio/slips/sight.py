@@ -7,14 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adis_gonio.model.records import Floats
 from adis_gonio.slips.evidence import Beside, ScatterPoint, Whitened
-from adis_gonio.slips.faults import Name, patterns_of
+from adis_gonio.slips.faults import Name, Pattern, patterns_of
 from adis_gonio.slips.rows import Rows
 
-POWER = 2.326
-"""Standard deviations of 99 % power."""
-SIZES_DEG = np.geomspace(0.02, 90.0, 60)
+POWER = 0.99
+"""Share of sessions that show it."""
+SIZES_DEG = np.geomspace(0.02, 90.0, 120)
 """Errors that are tried."""
+_DRAWN = 200
+"""Sessions that are imagined for it."""
 
 
 @dataclass(frozen=True)
@@ -35,39 +38,47 @@ class Detectability:
     def detectable_deg(self, name: Name, certain: float) -> dict[int, float]:
         """Smallest error at each position whose posterior reaches `certain` with 99 % power, in degrees.
 
+        By sessions imagined under the scatter of this one, in each of which an error of each size is put.
         Of names with one free size; other faults at the same time are not thought of.
         """
         every = patterns_of(self.rows, self.beside.error_rad)
         patterns = [p for p in every if name in p.names and p.columns.shape[1] == 1]
         if not patterns:
             return {}
-        left = self.beside.left(self.rows)[:, None]
-        columns = np.stack([p.columns[:, 0] for p in patterns], axis=1)
-        sizes = np.radians(SIZES_DEG)
-        none, faulty = np.empty((2, len(self.grid), len(patterns), len(sizes)))
-        u = np.empty((len(self.grid), len(patterns)))
-        for g, scatter in enumerate(self.grid):
-            clean = Whitened(self.rows, scatter, self.beside.known)
-            z = clean.white(clean.mean_of(left))
-            white = Whitened(self.rows, scatter, self.beside.known[:, :0])
-            v = white.white(columns)
-            vv, zz = (v * v).sum(axis=0), float((z * z).sum())
-            u[g] = 1 / np.sqrt(vv)
-            own = clean.log_scale + scatter.log_prior - 0.5 * zz
-            none[g] = own - 0.5 * np.outer(vv, sizes**2)
-            for k, pattern in enumerate(patterns):
-                log_prior, amplitude = pattern.names[name]
-                assert amplitude is not None
-                faulty[g, k] = own + log_prior + amplitude(sizes, np.full(len(sizes), u[g, k]))
-        odds = np.logaddexp.reduce(faulty, axis=0) - np.logaddexp.reduce(none, axis=0)
-        enough = odds >= math.log(certain / (1 - certain))
-        best = int(np.argmax(np.logaddexp.reduce(faulty[:, :, -1], axis=1)))
+        likely = [self._likelihood(scatter) for scatter in self.grid]
+        own = Whitened(self.rows, self.grid[int(np.argmax(likely))], self.beside.known[:, :0])
+        drawn = own.root @ np.random.default_rng(0).standard_normal((len(own.root), _DRAWN))
+        accounts = [Whitened(self.rows, scatter, self.beside.known[:, :0]) for scatter in self.grid]
+        white = [(account, account.white(drawn)) for account in accounts]
         found = {}
-        for k, pattern in enumerate(patterns):
-            from_here_on = enough[k][::-1].cumprod()[::-1].astype(np.bool_)
-            least = float(SIZES_DEG[from_here_on.argmax()]) if from_here_on.any() else math.inf
-            found[self.position[pattern.dwells[0]]] = least + POWER * math.degrees(u[best, k])
+        for pattern in patterns:
+            shown = self._odds(pattern, name, white) >= math.log(certain / (1 - certain))
+            enough = (shown.mean(axis=1) >= POWER)[::-1].cumprod()[::-1].astype(np.bool_)
+            least = float(SIZES_DEG[enough.argmax()]) if enough.any() else math.inf
+            found[self.position[pattern.dwells[0]]] = least
         return found
+
+    def _likelihood(self, scatter: ScatterPoint) -> float:
+        """Ln of prior times likelihood of the session under a scatter."""
+        white = Whitened(self.rows, scatter, self.beside.known)
+        z = white.white(white.mean_of(self.beside.left(self.rows)[:, None]))
+        return white.log_scale + scatter.log_prior - 0.5 * float((z * z).sum())
+
+    def _odds(self, pattern: Pattern, name: Name, drawn: list[tuple[Whitened, Floats]]) -> Floats:
+        """Log odds (sizes, sessions) of the pattern under the name against none."""
+        log_prior, amplitude = pattern.names[name]
+        assert amplitude is not None
+        sizes = np.radians(SIZES_DEG)[:, None]
+        faulty, none = np.full((2, len(sizes), drawn[0][1].shape[1]), -np.inf)
+        for account, z in drawn:
+            v = account.white(pattern.columns[:, 0])
+            vv, vz = float(v @ v), v @ z
+            clean = account.log_scale + account.scatter.log_prior - 0.5 * (z * z).sum(axis=0)
+            none = np.logaddexp(none, clean - sizes * vz - 0.5 * sizes**2 * vv)
+            seen = sizes + vz / vv
+            own = amplitude(seen.ravel(), np.full(seen.size, 1 / math.sqrt(vv))).reshape(seen.shape)
+            faulty = np.logaddexp(faulty, clean + 0.5 * vz**2 / vv + log_prior + own)
+        return np.asarray(faulty - none)
 
 
 __all__ = ["Detectability"]
