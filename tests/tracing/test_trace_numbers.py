@@ -30,7 +30,7 @@ from adis_gonio.tracing.outcome.findings import told_from_zero
 from adis_gonio.tracing.outcome.naming import Names, judge
 from adis_gonio.tracing.outcome.openings import undecided
 from adis_gonio.tracing.outcome.result import Finding
-from adis_gonio.tracing.outcome.sets import set_of, votes
+from adis_gonio.tracing.outcome.sets import set_of
 from adis_gonio.tracing.selection.design import LinearProblem, linearise, span
 from adis_gonio.tracing.selection.posterior import weigh
 from adis_gonio.tracing.selection.scatter import with_scatter
@@ -562,16 +562,6 @@ class TestWhatIsSaid:
         problem = names_only("cubic", "warm_up", "backlash")
         selection = believed(problem, {(k,): share for k, share in enumerate(shares)})
         assert set_of(selection, "cubic").names == ("cubic", "warm_up", "backlash")[:names]
-
-    @pytest.mark.number("in_place")
-    @pytest.mark.parametrize(("share", "stands"), [(0.4, False), (0.65, True)])
-    def test_one_name_stands_for_two_in_the_place_of_that_of_which_it_adds_half(
-        self, share: float, stands: bool
-    ) -> None:
-        rows = [[1, 0, 0], [0, 1, 0], [math.sqrt(share), 0, math.sqrt(1 - share)]]
-        terms = [named("cubic"), named("warm_up"), named("backlash")]
-        selection = believed(single([9, 9, 9], rows, terms), {(0, 1): 0.7, (2,): 0.3})
-        assert ("backlash" in votes(selection, "cubic")[0]) == stands
 
     @pytest.mark.number("open_level")
     @pytest.mark.parametrize(("p", "said"), [(0.13, ()), (0.08, ("cubic",))])

@@ -12,6 +12,7 @@ import pytest
 
 from adis_gonio import load_session, trace
 from adis_gonio.estimation.readings import readings_of
+from adis_gonio.model.records import Floats
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.naming import judge
@@ -56,12 +57,32 @@ def test_a_cause_is_what_models_have_in_its_place_and_absent_where_they_have_not
 def test_what_cannot_add_what_a_cause_adds_does_not_stand_for_it(selection: Selection) -> None:
     dwell = next(t.label for t in selection.problem.terms if t.name == "outlier_dwell")
     weight = {("bias[xy]", "quadratic[x]", dwell): 0.8, ("bias[xy]", "cross_quadratic[x]"): 0.2}
-    share, present = votes(believed(selection, weight), "outlier_dwell")
-    assert share == pytest.approx({"outlier_dwell": 1.0})
-    assert present == pytest.approx(0.8)
-    share, present = votes(believed(selection, weight), "quadratic")
-    assert share == pytest.approx({"quadratic": 0.8, "cross_quadratic": 0.2})
-    assert present == pytest.approx(1.0)
+    chosen = believed(selection, weight)
+    number = {term.label: k for k, term in enumerate(chosen.problem.terms)}
+
+    def part(cause: str, other: str) -> float:
+        """Share of what the cause adds to the chosen model that lies in the other model's span."""
+        rest = columns("bias[xy]", other)
+        added = off(rest, chosen.problem.target) - off(
+            columns("bias[xy]", other, cause), chosen.problem.target
+        )
+        left = off(columns("bias[xy]", "cross_quadratic[x]"), added)
+        return 1 - float(left @ left / (added @ added))
+
+    def columns(*labels: str) -> Floats:
+        return np.linalg.qr(np.hstack([chosen.problem.block(number[label]) for label in labels]))[0]
+
+    def off(basis: Floats, rows: Floats) -> Floats:
+        return np.asarray(rows - basis @ (basis.T @ rows))
+
+    for cause, other in ((dwell, "quadratic[x]"), ("quadratic[x]", dwell)):
+        name = cause.split("[")[0]
+        stands = 0.2 * part(cause, other)
+        share, present = votes(chosen, name)
+        assert present == pytest.approx(0.8 + stands)
+        assert share == pytest.approx({name: 0.8 / present, "cross_quadratic": stands / present})
+    assert part(dwell, "quadratic[x]") < 0.2
+    assert part("quadratic[x]", dwell) > 0.9
 
 
 def test_a_name_beside_an_unknown_function_of_its_kind_may_be_a_piece_of_that(selection: Selection) -> None:

@@ -135,12 +135,6 @@ class Limits:
     )
     sure: float = number(0.9, "chosen", "posterior of a name above which a rival without it is not named")
     set_level: float = number(0.95, "level", "probability of a credible set")
-    in_place: float = number(
-        0.5,
-        "chosen",
-        "share of what a cause adds from which others stand in its place in a model without several causes",
-        off=0.0,
-    )
     open_level: float = number(0.1, "level", "F-test of what could explain an inadequate model's rest")
     open_alike: float = number(10.0, "chosen", "likelihood ratio up to which other names are as good there")
     visible: float = number(

@@ -110,7 +110,7 @@ def votes(
         choice = place.choice(model)
         for word, part in choice.items():
             weight[word] += vote * part
-        none += 0.0 if choice else vote
+        none += vote * (1 - sum(choice.values()))
     total = sum(weight.values())
     if not total > 0:
         return {cause: 1.0}, 0.0
@@ -142,7 +142,10 @@ class _Place:
         return cls(problem, cause, ours, added / max(float(np.linalg.norm(added)), 1e-300))
 
     def choice(self, model: Model) -> dict[str, float]:
-        """What a model has in this place, with shares that sum to 1; empty where it has nothing."""
+        """What a model has in this place, with shares that sum to at most 1; empty where it has nothing.
+
+        Where it lacks several causes its others stand in the place of each by as much as they add of it.
+        """
         terms = [self.problem.terms[k] for k in model]
         mine = [term for term in terms if _word(term) == self.cause]
         if mine:
@@ -151,16 +154,15 @@ class _Place:
             return dict.fromkeys(words, 1 / len(words))
         fresh = [k for k in model if _word(self.problem.terms[k]) not in self.ours]
         kept = [k for k in model if k not in fresh]
-        lost = self.ours - set(map(_word, terms))
-        if not fresh or (len(lost) > 1 and self._explained(fresh, kept) < limits.in_place):
-            return {}
         words = {_word(self.problem.terms[k]) for k in fresh}
-        if len(words) == 1:
-            return dict.fromkeys(words, 1.0)
+        lost = self.ours - set(map(_word, terms))
+        whole = self._explained(fresh, kept) if fresh and len(lost) > 1 else 1.0
+        if len(words) <= 1:
+            return dict.fromkeys(words, whole)
         part: dict[str, float] = defaultdict(float)
         for k in fresh:
             part[_word(self.problem.terms[k])] += self._explained([k], kept) + 1e-12
-        return {word: share / sum(part.values()) for word, share in part.items()}
+        return {word: whole * share / sum(part.values()) for word, share in part.items()}
 
     def _explained(self, fresh: Sequence[int], kept: Sequence[int]) -> float:
         """Share of what the cause adds that some terms can add beside those that stay."""
