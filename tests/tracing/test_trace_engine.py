@@ -16,7 +16,7 @@ from adis_gonio.tracing import trace_readings
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.result import TraceResult
-from adis_gonio.tracing.selection.design import amplitudes, linearise, span
+from adis_gonio.tracing.selection.design import Products, amplitudes, linearise, span
 from adis_gonio.tracing.selection.search import price, search
 from adis_gonio.tracing.selection.select import select
 
@@ -140,6 +140,32 @@ def test_linear_gains_equal_explicit_least_squares() -> None:
         both = np.concatenate([problem.block(3), problem.block(k)], axis=1)
         left = problem.target - both @ np.linalg.lstsq(both, problem.target, rcond=1e-10)[0]
         assert gains[k] == pytest.approx(residual @ residual - left @ left, rel=2e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize("model", [(), (5,), (2, 9), (0, 7, 20)])
+def test_products_of_blocks_are_those_of_a_basis_that_was_made_of_the_rows(model: tuple[int, ...]) -> None:
+    data = observations([QUADRATIC])
+    problem = linearise(Fit.begin(data).refit(), [*named_terms(data)[0], *nameless_terms(data)[::40]])
+    few = problem.only(np.arange(1, len(problem.terms), 3))
+    columns = np.concatenate([np.zeros((len(problem.target), 0)), *map(problem.block, model)], axis=1)
+    onto = columns @ np.linalg.pinv(columns, rcond=1e-2)
+    left = problem.target - onto @ problem.target
+    products = Products(problem, few)
+    for _ in range(2):  # the second time from what was kept
+        chi2, z, inside = products.beside(model)
+        assert chi2 == pytest.approx(left @ left)
+        assert z == pytest.approx(left @ few.columns, abs=1e-9 * np.sqrt(problem.chi2))
+        assert inside.T @ inside == pytest.approx(few.columns.T @ onto @ few.columns, abs=1e-9)
+
+
+def test_columns_of_many_terms_are_those_of_each() -> None:
+    data = observations([QUADRATIC])
+    fit = Fit.begin(data).refit()
+    terms = [*named_terms(data)[0][::5], *nameless_terms(data)[::7]]
+    together, widths = fit.candidates(terms)
+    each = [fit.candidate(term) for term in terms]
+    assert widths.tolist() == [block.shape[2] for block in each]
+    np.testing.assert_array_equal(together, np.concatenate(each, axis=2))
 
 
 def test_search_finds_the_pair_that_exhaustive_enumeration_finds() -> None:

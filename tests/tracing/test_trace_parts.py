@@ -17,7 +17,7 @@ from scipy import linalg, stats
 
 from adis_gonio.errors import FitError
 from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import from_means
+from adis_gonio.estimation.readings import Readings, from_means
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.rates import MeanRate
@@ -33,7 +33,7 @@ from adis_gonio.tracing.selection.select import select
 from adis_gonio.tracing.trace import _disagreement, _enough, _weak
 from adis_gonio.tracing.unnamed.averaging import AveragedTerm
 from adis_gonio.tracing.unnamed.dependence import dependence
-from adis_gonio.tracing.validation.errors import Fold, error_figures, in_order, without_folds
+from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order, without_folds
 from adis_gonio.tracing.validation.survival import longest, never_worse, refuted, without
 from tracing.test_trace_numbers import (
     G,
@@ -483,6 +483,28 @@ class TestNestedModels:
         assert figures[-1].heldout_rms == pytest.approx(U * math.sqrt(1 + 6 / 38), rel=0.25)
         assert figures[0].heldout_rms is not None
         assert figures[0].heldout_rms > math.sqrt((25 + 9) / 2), "a fit without these dwells errs by more"
+
+    def test_a_fold_is_made_once_for_the_guard_and_for_the_figures(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        data = biased()
+        terms = labelled(data, "bias[xy]", "quadratic[x]")
+        selection = chosen(data, terms, ((0,), 1.0))
+        fits, _ = in_order(selection, None)
+        fold = Fold(terms, None, 1)
+        refitted: list[int] = []
+        again = Fit.again
+
+        def counted(fit: Fit, rows: Readings) -> Fit:
+            refitted.append(len(fit.terms))
+            return again(fit, rows)
+
+        monkeypatch.setattr(Fit, "again", counted)
+        guard = guarding(selection, fits, fold)
+        figures, _ = error_figures(selection, data, None, fits, fold)
+        assert sorted(refitted) == [0] * 5 + [1] * 5
+        assert guard[0] == figures[0].heldout_rms
+        assert guard[1] == figures[1].heldout_kept
 
     def test_of_gyros_errors_are_said_axis_by_axis(self) -> None:
         rng = np.random.default_rng(48)
