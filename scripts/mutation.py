@@ -127,6 +127,7 @@ ROOMS = {
     "tracing": Room(
         ("tracing",),
         (
+            "tests/tracing/test_trace_grammar.py",
             "tests/tracing/test_trace_arithmetic.py",
             "tests/tracing/test_trace_numbers.py",
             "tests/tracing/test_trace_outcome.py",
