@@ -81,6 +81,14 @@ def test_dwells_that_stand_at_a_limit_take_no_part_and_saturation_is_found(seed:
     assert abs(limit.value - words * LSB_MG) <= 2 * (limit.u or 0)
 
 
+def test_one_dwell_at_either_end_of_the_same_range_is_a_limit_and_none_of_them_stuck() -> None:
+    rows = turn(np.random.default_rng(5), bias=(0.0, 0.0))
+    for own in rows:
+        own[:, 0] = np.clip(own[:, 0], -2120, 2120)
+    assert [k for k, own in enumerate(rows) if np.ptp(own[:, 0]) == 0] == [0, 12]
+    assert set(readings_of(session(rows)).position.tolist()) == set(range(24)) - {0, 12}
+
+
 @pytest.mark.parametrize("where", [0, 3])
 def test_an_axis_that_is_stuck_is_no_limit_wherever_it_stuck(where: int) -> None:
     rows = turn(np.random.default_rng(3))

@@ -16,6 +16,7 @@ An axis that stands at a limit repeats a word too (`converter`): that is a limit
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 
 import numpy as np
@@ -88,15 +89,18 @@ def limits_in_words(limits: Sequence[Limit], unit: str) -> list[str]:
 
 
 def _at_limit(dwells: Sequence[Dwell], limits: Sequence[Limit], gravity: float | None) -> set[int]:
-    """Dwells whose mean a limit moves, one that several reach and that gravity allows."""
+    """Dwells whose mean a limit moves, one that several reach at either end and that gravity allows."""
     if gravity is None:
         return set()
     means = {dwell.position: dwell.accel.mean(axis=0) for dwell in dwells}
+    reached: dict[float, set[int]] = defaultdict(set)
+    for limit in limits:
+        reached[abs(limit.value)].update(limit.positions)
     return {
         position
         for limit in limits
         for position in limit.spoiled
-        if len(limit.positions) > 1
+        if len(reached[abs(limit.value)]) > 1
         and all(float(np.linalg.norm(means[p])) <= _MOST_GRAVITY * gravity for p in limit.spoiled)
     }
 
