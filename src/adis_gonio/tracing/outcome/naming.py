@@ -48,8 +48,7 @@ def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
     """
     verdict, terms = selection.verdict, selection.problem.terms
     model = [terms[k] for k in verdict.best]
-    unknown = [term for term in model if isinstance(term, NamelessTerm)]
-    unknown += [] if unknown or averaged is None else [averaged.smooth]
+    unknown = unknown_of(selection, averaged)
     stand: list[str] = []
     pending: dict[str, str] = {}
     confounded: list[tuple[str, ...]] = []
@@ -66,6 +65,13 @@ def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
             stand.append(name)
     confounded += _replacements(selection)
     return Names(tuple(stand), pending, tuple(dict.fromkeys(confounded)))
+
+
+def unknown_of(selection: Selection, averaged: Averaged | None) -> list[NamelessTerm]:
+    """Functions without a name beside which names are judged: the model's own, else what is averaged."""
+    terms = [selection.problem.terms[k] for k in selection.verdict.best]
+    own = [term for term in terms if isinstance(term, NamelessTerm)]
+    return own if own or averaged is None else [averaged.smooth]
 
 
 def related(term: Term, unknown: Term) -> bool:

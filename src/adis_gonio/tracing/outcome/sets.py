@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.estimation.terms import NamelessTerm, Term
+from adis_gonio.estimation.terms import Term
 from adis_gonio.model.records import Floats
-from adis_gonio.tracing.outcome.naming import related
+from adis_gonio.tracing.outcome.naming import related, unknown_of
 from adis_gonio.tracing.selection.design import LinearProblem, span
 from adis_gonio.tracing.selection.search import Model
 from adis_gonio.tracing.selection.select import Selection
@@ -114,7 +114,7 @@ def votes(
     total = sum(weight.values())
     if not total > 0:
         return {cause: 1.0}, 0.0
-    if averaged is not None and _piece(selection, cause, averaged.smooth):
+    if averaged is not None and _piece(selection, cause, averaged):
         piece = weight[cause] * averaged.weight
         weight[cause] -= piece
         weight[_word(averaged.smooth)] += piece
@@ -170,12 +170,15 @@ class _Place:
         return float(((basis.T @ self.added) ** 2).sum())
 
 
-def _piece(selection: Selection, cause: str, smooth: NamelessTerm) -> bool:
-    """True where a cause may be a piece of what a smooth function beside it stands for."""
+def _piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
+    """True where a cause may be a piece of what is averaged; a model's own function votes by itself."""
     terms = [selection.problem.terms[k] for k in selection.verdict.best]
-    if any(isinstance(term, NamelessTerm) for term in terms):
-        return False  # that function votes in the models that have it
-    return any(related(term, smooth) for term in terms if term.name == cause)
+    return any(
+        unknown is averaged.smooth and related(term, unknown)
+        for unknown in unknown_of(selection, averaged)
+        for term in terms
+        if term.name == cause
+    )
 
 
 def _word(term: Term) -> str:
