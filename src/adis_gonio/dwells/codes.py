@@ -18,7 +18,7 @@ import math
 import numpy as np
 from scipy import optimize, stats
 
-from adis_gonio.dwells.finding import WithinFinding, corrected, number, positions_text
+from adis_gonio.dwells.finding import LEVEL, WithinFinding, corrected, number, positions_text
 from adis_gonio.dwells.samples import Samples
 from adis_gonio.estimation.readings import Readings, left_by_quantization
 from adis_gonio.estimation.values import Value
@@ -72,9 +72,9 @@ def quantization(session: Session, samples: Samples, reach: int) -> WithinFindin
     """
     found: dict[int, float] = {}
     for axis in range(samples.axes):
-        p = min(_coarse(samples, axis, reach), _lost_bits(session, samples, axis))
-        if p < 1:
-            found[axis] = corrected(p, samples.axes)
+        p = corrected(min(_coarse(samples, axis, reach), _lost_bits(session, samples, axis)), samples.axes)
+        if p < LEVEL:
+            found[axis] = p
     if not found:
         return None
     letters = tuple(samples.letters[axis] for axis in found)
@@ -85,7 +85,7 @@ def quantization(session: Session, samples: Samples, reach: int) -> WithinFindin
         axes=letters,
         positions=tuple(int(p) for p in samples.position),
         parameters={"lsb": Value(step, None, "mg")},
-        p_value=max(found.values()),
+        p_value=min(found.values()),
         sentence=(
             f"{', '.join(letters)} come in steps of {number(step)} mg, which the noise does not hide: the "
             "means follow a staircase"
