@@ -24,7 +24,7 @@ from adis_gonio.slips.finding import Named
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.cycles import cycles_alike
 from adis_gonio.tracing.outcome.detect import detectable
-from adis_gonio.tracing.outcome.figures import Panel, views_of
+from adis_gonio.tracing.outcome.figures import Panel, _uncertainty, views_of
 from adis_gonio.tracing.outcome.findings import (
     base_of,
     dof_of,
@@ -213,6 +213,13 @@ class TestFiguresOfSteps:
         supply = panels(data, *labelled(data, "supply_bias[xz]"))
         assert shown(supply) == [("supply", "norm")], "both axes have one covariate: it is drawn once"
         np.testing.assert_allclose(supply[0].x, c.supply_v)
+
+    def test_of_a_dwell_without_a_declared_angle_the_noise_of_its_reading_is_drawn(self) -> None:
+        angles = np.where(np.arange(24) == 7, np.nan, self.data.angle_rad)
+        fit = Fit.begin(replace(self.data, angle_rad=angles, fixture_rad=2e-4)).refit()
+        told = _uncertainty(fit, "angle")
+        expected = np.where(np.arange(24) == 7, U / G, math.hypot(U / G, 2e-4))
+        np.testing.assert_allclose(told, np.degrees(expected), rtol=1e-3)
 
 
 class TestFiguresOfWhatIsLeft:
@@ -683,6 +690,18 @@ class TestNotes:
         assert cycles_alike(selection) == [(5, (19, 29, 43, 53, 67))]
         assert "5 cycles a turn of the stage look like 19, 29, 43, 53, 67" in notes_of(selection, None)[0]
 
+    @pytest.mark.parametrize(
+        ("steps", "others"),
+        [(25, (22, 28, 47, 53, 72)), (23, (20, 26, 43, 49, 66)), (24, (21, 27, 45, 51, 69))],
+    )
+    def test_cycles_alike_are_said_up_to_72_and_no_more_than_five(
+        self, steps: int, others: tuple[int, ...]
+    ) -> None:
+        c = turn(steps)
+        data = read(c, ideal_mg(c, 0.1 * np.cos(3 * c.angle_rad)))
+        selection = chosen(data, labelled(data, "stage_periodic(cycles=3)"), ((0,), 1.0))
+        assert cycles_alike(selection) == [(3, others)]
+
     def test_cycles_of_like_scores_are_said_and_those_of_far_worse_ones_are_not(self) -> None:
         angles = np.random.default_rng(34).uniform(0, 360, 30)
         c = turn(angles_deg=angles)
@@ -782,6 +801,14 @@ class TestSets:
     def test_a_cause_that_no_likely_model_has_is_not_there(self) -> None:
         selection = believed(names_only("cubic"), {(0,): 1e-9, (): 1.0})
         assert votes(selection, "cubic") == ({"cubic": 1.0}, 0.0)
+
+    def test_a_function_without_a_name_is_a_cause_by_its_covariates(self) -> None:
+        terms = [named(None, covariates=("angle",)), named("warm_up", covariates=("time",))]
+        rows = np.eye(3)
+        problem = single(9 * rows.sum(axis=0), rows[:2], terms)
+        share, present = votes(believed(problem, {(0,): 0.6, (1,): 0.3, (): 0.1}), "unnamed: angle")
+        assert share == pytest.approx({"unnamed: angle": 2 / 3, "warm_up": 1 / 3})
+        assert present == pytest.approx(0.9)
 
     def test_a_model_with_a_function_of_its_own_is_no_piece_of_the_smooth_one_beside_it(self) -> None:
         data = biased()

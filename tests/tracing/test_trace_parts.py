@@ -6,6 +6,7 @@ import itertools
 import math
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from types import MappingProxyType, SimpleNamespace
@@ -15,23 +16,27 @@ import numpy as np
 import pytest
 from scipy import linalg, stats
 
+from adis_gonio.budget import Budget, within
 from adis_gonio.errors import FitError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings, from_means
 from adis_gonio.estimation.values import Value
-from adis_gonio.model.effects import Conditions
+from adis_gonio.model.effects import Conditions, catalogue
 from adis_gonio.model.rates import MeanRate
 from adis_gonio.tracing.candidates.grammar import nameless_terms
-from adis_gonio.tracing.candidates.named import named_terms
+from adis_gonio.tracing.candidates.named import covariates_of, named_terms
 from adis_gonio.tracing.candidates.processes import RING, evidence, processes
 from adis_gonio.tracing.outcome.naming import Names
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding
-from adis_gonio.tracing.selection.design import LinearProblem, orthonormal
+from adis_gonio.tracing.selection import select as choice
+from adis_gonio.tracing.selection.design import LinearProblem, _beside, orthonormal
 from adis_gonio.tracing.selection.posterior import ModelPosterior, weigh, without_models
 from adis_gonio.tracing.selection.search import Model, search
 from adis_gonio.tracing.selection.select import select
+from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace import _disagreement, _enough, _weak
-from adis_gonio.tracing.unnamed.averaging import AveragedTerm
+from adis_gonio.tracing.unnamed import averaging
+from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
 from adis_gonio.tracing.unnamed.dependence import dependence
 from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order, without_folds
 from adis_gonio.tracing.validation.survival import longest, never_worse, refuted, without
@@ -191,6 +196,7 @@ def said(form: str, a: float, p: float) -> float:
 
 class TestProcesses:
     data = noisy(surroundings(), 43)
+    every = tuple(processes(data))
 
     def test_the_evidence_is_that_of_a_normal_prior_on_the_features(self) -> None:
         # Against none: ln N(y; 0, 1 + φ s² φᵀ) − ln N(y; 0, 1), both beside the base model.
@@ -236,8 +242,117 @@ class TestProcesses:
             kernel = 1 + np.outer(line, line) + np.exp(-0.5 * ((u[:, None] - u) / length) ** 2)
             np.testing.assert_allclose(features @ features.T, kernel, atol=5e-3)
 
+    def features(self, covariates: tuple[str, ...], data: Readings | None = None) -> list[Any]:
+        """Bases of these covariates, one a length."""
+        seen: dict[int, Any] = {}
+        for process in self.every if data is None else processes(data):
+            if process.term.covariates == covariates:
+                seen.setdefault(id(process.term.basis), process.term.basis)
+        return list(seen.values())
+
+    def test_beyond_a_tenth_of_its_range_a_covariate_is_held(self) -> None:
+        c = self.data.conditions
+        first, length = c.time_s.min(), np.ptp(c.time_s)
+        u = np.array([-2.0, -0.1, -0.05, 0.5, 1.05, 1.1, 3.0])
+        basis = self.features(("time",))[1]
+        told = basis.over(Conditions(first + u * length))
+        held = np.clip(u, -0.1, 1.1)
+        line = 2 * held - 1
+        kernel = 1 + np.outer(line, line) + np.exp(-0.5 * ((held[:, None] - held) / 0.18) ** 2)
+        np.testing.assert_allclose(told @ told.T, kernel, atol=5e-3)
+
+    def test_features_of_a_reading_are_a_constant_and_its_squared_exponential_up_to_a_tenth_beyond_1_g(
+        self,
+    ) -> None:
+        a = np.array([-3.0, -1.1, -1.05, -0.9, -0.3, 0.2, 0.9, 1.05, 1.1, 3.0])
+        held = np.clip(a, -1.1, 1.1)
+        bases = self.features(("reading",))
+        for length, basis in zip((0.18, 0.32, 0.56, 1.0), bases, strict=True):
+            for axis in (0, 1):
+                ideal = np.zeros((len(a), 2))
+                ideal[:, axis] = a
+                told = basis.by_axis(ideal, axis)
+                # The range of a reading is 2 g.
+                kernel = 1 + np.exp(-0.5 * ((held[:, None] - held) / (2 * length)) ** 2)
+                np.testing.assert_allclose(told @ told.T, kernel, atol=5e-3)
+
+    def test_a_function_of_two_covariates_has_the_product_of_their_kernels(self) -> None:
+        c = self.data.conditions
+        (short, long) = self.features(("time", "temperature"))
+        for number, both in ((2, short), (4, long)):
+            parts = [self.features((name,))[number].over(c) for name in ("time", "temperature")]
+            told = both.over(c)
+            np.testing.assert_allclose(told @ told.T, (parts[0] @ parts[0].T) * (parts[1] @ parts[1].T))
+
+    def test_every_covariate_enters_where_it_can_with_each_choice_of_axes_length_and_amplitude(
+        self,
+    ) -> None:
+        every = self.every
+        count = Counter(process.term.covariates for process in every)
+        # Of two axes three choices, once at the angle; four amplitudes.
+        single = {("time",), ("temperature",), ("supply",)}
+        expected = dict.fromkeys(single, 5 * (3 * 3 + 1) * 4)
+        expected |= dict.fromkeys([("angle",), ("previous_angle",)], 4 * (3 + 1) * 4)
+        expected[("reading",)] = 4 * 3 * 4
+        pairs = itertools.combinations(("time", "temperature", "supply"), 2)
+        expected |= dict.fromkeys(pairs, 2 * (2 * 3 + 1) * 4)
+        assert count == expected
+        assert len({(p.term.label, id(p.term.basis)) for p in every}) == len(every)
+        for process in every:
+            assert (process.term.axes == ()) == (process.term.where == "angle")
+        assert {round(float(p.term.shrinkage or 0) / U, 9) for p in every} == {2.0, 4.0, 8.0, 16.0}
+        weight = {which: 1.0 if len(which) == 1 else 0.3 for which in expected} | {("previous_angle",): 0.3}
+        for process in every:
+            which = process.term.covariates
+            share = 0.3 * weight[which] / sum(weight.values()) / count[which]
+            assert process.price == pytest.approx(-math.log(share))
+
+    def test_what_stood_still_and_a_turn_without_a_declared_angle_have_no_process(self) -> None:
+        c = replace(surroundings(), supply_v=np.full(24, 5.0))
+        names = {name for p in processes(noisy(c, 43)) for name in p.term.covariates}
+        assert names == {"time", "temperature", "angle", "previous_angle", "reading"}
+        space = from_means(G * np.eye(3), np.tile(np.eye(3), (3, 1, 1)), Conditions(np.arange(3.0)))
+        told = [p.term for p in processes(space)]
+        assert {term.where for term in told} == {"bias", "gain", "misalignment"}
+        assert {term.covariates for term in told} == {("time",), ("reading",)}
+
+    def test_force_is_a_covariate_of_gyros_component_by_component_and_in_no_product(self) -> None:
+        rng = np.random.default_rng(43)
+        force = rng.normal(size=(12, 3)) * [1.0, 0.0, 2.0]
+        c = Conditions(60.0 * np.arange(12), force_g=force, temperature_c=25 + rng.normal(size=12))
+        gyros = from_means(
+            rng.normal(size=(12, 3)), np.tile(np.eye(3), (12, 1, 1)), c, measurement=MeanRate()
+        )
+        pairs = {("time", "temperature")}
+        single = {("time",), ("temperature",), ("force_x",), ("force_z",)}
+        assert {process.term.covariates for process in processes(gyros)} == single | pairs
+        u = (force[:, 2] - force[:, 2].min()) / np.ptp(force[:, 2])
+        told = self.features(("force_z",), gyros)[0].over(c)
+        kernel = 1 + np.outer(2 * u - 1, 2 * u - 1) + np.exp(-0.5 * ((u[:, None] - u) / 0.1) ** 2)
+        np.testing.assert_allclose(told @ told.T, kernel, atol=5e-3)
+
+
+class TestDesign:
+    def test_what_is_rounding_beside_the_columns_of_its_own_term_is_no_direction(self) -> None:
+        # Terms of two, one and two columns: 1e-14 is nothing beside 1, and all that there is by itself.
+        sizes = np.array([1.0, 1e-14, 1e-14, 1e-14, 1.0, 1.0, 1e-14])
+        columns, length = _beside(np.zeros((7, 0)), np.diag(sizes), np.array([2, 1, 2, 2]))
+        seen = np.array([True, False, True, False, True, True, False])
+        np.testing.assert_allclose(columns, np.diag(seen.astype(float)))
+        np.testing.assert_allclose(length, np.where(seen, sizes, 1.0))
+
 
 class TestSearch:
+    def test_more_models_of_a_size_are_extended_than_the_first_six(self) -> None:
+        rows = np.eye(30)
+        terms = [named(letter, 1.0) for letter in "abcdefghi"]
+        target = np.concatenate([np.arange(20.0, 11.0, -1.0), np.zeros(21)])
+        problem = single(target, rows[:9], terms)
+        pairs = set(itertools.combinations(range(9), 2))
+        assert {model for model in search(problem, 2).scores if len(model) == 2} == pairs
+        with within(Budget(left_out=["the time is over"])):
+            assert set(map(len, search(problem, 2).scores)) == {0, 1}
+
     def exhaustive(self, problem: LinearProblem, prices: np.ndarray, most: int) -> dict[Model, float]:
         """Score of every model by least squares."""
         scores = {}
@@ -381,6 +496,26 @@ class TestSelection:
         assert [term.name for term in chose.terms] == ["bias"]
         assert chose.adequate
         assert chose.fit.values.terms[0] == pytest.approx([900.0, 400.0], abs=0.2)
+
+    def test_whether_a_bias_is_apart_is_asked_of_a_refit_where_nothing_was_chosen_yet(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        data = biased()
+        (bias,) = labelled(data, "bias[xy]")
+        base = Fit.begin(data).refit()
+        with_one = base.having([bias], [np.zeros(2)]).refit()
+        problem: Any = SimpleNamespace()
+        for alone, about, refitted, apart in (
+            (None, base, with_one, with_one),
+            (None, base, None, None),
+            (None, with_one, with_one, None),
+            (3, with_one, None, ("a fit of", [3], with_one)),
+        ):
+            monkeypatch.setattr(choice, "_mostly_bias", lambda problem, alone=alone: alone)
+            monkeypatch.setattr(choice, "_mostly_bias_refitted", lambda *_, refitted=refitted: refitted)
+            monkeypatch.setattr(choice, "fit_model", lambda _, model, about: ("a fit of", model, about))
+            told = choice._bias_apart(problem, base, about)
+            assert (None if told is None else told()) == apart
 
 
 class TestNestedModels:
@@ -643,8 +778,127 @@ class TestDependence:
         assert told is not None
         assert told.covariates == ("reading_y",)
 
+    def test_where_nothing_changed_there_is_nothing_to_follow(self) -> None:
+        data = replace(noisy(turn(9), 53), conditions=Conditions(np.zeros(9)))
+        rows = np.outer(np.arange(9.0), [1.0, 1.0])
+        empty = single(rows.ravel(), np.zeros((0, 18)), [])
+        assert dependence(believed(empty, {(): 1.0}, data=data)) is None
+
+    def test_its_p_is_that_of_permutations_for_each_covariate_and_pair_and_never_above_one(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        c = surroundings(36, 51)
+        size = 3 * (np.asarray(c.supply_v) - 5.0) / np.std(c.supply_v)
+        # Six covariates and their fifteen pairs, 400 permutations of which none comes near.
+        assert self.told(c, size).p_value == pytest.approx(21 / 400)
+        monkeypatch.setattr(limits, "permutations", 3)
+        assert self.told(c, size).p_value == 1.0
+
 
 class TestAverages:
+    @pytest.mark.parametrize(
+        ("adequate", "known", "called_for"),
+        [(True, True, False), (True, False, False), (False, False, False), (False, True, True)],
+    )
+    def test_names_alone_are_averaged_where_they_are_inadequate_under_known_noise(
+        self, monkeypatch: pytest.MonkeyPatch, adequate: bool, known: bool, called_for: bool
+    ) -> None:
+        data = replace(biased(), known=np.full(24, known))
+        selection = replace(chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0)), adequate=adequate)
+        smooth = processes(data)[:3]
+        for gained, wanted in ((20.0, called_for), (-20.0, False)):
+            monkeypatch.setattr(
+                averaging, "evidence", lambda *_, gained=gained: np.array([-9.0, gained, -9.0])
+            )
+            averaged = average(selection, smooth)
+            assert (averaged is not None) == wanted
+            if averaged is not None:
+                assert averaged.smooth is smooth[1].term
+                assert averaged.weight == pytest.approx(1.0)
+                assert [term.name for term in averaged.named] == ["bias"]
+
+    def test_formulas_and_processes_weigh_by_their_evidence_against_the_names_alone(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        data = biased()
+        theta = data.conditions.angle_rad
+        assert theta is not None
+        data = replace(data, mean=data.mean + np.outer(0.12 * np.cos(4 * theta), [1.0, 0.0]))
+        wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
+        terms = [*labelled(data, "bias[xy]"), wave]
+        selection = chosen(data, terms, ((0, 1), 0.9), ((0,), 0.1))
+        column = np.cos(4 * theta)
+        # Equal steps: a wave of four cycles is at right angles to base model and bias.
+        gained = 0.5 * (column @ data.mean[:, 0]) ** 2 / (column @ column) / U**2
+        price = {t.label: p for t, p in zip(selection.problem.terms, selection.found.prices, strict=True)}
+        formula = gained - price["wave"]
+        smooth = processes(data)[:2]
+        monkeypatch.setattr(averaging, "evidence", lambda *_: np.array([formula - 1.0, formula - 9.0]))
+        averaged = average(selection, smooth)
+        assert averaged is not None
+        share = math.exp(-1) / (1 + math.exp(-1))
+        assert averaged.weight == pytest.approx(share, abs=2e-3)
+        (mixed,) = [term for term in averaged.fit.terms if isinstance(term, AveragedTerm)]
+        told = {own.label: weight for weight, own, _ in mixed.members}
+        # What has less than a hundredth is left out.
+        assert told == pytest.approx({"wave": 1 - share, smooth[0].term.label: share}, abs=2e-3)
+        assert [one.term for one in averaged.candidates] == [smooth[0].term, smooth[1].term]
+
+    @pytest.mark.parametrize(
+        ("inflation", "adequate", "asked"),
+        [(4.0, True, [1.0]), (4.0, False, [1.0, 4.0]), (1.0, True, [1.0])],
+    )
+    def test_what_is_adequate_under_the_measured_noise_is_weighed_under_that(
+        self, monkeypatch: pytest.MonkeyPatch, inflation: float, adequate: bool, asked: list[float]
+    ) -> None:
+        data = biased()
+        selection = replace(chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0)), inflation=inflation)
+        fit = selection.fit if adequate else selection.base
+        seen: list[float] = []
+
+        def weighed(own: Any, candidates: Any) -> Any:
+            seen.append(own.inflation)
+            return SimpleNamespace(fit=fit, inflation=own.inflation)
+
+        monkeypatch.setattr(averaging, "_average", weighed)
+        told: Any = average(selection)
+        assert seen == asked
+        assert told.inflation == asked[-1]
+
+    def test_terms_that_add_a_tenth_of_g_or_a_tenth_of_a_radian_are_no_cause(self) -> None:
+        data = biased()
+        selection = chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0))
+        wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
+        turned = function("turned", lambda c: np.cos(4 * c.angle_rad), ("angle",), where="angle")
+        for sizes, possible in (
+            ((99.0, 99.0), True),  # mg and mrad
+            ((-99.0, -99.0), True),
+            ((-101.0, 0.0), False),
+            ((0.0, 101.0), False),
+        ):
+            assert averaging._possible(selection, (wave, turned), np.array(sizes)) == possible
+
+    def test_members_at_the_angle_and_at_the_readings_are_two_terms_by_the_likeliest_of_each(self) -> None:
+        one = function("one", lambda c: c.time_s, ("time",))
+        two = replace(function("two", lambda c: c.supply_v, ("supply",)), axes=(1,))
+        turned = function("turned", lambda c: c.time_s, ("time",), where="angle")
+        members = [(0.2, one, np.ones(1)), (0.5, two, np.ones(1)), (0.3, turned, np.ones(1))]
+        readings, angle = averaging._terms(members)
+        assert (readings.where, readings.axes, readings.covariates) == ("bias", (0, 1), ("supply",))
+        assert [own.label for _, own, _ in readings.members] == ["one", "two"]
+        assert (angle.where, angle.axes, angle.covariates) == ("angle", (), ("time",))
+        assert [own.label for _, own, _ in angle.members] == ["turned"]
+        assert [term.label for term in averaging._terms(members[2:])] == ["average at the angle"]
+
+    def test_a_polynomial_gives_way_to_a_process_in_its_place_and_a_formula_does_not(self) -> None:
+        covered: Any = {("bias", ("time",))}
+        formula = function("formula", lambda c: c.time_s)
+        smooth = function("smooth", lambda c: c.time_s, approximates=True)
+        elsewhere = replace(smooth, where="gain")
+        other = replace(smooth, covariates=("supply",))
+        told = [averaging._by_process(term, covered) for term in (formula, smooth, elsewhere, other)]
+        assert told == [False, True, False, False]
+
     def test_an_average_adds_the_weighted_mean_and_has_no_columns(self) -> None:
         c = turn()
         ideal = ideal_mg(c)
@@ -679,6 +933,32 @@ class TestNamedCandidates:
         grid = sorted({t.shapes[0][1] for t in named_terms(data)[0] if t.name == "warm_up"})
         assert (grid[0], grid[-1]) == (pytest.approx(60.0), pytest.approx(1.5 * 23 * 60))
         assert np.diff(np.log(grid)) == pytest.approx(np.full(len(grid) - 1, math.log(grid[1] / grid[0])))
+
+    def test_a_dwell_between_two_and_one_for_checking_have_no_effect_of_their_own(self) -> None:
+        data = noisy(turn(6, order=np.array([0.0, 0.5, 1.0, 2.0, 2.5, 3.0])), 56)
+        data = replace(data, check=np.array([False, False, True, False, False, False]))
+        terms = [t for t in named_terms(data)[0] if t.name == "position_slip"]
+        assert [t.dwell for t in terms] == [0, 2, 3]
+
+    def test_covariates_are_what_an_effect_follows_in_words(self) -> None:
+        expected = {
+            "bias": (),
+            "bias_drift": ("time",),
+            "scale_drift": ("time",),
+            "warm_up": ("time",),
+            "creep": ("previous_angle",),
+            "quadratic": ("reading",),
+            "cubic": ("reading",),
+            "supply_bias": ("supply",),
+            "bias_temperature": ("temperature",),
+            "thermal_lag": ("temperature",),
+            "backlash": ("approach",),
+            "stage_periodic": ("angle",),
+            "position_slip": ("order",),
+            "outlier_dwell": ("order",),
+        }
+        kinds = catalogue("accelerometer")
+        assert {name: covariates_of(kinds[name]) for name in expected} == expected
 
     @pytest.mark.parametrize(("levels", "degrees"), [(2, {1}), (3, {1, 2}), (24, {1, 2, 3})])
     def test_a_temperature_of_few_levels_shows_few_powers(self, levels: int, degrees: set[int]) -> None:
