@@ -98,6 +98,7 @@ ROOMS = {
             "tests/estimation/test_fit.py",
             "tests/estimation/test_intervals.py",
             "tests/estimation/test_other_measurements.py",
+            "tests/estimation/test_reading_parts.py",
             "tests/estimation/test_refused_readings.py",
             "tests/estimation/test_spectrum.py",
             "tests/estimation/test_terms.py",
