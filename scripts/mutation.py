@@ -105,6 +105,7 @@ ROOMS = {
             "tests/estimation/test_terms.py",
             "tests/fitting/test_advice.py",
             "tests/fitting/test_budget_parts.py",
+            "tests/fitting/test_closed_form_parts.py",
             "tests/fitting/test_determination.py",
             "tests/fitting/test_flicker.py",
             "tests/fitting/test_monte_carlo.py",
