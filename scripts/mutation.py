@@ -115,6 +115,7 @@ ROOMS = {
             "tests/fitting/test_ml_against_full_least_squares.py",
             "tests/fitting/test_methods.py",
             "tests/fitting/test_scores.py",
+            "tests/fitting/test_source_parts.py",
             "tests/fitting/test_sources.py",
             "tests/fitting/test_standing.py",
             "tests/fitting/test_uncertainty.py",
