@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
+from scipy.stats import norm
 
 from adis_gonio import fit, trace
 from adis_gonio.errors import DataError
+from adis_gonio.estimation import converter as module
 from adis_gonio.estimation.converter import converter_of, steps_of
 from adis_gonio.estimation.readings import readings_of
 from adis_gonio.model.records import Dwell, Session
@@ -130,3 +133,83 @@ def test_the_step_of_a_healthy_sensor_is_no_finding(noise: float) -> None:
         assert samples is not None
         assert saturation(whole, data) is None
         assert quantization(whole, samples, correlation_reach(samples)) is None
+
+
+def piled(at_limit: int, inside: int, sign: float = 1.0, values: int = 40) -> list[Dwell]:
+    """One axis of two: a slope of values with so many samples at its end and at the value before it."""
+    steps = np.repeat(np.arange(values, dtype=float), 2)
+    column = np.concatenate([steps, np.full(inside, values + 0.0), np.full(at_limit, values + 1.0)])
+    rows = np.stack([sign * column, np.zeros(len(column))], axis=1)
+    return [Dwell(3, np.arange(len(rows)) / 100, rows)]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("at_limit", "inside", "found"),
+    [
+        (20, 4, True),
+        (19, 1, False),
+        (20, 5, False),
+        (24, 5, False),
+        (25, 5, True),
+        (60, 12, True),
+        (59, 12, False),
+    ],
+)
+def test_a_pile_of_twenty_five_times_as_high_as_its_neighbour_is_a_limit(
+    at_limit: int, inside: int, sign: float, found: bool
+) -> None:
+    limits = converter_of(piled(at_limit, inside, sign)).limits
+    assert bool(limits) == found
+    if found:
+        (limit,) = limits
+        assert (limit.axis, limit.value, limit.samples, limit.inside) == (0, sign * 41, at_limit, inside)
+        assert limit.positions == (3,)
+
+
+def test_few_values_show_no_limit() -> None:
+    assert not converter_of(piled(40, 2, values=18)).limits
+    assert converter_of(piled(40, 2, values=20)).limits
+
+
+def test_a_limit_may_be_reached_by_all_samples_but_those_of_other_dwells() -> None:
+    rng = np.random.default_rng(3)
+    free = np.stack([rng.normal(0, 10, 60), rng.normal(0, 10, 60)], axis=1)
+    stands = np.stack([np.full(60, 99.0), rng.normal(0, 10, 60)], axis=1)
+    made = [
+        Dwell(k, 10.0 * k + np.arange(60) / 100, rows) for k, rows in enumerate((free, stands, free + 1))
+    ]
+    (limit,) = converter_of(made).limits
+    assert (limit.value, limit.samples, limit.positions, limit.spoiled) == (99.0, 60, (1,), (1,))
+    assert converter_of(made).spoiled == {1}
+
+
+@pytest.mark.parametrize("share", [0.0001, 0.001, 0.005, 0.02])
+def test_a_limit_moves_a_mean_by_what_it_cuts_off_a_normal_distribution(share: float) -> None:
+    z = norm.isf(share)
+    cut = quad(lambda x: (x - z) * norm.pdf(x), z, 12)[0]
+    # A tenth of the mean's standard uncertainty is reached with so many samples.
+    n = (0.1 / cut) ** 2
+    assert module._moves(share, int(n * 1.02) + 1)
+    assert not module._moves(share, int(n * 0.98))
+
+
+def test_half_of_the_samples_at_a_limit_always_move_the_mean() -> None:
+    assert module._moves(0.5, 2)
+    assert module._moves(1.0, 1)
+
+
+@pytest.mark.parametrize(("gaps", "step"), [(9, 1.0), (10, 4.0)])
+def test_a_divisor_counts_where_chance_would_give_it_once_in_a_million(gaps: int, step: float) -> None:
+    # Each gap is divided by four with a chance of a quarter: 4⁻¹⁰ is just below a millionth.
+    assert steps_of([4.0 * np.arange(gaps + 1.0)[:, None]]) == [step]
+
+
+def test_the_step_of_other_numbers_is_the_smallest_difference_but_for_rounding() -> None:
+    rows = np.array([[1.0], [1.25], [3.0], [3.0 + 1e-12]])
+    assert steps_of([rows, np.array([[5.0], [5.125]])]) == [0.125]
+    whole = np.array([[0.0], [2.0], [6.0]])
+    assert steps_of([whole, rows]) == [0.25]
+    assert steps_of([rows, whole]) == [0.25]
+    both = steps_of([np.column_stack([whole, whole / 8])])
+    assert both.tolist() == [1.0, 0.25]

@@ -1,0 +1,227 @@
+"""A fit of gyros against plain linear algebra on readings that are put in."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import f as fisher
+
+from adis_gonio.estimation.readings import Readings, from_means
+from adis_gonio.fitting import gyro as module
+from adis_gonio.fitting.gyro import fit_gyro_readings
+from adis_gonio.model.effects import Conditions
+from adis_gonio.model.rates import MeanRate
+from adis_gonio.model.records import Floats
+
+BIAS = np.array([0.4, -1.1, 0.2])
+FORCE_ON = np.array([[0.05, -0.02, 0.03], [0.01, 0.04, -0.03], [-0.02, 0.02, 0.06]])
+"""°/s/g of each gyro by force along each axis."""
+
+
+def poses(n: int, seed: int = 1) -> Floats:
+    force = np.random.default_rng(seed).standard_normal((n, 3))
+    return force / np.linalg.norm(force, axis=1, keepdims=True)
+
+
+def at_rest(
+    force: Floats, noise: float = 0.01, *, seed: int = 2, beside: Floats | float = 0.0, **more: object
+) -> Readings:
+    """Dwells at rest under these forces (n, 3) in g."""
+    n = len(force)
+    rng = np.random.default_rng(seed)
+    mean = BIAS + force @ FORCE_ON.T + noise * rng.standard_normal((n, 3)) + beside
+    conditions = Conditions(time_s=10.0 * np.arange(n), order=np.arange(float(n)), force_g=force)
+    covariance = np.tile(noise**2 * np.eye(3), (n, 1, 1))
+    facts: dict[str, object] = {"measurement": MeanRate(), "fixture_rad": math.inf}
+    return from_means(mean, covariance, conditions, **{**facts, **more})
+
+
+def design(force: Floats) -> Floats:
+    return np.column_stack([np.ones(len(force)), force])
+
+
+def test_zero_rates_and_what_force_adds_are_those_of_linear_least_squares() -> None:
+    force = poses(10)
+    data = at_rest(force)
+    result = fit_gyro_readings(data, scored=False)
+    rows = design(force)
+    best = np.linalg.lstsq(rows, data.mean, rcond=None)[0]
+    u = 0.01 * np.sqrt(np.diagonal(np.linalg.inv(rows.T @ rows)))
+    for k, axis in enumerate("xyz"):
+        names = [f"gyro_bias_{axis}", *(f"g_sensitivity_{axis}{other}" for other in "xyz")]
+        for j, name in enumerate(names):
+            assert result[name].value == pytest.approx(best[j, k], abs=1e-9)
+            assert result[name].u == pytest.approx(u[j], rel=1e-6)
+            assert result[name].unit == ("dps" if j == 0 else "dps/g")
+    left = data.mean - rows @ best
+    assert result.chi2 == pytest.approx((left**2).sum() / 0.01**2)
+    assert result.dof == 30 - 12
+    assert result.turns == 0
+    assert result.inflation == {"x": 1.0, "y": 1.0, "z": 1.0}
+    assert result.undetermined == ()
+    np.testing.assert_allclose(result.residual_dps, left, atol=1e-9)
+    (told,) = [line for line in result.warnings if "not determined" in line]
+    assert told == (
+        "not determined, taken as of perfect gyros: gyro_scale; gyro_misalignment; "
+        "turn the part by whole turns about each axis (plan gyro-turns)"
+    )
+
+
+def test_a_gyro_whose_residual_is_too_large_is_less_sure_by_it_and_the_others_are_not() -> None:
+    force = poses(12)
+    away = np.zeros((12, 3))
+    away[:, 1] = 0.05 * np.random.default_rng(5).standard_normal(12)
+    data = at_rest(force, beside=away, dof=np.full(12, 5.0))
+    result = fit_gyro_readings(data, scored=False)
+    rows = design(force)
+    left = data.mean - rows @ np.linalg.lstsq(rows, data.mean, rcond=None)[0]
+    factor = (left[:, 1] ** 2).sum() / 0.01**2 / 8
+    assert result.inflation == {"x": 1.0, "y": pytest.approx(factor), "z": 1.0}
+    u = 0.01 * math.sqrt(np.linalg.inv(rows.T @ rows)[0, 0])
+    assert result["gyro_bias_x"].u == pytest.approx(u)
+    assert result["gyro_bias_y"].u == pytest.approx(u * math.sqrt(factor))
+    # The smaller of twelve dwells less four parameters, and of the five of the noise.
+    assert result["gyro_bias_y"].dof == result["gyro_bias_x"].dof == 5
+    assert any(f"(y {math.sqrt(factor):.2g} times)" in line for line in result.warnings)
+
+
+@pytest.mark.parametrize("side", [0.99, 1.01])
+def test_a_residual_is_too_large_beyond_a_third_of_one_percent(side: float) -> None:
+    n, noise_dof, parameters = 9, 40.0, 4
+    dof = n - parameters
+    chi2 = side * dof * fisher.isf(0.01 / 3, dof, noise_dof)
+    residual = np.zeros((n, 3))
+    residual[0, 2] = math.sqrt(chi2)
+    names = ["gyro_bias_x", "gyro_bias_y", "gyro_bias_z"] + [f"g_sensitivity_z{a}" for a in "xyz"]
+    data = SimpleNamespace(__len__=lambda: n, noise_dof=noise_dof)
+    model = SimpleNamespace(
+        data=type("Data", (), {"__len__": lambda _: n, "noise_dof": noise_dof})(),
+        fit=SimpleNamespace(residual=residual),
+        names=[*names, "g_sensitivity_zw"],
+        free=np.array([True] * 6 + [False]),
+    )
+    assert data.noise_dof == noise_dof
+    found = module._inflation(model)
+    assert found["x"] == (1.0, noise_dof)
+    assert found["z"] == ((1.0, noise_dof) if side < 1 else (pytest.approx(chi2 / dof), 5.0))
+
+
+def turning(gains: Floats, directions: Floats, noise: float = 1e-7) -> Readings:
+    """Rests, and turns both ways about each axis and between axes."""
+    rate = np.concatenate([np.zeros((3, 3)), 90 * np.eye(3), -90 * np.eye(3), 60 * poses(4, seed=9)])
+    mean = BIAS + rate @ (gains[:, None] * directions).T
+    conditions = Conditions(
+        time_s=10.0 * np.arange(len(rate)), order=np.arange(float(len(rate))), rate_dps=rate
+    )
+    covariance = np.tile(noise**2 * np.eye(3), (len(rate), 1, 1))
+    return from_means(mean, covariance, conditions, measurement=MeanRate(), fixture_rad=math.inf)
+
+
+def test_gains_and_directions_are_length_and_direction_of_each_row() -> None:
+    gains = np.array([1.1, 0.95, 1.002])
+    directions = np.eye(3) + np.array([[0, 0.03, -0.02], [0.01, 0, 0.04], [-0.05, 0.02, 0]])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    result = fit_gyro_readings(turning(gains, directions), scored=False)
+    for k, axis in enumerate("xyz"):
+        gain = result[f"gyro_scale_{axis}"]
+        assert gain.value == pytest.approx(gains[k], rel=1e-6)
+        # Nothing but the samples' clock: ±50 ppm, uniform.
+        assert gain.u == pytest.approx(50e-6 / math.sqrt(3) * gains[k], rel=1e-3)
+        for j, other in enumerate("xyz"):
+            if other != axis:
+                angle = result[f"gyro_misalignment_{axis}{other}"]
+                assert angle.value == pytest.approx(math.degrees(math.asin(directions[k, j])), abs=1e-5)
+                assert angle.unit == "deg"
+                assert angle.u < 1e-5
+    assert result.turns == 10
+    assert result.held == "3 dwells and 10 turns"
+    (told,) = [line for line in result.warnings if "not determined" in line]
+    assert told.endswith("g_sensitivity; measure poses with each axis up and down")
+
+
+def test_slopes_of_gains_and_angles_carry_the_noise() -> None:
+    noise = 0.05
+    data = turning(np.array([1.1, 0.95, 1.0]), np.eye(3), noise)
+    result = fit_gyro_readings(data, scored=False)
+    rate = data.conditions.rate_dps
+    rows = np.column_stack([np.ones(len(rate)), rate])
+    inverse = noise**2 * np.linalg.inv(rows.T @ rows)
+    clock = 50e-6 / math.sqrt(3) * 1.1
+    assert result["gyro_scale_x"].u == pytest.approx(math.hypot(math.sqrt(inverse[1, 1]), clock), rel=1e-3)
+    across = math.degrees(math.sqrt(inverse[2, 2])) / 1.1  # of a direction: the part across over the length
+    assert result["gyro_misalignment_xy"].u == pytest.approx(across, rel=1e-3)
+    assert result["gyro_bias_x"].u == pytest.approx(math.sqrt(inverse[0, 0]), rel=1e-3)
+
+
+@pytest.mark.parametrize(("u", "determined"), [(0.097, True), (0.103, False)])
+def test_what_a_force_adds_counts_as_determined_up_to_a_tenth(u: float, determined: bool) -> None:
+    force = np.zeros((6, 3))
+    force[:, 2] = 0.9 * np.array([1, -1, 1, -1, 1, -1])
+    force[:, :2] = 1e-9  # the other axes show nothing
+    data = at_rest(force, u * 0.9 * math.sqrt(6))
+    result = fit_gyro_readings(data, scored=False)
+    assert ("g_sensitivity_xz" in result) == determined
+    assert {"g_sensitivity_xx", "g_sensitivity_zy"} <= set(result.undetermined)
+    assert ("g_sensitivity_xz" in result.undetermined) != determined
+    if determined:
+        assert result["g_sensitivity_xz"].u == pytest.approx(u)
+    (told,) = [line for line in result.warnings if line.startswith("not determined")]
+    assert "g_sensitivity_xx, xy" in told
+    assert "measure poses with each axis up and down; turn the part by whole turns" in told
+
+
+def test_a_direction_of_the_gyros_is_measured_in_radians() -> None:
+    assert module._natural(["gyro_misalignment_xy", "gyro_scale_x"]).tolist() == [180 / math.pi, 1.0]
+    assert [module._gyro_of(name) for name in ("gyro_bias_x", "g_sensitivity_yz")] == ["x", "y"]
+    assert module._kinds(["gyro_scale_x", "g_sensitivity_xz", "gyro_scale_z"]) == [
+        "gyro_scale_x, z", "g_sensitivity_xz",
+    ]  # fmt: skip
+    assert module._stated_name("gyro_scale_error_y") == "gyro_scale_y"
+    assert [module._unit(name) for name in ("gyro_bias_x", "gyro_scale_y", "gyro_misalignment_xy")] == [
+        "dps", "1", "deg",
+    ]  # fmt: skip
+    assert module._unit("gyro_tau") == "1"
+
+
+def test_dwells_left_out_miss_by_what_the_hat_matrix_says() -> None:
+    force = poses(9)
+    data = at_rest(force)
+    scores = fit_gyro_readings(data).scores
+    for name, rows in (("zero rate", np.ones((9, 1))), ("gyro", design(force))):
+        hat = rows @ np.linalg.pinv(rows)
+        left = (data.mean - hat @ data.mean) / (1 - np.diagonal(hat))[:, None]
+        for k, axis in enumerate("xyz"):
+            assert scores[name].rms_dps[axis] == pytest.approx(
+                math.sqrt((left[:, k] ** 2).mean()), rel=1e-6
+            )
+            assert scores[name].max_dps[axis] == pytest.approx(np.abs(left[:, k]).max(), rel=1e-6)
+    assert set(scores) == {
+        "zero rate", "gyro", "gyro with a drift with time", "gyro with a drift from dwell to dwell",
+    }  # fmt: skip
+    assert fit_gyro_readings(data.rows(np.arange(9) < 2)).scores == {}
+
+
+def test_a_drift_that_force_follows_is_told_and_one_that_it_does_not_follow_is_not() -> None:
+    n = 12
+    course = np.linspace(-1, 1, n)
+    # The force along z nearly runs with time.
+    along = np.column_stack([np.cos(7 * course), np.sin(7 * course), course + 0.3 * np.sin(11 * course)])
+    drifting = at_rest(along, 0.001, beside=0.3 * course[:, None])
+    told = [line for line in fit_gyro_readings(drifting, scored=False).warnings if "in this order" in line]
+    assert any("from a drift with time: with one in the model g_sensitivity_" in line for line in told)
+    assert all(line.endswith("; repeat poses in another order") for line in told)
+    again = np.concatenate([along, along[::-1]])
+    quiet = at_rest(again, 0.001)
+    sure = [line for line in fit_gyro_readings(quiet, scored=False).warnings if "drift with time" in line]
+    assert not sure
+
+
+def test_the_reference_is_the_mean_temperature() -> None:
+    data = at_rest(poses(6))
+    warm = replace(data, conditions=replace(data.conditions, temperature_c=20.0 + np.arange(6.0)))
+    assert fit_gyro_readings(warm, scored=False).reference_temperature_c == pytest.approx(22.5)
+    assert fit_gyro_readings(data, scored=False).reference_temperature_c is None
