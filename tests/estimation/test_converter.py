@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -213,3 +215,25 @@ def test_the_step_of_other_numbers_is_the_smallest_difference_but_for_rounding()
     assert steps_of([rows, whole]) == [0.25]
     both = steps_of([np.column_stack([whole, whole / 8])])
     assert both.tolist() == [1.0, 0.25]
+
+
+@pytest.mark.parametrize("coarse", [0, 1])
+def test_a_step_is_the_finding_of_the_axis_whose_noise_does_not_hide_it(coarse: int) -> None:
+    from adis_gonio.dwells import correlation_reach, samples_of
+    from adis_gonio.dwells.codes import quantization
+
+    for seed in range(5):
+        rng = np.random.default_rng(300 + seed)
+        noise = np.full(2, 4.0)  # 0.6 steps hide the staircase, 0.27 do not
+        noise[coarse] = 1.8
+        angle = np.radians(15.0 * np.arange(24) + 3.0)
+        level = 1000.0 * np.stack([np.cos(-angle), np.sin(-angle)], axis=1)
+        rows = [6.7 * np.round(rng.normal(row, noise, (200, 2)) / 6.7) for row in level]
+        whole = replace(session(rows), accel_unit="mg", sensor="generic")
+        samples = samples_of(whole, readings_of(whole))
+        assert samples is not None
+        found = quantization(whole, samples, correlation_reach(samples))
+        assert found is not None
+        assert found.axes == ("xy"[coarse],)
+        assert found.p_value < 1e-6
+        assert found.parameters["lsb"].value == pytest.approx(6.7)
