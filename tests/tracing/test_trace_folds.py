@@ -35,8 +35,8 @@ def in_space(up: np.ndarray) -> Readings:
 
 
 def gyros(n: int = 24) -> Readings:
-    """Rates at rest, which have no pose."""
-    c = Conditions(60.0 * np.arange(n), rate_dps=np.zeros((n, 3)), force_g=np.zeros((n, 3)))
+    """Rates beside which no force was recorded, so that they have no pose."""
+    c = Conditions(60.0 * np.arange(n), rate_dps=np.zeros((n, 3)))
     rates = np.random.default_rng(81).normal(size=(n, 3))
     return from_means(rates, np.tile(np.eye(3), (n, 1, 1)), c, measurement=MeanRate())
 

@@ -779,7 +779,9 @@ class TestDependence:
         assert told.covariates == ("reading_y",)
 
     def test_where_nothing_changed_there_is_nothing_to_follow(self) -> None:
-        data = replace(noisy(turn(9), 53), conditions=Conditions(np.zeros(9)))
+        # Without angles the readings are covariates as well: they stand still too.
+        still = np.tile([1000.0, 0.0], (9, 1))
+        data = replace(noisy(turn(9), 53), mean=still, conditions=Conditions(np.zeros(9)))
         rows = np.outer(np.arange(9.0), [1.0, 1.0])
         empty = single(rows.ravel(), np.zeros((0, 18)), [])
         assert dependence(believed(empty, {(): 1.0}, data=data)) is None
