@@ -256,6 +256,17 @@ def test_at_the_best_fit_the_linear_problem_has_its_amplitudes_and_no_step_of_th
     assert [block.shape[1] for block in blocks] == [2, 1]
 
 
+@pytest.mark.parametrize("far", [0.1, 0.4])
+def test_a_fit_that_begins_far_away_ends_where_the_best_one_is(far: float) -> None:
+    data, _ = planar(n=12, noise=1.0, fixture=1e-3)
+    start = at(data, BASE + far * np.array([1.0, 0.4, -0.4, 0.3]), with_prior=False)
+    fit = start.refit()
+    best = least_squares(lambda p: at(data, p, with_prior=False).settled(8).residual.ravel(), BASE)
+    u = np.sqrt(np.diagonal(fit.covariance))
+    assert np.abs((fit.values.base - best.x) / u).max() < 0.03
+    assert fit.chi2 == pytest.approx(2 * best.cost, abs=2e-3)
+
+
 def test_a_fit_within_a_plane_moves_nowhere_else() -> None:
     data, _ = planar(noise=0.3)
     begun = Fit.begin(data, with_prior=False)
@@ -299,6 +310,17 @@ def test_dwells_are_foreseen_as_far_as_the_others_tell_what_they_read() -> None:
     assert not foreseen(blind, left, math.inf).any()
     assert foreseen(blind, left * [1.0, 1.0, 0.0], math.inf).all()
     assert not foreseen(np.zeros((0, 3)), left, math.inf).any()
+
+
+def test_columns_that_are_nearly_alike_are_still_told_apart() -> None:
+    rng = np.random.default_rng(8)
+    rest, left = rng.standard_normal((12, 2)), rng.standard_normal((30, 2, 2))
+    rest[:, 1] = rest[:, 0] + 1e-4 * rest[:, 1]
+    left[:, :, 1] = left[:, :, 0] + 1e-4 * left[:, :, 1]
+    carried = np.linalg.inv(rest.T @ rest)
+    variance = 1 + np.einsum("nrp,pq,nrq->nr", left, carried, left).max(axis=1)
+    most = float(np.median(variance))
+    np.testing.assert_array_equal(foreseen(rest, left, most), variance <= most)
 
 
 def test_dwells_of_a_turn_are_foreseen_as_far_as_the_fitted_ones_reach() -> None:

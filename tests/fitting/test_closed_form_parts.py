@@ -117,6 +117,10 @@ def test_angles_that_do_not_tell_a_turn_and_axes_that_do_not_follow_it_are_refus
     close = turned((0.0, 0.01, 0.02, 90.0))
     with pytest.raises(SingularError, match="do not determine cosine, sine and zero"):
         module._linear(close.rows(np.arange(4) < 3), np.eye(3), bias=True)
+    # Three angles d apart have a least singular value of about d²/√6: 1e-3 at 2.8°.
+    with pytest.raises(SingularError, match="do not determine cosine, sine and zero"):
+        module._linear(turned((0.0, 2.0, 4.0)), np.eye(3), bias=True)
+    assert module._linear(turned((0.0, 4.0, 8.0)), np.eye(3), bias=True).has_bias
     dead = turned(FOUR)
     with pytest.raises(SingularError, match="an axis does not follow the rotation"):
         module._linear(replace(dead, mean=dead.mean * [1.0, 1e-4]), np.eye(4), bias=True)
@@ -266,6 +270,7 @@ def test_two_positions_alone_are_the_closed_form_whichever_way_the_stage_turned(
     assert _two(turned((0.0, 270.0))) == (0, 270)
     assert _two(turned((0.0, 90.0, 270.0))) == (0, 90)
     assert _two(turned((90.0, 270.0))) == (0, 90)
+    assert _two(turned((45.0, 270.0))) == (0, 90)
     assert default_method(turned((0.0, 90.0, 90.2))) == "two-position"
     assert default_method(turned((0.0, 270.0))) == "two-position"
     assert default_method(turned((0.0, 90.0, 180.0))) == "ml"
@@ -281,6 +286,9 @@ def test_two_positions_alone_are_the_closed_form_whichever_way_the_stage_turned(
 def test_one_position_is_no_calibration(angles: tuple[float, ...]) -> None:
     with pytest.raises(FitError, match=r"one position only \(position 0\): .* two positions, 0° and 90°"):
         fit_readings(turned(angles))
+    lost = replace(turned(angles[:1]), angle_rad=np.full(1, np.nan))
+    with pytest.raises(FitError, match="one position only"):
+        fit_readings(lost)
     with pytest.raises(FitError, match="needs declared angles and fixture_sigma_deg is free here"):
         fit_readings(turned((0.0, 90.0), fixture_rad=math.inf), "two-position")
 
