@@ -23,24 +23,10 @@ from adis_gonio.estimation.readings import (
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Dwell, Floats, Session
 from adis_gonio.sensor.variants import VARIANTS
+from estimation.turns import EIGHTHS, turn
 
 MPS2_PER_MG = 9.80665e-3
 QUARTERS = (0.0, 90.0, 180.0, 270.0)
-EIGHTHS = tuple(45.0 * k for k in range(8))
-
-
-def turn(
-    length: float = 1000.0, sign: float = 1.0, angles: tuple[float, ...] = EIGHTHS, **more: object
-) -> Session:
-    """One sample a dwell on a turn, readings `length` mg long."""
-    psi = 0.2 - np.radians(angles)
-    rows = length * np.stack([np.cos(psi), sign * np.sin(psi)], axis=1)
-    dwells = tuple(
-        Dwell(k, np.array([10.0 * k]), row[None], angle)
-        for k, (row, angle) in enumerate(zip(rows, angles, strict=True))
-    )
-    facts: dict[str, object] = {"accel_unit": "mg", "sensor": "generic", "reading_u_mg": 0.1}
-    return Session(dwells, **{**facts, **more})
 
 
 def lengthened(session: Session, places: tuple[int, ...], factor: float) -> Session:

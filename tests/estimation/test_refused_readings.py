@@ -11,43 +11,28 @@ from scipy.stats import norm
 from adis_gonio.errors import DataError, FitError
 from adis_gonio.estimation.readings import from_means, mg_per_unit, quantized_means, readings_of, reduced
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.records import Dwell, Session
-
-ANGLES = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
-
-
-def session(
-    scale: float = 1000.0, sign: float = 1.0, angles: tuple[float, ...] = ANGLES, **more
-) -> Session:
-    """A turn as one sample a dwell, `scale` a g."""
-    psi = 0.2 - np.radians(angles)
-    rows = scale * np.stack([np.cos(psi), sign * np.sin(psi)], axis=1)
-    dwells = tuple(
-        Dwell(k, np.array([10.0 * k]), row[None], angle)
-        for k, (row, angle) in enumerate(zip(rows, angles, strict=True))
-    )
-    return Session(dwells, **{"accel_unit": "mg", "sensor": "generic", "reading_u_mg": 0.1, **more})
+from estimation.turns import turn
 
 
 def test_readings_in_another_unit_name_the_unit_that_would_fit() -> None:
     with pytest.raises(DataError) as caught:
-        readings_of(session(1.0, source="bench.csv"))
+        readings_of(turn(1.0, source="bench.csv"))
     said = str(caught.value)
     assert said.startswith("bench.csv: readings are 0.001 g long where 1 g acts: accel_unit mg cannot be")
     assert "; g would fit: add a line '# accel_unit: g', or give --unit g" in said
     assert said.endswith("; a plane that is turned has to be vertical")
     with pytest.raises(DataError, match="mps2 would fit") as caught:
-        readings_of(session(9.81, accel_unit="g"))
+        readings_of(turn(9.81, accel_unit="g"))
     assert "vertical" not in str(caught.value)
     with pytest.raises(DataError, match=r"mg or lsb would fit|lsb or mg would fit"):
-        readings_of(session(1500.0, accel_unit="g", sensor="adis16354"))
+        readings_of(turn(1500.0, accel_unit="g", sensor="adis16354"))
     with pytest.raises(DataError, match=r"where it is not known; a plane") as caught:
-        readings_of(session(0.01))
+        readings_of(turn(0.01))
     assert "would fit" not in str(caught.value)
 
 
 def test_one_reading_of_another_length_is_named() -> None:
-    sound = session()
+    sound = turn()
     dwells = list(sound.dwells)
     dwells[3] = replace(dwells[3], accel=0.3 * dwells[3].accel)
     with pytest.raises(DataError, match="readings of position 3 are not 1 g long as the others"):
@@ -58,17 +43,17 @@ def test_one_reading_of_another_length_is_named() -> None:
 
 
 def test_readings_that_turn_the_other_way_are_refused_and_a_needless_reversal_too() -> None:
-    readings_of(session())
+    readings_of(turn())
     with pytest.raises(DataError, match=r"change the sign of angle_deg \(--reverse\)"):
-        readings_of(session(sign=-1.0))
+        readings_of(turn(sign=-1.0))
     with pytest.raises(DataError, match="leave --reverse out"):
-        readings_of(session(sign=-1.0, facts={"overrides": {"reverse": True}}))
+        readings_of(turn(sign=-1.0, facts={"overrides": {"reverse": True}}))
     # Three positions do not tell a turn the other way from an axis that is upside down.
-    readings_of(session(sign=-1.0, angles=(0.0, 90.0, 180.0)))
+    readings_of(turn(sign=-1.0, angles=(0.0, 90.0, 180.0)))
 
 
 def test_what_is_no_number_or_has_no_scale_is_refused() -> None:
-    sound = session()
+    sound = turn()
     broken = list(sound.dwells)
     broken[2] = replace(broken[2], accel=np.array([[np.nan, 1.0]]))
     with pytest.raises(DataError, match="position 2 holds NaN or infinity"):
@@ -82,7 +67,7 @@ def test_what_is_no_number_or_has_no_scale_is_refused() -> None:
 
 
 def test_units_have_the_size_that_they_have() -> None:
-    sound = session()
+    sound = turn()
     assert mg_per_unit(sound) == 1.0
     assert mg_per_unit(replace(sound, accel_unit="g")) == 1000.0
     assert mg_per_unit(replace(sound, accel_unit="mps2")) * 9.80665 == pytest.approx(1000.0)

@@ -17,6 +17,9 @@ from fitting.test_uncertainty import FOUR, turn
     [
         (["bias_z", "scale_z", "skew_xz", "skew_xy"], "measure positions with axis z up and down"),
         (["bias_z"], "measure positions with axis z up and down"),
+        (["skew_xz", "scale_z"], "measure positions with axis z up and down"),
+        (["scale_x", "bias_z"], "measure positions with axis x, z up and down"),
+        (["bias_x", "scale_y"], "measure positions all around the turn (0°, 90°, 180°, 270°)"),
         (["bias_x", "bias_z"], "measure positions with axis x, z up and down"),
         (["scale_y", "bias_y", "bias_z"], "measure positions with axis y, z up and down"),
         (["skew_xy"], "measure positions that share gravity between the two axes"),

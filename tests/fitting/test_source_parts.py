@@ -15,7 +15,6 @@ from adis_gonio.estimation.readings import Readings, from_means
 from adis_gonio.fitting import determination as seen
 from adis_gonio.fitting import linked
 from adis_gonio.fitting import sources as module
-from adis_gonio.fitting.likelihood import _advice
 from adis_gonio.fitting.linked import LinkReport
 from adis_gonio.fitting.noise import NoiseAssumptions
 from adis_gonio.model.effects import Conditions
@@ -301,18 +300,3 @@ def test_a_bias_is_determined_up_to_a_tenth_of_gravity(u: tuple[float, float], l
     assert held.shape[1] == max(lost - 1, 0)
     assert seen.limits(data)[:4].tolist()[1:3] == [0.1, 0.1]
     assert seen.limits(data)[0] == pytest.approx(math.pi / math.sqrt(3))
-
-
-@pytest.mark.parametrize(
-    ("names", "told"),
-    [
-        (["skew_xy"], "measure positions that share gravity between the two axes"),
-        (["skew_xz", "scale_z"], "measure positions with axis z up and down"),
-        (["scale_x", "bias_z"], "measure positions with axis x, z up and down"),
-        (["bias_x"], "measure the opposite positions too (180° and 270°)"),
-        (["bias_x", "scale_y"], "measure positions all around the turn (0°, 90°, 180°, 270°)"),
-        (["delta_phi"], "measure positions all around the turn (0°, 90°, 180°, 270°)"),
-    ],
-)
-def test_the_advice_names_the_positions_that_would_show_what_is_lost(names: list[str], told: str) -> None:
-    assert _advice(names) == told

@@ -160,7 +160,8 @@ class TestLeavingOut:
             for own in (mask, ~mask):
                 again = Fit.begin(data.rows(~own)).refit()
                 start, scale_x, scale_y, lean = again.values.base
-                psi = start - data.conditions.angle_rad[own]  # type: ignore[index]
+                assert data.conditions.angle_rad is not None
+                psi = start - data.conditions.angle_rad[own]
                 away = data.mean[own] - G * np.column_stack(
                     [scale_x * np.cos(psi), scale_y * np.sin(psi + lean)]
                 )

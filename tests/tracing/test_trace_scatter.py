@@ -276,13 +276,16 @@ class TestSettling:
         beside: list[list[str]] = []
         under: list[float] = []
 
+        made: list[SimpleNamespace] = []
+
         def most_likely(fit: Fit, data: Readings, kind: str) -> float:
             beside.append(sorted(str(term.name) for term in fit.terms))
             return next(to_come) * U
 
         def choose(data: Readings, kind: str, size: float, terms: Any, most: int) -> Any:
             under.append(size / U)
-            return SimpleNamespace(fit=selection.fit, size=size)
+            made.append(SimpleNamespace(fit=selection.fit, size=size))
+            return made[-1]
 
         monkeypatch.setattr(scatter, "_most_likely", most_likely)
         monkeypatch.setattr(scatter, "_under", choose)
@@ -294,8 +297,8 @@ class TestSettling:
             assert (size, again) == (0.0, None)
         else:
             assert size == pytest.approx(settled * U)
-            assert again is not None
-            assert again.size == size  # type: ignore[attr-defined]
+            assert again is made[-1]
+            assert made[-1].size == size
 
 
 class TestChoice:

@@ -156,7 +156,7 @@ class Limits:
     averaged: float = number(6.0, "effort", "the same for formulas in the average")
     counted: float = number(0.01, "effort", "least weight of a member of the average")
     promising: int = number(40, "effort", "processes that are tried again inside a fold")
-    fold_active: int = number(150, "effort", "candidates that are tried again inside a fold")
+    fold_active: int = number(150, "effort", "candidates that are tried again in a fold and under scatter")
     permutations: int = number(400, "effort", "permutations of a dependence")
     grid: int = number(9, "effort", "values of a time constant")
 
