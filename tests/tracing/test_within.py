@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from adis_gonio.dwells import Samples, WithinFinding, search_within
+from adis_gonio.dwells import Samples, WithinFinding, density_of, search_within
+from adis_gonio.dwells.second_pass import probability, stands
 from tracing.dwell_samples import bartlett, draw
 
 SEEDS = 12
@@ -78,6 +80,46 @@ def test_tone_is_found_with_frequency_and_amplitude():
     # Of 12: fewer than 11 in one of eight at 95 % (these seeds are not), in 72 % at 80 %; fewer than 10 in
     # 2 % and 44 %.
     assert min(held.values()) >= 11, held
+
+
+def test_a_tone_of_seven_cycles_a_dwell_is_no_rise_of_the_noise_towards_low_frequencies():
+    """The noise of a long filter has its foot there, and 1/f noise would explain a line as well."""
+
+    def humming(k, time, rng):
+        line = np.sin(2 * np.pi * 7 / 1.7 * time + rng.uniform(0, 2 * np.pi))
+        return np.column_stack([line, 0 * line])
+
+    seen = 0
+    for seed in range(6):
+        samples = draw(
+            np.random.default_rng([seed, 7]), n=170, filter_m=5, noise_mg=10.0, added=humming, dwells=18
+        )
+        tone = only(samples, "tone")
+        seen += tone is not None and abs(tone.parameters["frequency"].value - 7 / 1.7) < 0.1
+    assert seen == 6
+
+
+def test_white_noise_spectra_are_as_rough_as_so_many_dwells_are():
+    """Else lines are judged as if there were fewer dwells."""
+    shares = []
+    for seed in range(8):
+        density = density_of(draw(np.random.default_rng([seed, 8]), n=150, filter_m=0, dwells=20))
+        assert density is not None
+        shares += (density.effective / 20).tolist()
+    assert np.mean(shares) > 0.85
+    assert max(shares) == 1.0
+
+
+def test_a_rugged_spectrum_counts_for_fewer_dwells():
+    """An echo: ripples that are too narrow for the density to follow."""
+
+    def echoing(k, time, rng):
+        white = rng.normal(0, 20.0, (len(time) + 25, 2))
+        return white[25:] + 0.7 * white[:-25]
+
+    density = density_of(draw(np.random.default_rng(9), n=150, filter_m=0, dwells=20, added=echoing))
+    assert density is not None
+    assert density.effective.max() < 10
 
 
 def test_tone_at_uneven_times_and_in_some_dwells():
@@ -179,6 +221,24 @@ def test_noise_that_joins_is_found_with_its_size_and_moment():
     assert min(held.values()) >= 11, held
 
 
+def test_white_noise_that_joins_behind_a_long_filter_shows_where_the_filter_stops():
+    """0.9 mg of 2.5 mg hardly changes the variance, which a few low frequencies hold."""
+    found, held = 0, 0
+    for seed in range(SEEDS):
+
+        def joining(k, time, rng):
+            return rng.normal(0, 0.9, (len(time), 1)) * (k >= 14) * np.array([1.0, 0.0])
+
+        samples = draw(np.random.default_rng([seed, 5]), n=300, filter_m=4, noise_mg=16.0, added=joining)
+        change = only(samples, "noise_change")
+        if change is not None and change.effect == "noise_change" and change.axes == ("x",):
+            found += 1
+            held += covered(change, "extra_x", 0.9)
+            assert change.positions == tuple(range(14, 24))
+    assert found >= 11
+    assert held >= found - 2
+
+
 def test_scatter_that_varies_from_dwell_to_dwell_names_no_moment():
     levels = np.random.default_rng(3).uniform(0, 6, 24)
 
@@ -256,3 +316,23 @@ def test_findings_are_documents():
 @pytest.mark.parametrize("n", [2, 3, 6, 16, 33])
 def test_short_dwells_are_looked_at_as_far_as_they_go(n):
     assert kinds(draw(np.random.default_rng(n), dwells=8, n=n)) == []
+
+
+@pytest.mark.parametrize(("p_value", "called"), [(1e-4, True), (1e-3, False)])
+def test_a_finding_is_called_found_from_the_probability_that_any_cause_needs(p_value, called):
+    """Prior 1 in 57; evidence of p = 10⁻⁴ is some 120 to 1, of 10⁻³ some 20 to 1."""
+    finding = WithinFinding("tone", "tone", ("x",), tuple(range(4)), {}, p_value, "")
+    assert stands(finding) == called
+    assert not stands(replace(finding, positions=(0, 1, 2), p_value=1e-9))
+    assert not stands(replace(finding, effect=None, p_value=1e-9))
+
+
+def test_probability_of_a_p_value_is_the_mean_of_all_alternatives():
+    """∫ ξ p^(ξ−1) dξ by numbers, against 1; a p-value of one speaks for nothing being there."""
+    xi = (np.arange(20000) + 0.5) / 20000
+    for p_value in (1e-12, 1e-5, 0.01, 0.3, 0.999999999):
+        evidence = float(np.mean(xi * p_value ** (xi - 1)))
+        odds = 0.0175 / 0.9825 * evidence
+        assert probability(p_value) == pytest.approx(odds / (1 + odds), rel=2e-3)
+    assert probability(1.0) == pytest.approx(0.00883, rel=1e-3)
+    assert probability(0.0) == pytest.approx(1.0)

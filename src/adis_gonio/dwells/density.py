@@ -6,15 +6,20 @@ divided by the shape that the chip's Bartlett filter gives to white noise, with 
 1/f noise; which of the filter's lengths, and how much of both, is chosen by the Whittle likelihood. Other
 sensors take the flat one. What is left varies slowly with frequency (other filters) and is followed by a
 running median, which a line does not move.
+
+A line near the lowest frequencies looks like 1/f noise to both: what stands highest above its own
+neighbours takes no part in either.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage, optimize, signal
+from scipy import fft, ndimage, optimize, signal, stats
 
 from adis_gonio.dwells.samples import Samples
 from adis_gonio.model.records import Floats
@@ -77,6 +82,26 @@ class Density:
     bound: Floats
     width: Floats
 
+    @property
+    def relative(self) -> Floats:
+        """Ordinates (d, searched, axes) in units of what a line has to stand above."""
+        return self.power[:, self.searched] / self.level[:, None, :] / self.bound[None, self.searched]
+
+    @cached_property
+    def effective(self) -> Floats:
+        """Dwells (axes,) whose independent ordinates would scatter about the density as the pooled ones do.
+
+        At most all of them. What lies beside a point is no part of that: it scatters by itself.
+        """
+        part = self.searched
+        pooled = (self.power[:, part] / self.level[:, None, :]).mean(axis=0) / self.base[part]
+        low, high = np.quantile(np.log(np.maximum(pooled, 1e-300)), [0.25, 0.75], axis=0)
+        dwells = len(self.dwells)
+        above, below = (float(stats.gamma.ppf(share, dwells)) for share in (0.75, 0.25))
+        expected = math.log(above / below)
+        shared = dwells * (expected / np.maximum(high - low, 1e-300)) ** 2
+        return np.asarray(np.clip(shared, 1.0, dwells), dtype=np.float64)
+
 
 def density_of(samples: Samples) -> Density | None:
     """Density of the dwells that have `LEAST_SAMPLES`; None where there are none."""
@@ -99,9 +124,12 @@ def density_of(samples: Samples) -> Density | None:
     level = np.maximum(np.median(band, axis=1), 1e-300)
     width = _widths(len(frequency), each)
     pooled = (power / level[:, None, :]).mean(axis=0)
+    apart = _sharpest(pooled, searched, each)
     shape = np.ones((len(frequency), samples.axes))
     for axis in range(samples.axes):
-        shape[searched, axis] = _shape(pooled[searched, axis], frequency[searched], counts[dwells], size)
+        shape[searched, axis] = _shape(
+            pooled[searched, axis], ~apart[searched, axis], frequency[searched], counts[dwells], size
+        )
     # Below and above what is searched the density counts as level.
     shape[: searched.start], shape[searched.stop :] = shape[searched.start], shape[searched.stop - 1]
     # The median of an exponential distribution is ln 2 of its mean.
@@ -110,7 +138,11 @@ def density_of(samples: Samples) -> Density | None:
     level = np.maximum(level, np.median(level, axis=0))
     pooled = (power / level[:, None, :]).mean(axis=0) / shape
     base = np.stack(
-        [_smooth(pooled[:, axis], searched, width, each) for axis in range(samples.axes)], axis=1
+        [
+            _smooth(_bridged(pooled[:, axis], apart[:, axis]), searched, width, each)
+            for axis in range(samples.axes)
+        ],
+        axis=1,
     )
     # Where the density is steep (edges and notches of a filter) a small error of its shape is a large one
     # of the density: there its largest value nearby counts.
@@ -118,6 +150,23 @@ def density_of(samples: Samples) -> Density | None:
     # On a slope of the density one side is as high as a line would be: a line stands above both.
     bound = np.maximum(base, _flanks((power / level[:, None, :]).mean(axis=0), each))
     return Density(dwells.astype(np.intp), frequency, searched, power, level, base, bound, 2 * width + 1)
+
+
+def _sharpest(pooled: Floats, searched: slice, each: float) -> NDArray[np.bool_]:
+    """Points (k, axes) that a line would reach where each density stands highest above its neighbours."""
+    above = (pooled / np.maximum(_flanks(pooled, each), 1e-300))[searched]
+    at = searched.start + above.argmax(axis=0)
+    return np.asarray(np.abs(np.arange(len(pooled))[:, None] - at) < round(_LINE * each))
+
+
+def _bridged(flat: Floats, apart: NDArray[np.bool_]) -> Floats:
+    """A density (k,) with the points of a line replaced by the median of as many to both sides."""
+    inside = np.flatnonzero(apart)
+    first, last, reach = int(inside[0]), int(inside[-1]), len(inside) * 2
+    beside = np.concatenate([flat[max(0, first - reach) : first], flat[last + 1 : last + 1 + reach]])
+    out = flat.copy()
+    out[inside] = np.median(beside)
+    return out
 
 
 def _flanks(pooled: Floats, each: float) -> Floats:
@@ -172,16 +221,24 @@ def _smooth(flat: Floats, searched: slice, width: Floats, each: float) -> Floats
     return np.maximum(smooth, 1e-300)
 
 
-def _shape(pooled: Floats, frequency: Floats, counts: NDArray[np.intp], size: int) -> Floats:
-    """Shape (k,) of filtered white noise with a floor and 1/f noise that fits best.
+def _shape(
+    pooled: Floats, part: NDArray[np.bool_], frequency: Floats, counts: NDArray[np.intp], size: int
+) -> Floats:
+    """Shape (k,) of filtered white noise with a floor and 1/f noise that fits a part of the points best.
 
     Whittle likelihood with the scale fitted, over cells of neighbours; the model is averaged over the same
     cells, so that a cell may be wider than a notch of the filter.
     """
     # Cells grow with frequency: the foot of a long filter has few ordinates.
     edges = np.unique((len(frequency) * np.linspace(0, 1, _CELLS, endpoint=False) ** 2).astype(np.intp))
-    weight = np.diff(np.append(edges, len(frequency))).astype(float)
-    seen = np.add.reduceat(pooled, edges) / weight
+    weight = np.add.reduceat(part.astype(float), edges)
+    used = weight > 0
+    weight = weight[used]
+
+    def cells(density: Floats) -> Floats:
+        return np.asarray(np.add.reduceat(density * part, edges)[used] / weight, dtype=np.float64)
+
+    seen = cells(pooled)
     slow = {power: (frequency[0] / frequency) ** power for power in _POWERS}
     first = round(float(frequency[0]) * size)
 
@@ -194,17 +251,16 @@ def _shape(pooled: Floats, frequency: Floats, counts: NDArray[np.intp], size: in
         if 2 ** (filter_m + 1) > counts.max():
             break
         response = _expected(filter_m, counts, size)[first : first + len(frequency)]
-        white = np.add.reduceat(response, edges) / weight
+        white = cells(response)
         for own_power, rising in slow.items():
-            low = np.array(_FLICKERS)[:, None] * (np.add.reduceat(rising, edges) / weight)
+            low = np.array(_FLICKERS)[:, None] * cells(rising)
             for floor in _FLOORS if filter_m else (0.0,):
                 losses = deviance(white + floor + low)
                 k = int(losses.argmin())
                 if losses[k] < best:
                     best, chosen, power = float(losses[k]), response, own_power
                     start = (floor, _FLICKERS[k])
-    white = np.add.reduceat(chosen, edges) / weight
-    low = np.add.reduceat(slow[power], edges) / weight
+    white, low = cells(chosen), cells(slow[power])
 
     def loss(logs: Floats) -> float:
         return float(deviance(white + np.exp(logs[0]) + np.exp(logs[1]) * low))

@@ -2,18 +2,25 @@
 
 Rule for `found`
     A finding inside the dwells counts among `TraceResult.found` if its form is the catalogue's (`tone`,
-    `settling`, `noise_change`, `saturation`, `quantization`), its corrected p-value is at most
-    `BEYOND_DOUBT`, it stands in at least `LEAST_DWELLS` dwells (a limit in one), and the dwells were
-    recorded as such. Where they were cut out of a continuous recording by stillness nothing is known about
-    how the part was put down and held: what is seen there may be a hand, so that it stays a remark.
+    `settling`, `noise_change`, `saturation`, `quantization`), its probability is that from which any cause
+    is called found (`certain`), it stands in at least `LEAST_DWELLS` dwells (a limit in one), and the
+    dwells were recorded as such. Where they were cut out of a continuous recording by stillness nothing is
+    known about how the part was put down and held: what is seen there may be a hand, so that it stays a
+    remark.
     `explains` is 0 for such a finding: the residual of the means is what the first pass explains, and
-    nothing is added to its model. `probability` is 1 less the p-value.
+    nothing is added to its model.
+
+Its probability
+    These tests need no model of what they find, so that there is a p-value and no likelihood. Where
+    something is, p follows the density ξ p^(ξ−1) of an unknown ξ below 1 (Sellke, Bayarri and Berger, The
+    American Statistician 55:62, 2001); the prior share is that of any effect.
 
 Everything else stays in `TraceResult.within` and reaches the user by its sentence and its advice.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -26,8 +33,8 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.model.effects import catalogue
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.outcome.result import Finding, TraceResult
+from adis_gonio.tracing.thresholds import limits
 
-BEYOND_DOUBT = 1e-6
 LEAST_DWELLS = 4
 _MOST_OUT = 0.2
 """Share of the dwells up to which those that stand out are to blame, and not the model."""
@@ -53,7 +60,7 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
     more = tuple(
         _claim(finding)
         for finding in _first_of_each(within)
-        if is_beyond_doubt(finding, session) and finding.effect not in claimed
+        if stands(finding) and finding.effect not in claimed and not session.cut_by_stillness
     )
     single, notes = _standing_out(data, result)
     advice = (*_of_single_dwells(data, result), *single, *(f.advice for f in within if f.advice))
@@ -67,14 +74,22 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
     )
 
 
-def is_beyond_doubt(finding: WithinFinding, session: Session) -> bool:
-    """True where a finding inside the dwells counts among `found`; see the module for the rule."""
+def stands(finding: WithinFinding) -> bool:
+    """True where a finding inside dwells recorded as such counts among `found`; see the module."""
     return (
         finding.effect is not None
-        and finding.p_value <= BEYOND_DOUBT
+        and probability(finding.p_value) >= limits.certain
         and (len(finding.positions) >= LEAST_DWELLS or finding.kind == "limit")
-        and not session.cut_by_stillness
     )
+
+
+def probability(p_value: float) -> float:
+    """Posterior probability of what a test of this p-value found; see the module."""
+    depth = -math.log(max(p_value, 1e-300))
+    # ∫ ξ p^(ξ−1) dξ from 0 to 1, against the uniform density where nothing is.
+    evidence = (math.expm1(depth) - depth) / depth**2 if depth > 1e-6 else 0.5
+    odds = limits.effect_share / (1 - limits.effect_share) * evidence
+    return odds / (1 + odds)
 
 
 def _first_of_each(within: tuple[WithinFinding, ...]) -> list[WithinFinding]:
@@ -94,7 +109,7 @@ def _claim(finding: WithinFinding) -> Finding:
         parameters=dict(finding.parameters),
         p_value=finding.p_value,
         explains=0.0,
-        probability=1.0 - finding.p_value,
+        probability=probability(finding.p_value),
         cause=catalogue()[finding.effect].cause,
     )
 

@@ -13,9 +13,8 @@ from adis_gonio.dwells.courses import LEAST_DWELLS, LEAST_SAMPLES, grid, project
 from adis_gonio.dwells.density import TAPER_LOSS, Density
 from adis_gonio.dwells.finding import LEVEL, SEARCHES
 from adis_gonio.dwells.samples import Samples
-from adis_gonio.dwells.tones import effective_dwells
 from adis_gonio.dwells.variances import LEAST_DWELLS as LEAST_LOUD
-from adis_gonio.dwells.variances import levels_of
+from adis_gonio.dwells.variances import TESTS, levels_of, step_of
 from adis_gonio.estimation.values import Detectable
 
 _POWER = 0.9
@@ -59,15 +58,14 @@ def _tone(samples: Samples, density: Density | None) -> Detectable:
     if density is None:
         return Detectable(None, "mg", "tone", "the dwells are too short for a spectrum")
     searched = density.searched
-    relative = density.power[:, searched] / density.level[:, None, :] / density.bound[None, searched]
-    dwells, points, axes = relative.shape
+    dwells, points, axes = density.relative.shape
     if points < 1:
         return Detectable(None, "mg", "tone", "the dwells are too short for a spectrum")
     p = LEVEL / SEARCHES / (2.0 * points * axes)
     counts = float(np.median(samples.counts[density.dwells]))
     worst = 0.0
     for axis in range(axes):
-        effective = effective_dwells(relative[:, :, axis].mean(axis=0), dwells)
+        effective = float(density.effective[axis])
         freedom = 2 * effective * float(np.median(density.width[searched])) / TAPER_LOSS
         height = float(stats.f.isf(p, 2 * effective, freedom))
 
@@ -82,17 +80,21 @@ def _tone(samples: Samples, density: Density | None) -> Detectable:
 
 
 def _noise_change(samples: Samples, density: Density | None) -> Detectable:
-    """Noise that joins in the middle of the session: against the F test of one change."""
+    """White noise that joins in the middle of the session: against the tests of one change, F or t."""
     if density is None or len(density.dwells) < LEAST_LOUD:
         return Detectable(None, "mg", "extra", f"needs {LEAST_LOUD} dwells long enough for a spectrum")
     dwells = len(density.dwells)
-    p = LEVEL / SEARCHES / (2 * 3 * samples.axes * (dwells - 1))
+    p = LEVEL / SEARCHES / (2 * TESTS * samples.axes * (dwells - 1))
     worst = 0.0
     for axis in range(samples.axes):
         own = levels_of(samples, density, axis)
         half = float(own.dof.sum()) / 2
         ratio = float(stats.f.isf(p, half, half) / stats.f.isf(_POWER, half, half))
-        worst = max(worst, float(np.sqrt(own.common * max(ratio - 1, 0.0))))
+        away = _noncentral(p, dwells - 2) * step_of(own.course, own.level_dof, dwells // 2)[1]
+        # White noise of a variance of 1 mg² raises the level by the mean of what it adds to each ordinate.
+        each = float(np.mean(1 / density.base[density.searched, axis]))
+        seen = (own.common * (ratio - 1), float(np.median(own.level)) * np.expm1(min(away, 50.0)) / each)
+        worst = max(worst, float(np.sqrt(max(min(seen), 0.0))))
     return Detectable(worst, "mg", "extra")
 
 
@@ -108,12 +110,17 @@ def _settling(samples: Samples) -> Detectable:
     z, norm = projections(samples, usable, constants[len(constants) // 2])
     energy = float((norm**2).sum())
     tests = (len(constants) + 1) * 2 * samples.axes
-    limit = float(stats.t.isf(LEVEL / SEARCHES / tests / 2, dwells - 1))
-
-    def missing(size: float) -> float:
-        return float(stats.nct.sf(limit, dwells - 1, size)) - _POWER
-
-    size = float(optimize.brentq(missing, 0.0, 10 * limit + 50, xtol=1e-6))
+    size = _noncentral(LEVEL / SEARCHES / tests / 2, dwells - 1)
     slope = (norm[:, None] * z).sum(axis=0) / energy
     scatter = ((z - norm[:, None] * slope)[usable] ** 2).sum(axis=0) / (dwells - 1)
     return Detectable(float(np.sqrt(scatter.max() / energy)) * size, "mg", "settling")
+
+
+def _noncentral(p: float, dof: int) -> float:
+    """Size of a t variable, in its standard deviations, that exceeds its limit of one side at p."""
+    limit = float(stats.t.isf(p, dof))
+
+    def missing(size: float) -> float:
+        return float(stats.nct.sf(limit, dof, size)) - _POWER
+
+    return float(optimize.brentq(missing, 0.0, 10 * limit + 50, xtol=1e-6))

@@ -73,8 +73,7 @@ def tones(samples: Samples) -> tuple[list[WithinFinding], Samples, Density | Non
 
 def _highest(density: Density) -> _Peak | None:
     """The most significant line, if any is."""
-    searched = density.searched
-    relative = density.power[:, searched] / density.level[:, None, :] / density.bound[None, searched]
+    searched, relative = density.searched, density.relative
     d, points, axes = relative.shape
     if points < 1:
         return None
@@ -83,7 +82,7 @@ def _highest(density: Density) -> _Peak | None:
     width = density.width[searched]
     best: _Peak | None = None
     for axis in range(axes):
-        effective = effective_dwells(pooled[:, axis], d)
+        effective = float(density.effective[axis])
         freedom = 2 * effective * width / TAPER_LOSS
         at = int(np.argmax(pooled[:, axis]))
         p = corrected(float(stats.f.sf(pooled[at, axis], 2 * effective, freedom[at])), tests)
@@ -100,20 +99,6 @@ def _highest(density: Density) -> _Peak | None:
         if p < best.p_value:
             best = _Peak(at + searched.start, p, dwell)
     return best if best is not None and best.p_value < LEVEL else None
-
-
-def effective_dwells(pooled: Floats, dwells: int) -> float:
-    """Dwells whose independent ordinates would scatter as the pooled ones do; at most all of them."""
-    low, high = np.quantile(np.log(np.maximum(pooled, 1e-300)), [0.25, 0.75])
-    spread = float(high - low)
-    expected = _quartiles(dwells)
-    return dwells if spread <= expected else max(dwells * (expected / spread) ** 2, 1.0)
-
-
-def _quartiles(dwells: float) -> float:
-    """Difference between the quartiles of the logarithm of a mean of d exponential variables."""
-    high, low = (float(stats.gamma.ppf(share, dwells)) for share in (0.75, 0.25))
-    return float(np.log(high / low))
 
 
 def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFinding, Samples] | None:

@@ -3,14 +3,18 @@
 Compared is the variance of a dwell above `LOWEST` cycles a dwell, where neither drift nor slow noise
 reaches. Its degrees of freedom follow from the density (neighbours that are correlated count less), from
 the excess of the samples' fourth moment over a normal distribution's, and from the converter: at noise near
-its step the variance depends on where between two codes the mean lies.
+its step the variance depends on where between two codes the mean lies. Behind a long filter a few low
+frequencies hold nearly all of the variance, and white noise that joins shows at the others: compared is
+also the level, the mean over all frequencies of the power in units of the density.
 
-Three tests an axis: all dwells alike (Bartlett), one change between two dwells (F, all places), one dwell
-against the others (F).
+Four tests an axis: all dwells alike (Bartlett), one change between two dwells (F, all places), one dwell
+against the others (F), and one change of the level, against its own scatter from dwell to dwell (t, all
+places).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,19 +40,31 @@ LEAST_DWELLS = 3
 _LIVELY = 0.6
 """Noise in steps of the converter below which the variance says where the mean lies and no more."""
 _ADEQUATE = 0.01
-_LEAST_LOW = 1e-3
+TESTS = 4
+"""That share the level of an axis."""
 
 
 @dataclass(frozen=True)
 class Levels:
-    """Variances of d dwells on one axis with their degrees of freedom."""
+    """Variances (d,) of d dwells on one axis in mg² and their levels, each with its degrees of freedom.
+
+    A level is the mean over frequencies of the power in units of the density.
+    """
 
     variance: Floats
     dof: Floats
+    level: Floats
+    level_dof: Floats
 
     def rows(self, chosen: NDArray[np.bool_]) -> Levels:
         """Those of some dwells."""
-        return Levels(self.variance[chosen], self.dof[chosen])
+        return Levels(self.variance[chosen], self.dof[chosen], self.level[chosen], self.level_dof[chosen])
+
+    @property
+    def course(self) -> Floats:
+        """Logarithm of the level (d,), less what so many degrees of freedom lower it by on average."""
+        half = self.level_dof / 2
+        return np.log(np.maximum(self.level, 1e-300)) - special.digamma(half) + np.log(half)
 
     @property
     def common(self) -> float:
@@ -64,6 +80,24 @@ class Levels:
         correction = 1 + (np.sum(1 / self.dof) - 1 / self.dof.sum()) / (3 * (d - 1))
         statistic = 2 * (half.sum() * np.log(self.common) - half @ np.log(self.variance)) / correction
         return float(special.chdtrc(d - 1, max(statistic, 0.0)))
+
+    def changed(self) -> float:
+        """p-value of the t-test of one change of the level, of the best of all places."""
+        d = len(self.level)
+        p = 1.0
+        for cut in range(1, d):
+            step, u = step_of(self.course, self.level_dof, cut)
+            p = min(p, 2 * float(special.stdtr(d - 2, -abs(step) / max(u, 1e-300))))
+        return min(1.0, p * (d - 1))
+
+
+def step_of(course: Floats, weight: Floats, cut: int) -> tuple[float, float]:
+    """By how much a course (d,) is higher from `cut` on, with its standard uncertainty from the scatter."""
+    parts = [(course[own], weight[own]) for own in (slice(cut), slice(cut, None))]
+    means = [float(np.average(x, weights=w)) for x, w in parts]
+    squares = sum(float(w @ (x - mean) ** 2) for (x, w), mean in zip(parts, means, strict=True))
+    u2 = squares / (len(course) - 2) * sum(1 / float(w.sum()) for _, w in parts)
+    return means[1] - means[0], math.sqrt(u2)
 
 
 def noise_change(samples: Samples, density: Density | None) -> WithinFinding | None:
@@ -84,7 +118,7 @@ def noise_change(samples: Samples, density: Density | None) -> WithinFinding | N
     cut = _best_cut([levels[axis] for axis in shown])
     one_change = cut is not None and all(_explained(levels[axis], cut) for axis in shown)
     if one_change and cut is not None:
-        return _joining(samples, dwells, [levels[axis] for axis in shown], shown, cut, min(p.values()))
+        return _joining(samples, density, [levels[axis] for axis in shown], shown, cut, min(p.values()))
     return _varying(samples, dwells, [levels[axis] for axis in shown], shown, min(p.values()))
 
 
@@ -105,6 +139,7 @@ def levels_of(samples: Samples, density: Density, axis: int) -> Levels:
     # Two degrees an independent ordinate, weighted by the density.
     share = len(base) / len(density.frequency)
     dof = counts * share * base.mean() ** 2 / np.mean(base**2) / TAPER_LOSS
+    level_dof = counts * share / TAPER_LOSS
     relative = 2 / dof
     rows = [without_line(samples.values[int(k)])[:, axis] for k in density.dwells]
     squares = [own * own for own in rows]
@@ -115,19 +150,19 @@ def levels_of(samples: Samples, density: Density, axis: int) -> Levels:
         sigma2 = max(float(np.median(variance)) / step**2 - 1 / 12, 0.02)
         ripple = (4 * sigma2 + 1 / np.pi**2) * np.exp(-2 * np.pi**2 * sigma2) / (sigma2 + 1 / 12)
         relative = relative + ripple**2 / 2
-    return Levels(variance, 2 / relative)
+    return Levels(variance, 2 / relative, (band / base).mean(axis=1), level_dof)
 
 
 def _p_value(own: Levels, axes: int) -> float:
     d = len(own.variance)
-    # Three tests, one of them at d − 1 places, one at d: each pays for all.
-    candidates = [own.alike() * 3 * axes]
+    # Four tests, some of them at many places: each pays for all.
+    candidates = [own.alike() * TESTS * axes, own.changed() * TESTS * axes]
     for cut in range(1, d):
         after = np.arange(d) >= cut
-        candidates.append(_ratio_p(own.rows(~after), own.rows(after)) * (d - 1) * 3 * axes)
+        candidates.append(_ratio_p(own.rows(~after), own.rows(after)) * (d - 1) * TESTS * axes)
     for k in range(d):
         alone = np.arange(d) == k
-        candidates.append(_ratio_p(own.rows(~alone), own.rows(alone)) * d * 3 * axes)
+        candidates.append(_ratio_p(own.rows(~alone), own.rows(alone)) * d * TESTS * axes)
     return corrected(min(candidates), 1)
 
 
@@ -138,18 +173,15 @@ def _ratio_p(one: Levels, other: Levels) -> float:
 
 
 def _best_cut(levels: list[Levels]) -> int | None:
-    """First dwell of the louder part, by likelihood over all axes; None if the later part is not louder."""
-    d = len(levels[0].variance)
+    """First dwell of the louder part, by least squares over all axes; None if what follows is quieter."""
     best: tuple[float, int] | None = None
-    for cut in range(1, d):
-        after = np.arange(d) >= cut
-        loss, louder = 0.0, True
-        for own in levels:
-            for part in (own.rows(~after), own.rows(after)):
-                loss += float(part.dof.sum()) * np.log(part.common)
-            louder &= own.rows(after).common > own.rows(~after).common
-        if best is None or loss < best[0]:
-            best = (loss, cut if louder else 0)
+    for cut in range(1, len(levels[0].level)):
+        steps = [step_of(own.course, own.level_dof, cut) for own in levels]
+        # What one step takes off the logarithm of the scatter.
+        dof = len(levels[0].level) - 2
+        gain = sum(math.log1p((step / max(u, 1e-300)) ** 2 / dof) for step, u in steps)
+        if best is None or gain > best[0]:
+            best = (gain, cut if all(step > 0 for step, _ in steps) else 0)
     return best[1] if best is not None and best[1] else None
 
 
@@ -163,12 +195,13 @@ def _explained(own: Levels, cut: int) -> bool:
 
 def _joining(
     samples: Samples,
-    dwells: NDArray[np.intp],
+    density: Density,
     levels: list[Levels],
     axes: list[int],
     cut: int,
     p_value: float,
 ) -> WithinFinding:
+    dwells = density.dwells
     at = np.arange(len(dwells))
     quiet, loud = at < cut - 1, at > cut
     if not quiet.any():
@@ -177,12 +210,7 @@ def _joining(
         loud = at >= cut
     parameters: dict[str, Value] = {}
     for axis, own in zip(axes, levels, strict=True):
-        before, after = own.rows(quiet), own.rows(loud)
-        extra = float(np.sqrt(max(after.common - before.common, 0.0)))
-        u2 = 2 * (before.common**2 / before.dof.sum() + after.common**2 / after.dof.sum())
-        parameters[f"extra_{samples.letters[axis]}"] = Value(
-            extra, float(np.sqrt(u2) / (2 * max(extra, 1e-12))), "mg"
-        )
+        parameters[f"extra_{samples.letters[axis]}"] = _joined(density, axis, own, quiet, loud)
     start, u_start = _start(samples, dwells, levels, axes, cut, quiet, loud)
     parameters["start"] = Value(start, u_start, "s")
     positions = tuple(int(p) for p in samples.position[dwells[cut:]])
@@ -206,6 +234,36 @@ def _joining(
         ),
         view=_view(samples, dwells, levels, axes),
     )
+
+
+def _joined(
+    density: Density, axis: int, own: Levels, quiet: NDArray[np.bool_], loud: NDArray[np.bool_]
+) -> Value:
+    """Standard deviation in mg of what joined.
+
+    By the variance of the samples; by white noise where that fits the change of the spectrum better than
+    the spectrum of the noise does, since behind a long filter it is lost in their variance.
+    """
+    base = density.base[density.searched, axis]
+    power = density.power[:, density.searched, axis] / base
+    change = power[loud].mean(axis=0) - power[quiet].mean(axis=0)
+
+    def left(shape: Floats) -> float:
+        return float(np.sum((change - shape * (change @ shape) / (shape @ shape)) ** 2))
+
+    white = 1 / base
+    if left(white) < left(np.ones_like(base)):
+        amounts = power @ white / (white @ white)
+        parts = [amounts[quiet], amounts[loud]]
+        square = float(parts[1].mean() - parts[0].mean())
+        spread = sum(float(((part - part.mean()) ** 2).sum()) for part in parts) / max(len(amounts) - 2, 1)
+        u2 = spread * sum(1 / len(part) for part in parts)
+    else:
+        before, after = own.rows(quiet), own.rows(loud)
+        square = after.common - before.common
+        u2 = 2 * (before.common**2 / before.dof.sum() + after.common**2 / after.dof.sum())
+    extra = math.sqrt(max(square, 0.0))
+    return Value(extra, float(np.sqrt(u2)) / (2 * max(extra, 1e-12)), "mg")
 
 
 def _varying(
