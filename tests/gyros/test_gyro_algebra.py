@@ -174,6 +174,18 @@ def test_what_a_force_adds_counts_as_determined_up_to_a_tenth(u: float, determin
     assert "measure poses with each axis up and down; turn the part by whole turns" in told
 
 
+@pytest.mark.parametrize("u", [0.097, 0.103, 0.5])
+def test_what_a_force_of_one_g_up_and_down_adds_counts_alike_although_the_zero_rate_is_as_uncertain(
+    u: float,
+) -> None:
+    force = np.zeros((6, 3))
+    force[:, 2] = [1, -1, 1, -1, 1, -1]
+    result = fit_gyro_readings(at_rest(force, u * math.sqrt(6)), scored=False)
+    assert ("g_sensitivity_xz" in result) == (u < 0.1)
+    assert result["gyro_bias_x"].u == pytest.approx(u)
+    assert {"g_sensitivity_xx", "g_sensitivity_xy"} <= set(result.undetermined)
+
+
 def test_a_direction_of_the_gyros_is_measured_in_radians() -> None:
     assert module._natural(["gyro_misalignment_xy", "gyro_scale_x"]).tolist() == [180 / math.pi, 1.0]
     assert [module._gyro_of(name) for name in ("gyro_bias_x", "g_sensitivity_yz")] == ["x", "y"]

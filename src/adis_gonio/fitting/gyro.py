@@ -53,6 +53,8 @@ BEGIN_TAU = 1 / 3
 """Time constant from which a warm-up is fitted, in lengths of the session."""
 LIMIT = 0.1
 """Largest standard uncertainty of a parameter that counts as determined, in 1 dps/g, a gain of 1, 1 rad."""
+_NOTHING = 1e-14
+"""Information in a direction, against the most in any, that is none but rounding."""
 TIME_BASE_U = 50e-6 / math.sqrt(3)
 """Relative standard uncertainty of the samples' times: a crystal of ±50 ppm, uniform (an estimate, D; the
 chip's own clock does not count, since times are the host's). An angle is rate times time: it is the same in
@@ -336,7 +338,8 @@ class _Model:
     def _determined(self) -> NDArray[np.bool_]:
         """Parameters (p,) that the readings determine, each gyro by itself.
 
-        Of a direction without information the parameter with the largest part in it is given up.
+        The one of the largest uncertainty is given up until all but the zero rate, which is stated however
+        large its own is, are within `LIMIT`.
         """
         free = np.ones(len(self.names), dtype=bool)
         rows = self.begun.jacobian * _natural(self.names)
@@ -346,12 +349,11 @@ class _Model:
             while True:
                 index = np.flatnonzero(own & free)
                 values, vectors = np.linalg.eigh(rows[:, index].T @ rows[:, index])
-                if not len(index) or values[0] * LIMIT**2 >= 1:
+                known = np.maximum(values, _NOTHING * max(float(values.max(initial=0.0)), 1.0))
+                u2 = np.where(index >= base, (vectors**2 / known).sum(axis=1), 0.0)
+                if not u2.max(initial=0.0) > LIMIT**2:
                     break
-                part = np.where(index >= base, np.abs(vectors[:, 0]), 0.0)
-                if not part.max() > 0:
-                    break  # the zero rate itself: it is stated with its u, however large
-                free[index[int(part.argmax())]] = False
+                free[index[int(u2.argmax())]] = False
         return free
 
 
