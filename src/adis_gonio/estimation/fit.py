@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from adis_gonio.errors import UsageError
 from adis_gonio.estimation.links import LinkRows
 from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import NamelessTerm, Term, Where
+from adis_gonio.estimation.terms import NamelessTerm, Term, Where, side_by_side
 from adis_gonio.model.measurement import Measurement, PlanarTurn
 from adis_gonio.model.records import MG_PER_G, Floats
 
@@ -303,12 +303,7 @@ class Fit:
                 own.append((axis, of_axis[key]))
             blocks.append(own)
         widths = np.array([sum(rows.shape[-1] for _, rows in own) for own in blocks], dtype=np.intp)
-        out = np.zeros((*self.ideal.shape, int(widths.sum())))
-        start = 0
-        for axes, rows in itertools.chain.from_iterable(blocks):
-            out[:, axes, start : start + rows.shape[-1]] = rows
-            start += rows.shape[-1]
-        return out, widths
+        return side_by_side(list(itertools.chain.from_iterable(blocks)), self.ideal.shape), widths
 
     @cached_property
     def base_columns(self) -> Floats:

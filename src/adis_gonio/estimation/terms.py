@@ -8,7 +8,7 @@ A *nameless* term is a point of the grammar: where it enters × what it depends 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -236,6 +236,16 @@ def in_g(ideal: Floats, conditions: Conditions) -> Floats:
     return ideal / MG_PER_G
 
 
+def side_by_side(blocks: Sequence[tuple[int | slice, Floats]], shape: tuple[int, ...]) -> Floats:
+    """Columns (n, axes, P) of blocks: axes (one, or all) and their columns (n, q) or (n, axes, q)."""
+    out = np.zeros((*shape, sum(rows.shape[-1] for _, rows in blocks)))
+    start = 0
+    for axes, rows in blocks:
+        out[:, axes, start : start + rows.shape[-1]] = rows
+        start += rows.shape[-1]
+    return out
+
+
 @dataclass(frozen=True)
 class NamelessTerm(Term):
     """A point of the grammar.
@@ -293,12 +303,7 @@ class NamelessTerm(Term):
             return self.tangent_rad * self.basis.over(conditions)
         driven = self.stimulus(ideal, conditions)
         blocks = [(axis, self.on_axis(axis, driven, conditions)) for axis in self.axes]
-        out = np.zeros((*ideal.shape, sum(rows.shape[1] for _, rows in blocks)))
-        start = 0
-        for axis, rows in blocks:
-            out[:, axis, start : start + rows.shape[1]] = rows
-            start += rows.shape[1]
-        return out
+        return side_by_side(blocks, ideal.shape)
 
     def on_axis(self, axis: int, driven: Floats, conditions: Conditions) -> Floats:
         """Columns (n, q) of an axis, where gains multiply `driven` (n, axes)."""

@@ -166,6 +166,10 @@ class Whitened:
         root = self.root
         return float(-np.log(np.diag(root)).sum() - 0.5 * len(root) * math.log(2 * math.pi))
 
+    def weight(self, z: Floats) -> Floats:
+        """Ln of the scatter's prior times the likelihood of whitened rows, (m, k) → (k,)."""
+        return np.asarray(self.log_scale + self.scatter.log_prior - 0.5 * (z * z).sum(axis=0))
+
     @cached_property
     def _inverse(self) -> Floats:
         from scipy.linalg import solve_triangular  # late: a bench that only records starts without it
@@ -278,7 +282,7 @@ def _weighed(
         z, v = white.white(white.mean_of(left)), white.white(first)
         w = np.zeros_like(v)
         w[:, twice] = white.white(second[:, twice])
-        plain[:, g] = white.log_scale + scatter.log_prior - 0.5 * (z * z).sum(axis=0)
+        plain[:, g] = white.weight(z)
         for k, (a, b) in enumerate(((v, v), (v, z), (w, w), (w, z), (v, w))):
             moments[k, :, g] = (a * b).sum(axis=0)
     named = [plain[1 + k] + _of_name(patterns[k], name, moments[:, 1 + k]) for k, name in keys]

@@ -62,7 +62,7 @@ class Detectability:
         """Ln of prior times likelihood of the session under a scatter."""
         white = Whitened(self.rows, scatter, self.beside.known)
         z = white.white(white.mean_of(self.beside.left(self.rows)[:, None]))
-        return white.log_scale + scatter.log_prior - 0.5 * float((z * z).sum())
+        return float(white.weight(z)[0])
 
     def _odds(self, pattern: Pattern, name: Name, drawn: list[tuple[Whitened, Floats]]) -> Floats:
         """Log odds (sizes, sessions) of the pattern under the name against none."""
@@ -73,7 +73,7 @@ class Detectability:
         for account, z in drawn:
             v = account.white(pattern.columns[:, 0])
             vv, vz = float(v @ v), v @ z
-            clean = account.log_scale + account.scatter.log_prior - 0.5 * (z * z).sum(axis=0)
+            clean = account.weight(z)
             none = np.logaddexp(none, clean - sizes * vz - 0.5 * sizes**2 * vv)
             seen = sizes + vz / vv
             own = amplitude(seen.ravel(), np.full(seen.size, 1 / math.sqrt(vv))).reshape(seen.shape)
