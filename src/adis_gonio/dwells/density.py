@@ -8,12 +8,13 @@ sensors take the flat one. What is left varies slowly with frequency (other filt
 running median, which a line does not move.
 
 A line near the lowest frequencies looks like 1/f noise to both: what stands highest above its own
-neighbours takes no part in either.
+neighbours takes no part in either, and both sides of it stand in its place.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -124,22 +125,21 @@ def density_of(samples: Samples) -> Density | None:
     level = np.maximum(np.median(band, axis=1), 1e-300)
     width = _widths(len(frequency), each)
     pooled = (power / level[:, None, :]).mean(axis=0)
-    apart = _sharpest(pooled, searched, each)
+    beside = _beside(pooled, searched, each)
     shape = np.ones((len(frequency), samples.axes))
     for axis in range(samples.axes):
-        shape[searched, axis] = _shape(
-            pooled[searched, axis], ~apart[searched, axis], frequency[searched], counts[dwells], size
-        )
+        usual = beside(pooled, axis)[searched]
+        shape[searched, axis] = _shape(usual, frequency[searched], counts[dwells], size)
     # Below and above what is searched the density counts as level.
     shape[: searched.start], shape[searched.stop :] = shape[searched.start], shape[searched.stop - 1]
     # The median of an exponential distribution is ln 2 of its mean.
     level = np.maximum(np.median(band / shape[None, searched], axis=1) / np.log(2), 1e-300)
     # The converter's floor does not fall with a quiet dwell, which would rule the notches of the filter.
     level = np.maximum(level, np.median(level, axis=0))
-    pooled = (power / level[:, None, :]).mean(axis=0) / shape
+    pooled = (power / level[:, None, :]).mean(axis=0)
     base = np.stack(
         [
-            _smooth(_bridged(pooled[:, axis], apart[:, axis]), searched, width, each)
+            _smooth(beside(pooled, axis) / shape[:, axis], searched, width, each)
             for axis in range(samples.axes)
         ],
         axis=1,
@@ -148,25 +148,28 @@ def density_of(samples: Samples) -> Density | None:
     # of the density: there its largest value nearby counts.
     base = base * ndimage.maximum_filter1d(shape, 2 * round(_STEEP * each) + 1, axis=0)
     # On a slope of the density one side is as high as a line would be: a line stands above both.
-    bound = np.maximum(base, _flanks((power / level[:, None, :]).mean(axis=0), each))
+    bound = np.maximum(base, _flanks(pooled, each))
     return Density(dwells.astype(np.intp), frequency, searched, power, level, base, bound, 2 * width + 1)
 
 
-def _sharpest(pooled: Floats, searched: slice, each: float) -> NDArray[np.bool_]:
-    """Points (k, axes) that a line would reach where each density stands highest above its neighbours."""
+def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, int], Floats]:
+    """Densities (k,) of an axis without what a line would be: where it stands highest above its neighbours.
+
+    There the geometric mean of both sides stands instead.
+    """
     above = (pooled / np.maximum(_flanks(pooled, each), 1e-300))[searched]
-    at = searched.start + above.argmax(axis=0)
-    return np.asarray(np.abs(np.arange(len(pooled))[:, None] - at) < round(_LINE * each))
+    peaks = searched.start + above.argmax(axis=0)
+    near, far = round(_LINE * each), 3 * round(_LINE * each)
 
+    def bridged(density: Floats, axis: int) -> Floats:
+        peak = int(peaks[axis])
+        out = density[:, axis].copy()
+        sides = [out[max(0, peak - far) : peak - near + 1], out[peak + near : peak + far + 1]]
+        middles = [float(np.median(side)) for side in sides if len(side)]
+        out[peak - near + 1 : peak + near] = math.exp(np.mean(np.log(np.maximum(middles, 1e-300))))
+        return out
 
-def _bridged(flat: Floats, apart: NDArray[np.bool_]) -> Floats:
-    """A density (k,) with the points of a line replaced by the median of as many to both sides."""
-    inside = np.flatnonzero(apart)
-    first, last, reach = int(inside[0]), int(inside[-1]), len(inside) * 2
-    beside = np.concatenate([flat[max(0, first - reach) : first], flat[last + 1 : last + 1 + reach]])
-    out = flat.copy()
-    out[inside] = np.median(beside)
-    return out
+    return bridged
 
 
 def _flanks(pooled: Floats, each: float) -> Floats:
@@ -221,22 +224,18 @@ def _smooth(flat: Floats, searched: slice, width: Floats, each: float) -> Floats
     return np.maximum(smooth, 1e-300)
 
 
-def _shape(
-    pooled: Floats, part: NDArray[np.bool_], frequency: Floats, counts: NDArray[np.intp], size: int
-) -> Floats:
-    """Shape (k,) of filtered white noise with a floor and 1/f noise that fits a part of the points best.
+def _shape(pooled: Floats, frequency: Floats, counts: NDArray[np.intp], size: int) -> Floats:
+    """Shape (k,) of filtered white noise with a floor and 1/f noise that fits best.
 
     Whittle likelihood with the scale fitted, over cells of neighbours; the model is averaged over the same
     cells, so that a cell may be wider than a notch of the filter.
     """
     # Cells grow with frequency: the foot of a long filter has few ordinates.
     edges = np.unique((len(frequency) * np.linspace(0, 1, _CELLS, endpoint=False) ** 2).astype(np.intp))
-    weight = np.add.reduceat(part.astype(float), edges)
-    used = weight > 0
-    weight = weight[used]
+    weight = np.diff(np.append(edges, len(frequency))).astype(float)
 
     def cells(density: Floats) -> Floats:
-        return np.asarray(np.add.reduceat(density * part, edges)[used] / weight, dtype=np.float64)
+        return np.asarray(np.add.reduceat(density, edges) / weight, dtype=np.float64)
 
     seen = cells(pooled)
     slow = {power: (frequency[0] / frequency) ** power for power in _POWERS}
