@@ -7,8 +7,9 @@ divided by the shape that the chip's Bartlett filter gives to white noise, with 
 sensors take the flat one. What is left varies slowly with frequency (other filters) and is followed by a
 running median, which a line does not move.
 
-A line near the lowest frequencies looks like 1/f noise to both: what stands highest above its own
-neighbours takes no part in either, and both sides of it stand in its place.
+A line near the lowest frequencies looks like 1/f noise to both. Where a line is likelier at what stands
+highest above its own neighbours than any shape is that holds it (a filter has lobes), both sides of it
+stand in its place.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage, optimize, signal, stats
 
+from adis_gonio.dwells.finding import LEVEL, corrected
 from adis_gonio.dwells.samples import Samples
 from adis_gonio.model.records import Floats
 
@@ -31,12 +33,14 @@ LOWEST = 6
 """Cycles a dwell below which a line cannot be told from slow noise or drift."""
 LEAST_SAMPLES = 32
 _FILTERS = range(7)
-_FLOORS = (0.0, *np.geomspace(1e-5, 0.3, 8).tolist())
-"""Floors of the filtered density, in units of its value at zero."""
+_FLOORS = (0.0, *np.geomspace(1e-3, 30.0, 8).tolist())
+"""What the converter adds at the lowest frequency searched, in units of the filtered density's largest
+value."""
+_KNEES = (np.inf, 0.2, 0.07, 0.025, 0.0)
+"""Frequencies in cycles a sample above which that falls off with the square: a slow signal jumps from code
+to code, the slower the rarer."""
 _FLICKERS = (0.0, *np.geomspace(0.01, 300.0, 10).tolist())
-"""1/f noise at the lowest frequency searched, in units of the white noise."""
-_POWERS = (1, 2)
-"""Of 1/f; a slow signal on a coarse converter jumps, which falls off with the square."""
+"""1/f noise at the lowest frequency searched, in the same unit."""
 _CELLS = 120
 _LENGTHS = 5
 _LINE = 2.0
@@ -126,10 +130,16 @@ def density_of(samples: Samples) -> Density | None:
     width = _widths(len(frequency), each)
     pooled = (power / level[:, None, :]).mean(axis=0)
     beside = _beside(pooled, searched, each)
+    information = len(dwells) / each / TAPER_LOSS
+    tests = samples.axes * (searched.stop - searched.start) / each
     shape = np.ones((len(frequency), samples.axes))
+    lined = np.zeros(samples.axes, dtype=bool)
     for axis in range(samples.axes):
-        usual = beside(pooled, axis)[searched]
-        shape[searched, axis] = _shape(usual, frequency[searched], counts[dwells], size)
+        own, usual = pooled[searched, axis], beside(pooled, axis)[searched]
+        with_peak, without = (_shape(p, frequency[searched], counts[dwells], size) for p in (own, usual))
+        gain = information * _gain(own, with_peak, without, own != usual)
+        lined[axis] = corrected(math.exp(-max(gain, 0.0)), tests) < LEVEL
+        shape[searched, axis] = without if lined[axis] else with_peak
     # Below and above what is searched the density counts as level.
     shape[: searched.start], shape[searched.stop :] = shape[searched.start], shape[searched.stop - 1]
     # The median of an exponential distribution is ln 2 of its mean.
@@ -139,7 +149,12 @@ def density_of(samples: Samples) -> Density | None:
     pooled = (power / level[:, None, :]).mean(axis=0)
     base = np.stack(
         [
-            _smooth(beside(pooled, axis) / shape[:, axis], searched, width, each)
+            _smooth(
+                (beside(pooled, axis) if lined[axis] else pooled[:, axis]) / shape[:, axis],
+                searched,
+                width,
+                each,
+            )
             for axis in range(samples.axes)
         ],
         axis=1,
@@ -170,6 +185,21 @@ def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, i
         return out
 
     return bridged
+
+
+def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool_]) -> float:
+    """Log likelihood that a line at the peak gains, a dwell and point of the grid of information.
+
+    Whittle's, with the scale fitted: of a shape that was fitted with the peak, against one that was fitted
+    without it and a line that takes what is there.
+    """
+
+    def loss(shape: Floats, part: NDArray[np.bool_]) -> float:
+        ratio = own[part] / shape[part]
+        return float(np.log(shape[part]).sum() + len(ratio) * (math.log(float(ratio.mean())) + 1))
+
+    line = float(np.log(np.maximum(own[peak], 1e-300)).sum()) + float(peak.sum())
+    return loss(with_peak, np.ones_like(peak)) - loss(without, ~peak) - line
 
 
 def _flanks(pooled: Floats, each: float) -> Floats:
@@ -238,40 +268,53 @@ def _shape(pooled: Floats, frequency: Floats, counts: NDArray[np.intp], size: in
         return np.asarray(np.add.reduceat(density, edges) / weight, dtype=np.float64)
 
     seen = cells(pooled)
-    slow = {power: (frequency[0] / frequency) ** power for power in _POWERS}
+    low = np.array(_FLICKERS)[:, None] * cells(frequency[0] / frequency)
+    falls = {knee: _falling(frequency, knee) for knee in _KNEES}
     first = round(float(frequency[0]) * size)
 
     def deviance(own: Floats) -> Floats:
         """−2 log likelihood less a constant, of models (…, cells) with their scale fitted."""
         return np.asarray(np.log(own) @ weight + weight.sum() * np.log((seen / own) @ weight))
 
-    best, chosen, start, power = np.inf, np.ones_like(pooled), (0.0, 0.0), _POWERS[0]
+    best, chosen, start = np.inf, np.ones_like(pooled), (0.0, 0.0, 0.0)
     for filter_m in _FILTERS:
         if 2 ** (filter_m + 1) > counts.max():
             break
         response = _expected(filter_m, counts, size)[first : first + len(frequency)]
+        response = response / response.max()  # a long filter leaves little of its noise there
         white = cells(response)
-        for own_power, rising in slow.items():
-            low = np.array(_FLICKERS)[:, None] * cells(rising)
-            for floor in _FLOORS if filter_m else (0.0,):
-                losses = deviance(white + floor + low)
+        for knee, falling in falls.items():
+            converter = cells(falling)
+            for floor in _FLOORS:
+                losses = deviance(white + floor * converter + low)
                 k = int(losses.argmin())
                 if losses[k] < best:
-                    best, chosen, power = float(losses[k]), response, own_power
-                    start = (floor, _FLICKERS[k])
-    white, low = cells(chosen), cells(slow[power])
+                    best, chosen = float(losses[k]), response
+                    start = (floor, _FLICKERS[k], knee)
+
+    least, most = np.log([1e-7, 1e-7, 0.1 * frequency[0]]), np.log([1e4, 1e4, 1.0])
+
+    def model(logs: Floats) -> Floats:
+        floor, amount, knee = np.exp(np.clip(logs, least, most)).tolist()
+        return np.asarray(chosen + floor * _falling(frequency, knee) + amount * frequency[0] / frequency)
 
     def loss(logs: Floats) -> float:
-        return float(deviance(white + np.exp(logs[0]) + np.exp(logs[1]) * low))
+        return float(deviance(cells(model(logs))))
 
     finer = optimize.minimize(
         loss,
-        np.log(np.maximum(np.array(start), 1e-7)),
+        np.clip(np.log(np.maximum(start, 1e-300)), least, most),
         method="Nelder-Mead",
-        options={"maxiter": 80, "xatol": 0.02, "fatol": 0.02},
+        options={"maxiter": 120, "xatol": 0.02, "fatol": 0.02},
     )
-    floor, amount = np.exp(finer.x)
-    return np.asarray(chosen + floor + amount * slow[power], dtype=np.float64)
+    return model(finer.x)
+
+
+def _falling(frequency: Floats, knee: float) -> Floats:
+    """A density (k,) that falls off with the square above a frequency; 1 at the lowest one."""
+    if np.isinf(knee):
+        return np.ones_like(frequency)
+    return np.asarray((knee**2 + frequency[0] ** 2) / (knee**2 + frequency**2))
 
 
 def _expected(filter_m: int, counts: NDArray[np.intp], size: int) -> Floats:
