@@ -39,7 +39,13 @@ from adis_gonio.tracing.unnamed import averaging
 from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
 from adis_gonio.tracing.unnamed.dependence import dependence
 from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order, without_folds
-from adis_gonio.tracing.validation.survival import longest, never_worse, refuted, without
+from adis_gonio.tracing.validation.survival import (
+    checkable,
+    longest,
+    never_worse,
+    refuted,
+    without,
+)
 from tracing.test_trace_numbers import (
     G,
     U,
@@ -52,6 +58,7 @@ from tracing.test_trace_numbers import (
     noisy,
     read,
     single,
+    slipped,
     surroundings,
     turn,
 )
@@ -198,7 +205,10 @@ class TestProcesses:
     data = noisy(surroundings(), 43)
     every = tuple(processes(data))
 
-    def test_the_evidence_is_that_of_a_normal_prior_on_the_features(self) -> None:
+    @pytest.mark.parametrize(("inflation", "noise"), [((), 1.0), ((2.0,), 2.0)])
+    def test_the_evidence_is_that_of_a_normal_prior_on_the_features(
+        self, inflation: tuple[float, ...], noise: float
+    ) -> None:
         # Against none: ln N(y; 0, 1 + φ s² φᵀ) − ln N(y; 0, 1), both beside the base model.
         fit = Fit.begin(self.data).refit()
         beside = orthonormal(fit.jacobian)
@@ -206,15 +216,15 @@ class TestProcesses:
         left -= beside @ (beside.T @ left)
         space = linalg.null_space(beside.T)
         candidates = processes(self.data)[:: len(processes(self.data)) // 12]
-        told = evidence(fit, beside, left, candidates, 2.0)
+        told = evidence(fit, beside, left, candidates, *inflation)
         for process, score in zip(candidates, told, strict=True):
             features = space.T @ fit.white(fit.candidate(process.term))
             spread = (
-                2.0 * np.eye(len(features)) + (process.term.shrinkage or 0) ** 2 * features @ features.T
+                noise * np.eye(len(features)) + (process.term.shrinkage or 0) ** 2 * features @ features.T
             )
             y = space.T @ left
             ratio = stats.multivariate_normal(np.zeros(len(y)), spread).logpdf(y)
-            ratio -= stats.multivariate_normal(np.zeros(len(y)), 2.0 * np.eye(len(y))).logpdf(y)
+            ratio -= stats.multivariate_normal(np.zeros(len(y)), noise * np.eye(len(y))).logpdf(y)
             assert score == pytest.approx(ratio - process.price, abs=1e-4)
 
     @pytest.mark.parametrize("width", RING)
@@ -449,6 +459,19 @@ class TestSelection:
         assert chose.inflation == pytest.approx(chose.fit.chi2 / chose.fit.dof, rel=0.1)
         assert chose.inflation == pytest.approx(49.0, rel=0.6)
 
+    def test_one_reading_more_than_parameters_shows_the_noise_where_nothing_else_does(self) -> None:
+        rng = np.random.default_rng(45)
+        up = rng.normal(size=(4, 3))  # the length of each, and three gains
+        up /= np.linalg.norm(up, axis=1)[:, None]
+        data = from_means(
+            G * up + rng.normal(0, 7 * U, (4, 3)),
+            np.tile(U**2 * np.eye(3), (4, 1, 1)),
+            Conditions(60.0 * np.arange(4)),
+        )
+        chose = select(replace(data, known=np.zeros(4, dtype=bool)), [], 0)
+        assert chose.fit.dof == 1
+        assert chose.inflation == pytest.approx(chose.fit.chi2, rel=1e-3)
+
     def test_noise_that_no_candidate_explains_is_assumed_for_all(self) -> None:
         c = turn()
         wave = np.outer(2.0 * np.cos(5 * c.angle_rad), [1.0, 1.0])
@@ -496,6 +519,21 @@ class TestSelection:
         assert [term.name for term in chose.terms] == ["bias"]
         assert chose.adequate
         assert chose.fit.values.terms[0] == pytest.approx([900.0, 400.0], abs=0.2)
+
+    @pytest.mark.parametrize("biases", [("bias[x]", "bias[xy]", "bias[y]"), ()])
+    def test_a_gross_slip_is_taken_out_beside_the_widest_bias_that_is_a_candidate(
+        self, biases: tuple[str, ...]
+    ) -> None:
+        off = np.array([50.0, -30.0]) if biases else np.zeros(2)
+        data = slipped(by_deg=15.0)
+        data = replace(data, mean=data.mean + np.random.default_rng(46).normal(off, U, (24, 2)))
+        terms = labelled(data, *biases, *(f"position_slip(dwell={k})" for k in range(24)))
+        fit = choice._with_slips(data, terms, choice._gross_slips(data, terms))
+        slip, *bias = fit.values.terms
+        assert [term.label for term in fit.terms] == ["position_slip(dwell=1)", "bias[xy]"][: 1 + len(bias)]
+        assert slip == pytest.approx([15.0], abs=0.03)
+        assert len(bias) == bool(biases)
+        np.testing.assert_allclose(bias, [off] * len(bias), atol=5 * U / math.sqrt(24))
 
     def test_whether_a_bias_is_apart_is_asked_of_a_refit_where_nothing_was_chosen_yet(
         self, monkeypatch: pytest.MonkeyPatch
@@ -670,6 +708,7 @@ class TestSurvival:
             ([1.0, 2.0, 0.9], 2),
             ([1.0, 2.0, 3.0], 0),
             ([1.0, None, 3.0], 2),
+            ([0.0, 0.0, 0.0], 2),
         ],
     )
     def test_the_longest_model_that_is_never_worse_than_a_shorter_one_stays(
@@ -698,6 +737,25 @@ class TestSurvival:
         selection: Any = SimpleNamespace(terms=(wave, line, cubic))
         assert refuted(selection, fits, [1.0, 0.5, 0.6, 0.6]) == [line]
         assert refuted(selection, fits, [1.0, 0.5, 0.5, 0.5]) == []
+        assert refuted(selection, fits[:3], [1.0, 0.5, 0.4]) == []
+
+    def test_of_a_model_that_leaves_too_few_readings_all_names_but_a_bias_are_open_with_the_reason(
+        self,
+    ) -> None:
+        # Backlash comes before a bias in the alphabet.
+        names = Names(("backlash", "bias", "cubic"), {"gravity": "why"}, ())
+        selection: Any = SimpleNamespace(fit=SimpleNamespace(dof=1))
+        reason = "the model leaves 1 readings to check it by: too few"
+        assert checkable(names, selection) == Names(
+            ("bias",),
+            {"gravity": "why", "backlash": reason, "cubic": reason},
+            (("backlash",), ("cubic",)),
+        )
+
+    def test_a_name_of_which_one_term_stays_is_not_taken_away(self) -> None:
+        names = Names(("bias", "outlier_dwell"), {}, ())
+        steps = ("bias", "outlier_dwell", "outlier_dwell")
+        assert never_worse(names, steps, (1.0, 0.5, 0.3, 0.6), None) == (2, names, {})
 
     def test_names_are_weak_by_what_is_likelier_what_was_not_checked_and_what_is_no_larger_than_its_u(
         self,
@@ -777,6 +835,17 @@ class TestDependence:
         told = dependence(believed(single(rows, np.zeros((0, 40)), []), {(): 1.0}, data=data))
         assert told is not None
         assert told.covariates == ("reading_y",)
+
+    def test_of_gyros_without_accelerometers_the_other_covariates_are_looked_at(self) -> None:
+        rng = np.random.default_rng(52)
+        c = Conditions(60.0 * rng.permutation(40), rate_dps=np.tile(50 * rng.choice([-1, 1], 40), (3, 1)).T)
+        gyros = from_means(
+            rng.normal(size=(40, 3)), np.tile(np.eye(3), (40, 1, 1)), c, measurement=MeanRate()
+        )
+        rows = 0.1 * rng.normal(size=(40, 3)) + 0.06 * c.rate_dps
+        told = dependence(believed(single(rows.ravel(), np.zeros((0, 120)), []), {(): 1.0}, data=gyros))
+        assert told is not None
+        assert told.covariates == ("rotation",)
 
     def test_where_nothing_changed_there_is_nothing_to_follow(self) -> None:
         # Without angles the readings are covariates as well: they stand still too.
@@ -866,6 +935,30 @@ class TestAverages:
         told: Any = average(selection)
         assert seen == asked
         assert told.inflation == asked[-1]
+
+    @pytest.mark.parametrize(("u", "inflation"), [(0.1, 1.0), (0.1, 3.0), (5.0, 1.0)])
+    def test_a_process_is_held_by_its_prior_however_coarse_the_readings_are(
+        self, u: float, inflation: float
+    ) -> None:
+        data = biased(u=u)
+        selection = replace(chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0)), inflation=inflation)
+        term = next(p.term for p in processes(data) if p.term.covariates == ("time",))
+        fit = selection.fit
+        rng = np.random.default_rng(49)
+        fixed, target = rng.normal(size=(48, 6)), 2 * rng.normal(size=48)
+        solved, covariance, used, visible = averaging._ridge(selection, fixed, target, [term])
+        # The same as noise of the rows: generalised least squares of what is fixed.
+        features = fit.white(fit.candidate(term))
+        prior = (term.shrinkage or 0) ** 2 / inflation
+        firm = np.linalg.inv(np.eye(48) + prior * features @ features.T)
+        expected = np.linalg.inv(fixed.T @ firm @ fixed)
+        base = expected @ fixed.T @ firm @ target
+        left = firm - firm @ fixed @ expected @ fixed.T @ firm
+        np.testing.assert_allclose(solved[:6], base, rtol=1e-6)
+        np.testing.assert_allclose(features @ solved[6:], prior * features @ features.T @ left @ target)
+        np.testing.assert_allclose(covariance[:6, :6], expected, rtol=1e-6)
+        assert used == pytest.approx(48 - np.trace(left))
+        assert visible == 1.0
 
     def test_terms_that_add_a_tenth_of_g_or_a_tenth_of_a_radian_are_no_cause(self) -> None:
         data = biased()
