@@ -936,6 +936,109 @@ class TestAverages:
         assert seen == asked
         assert told.inflation == asked[-1]
 
+    def test_under_more_noise_it_is_weighed_again_where_under_the_measured_one_nothing_is_called_for(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        data = biased()
+        selection = replace(chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0)), inflation=4.0)
+        monkeypatch.setattr(
+            averaging, "_average", lambda own, candidates: None if own.inflation == 1 else "an average"
+        )
+        assert average(selection) == "an average"
+
+    @pytest.mark.parametrize("inflation", [1.0, 2.0])
+    def test_formulas_are_those_of_models_with_the_same_names_by_evidence_beside_these(
+        self, inflation: float
+    ) -> None:
+        data = biased()
+        theta = np.asarray(data.conditions.angle_rad)
+        waves = {
+            "one": function("one", lambda c: np.cos(4 * c.angle_rad), ("angle",)),
+            "two": function("two", lambda c: np.sin(4 * c.angle_rad), ("angle",)),
+            "three": function("three", lambda c: np.cos(5 * c.angle_rad), ("angle",)),
+        }
+        terms = [*labelled(data, "bias[xy]", "outlier_dwell[y](dwell=7)"), *waves.values()]
+        # The chosen one stays though it is far behind; with another name or without the bias none does.
+        models = (((0, 2), 1e-4), ((0, 3), 0.5), ((0, 1, 4), 0.3), ((3,), 0.1), ((0,), 0.1), ((0, 4), 1e-5))
+        selection = replace(chosen(data, terms, *models), inflation=inflation)
+        number = {term.label: k for k, term in enumerate(selection.problem.terms)}
+        pool = averaging._formulas(selection, (number["bias[xy]"],), [])
+        told = [(own.label, score) for score, (own,) in pool]
+        # Equal steps: a wave of four cycles is at right angles to base model and bias.
+        columns = {"one": np.cos(4 * theta), "two": np.sin(4 * theta)}
+        expected = {
+            name: 0.5 * (column @ data.mean[:, 0]) ** 2 / (column @ column) / U**2 / inflation
+            - float(selection.found.prices[number[name]])
+            for name, column in columns.items()
+        }
+        assert sorted(label for label, _ in told) == ["one", "two"]
+        assert dict(told) == pytest.approx(expected, abs=1e-3)
+
+    def fitted(self, selection: Any, *parts: Any) -> Any:
+        """Members, covariance and freedom of the average of parts of these weights, and their columns."""
+        fit = selection.fit
+        base, blocks, target = fit.linear()
+        fixed = np.concatenate([base, *blocks], axis=1)
+        pool = [(0.0, terms) for _, terms in parts]
+        weights = np.array([weight for weight, _ in parts])
+        columns = [
+            np.concatenate([fixed, *(fit.white(fit.candidate(term)) for term in terms)], axis=1)
+            for _, terms in parts
+        ]
+        return averaging._fitted(selection, fixed, target, pool, weights), columns, target
+
+    @pytest.mark.parametrize("inflation", [1.0, 2.0])
+    def test_what_is_fixed_is_as_uncertain_as_within_and_between_the_members(
+        self, inflation: float
+    ) -> None:
+        data = biased()
+        data = replace(data, mean=data.mean + np.outer(data.conditions.time_s / 1e3, [1.0, 0.0]))
+        selection = replace(chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0)), inflation=inflation)
+        line = function("line", lambda c: c.time_s / 1e3)
+        curve = function("curve", lambda c: (c.time_s / 1e3) ** 2)
+        wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
+        (members, covariance, used), columns, target = self.fitted(
+            selection, (0.75, (line,)), (0.0, (curve,)), (0.25, (wave, curve))
+        )
+        assert [(weight, own.label) for weight, own, _ in members] == [
+            (0.75, "line"),
+            (0.25, "wave"),
+            (0.25, "curve"),
+        ]
+        one, two = (np.linalg.lstsq(columns[k], target, rcond=None)[0] for k in (0, 2))
+        for (_, _, values), expected in zip(members, (one[6:], two[6:7], two[7:]), strict=True):
+            assert values == pytest.approx(expected, rel=1e-3, abs=1e-4)
+        # The law of total variance, in units of the noise that is assumed.
+        within = [np.linalg.inv(columns[k].T @ columns[k])[:6, :6] for k in (0, 2)]
+        apart = one[:6] - two[:6]
+        total = 0.75 * within[0] + 0.25 * within[1] + 0.75 * 0.25 * np.outer(apart, apart) / inflation
+        np.testing.assert_allclose(covariance, total, rtol=1e-3, atol=1e-12)
+        assert used == pytest.approx(0.75 * 7 + 0.25 * 8, abs=1e-3)
+
+    @pytest.mark.parametrize(
+        ("possible", "weights"),
+        [({"line"}, [1.0]), ({"line", "wave"}, [0.75, 0.25]), (set(), [0.75, 0.25])],
+    )
+    def test_a_member_that_no_cause_can_be_leaves_its_weight_to_the_others_unless_none_can(
+        self, monkeypatch: pytest.MonkeyPatch, possible: set[str], weights: list[float]
+    ) -> None:
+        data = biased()
+        selection = chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0))
+        asked: dict[str, Any] = {}
+
+        def is_possible(selection: Any, terms: Any, values: np.ndarray) -> bool:
+            asked[terms[0].label] = values
+            return terms[0].label in possible
+
+        monkeypatch.setattr(averaging, "_possible", is_possible)
+        line = function("line", lambda c: c.time_s / 1e3)
+        wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
+        (members, _, used), _, _ = self.fitted(selection, (0.75, (line,)), (0.25, (wave,)))
+        assert [weight for weight, _, _ in members] == pytest.approx(weights)
+        assert used == pytest.approx(7.0, abs=1e-3)
+        for _, own, values in members:
+            np.testing.assert_array_equal(asked[own.label], values)
+
     @pytest.mark.parametrize(("u", "inflation"), [(0.1, 1.0), (0.1, 3.0), (5.0, 1.0)])
     def test_a_process_is_held_by_its_prior_however_coarse_the_readings_are(
         self, u: float, inflation: float
@@ -946,7 +1049,8 @@ class TestAverages:
         fit = selection.fit
         rng = np.random.default_rng(49)
         fixed, target = rng.normal(size=(48, 6)), 2 * rng.normal(size=48)
-        solved, covariance, used, visible = averaging._ridge(selection, fixed, target, [term])
+        unseen = np.column_stack([fixed, np.zeros(48)])  # of a parameter that the dwells do not show
+        solved, covariance, used, visible = averaging._ridge(selection, unseen, target, [term])
         # The same as noise of the rows: generalised least squares of what is fixed.
         features = fit.white(fit.candidate(term))
         prior = (term.shrinkage or 0) ** 2 / inflation
@@ -955,7 +1059,7 @@ class TestAverages:
         base = expected @ fixed.T @ firm @ target
         left = firm - firm @ fixed @ expected @ fixed.T @ firm
         np.testing.assert_allclose(solved[:6], base, rtol=1e-6)
-        np.testing.assert_allclose(features @ solved[6:], prior * features @ features.T @ left @ target)
+        np.testing.assert_allclose(features @ solved[7:], prior * features @ features.T @ left @ target)
         np.testing.assert_allclose(covariance[:6, :6], expected, rtol=1e-6)
         assert used == pytest.approx(48 - np.trace(left))
         assert visible == 1.0
@@ -1005,6 +1109,8 @@ class TestAverages:
         np.testing.assert_allclose(term.added(np.zeros(0), ideal, c), np.outer(expected, [1.0, 0.0]))
         assert term.form == "bias of x follows line"
         assert term.columns(ideal, c).shape == (24, 2, 0)
+        turned = AveragedTerm("average", ("time",), 0.0, "angle", (), line.basis, members=members)
+        assert turned.columns(ideal, c).shape == (24, 0)
 
 
 class TestNamedCandidates:
