@@ -807,6 +807,7 @@ class TestSets:
             sets = one_a_function(every, _likelier(every, terms[:2]))
             assert [one.names[0] for one in sets] == leads
             assert sets[0].cause == "cubic"
+            assert _likelier(every, []) == {}, "only names have something in their place"
             assert sets[0].as_dict() == {
                 "names": list(sets[0].names),
                 "probability": [pytest.approx(max(share, 1 - share)), pytest.approx(min(share, 1 - share))],

@@ -792,6 +792,15 @@ class TestSurvival:
             ):
                 _enough(data)
 
+    def test_in_space_a_pose_is_one_equation_and_one_reading_of_gyros_is_too_few(self) -> None:
+        two = from_means(G * np.eye(3)[:2], np.tile(np.eye(3), (2, 1, 1)), Conditions(np.arange(2.0)))
+        with pytest.raises(FitError, match="2 equations for 6 base parameters; measure at least 6 pos"):
+            _enough(two)
+        c = Conditions(np.zeros(1), rate_dps=np.zeros((1, 3)))
+        gyros = from_means(np.zeros((1, 3)), np.eye(3)[None], c, measurement=MeanRate())
+        with pytest.raises(FitError, match="one reading alone"):
+            _enough(gyros)
+
 
 class TestDependence:
     """What an inadequate model leaves, by covariate."""
