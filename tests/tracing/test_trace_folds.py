@@ -17,10 +17,11 @@ from adis_gonio.estimation.readings import Readings, from_means
 from adis_gonio.estimation.terms import NamelessTerm
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.rates import MeanRate
+from adis_gonio.tracing.outcome.result import ErrorFigures
 from adis_gonio.tracing.validation import errors, leaving_out
 from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order, without_folds
 from adis_gonio.tracing.validation.leaving_out import Chosen, Left, bounded, counting, cross_validate, folds
-from tracing.test_trace_numbers import G, function, labelled, noisy, read, turn
+from tracing.test_trace_numbers import G, function, ideal_mg, labelled, noisy, read, turn
 from tracing.test_trace_outcome import biased, chosen
 
 STEPS = np.arange(0, 360, 15.0)
@@ -98,6 +99,27 @@ class TestDesigns:
         assert sorted(told) == [[0, 1], [2], [3]]
 
     @pytest.mark.parametrize(("known", "kept"), [(3, False), (4, True)])
+    def test_body_axes_are_left_out_where_the_others_predict_a_third_of_the_dwells(
+        self, monkeypatch: pytest.MonkeyPatch, known: int, kept: bool
+    ) -> None:
+        monkeypatch.setattr(leaving_out, "determined", lambda data, masks: np.arange(12) < known)
+        poses = in_space(np.random.default_rng(83).normal(size=(12, 3)))
+        assert ("body axes" in folds(poses)) == kept
+
+    def test_of_gyros_dwells_that_were_turned_say_nothing_about_poses(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(leaving_out, "determined", lambda data, *_: np.arange(24) < 16)
+        turned = np.arange(24) % 2 == 0
+        data = gyros()
+        rate = np.outer(turned, [0.0, 0.0, 50.0])
+        data = replace(data, conditions=replace(data.conditions, rate_dps=rate))
+        designs = {"whole dwells": [turned], "body axes": [turned]}
+        counts = counting(data, designs, [])
+        assert counts["whole dwells"].all()
+        np.testing.assert_array_equal(counts["body axes"], ~turned & (np.arange(24) < 16))
+
+    @pytest.mark.parametrize(("known", "kept"), [(3, False), (4, True)])
     def test_a_design_counts_where_a_third_of_its_dwells_are_predicted(
         self, monkeypatch: pytest.MonkeyPatch, known: int, kept: bool
     ) -> None:
@@ -143,10 +165,45 @@ class TestLeavingOut:
                 term.columns(out.mean, out.conditions), line.columns(out.mean, out.conditions)
             )
 
+    def test_a_term_of_the_readings_is_bounded_on_each_axis_by_what_it_adds_to_ideal_ones(self) -> None:
+        # Curvatures of 10 and 2 mg/g² add as much at most to a turn, however large the bias beside it.
+        data = biased(mg=(300.0, 0.0))
+        fit = Fit.begin(biased(mg=(0.0, 0.0))).having(labelled(data, "bias[x]", "quadratic[xy]"), [])
+        values = np.array([10.0, 2.0])
+        fit = replace(fit, data=data, values=replace(fit.values, terms=(np.array([300.0]), values)))
+        held = bounded(fit)[1]
+        far = np.full((1, 2), 5 * G)
+        c = data.conditions.rows(np.arange(24) < 1)
+        np.testing.assert_allclose(held.added(values, far, c), [[15.0, 3.0]], rtol=0.02)
+        np.testing.assert_allclose(held.added(-values, far, c), [[-5.0, -1.0]], rtol=0.02)
+
+    @pytest.mark.parametrize("where", ["bias", "angle"])
+    def test_errors_are_of_the_model_within_its_bounds(self, where: str) -> None:
+        # As above a line is held at −0.5 before the dwells of the fit, at the readings or at the angle.
+        data = read(turn(41), ideal_mg(turn(41)))
+        before = np.arange(41) < 20
+        line = function("line", lambda c: c.time_s / 1200.0 - 1.0, where=where)
+
+        def fit(rows: Readings) -> Chosen:
+            begun = Fit.begin(rows).having([line], [np.array([10.0])])  # mg or mrad
+            return Chosen(begun, by=begun)
+
+        told = cross_validate(data, {"before": [before]}, fit)["before"].rows(before)
+        held = np.maximum(np.arange(20) / 20 - 1, -0.5)
+        psi = np.radians(3.0) - np.asarray(data.conditions.angle_rad)[before]
+        if where == "bias":
+            np.testing.assert_allclose(told.residual, np.outer(-10.0 * held, [1.0, 0.0]), atol=1e-6)
+        else:
+            turned = psi + 0.01 * held
+            moved = np.column_stack([np.cos(psi) - np.cos(turned), np.sin(psi) - np.sin(turned)])
+            np.testing.assert_allclose(told.residual, G * moved, atol=1e-6)
+            np.testing.assert_allclose(told.angle_rad, 0.01 * held, atol=1e-6)
+
     def test_each_design_has_its_own_errors_of_all_dwells_and_progress_goes_on_over_all(self) -> None:
         data = noisy(turn(12), 85)
         half = np.arange(12) < 6
         third = np.arange(12) % 3 == 0
+        rest = np.arange(12) % 3 == 1
         shares: list[float] = []
 
         def fit(rows: Readings) -> Chosen:
@@ -154,8 +211,10 @@ class TestLeavingOut:
             return Chosen(begun, by=begun)
 
         with within(Budget(share=shares.append)):
-            told = cross_validate(data, {"halves": [half, ~half], "others": [third, ~third]}, fit)
-        assert shares == [0.0, 0.25, 0.5, 0.5, 0.75, 1.0]
+            told = cross_validate(
+                data, {"halves": [half, ~half], "others": [third, ~third], "one": [rest]}, fit
+            )
+        assert shares == pytest.approx([0.0, 0.2, 0.4, 0.4, 0.6, 0.8, 0.8, 1.0])
         for name, mask in (("halves", half), ("others", third)):
             for own in (mask, ~mask):
                 again = Fit.begin(data.rows(~own)).refit()
@@ -242,10 +301,15 @@ class TestFolds:
 
 
 class Answering:
-    """A fold whose errors on left-out dwells are by the number of terms that are kept, or 9 anew."""
+    """A fold whose errors on left-out dwells are by the number of terms that are kept, or 9 anew.
 
-    def __init__(self, data: Readings, averaged: object = None, unknown: Sequence[int] = ()) -> None:
-        self.data, self.averaged = data, averaged
+    A model of `knowing` terms pretends to know all of the dwells.
+    """
+
+    def __init__(
+        self, data: Readings, averaged: object = None, unknown: Sequence[int] = (), knowing: int = -1
+    ) -> None:
+        self.data, self.averaged, self.knowing = data, averaged, knowing
         self.unknown = np.isin(np.arange(len(data)), unknown)
         self.asked: list[int | None] = []
 
@@ -256,7 +320,8 @@ class Answering:
         size = 9.0 if fit is None else 1.0 + len(fit.terms)
         # What is not known errs by far more, and must not count.
         residual = np.where(self.unknown, 1e3, size)[:, None] * np.ones(2)
-        return {name: Left(residual, None, ~self.unknown) for name in designs}
+        unknown = self.unknown & (fit is None or len(fit.terms) != self.knowing)
+        return {name: Left(residual, None, ~unknown) for name in designs}
 
 
 class TestErrors:
@@ -272,6 +337,38 @@ class TestErrors:
         told = guarding(self.selection, self.fits, fold)
         assert fold.asked == [0, 1, 2 if averaged is None else None]
         assert told == pytest.approx([1.0, 2.0, 3.0 if averaged is None else 9.0])
+
+    def test_models_are_judged_on_the_dwells_that_the_final_one_knows(self) -> None:
+        fold: Any = Answering(self.data, unknown=(2, 5), knowing=0)
+        assert guarding(self.selection, self.fits, fold) == pytest.approx([1.0, 2.0, 3.0])
+
+    def test_a_model_of_more_parameters_than_readings_beside_one_dwell_is_not_tried_in_folds(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        base = Fit.begin(noisy(turn(9), 87))
+        wide = replace(base, values=replace(base.values, terms=(np.zeros(13),)))
+        selection: Any = SimpleNamespace(base=base, fit=wide, data=base.data, terms=())
+        fold: Any = Answering(base.data)
+        assert guarding(selection, [base, wide], fold) == [None, None]
+        figures = ErrorFigures(1.0, None, None, None)
+        monkeypatch.setattr(errors, "_of_few", lambda fits: ([[] for _ in fits], "one by one"))
+        monkeypatch.setattr(errors, "_figures", lambda *_: figures)
+        assert error_figures(selection, base.data, None, [base, wide], fold)[1] == "one by one"
+        assert not fold.asked
+
+    def test_with_check_dwells_none_of_the_others_is_left_out(self) -> None:
+        every = replace(self.data, check=np.arange(24) % 4 == 3)
+        fits = [fit.again(every.training) for fit in self.fits]
+        fold: Any = Answering(every)
+        figures, design = error_figures(self.selection, fits[0].data, every.checking, fits, fold)
+        assert design == "6 check dwells"
+        assert not fold.asked
+        assert all(figure.heldout_rms is not None for figure in figures)
+
+    def test_of_gyros_without_a_dwell_that_was_left_out_no_axis_has_an_error(self) -> None:
+        data = gyros()
+        ((figure,), _) = without_folds([Fit.begin(data).refit()], data, None)
+        assert (figure.heldout_rms, figure.heldout_by_axis) == (None, None)
 
     def test_a_base_model_alone_has_nothing_to_be_judged_against(self) -> None:
         fold: Any = Answering(self.data)
@@ -304,6 +401,9 @@ class TestErrors:
         fit = Fit.begin(noisy(turn(9), 87))
         fit = replace(fit, values=replace(fit.values, terms=(np.zeros(values - 2), np.zeros(2))))
         assert errors._few(fit) == few
+        # A base parameter that the dwells do not show takes none.
+        hidden = replace(fit.data, fitted=np.array([True, True, False, True]))
+        assert not errors._few(replace(fit, data=hidden))
 
     def test_an_average_is_a_step_beside_the_names_or_takes_the_place_of_a_formula(self) -> None:
         bias, curve = self.selection.terms

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.rates import MeanRate
 from adis_gonio.model.records import Floats
-from adis_gonio.tracing.candidates.grammar import nameless_terms
+from adis_gonio.tracing.candidates.grammar import _knots, nameless_terms
 
 N = 30
 CONST = " + const"
@@ -381,6 +382,19 @@ def test_at_the_angle_it_turns_the_part_by_milliradians() -> None:
         assert np.abs(columns).max() < 0.02
 
 
+def test_where_a_component_of_force_stands_still_the_other_two_have_all_of_their_powers() -> None:
+    # On a centrifuge the length of force is not 1 g: no square follows from the others.
+    force = GYROS.conditions.force_g * [0.0, 2.0, 3.0]
+    data = replace(GYROS, conditions=replace(GYROS.conditions, force_g=force))
+    y, z = force[:, 1:].T
+    expected = {2: [y, z, y * y, y * z, z * z]}
+    expected[3] = [*expected[2], y**3, y * y * z, y * z * z, z**3]
+    for degree, said in expected.items():
+        form = f"a smooth function of the force (degree {degree})"
+        (term,) = (t for t in nameless_terms(data) if t.basis.form == form and t.axes == (0,))
+        assert alike(term.columns(data.mean, data.conditions)[:, 0], said)
+
+
 def test_forms_of_force_and_rate_are_read_the_same_way() -> None:
     terms = [t for t in nameless_terms(GYROS) if len(t.axes) == 1 and t.where == "bias"]
     driven = [t for t in terms if set(t.covariates) & {"force", "rotation"}]
@@ -407,6 +421,23 @@ def test_places_of_steps_part_the_values_that_were_seen() -> None:
             assert len(places) >= most - 2
             # Even quantiles; two temperatures may be nearer than the digits of a form.
             assert np.ptp(np.diff(below)) <= (1 if letter == "V" else 3)
+
+
+def test_of_many_values_steps_stand_at_even_quantiles_from_the_first_to_the_last() -> None:
+    # 21 places between 22 values: of five each is five from the next.
+    assert _knots(np.arange(22.0), 5) == [0.5, 5.5, 10.5, 15.5, 20.5]
+
+
+def test_no_function_is_a_candidate_twice() -> None:
+    # Else a cause would be two, each with its share of the prior and half of the posterior.
+    terms = [term for term in of_one_place(TURNED, "bias").values() if term.axes == (0,)]
+    seen = [np.linalg.qr(term.columns(TURNED.mean, C)[:, 0])[0] for term in terms]
+    onto = np.array([(basis @ basis.T).ravel() for basis in seen])
+    width = np.array([basis.shape[1] for basis in seen])
+    alike = (onto @ onto.T > width[:, None] - 1e-6) & (width[:, None] == width)
+    twice = {frozenset((terms[i].basis.form, terms[k].basis.form)) for i, k in np.argwhere(alike) if i < k}
+    # The part stands at 6° when the stage shows 0, and no reading lies between.
+    assert twice == {frozenset(("sign a", "sign cos θ"))}
 
 
 @pytest.mark.parametrize(
@@ -487,9 +518,10 @@ def test_shares_of_the_prior_are_those_of_families_and_smooth_functions() -> Non
     smooth: dict[tuple[str, ...], float] = {}
     for term in terms:
         family[term.covariates] = family.get(term.covariates, 0.0) + share[term.label]
-        if term.basis.approximates:
+        says_so = re.match(r"a smooth function|a surface|a curved surface", term.basis.form)
+        assert term.basis.approximates == bool(says_so), term.label
+        if says_so:
             smooth[term.covariates] = smooth.get(term.covariates, 0.0) + share[term.label]
-            assert re.match(r"a smooth function|a surface|a curved surface", term.basis.form)
     one = {key: value for key, value in family.items() if len(key) == 1}
     common = {("reading",), ("angle",), ("time",), ("temperature",)}
     weight = {key: 1.0 if key in common else 0.7 for key in one}

@@ -325,6 +325,15 @@ class TestPositions:
         slips = [accused(1, "slipped", error_deg=times * reach, others=(2, 3, 4)) for times in (0.98, 1.02)]
         assert [bool(self.stood_deg(data, slip).any()) for slip in slips] == [False, True]
 
+    @pytest.mark.parametrize(("exact", "taken_out"), [(12, False), (13, True)])
+    def test_a_slip_is_taken_out_where_it_shortens_most_of_the_readings_by_their_uncertainty(
+        self, exact: int, taken_out: bool
+    ) -> None:
+        # Off by 1°, a reading is 0.15 mg shorter along its old direction.
+        u = np.where(np.arange(24) < exact, 0.1, 0.2)
+        data = replace(noisy(turn(24), 27), own_covariance=u[:, None, None] ** 2 * np.eye(2))
+        assert self.stood_deg(data, accused(1, "slipped", error_deg=1.0)).any() == taken_out
+
     def test_without_a_slip_that_lasts_the_readings_stay_as_they_are(self) -> None:
         data = noisy(turn(5), 27)
         assert as_the_part_stood(data, Diagnosis((accused(1, "mistyped", error_deg=7.0),))) is data
@@ -591,6 +600,12 @@ class TestWhatHasNoName:
         # χ² of a wave of 0.1 mg beside the base model, over e^−5 of the prior.
         assert alone.p_value == pytest.approx(stats.chi2.sf(12.0, 1) * math.exp(5.0), rel=0.01)
 
+    def test_a_function_that_explains_nothing_has_a_p_of_one(self) -> None:
+        data = biased(mg=(0.0, 0.0))
+        told = unnamed_of(chosen(data, [self.wave], ((0,), 1.0)), None)
+        assert told is not None
+        assert told.p_value == 1.0
+
     def test_an_average_is_said_with_what_is_left_for_no_function_at_all(self) -> None:
         data = biased()
         selection = chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0))
@@ -792,6 +807,7 @@ class TestSets:
             sets = one_a_function(every, _likelier(every, terms[:2]))
             assert [one.names[0] for one in sets] == leads
             assert sets[0].cause == "cubic"
+            assert _likelier(every, []) == {}, "only names have something in their place"
             assert sets[0].as_dict() == {
                 "names": list(sets[0].names),
                 "probability": [pytest.approx(max(share, 1 - share)), pytest.approx(min(share, 1 - share))],

@@ -39,7 +39,13 @@ from adis_gonio.tracing.unnamed import averaging
 from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
 from adis_gonio.tracing.unnamed.dependence import dependence
 from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order, without_folds
-from adis_gonio.tracing.validation.survival import longest, never_worse, refuted, without
+from adis_gonio.tracing.validation.survival import (
+    checkable,
+    longest,
+    never_worse,
+    refuted,
+    without,
+)
 from tracing.test_trace_numbers import (
     G,
     U,
@@ -52,6 +58,7 @@ from tracing.test_trace_numbers import (
     noisy,
     read,
     single,
+    slipped,
     surroundings,
     turn,
 )
@@ -198,7 +205,10 @@ class TestProcesses:
     data = noisy(surroundings(), 43)
     every = tuple(processes(data))
 
-    def test_the_evidence_is_that_of_a_normal_prior_on_the_features(self) -> None:
+    @pytest.mark.parametrize(("inflation", "noise"), [((), 1.0), ((2.0,), 2.0)])
+    def test_the_evidence_is_that_of_a_normal_prior_on_the_features(
+        self, inflation: tuple[float, ...], noise: float
+    ) -> None:
         # Against none: ln N(y; 0, 1 + φ s² φᵀ) − ln N(y; 0, 1), both beside the base model.
         fit = Fit.begin(self.data).refit()
         beside = orthonormal(fit.jacobian)
@@ -206,15 +216,15 @@ class TestProcesses:
         left -= beside @ (beside.T @ left)
         space = linalg.null_space(beside.T)
         candidates = processes(self.data)[:: len(processes(self.data)) // 12]
-        told = evidence(fit, beside, left, candidates, 2.0)
+        told = evidence(fit, beside, left, candidates, *inflation)
         for process, score in zip(candidates, told, strict=True):
             features = space.T @ fit.white(fit.candidate(process.term))
             spread = (
-                2.0 * np.eye(len(features)) + (process.term.shrinkage or 0) ** 2 * features @ features.T
+                noise * np.eye(len(features)) + (process.term.shrinkage or 0) ** 2 * features @ features.T
             )
             y = space.T @ left
             ratio = stats.multivariate_normal(np.zeros(len(y)), spread).logpdf(y)
-            ratio -= stats.multivariate_normal(np.zeros(len(y)), 2.0 * np.eye(len(y))).logpdf(y)
+            ratio -= stats.multivariate_normal(np.zeros(len(y)), noise * np.eye(len(y))).logpdf(y)
             assert score == pytest.approx(ratio - process.price, abs=1e-4)
 
     @pytest.mark.parametrize("width", RING)
@@ -449,6 +459,19 @@ class TestSelection:
         assert chose.inflation == pytest.approx(chose.fit.chi2 / chose.fit.dof, rel=0.1)
         assert chose.inflation == pytest.approx(49.0, rel=0.6)
 
+    def test_one_reading_more_than_parameters_shows_the_noise_where_nothing_else_does(self) -> None:
+        rng = np.random.default_rng(45)
+        up = rng.normal(size=(4, 3))  # the length of each, and three gains
+        up /= np.linalg.norm(up, axis=1)[:, None]
+        data = from_means(
+            G * up + rng.normal(0, 7 * U, (4, 3)),
+            np.tile(U**2 * np.eye(3), (4, 1, 1)),
+            Conditions(60.0 * np.arange(4)),
+        )
+        chose = select(replace(data, known=np.zeros(4, dtype=bool)), [], 0)
+        assert chose.fit.dof == 1
+        assert chose.inflation == pytest.approx(chose.fit.chi2, rel=1e-3)
+
     def test_noise_that_no_candidate_explains_is_assumed_for_all(self) -> None:
         c = turn()
         wave = np.outer(2.0 * np.cos(5 * c.angle_rad), [1.0, 1.0])
@@ -496,6 +519,21 @@ class TestSelection:
         assert [term.name for term in chose.terms] == ["bias"]
         assert chose.adequate
         assert chose.fit.values.terms[0] == pytest.approx([900.0, 400.0], abs=0.2)
+
+    @pytest.mark.parametrize("biases", [("bias[x]", "bias[xy]", "bias[y]"), ()])
+    def test_a_gross_slip_is_taken_out_beside_the_widest_bias_that_is_a_candidate(
+        self, biases: tuple[str, ...]
+    ) -> None:
+        off = np.array([50.0, -30.0]) if biases else np.zeros(2)
+        data = slipped(by_deg=15.0)
+        data = replace(data, mean=data.mean + np.random.default_rng(46).normal(off, U, (24, 2)))
+        terms = labelled(data, *biases, *(f"position_slip(dwell={k})" for k in range(24)))
+        fit = choice._with_slips(data, terms, choice._gross_slips(data, terms))
+        slip, *bias = fit.values.terms
+        assert [term.label for term in fit.terms] == ["position_slip(dwell=1)", "bias[xy]"][: 1 + len(bias)]
+        assert slip == pytest.approx([15.0], abs=0.03)
+        assert len(bias) == bool(biases)
+        np.testing.assert_allclose(bias, [off] * len(bias), atol=5 * U / math.sqrt(24))
 
     def test_whether_a_bias_is_apart_is_asked_of_a_refit_where_nothing_was_chosen_yet(
         self, monkeypatch: pytest.MonkeyPatch
@@ -670,6 +708,7 @@ class TestSurvival:
             ([1.0, 2.0, 0.9], 2),
             ([1.0, 2.0, 3.0], 0),
             ([1.0, None, 3.0], 2),
+            ([0.0, 0.0, 0.0], 2),
         ],
     )
     def test_the_longest_model_that_is_never_worse_than_a_shorter_one_stays(
@@ -698,6 +737,25 @@ class TestSurvival:
         selection: Any = SimpleNamespace(terms=(wave, line, cubic))
         assert refuted(selection, fits, [1.0, 0.5, 0.6, 0.6]) == [line]
         assert refuted(selection, fits, [1.0, 0.5, 0.5, 0.5]) == []
+        assert refuted(selection, fits[:3], [1.0, 0.5, 0.4]) == []
+
+    def test_of_a_model_that_leaves_too_few_readings_all_names_but_a_bias_are_open_with_the_reason(
+        self,
+    ) -> None:
+        # Backlash comes before a bias in the alphabet.
+        names = Names(("backlash", "bias", "cubic"), {"gravity": "why"}, ())
+        selection: Any = SimpleNamespace(fit=SimpleNamespace(dof=1))
+        reason = "the model leaves 1 readings to check it by: too few"
+        assert checkable(names, selection) == Names(
+            ("bias",),
+            {"gravity": "why", "backlash": reason, "cubic": reason},
+            (("backlash",), ("cubic",)),
+        )
+
+    def test_a_name_of_which_one_term_stays_is_not_taken_away(self) -> None:
+        names = Names(("bias", "outlier_dwell"), {}, ())
+        steps = ("bias", "outlier_dwell", "outlier_dwell")
+        assert never_worse(names, steps, (1.0, 0.5, 0.3, 0.6), None) == (2, names, {})
 
     def test_names_are_weak_by_what_is_likelier_what_was_not_checked_and_what_is_no_larger_than_its_u(
         self,
@@ -733,6 +791,15 @@ class TestSurvival:
                 FitError, match=f"2 equations for 4 base parameters; measure at least {least}"
             ):
                 _enough(data)
+
+    def test_in_space_a_pose_is_one_equation_and_one_reading_of_gyros_is_too_few(self) -> None:
+        two = from_means(G * np.eye(3)[:2], np.tile(np.eye(3), (2, 1, 1)), Conditions(np.arange(2.0)))
+        with pytest.raises(FitError, match="2 equations for 6 base parameters; measure at least 6 pos"):
+            _enough(two)
+        c = Conditions(np.zeros(1), rate_dps=np.zeros((1, 3)))
+        gyros = from_means(np.zeros((1, 3)), np.eye(3)[None], c, measurement=MeanRate())
+        with pytest.raises(FitError, match="one reading alone"):
+            _enough(gyros)
 
 
 class TestDependence:
@@ -777,6 +844,17 @@ class TestDependence:
         told = dependence(believed(single(rows, np.zeros((0, 40)), []), {(): 1.0}, data=data))
         assert told is not None
         assert told.covariates == ("reading_y",)
+
+    def test_of_gyros_without_accelerometers_the_other_covariates_are_looked_at(self) -> None:
+        rng = np.random.default_rng(52)
+        c = Conditions(60.0 * rng.permutation(40), rate_dps=np.tile(50 * rng.choice([-1, 1], 40), (3, 1)).T)
+        gyros = from_means(
+            rng.normal(size=(40, 3)), np.tile(np.eye(3), (40, 1, 1)), c, measurement=MeanRate()
+        )
+        rows = 0.1 * rng.normal(size=(40, 3)) + 0.06 * c.rate_dps
+        told = dependence(believed(single(rows.ravel(), np.zeros((0, 120)), []), {(): 1.0}, data=gyros))
+        assert told is not None
+        assert told.covariates == ("rotation",)
 
     def test_where_nothing_changed_there_is_nothing_to_follow(self) -> None:
         # Without angles the readings are covariates as well: they stand still too.
@@ -867,6 +945,134 @@ class TestAverages:
         assert seen == asked
         assert told.inflation == asked[-1]
 
+    def test_under_more_noise_it_is_weighed_again_where_under_the_measured_one_nothing_is_called_for(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        data = biased()
+        selection = replace(chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0)), inflation=4.0)
+        monkeypatch.setattr(
+            averaging, "_average", lambda own, candidates: None if own.inflation == 1 else "an average"
+        )
+        assert average(selection) == "an average"
+
+    @pytest.mark.parametrize("inflation", [1.0, 2.0])
+    def test_formulas_are_those_of_models_with_the_same_names_by_evidence_beside_these(
+        self, inflation: float
+    ) -> None:
+        data = biased()
+        theta = np.asarray(data.conditions.angle_rad)
+        waves = {
+            "one": function("one", lambda c: np.cos(4 * c.angle_rad), ("angle",)),
+            "two": function("two", lambda c: np.sin(4 * c.angle_rad), ("angle",)),
+            "three": function("three", lambda c: np.cos(5 * c.angle_rad), ("angle",)),
+        }
+        terms = [*labelled(data, "bias[xy]", "outlier_dwell[y](dwell=7)"), *waves.values()]
+        # The chosen one stays though it is far behind; with another name or without the bias none does.
+        models = (((0, 2), 1e-4), ((0, 3), 0.5), ((0, 1, 4), 0.3), ((3,), 0.1), ((0,), 0.1), ((0, 4), 1e-5))
+        selection = replace(chosen(data, terms, *models), inflation=inflation)
+        number = {term.label: k for k, term in enumerate(selection.problem.terms)}
+        pool = averaging._formulas(selection, (number["bias[xy]"],), [])
+        told = [(own.label, score) for score, (own,) in pool]
+        # Equal steps: a wave of four cycles is at right angles to base model and bias.
+        columns = {"one": np.cos(4 * theta), "two": np.sin(4 * theta)}
+        expected = {
+            name: 0.5 * (column @ data.mean[:, 0]) ** 2 / (column @ column) / U**2 / inflation
+            - float(selection.found.prices[number[name]])
+            for name, column in columns.items()
+        }
+        assert sorted(label for label, _ in told) == ["one", "two"]
+        assert dict(told) == pytest.approx(expected, abs=1e-3)
+
+    def fitted(self, selection: Any, *parts: Any) -> Any:
+        """Members, covariance and freedom of the average of parts of these weights, and their columns."""
+        fit = selection.fit
+        base, blocks, target = fit.linear()
+        fixed = np.concatenate([base, *blocks], axis=1)
+        pool = [(0.0, terms) for _, terms in parts]
+        weights = np.array([weight for weight, _ in parts])
+        columns = [
+            np.concatenate([fixed, *(fit.white(fit.candidate(term)) for term in terms)], axis=1)
+            for _, terms in parts
+        ]
+        return averaging._fitted(selection, fixed, target, pool, weights), columns, target
+
+    @pytest.mark.parametrize("inflation", [1.0, 2.0])
+    def test_what_is_fixed_is_as_uncertain_as_within_and_between_the_members(
+        self, inflation: float
+    ) -> None:
+        data = biased()
+        data = replace(data, mean=data.mean + np.outer(data.conditions.time_s / 1e3, [1.0, 0.0]))
+        selection = replace(chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0)), inflation=inflation)
+        line = function("line", lambda c: c.time_s / 1e3)
+        curve = function("curve", lambda c: (c.time_s / 1e3) ** 2)
+        wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
+        (members, covariance, used), columns, target = self.fitted(
+            selection, (0.75, (line,)), (0.0, (curve,)), (0.25, (wave, curve))
+        )
+        assert [(weight, own.label) for weight, own, _ in members] == [
+            (0.75, "line"),
+            (0.25, "wave"),
+            (0.25, "curve"),
+        ]
+        one, two = (np.linalg.lstsq(columns[k], target, rcond=None)[0] for k in (0, 2))
+        for (_, _, values), expected in zip(members, (one[6:], two[6:7], two[7:]), strict=True):
+            assert values == pytest.approx(expected, rel=1e-3, abs=1e-4)
+        # The law of total variance, in units of the noise that is assumed.
+        within = [np.linalg.inv(columns[k].T @ columns[k])[:6, :6] for k in (0, 2)]
+        apart = one[:6] - two[:6]
+        total = 0.75 * within[0] + 0.25 * within[1] + 0.75 * 0.25 * np.outer(apart, apart) / inflation
+        np.testing.assert_allclose(covariance, total, rtol=1e-3, atol=1e-12)
+        assert used == pytest.approx(0.75 * 7 + 0.25 * 8, abs=1e-3)
+
+    @pytest.mark.parametrize(
+        ("possible", "weights"),
+        [({"line"}, [1.0]), ({"line", "wave"}, [0.75, 0.25]), (set(), [0.75, 0.25])],
+    )
+    def test_a_member_that_no_cause_can_be_leaves_its_weight_to_the_others_unless_none_can(
+        self, monkeypatch: pytest.MonkeyPatch, possible: set[str], weights: list[float]
+    ) -> None:
+        data = biased()
+        selection = chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0))
+        asked: dict[str, Any] = {}
+
+        def is_possible(selection: Any, terms: Any, values: np.ndarray) -> bool:
+            asked[terms[0].label] = values
+            return terms[0].label in possible
+
+        monkeypatch.setattr(averaging, "_possible", is_possible)
+        line = function("line", lambda c: c.time_s / 1e3)
+        wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
+        (members, _, used), _, _ = self.fitted(selection, (0.75, (line,)), (0.25, (wave,)))
+        assert [weight for weight, _, _ in members] == pytest.approx(weights)
+        assert used == pytest.approx(7.0, abs=1e-3)
+        for _, own, values in members:
+            np.testing.assert_array_equal(asked[own.label], values)
+
+    @pytest.mark.parametrize(("u", "inflation"), [(0.1, 1.0), (0.1, 3.0), (5.0, 1.0)])
+    def test_a_process_is_held_by_its_prior_however_coarse_the_readings_are(
+        self, u: float, inflation: float
+    ) -> None:
+        data = biased(u=u)
+        selection = replace(chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0)), inflation=inflation)
+        term = next(p.term for p in processes(data) if p.term.covariates == ("time",))
+        fit = selection.fit
+        rng = np.random.default_rng(49)
+        fixed, target = rng.normal(size=(48, 6)), 2 * rng.normal(size=48)
+        unseen = np.column_stack([fixed, np.zeros(48)])  # of a parameter that the dwells do not show
+        solved, covariance, used, visible = averaging._ridge(selection, unseen, target, [term])
+        # The same as noise of the rows: generalised least squares of what is fixed.
+        features = fit.white(fit.candidate(term))
+        prior = (term.shrinkage or 0) ** 2 / inflation
+        firm = np.linalg.inv(np.eye(48) + prior * features @ features.T)
+        expected = np.linalg.inv(fixed.T @ firm @ fixed)
+        base = expected @ fixed.T @ firm @ target
+        left = firm - firm @ fixed @ expected @ fixed.T @ firm
+        np.testing.assert_allclose(solved[:6], base, rtol=1e-6)
+        np.testing.assert_allclose(features @ solved[7:], prior * features @ features.T @ left @ target)
+        np.testing.assert_allclose(covariance[:6, :6], expected, rtol=1e-6)
+        assert used == pytest.approx(48 - np.trace(left))
+        assert visible == 1.0
+
     def test_terms_that_add_a_tenth_of_g_or_a_tenth_of_a_radian_are_no_cause(self) -> None:
         data = biased()
         selection = chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0))
@@ -912,6 +1118,8 @@ class TestAverages:
         np.testing.assert_allclose(term.added(np.zeros(0), ideal, c), np.outer(expected, [1.0, 0.0]))
         assert term.form == "bias of x follows line"
         assert term.columns(ideal, c).shape == (24, 2, 0)
+        turned = AveragedTerm("average", ("time",), 0.0, "angle", (), line.basis, members=members)
+        assert turned.columns(ideal, c).shape == (24, 0)
 
 
 class TestNamedCandidates:

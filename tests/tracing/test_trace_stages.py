@@ -23,11 +23,13 @@ from adis_gonio.estimation.terms import Term
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.slips import Diagnosis
+from adis_gonio.tracing.outcome.naming import Names
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, Stopped, TraceResult
+from adis_gonio.tracing.outcome.sets import CredibleSet
 from adis_gonio.tracing.selection.scatter import Scatter
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.trace import UNCHECKED, trace, trace_readings
-from tracing.test_trace_numbers import labelled, noisy, turn
+from tracing.test_trace_numbers import function, labelled, noisy, turn
 from tracing.test_trace_outcome import biased, chosen
 
 stages = import_module("adis_gonio.tracing.trace")
@@ -61,6 +63,7 @@ class Told:
         errors: Sequence[float] | None = None,
         heldout: Sequence[float] = (10.0, 5.0, 1.0),
         could: tuple[str, ...] = (),
+        averaged: Any = None,
     ) -> TraceResult:
         data, terms, selection = made
 
@@ -75,7 +78,7 @@ class Told:
             "_searched": lambda *_: (selection, scatter),
             "named_terms": lambda _: (terms, {}),
             "nameless_terms": lambda _: [],
-            "average": lambda _: None,
+            "average": lambda _: averaged,
             "guarding": lambda _, fits, fold: errors or [None for _ in fits],
             "error_figures": figures,
             "undecided": lambda _: could,
@@ -181,6 +184,69 @@ class TestResult:
         assert result.after.heldout_rms == 5.0
         assert result.reasons == {"bias": "the held-out error would go from 1 to 2 mg with it"}
 
+    def test_a_name_that_does_not_stand_after_all_is_open_with_the_reason_and_no_finding(
+        self, told: Told, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(stages, "_weak", lambda *_: {"cubic": "too weak"})
+        result = told(bent())
+        assert [finding.effect for finding in result.found] == ["bias"]
+        assert result.reasons == {"cubic": "too weak"}
+        assert ("cubic",) in result.confounded
+
+    def test_of_a_model_that_leaves_too_few_readings_a_bias_is_all_that_is_found(
+        self, told: Told, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(stages.limits, "least_checks", 48 - 6 + 1)
+        result = told(bent())
+        assert [finding.effect for finding in result.found] == ["bias"]
+        assert "too few" in result.reasons["cubic"]
+
+    def average(self, selection: Selection) -> Any:
+        """An average beside the names, at the values of their fit."""
+        wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
+        fit = selection.fit.having([*selection.terms, wave], [*selection.fit.values.terms, np.zeros(1)])
+        return SimpleNamespace(fit=fit, named=selection.terms, smooth=wave, weight=0.9)
+
+    def test_an_average_is_the_result_and_check_dwells_do_not_speak_of_it(self, told: Told) -> None:
+        made = bent((2, 7, 12, 17), 2.0)
+        averaged = self.average(made[2])
+        result = told(made, averaged=averaged, heldout=(10.0, 5.0, 2.0, 1.0))
+        assert result.fits[-1] is averaged.fit
+        assert result.steps[-1].effect == "unnamed: bias of x follows wave"
+        assert result.unnamed is not None
+        assert result.unnamed.probability == 0.9
+        assert not any("do not agree" in note for note in result.notes)
+
+    def test_of_an_average_that_left_out_dwells_speak_against_nothing_is_said(self, told: Told) -> None:
+        made = bent()
+        result = told(made, averaged=self.average(made[2]), errors=(10.0, 5.0, 1.0, 2.0))
+        assert [step.effect for step in result.steps] == ["cubic", "bias"]
+        assert result.unnamed is None
+        assert len(result.fits[-1].terms) == 2
+
+    def test_out_of_time_after_it_was_made_an_average_is_the_best_model_so_far(
+        self, told: Told, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def judge(*_: Any) -> Names:
+            stages.current().leave_out("what follows")
+            return Names(("bias", "cubic"), {}, ())
+
+        monkeypatch.setattr(stages, "judge", judge)
+        made = bent()
+        averaged = self.average(made[2])
+        with within(Budget()):
+            result = told(made, averaged=averaged)
+        assert result.fits[-1] is averaged.fit
+        assert set(result.reasons.values()) == {UNCHECKED}
+
+    @pytest.mark.parametrize(("present", "said"), [(0.5, False), (0.6, True)])
+    def test_a_set_is_said_of_a_cause_that_is_more_likely_there_than_not(
+        self, told: Told, monkeypatch: pytest.MonkeyPatch, present: float, said: bool
+    ) -> None:
+        one = CredibleSet("cubic", ("cubic", "gravity"), (0.6, 0.4), present)
+        monkeypatch.setattr(stages, "credible_sets", lambda *_: (one,))
+        assert told(bent()).sets == ((one,) if said else ())
+
     def test_errors_that_are_stated_count_where_they_are_of_the_folds_and_not_of_check_dwells(
         self, told: Told
     ) -> None:
@@ -239,6 +305,14 @@ class TestOutOfTime:
         assert stamped.stopped.left_out == ("what to measure next",)
         with within(Budget()):
             assert stages._stamped(result, checked=True) is result
+
+    def test_models_beyond_physical_bounds_leave_the_posterior_after_the_search(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        made: Any = SimpleNamespace(within_bounds=lambda: "within bounds")
+        monkeypatch.setattr(stages, "select", lambda *_: made)
+        monkeypatch.setattr(stages, "with_scatter", lambda first, *_: (first, SCATTER))
+        assert stages._searched(bent()[0], [], 2) == ("within bounds", SCATTER)
 
     @pytest.mark.parametrize("over", [True, False])
     def test_a_search_that_the_limit_ended_is_said_and_weighs_no_scatter(
@@ -427,5 +501,27 @@ class TestSessions:
         free: Any = SimpleNamespace(free_turn=object(), dwells=(), source="file.csv")
         with pytest.raises(FitError, match="a free turn has no positions"):
             trace(free)
-        made = session()
-        assert self.traced(monkeypatch, made)[1]
+        made = session(free_turn=object())
+        assert "readings" in self.traced(monkeypatch, made)[1]
+
+    def test_what_is_wrong_with_the_readings_is_said_of_their_session(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def refuse(*_: Any) -> TraceResult:
+            raise FitError("too few")
+
+        with monkeypatch.context() as patched:
+            patched.setattr(stages, "in_context", lambda session, error: f"of this session: {error}")
+            patched.setattr(stages, "ruled_out", refuse)
+            with pytest.raises(FitError, match="of this session: too few"):
+                self.traced(patched, session())
+
+    def test_positions_stand_in_the_result_and_what_was_overridden_does_too(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(
+            stages, "with_positions", lambda result, *_: replace(result, notes=("of positions",))
+        )
+        result, _ = self.traced(monkeypatch, session(facts={"overrides": {"unit": "mg"}}))
+        assert result.notes == ("of positions", "samples")
+        assert result.overrides == {"unit": "mg"}
