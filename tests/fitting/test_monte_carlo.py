@@ -171,7 +171,7 @@ def test_a_run_gives_each_parameter_both_ways_as_table_and_document(stated: FitR
         by_head = dict(zip(head, row, strict=True))
         assert float(by_head["half width"]) == pytest.approx((p.high - p.low) / 2, rel=1e-3)
         assert float(by_head["U, linear"]) == pytest.approx(p.linear.U, rel=1e-3)
-    assert run["delta_k"].name == "delta_k"
+    assert [run[p.name] for p in run.parameters] == list(run.parameters)
 
 
 def test_what_is_remarked_on_are_differences_and_lost_trials(stated: FitResult) -> None:

@@ -57,6 +57,22 @@ def test_mmpm_left_out_is_that_of_an_independent_least_squares():
         assert abs(found[k]) == pytest.approx(abs(error), abs=1e-9)
 
 
+def test_ml_left_out_is_least_squares_of_the_others_however_large_the_noise():
+    angles = tuple(range(0, 360, 60))
+    session = turn(angles, noise=60.0, stated=60.0, sigma=0.0)
+    found = fit(session, "ml").standing.predictions["ml"]
+    theta = np.radians(angles)
+    readings = np.array([dwell.accel[0] for dwell in session.dwells])
+    design = np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))])
+    for k in range(len(angles)):
+        rest = np.arange(len(angles)) != k
+        # With exact angles and noise alike the model is linear in its six harmonics.
+        harmonics = np.linalg.lstsq(design[rest], readings[rest], rcond=None)[0]
+        np.testing.assert_allclose(found.residual_mg[k], readings[k] - design[k] @ harmonics, rtol=1e-5)
+        c, s = np.linalg.solve(harmonics[:2].T, readings[k] - harmonics[2])
+        assert found.angle_rad[k] == pytest.approx(np.angle(complex(c, s) * np.exp(-1j * theta[k])))
+
+
 def test_two_positions_alone_cannot_be_scored_and_it_is_said():
     result = fit(turn((0, 90)))
     assert {score.dwells for score in result.standing.scores.values()} == {0}

@@ -23,7 +23,7 @@ from adis_gonio.estimation.values import Value
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.determination import covariance, determine, names_of, natural_units
 from adis_gonio.fitting.gyro import fit_gyro
-from adis_gonio.fitting.linked import _Judged
+from adis_gonio.fitting.linked import _gyros_of, _Judged, _near, linked_readings
 from adis_gonio.fitting.methods import fit_of, fit_readings
 from adis_gonio.fitting.sources import by_rotation_of, response_of
 from adis_gonio.gyros.attitude import PARAMETERS, AssumedGyros, attitude
@@ -195,7 +195,7 @@ def _full_least_squares(data: Readings, links: Links) -> tuple[Floats, Floats]:
     begin = np.concatenate([np.ones(3), np.zeros(3 + 3 + 3 + q + 1 + 3 * m)])
     found = least_squares(left, begin, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14, method="lm")
     inverse = np.linalg.inv(found.jac.T @ found.jac)
-    return found.x[:9], inverse[:9, :9]
+    return found.x[: 12 + q], inverse[:9, :9]
 
 
 @pytest.mark.parametrize("poses", [5, 9])
@@ -203,7 +203,8 @@ def test_links_are_least_squares_with_all_attitudes_unknown(poses: int) -> None:
     data, links = _part(poses, np.random.default_rng(poses))
     found = determine(replace(data, links=links))
     natural = natural_units(data)
-    values, inverse = _full_least_squares(data, links)
+    whole, inverse = _full_least_squares(data, links)
+    values, modes = whole[:9], whole[12:]
     own = found.fit.values.parameters / natural
     u = np.sqrt(np.diagonal(inverse))
     assert not found.held
@@ -211,6 +212,7 @@ def test_links_are_least_squares_with_all_attitudes_unknown(poses: int) -> None:
     assert np.abs((own - values) / u).max() < 0.05
     stated = covariance(found.fisher, found.free, found.null)
     assert np.sqrt(np.diagonal(stated)) == pytest.approx(u, rel=0.02)
+    assert _gyros_of(found.fit, _Fixed(links).prior) == pytest.approx(modes, abs=0.02)
 
 
 def test_poses_that_gravity_alone_leaves_undetermined_are_determined_by_links() -> None:
@@ -283,13 +285,16 @@ def test_an_attitude_moves_by_what_its_reading_moves_along_its_tangent(noise_mg:
 class _Fixed:
     """Links whose gyros are as they are taken to be."""
 
-    def __init__(self, links: Links) -> None:
+    def __init__(self, links: Links, spread: Floats | None = None) -> None:
         self.links = links
         self.refused = ((7, 8, "saturated"),)
         count = links.modes_rad.shape[2]
-        self.prior = SimpleNamespace(values=np.zeros(count), covariance=np.eye(count), root=np.eye(count))
+        own = np.ones(count) if spread is None else spread
+        self.prior = SimpleNamespace(values=np.zeros(count), covariance=np.diag(own**2), root=np.diag(own))
+        self.asked: list[Floats] = []
 
     def at(self, values: Floats, position: list[int]) -> Links:
+        self.asked.append(values)
         return self.links
 
 
@@ -310,6 +315,64 @@ def test_the_link_that_contradicts_gravity_and_the_others_is_left_out_by_the_num
     assert found.links is not None
     assert found.links.before.tolist() == [0, 1, 2, 3, 4, 6, 7]
     assert [(b, a) for b, a, _ in found.refused[1:]] == [(15, 16)]
+
+
+@pytest.mark.parametrize(
+    ("far", "odd", "believed"),
+    [((), (1, 4), True), ((1, 4), (), True), ((), (1, 4, 6), False), ((4,), (1, 6), False)],
+)
+def test_a_quarter_of_the_links_may_be_left_out_whatever_for(
+    far: tuple[int, ...], odd: tuple[int, ...], believed: bool
+) -> None:
+    data, links = _part(9, np.random.default_rng(9))
+    turned = links.rotation.copy()
+    for k in far:
+        turned[k] = Rotation.from_rotvec([2.0, -1.0, 1.0]).as_matrix() @ turned[k]
+    for k in odd:
+        turned[k] = Rotation.from_rotvec([0.05, -0.05, 0.05]).as_matrix() @ turned[k]
+    found = _Judged.of(data, _Fixed(replace(links, rotation=turned)))
+    if believed:
+        assert found.links is not None
+        assert found.links.before.tolist() == [k for k in range(8) if k not in (*far, *odd)]
+        assert sorted(b for b, _, _ in found.refused[1:]) == sorted((*far, *odd))
+    else:
+        assert found.links is None
+        assert found.why.startswith("they contradict gravity (χ² ")
+
+
+@pytest.mark.parametrize(("across_deg", "limit_deg"), [(40.0, 10.0), (90.0, 10.0), (140.0, 140.0 / 9)])
+def test_a_link_is_false_beyond_ten_degrees_or_a_tenth_of_its_turn(
+    across_deg: float, limit_deg: float
+) -> None:
+    axis = np.array([0.6, 0.0, 0.8])
+    begin = np.array([0.0, 1.0, 0.0])
+    attitude = np.array([begin, Rotation.from_rotvec(np.radians(across_deg) * axis).apply(begin)])
+    fit = SimpleNamespace(settled=lambda _: SimpleNamespace(values=SimpleNamespace(attitude=attitude)))
+    # A turn that is too long by d is one of the whole angle and d: its tenth is d at a ninth of the angle.
+    angles = np.radians(across_deg + limit_deg + np.array([-0.1, 0.1]))
+    links = SimpleNamespace(
+        before=np.zeros(2, dtype=int),
+        after=np.ones(2, dtype=int),
+        rotation=Rotation.from_rotvec(angles[:, None] * axis).as_matrix(),
+    )
+    assert _near(links, fit).tolist() == [True, False]
+
+
+def test_a_parameter_of_the_gyros_that_is_known_exactly_is_settled_at_once() -> None:
+    data, links = _part(6, np.random.default_rng(6))
+    spread = np.array([1e-3, 1e-3, 0.0, 1e-3])
+    found = _Fixed(replace(links, modes_rad=links.modes_rad * spread), spread)
+    settled = _Judged.of(data, found)
+    assert settled.links is not None
+    assert all(values[2] == 0.0 for values in found.asked)
+
+
+def test_without_links_between_fitted_poses_the_reason_of_the_first_refusal_is_told() -> None:
+    data, links = _part(5, np.random.default_rng(5))
+    none = _Fixed(links.only(np.zeros(4, dtype=bool)))
+    assert _Judged.of(data, none).why == "saturated"
+    none.refused = ()
+    assert _Judged.of(data, none).why == "none lies between two poses that are fitted"
 
 
 def test_links_that_turn_gravity_elsewhere_are_left_out_and_many_of_them_are_false_gyros() -> None:
