@@ -13,6 +13,7 @@ from adis_gonio.errors import FitError
 from adis_gonio.fitting import monte_carlo as module
 from adis_gonio.fitting.monte_carlo import monte_carlo
 from adis_gonio.fitting.result import Estimate, FitResult
+from adis_gonio.sensor.variants import VARIANTS
 from fitting.test_uncertainty import FOUR, turn
 
 SIGMA_DEG = 0.02
@@ -81,6 +82,38 @@ def test_scatter_beyond_the_noise_is_drawn_with_the_students_factor_of_its_degre
     still = replace(made.fit, data=replace(made.fit.data, fixture_rad=0.0))
     found = moved(replace(made, noise=noise, fit=still), 1500)
     assert found.var() == pytest.approx((3.0**2 + 0.1**2) * 12 / 10, rel=0.1)
+
+
+def test_a_fixture_that_is_estimated_is_drawn_with_the_students_factor_too(stated: FitResult) -> None:
+    made = stated.origin
+    noise = replace(made.noise, sigma_dof=12.0)
+    wide = replace(made.fit, data=replace(made.fit.data, fixture_rad=0.01))
+    found = moved(replace(made, noise=noise, fit=wide), 1500)
+    along = (0.01 * made.fit.tangent[:, :, 0]) ** 2
+    assert found.var(axis=0).sum() == pytest.approx((along * 12 / 10 + 0.1**2).sum(), rel=0.1)
+
+
+def test_an_unseen_bias_is_drawn_once_for_all_dwells() -> None:
+    session = replace(turn((0, 90)), sensor="adis16354")
+    found = moved(fit(session, "two-position").origin)
+    u = VARIANTS["adis16354"].performance.initial_bias_mg
+    np.testing.assert_allclose(found.std(axis=0), u, rtol=5 / math.sqrt(2 * DRAWS))
+    assert (found[:, 0] - found[:, 1]).std() < 0.1 * u
+    assert abs(np.corrcoef(found[:, 0].T)[0, 1]) < 5 / math.sqrt(DRAWS)
+
+
+def test_what_rests_on_one_estimate_is_drawn_with_one_factor() -> None:
+    rng = np.random.default_rng(7)
+    dof = np.array([[6.0, math.inf], [6.0, 9.0], [9.0, 6.0]])
+    estimate = np.array([[0, 1], [0, 2], [2, 3]])
+    drawn = np.array([module._students(rng, dof, estimate) for _ in range(4000)])
+    assert (drawn[:, 0, 1] == 1).all(), "what was stated is no estimate"
+    np.testing.assert_array_equal(drawn[:, 0, 0], drawn[:, 1, 0])
+    np.testing.assert_array_equal(drawn[:, 1, 1], drawn[:, 2, 0])
+    assert (drawn[:, 0, 0] != drawn[:, 2, 1]).all()
+    # χ² of ν degrees of freedom: the mean of ν/χ² is ν/(ν − 2).
+    assert (drawn[:, 1, 1] ** 2).mean() == pytest.approx(9 / 7, rel=0.05)
+    assert (drawn[:, 0, 0] ** 2).mean() == pytest.approx(6 / 4, rel=0.1)
 
 
 @pytest.mark.parametrize("kind", ["normal", "uniform", "exponential"])
@@ -198,6 +231,7 @@ def test_trials_without_a_result_are_counted_and_none_at_all_is_an_error(
     monkeypatch.setattr(module, "_fitting", lambda made, method: every_third)
     run = monte_carlo(stated, 12, np.random.default_rng(6))
     assert (run.trials, run.failed) == (8, 4)
+    assert monte_carlo(stated, 2, np.random.default_rng(6)).trials == 2
     with pytest.raises(FitError, match="no trial"):
         monte_carlo(stated, 1, np.random.default_rng(6))
     unknown = fit(turn((0, 90), noise=0.0, sigma=0.0, stated=None, bias=(0.0, 0.0)))

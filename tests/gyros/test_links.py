@@ -23,7 +23,7 @@ from adis_gonio.estimation.values import Value
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.determination import covariance, determine, names_of, natural_units
 from adis_gonio.fitting.gyro import fit_gyro
-from adis_gonio.fitting.linked import _gyros_of, _Judged, _near, linked_readings
+from adis_gonio.fitting.linked import _gyros_of, _Judged, linked_readings
 from adis_gonio.fitting.methods import fit_of, fit_readings
 from adis_gonio.fitting.sources import by_rotation_of, response_of
 from adis_gonio.gyros.attitude import PARAMETERS, AssumedGyros, attitude
@@ -340,24 +340,6 @@ def test_a_quarter_of_the_links_may_be_left_out_whatever_for(
         assert found.why.startswith("they contradict gravity (χ² ")
 
 
-@pytest.mark.parametrize(("across_deg", "limit_deg"), [(40.0, 10.0), (90.0, 10.0), (140.0, 140.0 / 9)])
-def test_a_link_is_false_beyond_ten_degrees_or_a_tenth_of_its_turn(
-    across_deg: float, limit_deg: float
-) -> None:
-    axis = np.array([0.6, 0.0, 0.8])
-    begin = np.array([0.0, 1.0, 0.0])
-    attitude = np.array([begin, Rotation.from_rotvec(np.radians(across_deg) * axis).apply(begin)])
-    fit = SimpleNamespace(settled=lambda _: SimpleNamespace(values=SimpleNamespace(attitude=attitude)))
-    # A turn that is too long by d is one of the whole angle and d: its tenth is d at a ninth of the angle.
-    angles = np.radians(across_deg + limit_deg + np.array([-0.1, 0.1]))
-    links = SimpleNamespace(
-        before=np.zeros(2, dtype=int),
-        after=np.ones(2, dtype=int),
-        rotation=Rotation.from_rotvec(angles[:, None] * axis).as_matrix(),
-    )
-    assert _near(links, fit).tolist() == [True, False]
-
-
 def test_a_parameter_of_the_gyros_that_is_known_exactly_is_settled_at_once() -> None:
     data, links = _part(6, np.random.default_rng(6))
     spread = np.array([1e-3, 1e-3, 0.0, 1e-3])
@@ -365,6 +347,16 @@ def test_a_parameter_of_the_gyros_that_is_known_exactly_is_settled_at_once() -> 
     settled = _Judged.of(data, found)
     assert settled.links is not None
     assert all(values[2] == 0.0 for values in found.asked)
+
+
+def test_one_link_of_three_poses_cannot_be_tested_and_two_can() -> None:
+    data, links = _part(3, np.random.default_rng(3))
+    found = _Judged.of(data, _Fixed(links.only(np.array([0]))))
+    # Three norms and two equations of the link determine five parameters: none is left over.
+    assert (found.links, found.why) == (None, "they are too few to be tested against gravity")
+    whole = _Judged.of(data, _Fixed(links))
+    assert whole.links is not None
+    assert whole.dof == 1
 
 
 def test_without_links_between_fitted_poses_the_reason_of_the_first_refusal_is_told() -> None:
@@ -503,6 +495,54 @@ def test_nine_poses_are_surer_with_turns_and_say_so_in_one_line(simulated: tuple
     assert document["links"]["gyros"] == "data sheet"
     assert result.session is not None
     assert result.session.links is not None
+
+
+@pytest.mark.parametrize(("poses", "gained"), [(7, ("skew_xy", "skew_xz", "skew_yz")), (9, ())])
+def test_the_ratio_that_is_told_is_that_of_the_stated_u(
+    simulated: tuple[Session, World], poses: int, gained: tuple[str, ...]
+) -> None:
+    """Gravity alone takes the skews of seven poses as zero: their limit is in the u of the others."""
+    session = _first(simulated[0], poses)
+    alone, result = fit_of(readings_of(session), "ml"), fit(session)
+    assert result.links is not None
+    assert result.links.gained == gained == alone.undetermined
+    stated = [(result[one.name].u or 0) / (one.u or 0) for one in alone.parameters]
+    assert result.links.ratio == pytest.approx(np.median(stated))
+
+
+def test_links_join_the_dwells_that_they_lie_between_whatever_is_for_checking(
+    simulated: tuple[Session, World],
+) -> None:
+    session = simulated[0]
+    dwells = [replace(one, use="check") if k == 3 else one for k, one in enumerate(session.dwells)]
+    readings, report = linked_readings(
+        replace(session, dwells=tuple(dwells)), readings_of(replace(session, dwells=tuple(dwells)))
+    )
+    links = readings.links
+    assert report is not None
+    assert links is not None
+    assert report.used == len(links)
+    joined = list(zip(readings.position[links.before], readings.position[links.after], strict=True))
+    assert joined == [(k, k + 1) for k in range(8) if 3 not in (k, k + 1)]
+    down = readings.mean / np.linalg.norm(readings.mean, axis=1, keepdims=True)
+    came = np.einsum("mij,mj->mi", links.rotation, down[links.before])
+    assert ((came * down[links.after]).sum(axis=1) > np.cos(np.radians(3.0))).all()
+
+
+def test_links_are_worked_out_once_a_session_and_anew_by_a_calibration(
+    simulated: tuple[Session, World],
+) -> None:
+    session, world = simulated
+    session = _first(session, 5)
+    readings = readings_of(session)
+    once = linked_readings(session, readings)
+    assert linked_readings(session, readings)[1] is once[1]
+    by_calibration = linked_readings(session, readings, _calibrated(world))
+    assert by_calibration[1] is not None
+    assert by_calibration[1].calibrated
+    assert linked_readings(session, readings)[1] is once[1]
+    assert once[1] is not None
+    assert not once[1].calibrated
 
 
 @pytest.mark.parametrize(
