@@ -105,7 +105,9 @@ def test_words_that_never_change_are_stuck_unless_lost_bits_hide_the_noise(
     # Half a step rms is no livelier than the converter; twelve dwells tell its step beyond chance.
     quiet = 1900.0 + step * rng.integers(0, 2, (12, 512, 2))
     still = np.column_stack([np.full(512, 1900.0), quiet[0, :, 1]])
-    words = Session((*(dwell(rows, 20 + k) for k, rows in enumerate(quiet)), dwell(still, 7)), accel_unit="lsb")
+    words = Session(
+        (*(dwell(rows, 20 + k) for k, rows in enumerate(quiet)), dwell(still, 7)), accel_unit="lsb"
+    )
     if refused:
         with pytest.raises(DataError, match=r"^stuck data in position 7: words repeat"):
             refuse_dead_data(words, (), 0.5)

@@ -85,9 +85,7 @@ def test_what_a_tenth_of_a_degree_of_an_unseen_skew_moves_is_said_with_it() -> N
     )
     rows = 1000 * faces / np.linalg.norm(faces, axis=1, keepdims=True) + [12.0, -7.0, 20.0]
     dwells = tuple(Dwell(k, np.array([10.0 * k]), row[None]) for k, row in enumerate(rows))
-    found = fit(
-        Session(dwells, accel_unit="mg", sensor="generic", plane="none", reading_u_mg=0.1)
-    )
+    found = fit(Session(dwells, accel_unit="mg", sensor="generic", plane="none", reading_u_mg=0.1))
 
     def bias(skew_deg: float) -> Floats:
         """The bias with which six norms are gravity's, X and Y as far from a right angle as said."""

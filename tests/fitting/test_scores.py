@@ -1,10 +1,14 @@
 """Methods compared on the same readings, and the one that is recommended."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from adis_gonio.errors import FitError
 from adis_gonio.fitting import fit, fit_readings
-from adis_gonio.fitting.scores import DwellPrediction, Score, _folds
+from adis_gonio.fitting.scores import DwellPrediction, Score, _folds, predicted
 from adis_gonio.fitting.standing import recommend
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.model.records import Dwell, Session
@@ -159,6 +163,58 @@ def test_dwells_for_checking_in_space_have_the_residual_of_their_own_norms():
     norms = np.linalg.norm((rows - values[6:]) @ gains.T, axis=1)
     np.testing.assert_allclose(found[10:, 0], norms[10:] - 1000, rtol=1e-6, atol=1e-6)
     assert found[12, 0] == pytest.approx(4.0, abs=0.5)
+
+
+def test_only_dwells_that_were_fitted_are_left_out_and_one_that_is_needed_has_no_prediction():
+    session = turn(NINE)
+    result = fit(session, "ml")
+    used, asked = np.arange(9) != 4, []
+
+    def again(left_out):
+        asked.append(np.flatnonzero(left_out).tolist())
+        if asked[-1] == [2]:
+            raise FitError("the others do not determine it")
+        return result.origin.fit
+
+    found = predicted(result.session, used, result.origin.fit, again)
+    assert asked == [[k] for k in range(9) if k != 4]
+    known = np.arange(9) != 2
+    np.testing.assert_array_equal(np.isfinite(found.angle_rad), known)
+    np.testing.assert_array_equal(np.isfinite(found.residual_mg).all(axis=1), known)
+
+
+def test_what_the_others_do_not_determine_is_not_predicted():
+    # Two positions do not see the biases, which three do.
+    found = fit(turn((0, 90, 180)), "ml").standing.predictions["ml"]
+    assert np.isnan(found.angle_rad).all()
+    assert np.isnan(found.residual_mg).all()
+
+
+def test_angles_of_free_attitudes_are_compared_with_the_mean_start_that_the_others_show():
+    session = replace(turn(NINE, sigma=0.0), fixture_sigma_deg=math.inf)
+    found = fit(session, "ml").standing.predictions["ml"].angle_rad
+    # 0.1 mg at right angles to gravity are 0.006°; the part stands at 20°.
+    assert np.degrees(np.abs(found)).max() < 0.06
+    turned = (
+        fit(
+            replace(
+                session,
+                dwells=tuple(
+                    replace(one, angle_deg=one.angle_deg + (0.9 if k == 3 else 0.0))
+                    for k, one in enumerate(session.dwells)
+                ),
+            ),
+            "ml",
+        )
+        .standing.predictions["ml"]
+        .angle_rad
+    )
+    # Eight others show the start: the one that is declared too far on stands behind by it all.
+    assert np.degrees(turned[3] - found[3]) == pytest.approx(-0.9, abs=1e-3)
+    assert np.degrees(turned[5] - found[5]) == pytest.approx(0.9 / 8, abs=1e-3)
+    lost = (*session.dwells[:8], replace(session.dwells[8], angle_deg=None))
+    without = fit(replace(session, dwells=lost), "ml").standing.predictions["ml"].angle_rad
+    assert np.isfinite(without).tolist() == [True] * 8 + [False]
 
 
 @pytest.mark.parametrize("used", [0, 1, 7, 40, 41, 93])

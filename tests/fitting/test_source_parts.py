@@ -238,9 +238,7 @@ def test_the_worst_link_is_that_of_the_longest_pair_of_rows() -> None:
     assert linked._worst(fit) == 2
 
 
-def found(
-    fisher: Floats, free: list[bool], null: Floats | None = None, **more: object
-) -> SimpleNamespace:
+def found(fisher: Floats, free: list[bool], null: Floats | None = None, **more: object) -> SimpleNamespace:
     nothing = np.zeros((len(fisher), 0))
     return SimpleNamespace(
         fisher=fisher,
