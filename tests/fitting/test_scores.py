@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from adis_gonio.errors import FitError
 from adis_gonio.fitting import fit, fit_readings
@@ -181,6 +182,36 @@ def test_only_dwells_that_were_fitted_are_left_out_and_one_that_is_needed_has_no
     known = np.arange(9) != 2
     np.testing.assert_array_equal(np.isfinite(found.angle_rad), known)
     np.testing.assert_array_equal(np.isfinite(found.residual_mg).all(axis=1), known)
+
+
+def test_a_dwell_is_predicted_under_the_scatter_of_the_angles_that_was_estimated():
+    angles = range(0, 360, 45)
+    session = replace(turn(angles, sigma=0.5), fixture_sigma_deg=None)
+    result = fit(session, "ml")
+    found, sigma = result.standing.predictions["ml"], math.radians(result.fixture_sigma_deg)
+    assert 0.2 < result.fixture_sigma_deg < 1.0
+    readings = np.array([dwell.accel[0] for dwell in session.dwells])
+    rest = np.arange(8) != 3
+
+    def modelled(base, theta):
+        psi = base[0] - theta
+        axes = [base[1] * np.cos(psi) + base[4], base[2] * np.sin(psi + base[3]) + base[5]]
+        return 1000 * np.stack(axes, axis=-1)
+
+    def off(base, away, rows):
+        left = readings[rows] - modelled(base, np.radians(angles)[rows] + away)
+        return np.concatenate([left.ravel() / 0.1, away / sigma])
+
+    begin = [math.radians(20), 1.0, 1.0, 0.0, 0.0, 0.0, *np.zeros(7)]
+    base = least_squares(lambda x: off(x[:6], x[6:], rest), begin, x_scale="jac", xtol=1e-14).x[:6]
+    away = least_squares(lambda x: off(base, x, ~rest), [0.0], x_scale=1e-3, xtol=1e-14).x
+    expected = (readings[~rest] - modelled(base, np.radians(angles)[~rest] + away))[0]
+    np.testing.assert_allclose(found.residual_mg[3], expected, atol=0.02)
+    # Alone the reading shows the angle at which it lies in the direction of the model's.
+    u, v = (readings[3] / 1000 - base[4:]) / base[1:3]
+    shown = base[0] - math.atan2((v - u * math.sin(base[3])) / math.cos(base[3]), u)
+    error = math.remainder(shown - math.radians(angles[3]), 2 * math.pi)
+    assert found.angle_rad[3] == pytest.approx(error, abs=2e-5)
 
 
 def test_what_the_others_do_not_determine_is_not_predicted():
