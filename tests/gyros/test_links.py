@@ -349,6 +349,40 @@ def test_a_parameter_of_the_gyros_that_is_known_exactly_is_settled_at_once() -> 
     assert all(values[2] == 0.0 for values in found.asked)
 
 
+class _Turning(_Fixed):
+    """Links by gyros whose parameters turn what they integrate to."""
+
+    def at(self, values: Floats, position: list[int]) -> Links:
+        by = self.links.modes_rad @ (values - np.array([2.0, -1.5, 1.0, 1.5]))
+        super().at(values, position)
+        return replace(
+            self.links,
+            rotation=Rotation.from_rotvec(by).as_matrix() @ self.links.rotation,
+            offset_rad=-self.links.modes_rad @ values,
+        )
+
+
+def test_links_are_linearised_where_the_parameters_of_the_gyros_end_up() -> None:
+    data, links = _part(9, np.random.default_rng(9))
+    gyros = _Turning(replace(links, modes_rad=20 * links.modes_rad))
+    found = _Judged.of(data, gyros)
+    assert found.links is not None
+    assert len(gyros.asked) > 2
+    ended = _gyros_of(found.linked.fit, gyros.prior)
+    assert np.abs(ended - gyros.asked[-1]).max() < 0.05
+    assert np.abs(ended - [2.0, -1.5, 1.0, 1.5]).max() < 0.3
+
+
+def test_links_are_judged_by_what_they_add_to_chi2_where_the_noise_is_known() -> None:
+    data, links = _part(11, np.random.default_rng(11))
+    alone, linked = determine(data).fit.chi2, determine(replace(data, links=links)).fit.chi2
+    assert alone > 0.5
+    assert _Judged.of(data, _Fixed(links)).chi2 == pytest.approx(linked - alone, rel=1e-3)
+    few, links = _part(6, np.random.default_rng(6))
+    found = _Judged.of(replace(few, known=np.zeros(6, dtype=bool)), _Fixed(links))
+    assert (found.links, found.why) == (None, "nothing tells the noise of the poses")
+
+
 def test_one_link_of_three_poses_cannot_be_tested_and_two_can() -> None:
     data, links = _part(3, np.random.default_rng(3))
     found = _Judged.of(data, _Fixed(links.only(np.array([0]))))
