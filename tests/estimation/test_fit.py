@@ -320,7 +320,7 @@ def test_fewer_rows_than_columns_foresee_what_lies_in_their_plane_alone() -> Non
     variance = 1 + (weights**2).sum(axis=2).max(axis=1)
     most = float(np.median(variance))
     np.testing.assert_array_equal(foreseen(rest, inside, most), variance <= most)
-    assert not foreseen(rest, inside + [0.0, 0.0, 1.0], math.inf).any()
+    assert not foreseen(rest, np.add(inside, [0.0, 0.0, 1.0]), math.inf).any()
 
 
 def test_columns_that_are_nearly_alike_are_still_told_apart() -> None:
