@@ -312,6 +312,17 @@ def test_dwells_are_foreseen_as_far_as_the_others_tell_what_they_read() -> None:
     assert not foreseen(np.zeros((0, 3)), left, math.inf).any()
 
 
+def test_fewer_rows_than_columns_foresee_what_lies_in_their_plane_alone() -> None:
+    rest = np.array([[1.0, 0.0, 2.0], [0.0, 1.0, -1.0]])
+    weights = np.random.default_rng(9).standard_normal((20, 2, 2))
+    inside = weights @ rest
+    # A reading that is the sum of others, times weights, has the sum of their variances, times squares.
+    variance = 1 + (weights**2).sum(axis=2).max(axis=1)
+    most = float(np.median(variance))
+    np.testing.assert_array_equal(foreseen(rest, inside, most), variance <= most)
+    assert not foreseen(rest, np.add(inside, [0.0, 0.0, 1.0]), math.inf).any()
+
+
 def test_columns_that_are_nearly_alike_are_still_told_apart() -> None:
     rng = np.random.default_rng(8)
     rest, left = rng.standard_normal((12, 2)), rng.standard_normal((30, 2, 2))

@@ -144,6 +144,8 @@ def test_a_value_in_mg_is_its_distance_from_zero_by_its_gain() -> None:
     values = np.array([[40.0, 80.0, 7.0], [100.0, 0.0, 7.0]])
     np.testing.assert_allclose(unit.mg(values), [[(120 - 100) / 2, (240 - 200) / 4], [100.0, -50.0]])
     assert not unit.known
+    plain = Unit("counts", np.array([100.0, 200.0]), np.array([2.0, 4.0]))
+    np.testing.assert_allclose(plain.mg(values), [[-30.0, -30.0], [0.0, -50.0]])
     assert Unit("dps", np.zeros(2), np.ones(2)).known
 
 

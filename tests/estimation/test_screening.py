@@ -97,6 +97,24 @@ def test_words_of_the_chip_that_never_change_are_stuck_from_512_samples(
     refuse_dead_data(Session((dwell(rows, 7),), accel_unit="mg"), (), 1.0)
 
 
+@pytest.mark.parametrize(("step", "refused"), [(1.0, True), (4.0, False)])
+def test_words_that_never_change_are_stuck_unless_lost_bits_hide_the_noise(
+    step: float, refused: bool
+) -> None:
+    rng = np.random.default_rng(6)
+    # Half a step rms is no livelier than the converter; twelve dwells tell its step beyond chance.
+    quiet = 1900.0 + step * rng.integers(0, 2, (12, 512, 2))
+    still = np.column_stack([np.full(512, 1900.0), quiet[0, :, 1]])
+    words = Session(
+        (*(dwell(rows, 20 + k) for k, rows in enumerate(quiet)), dwell(still, 7)), accel_unit="lsb"
+    )
+    if refused:
+        with pytest.raises(DataError, match=r"^stuck data in position 7: words repeat"):
+            refuse_dead_data(words, (), 0.5)
+    else:
+        refuse_dead_data(words, (), 0.5)
+
+
 def test_a_dwell_of_nothing_but_zeros_is_named_with_its_file() -> None:
     rng = np.random.default_rng(4)
     dwells = (noisy(rng, 50, 1, 0), dwell(np.zeros((50, 2)), 5), dwell(np.zeros((0, 2)), 6))

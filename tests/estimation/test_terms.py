@@ -152,3 +152,7 @@ def test_an_effect_of_the_stage_turns_the_part_by_what_its_formula_says() -> Non
     assert term.enters_angle
     turned = term.added(np.array([0.2, -0.1]), IDEAL, Conditions(time_s=TIME, angle_rad=theta))
     np.testing.assert_allclose(turned, np.radians(0.2 * np.sin(theta) - 0.1 * np.cos(theta)))
+
+
+def test_a_nameless_term_acts_on_every_dwell() -> None:
+    assert nameless("bias", (0,), LINE_AND_SQUARE).dwell is None

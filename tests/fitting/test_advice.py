@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from scipy.optimize import root
 
 from adis_gonio import fit
 from adis_gonio.fitting.likelihood import _advice
 from adis_gonio.fitting.linked import LinkReport
+from adis_gonio.model.measurement import sensitivity
+from adis_gonio.model.records import Dwell, Floats, Session
 from fitting.test_uncertainty import FOUR, turn
 
 
@@ -50,6 +56,50 @@ def test_where_the_session_itself_shows_the_bias_the_method_that_does_is_named()
     told = fit(turn(FOUR), "two-position").warnings
     (line,) = [one for one in told if "a bias cannot be seen" in one]
     assert line.endswith("methods four-position and ml see it in this session")
+
+
+def test_what_a_milligram_of_an_unseen_bias_moves_is_said_with_it() -> None:
+    session = turn((0, 90))
+    rows = np.array([dwell.accel[0] for dwell in session.dwells])
+
+    def by_hand(bias: tuple[float, float]) -> tuple[float, float]:
+        """ΔK and Δφ in degrees of cosine and sine, which are the readings at 0° and 90°."""
+        (a_x, a_y), (b_x, b_y) = rows - bias
+        skew = math.atan2(a_y, -b_y) - math.atan2(b_x, a_x)
+        return math.hypot(a_x, b_x) / math.hypot(a_y, b_y), math.degrees(skew)
+
+    found = fit(session, "ml")
+    for axis, one in (("x", (1.0, 0.0)), ("y", (0.0, 1.0))):
+        (told,) = [line for line in found.warnings if line.startswith(f"bias_{axis} cannot be seen")]
+        k, phi = np.subtract(by_hand(one), by_hand((0.0, 0.0)))
+        assert told == (
+            f"bias_{axis} cannot be seen in these positions and was taken as zero: 1 mg of it moves "
+            f"delta_k by {k:+.2g}, delta_phi by {phi:+.2g}°; measure the opposite positions too "
+            "(180° and 270°)"
+        )
+
+
+def test_what_a_tenth_of_a_degree_of_an_unseen_skew_moves_is_said_with_it() -> None:
+    faces = np.array(
+        [[20, 1, 3], [-20, 4, 1], [2, 20, -5], [1, -20, 4], [-3, 2, 20], [5, 3, -20]], dtype=float
+    )
+    rows = 1000 * faces / np.linalg.norm(faces, axis=1, keepdims=True) + [12.0, -7.0, 20.0]
+    dwells = tuple(Dwell(k, np.array([10.0 * k]), row[None]) for k, row in enumerate(rows))
+    found = fit(Session(dwells, accel_unit="mg", sensor="generic", plane="none", reading_u_mg=0.1))
+
+    def bias(skew_deg: float) -> Floats:
+        """The bias with which six norms are gravity's, X and Y as far from a right angle as said."""
+
+        def off(x: Floats) -> Floats:
+            gains = sensitivity(np.array([*x[:3], math.radians(skew_deg), 0.0, 0.0]))
+            return np.linalg.norm(np.linalg.solve(gains, (rows - 1000 * x[3:]).T), axis=0) / 1000 - 1
+
+        return 1000 * root(off, [1.0, 1.0, 1.0, 0.0, 0.0, 0.0], tol=1e-12).x[3:]
+
+    (told,) = [line for line in found.warnings if line.startswith("skew_xy cannot be seen")]
+    assert "was taken as zero: 0.1° of it moves bias_x by" in told
+    said = [float(figure) for figure in re.findall(r"bias_. by ([-+][0-9.e-]+) mg", told)]
+    assert said == pytest.approx((bias(0.01) - bias(-0.01)) / 0.2, rel=0.05)
 
 
 # -- turns between poses ----------------------------------------------------------------------------------

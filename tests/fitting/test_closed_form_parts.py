@@ -38,6 +38,7 @@ def turned(
     phi: float = PHI,
     bias: tuple[float, float] = (0.0, 0.0),
     noise: float = 0.0,
+    own_u: float = 0.1,
     **more: object,
 ) -> Readings:
     """A part turned to these angles in degrees."""
@@ -47,7 +48,7 @@ def turned(
     mean = mean + noise * np.random.default_rng(3).standard_normal(mean.shape)
     n = len(theta)
     conditions = Conditions(time_s=np.arange(float(n)), angle_rad=theta, order=np.arange(float(n)))
-    covariance = np.tile(0.01 * np.eye(2), (n, 1, 1))
+    covariance = np.tile(own_u**2 * np.eye(2), (n, 1, 1))
     return from_means(mean, covariance, conditions, gravity_mg=G, **more)
 
 
@@ -143,6 +144,14 @@ def test_mmpm_is_least_squares_of_nine_positions_or_more() -> None:
     assert found["bias_y"].value == pytest.approx(zero[1])
     assert found.dof == 18 - 6
     assert found.undetermined == ()
+
+
+def test_chi2_of_mmpm_is_that_of_least_squares_however_large_the_noise() -> None:
+    data = turned(tuple(40.0 * k for k in range(9)), noise=100.0, own_u=100.0, fixture_rad=0.0)
+    theta = np.radians(40.0 * np.arange(9))
+    rows = np.column_stack([np.cos(theta), np.sin(theta), np.ones(9)])
+    left = np.linalg.lstsq(rows, data.mean, rcond=None)[1].sum()
+    assert fit_mmpm(data).chi2 == pytest.approx(left / 100.0**2, rel=1e-6)
 
 
 @pytest.mark.parametrize("method", ["two-position", "paper", "four-position", "mmpm"])
@@ -280,6 +289,20 @@ def test_two_positions_alone_are_the_closed_form_whichever_way_the_stage_turned(
     back = fit_readings(turned((0.0, 270.0)), "two-position")
     assert back["delta_phi"].value == pytest.approx(0.3)
     assert back["delta_k"].value == pytest.approx(K_X / K_Y - 1)
+
+
+def test_readings_that_are_too_rough_for_ml_have_the_closed_form_where_angles_are_declared() -> None:
+    rough = turned((0.0, 90.0, 45.0), own_u=300.0)
+    with pytest.raises(SingularError):
+        fit_readings(rough, "ml")
+    found = fit_readings(rough)
+    assert found.method == "two-position"
+    (a_x, a_y), (b_x, b_y), _ = rough.mean
+    assert found["delta_k"].value == pytest.approx(math.hypot(a_x, b_x) / math.hypot(a_y, b_y) - 1)
+    with pytest.raises(SingularError, match="cannot determine delta_k or delta_phi"):
+        fit_readings(replace(rough, fixture_rad=math.inf))
+    with pytest.raises(SingularError, match="cannot determine delta_k or delta_phi"):
+        fit_readings(turned((0.0, 45.0, 60.0), own_u=300.0))
 
 
 @pytest.mark.parametrize("angles", [(30.0,), (30.0, 30.0), (30.0, 390.0, 30.05)])

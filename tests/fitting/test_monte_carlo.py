@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ from adis_gonio.errors import FitError
 from adis_gonio.fitting import monte_carlo as module
 from adis_gonio.fitting.monte_carlo import monte_carlo
 from adis_gonio.fitting.result import Estimate, FitResult
+from adis_gonio.fitting.sources import TEMPERATURE
+from adis_gonio.sensor.variants import VARIANTS
 from fitting.test_uncertainty import FOUR, turn
 
 SIGMA_DEG = 0.02
@@ -83,11 +87,64 @@ def test_scatter_beyond_the_noise_is_drawn_with_the_students_factor_of_its_degre
     assert found.var() == pytest.approx((3.0**2 + 0.1**2) * 12 / 10, rel=0.1)
 
 
-@pytest.mark.parametrize("kind", ["normal", "uniform", "exponential"])
+def test_a_fixture_that_is_estimated_is_drawn_with_the_students_factor_too(stated: FitResult) -> None:
+    made = stated.origin
+    noise = replace(made.noise, sigma_dof=12.0)
+    wide = replace(made.fit, data=replace(made.fit.data, fixture_rad=0.01))
+    found = moved(replace(made, noise=noise, fit=wide), 1500)
+    along = (0.01 * made.fit.tangent[:, :, 0]) ** 2
+    assert found.var(axis=0).sum() == pytest.approx((along * 12 / 10 + 0.1**2).sum(), rel=0.1)
+
+
+def test_an_unseen_bias_is_drawn_once_for_all_dwells() -> None:
+    session = replace(turn((0, 90)), sensor="adis16354")
+    found = moved(fit(session, "two-position").origin)
+    u = VARIANTS["adis16354"].performance.initial_bias_mg
+    np.testing.assert_allclose(found.std(axis=0), u, rtol=5 / math.sqrt(2 * DRAWS))
+    assert (found[:, 0] - found[:, 1]).std() < 0.1 * u
+    assert abs(np.corrcoef(found[:, 0].T)[0, 1]) < 5 / math.sqrt(DRAWS)
+
+
+def test_coefficients_of_temperature_are_drawn_once_for_all_dwells(stated: FitResult) -> None:
+    made = stated.origin
+    columns = np.array([-3.0, -1.0, 1.0, 3.0])[:, None, None] * np.eye(2)
+    each = [replace(one, acts_mg=columns) if one.name == TEMPERATURE else one for one in made.sources.each]
+    found = moved(replace(made, sources=replace(made.sources, each=tuple(each))))
+    np.testing.assert_allclose(found.std(axis=0)[[0, 3]], 3.0, rtol=0.15)
+    np.testing.assert_allclose(found[:, 0], -found[:, 3], atol=3.0)
+    assert (found[:, 0] + found[:, 3]).std() < 0.8
+
+
+def test_attitudes_that_are_free_are_drawn_where_they_stand(stated: FitResult) -> None:
+    made = stated.origin
+    free = replace(made.fit, data=replace(made.fit.data, fixture_rad=math.inf))
+    np.testing.assert_allclose(moved(replace(made, fit=free)).std(axis=0), 0.1, rtol=0.15)
+
+
+def test_what_rests_on_one_estimate_is_drawn_with_one_factor() -> None:
+    rng = np.random.default_rng(7)
+    dof = np.array([[6.0, math.inf], [6.0, 9.0], [40.0, 6.0]])
+    estimate = np.array([[0, 1], [0, 2], [2, 3]])
+    drawn = np.array([module._students(rng, dof, estimate) for _ in range(4000)])
+    assert (drawn[:, 0, 1] == 1).all(), "what was stated is no estimate"
+    np.testing.assert_array_equal(drawn[:, 0, 0], drawn[:, 1, 0])
+    np.testing.assert_array_equal(drawn[:, 1, 1], drawn[:, 2, 0])
+    assert (drawn[:, 0, 0] != drawn[:, 2, 1]).all()
+    # χ² of ν degrees of freedom: the mean of ν/χ² is ν/(ν − 2). Of two ν that claim one estimate the less.
+    assert (drawn[:, 1, 1] ** 2).mean() == pytest.approx(9 / 7, rel=0.05)
+    assert (drawn[:, 0, 0] ** 2).mean() == pytest.approx(6 / 4, rel=0.1)
+
+
+@pytest.mark.parametrize("kind", ["normal", "uniform", "arcsine", "exponential"])
 def test_the_doubt_is_the_scatter_of_the_standard_deviation(few: FitResult, kind: str) -> None:
     rng = np.random.default_rng(2)
     linear = Estimate("delta_k", 0.0, 1.0, "1")
-    draw = {"normal": rng.standard_normal, "uniform": rng.uniform, "exponential": rng.standard_exponential}
+    draw = {
+        "normal": rng.standard_normal,
+        "uniform": rng.uniform,
+        "arcsine": partial(rng.beta, 0.5, 0.5),
+        "exponential": rng.standard_exponential,
+    }
     found = [module._propagated(few.origin, linear, draw[kind](size=800), 0) for _ in range(300)]
     u = np.array([one.u for one in found])
     # 300 sessions know a scatter to 4 %; of heavy tails the kurtosis itself is uncertain and low.
@@ -126,6 +183,9 @@ def test_why_two_ways_differ_is_told_by_what_explains_it(few: FitResult) -> None
     assert module._why(few.origin, linear, linear.u, 0.01, k) == ""
     by_student = module._why(few.origin, linear, wide, 0.01, k)
     assert by_student.startswith("u is 1.15 times the linear one: with 8 degrees of freedom Student's")
+    # A hundredth and two standard errors of the trials are no difference.
+    assert module._why(few.origin, linear, 1.018 * linear.u, 0.005, k) == ""
+    assert module._why(few.origin, linear, 1.022 * linear.u, 0.005, k)
     bent = module._why(few.origin, linear, 1.5 * wide, 0.01, k)
     assert bent.startswith("u is 1.73 times the linear one: the model is not linear enough")
     nothing = replace(linear, u=None)
@@ -144,6 +204,13 @@ def test_values_of_students_distribution_are_hardly_ever_taken_for_a_model_that_
     # Three standard errors of heavy tails: 1 % of all at most.
     assert sum("not linear" in why for why in told) <= 3
     assert sum("Student" in why for why in told) > 100
+
+
+def test_an_estimate_without_a_part_in_a_parameter_does_not_widen_it(few: FitResult) -> None:
+    parts = [(0, math.inf, 1.0), (4, 1.0, 0.0), (4, 1.0, 1e-12), (1, 6.0, 2.0)]
+    sources = SimpleNamespace(parts=lambda gradient: parts)
+    wide = module._students_u(replace(few.origin, sources=sources), np.ones(6))
+    assert wide == pytest.approx(math.sqrt(1.0 + 2.0 * 6 / 4))
 
 
 def test_with_two_degrees_of_freedom_no_standard_deviation_exists() -> None:
@@ -171,7 +238,7 @@ def test_a_run_gives_each_parameter_both_ways_as_table_and_document(stated: FitR
         by_head = dict(zip(head, row, strict=True))
         assert float(by_head["half width"]) == pytest.approx((p.high - p.low) / 2, rel=1e-3)
         assert float(by_head["U, linear"]) == pytest.approx(p.linear.U, rel=1e-3)
-    assert run["delta_k"].name == "delta_k"
+    assert [run[p.name] for p in run.parameters] == list(run.parameters)
 
 
 def test_what_is_remarked_on_are_differences_and_lost_trials(stated: FitResult) -> None:
@@ -198,6 +265,7 @@ def test_trials_without_a_result_are_counted_and_none_at_all_is_an_error(
     monkeypatch.setattr(module, "_fitting", lambda made, method: every_third)
     run = monte_carlo(stated, 12, np.random.default_rng(6))
     assert (run.trials, run.failed) == (8, 4)
+    assert monte_carlo(stated, 2, np.random.default_rng(6)).trials == 2
     with pytest.raises(FitError, match="no trial"):
         monte_carlo(stated, 1, np.random.default_rng(6))
     unknown = fit(turn((0, 90), noise=0.0, sigma=0.0, stated=None, bias=(0.0, 0.0)))

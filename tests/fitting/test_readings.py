@@ -364,6 +364,13 @@ def test_an_average_that_is_written_down_twice_shows_no_noise():
     assert readings_of(few_poses(poses, 2, reading_u_mg=1.0)).known.all()
 
 
+@pytest.mark.parametrize(("unit", "per_mg"), [("g", 1e-3), ("counts", 4.1)])
+def test_an_average_in_any_unit_but_words_shows_no_noise(unit, per_mg):
+    session = few_poses([(0, 0, 1.0), (1.0, 0, 0), (0, 1.0, 0), (0.6, 0.8, 0)], 2)
+    dwells = tuple(replace(dwell, accel=per_mg * dwell.accel) for dwell in session.dwells)
+    assert not readings_of(replace(session, dwells=dwells, accel_unit=unit)).known.any()
+
+
 @pytest.mark.parametrize(("dwells", "samples"), [(24, 2), (9, 2), (24, 3)])
 def test_noise_that_short_dwells_share_has_the_degrees_of_freedom_of_them_all_once(dwells, samples):
     rng = np.random.default_rng(1)

@@ -1,10 +1,15 @@
 """Methods compared on the same readings, and the one that is recommended."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
+from adis_gonio.errors import FitError
 from adis_gonio.fitting import fit, fit_readings
-from adis_gonio.fitting.scores import DwellPrediction, Score, _folds
+from adis_gonio.fitting.scores import DwellPrediction, Score, _folds, predicted
 from adis_gonio.fitting.standing import recommend
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.model.records import Dwell, Session
@@ -55,6 +60,22 @@ def test_mmpm_left_out_is_that_of_an_independent_least_squares():
         c, s = np.linalg.solve(np.array([[ax, bx], [ay, by]]), readings[k] - zero)
         error = (np.arctan2(s, c) - theta[k] + np.pi) % (2 * np.pi) - np.pi
         assert abs(found[k]) == pytest.approx(abs(error), abs=1e-9)
+
+
+def test_ml_left_out_is_least_squares_of_the_others_however_large_the_noise():
+    angles = tuple(range(0, 360, 60))
+    session = turn(angles, noise=60.0, stated=60.0, sigma=0.0)
+    found = fit(session, "ml").standing.predictions["ml"]
+    theta = np.radians(angles)
+    readings = np.array([dwell.accel[0] for dwell in session.dwells])
+    design = np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))])
+    for k in range(len(angles)):
+        rest = np.arange(len(angles)) != k
+        # With exact angles and noise alike the model is linear in its six harmonics.
+        harmonics = np.linalg.lstsq(design[rest], readings[rest], rcond=None)[0]
+        np.testing.assert_allclose(found.residual_mg[k], readings[k] - design[k] @ harmonics, rtol=1e-5)
+        c, s = np.linalg.solve(harmonics[:2].T, readings[k] - harmonics[2])
+        assert found.angle_rad[k] == pytest.approx(np.angle(complex(c, s) * np.exp(-1j * theta[k])))
 
 
 def test_two_positions_alone_cannot_be_scored_and_it_is_said():
@@ -143,6 +164,88 @@ def test_dwells_for_checking_in_space_have_the_residual_of_their_own_norms():
     norms = np.linalg.norm((rows - values[6:]) @ gains.T, axis=1)
     np.testing.assert_allclose(found[10:, 0], norms[10:] - 1000, rtol=1e-6, atol=1e-6)
     assert found[12, 0] == pytest.approx(4.0, abs=0.5)
+
+
+def test_only_dwells_that_were_fitted_are_left_out_and_one_that_is_needed_has_no_prediction():
+    session = turn(NINE)
+    result = fit(session, "ml")
+    used, asked = np.arange(9) != 4, []
+
+    def again(left_out):
+        asked.append(np.flatnonzero(left_out).tolist())
+        if asked[-1] == [2]:
+            raise FitError("the others do not determine it")
+        return result.origin.fit
+
+    found = predicted(result.session, used, result.origin.fit, again)
+    assert asked == [[k] for k in range(9) if k != 4]
+    known = np.arange(9) != 2
+    np.testing.assert_array_equal(np.isfinite(found.angle_rad), known)
+    np.testing.assert_array_equal(np.isfinite(found.residual_mg).all(axis=1), known)
+
+
+def test_a_dwell_is_predicted_under_the_scatter_of_the_angles_that_was_estimated():
+    angles = range(0, 360, 45)
+    session = replace(turn(angles, sigma=0.5), fixture_sigma_deg=None)
+    result = fit(session, "ml")
+    found, sigma = result.standing.predictions["ml"], math.radians(result.fixture_sigma_deg)
+    assert 0.2 < result.fixture_sigma_deg < 1.0
+    readings = np.array([dwell.accel[0] for dwell in session.dwells])
+    rest = np.arange(8) != 3
+
+    def modelled(base, theta):
+        psi = base[0] - theta
+        axes = [base[1] * np.cos(psi) + base[4], base[2] * np.sin(psi + base[3]) + base[5]]
+        return 1000 * np.stack(axes, axis=-1)
+
+    def off(base, away, rows):
+        left = readings[rows] - modelled(base, np.radians(angles)[rows] + away)
+        return np.concatenate([left.ravel() / 0.1, away / sigma])
+
+    begin = [math.radians(20), 1.0, 1.0, 0.0, 0.0, 0.0, *np.zeros(7)]
+    base = least_squares(lambda x: off(x[:6], x[6:], rest), begin, x_scale="jac", xtol=1e-14).x[:6]
+    away = least_squares(lambda x: off(base, x, ~rest), [0.0], x_scale=1e-3, xtol=1e-14).x
+    expected = (readings[~rest] - modelled(base, np.radians(angles)[~rest] + away))[0]
+    np.testing.assert_allclose(found.residual_mg[3], expected, atol=0.02)
+    # Alone the reading shows the angle at which it lies in the direction of the model's.
+    u, v = (readings[3] / 1000 - base[4:]) / base[1:3]
+    shown = base[0] - math.atan2((v - u * math.sin(base[3])) / math.cos(base[3]), u)
+    error = math.remainder(shown - math.radians(angles[3]), 2 * math.pi)
+    assert found.angle_rad[3] == pytest.approx(error, abs=2e-5)
+
+
+def test_what_the_others_do_not_determine_is_not_predicted():
+    # Two positions do not see the biases, which three do.
+    found = fit(turn((0, 90, 180)), "ml").standing.predictions["ml"]
+    assert np.isnan(found.angle_rad).all()
+    assert np.isnan(found.residual_mg).all()
+
+
+def test_angles_of_free_attitudes_are_compared_with_the_mean_start_that_the_others_show():
+    session = replace(turn(NINE, sigma=0.0), fixture_sigma_deg=math.inf)
+    found = fit(session, "ml").standing.predictions["ml"].angle_rad
+    # 0.1 mg at right angles to gravity are 0.006°; the part stands at 20°.
+    assert np.degrees(np.abs(found)).max() < 0.06
+    turned = (
+        fit(
+            replace(
+                session,
+                dwells=tuple(
+                    replace(one, angle_deg=one.angle_deg + (0.9 if k == 3 else 0.0))
+                    for k, one in enumerate(session.dwells)
+                ),
+            ),
+            "ml",
+        )
+        .standing.predictions["ml"]
+        .angle_rad
+    )
+    # Eight others show the start: the one that is declared too far on stands behind by it all.
+    assert np.degrees(turned[3] - found[3]) == pytest.approx(-0.9, abs=1e-3)
+    assert np.degrees(turned[5] - found[5]) == pytest.approx(0.9 / 8, abs=1e-3)
+    lost = (*session.dwells[:8], replace(session.dwells[8], angle_deg=None))
+    without = fit(replace(session, dwells=lost), "ml").standing.predictions["ml"].angle_rad
+    assert np.isfinite(without).tolist() == [True] * 8 + [False]
 
 
 @pytest.mark.parametrize("used", [0, 1, 7, 40, 41, 93])

@@ -238,10 +238,14 @@ def test_the_worst_link_is_that_of_the_longest_pair_of_rows() -> None:
     assert linked._worst(fit) == 2
 
 
-def found(fisher: Floats, free: list[bool], null: Floats | None = None) -> SimpleNamespace:
+def found(fisher: Floats, free: list[bool], null: Floats | None = None, **more: object) -> SimpleNamespace:
     nothing = np.zeros((len(fisher), 0))
     return SimpleNamespace(
-        fisher=fisher, free=np.array(free), null=nothing if null is None else null, names=("a", "b", "c")
+        fisher=fisher,
+        free=np.array(free),
+        null=nothing if null is None else null,
+        names=("a", "b", "c"),
+        **{"held": (), "fit": SimpleNamespace(data=SimpleNamespace(sensor="generic")), **more},
     )
 
 
@@ -258,6 +262,22 @@ def test_what_links_gain_are_parameters_and_a_median_of_u() -> None:
     report = LinkReport(3, 1.0, 2, calibrated=True, gained=("c",), ratio=0.35)
     assert (report.as_dict()["u_ratio"], report.as_dict()["gained"]) == (0.35, ["c"])
     assert linked._quantile(2) == pytest.approx(-2 * math.log(1e-3))  # χ² of two is exponential
+
+
+@pytest.mark.parametrize("sensor", ["adis16354", "generic"])
+def test_u_without_links_holds_the_limit_of_skews_that_are_taken_as_zero(sensor: str) -> None:
+    rows = 100 * RNG.standard_normal((9, 3))
+    held = found(
+        rows.T @ rows,
+        [True, True, False],
+        held=(2,),
+        fit=SimpleNamespace(data=SimpleNamespace(sensor=sensor)),
+    )
+    limit = VARIANTS[sensor].performance.skew_u_rad if sensor in VARIANTS else 0.0
+    # What a skew of that size adds to readings, least squares takes for the others.
+    moved = np.linalg.lstsq(rows[:, :2], limit * rows[:, 2], rcond=None)[0]
+    own = np.diagonal(np.linalg.inv(rows[:, :2].T @ rows[:, :2]))
+    assert linked._u_of(held) == pytest.approx([*np.sqrt(own + moved**2), math.inf])
 
 
 # -- what is determined ----------------------------------------------------------------------------------

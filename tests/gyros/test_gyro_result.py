@@ -93,3 +93,15 @@ def test_a_sensor_has_the_parts_that_it_has() -> None:
     assert known_part("gyro") == "gyro"
     with pytest.raises(UsageError, match="no part 'compass'; it has accelerometer, gyro"):
         known_part("compass")
+
+
+def test_three_dwells_are_scored_by_what_two_say_of_the_third() -> None:
+    whole = session()
+    three = replace(whole, dwells=whole.dwells[:3])
+    means = np.array([dwell.gyro.mean(axis=0) for dwell in three.dwells])
+    off = np.abs([means[k] - np.delete(means, k, axis=0).mean(axis=0) for k in range(3)])
+    found = fit_gyro(three).scores["zero rate"]
+    # Where 1/f noise is to be expected the nearer dwell counts a little more.
+    assert list(found.rms_dps.values()) == pytest.approx(np.sqrt((off**2).mean(axis=0)), rel=0.02)
+    assert list(found.max_dps.values()) == pytest.approx(off.max(axis=0), rel=0.02)
+    assert fit_gyro(replace(whole, dwells=whole.dwells[:2])).scores == {}

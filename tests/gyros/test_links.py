@@ -23,7 +23,7 @@ from adis_gonio.estimation.values import Value
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.determination import covariance, determine, names_of, natural_units
 from adis_gonio.fitting.gyro import fit_gyro
-from adis_gonio.fitting.linked import _Judged
+from adis_gonio.fitting.linked import _gyros_of, _Judged, linked_readings
 from adis_gonio.fitting.methods import fit_of, fit_readings
 from adis_gonio.fitting.sources import by_rotation_of, response_of
 from adis_gonio.gyros.attitude import PARAMETERS, AssumedGyros, attitude
@@ -195,7 +195,7 @@ def _full_least_squares(data: Readings, links: Links) -> tuple[Floats, Floats]:
     begin = np.concatenate([np.ones(3), np.zeros(3 + 3 + 3 + q + 1 + 3 * m)])
     found = least_squares(left, begin, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14, method="lm")
     inverse = np.linalg.inv(found.jac.T @ found.jac)
-    return found.x[:9], inverse[:9, :9]
+    return found.x[: 12 + q], inverse[:9, :9]
 
 
 @pytest.mark.parametrize("poses", [5, 9])
@@ -203,7 +203,8 @@ def test_links_are_least_squares_with_all_attitudes_unknown(poses: int) -> None:
     data, links = _part(poses, np.random.default_rng(poses))
     found = determine(replace(data, links=links))
     natural = natural_units(data)
-    values, inverse = _full_least_squares(data, links)
+    whole, inverse = _full_least_squares(data, links)
+    values, modes = whole[:9], whole[12:]
     own = found.fit.values.parameters / natural
     u = np.sqrt(np.diagonal(inverse))
     assert not found.held
@@ -211,6 +212,7 @@ def test_links_are_least_squares_with_all_attitudes_unknown(poses: int) -> None:
     assert np.abs((own - values) / u).max() < 0.05
     stated = covariance(found.fisher, found.free, found.null)
     assert np.sqrt(np.diagonal(stated)) == pytest.approx(u, rel=0.02)
+    assert _gyros_of(found.fit, _Fixed(links).prior) == pytest.approx(modes, abs=0.02)
 
 
 def test_poses_that_gravity_alone_leaves_undetermined_are_determined_by_links() -> None:
@@ -283,13 +285,16 @@ def test_an_attitude_moves_by_what_its_reading_moves_along_its_tangent(noise_mg:
 class _Fixed:
     """Links whose gyros are as they are taken to be."""
 
-    def __init__(self, links: Links) -> None:
+    def __init__(self, links: Links, spread: Floats | None = None) -> None:
         self.links = links
         self.refused = ((7, 8, "saturated"),)
         count = links.modes_rad.shape[2]
-        self.prior = SimpleNamespace(values=np.zeros(count), covariance=np.eye(count), root=np.eye(count))
+        own = np.ones(count) if spread is None else spread
+        self.prior = SimpleNamespace(values=np.zeros(count), covariance=np.diag(own**2), root=np.diag(own))
+        self.asked: list[Floats] = []
 
     def at(self, values: Floats, position: list[int]) -> Links:
+        self.asked.append(values)
         return self.links
 
 
@@ -310,6 +315,90 @@ def test_the_link_that_contradicts_gravity_and_the_others_is_left_out_by_the_num
     assert found.links is not None
     assert found.links.before.tolist() == [0, 1, 2, 3, 4, 6, 7]
     assert [(b, a) for b, a, _ in found.refused[1:]] == [(15, 16)]
+
+
+@pytest.mark.parametrize(
+    ("far", "odd", "believed"),
+    [((), (1, 4), True), ((1, 4), (), True), ((), (1, 4, 6), False), ((4,), (1, 6), False)],
+)
+def test_a_quarter_of_the_links_may_be_left_out_whatever_for(
+    far: tuple[int, ...], odd: tuple[int, ...], believed: bool
+) -> None:
+    data, links = _part(9, np.random.default_rng(9))
+    turned = links.rotation.copy()
+    for k in far:
+        turned[k] = Rotation.from_rotvec([2.0, -1.0, 1.0]).as_matrix() @ turned[k]
+    for k in odd:
+        turned[k] = Rotation.from_rotvec([0.05, -0.05, 0.05]).as_matrix() @ turned[k]
+    found = _Judged.of(data, _Fixed(replace(links, rotation=turned)))
+    if believed:
+        assert found.links is not None
+        assert found.links.before.tolist() == [k for k in range(8) if k not in (*far, *odd)]
+        assert sorted(b for b, _, _ in found.refused[1:]) == sorted((*far, *odd))
+    else:
+        assert found.links is None
+        assert found.why.startswith("they contradict gravity (χ² ")
+
+
+def test_a_parameter_of_the_gyros_that_is_known_exactly_is_settled_at_once() -> None:
+    data, links = _part(6, np.random.default_rng(6))
+    spread = np.array([1e-3, 1e-3, 0.0, 1e-3])
+    found = _Fixed(replace(links, modes_rad=links.modes_rad * spread), spread)
+    settled = _Judged.of(data, found)
+    assert settled.links is not None
+    assert all(values[2] == 0.0 for values in found.asked)
+
+
+class _Turning(_Fixed):
+    """Links by gyros whose parameters turn what they integrate to."""
+
+    def at(self, values: Floats, position: list[int]) -> Links:
+        by = self.links.modes_rad @ (values - np.array([2.0, -1.5, 1.0, 1.5]))
+        super().at(values, position)
+        return replace(
+            self.links,
+            rotation=Rotation.from_rotvec(by).as_matrix() @ self.links.rotation,
+            offset_rad=-self.links.modes_rad @ values,
+        )
+
+
+def test_links_are_linearised_where_the_parameters_of_the_gyros_end_up() -> None:
+    data, links = _part(9, np.random.default_rng(9))
+    gyros = _Turning(replace(links, modes_rad=20 * links.modes_rad))
+    found = _Judged.of(data, gyros)
+    assert found.links is not None
+    assert len(gyros.asked) > 2
+    ended = _gyros_of(found.linked.fit, gyros.prior)
+    assert np.abs(ended - gyros.asked[-1]).max() < 0.05
+    assert np.abs(ended - [2.0, -1.5, 1.0, 1.5]).max() < 0.3
+
+
+def test_links_are_judged_by_what_they_add_to_chi2_where_the_noise_is_known() -> None:
+    data, links = _part(11, np.random.default_rng(11))
+    alone, linked = determine(data).fit.chi2, determine(replace(data, links=links)).fit.chi2
+    assert alone > 0.5
+    assert _Judged.of(data, _Fixed(links)).chi2 == pytest.approx(linked - alone, rel=1e-3)
+    few, links = _part(6, np.random.default_rng(6))
+    found = _Judged.of(replace(few, known=np.zeros(6, dtype=bool)), _Fixed(links))
+    assert (found.links, found.why) == (None, "nothing tells the noise of the poses")
+
+
+def test_one_link_of_three_poses_cannot_be_tested_and_two_can() -> None:
+    data, links = _part(3, np.random.default_rng(3))
+    found = _Judged.of(data, _Fixed(links.only(np.array([0]))))
+    # Three norms and two equations of the link determine five parameters: none is left over.
+    assert (found.links, found.why) == (None, "they are too few to be tested against gravity")
+    whole = _Judged.of(data, _Fixed(links))
+    assert whole.links is not None
+    assert whole.dof == 1
+
+
+def test_without_links_between_fitted_poses_the_reason_of_the_first_refusal_is_told() -> None:
+    data, links = _part(5, np.random.default_rng(5))
+    none = _Fixed(links.only(np.zeros(4, dtype=bool)))
+    assert _Judged.of(data, none).why == "saturated"
+    none.refused = ()
+    assert _Judged.of(data, none).why == "none lies between two poses that are fitted"
 
 
 def test_links_that_turn_gravity_elsewhere_are_left_out_and_many_of_them_are_false_gyros() -> None:
@@ -440,6 +529,54 @@ def test_nine_poses_are_surer_with_turns_and_say_so_in_one_line(simulated: tuple
     assert document["links"]["gyros"] == "data sheet"
     assert result.session is not None
     assert result.session.links is not None
+
+
+@pytest.mark.parametrize(("poses", "gained"), [(7, ("skew_xy", "skew_xz", "skew_yz")), (9, ())])
+def test_the_ratio_that_is_told_is_that_of_the_stated_u(
+    simulated: tuple[Session, World], poses: int, gained: tuple[str, ...]
+) -> None:
+    """Gravity alone takes the skews of seven poses as zero: their limit is in the u of the others."""
+    session = _first(simulated[0], poses)
+    alone, result = fit_of(readings_of(session), "ml"), fit(session)
+    assert result.links is not None
+    assert result.links.gained == gained == alone.undetermined
+    stated = [(result[one.name].u or 0) / (one.u or 0) for one in alone.parameters]
+    assert result.links.ratio == pytest.approx(np.median(stated))
+
+
+def test_links_join_the_dwells_that_they_lie_between_whatever_is_for_checking(
+    simulated: tuple[Session, World],
+) -> None:
+    session = simulated[0]
+    dwells = [replace(one, use="check") if k == 3 else one for k, one in enumerate(session.dwells)]
+    readings, report = linked_readings(
+        replace(session, dwells=tuple(dwells)), readings_of(replace(session, dwells=tuple(dwells)))
+    )
+    links = readings.links
+    assert report is not None
+    assert links is not None
+    assert report.used == len(links)
+    joined = list(zip(readings.position[links.before], readings.position[links.after], strict=True))
+    assert joined == [(k, k + 1) for k in range(8) if 3 not in (k, k + 1)]
+    down = readings.mean / np.linalg.norm(readings.mean, axis=1, keepdims=True)
+    came = np.einsum("mij,mj->mi", links.rotation, down[links.before])
+    assert ((came * down[links.after]).sum(axis=1) > np.cos(np.radians(3.0))).all()
+
+
+def test_links_are_worked_out_once_a_session_and_anew_by_a_calibration(
+    simulated: tuple[Session, World],
+) -> None:
+    session, world = simulated
+    session = _first(session, 5)
+    readings = readings_of(session)
+    once = linked_readings(session, readings)
+    assert linked_readings(session, readings)[1] is once[1]
+    by_calibration = linked_readings(session, readings, _calibrated(world))
+    assert by_calibration[1] is not None
+    assert by_calibration[1].calibrated
+    assert linked_readings(session, readings)[1] is once[1]
+    assert once[1] is not None
+    assert not once[1].calibrated
 
 
 @pytest.mark.parametrize(

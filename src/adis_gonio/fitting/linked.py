@@ -20,9 +20,16 @@ from adis_gonio.errors import UsageError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.links import Links
 from adis_gonio.estimation.readings import Readings
-from adis_gonio.fitting.determination import Determination, covariance, determine, is_determined
+from adis_gonio.fitting.determination import (
+    Determination,
+    covariance,
+    determine,
+    is_determined,
+    shift_by_held,
+)
 from adis_gonio.fitting.noise import settle
 from adis_gonio.model.records import Floats, Session
+from adis_gonio.sensor.variants import VARIANTS
 
 if TYPE_CHECKING:
     from adis_gonio.calibration.gyros import GyroCalibration
@@ -313,7 +320,15 @@ def _gain(
 
 
 def _u_of(found: Determination) -> Floats:
-    """Standard uncertainty (p,) in natural units; inf where a parameter is not determined."""
-    u = np.sqrt(np.maximum(np.diagonal(covariance(found.fisher, found.free, found.null)), 0.0))
-    seen = [bool(found.free[k]) and is_determined(row, found.null) for k, row in enumerate(np.eye(len(u)))]
-    return np.where(seen, u, np.inf)
+    """Standard uncertainty (p,) in natural units; inf where a parameter is not determined.
+
+    Of skews that are taken as zero it holds the part's figure, as the u that a result states.
+    """
+    variance = np.maximum(np.diagonal(covariance(found.fisher, found.free, found.null)), 0.0)
+    sensor = found.fit.data.sensor
+    lean_rad = VARIANTS[sensor].performance.skew_u_rad if sensor in VARIANTS else 0.0
+    for k in found.held:
+        variance = variance + (lean_rad * shift_by_held(found, k)) ** 2
+    rows = enumerate(np.eye(len(variance)))
+    seen = [bool(found.free[k]) and is_determined(row, found.null) for k, row in rows]
+    return np.where(seen, np.sqrt(variance), np.inf)
