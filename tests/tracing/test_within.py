@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.dwells import Samples, WithinFinding, density_of, search_within
+from adis_gonio.dwells import Samples, WithinFinding, correlation_reach, density_of, search_within
+from adis_gonio.dwells.faults import spikes
+from adis_gonio.dwells.samples import scatter
 from adis_gonio.dwells.second_pass import probability, stands
 from tracing.dwell_samples import bartlett, draw
 
@@ -264,6 +266,15 @@ def test_spikes_are_counted_and_taken_out():
     assert [(p.position, p.axis) for p in found[0].places] == [(2, "x"), (17, "y")]
     assert found[0].parameters["largest"].value == pytest.approx(30.0, abs=15.0)
     assert found[0].places[0].shift_mg == pytest.approx(30.0 / 500, rel=0.6)
+
+
+def test_short_dwells_behind_a_long_filter_have_no_spikes():
+    """Such a dwell is hardly longer than its noise is correlated: by itself it scatters too little."""
+    shown = 0
+    for seed in range(40):
+        samples = draw(np.random.default_rng([seed, 6]), n=72, filter_m=6, noise_mg=8.0, dwells=30)
+        shown += spikes(samples, scatter(samples), correlation_reach(samples))[0] is not None
+    assert shown <= 3
 
 
 def test_values_that_stand_still_are_found():

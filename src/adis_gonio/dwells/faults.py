@@ -64,11 +64,12 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
     long = np.flatnonzero(samples.counts >= _LEAST_SAMPLES + 2 * reach).tolist()
     for axis in range(samples.axes):
         looks = {k: _from_neighbours(samples.values[k][:, axis], reach) for k in long}
-        # A dwell's own scale is uncertain: it counts only where it is above the usual one.
-        usual = float(np.median([spread for _, _, spread in looks.values()])) if looks else 0.0
-        for k, (away, middle, own) in looks.items():
+        # A dwell's own scale is uncertain, and too small where the dwell is hardly longer than its noise is
+        # correlated: it counts only where it is above that of all together.
+        usual = deviation(np.concatenate([one_side for _, _, one_side in looks.values()])) if looks else 0.0
+        for k, (away, middle, one_side) in looks.items():
             rows = samples.values[k]
-            spread = max(own, usual, 0.5 * float(scatter[k, axis]))
+            spread = max(float(deviation(one_side)), float(usual), 0.5 * float(scatter[k, axis]))
             # A neighbours' median and the sample are both rounded.
             size = (np.abs(away) - 1.5 * samples.quantum[axis]) / spread
             wild = size > limit
@@ -99,10 +100,10 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
     return _spikes_finding(samples, places, least_p, worst), samples.with_values(values)
 
 
-def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, float]:
-    """Distance (n,) from the nearer one of the medians before and after, that median, and the scale.
+def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, Floats]:
+    """Distance (n,) from the nearer one of the medians before and after, that median, and from one (m,).
 
-    The scale is that of the distance from one side: the nearer one of two is never farther.
+    Of the last the scale counts: the nearer one of two is never farther.
     """
     half = _NEIGHBOURS // 2
     n = len(column)
@@ -114,7 +115,7 @@ def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, float]
     by_after = column - median[np.minimum(after, n - 1)]
     use_before = np.where(has_before & has_after, np.abs(by_before) <= np.abs(by_after), has_before)
     away = np.where(use_before, by_before, by_after)
-    return away, column - away, float(deviation(by_before[reach + 2 * half :]))
+    return away, column - away, by_before[reach + 2 * half :]
 
 
 def _groups(flags: NDArray[np.bool_], gap: int) -> list[tuple[int, int]]:
