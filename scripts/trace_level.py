@@ -29,7 +29,8 @@ from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.selection.design import LinearProblem, linearise
 from adis_gonio.tracing.selection.search import price, search
-from tracing.test_trace_engine import QUADRATIC, observations
+from tracing.small_problems import observations
+from tracing.test_trace_engine import QUADRATIC
 
 
 def problem_of(data: Readings) -> tuple[LinearProblem, list[Term]]:

@@ -15,7 +15,7 @@ from adis_gonio.tracing.outcome.between import Mixture
 from adis_gonio.tracing.outcome.shares import shares
 from adis_gonio.tracing.validation.checked import unexpected
 from adis_gonio.tracing.validation.leaving_out import Left, folds, less_unknown, rms
-from tracing.test_trace_engine import observations
+from tracing.small_problems import observations
 
 U = np.linspace(-1, 1, 41)
 

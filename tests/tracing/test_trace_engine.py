@@ -10,8 +10,8 @@ import pytest
 
 from adis_gonio.errors import FitError
 from adis_gonio.estimation.fit import Fit, adequacy
-from adis_gonio.estimation.readings import Readings, from_means
-from adis_gonio.model.effects import Conditions, Enters, effect
+from adis_gonio.estimation.readings import Readings
+from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.tracing import trace_readings
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
@@ -19,64 +19,9 @@ from adis_gonio.tracing.outcome.result import TraceResult
 from adis_gonio.tracing.selection.design import Products, amplitudes, linearise, span
 from adis_gonio.tracing.selection.search import price, search
 from adis_gonio.tracing.selection.select import select
-
-G = 1000.0
-
-
-def conditions(n: int = 24, shuffled: bool = True, seed: int = 3) -> Conditions:
-    """Surroundings of n dwells over one turn: cycling temperature, wandering supply, both approaches."""
-    rng = np.random.default_rng(seed)
-    angle = np.deg2rad(np.arange(n) * 360.0 / n)
-    if shuffled:
-        angle = rng.permutation(angle)
-    time = 30.0 + 60.0 * np.arange(n)
-    history = np.linspace(0, 60.0 * n, 20 * n)
-
-    def temperature(t: np.ndarray) -> np.ndarray:
-        return 30 + 6 * np.sin(2 * np.pi * 1.7 * t / (60.0 * n) + 0.4)
-
-    return Conditions(
-        time_s=time,
-        angle_rad=angle,
-        order=np.arange(float(n)),
-        approach=rng.choice([-1.0, 1.0], n),
-        previous_angle_rad=np.concatenate([angle[:1], angle[:-1]]),
-        temperature_c=temperature(time),
-        supply_v=5 + 0.1 * rng.standard_normal(n),
-        temperature_history=(history, temperature(history)),
-    )
-
-
-def observations(
-    effects=(), added=None, turned=None, n=24, u=0.1, fixture_deg=0.005, seed=0, shuffled=True, check=0
-) -> Readings:
-    """Readings (n, 2) of a part with gains 1.01 and 0.99, Δφ 0.3° and effects (effect, values by name)."""
-    rng = np.random.default_rng(seed)
-    c = conditions(n, shuffled)
-    psi = 0.05 - c.angle_rad + rng.normal(0, np.deg2rad(fixture_deg), n)
-    made = [(e, e.defaults(values, others="zero")) for e, values in effects]
-    for e, values in made:
-        psi = psi + e.attitude_rad(values, c)
-    if turned is not None:
-        psi = psi + turned(c)
-    ideal = np.column_stack([1.01 * G * np.cos(psi), 0.99 * G * np.sin(psi + np.deg2rad(0.3))])
-    mean = ideal.copy()
-    for e, values in made:
-        if e.enters is Enters.READING:
-            mean += e.reading(values, ideal, c)
-    if added is not None:
-        mean += added(c, ideal / G)
-    mean += rng.normal(0, u, mean.shape)
-    return from_means(
-        mean,
-        np.tile(u**2 * np.eye(2), (n, 1, 1)),
-        c,
-        gravity_mg=G,
-        fixture_rad=float(np.deg2rad(fixture_deg)),
-        dof=np.full(n, 1e4),
-        check=np.arange(n) >= n - check,
-    )
-
+from tracing.small_problems import (
+    observations,
+)
 
 QUADRATIC = (effect("quadratic", ("x",)), {"k2_x": 1.2})
 

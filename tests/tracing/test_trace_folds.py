@@ -21,8 +21,7 @@ from adis_gonio.tracing.outcome.result import ErrorFigures
 from adis_gonio.tracing.validation import errors, leaving_out
 from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order, without_folds
 from adis_gonio.tracing.validation.leaving_out import Chosen, Left, bounded, counting, cross_validate, folds
-from tracing.test_trace_numbers import G, function, ideal_mg, labelled, noisy, read, turn
-from tracing.test_trace_outcome import biased, chosen
+from tracing.small_problems import G, biased, chosen, function, ideal_mg, labelled, noisy, read, turn
 
 STEPS = np.arange(0, 360, 15.0)
 

@@ -8,7 +8,7 @@ a number is derived it is derived here once more.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +19,7 @@ from scipy import integrate, stats
 
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings, from_means
-from adis_gonio.estimation.terms import Basis, NamelessTerm, Term
+from adis_gonio.estimation.terms import Basis
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.rates import MeanRate
@@ -31,75 +31,31 @@ from adis_gonio.tracing.outcome.naming import Names, judge
 from adis_gonio.tracing.outcome.openings import undecided
 from adis_gonio.tracing.outcome.result import Finding
 from adis_gonio.tracing.outcome.sets import set_of
-from adis_gonio.tracing.selection.design import LinearProblem, linearise, span
-from adis_gonio.tracing.selection.posterior import weigh
+from adis_gonio.tracing.selection.design import linearise, span
 from adis_gonio.tracing.selection.scatter import with_scatter
-from adis_gonio.tracing.selection.search import Model, Search
 from adis_gonio.tracing.selection.select import _gross_slips, beyond_bounds, select
 from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
 from adis_gonio.tracing.unnamed.dependence import dependence
 from adis_gonio.tracing.validation.errors import Fold, guarding, in_order
 from adis_gonio.tracing.validation.leaving_out import bounded, determined, folds
 from adis_gonio.tracing.validation.survival import checkable, never_worse
-
-G = 1000.0
-U = 0.1
-"""Standard uncertainty of a reading of the sessions below, in mg."""
-
-
-def turn(n: int = 24, angles_deg: Sequence[float] | None = None, **others: Any) -> Conditions:
-    """Surroundings of dwells a minute apart, by default over one turn in equal steps."""
-    angles = np.arange(n) * 360.0 / n if angles_deg is None else np.asarray(angles_deg, dtype=float)
-    n = len(angles)
-    at = {"time_s": 60.0 * np.arange(n), "angle_rad": np.radians(angles), "order": np.arange(float(n))}
-    return Conditions(**(at | others))
-
-
-def ideal_mg(c: Conditions, slips_deg: np.ndarray | float = 0.0) -> np.ndarray:
-    """Readings (n, 2) of a perfect part that stands at 3° when the stage shows 0."""
-    psi = np.radians(3.0 + np.asarray(slips_deg)) - c.angle_rad
-    return G * np.column_stack([np.cos(psi), np.sin(psi)])
-
-
-def read(c: Conditions, mean: np.ndarray, u: float = U) -> Readings:
-    """Readings of known noise at angles that are known, so that each is two rows of the linear problem."""
-    return from_means(mean, np.tile(u**2 * np.eye(2), (len(mean), 1, 1)), c)
-
-
-def noisy(c: Conditions, seed: int, u: float = U) -> Readings:
-    """A perfect part with noise as declared."""
-    ideal = ideal_mg(c)
-    return read(c, ideal + np.random.default_rng(seed).normal(0, u, ideal.shape), u)
-
-
-def surroundings(n: int = 24, seed: int = 1) -> Conditions:
-    """A turn with everything recorded."""
-    rng = np.random.default_rng(seed)
-    c = turn(angles_deg=rng.permutation(np.arange(n) * 360.0 / n))
-    temperature = 30 + 6 * np.sin(c.time_s / 200)
-    return replace(
-        c,
-        approach=rng.choice([-1.0, 1.0], n),
-        previous_angle_rad=np.concatenate([c.angle_rad[:1], c.angle_rad[:-1]]),
-        temperature_c=temperature,
-        supply_v=5 + 0.1 * rng.standard_normal(n),
-        temperature_history=(c.time_s, temperature),
-    )
-
-
-def function(
-    label: str, of: Any, covariates: tuple[str, ...] = ("time",), where: Any = "bias", **how: Any
-) -> NamelessTerm:
-    """A function without a name of the conditions, on x or at the angle."""
-    axes = () if where == "angle" else (0,)
-    basis = Basis(label, covariates, lambda c: of(c)[:, None], **how)
-    return NamelessTerm(label, covariates, 5.0, where, axes, basis)
-
-
-def labelled(data: Readings, *labels: str) -> list[Term]:
-    """Candidates of the catalogue by their labels."""
-    at_hand = {term.label: term for term in named_terms(data)[0]}
-    return [at_hand[label] for label in labels]
+from tracing.small_problems import (
+    G,
+    U,
+    base_and_bias,
+    believed,
+    function,
+    ideal_mg,
+    labelled,
+    named,
+    names_only,
+    noisy,
+    read,
+    single,
+    slipped,
+    surroundings,
+    turn,
+)
 
 
 def prior(terms: Iterable[Any]) -> float:
@@ -189,44 +145,6 @@ class TestPrior:
         ratio = base.chi2 * (1 - U**2 / variance) - (rows - 4) * math.log(variance / U**2)
         tail = 0.5 * stats.chi2.sf(ratio, 1)
         assert math.log(scatter.p_value / tail) == pytest.approx(math.log(20), abs=0.1)
-
-
-def single(
-    target: Sequence[float], columns: Sequence[Sequence[float]], terms: Sequence[Any]
-) -> LinearProblem:
-    """A linear problem of single columns of length 1, whose terms cost what they say, or nothing."""
-    k = len(columns)
-    return LinearProblem(
-        terms=tuple(terms),
-        columns=np.array(columns, dtype=float).T,
-        first=np.arange(k),
-        width=np.ones(k, dtype=np.intp),
-        target=np.array(target, dtype=float),
-        dof=len(target),
-        back=tuple(np.eye(1) for _ in range(k)),
-        hidden=(),
-        cost=np.array([getattr(term, "cost", 0.0) for term in terms]),
-        column_price=np.zeros(k),
-    )
-
-
-def named(name: str | None, cost: float = 0.0, covariates: tuple[str, ...] = ()) -> Any:
-    """As much of a term as names and sets look at."""
-    return SimpleNamespace(name=name, shown_as=name, covariates=covariates, dwell=None, cost=cost)
-
-
-def believed(problem: LinearProblem, weights: dict[Model, float], **others: Any) -> Any:
-    """A selection whose models have these shares of the posterior, the first of them chosen."""
-    scores = {model: math.log(share) for model, share in weights.items()}
-    found = Search(problem, np.zeros(len(problem.terms)), scores=scores)
-    verdict = replace(weigh(found), best=next(iter(weights)))
-    return SimpleNamespace(problem=problem, found=found, verdict=verdict, inflation=1.0, **others)
-
-
-def names_only(*names: str) -> LinearProblem:
-    """Effects of one column each, all at right angles."""
-    rows = np.eye(len(names) + 1)
-    return single(9 * rows.sum(axis=0), rows[:-1], [named(name) for name in names])
 
 
 class TestWhatASessionCanShow:
@@ -326,16 +244,6 @@ class TestPhysicalBounds:
         at = replace(fit, values=replace(fit.values, base=np.array([math.radians(3), 1.0, 1.0, 0.0])))
         problem = linearise(at.settled(), [term])
         assert (beyond_bounds(data, problem, [0]) is None) == possible
-
-
-def slipped(n: int = 24, by_deg: float = 15.0, dwells: int = 1, scatter_deg: float = 0.0) -> Readings:
-    """A turn of which some dwells, far from each other, stand elsewhere by a slip."""
-    c = turn(n)
-    slips = np.random.default_rng(7).normal(0, 1, n)
-    slips *= scatter_deg / (1.4826 * np.median(np.abs(slips - np.median(slips))))
-    slips -= np.median(slips)
-    slips[1 : 1 + 3 * dwells : 3] = by_deg
-    return read(c, ideal_mg(c, slips))
 
 
 def set_right(data: Readings) -> int:
@@ -518,15 +426,6 @@ class TestLeftOutDwells:
         names = Names(("cubic",), {}, ())
         assert never_worse(names, names.stand, (0.5, 0.5 * growth), None)[0] == kept
         assert never_worse(names, names.stand, (0.5, 0.5), (0.3, 0.3 * growth))[0] == kept
-
-
-def base_and_bias(c: Conditions) -> np.ndarray:
-    """Columns (n, 2, 6) of start angle, gains, misalignment and biases, by hand, in units of g."""
-    psi = np.radians(3.0) - c.angle_rad
-    zero, one = np.zeros(len(psi)), np.ones(len(psi))
-    x = np.column_stack([-np.sin(psi), np.cos(psi), zero, zero, one, zero])
-    y = np.column_stack([np.cos(psi), zero, np.sin(psi), np.cos(psi), zero, one])
-    return np.stack([x, y], axis=1)
 
 
 class TestWhatIsSaid:

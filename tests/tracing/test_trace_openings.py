@@ -12,7 +12,7 @@ from scipy import stats
 from adis_gonio.tracing.outcome.openings import undecided
 from adis_gonio.tracing.selection.design import LinearProblem
 from adis_gonio.tracing.unnamed.dependence import dependence
-from tracing.test_trace_engine import observations
+from tracing.small_problems import observations
 
 
 def left_by(target: np.ndarray, columns=(), names=(), best=(), data=None) -> SimpleNamespace:

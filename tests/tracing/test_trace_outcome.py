@@ -39,15 +39,15 @@ from adis_gonio.tracing.outcome.positions import as_the_part_stood, ruled_out, w
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, TraceResult, Unnamed
 from adis_gonio.tracing.outcome.sets import credible_sets, one_a_function, votes
 from adis_gonio.tracing.outcome.shares import excesses, unnamed_with_share, with_shares
-from adis_gonio.tracing.selection.posterior import weigh
 from adis_gonio.tracing.selection.scatter import Scatter
-from adis_gonio.tracing.selection.select import Selection, select
 from adis_gonio.tracing.trace import _likelier
-from tracing.test_trace_numbers import (
+from tracing.small_problems import (
     G,
     U,
     base_and_bias,
     believed,
+    biased,
+    chosen,
     function,
     ideal_mg,
     labelled,
@@ -399,23 +399,6 @@ class TestPositions:
     def test_of_a_session_without_a_wrong_position_nothing_more_is_said(self) -> None:
         result = self.result()
         assert with_positions(result, noisy(turn(), 27), Diagnosis()) is result
-
-
-def chosen(data: Readings, terms: Sequence[Term], *models: tuple[Sequence[int], float]) -> Selection:
-    """A selection with nothing but models of these terms, by share of the posterior, the first chosen."""
-    bare = select(data, terms, 0)
-    number = {term.label: k for k, term in enumerate(bare.problem.terms)}
-    scores = {
-        tuple(sorted(number[terms[k].label] for k in model)): math.log(share) for model, share in models
-    }
-    found = replace(bare.found, scores=scores, inflation=1.0)
-    return replace(bare, found=found, verdict=weigh(found)).with_model(next(iter(scores)))
-
-
-def biased(seed: int = 31, mg: Sequence[float] = (5.0, -3.0), u: float = U) -> Readings:
-    """A turn in equal steps with a bias."""
-    data = noisy(turn(supply_v=5 + 0.1 * np.random.default_rng(seed).standard_normal(24)), seed, u)
-    return replace(data, mean=data.mean + np.asarray(mg))
 
 
 class TestFindings:

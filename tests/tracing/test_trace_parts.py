@@ -46,10 +46,12 @@ from adis_gonio.tracing.validation.survival import (
     refuted,
     without,
 )
-from tracing.test_trace_numbers import (
+from tracing.small_problems import (
     G,
     U,
     believed,
+    biased,
+    chosen,
     function,
     ideal_mg,
     labelled,
@@ -62,7 +64,6 @@ from tracing.test_trace_numbers import (
     surroundings,
     turn,
 )
-from tracing.test_trace_outcome import biased, chosen
 
 
 class TestFunctionsWithoutAName:

@@ -20,8 +20,18 @@ from adis_gonio.model.effects import Conditions
 from adis_gonio.tracing.selection import scatter
 from adis_gonio.tracing.selection.scatter import Scatter, with_scatter
 from adis_gonio.tracing.selection.select import Selection
-from tracing.test_trace_numbers import G, U, base_and_bias, function, ideal_mg, labelled, read, turn
-from tracing.test_trace_outcome import biased, chosen
+from tracing.small_problems import (
+    G,
+    U,
+    base_and_bias,
+    biased,
+    chosen,
+    function,
+    ideal_mg,
+    labelled,
+    read,
+    turn,
+)
 
 CHECKS = 48 - 4
 """Rows of a turn of 24 dwells less those of the base model."""

@@ -11,7 +11,7 @@ from adis_gonio.estimation.readings import Readings, from_means
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.selection.design import linearise, span
 from adis_gonio.tracing.selection.search import search
-from tracing.test_trace_engine import observations
+from tracing.small_problems import observations
 
 ALLAN_MG = np.array([0.3, 0.1])
 

@@ -14,7 +14,7 @@ from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.candidates.processes import AMPLITUDES, evidence, processes
 from adis_gonio.tracing.selection.select import select
 from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
-from tracing.test_trace_engine import observations
+from tracing.small_problems import observations
 
 
 def wavy_zero(amplitude_mg: float = 1.0):

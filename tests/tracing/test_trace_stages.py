@@ -29,8 +29,7 @@ from adis_gonio.tracing.outcome.sets import CredibleSet
 from adis_gonio.tracing.selection.scatter import Scatter
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.trace import UNCHECKED, trace, trace_readings
-from tracing.test_trace_numbers import function, labelled, noisy, turn
-from tracing.test_trace_outcome import biased, chosen
+from tracing.small_problems import biased, chosen, function, labelled, noisy, turn
 
 stages = import_module("adis_gonio.tracing.trace")
 
