@@ -223,7 +223,7 @@ def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
     before = np.linalg.norm(columns, axis=0)
     columns = columns - base @ (base.T @ columns)
     length = np.linalg.norm(columns, axis=0)
-    seen = np.isfinite(length) & (length > limits.observable * before) & (length > 0)
+    seen = np.isfinite(length) & (length**2 > limits.independent * before**2) & (length > 0)
     unit = columns[:, seen] / length[seen]
     for name in {key.split("|")[0] for key in keys} - {
         key.split("|")[0] for key, there in zip(keys, seen, strict=True) if there

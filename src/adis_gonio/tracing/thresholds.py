@@ -57,14 +57,10 @@ class Limits:
     scatter_prior: float = number(0.05, "chosen", "prior probability of a variance component", off=1e-30)
 
     # What a session can show
-    observable: float = number(
-        0.02,
-        "derived",
-        "least part of a column beside the base model: below, terms of second order differ as much",
-        off=0.0,
-    )
     independent: float = number(
-        1e-4, "derived", "least squared part of a column beside a model, above rounding"
+        1e-4,
+        "derived",
+        "least squared part of a column beside a model: below, terms of second order differ as much",
     )
     same_prediction: float = number(
         0.3, "derived", "models that differ by less in χ², half a u altogether, are one model", off=0.0

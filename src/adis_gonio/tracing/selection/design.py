@@ -179,7 +179,7 @@ def _beside(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Fl
     columns = columns * np.where(before > 0, 1 / np.where(before > 0, before, 1.0), 0.0)
     columns = columns - base @ (base.T @ columns)
     after = np.linalg.norm(columns, axis=0)
-    seen = after > limits.observable
+    seen = after**2 > limits.independent
     columns = columns * np.where(seen, 1 / np.where(seen, after, 1.0), 0.0)
     return columns, np.where(seen, before * after, 1.0)
 
