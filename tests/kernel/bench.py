@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 SETTLE_S = 10
+RELOAD_S = 60
 USB_DEVICES = Path("/sys/bus/usb/devices")
 
 
@@ -131,6 +132,16 @@ def node(serial: str, subsystem: str) -> Path:
     if len(names) != 1:
         raise LookupError(f"{serial} has {names} in {subsystem}")
     return Path("/dev") / names[0]
+
+
+def reload_rules() -> None:
+    """Have udevd read its rules again; it may hang up on who asks while it is busy, and is asked again."""
+    command = ["udevadm", "control", f"--timeout={RELOAD_S}", "--reload"]
+    for _ in range(4):
+        if subprocess.run(command, check=False, timeout=2 * RELOAD_S).returncode == 0:
+            return
+        settle()
+    subprocess.run(command, check=True, timeout=2 * RELOAD_S)
 
 
 def settle() -> None:

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from adis_gonio.cli import app
-from kernel.bench import Bench, node, settle
+from kernel.bench import Bench, node, reload_rules, settle
 
 BENCH_USER = 4242
 RULES = Path("/etc/udev/rules.d/70-adis-gonio.rules")
@@ -56,10 +56,10 @@ def plug_all(bench: Bench) -> list[str]:
 def no_rules(bench: Bench) -> Iterator[None]:
     """A machine on which the rules are not installed, nor afterwards."""
     RULES.unlink(missing_ok=True)
-    subprocess.run(["udevadm", "control", "--reload"], check=True, timeout=60)
+    reload_rules()
     yield
     RULES.unlink(missing_ok=True)
-    subprocess.run(["udevadm", "control", "--reload"], check=True, timeout=60)
+    reload_rules()
 
 
 def test_devices_lists_what_is_connected(bench: Bench) -> None:
@@ -88,7 +88,7 @@ def test_without_the_rules_a_user_is_refused_and_told_the_rule_with_them_it_work
         assert words in row["message"]
 
     RULES.write_text(command("devices", "--udev"))
-    subprocess.run(["udevadm", "control", "--reload"], check=True, timeout=60)
+    reload_rules()
     bench.clear()
     plug_all(bench)
     settle()
