@@ -22,6 +22,7 @@ from adis_gonio.model.rates import MeanRate
 from adis_gonio.slips import Diagnosis, PositionFinding
 from adis_gonio.slips.finding import Named
 from adis_gonio.tracing.candidates.named import named_terms
+from adis_gonio.tracing.outcome.between import bases
 from adis_gonio.tracing.outcome.cycles import cycles_alike
 from adis_gonio.tracing.outcome.detect import detectable
 from adis_gonio.tracing.outcome.figures import Panel, _uncertainty, views_of
@@ -553,6 +554,16 @@ class TestBaseAndRivals:
         base = base_of(chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0)))
         assert (base["scale_y"].value, base["scale_y"].u) == (1.0, None)
         assert base["scale_x"].u is not None
+
+    def test_a_cubic_that_may_be_there_moves_the_gain_as_a_fit_with_it_does(self) -> None:
+        data = biased()
+        terms = labelled(data, "bias[xy]", "cubic[x]")
+        models = ((0,), (0, 1))
+        spread = bases(chosen(data, terms, *((model, 0.5) for model in models)))
+        gains = [base_of(chosen(data, terms, (model, 1.0)))["scale_x"].value for model in models]
+        moved = spread.away[:, data.model.names.index("scale_x")]
+        assert abs(gains[1] - gains[0]) > 1e-6
+        assert sorted(moved) == pytest.approx(sorted([0.0, gains[1] - gains[0]]), abs=1e-8)
 
     def test_rivals_are_the_eight_best_models_in_words(self) -> None:
         problem = names_only(*"abcdefghij")

@@ -205,11 +205,6 @@ class NextDwell:
     other: tuple[str, ...]
     sentence: str = ""
 
-    @property
-    def by_position(self) -> bool:
-        """True where nothing but a position (and patience) is wanted."""
-        return self.temperature_c is None and self.supply_v is None
-
     def as_dict(self) -> dict[str, Any]:
         """One entry of `measurements`."""
         return {
