@@ -329,6 +329,14 @@ def test_short_dwells_are_looked_at_as_far_as_they_go(n):
     assert kinds(draw(np.random.default_rng(n), dwells=8, n=n)) == []
 
 
+@pytest.mark.parametrize("code_mg", [0.0, 467.2])
+@pytest.mark.parametrize("same", [[True, False], [True, True]], ids=["one axis", "both axes"])
+def test_an_axis_of_one_code_shows_nothing(same, code_mg):
+    samples = draw(np.random.default_rng(3), n=120, dwells=8)
+    values = tuple(np.where(same, code_mg, rows) for rows in samples.values)
+    assert kinds(replace(samples, values=values)) == []
+
+
 @pytest.mark.parametrize(("p_value", "called"), [(1e-4, True), (1e-3, False)])
 def test_a_finding_is_called_found_from_the_probability_that_any_cause_needs(p_value, called):
     """Prior 1 in 57; evidence of p = 10⁻⁴ is some 120 to 1, of 10⁻³ some 20 to 1."""

@@ -41,6 +41,8 @@ _LONGEST = 0.5
 _BENT = 9.0
 """Gain, in units of the noise, from which a course is settling and no line."""
 _POINTS = 120
+_ROUNDING_MG = 1e-9
+"""Least scatter of a projection: a word that stands still projects on its rounding, alike in all dwells."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,7 @@ def _best(samples: Samples, usable: Usable) -> _Candidate | None:
             slope = np.where(alive, (g * z).sum(axis=0) / np.where(alive, energy, 1.0), 0.0)
             dof = int(usable.sum()) - 1
             # Dwells in which the regressor is zero have a scatter but no say.
-            residual = ((z - g * slope)[usable] ** 2).sum(axis=0) / dof
+            residual = np.maximum(((z - g * slope)[usable] ** 2).sum(axis=0) / dof, _ROUNDING_MG**2)
             t = slope * np.sqrt(energy / np.maximum(residual, 1e-300))
             for axis in range(samples.axes):
                 if not alive[axis]:

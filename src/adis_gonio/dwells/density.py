@@ -41,6 +41,8 @@ _KNEES = (np.inf, 0.2, 0.07, 0.025, 0.0)
 to code, the slower the rarer."""
 _FLICKERS = (0.0, *np.geomspace(0.01, 300.0, 10).tolist())
 """1/f noise at the lowest frequency searched, in the same unit."""
+_ROUNDING = 1e-30
+"""Power in mg² that is none: of an axis that shows one code."""
 _CELLS = 120
 _LENGTHS = 5
 _LINE = 2.0
@@ -104,8 +106,8 @@ class Density:
         dwells = len(self.dwells)
         above, below = (float(stats.gamma.ppf(share, dwells)) for share in (0.75, 0.25))
         expected = math.log(above / below)
-        shared = dwells * (expected / np.maximum(high - low, 1e-300)) ** 2
-        return np.asarray(np.clip(shared, 1.0, dwells), dtype=np.float64)
+        shared = dwells * (expected / np.maximum(high - low, expected)) ** 2
+        return np.asarray(np.maximum(shared, 1.0), dtype=np.float64)
 
 
 def density_of(samples: Samples) -> Density | None:
@@ -121,7 +123,7 @@ def density_of(samples: Samples) -> Density | None:
     for row, k in enumerate(dwells.tolist()):
         rows = without_line(samples.values[k])
         lines = fft.rfft((rows * _taper(len(rows))[:, None]).T, size)
-        power[row] = (lines.real**2 + lines.imag**2).T
+        power[row] = np.maximum(lines.real**2 + lines.imag**2, _ROUNDING).T
     each = size / middle
     first = max(1, round(LOWEST * each))
     searched = slice(first, len(frequency) - max(1, round(each / 2)))
@@ -195,8 +197,8 @@ def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool
     """
 
     def loss(shape: Floats, part: NDArray[np.bool_]) -> float:
-        ratio = own[part] / shape[part]
-        return float(np.log(shape[part]).sum() + len(ratio) * (math.log(float(ratio.mean())) + 1))
+        scale = max(float((own[part] / shape[part]).mean()), 1e-300)
+        return float(np.log(shape[part]).sum()) + float(part.sum()) * (math.log(scale) + 1)
 
     line = float(np.log(np.maximum(own[peak], 1e-300)).sum()) + float(peak.sum())
     return loss(with_peak, np.ones_like(peak)) - loss(without, ~peak) - line
