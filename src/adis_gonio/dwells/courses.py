@@ -124,7 +124,7 @@ def _best(samples: Samples, usable: Usable) -> _Candidate | None:
             dof = int(usable.sum()) - 1
             # Dwells in which the regressor is zero have a scatter but no say.
             residual = np.maximum(((z - g * slope)[usable] ** 2).sum(axis=0) / dof, _ROUNDING_MG**2)
-            t = slope * np.sqrt(energy / np.maximum(residual, 1e-300))
+            t = slope * np.sqrt(energy / residual)
             for axis in range(samples.axes):
                 if not alive[axis]:
                     continue

@@ -102,7 +102,7 @@ class Density:
         """
         part = self.searched
         pooled = (self.power[:, part] / self.level[:, None, :]).mean(axis=0) / self.base[part]
-        low, high = np.quantile(np.log(np.maximum(pooled, 1e-300)), [0.25, 0.75], axis=0)
+        low, high = np.quantile(np.log(pooled), [0.25, 0.75], axis=0)
         dwells = len(self.dwells)
         above, below = (float(stats.gamma.ppf(share, dwells)) for share in (0.75, 0.25))
         expected = math.log(above / below)
@@ -183,7 +183,7 @@ def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, i
         out = density[:, axis].copy()
         sides = [out[max(0, peak - far) : peak - near + 1], out[peak + near : peak + far + 1]]
         middles = [float(np.median(side)) for side in sides if len(side)]
-        out[peak - near + 1 : peak + near] = math.exp(np.mean(np.log(np.maximum(middles, 1e-300))))
+        out[peak - near + 1 : peak + near] = math.exp(np.mean(np.log(middles)))
         return out
 
     return bridged
@@ -197,10 +197,10 @@ def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool
     """
 
     def loss(shape: Floats, part: NDArray[np.bool_]) -> float:
-        scale = max(float((own[part] / shape[part]).mean()), 1e-300)
+        scale = float((own[part] / shape[part]).mean())
         return float(np.log(shape[part]).sum()) + float(part.sum()) * (math.log(scale) + 1)
 
-    line = float(np.log(np.maximum(own[peak], 1e-300)).sum()) + float(peak.sum())
+    line = float(np.log(own[peak]).sum()) + float(peak.sum())
     return loss(with_peak, np.ones_like(peak)) - loss(without, ~peak) - line
 
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +61,7 @@ class Levels:
         """Those of some dwells."""
         return Levels(self.variance[chosen], self.dof[chosen], self.level[chosen], self.level_dof[chosen])
 
-    @property
+    @cached_property
     def course(self) -> Floats:
         """Logarithm of the level (d,), less what so many degrees of freedom lower it by on average."""
         half = self.level_dof / 2

@@ -326,9 +326,9 @@ def _u_of(found: Determination) -> Floats:
     """
     variance = np.maximum(np.diagonal(covariance(found.fisher, found.free, found.null)), 0.0)
     sensor = found.fit.data.sensor
-    lean_rad = VARIANTS[sensor].performance.skew_u_rad if sensor in VARIANTS else 0.0
+    skew_u_rad = VARIANTS[sensor].performance.skew_u_rad if sensor in VARIANTS else 0.0
     for k in found.held:
-        variance = variance + (lean_rad * shift_by_held(found, k)) ** 2
+        variance = variance + (skew_u_rad * shift_by_held(found, k)) ** 2
     rows = enumerate(np.eye(len(variance)))
     seen = [bool(found.free[k]) and is_determined(row, found.null) for k, row in rows]
     return np.where(seen, np.sqrt(variance), np.inf)

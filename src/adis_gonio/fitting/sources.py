@@ -456,10 +456,10 @@ def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, 
     extra = _each(response, np.tile(noise.extra_mg * np.eye(axes), (len(data), 1, 1)))
     figures = VARIANTS[data.sensor].performance if data.sensor in VARIANTS else None
     figure = 0.0 if figures is None else figures.initial_bias_mg
-    lean_rad = 0.0 if figures is None else figures.skew_u_rad
+    skew_u_rad = 0.0 if figures is None else figures.skew_u_rad
     held = list(unseen.biases)
     biases = np.tile(figure * np.eye(axes)[:, held], (len(data), 1, 1))
-    skews = lean_rad * fit.base_columns[:, :, list(unseen.skews)]
+    skews = skew_u_rad * fit.base_columns[:, :, list(unseen.skews)]
     acts = np.concatenate([biases, skews], axis=2)
     blind = np.einsum("pna,nak->pk", response, acts)
     notes, u = [], noise.extra_mg
