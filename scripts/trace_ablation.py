@@ -38,8 +38,6 @@ from tracing.blind import KINDS
 from tracing.rounds import judge_answer, trace_file, write_session
 
 LADDER = "ladder"
-WHOLE = {"reach"}
-"""No comparison: tried on every session."""
 RULES = {
     field.name: field.metadata["off"]
     for field in dataclasses.fields(Limits)
@@ -136,11 +134,10 @@ def traced(work: Path, kind: str, seed: int, index: int, rule: str) -> dict[str,
     decided.clear()
     for name, off in RULES.items():
         usual = getattr(Limits(), name)
-        probe = usual if name in WHOLE else Probe(name, usual, off)
-        setattr(limits, name, off if name == rule else (usual if rule else probe))
+        setattr(limits, name, off if name == rule else (usual if rule else Probe(name, usual, off)))
     path = session_path(work, kind, index)
     answer = trace_file(str(path))
-    depends = sorted(decided | WHOLE)
+    depends = sorted(decided)
     if not rule and "failure" in answer:  # a probe in the answer itself
         for name in RULES:
             setattr(limits, name, getattr(Limits(), name))

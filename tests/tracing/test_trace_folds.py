@@ -20,7 +20,7 @@ from adis_gonio.model.rates import MeanRate
 from adis_gonio.tracing.outcome.result import ErrorFigures
 from adis_gonio.tracing.validation import errors, leaving_out
 from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order, without_folds
-from adis_gonio.tracing.validation.leaving_out import Chosen, Left, bounded, counting, cross_validate, folds
+from adis_gonio.tracing.validation.leaving_out import Chosen, Left, counting, cross_validate, folds
 from tracing.small_problems import G, biased, chosen, function, ideal_mg, labelled, noisy, read, turn
 
 STEPS = np.arange(0, 360, 15.0)
@@ -146,39 +146,9 @@ class TestDesigns:
 
 
 class TestLeavingOut:
-    def test_a_term_is_bounded_by_half_its_range_on_both_sides(self) -> None:
-        data = noisy(turn(41), 84)
-        fitted = np.arange(41) >= 20
-        for where, size, added in (("bias", 10.0, 10.0), ("angle", 10.0, 0.01)):  # mg; mrad and rad
-            line = function("line", lambda c: c.time_s / 1200.0 - 1.0, where=where)
-            inside = data.rows(fitted)
-            fit = Fit.begin(inside).having([line], [np.array([size])])
-            (term,) = bounded(fit)
-            out = data.rows(~fitted)
-            told = term.added(np.array([size]), out.mean, out.conditions)
-            told = told if where == "angle" else told[:, 0]
-            # It rose from 0 to 1 over the fit: before, it was down to −1 and is held at −0.5.
-            np.testing.assert_allclose(told, added * np.maximum(np.arange(20) / 20 - 1, -0.5))
-            assert (term.name, term.enters_angle) == (None, where == "angle")
-            np.testing.assert_array_equal(
-                term.columns(out.mean, out.conditions), line.columns(out.mean, out.conditions)
-            )
-
-    def test_a_term_of_the_readings_is_bounded_on_each_axis_by_what_it_adds_to_ideal_ones(self) -> None:
-        # Curvatures of 10 and 2 mg/g² add as much at most to a turn, however large the bias beside it.
-        data = biased(mg=(300.0, 0.0))
-        fit = Fit.begin(biased(mg=(0.0, 0.0))).having(labelled(data, "bias[x]", "quadratic[xy]"), [])
-        values = np.array([10.0, 2.0])
-        fit = replace(fit, data=data, values=replace(fit.values, terms=(np.array([300.0]), values)))
-        held = bounded(fit)[1]
-        far = np.full((1, 2), 5 * G)
-        c = data.conditions.rows(np.arange(24) < 1)
-        np.testing.assert_allclose(held.added(values, far, c), [[15.0, 3.0]], rtol=0.02)
-        np.testing.assert_allclose(held.added(-values, far, c), [[-5.0, -1.0]], rtol=0.02)
-
     @pytest.mark.parametrize("where", ["bias", "angle"])
-    def test_errors_are_of_the_model_within_its_bounds(self, where: str) -> None:
-        # As above a line is held at −0.5 before the dwells of the fit, at the readings or at the angle.
+    def test_errors_are_of_what_the_model_says_of_dwells_that_were_left_out(self, where: str) -> None:
+        # A line that rose from 0 to 1 over the fit goes down to −1 before it, in the readings or the angle.
         data = read(turn(41), ideal_mg(turn(41)))
         before = np.arange(41) < 20
         line = function("line", lambda c: c.time_s / 1200.0 - 1.0, where=where)
@@ -188,7 +158,7 @@ class TestLeavingOut:
             return Chosen(begun, by=begun)
 
         told = cross_validate(data, {"before": [before]}, fit)["before"].rows(before)
-        held = np.maximum(np.arange(20) / 20 - 1, -0.5)
+        held = np.arange(20) / 20 - 1
         psi = np.radians(3.0) - np.asarray(data.conditions.angle_rad)[before]
         if where == "bias":
             np.testing.assert_allclose(told.residual, np.outer(-10.0 * held, [1.0, 0.0]), atol=1e-6)

@@ -11,14 +11,12 @@ from adis_gonio import trace
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings, readings_of
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.between import effects
 from adis_gonio.tracing.outcome.naming import Names
 from adis_gonio.tracing.outcome.result import TraceResult
 from adis_gonio.tracing.selection.design import amplitudes
 from adis_gonio.tracing.selection.select import select
-from adis_gonio.tracing.validation.leaving_out import bounded
 from adis_gonio.tracing.validation.survival import never_worse
 
 
@@ -94,47 +92,14 @@ def test_a_slip_of_degrees_is_one_slip_and_no_scatter(slip_deg: float) -> None:
     assert abs(slip.parameters["slip"].value - slip_deg) < 4 * (slip.parameters["slip"].u or 0)
 
 
-def test_no_term_adds_much_more_to_other_dwells_than_to_those_of_its_fit() -> None:
-    data = readings_of(forth_and_back())
-    late = np.arange(len(data)) >= 27
-    rest, out = data.rows(~late), data.rows(late)
-    label = "bias[x]~a smooth function of time (degree 8)"
-    term = next(term for term in nameless_terms(data) if term.label == label)
-    # The polynomial that is smallest over the fit is large outside.
-    early = term.columns(rest.mean, rest.conditions)[:, 0]
-    values = np.linalg.eigh(early.T @ early)[1][:, 0]
-    fit = Fit.begin(rest).having([term], [values]).settled()
-    inside = term.added(values, fit.ideal, rest.conditions)[:, 0]
-    free = term.added(values, out.mean, out.conditions)[:, 0]
-    (held,) = bounded(fit)
-    outside = held.added(values, out.mean, out.conditions)[:, 0]
-    low, high = inside.min() - 0.5 * np.ptp(inside), inside.max() + 0.5 * np.ptp(inside)
-    assert np.abs(free).max() > 10 * np.abs(inside).max()
-    assert (outside >= low - 1e-12).all()
-    assert (outside <= high + 1e-12).all()
-
-
-def test_bounds_do_not_hinder_a_line_over_a_block_that_was_left_out() -> None:
-    data = readings_of(forth_and_back())
-    late = np.arange(len(data)) >= 27
-    rest, out = data.rows(~late), data.rows(late)
-    model = fitted(data, "bias_drift[x]").terms
-    values = (np.array([3.0]),)
-    (held,) = bounded(Fit.begin(rest).having(model, values).settled())
-    np.testing.assert_allclose(
-        held.added(values[0], out.mean, out.conditions),
-        model[0].added(values[0], out.mean, out.conditions),
-    )
-
-
 def test_a_dwell_that_was_left_out_is_not_predicted_by_its_own_slip() -> None:
     data = readings_of(forth_and_back(slip_mg=3.0))
     rest = data.rows(np.arange(len(data)) != 7)
     fit = fitted(data, "outlier_dwell[x](dwell=7)")
     again = fit.again(rest)
     out = data.rows(np.arange(len(data)) == 7)
-    (held,) = bounded(again)
-    assert held.added(again.values.terms[0], out.mean, out.conditions)[0, 0] == 0
+    (slip,) = again.terms
+    assert slip.added(again.values.terms[0], out.mean, out.conditions)[0, 0] == 0
 
 
 @pytest.mark.parametrize(

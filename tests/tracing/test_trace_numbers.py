@@ -37,7 +37,7 @@ from adis_gonio.tracing.selection.select import _gross_slips, beyond_bounds, sel
 from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
 from adis_gonio.tracing.unnamed.dependence import dependence
 from adis_gonio.tracing.validation.errors import Fold, guarding, in_order
-from adis_gonio.tracing.validation.leaving_out import bounded, determined, folds
+from adis_gonio.tracing.validation.leaving_out import determined, folds
 from adis_gonio.tracing.validation.survival import checkable, never_worse
 from tracing.small_problems import (
     G,
@@ -388,17 +388,6 @@ class TestLeftOutDwells:
             variances += variance.tolist()
         assert sum(2 < v < 3.9 for v in variances) > 5
         assert sum(4.1 < v < 8 for v in variances) > 5
-
-    @pytest.mark.number("reach")
-    def test_what_a_term_adds_elsewhere_goes_half_its_range_beyond(self) -> None:
-        # A drift of 1 mg over the 20 minutes that were fitted; 20 more were left out.
-        data = noisy(turn(41), 15)
-        fitted = np.arange(41) <= 20
-        line = function("line", lambda c: c.time_s / 1200.0)
-        fit = Fit.begin(data.rows(fitted)).having([line], [np.array([1.0])]).settled()
-        out = data.rows(~fitted)
-        added = bounded(fit)[0].added(np.array([1.0]), out.mean, out.conditions)[:, 0]
-        np.testing.assert_allclose(added, np.minimum(np.arange(21, 41) / 20.0, 1.5))
 
     @pytest.mark.number("least_choice")
     @pytest.mark.parametrize(("dwells", "anew"), [(8, False), (9, True)])

@@ -513,37 +513,37 @@ class Fit:
         return replace(self, values=Values(base, old.attitude, tuple(terms)))
 
     def again(self, data: Readings) -> Fit:
-        """The same terms fitted anew to other readings."""
-        return Fit.begin(data, with_prior=self.with_prior).having(self.terms, self.values.terms).refit(8)
+        """The same terms fitted anew to other readings; amplitudes that these do not show are zero."""
+        values = []
+        for term, old in zip(self.terms, self.values.terms, strict=True):
+            slopes = term.derivative(old, data.mean, data.conditions)
+            shown = slopes.any(axis=tuple(range(slopes.ndim - 1)))
+            unseen = [k for k in term.amplitude_index(old) if not shown[k]]
+            own = old.copy()
+            own[unseen] = 0.0
+            values.append(own)
+        return Fit.begin(data, with_prior=self.with_prior).having(self.terms, values).refit(8)
 
     # -- dwells that took no part ------------------------------------------------------------------
 
-    def on(self, data: Readings, terms: Sequence[Term] | None = None) -> Fit:
-        """The same values on other dwells, at the attitudes that suit these best.
+    def on(self, data: Readings) -> Fit:
+        """The same values on other dwells, at the attitudes that suit these best."""
+        return self._placed_on(data).settled(4)
 
-        Parameters
-        ----------
-        terms : sequence of Term, optional
-            In the place of the terms, with the same values.
-        """
-        started = self._placed_on(data, terms)
-        return started.settled(4)
-
-    def _placed_on(self, data: Readings, terms: Sequence[Term] | None) -> Fit:
+    def _placed_on(self, data: Readings) -> Fit:
         model = data.model
         _, attitude = model.begin(data.mean, data.turn_rad, np.isfinite(data.angle_rad), data.conditions)
         if isinstance(model, PlanarTurn):
             shown = np.arctan2(data.mean[:, 1], data.mean[:, 0]) - self.values.base[0]
             attitude = np.where(np.isfinite(data.angle_rad), 0.0, shown)
-        values = replace(self.values, attitude=attitude)
-        return Fit(data, self.terms if terms is None else tuple(terms), values, self.with_prior)
+        return replace(self, data=data, values=replace(self.values, attitude=attitude))
 
-    def angle_error_rad(self, data: Readings, terms: Sequence[Term] | None = None) -> Floats | None:
+    def angle_error_rad(self, data: Readings) -> Floats | None:
         """Angle by the calibrated goniometer minus declared angle (n,); None without declared angles."""
         if not isinstance(data.model, PlanarTurn) or data.conditions.angle_rad is None:
             return None
         # A stage that stands further on than declared has turned ψ = α − θ the other way.
-        return -self._placed_on(replace(data, fixture_rad=np.inf), terms).settled(4).values.attitude
+        return -self._placed_on(replace(data, fixture_rad=np.inf)).settled(4).values.attitude
 
     def foresees(self, data: Readings, most: float) -> NDArray[np.bool_]:
         """Dwells (n,) of others that it predicts to a variance of `most` in units of their noise."""

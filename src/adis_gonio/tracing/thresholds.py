@@ -115,12 +115,6 @@ class Limits:
     predicted: float = number(
         4.0, "chosen", "largest variance of a prediction, in noise, that is one", off=INFINITE
     )
-    reach: float = number(
-        0.5,
-        "chosen",
-        "part of the range of what a term added, by which it may go beyond elsewhere",
-        off=1e6,
-    )
     least_choice: int = number(9, "chosen", "least dwells for choosing anew without some of them", off=0)
     least_checks: int = number(2, "chosen", "least degrees of freedom left for any name but bias", off=0)
     worse: float = number(1.05, "chosen", "largest growth of the left-out error by an effect", off=INFINITE)

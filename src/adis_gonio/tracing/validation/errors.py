@@ -22,7 +22,6 @@ from adis_gonio.tracing.unnamed.averaging import Averaged, average
 from adis_gonio.tracing.validation.leaving_out import (
     Chosen,
     Left,
-    bounded,
     counted,
     counting,
     cross_validate,
@@ -156,7 +155,7 @@ def without_folds(
     lefts: list[list[Left]] = [[] for _ in fits]
     design = "no dwell"
     if checking is not None:
-        lefts = [[leave(fit, checking, bounded(fit))] for fit in fits]
+        lefts = [[leave(fit, checking)] for fit in fits]
         design = f"{len(checking)} check dwells"
     return [_figures(fit, measured, left) for fit, left in zip(fits, lefts, strict=True)], design
 

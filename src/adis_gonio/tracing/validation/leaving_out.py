@@ -17,7 +17,6 @@ from adis_gonio.budget import check, told
 from adis_gonio.estimation.fit import Fit, foreseen
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
-from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.thresholds import limits
 
@@ -68,70 +67,10 @@ class Chosen:
     by: Fit
 
 
-@dataclass(frozen=True)
-class _Bounded(Term):
-    """A fitted term that adds to other dwells little more than to those that it was fitted on.
-
-    Attributes
-    ----------
-    term : Term
-    low, high : (axes,) or () float
-        Bounds of what it adds, in the readings' unit or rad.
-    """
-
-    term: Term
-    low: Floats
-    high: Floats
-
-    @property
-    def name(self) -> str | None:
-        """As the term."""
-        return self.term.name
-
-    @property
-    def enters_angle(self) -> bool:
-        """As the term."""
-        return self.term.enters_angle
-
-    def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """As the term."""
-        return self.term.columns(ideal, conditions)
-
-    def start(self, amplitudes: Floats) -> Floats:
-        """As the term."""
-        return self.term.start(amplitudes)
-
-    def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """What the term adds, within the bounds."""
-        bounded: Floats = np.clip(self.term.added(values, ideal, conditions), self.low, self.high)
-        return bounded
-
-    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """As the term."""
-        return self.term.derivative(values, ideal, conditions)
-
-
-def bounded(fit: Fit) -> tuple[Term, ...]:
-    """Terms for dwells that took no part: what each adds is bounded by what it added to those of the fit.
-
-    The range of the fit is extended by half of itself at either end: a line reaches over the block of
-    time that was left out, while a polynomial of high degree, or two terms that only together are
-    determined, cannot explode. A term of a dwell that was left out adds nothing.
-    """
-    terms = []
-    for term, values in zip(fit.terms, fit.values.terms, strict=True):
-        ideal = fit.data.mean if term.enters_angle else fit.ideal
-        added = term.added(values, ideal, fit.data.conditions)
-        low, high = added.min(axis=0), added.max(axis=0)
-        more = limits.reach * (high - low)
-        terms.append(_Bounded(term.label, term.covariates, term.cost, term, low - more, high + more))
-    return tuple(terms)
-
-
-def leave(fit: Fit, data: Readings, terms: Sequence[Term] | None = None) -> Left:
-    """Residuals of a fitted model on other dwells; see `bounded` for its terms."""
-    there = fit.on(data, terms)
-    turned = fit.angle_error_rad(data, terms)
+def leave(fit: Fit, data: Readings) -> Left:
+    """Residuals of a fitted model on other dwells."""
+    there = fit.on(data)
+    turned = fit.angle_error_rad(data)
     return Left(there.misfit, turned, np.ones(len(data), dtype=bool))
 
 
@@ -264,7 +203,7 @@ def cross_validate(
             check()
             answer = fit(data.rows(~mask))
             predicted[mask] = answer.by.foresees(data.rows(mask), limits.predicted)
-            left = leave(answer.fit, data.rows(mask), bounded(answer.fit))
+            left = leave(answer.fit, data.rows(mask))
             residual[mask] = left.residual
             if left.angle_rad is not None:
                 turned[mask] = left.angle_rad
