@@ -517,7 +517,7 @@ class Fit:
         values = []
         for term, old in zip(self.terms, self.values.terms, strict=True):
             slopes = term.derivative(old, data.mean, data.conditions)
-            shown = slopes.any(axis=tuple(range(slopes.ndim - 1)))
+            shown = slopes.reshape(-1, len(old)).any(axis=0)
             unseen = [k for k in term.amplitude_index(old) if not shown[k]]
             own = old.copy()
             own[unseen] = 0.0
