@@ -516,9 +516,8 @@ class Fit:
         """The same terms fitted anew to other readings; amplitudes that these do not show are zero."""
         values = []
         for term, old in zip(self.terms, self.values.terms, strict=True):
-            slopes = term.derivative(old, data.mean, data.conditions)
-            shown = slopes.reshape(-1, len(old)).any(axis=0)
-            unseen = [k for k in term.amplitude_index(old) if not shown[k]]
+            slopes = term.derivative(old, data.mean, data.conditions).reshape(-1, len(old))
+            unseen = [k for k in term.amplitude_index(old) if not slopes[:, k].any()]
             own = old.copy()
             own[unseen] = 0.0
             values.append(own)
