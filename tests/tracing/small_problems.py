@@ -95,6 +95,7 @@ def single(
         hidden=(),
         cost=np.array([getattr(term, "cost", 0.0) for term in terms]),
         column_price=np.zeros(k),
+        prior=tuple(np.zeros((1, 1)) for _ in range(k)),
     )
 
 

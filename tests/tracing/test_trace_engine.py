@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 from adis_gonio.errors import FitError
-from adis_gonio.estimation.fit import Fit, adequacy
+from adis_gonio.estimation.fit import Fit, adequacy, amplitude_spread
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.tracing import trace_readings
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.result import TraceResult
-from adis_gonio.tracing.selection.design import Products, amplitudes, linearise, span
+from adis_gonio.tracing.selection.design import Products, amplitudes, linearise, orthonormal, span
 from adis_gonio.tracing.selection.search import price, search
 from adis_gonio.tracing.selection.select import select
-from tracing.small_problems import (
-    observations,
-)
+from tracing.small_problems import function, observations
 
 QUADRATIC = (effect("quadratic", ("x",)), {"k2_x": 1.2})
 
@@ -88,19 +88,62 @@ def test_linear_gains_equal_explicit_least_squares() -> None:
 
 
 @pytest.mark.parametrize("model", [(), (5,), (2, 9), (0, 7, 20)])
-def test_products_of_blocks_are_those_of_a_basis_that_was_made_of_the_rows(model: tuple[int, ...]) -> None:
+@pytest.mark.parametrize("inflation", [1.0, 1e4])
+def test_products_of_blocks_are_those_of_least_squares_with_the_rows_of_the_prior_below(
+    model: tuple[int, ...], inflation: float
+) -> None:
     data = observations([QUADRATIC])
-    problem = linearise(Fit.begin(data).refit(), [*named_terms(data)[0], *nameless_terms(data)[::40]])
+    free = linearise(Fit.begin(data).refit(), [*named_terms(data)[0], *nameless_terms(data)[::40]])
+    problem = free.under(inflation)
     few = problem.only(np.arange(1, len(problem.terms), 3))
+    spreads = [amplitude_spread(data.model, problem.terms[k]) for k in model]
+    held = [problem.back[k] / spread[:, None] for k, spread in zip(model, spreads, strict=True)]
+    below = np.sqrt(inflation) * linalg.block_diag(np.zeros((0, 0)), *held)[: sum(map(len, held))]
     columns = np.concatenate([np.zeros((len(problem.target), 0)), *map(problem.block, model)], axis=1)
-    onto = columns @ np.linalg.pinv(columns, rcond=1e-2)
-    left = problem.target - onto @ problem.target
+    whole = np.concatenate([columns, below])
+    onto = (whole @ np.linalg.pinv(whole, rcond=1e-2))[:, : len(columns)]
+    left = np.append(problem.target, np.zeros(len(below))) - onto @ problem.target
+    longer = np.concatenate([few.columns, np.zeros((len(below), few.columns.shape[1]))])
     products = Products(problem, few)
     for _ in range(2):  # the second time from what was kept
         chi2, z, inside = products.beside(model)
         assert chi2 == pytest.approx(left @ left)
-        assert z == pytest.approx(left @ few.columns, abs=1e-9 * np.sqrt(problem.chi2))
-        assert inside.T @ inside == pytest.approx(few.columns.T @ onto @ few.columns, abs=1e-9)
+        assert problem.chi2 - problem.explained(model) == pytest.approx(left @ left)
+        assert z == pytest.approx(left @ longer, abs=1e-9 * np.sqrt(problem.chi2))
+        assert inside.T @ inside == pytest.approx(longer.T @ onto @ few.columns, abs=1e-9)
+    for k in model:
+        whole = problem.block(k).T @ problem.block(k) + problem.prior[k]
+        assert whole == pytest.approx(np.eye(len(whole)), abs=1e-9)
+
+
+@pytest.mark.parametrize("inflation", [1.0, 1e4])
+@pytest.mark.parametrize(
+    ("label", "amplitude", "nats"),
+    [
+        ("bias[x]", 1000.0, 2.0),  # at the bound of the catalogue: two standard deviations
+        ("bias[x]", 3000.0, 18.0),
+        ("quadratic[y]", -50.0, 0.5),
+        ("wave", 100.0, 0.5),  # 100 mg of a function without a name: one
+        ("wave", -400.0, 8.0),
+    ],
+)
+def test_an_amplitude_costs_as_many_nats_as_a_part_seldom_has_it_whatever_the_noise(
+    label: str, amplitude: float, nats: float, inflation: float
+) -> None:
+    data = observations(n=24)
+    fit = Fit.begin(data).refit()
+    terms = [function("wave", lambda c: np.cos(3 * c.angle_rad)), *named_terms(data)[0]]
+    term = next(term for term in terms if term.label == label)
+    problem = linearise(fit, [term]).under(inflation)
+    added = fit.white(fit.candidate(term))[:, 0] * amplitude
+    base = orthonormal(fit.white(fit.base_columns))
+    problem = replace(problem, target=added - base @ (base.T @ added))
+    free = problem.chi2 - float((span(problem, (0,))[1] ** 2).sum())
+    assert free == pytest.approx(problem.chi2)
+    cost = 0.5 * (free - problem.explained((0,))) / inflation
+    seen = 1 - problem.prior[0][0, 0]  # of a prior that is not vague beside the noise a part
+    # Blocks are orthonormal to 1e-10.
+    assert cost == pytest.approx(nats * seen, rel=2e-3, abs=1e-10 * problem.chi2 / inflation)
 
 
 def test_columns_of_many_terms_are_those_of_each() -> None:
@@ -121,12 +164,8 @@ def test_search_finds_the_pair_that_exhaustive_enumeration_finds() -> None:
     prices = price(problem)
     found = search(problem, 2)
     best = -np.inf
-    for one in range(len(problem.terms)):
-        basis, residual = span(problem, [one])
-        gains = problem.gains(basis, residual)
-        scores = 0.5 * (problem.chi2 - residual @ residual + gains) - prices - prices[one]
-        scores[one] = -np.inf
-        best = max(best, float(scores.max()))
+    for pair in itertools.combinations(range(len(problem.terms)), 2):
+        best = max(best, 0.5 * problem.explained(pair) - float(prices[list(pair)].sum()))
     assert found.scores[found.best] == pytest.approx(best, rel=2e-8)  # the ridge of `gains`
 
 

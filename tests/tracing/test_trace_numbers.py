@@ -33,7 +33,7 @@ from adis_gonio.tracing.outcome.result import Finding
 from adis_gonio.tracing.outcome.sets import set_of
 from adis_gonio.tracing.selection.design import linearise, span
 from adis_gonio.tracing.selection.scatter import with_scatter
-from adis_gonio.tracing.selection.select import _gross_slips, beyond_bounds, select
+from adis_gonio.tracing.selection.select import _gross_slips, select
 from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
 from adis_gonio.tracing.unnamed.dependence import dependence
 from adis_gonio.tracing.validation.errors import Fold, guarding, in_order
@@ -220,30 +220,6 @@ class TestWhatASessionCanShow:
     def test_a_worm_of_72_teeth_is_looked_for_and_nothing_finer(self) -> None:
         angles = np.random.default_rng(5).uniform(0, 2 * np.pi, 40)
         assert max(cycles_shown(angles)) == 72
-
-
-class TestPhysicalBounds:
-    """What no part and no bench does."""
-
-    @pytest.mark.number("largest")
-    @pytest.mark.parametrize(("where", "size"), [("bias", G), ("angle", 1.0)])
-    @pytest.mark.parametrize(("share", "possible"), [(0.08, True), (0.13, False)])
-    def test_no_function_adds_more_than_a_tenth_of_g_or_of_a_radian(
-        self, where: Any, size: float, share: float, possible: bool
-    ) -> None:
-        c = turn(36)
-        term = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",), where)
-        added = share * np.cos(4 * c.angle_rad)
-        if where == "angle":
-            slope = ideal_mg(c, 90.0)
-            mean = ideal_mg(c) + slope * added[:, None]
-        else:
-            mean = ideal_mg(c) + np.outer(added * size, [1.0, 0.0])
-        data = read(c, mean)
-        fit = Fit.begin(data)
-        at = replace(fit, values=replace(fit.values, base=np.array([math.radians(3), 1.0, 1.0, 0.0])))
-        problem = linearise(at.settled(), [term])
-        assert (beyond_bounds(data, problem, [0]) is None) == possible
 
 
 def set_right(data: Readings) -> int:

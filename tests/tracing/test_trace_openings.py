@@ -33,6 +33,7 @@ def left_by(target: np.ndarray, columns=(), names=(), best=(), data=None) -> Sim
         hidden=(),
         cost=np.zeros(k),
         column_price=np.zeros(k),
+        prior=tuple(np.zeros((1, 1)) for _ in range(k)),
     )
     return SimpleNamespace(problem=problem, verdict=SimpleNamespace(best=best), data=data)
 

@@ -563,7 +563,8 @@ class TestBaseAndRivals:
         gains = [base_of(chosen(data, terms, (model, 1.0)))["scale_x"].value for model in models]
         moved = spread.away[:, data.model.names.index("scale_x")]
         assert abs(gains[1] - gains[0]) > 1e-6
-        assert sorted(moved) == pytest.approx(sorted([0.0, gains[1] - gains[0]]), abs=1e-8)
+        # The cubic is known to 5 mg/g³ and has a prior of 50: a hundredth less.
+        assert sorted(moved) == pytest.approx(sorted([0.0, gains[1] - gains[0]]), rel=0.02, abs=1e-8)
 
     def test_rivals_are_the_eight_best_models_in_words(self) -> None:
         problem = names_only(*"abcdefghij")

@@ -305,14 +305,6 @@ class TestOutOfTime:
         with within(Budget()):
             assert stages._stamped(result, checked=True) is result
 
-    def test_models_beyond_physical_bounds_leave_the_posterior_after_the_search(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        made: Any = SimpleNamespace(within_bounds=lambda: "within bounds")
-        monkeypatch.setattr(stages, "select", lambda *_: made)
-        monkeypatch.setattr(stages, "with_scatter", lambda first, *_: (first, SCATTER))
-        assert stages._searched(bent()[0], [], 2) == ("within bounds", SCATTER)
-
     @pytest.mark.parametrize("over", [True, False])
     def test_a_search_that_the_limit_ended_is_said_and_weighs_no_scatter(
         self, monkeypatch: pytest.MonkeyPatch, over: bool

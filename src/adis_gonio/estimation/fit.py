@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from adis_gonio.errors import UsageError
 from adis_gonio.estimation.links import LinkRows
 from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import NamelessTerm, Term, Where, side_by_side
+from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term, Where, side_by_side
 from adis_gonio.model.measurement import Measurement, PlanarTurn
 from adis_gonio.model.records import MG_PER_G, Floats
 
@@ -516,8 +516,8 @@ class Fit:
         """The same terms fitted anew to other readings; amplitudes that these do not show are zero."""
         values = []
         for term, old in zip(self.terms, self.values.terms, strict=True):
-            slopes = term.derivative(old, data.mean, data.conditions).reshape(-1, len(old))
-            unseen = [k for k in term.amplitude_index(old) if not slopes[:, k].any()]
+            slopes = term.derivative(old, data.mean, data.conditions)
+            unseen = [k for k in term.amplitude_index(old) if not slopes[..., k].any()]
             own = old.copy()
             own[unseen] = 0.0
             values.append(own)
@@ -565,6 +565,14 @@ def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
 def nameless_spread(model: Measurement, term: Term) -> float:
     """Prior standard deviation of the amplitudes of a term without a name, in the term's unit."""
     return NAMELESS_SPREAD * (MG_PER_G if term.enters_angle else model.full)
+
+
+def amplitude_spread(model: Measurement, term: Term) -> Floats:
+    """Prior standard deviation of each amplitude (d,) of any term: of a name, its bounds are two of it."""
+    if isinstance(term, NamedTerm):
+        low, high = term.bounds()[term.amplitudes].T
+        return np.asarray((high - low) / 4)
+    return np.atleast_1d(nameless_spread(model, term))
 
 
 def foreseen(rest: Floats, left: Floats, most: float) -> NDArray[np.bool_]:

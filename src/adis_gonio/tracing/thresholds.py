@@ -75,12 +75,6 @@ class Limits:
     most_cycles: int = number(72, "physical", "most cycles a turn that are looked for: a worm of 72 teeth")
 
     # Physical bounds
-    largest: float = number(
-        0.1,
-        "physical",
-        "most that a nameless function adds, in g (100 °/s) or rad: beyond, it and the base model cancel",
-        off=INFINITE,
-    )
     gross_spreads: float = number(
         6.0, "chosen", "slip from which it is gross, in spreads of the dwells about their median"
     )

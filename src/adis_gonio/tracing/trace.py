@@ -274,7 +274,7 @@ def _searched(
     selection, scatter = attempt(
         "scatter from dwell to dwell as a cause", lambda: with_scatter(first, terms, max_effects), plain
     )
-    return selection.within_bounds(), scatter
+    return selection, scatter
 
 
 def _reported(figures: Sequence[ErrorFigures]) -> tuple[float, float] | None:

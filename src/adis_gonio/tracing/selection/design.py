@@ -3,6 +3,10 @@
 About a state of the model, readings minus prediction and the columns of every term are whitened and
 projected off the base model. Each term's block is then made orthonormal, so that its score statistic is the
 sum of squares of its scores and a search needs nothing but dot products of columns.
+
+Amplitudes have a normal prior as wide as a part can have them. It acts as rows of its own below each block
+(target 0, a column 1/σ), which no other block shares: they are never written down. A block is orthonormal
+*together with* these rows, its products with others are those of the readings alone.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.estimation.fit import Fit
+from adis_gonio.estimation.fit import Fit, amplitude_spread
 from adis_gonio.estimation.terms import ROUNDING, Term
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.thresholds import limits
@@ -31,7 +35,7 @@ class LinearProblem:
     terms : tuple of Term
         Candidates that this session can see at all.
     columns : (rows, P) float
-        Orthonormal blocks, term after term.
+        Blocks, term after term: QᵀQ + `prior` is the identity of each.
     first, width : (M,) int
         Where the block of each term begins, and its columns.
     target : (rows,) float
@@ -44,6 +48,10 @@ class LinearProblem:
         −ln of each term's share of the prior, and the price of its columns.
     hidden : tuple of Term
         Candidates that the session cannot see: their columns lie in the base model.
+    prior : tuple of (width, width) float
+        Products of each block's rows of the prior, in units of the noise.
+    inflation : float
+        Factor on the noise variance in `prior`.
     """
 
     terms: tuple[Term, ...]
@@ -56,6 +64,8 @@ class LinearProblem:
     hidden: tuple[Term, ...]
     cost: Floats
     column_price: Floats
+    prior: tuple[Floats, ...]
+    inflation: float = 1.0
 
     @property
     def chi2(self) -> float:
@@ -107,7 +117,52 @@ class LinearProblem:
             back=tuple(self.back[k] for k in chosen),
             cost=self.cost[chosen],
             column_price=self.column_price[chosen],
+            prior=tuple(self.prior[k] for k in chosen),
         )
+
+    def under(self, inflation: float) -> LinearProblem:
+        """The same where the noise's variance is another, beside which the prior weighs as much more."""
+        if inflation == self.inflation:
+            return self
+        factor = inflation / self.inflation
+        return self._holding([factor * own for own in self.prior], inflation)
+
+    def _holding(self, prior: list[Floats], inflation: float) -> LinearProblem:
+        """The same with other products (M,) of the prior's rows, by the blocks as they are."""
+        columns = np.empty_like(self.columns)
+        back, turned = list(self.back), list(prior)
+        for size in np.unique(self.width).tolist():
+            members = np.flatnonzero(self.width == size)
+            index = self.first[members, None] + np.arange(size)
+            held = np.stack([prior[k] for k in members])
+            gram = np.eye(size) - np.stack([self.prior[k] for k in members]) + held
+            turn = np.linalg.inv(np.linalg.cholesky(gram)).transpose(0, 2, 1)
+            stack = self.columns[:, index].transpose(1, 0, 2) @ turn  # (members, rows, width)
+            columns[:, index] = stack.transpose(1, 0, 2)
+            held = turn.transpose(0, 2, 1) @ held @ turn
+            for k, member in enumerate(members.tolist()):
+                back[member] = self.back[member] @ turn[k]
+                turned[member] = held[k]
+        return replace(self, columns=columns, back=tuple(back), prior=tuple(turned), inflation=inflation)
+
+    def explained(self, model: Sequence[int]) -> float:
+        """χ² that a model takes from the target, less what its amplitudes cost by the prior."""
+        if not len(model):
+            return 0.0
+        columns, gram = self.together(model)
+        along = self.target @ columns @ _half(gram)
+        return float(along @ along)
+
+    def together(self, model: Sequence[int]) -> tuple[Floats, Floats]:
+        """Columns (rows, p) of a model's blocks, and their products (p, p) with the rows of the prior."""
+        columns = np.concatenate([self.block(k) for k in model], axis=1)
+        gram = columns.T @ columns
+        start = 0
+        for k in model:
+            own = slice(start, start + int(self.width[k]))
+            gram[own, own] = np.eye(int(self.width[k]))
+            start = own.stop
+        return columns, gram
 
 
 class Products:
@@ -129,14 +184,13 @@ class Products:
         for k in model:
             if k not in self._of:
                 self._of[k] = problem.block(k).T @ self._joining.columns
-        columns = np.concatenate([problem.block(k) for k in model], axis=1)
-        along = problem.target @ columns
         inside = np.concatenate([self._of[k] for k in model])
         if len(model) > 1:  # one block is orthonormal by itself
-            values, vectors = np.linalg.eigh(columns.T @ columns)
-            seen = values > limits.independent
-            half = vectors[:, seen] / np.sqrt(values[seen])
-            along, inside = along @ half, half.T @ inside
+            columns, gram = problem.together(model)
+            half = _half(gram)
+            along, inside = problem.target @ columns @ half, half.T @ inside
+        else:
+            along = problem.target @ problem.block(model[0])
         return problem.chi2 - float(along @ along), self._target - along @ inside, inside
 
 
@@ -155,7 +209,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     chosen, width, together, back = _orthonormal_blocks(columns, length, widths)
     first = (np.cumsum(width) - width).astype(np.intp)
     seen = set(chosen)
-    return LinearProblem(
+    free = LinearProblem(
         terms=tuple(terms[k] for k in chosen),
         columns=together,
         first=first,
@@ -166,7 +220,11 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
         hidden=tuple(term for k, term in enumerate(terms) if k not in seen),
         cost=np.array([terms[k].cost for k in chosen]),
         column_price=_column_prices(together, first),
+        prior=tuple(np.zeros((size, size)) for size in width.tolist()),
     )
+    spreads = (amplitude_spread(fit.data.model, term)[:, None] for term in free.terms)
+    away = [own / spread for own, spread in zip(back, spreads, strict=True)]
+    return free._holding([rows.T @ rows for rows in away], 1.0)
 
 
 def _beside(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
@@ -241,7 +299,10 @@ def orthonormal(columns: Floats) -> Floats:
 
 
 def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
-    """Orthonormal basis (rows, k) of a model's columns, and what is left of the target beside it."""
+    """Orthonormal basis (rows, k) of a model's columns, and what is left of the target beside it.
+
+    What the readings alone could say: amplitudes are free here.
+    """
     if not len(model):
         return np.zeros((len(problem.target), 0)), problem.target
     u, s, _ = np.linalg.svd(np.concatenate([problem.block(k) for k in model], axis=1), full_matrices=False)
@@ -249,13 +310,21 @@ def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
     return basis, problem.target - basis @ (basis.T @ problem.target)
 
 
+def _half(gram: Floats) -> Floats:
+    """Combinations (p, k) that make columns orthonormal of which these are the products."""
+    values, vectors = np.linalg.eigh(gram)
+    seen = values > limits.independent
+    half: Floats = vectors[:, seen] / np.sqrt(values[seen])
+    return half
+
+
 def amplitudes(problem: LinearProblem, model: Sequence[int]) -> list[Floats]:
-    """Amplitudes of each term of a model by linear least squares."""
+    """Most probable amplitudes of each term of a model: linear least squares with the prior."""
     if not len(model):
         return []
     if len(model) == 1:
         return [problem.back[model[0]] @ (problem.target @ problem.block(model[0]))]
-    columns = np.concatenate([problem.block(k) for k in model], axis=1)
-    solved = np.linalg.lstsq(columns, problem.target, rcond=1e-8)[0]
+    columns, gram = problem.together(model)
+    solved = np.linalg.lstsq(gram, columns.T @ problem.target, rcond=1e-12)[0]
     cuts = np.cumsum([0] + [int(problem.width[k]) for k in model])
     return [problem.back[k] @ solved[cuts[i] : cuts[i + 1]] for i, k in enumerate(model)]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,22 +75,6 @@ def weigh(found: Search) -> ModelPosterior:
     likely = max(skeletons, key=lambda s: skeletons[s])
     best = max((m for m in weights if skeleton(found, m) == likely), key=lambda m: weights[m])
     return ModelPosterior(best, weights, same, names, covariates)
-
-
-def without_models(
-    verdict: ModelPosterior, terms: Sequence[Term], impossible: Callable[[Model], bool]
-) -> ModelPosterior:
-    """The same where models that are impossible have no share; a possible one of a class stands for it."""
-    weights: dict[Model, float] = {}
-    same: dict[Model, list[Model]] = {}
-    for model, weight in verdict.weights.items():
-        possible = [m for m in (model, *verdict.same[model]) if m == verdict.best or not impossible(m)]
-        if possible:
-            weights[possible[0]] = weight
-            same[possible[0]] = possible[1:]
-    total = sum(weights.values())
-    weights = {model: weight / total for model, weight in weights.items()}
-    return ModelPosterior(verdict.best, weights, same, *_present(terms, weights))
 
 
 def _present(

@@ -108,6 +108,7 @@ def search(
     """
     if spare is None:
         spare = max(problem.dof // 2, 1)
+    problem = problem.under(inflation)
     found = Search(problem, price(problem), inflation)
     found.scores[()] = 0.0
     found.promise = np.full(len(problem.terms), -np.inf)

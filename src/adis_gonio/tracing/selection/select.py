@@ -15,7 +15,7 @@ from adis_gonio.estimation.robust import MAD_TO_SD
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, linearise, span
-from adis_gonio.tracing.selection.posterior import ModelPosterior, weigh, without_models
+from adis_gonio.tracing.selection.posterior import ModelPosterior, weigh
 from adis_gonio.tracing.selection.search import Search, search
 from adis_gonio.tracing.thresholds import limits
 
@@ -68,22 +68,6 @@ class Selection:
                 active.add(term.label)
         return [term for term in terms if term.label in active]
 
-    def within_bounds(self) -> Selection:
-        """The same where models with amplitudes that no part has take no share of the posterior.
-
-        A covariate that is constant but for its noise is a second bias to the linear problem, with an
-        amplitude that only its bound refuses.
-        """
-        data, problem, found = self.data, self.problem, self.found
-        impossible = {
-            model
-            for model in found.near(limits.voting)
-            if model != self.verdict.best and beyond_bounds(data, problem, model) is not None
-        }
-        scores = {model: score for model, score in found.scores.items() if model not in impossible}
-        verdict = without_models(self.verdict, problem.terms, impossible.__contains__)
-        return replace(self, verdict=verdict, found=replace(found, scores=scores))
-
     def without_functions(self, refuted: Sequence[Term]) -> Selection:
         """The best of the models that have no function without a name of these covariates."""
         gone = {term.covariates for term in refuted}
@@ -95,7 +79,7 @@ class Selection:
         }
         found = replace(self.found, scores=scores)
         verdict = weigh(found)
-        return replace(self, found=found, verdict=verdict).with_model(verdict.best).within_bounds()
+        return replace(self, found=found, verdict=verdict).with_model(verdict.best)
 
     def with_model(self, chosen: Sequence[int]) -> Selection:
         """The same with another model of the linear problem, refitted in full."""
@@ -146,20 +130,9 @@ def select(
                 # that has it, or they would be chosen for what the linear problem leaves of it.
                 about = apart()
             problem = linearise(about, terms)
-        assumed = inflation
-        while True:
-            found = search(problem, max_terms, assumed, beam)
-            found, inflation = _inflated(data, problem, found, max_terms, beam, assumed)
-            verdict = weigh(found)
-            dropped = _impossible(data, problem, verdict)
-            if not dropped:
-                break
-            terms = [term for term in terms if term.label not in dropped]
-            problem = problem.only(
-                np.array([k for k, t in enumerate(problem.terms) if t.label not in dropped], np.intp)
-            )
-            assumed = inflation  # what more candidates did not explain fewer do not either
-        verdict, fit = _fitted(problem, verdict, about, base.chi2)
+        found, inflation = _searched(data, problem, max_terms, beam, inflation)
+        problem = found.problem
+        verdict, fit = _fitted(problem, weigh(found), about, base.chi2)
         labels = tuple(sorted(term.label for term in fit.terms))
         linear = problem.chi2 - 2 * inflation * found.explained(verdict.best)
         settled = abs(linear - fit.chi2) < 1.0 * inflation or labels == before
@@ -275,50 +248,18 @@ def _fitted(
     return verdict, fit_model(problem, verdict.best, about)
 
 
-def _impossible(data: Readings, problem: LinearProblem, verdict: ModelPosterior) -> set[str]:
-    """Where the best model is impossible, a label each of it and of the impossible ones near it."""
-    worst = beyond_bounds(data, problem, verdict.best)
-    if worst is None:
-        return set()
-    # One at a time, each of a hundred look-alikes would cost a search.
-    near = (beyond_bounds(data, problem, model) for model in verdict.weights)
-    return {worst, *(label for label in near if label is not None)}
-
-
-def beyond_bounds(data: Readings, problem: LinearProblem, chosen: Sequence[int]) -> str | None:
-    """Label of the least common term of a model among those beyond their physical bounds, or None.
-
-    A nameless term has no bounds of its own, but no cause adds more than `limits.largest`. Where a
-    covariate hardly moves (a temperature that is constant but for its noise) a column is a constant with a
-    little noise on it, which can fit better than the constant with an amplitude that no part has. The
-    amplitude of what it stands beside is then out of bounds as well, through no fault of that term.
-    """
-    out = []
-    for k, own in zip(chosen, amplitudes(problem, chosen), strict=True):
-        term = problem.terms[k]
-        if isinstance(term, NamedTerm):
-            values, (low, high) = term.start(own), term.bounds().T
-            beyond = bool(((values < low) | (values > high)).any())
-        else:
-            added = term.added(term.start(own), data.mean, data.conditions)
-            added = added * data.model.size if term.enters_angle else added
-            beyond = bool(np.abs(added).max() > limits.largest * data.model.size)
-        if beyond:
-            out.append(term)
-    return max(out, key=lambda term: term.cost).label if out else None
-
-
-def _inflated(
-    data: Readings, problem: LinearProblem, found: Search, max_terms: int, beam: int, inflation: float
+def _searched(
+    data: Readings, problem: LinearProblem, max_terms: int, beam: int, inflation: float
 ) -> tuple[Search, float]:
-    """Search again with more noise where not even the best model is adequate.
+    """Search, and again with more noise where not even the best model is adequate.
 
     What no model explains is then treated as noise of unknown origin (Birge's ratio), so that names have to
     stand out of it.
     """
+    found = search(problem, max_terms, inflation, beam)
     for _ in range(4):
         best = found.best
-        basis, residual = span(problem, best)
+        basis, residual = span(found.problem, best)
         chi2, dof = float(residual @ residual), problem.dof - basis.shape[1]
         ratio = chi2 / max(dof, 1)
         if data.noise_known:

@@ -19,7 +19,7 @@ from adis_gonio.estimation.terms import Basis, NamelessTerm, Term, Where
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.candidates.processes import Process, evidence, processes
-from adis_gonio.tracing.selection.design import orthonormal, span
+from adis_gonio.tracing.selection.design import orthonormal
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.thresholds import limits
 
@@ -195,8 +195,7 @@ def _formulas(
     problem, found = selection.problem, selection.found
 
     def score(model: tuple[int, ...]) -> float:
-        left = float((span(problem, model)[1] ** 2).sum())
-        explained = 0.5 * (problem.chi2 - left) / selection.inflation
+        explained = 0.5 * problem.explained(model) / selection.inflation
         return explained - float(sum(found.prices[k] for k in model))
 
     covered = {(process.term.where, process.term.covariates) for process in candidates}
@@ -225,10 +224,7 @@ def _fitted(
     means, within, used = [], np.zeros((fixed.shape[1], fixed.shape[1])), 0.0
     likely = np.flatnonzero(weights).tolist()
     solutions = {k: _ridge(selection, fixed, target, pool[k][1]) for k in likely}
-    seen = {
-        k: solution[3] >= limits.visible and _possible(selection, pool[k][1], solution[0][fixed.shape[1] :])
-        for k, solution in solutions.items()
-    }
+    seen = {k: solution[3] >= limits.visible for k, solution in solutions.items()}
     if any(seen.values()):
         weights = np.array([weight * seen.get(k, 0) for k, weight in enumerate(weights)])
         weights /= weights.sum()
@@ -246,18 +242,6 @@ def _fitted(
     mean = np.sum([w * m for w, m in means], axis=0)
     between = np.sum([w * np.outer(m - mean, m - mean) for w, m in means], axis=0)
     return members, within + between / selection.inflation, used
-
-
-def _possible(selection: Selection, terms: Sequence[NamelessTerm], values: Floats) -> bool:
-    """False where a term adds more than a cause can: two, or one and the base, that nearly cancel."""
-    at, data = 0, selection.data
-    for term in terms:
-        width = _width(selection.fit, term)
-        added = term.added(values[at : at + width], selection.fit.ideal, data.conditions)
-        if np.abs(added).max() > limits.largest * (1.0 if term.enters_angle else data.model.size):
-            return False
-        at += width
-    return True
 
 
 def _width(fit: Fit, term: NamelessTerm) -> int:
