@@ -32,6 +32,7 @@ def record(
     positions: int | None = None,
     dwell_s: float = 3.0,
     filter_m: int = 2,
+    smpl_prd: int = 1,
     **settings: float,
 ) -> Path:
     """Record a tumble to `path`, which is given back.
@@ -42,6 +43,8 @@ def record(
         As after `--effect`: "quadratic:k2_x=3".
     positions : int, optional
         Angles of a turn; there and back are twice as many dwells. By default those of the plan, twelve.
+    smpl_prd : int
+        As in the register: 819.2 samples/s at 1, 205 at 7, which take a quarter of the time to make.
     settings : float
         Of the simulated world, as after `--set`.
     """
@@ -55,7 +58,7 @@ def record(
             sensor,
             path,
             plan_by("tumble", positions, 0),
-            Settings(dwell_s=dwell_s, smpl_prd=1, filter_m=filter_m),
+            Settings(dwell_s=dwell_s, smpl_prd=smpl_prd, filter_m=filter_m),
             auto=True,
             gravity_mps2=world.gravity_mps2,
             fixture_sigma_deg=world.fixture_sigma_deg,

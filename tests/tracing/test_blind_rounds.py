@@ -15,7 +15,6 @@ from tracing.named_truth import NAMES
 from tracing.rounds import crew, rounds
 from tracing.space import NAMES as SPACE_NAMES
 from tracing.space import SPACE
-from tracing.undeclared import BEYOND, GRAMMAR
 from tracing.verdict import Verdict
 
 Pools = tuple[ProcessPoolExecutor, ProcessPoolExecutor]
@@ -30,16 +29,25 @@ FAMILIES = {
     "dwell": ("position_slip", "outlier_dwell"),
 }
 """Names by what drives them."""
-TWO = (*range(5), *range(6, 13), 16, 17, 21, 24, 26, 28, 29, 32, 33, 43, 44, 47, 52, 57, 70, 72, 85, 90)
-"""Of sessions 0 to 99 the first of each pair of families, the first with a name that these lack, and the
-first other up to thirty."""
 SESSIONS = {
-    "none": range(12),
-    "one": range(len(NAMES)),
-    "two": TWO,
-    "uncatalogued": range(len(GRAMMAR)),
-    "beyond": range(len(BEYOND)),
+    "none": tuple(range(12)),
+    "one": (
+        *(23, 24, 2, 49, 50, 74, 52, 53, 54, 9, 33, 80, 12, 59, 106, 38, 108, 86, 110, 111, 112, 90, 68),
+    ),
+    "two": (
+        *(5, 6, 9, 10, 11, 12, 15, 16, 24, 28, 29, 32, 35, 42, 44, 47, 52, 59, 62, 68, 70, 71, 72, 79, 85),
+        90,
+    ),
+    "uncatalogued": (0, 20, 2, 60, 61, 62, 6, 64, 65, 85, 67, 11, 12, 32, 71, 72, 73, 36, 75),
+    "beyond": (48, 65, 66, 19, 4, 5, 54, 71, 8, 57, 74, 75, 60, 77, 62, 31),
+    SPACE + "none": tuple(range(6)),
+    SPACE + "one": (14, 29, 2, 31, 18, 33, 34, 63, 36, 37, 10, 53, 12, 69),
+    SPACE + "two": tuple(range(8)),
 }
+"""One session of each name or form; of two effects every name and every pair of families.
+
+Of five rounds mostly those that are traced fastest.
+"""
 
 
 def at_least(share: float, hits: Iterable[bool]) -> bool:
@@ -74,10 +82,12 @@ def pools() -> Iterator[Pools]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_trace_names_what_is_there_and_nothing_else(kind: str, pools: Pools) -> None:
     verdicts = rounds(kind, SESSIONS[kind], SEED, pools)
+    hidden = {name for v in verdicts for name in v.truth}
     assert not any(v.failure for v in verdicts), next(v.failure for v in verdicts if v.failure)
     if kind == "none":
         assert not any(v.claimed or v.unnamed for v in verdicts), told(verdicts)
     elif kind == "one":
+        assert hidden == set(NAMES)
         assert all(v.found for v in verdicts), told(verdicts)
         assert all(v.exact for v in verdicts), told(verdicts)
         covered = [hit for v in verdicts for _, hit, _ in v.covered]
@@ -85,7 +95,7 @@ def test_trace_names_what_is_there_and_nothing_else(kind: str, pools: Pools) -> 
         assert missed(covered) <= 2
     elif kind == "two":
         assert pairs_of_families(verdicts) == 26  # of 28: two by supply or by approach are too rare
-        assert {name for v in verdicts for name in v.truth} == set(NAMES)
+        assert hidden == set(NAMES)
         # A slip beside an outlier: the slip alone is said; a warm-up beside a gain that drifts: the latter.
         assert missed(v.exact for v in verdicts) <= 2, told(verdicts)
     else:
@@ -99,18 +109,16 @@ def test_trace_names_what_is_there_and_nothing_else(kind: str, pools: Pools) -> 
     assert max(v.worse for v in verdicts) <= 1.05
 
 
-IN_SPACE = {"none": 6, "one": len(SPACE_NAMES), "two": 8}
-
-
-@pytest.mark.parametrize("kind", IN_SPACE)
+@pytest.mark.parametrize("kind", ["none", "one", "two"])
 def test_trace_in_space_names_what_the_norm_shows(kind: str, pools: Pools) -> None:
     """Bounds against regressions: one equation a pose tells less than two, see docs/trace.md."""
-    verdicts = rounds(SPACE + kind, range(IN_SPACE[kind]), SEED, pools)
+    verdicts = rounds(SPACE + kind, SESSIONS[SPACE + kind], SEED, pools)
     assert not any(v.failure for v in verdicts), next(v.failure for v in verdicts if v.failure)
     assert at_least(0.95, (not v.wrong for v in verdicts)), told(verdicts)
     if kind == "none":
         assert not any(v.claimed or v.unnamed for v in verdicts), told(verdicts)
     elif kind == "one":
+        assert {name for v in verdicts for name in v.truth} == set(SPACE_NAMES)
         assert at_least(0.90, (v.exact for v in verdicts)), told(verdicts)
     elif kind == "two":
         assert missed(v.exact for v in verdicts) <= 1, told(verdicts)

@@ -14,12 +14,13 @@ from adis_gonio import load_session, trace
 from adis_gonio.cli import main
 from tracing.recorded import record
 
+SLOWER = {"smpl_prd": 7}
 TWO_EFFECTS = ("quadratic:k2_x=3", "backlash:backlash=0.15")
 
 
-def traced(folder: Path, seed: int, *effects: str, dwell_s: float = 3.0, **settings: float) -> dict:
+def traced(folder: Path, seed: int, *effects: str, **settings: float) -> dict:
     """What `trace` says of a session that was recorded, as JSON."""
-    path = record(folder / "blind.session", seed, *effects, dwell_s=dwell_s, **settings)
+    path = record(folder / "blind.session", seed, *effects, **settings)
     return json.loads(json.dumps(trace(load_session(path)).as_dict()))
 
 
@@ -30,14 +31,14 @@ def found(result: dict) -> set[str]:
 @pytest.mark.parametrize("seed", [1025, 1036])
 def test_slow_noise_is_no_effect(tmp_path, seed: int) -> None:
     # With the 1/f noise of each dwell taken as its own these gave a hysteresis and a drift.
-    result = traced(tmp_path, seed)
+    result = traced(tmp_path, seed, **SLOWER)
     assert found(result) == {"bias"}
     assert result["unnamed"] is None
     assert result["adequate"]
 
 
 def test_a_drift_beside_slow_noise_is_found(tmp_path) -> None:
-    result = traced(tmp_path, 2004, "bias_drift:drift_y=1.5")
+    result = traced(tmp_path, 2004, "bias_drift:drift_y=1.5", **SLOWER)
     assert found(result) == {"bias", "bias_drift"}
     assert result["unnamed"] is None
     drift = next(e for e in result["found"] if e["effect"] == "bias_drift")["parameters"]["drift_y"]
@@ -65,7 +66,7 @@ def test_what_is_recorded_here_is_what_the_command_line_records(tmp_path) -> Non
 
 
 def test_two_effects_are_found_by_name(tmp_path) -> None:
-    result = traced(tmp_path, 2002, *TWO_EFFECTS)
+    result = traced(tmp_path, 2002, *TWO_EFFECTS, **SLOWER)
     assert found(result) == {"bias", "quadratic", "backlash"}
     assert result["unnamed"] is None
     values = {name: entry for e in result["found"] for name, entry in e["parameters"].items()}
@@ -96,7 +97,7 @@ def test_no_nameless_surface_takes_the_place_of_three_names(
 
 
 def test_creep_after_each_turn_is_found_by_name(tmp_path) -> None:
-    result = traced(tmp_path, 3101, "creep:creep_x=5,creep_y=-3,tau=20")
+    result = traced(tmp_path, 3101, "creep:creep_x=5,creep_y=-3,tau=20", **SLOWER)
     assert found(result) == {"bias", "creep"}
     assert result["unnamed"] is None
     values = next(e for e in result["found"] if e["effect"] == "creep")["parameters"]
@@ -108,7 +109,7 @@ def test_cycles_that_fold_at_twelve_angles_are_found_as_the_fewest_and_the_other
     tmp_path,
 ) -> None:
     effect = "stage_periodic:cycles=17,per_sin=0.1,per_cos=0.05"
-    result = traced(tmp_path, 3101, effect, fixture_sigma_deg=0.01)
+    result = traced(tmp_path, 3101, effect, fixture_sigma_deg=0.01, **SLOWER)
     assert found(result) == {"bias", "stage_periodic"}
     values = next(e for e in result["found"] if e["effect"] == "stage_periodic")["parameters"]
     assert values["cycles"]["value"] == 5
@@ -122,7 +123,7 @@ def test_of_cycles_that_are_their_own_mirror_the_phase_that_nothing_shows_has_no
     tmp_path,
 ) -> None:
     effect = "stage_periodic:cycles=6,per_sin=0.1,per_cos=0.08"
-    result = traced(tmp_path, 3102, effect, fixture_sigma_deg=0.01)
+    result = traced(tmp_path, 3102, effect, fixture_sigma_deg=0.01, **SLOWER)
     values = next(e for e in result["found"] if e["effect"] == "stage_periodic")["parameters"]
     assert values["per_sin"]["u"] is None
     assert abs(values["per_cos"]["value"] - 0.08) < 4 * values["per_cos"]["u"]
@@ -132,7 +133,7 @@ def test_a_gain_that_follows_a_supply_which_only_sinks_stands_with_a_drift_of_th
     tmp_path,
 ) -> None:
     sinking = {"supply_drift_v_per_h": -4, "fixture_sigma_deg": 0.01}
-    result = traced(tmp_path, 3102, "supply_scale:supply_scale_y=20000", **sinking)
+    result = traced(tmp_path, 3102, "supply_scale:supply_scale_y=20000", **sinking, **SLOWER)
     assert found(result) - {"bias"} <= {"supply_scale", "scale_drift"}
     together = next(s["names"] for s in result["sets"] if "supply_scale" in s["names"])
     assert "scale_drift" in together

@@ -51,14 +51,14 @@ QUIET = {
 
 
 def test_a_session_without_anything_shows_nothing():
-    """Family-wise 1 %, 0.2 % measured (docs/trace.md): at most one of 75 sessions shows any."""
+    """Family-wise 1 %, 0.2 % measured (scripts/within_statistics.py): of 45 sessions none shows any."""
     shown = []
-    for seed in range(5):
+    for seed in range(3):
         for k, (name, case) in enumerate(QUIET.items()):
             found = kinds(draw(np.random.default_rng([seed, k]), **case))
             if found:
                 shown.append((name, seed, found))
-    assert len(shown) <= 1, shown
+    assert not shown
 
 
 def test_tone_is_found_with_frequency_and_amplitude():

@@ -28,9 +28,11 @@ FILTER = bartlett(2)
 TONE = "tone:tone_x=2,tone_y=1,frequency=50"
 
 
-def simulated(path: Path, *effects: str, seed: int = 1, filter_m: int = 2, **settings: float) -> Path:
-    """Six positions there and back, dwells of 4 s."""
-    return record(path, seed, *effects, positions=6, dwell_s=4.0, filter_m=filter_m, **settings)
+def simulated(
+    path: Path, *effects: str, seed: int = 1, filter_m: int = 2, dwell_s: float = 2.5, **settings: float
+) -> Path:
+    """Six positions there and back."""
+    return record(path, seed, *effects, positions=6, dwell_s=dwell_s, filter_m=filter_m, **settings)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +90,8 @@ def test_a_tone_above_half_the_rate_is_seen_as_its_alias_and_named_among_what_fo
 
 def test_settling_through_the_chip(tmp_path):
     for seed in range(2):
-        path = simulated(tmp_path / f"{seed}.session", "settling:settling_x=8,tau=0.8", seed=seed)
+        effect = "settling:settling_x=8,tau=0.8"
+        path = simulated(tmp_path / f"{seed}.session", effect, seed=seed, dwell_s=4.0)
         (found,) = within(path)
         assert (found.kind, found.axes) == ("settling", ("x",))
         assert held(found, "tau", 0.8)
@@ -100,7 +103,7 @@ def test_noise_change_through_the_chip(tmp_path):
     gain = float(np.sqrt((FILTER**2).sum()))
     for seed in range(2):
         effect = "noise_change:extra_x=4,extra_y=4,start=40"
-        path = simulated(tmp_path / f"{seed}.session", effect, seed=seed)
+        path = simulated(tmp_path / f"{seed}.session", effect, seed=seed, dwell_s=4.0)
         (found,) = within(path)
         assert (found.kind, found.effect) == ("noise_change", "noise_change")
         assert held(found, "extra_x", 4 * gain)

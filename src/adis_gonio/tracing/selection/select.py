@@ -130,7 +130,7 @@ def select(
                 # that has it, or they would be chosen for what the linear problem leaves of it.
                 about = apart()
             problem = linearise(about, terms)
-        found, inflation = _searched(data, problem, max_terms, beam, inflation)
+        found, inflation = _inflated(data, problem, max_terms, beam, inflation)
         problem = found.problem
         verdict, fit = _fitted(problem, weigh(found), about, base.chi2)
         labels = tuple(sorted(term.label for term in fit.terms))
@@ -248,7 +248,7 @@ def _fitted(
     return verdict, fit_model(problem, verdict.best, about)
 
 
-def _searched(
+def _inflated(
     data: Readings, problem: LinearProblem, max_terms: int, beam: int, inflation: float
 ) -> tuple[Search, float]:
     """Search, and again with more noise where not even the best model is adequate.
