@@ -528,9 +528,33 @@ def _said(record: Record) -> bool:
     return set(record["truth"]) <= said
 
 
-def wrong_names(record: Record) -> list[str]:
-    """Found names that are wrong, with their probability."""
-    return [f"{name} {p:.3f}" for name, p in record["found"] if not _true(record, name, True)]
+def wrong_names(record: Record, least: float = 0.0) -> list[str]:
+    """Found names that are wrong, with their probability, from a least one on."""
+    return [
+        f"{name} {p:.3f}" for name, p in record["found"] if p >= least and not _true(record, name, True)
+    ]
+
+
+LEAST = (0.0, 0.6, 0.7, 0.8, 0.9, 0.95)
+
+
+def believed_table(groups: Mapping[str, list[Record]]) -> str:
+    """Sessions with a wrong name, and true names found, where a name is believed from a probability on."""
+    rows = []
+    for kind, records in groups.items():
+        hidden = [name for record in records for name in record["truth"]]
+        if not hidden or kind == "all":
+            continue
+        cells = []
+        for least in LEAST:
+            wrong = sum(bool(wrong_names(record, least)) for record in records)
+            found = sum(
+                p >= least and name in record["truth"] for record in records for name, p in record["found"]
+            )
+            cells.append(f"{100 * wrong / len(records):.1f}; {100 * found / len(hidden):.0f}")
+        rows.append((kind, *cells))
+    heads = ("as stated", *(f"from {least:.0%}" for least in LEAST[1:]))
+    return table(("wrong, %; found, %", *heads), rows)
 
 
 def tables(options: argparse.Namespace) -> int:
@@ -549,6 +573,7 @@ def tables(options: argparse.Namespace) -> int:
             print(f"\n### Reliability: {what}\n\n{reliability_table(pairs)}")
     print(f"\n### Sets\n\n{sets_table(groups)}\n\n### Intervals\n\n{coverage_table(groups)}")
     print(f"\n### Wrong names\n\n{wrong_table(groups)}")
+    print(f"\n### Names believed from a probability on\n\n{believed_table(groups)}")
     print(f"\n### Verdicts\n\n{verdicts_table(groups)}")
     if options.picture:
         draw(options.picture, {what: pairs for what in SHOWN if (pairs := STATEMENTS[what](records))})
