@@ -10,31 +10,18 @@ import pytest
 from scipy import stats
 
 from adis_gonio.tracing.outcome.openings import undecided
-from adis_gonio.tracing.selection.design import LinearProblem
 from adis_gonio.tracing.unnamed.dependence import dependence
-from tracing.small_problems import observations
+from tracing.small_problems import observations, single
 
 
 def left_by(target: np.ndarray, columns=(), names=(), best=(), data=None) -> SimpleNamespace:
     """A selection whose candidates are single columns, and whose model leaves `target`."""
     blocks = [np.asarray(column) / np.linalg.norm(column) for column in columns]
-    k = len(blocks)
-    problem = LinearProblem(
-        terms=tuple(
-            name if isinstance(name, SimpleNamespace) else SimpleNamespace(name=name, dwell=None)
-            for name in names
-        ),
-        columns=np.stack(blocks, axis=1) if blocks else np.zeros((len(target), 0)),
-        first=np.arange(k),
-        width=np.ones(k, dtype=np.intp),
-        target=target,
-        dof=len(target),
-        back=(),
-        hidden=(),
-        cost=np.zeros(k),
-        column_price=np.zeros(k),
-        prior=tuple(np.zeros((1, 1)) for _ in range(k)),
-    )
+    terms = [
+        name if isinstance(name, SimpleNamespace) else SimpleNamespace(name=name, dwell=None)
+        for name in names
+    ]
+    problem = single(target, np.reshape(blocks, (-1, len(target))), terms)
     return SimpleNamespace(problem=problem, verdict=SimpleNamespace(best=best), data=data)
 
 
