@@ -173,9 +173,9 @@ class TestCovariatesThatItFollows:
         assert found.covariates == ("time",)
         assert found.p_value == pytest.approx(3 / 400)  # time, angle and the two of them
 
-    def test_seven_dwells_are_too_few_to_say_anything_by(self) -> None:
+    def test_eight_dwells_are_too_few_to_say_anything_by(self) -> None:
         def halves(c):
             return 40 * np.sign(c.time_s[:, None] - c.time_s.mean() - 1)
 
-        assert dependence(self.residual(halves, n=7)) is None
+        assert dependence(self.residual(halves, n=8)) is None
         assert dependence(self.residual(halves, n=12)).covariates == ("time",)

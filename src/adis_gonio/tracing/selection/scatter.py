@@ -163,7 +163,7 @@ def _settled(
 
 def _under(data: Readings, kind: Kind, size: float, terms: Sequence[Term], max_effects: int) -> Selection:
     """The selection under a component of this size."""
-    found = select(_with(data, kind, size), terms, max_effects, beam=12, rounds=2)
+    found = select(_with(data, kind, size), terms, max_effects, limits.scatter_beam, limits.fold_rounds)
     check()
     return found
 

@@ -51,7 +51,6 @@ class Search:
     problem: LinearProblem
     prices: Floats
     inflation: float = 1.0
-    window: float = 9.0
     scores: dict[Model, float] = field(default_factory=dict)
     opened: dict[Model, float] = field(default_factory=dict)
     promise: Floats = field(default_factory=lambda: np.zeros(0))
@@ -86,7 +85,7 @@ def search(
     problem: LinearProblem,
     max_terms: int,
     inflation: float = 1.0,
-    beam: int = 30,
+    beam: int = limits.beam,
     spare: int | None = None,
 ) -> Search:
     """Models of up to `max_terms` terms that explain the target.
@@ -177,14 +176,14 @@ class _Beam:
             gained[number == k] = -np.inf
         if joining is self.every:
             found.promise = np.maximum(found.promise, gained)
-        few = min(60, len(gained))
+        few = min(limits.scored, len(gained))
         floor = min(
-            max(self.top - here, float(gained.max())) - found.window,
+            max(self.top - here, float(gained.max())) - limits.window,
             float(np.partition(gained, -few)[-few]),
         )
         wanted = gained >= floor
         if not model:
-            # Alone a named term may be far behind sixty nameless ones that do the work of two named ones.
+            # Alone a named term may be far behind many nameless ones that do the work of two named ones.
             wanted |= self.named
         kept = np.flatnonzero(wanted & np.isfinite(gained))
         fresh = {
@@ -200,8 +199,8 @@ class _Beam:
         if not fresh:
             return []
         wide = self._widest(fresh, 2 * self.width if size == 1 else self.width)
-        level = [m for m in wide if fresh[m] + self.found.hope(m) > self.top - 2.0]
-        if size > 2 and max(fresh.values()) < self.top - 2.0:
+        level = [m for m in wide if fresh[m] + self.found.hope(m) > self.top - limits.behind]
+        if size > 2 and max(fresh.values()) < self.top - limits.behind:
             # One nameless surface may be ahead of two names that want a third beside them.
             level = [m for m in level if self._all_named(m)]
         return level
@@ -234,9 +233,9 @@ class _Beam:
 
     def _exchange(self) -> None:
         """Open the neighbours of the best models (one term less) until none is better."""
-        for _ in range(6):
+        for _ in range(limits.exchanged):
             best = self.found.best
-            for model in _different(self.found, 6):
+            for model in _different(self.found, limits.exchanged):
                 if spent():
                     return
                 for k in range(len(model)):
@@ -256,7 +255,7 @@ def _different(found: Search, count: int) -> list[Model]:
     """Best models near the best, no two of the same names and covariates."""
     seen = set()
     kept: list[Model] = []
-    for model in sorted(found.near(12.0), key=lambda m: -found.scores[m]):
+    for model in sorted(found.near(limits.voting), key=lambda m: -found.scores[m]):
         terms = [found.problem.terms[k] for k in model]
         face = frozenset((term.name, term.covariates) for term in terms)
         if face not in seen:

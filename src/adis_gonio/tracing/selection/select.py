@@ -108,7 +108,7 @@ def select(
     data: Readings,
     terms: Sequence[Term],
     max_terms: int,
-    beam: int = 30,
+    beam: int = limits.beam,
     rounds: int = limits.rounds,
 ) -> Selection:
     """Choose terms for these readings (all of them: `check` dwells are the caller's business)."""

@@ -27,7 +27,7 @@ def dependence(selection: Selection) -> Unnamed | None:
     rows = residual.reshape(len(data), -1)
     rng = np.random.default_rng(20)
     covariates = _covariates(data)
-    if len(data) < 8 or not covariates:
+    if len(data) < limits.least_choice or not covariates:
         return None
     candidates: dict[tuple[str, ...], Floats] = {(name,): _kernel(u) for name, u in covariates.items()}
     for (one, u), (two, v) in itertools.combinations(covariates.items(), 2):
@@ -41,8 +41,8 @@ def dependence(selection: Selection) -> Unnamed | None:
         null = np.array([(kernel * like[np.ix_(o, o)]).sum() for o in orders])
         spread = float(null.std()) or 1.0
         scores[names] = ((seen - null.mean()) / spread, float((null >= seen).mean()))
-    # A pair is believed only where it does clearly better than each alone.
-    best = max(scores, key=lambda names: scores[names][0] - 2.0 * (len(names) - 1))
+    # A pair is believed only where it does better than each alone by what tells a value from zero.
+    best = max(scores, key=lambda names: scores[names][0] - limits.told * (len(names) - 1))
     z, p = scores[best]
     p = max(p, 1 / limits.permutations)
     if z < limits.dependence_z or p > 1 / limits.permutations:
