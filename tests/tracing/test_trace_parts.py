@@ -28,6 +28,7 @@ from adis_gonio.tracing.candidates.named import covariates_of, named_terms
 from adis_gonio.tracing.candidates.processes import RING, evidence, processes
 from adis_gonio.tracing.outcome.naming import Names
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding
+from adis_gonio.tracing.outcome.sets import CredibleSet
 from adis_gonio.tracing.selection import select as choice
 from adis_gonio.tracing.selection.design import LinearProblem, _beside, orthonormal
 from adis_gonio.tracing.selection.posterior import weigh
@@ -749,11 +750,23 @@ class TestSurvival:
 
         found = [of("bias", 9.0), of("cubic", 9.0), of("gravity", 0.5), of("backlash", 9.0)]
         checked, unchecked = ErrorFigures(1.0, 1.0, None, None), ErrorFigures(1.0, None, None, None)
-        weak = _weak(found, checked, {"backlash": "unnamed: angle"})
+        places = [CredibleSet(name, (name,), (1.0,), 0.56) for name in ("bias", "cubic", "gravity")]
+        weak = _weak(found, checked, {"backlash": "unnamed: angle"}, places)
         assert set(weak) == {"gravity", "backlash"}
         assert "no larger than their own uncertainty" in weak["gravity"]
         assert "unnamed: angle" in weak["backlash"]
-        assert set(_weak(found, unchecked, {})) == {"cubic", "gravity", "backlash"}
+        assert set(_weak(found, unchecked, {}, places)) == {"cubic", "gravity", "backlash"}
+
+    def test_a_name_in_whose_place_most_models_have_nothing_does_not_stand(self) -> None:
+        # Models that predict the same are one, of which a slip and a backlash are found; by themselves
+        # nearly all of them have one step in the place of the backlash, and nothing for the slip.
+        found = Finding("position_slip", (), {"slip": Value(-0.15, 0.01, "deg")}, 0.0, 0.0, 0.06)
+        checked = ErrorFigures(1.0, 1.0, None, None)
+        for present, stands in ((0.06, False), (0.54, False), (0.56, True)):
+            place = CredibleSet("position_slip", ("position_slip",), (1.0,), present)
+            weak = _weak([found], checked, {}, [place])
+            assert (weak == {}) == stands
+            assert stands or f"{1 - present:.0%}" in weak["position_slip"]
 
     def test_check_dwells_that_do_not_agree_are_said_with_their_number(self) -> None:
         check = np.arange(24) % 4 == 0

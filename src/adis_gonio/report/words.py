@@ -211,7 +211,7 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
         unsure = uncertain_steps(result)
         if unsure:
             beside = f"{listed(names)} brings" if len(names) == 1 else f"{listed(names)} bring"
-            beside = f"{beside} it down together with" if names else "What brings it down is"
+            beside = f"{beside} it down together with" if names else "what brings it down is"
             end = "which is not certain" if len(unsure) == 1 else "which are not certain"
             return f"The residual is the measured noise: {beside} {listed(unsure)}, {end}."
         count = _COUNTS[len(names)] if len(names) < len(_COUNTS) else str(len(names))

@@ -175,9 +175,10 @@ def trace_readings(
         averaged = None
     final = selection if averaged is None else selection.with_fit(averaged.fit)
     findings = [finding_of(final, name, averaged) for name in names.stand]
-    sets = tuple(one for one in credible_sets(selection, averaged) if one.present >= limits.certain)
+    places = credible_sets(selection, averaged)
+    sets = tuple(one for one in places if one.present >= limits.certain)
     likelier = _likelier(sets, terms)
-    weak = _weak(findings, figures[-1], likelier)
+    weak = _weak(findings, figures[-1], likelier, places)
     names = without(replace(names, open={**names.open, **weak}), weak)
     notes = list(notes_of(selection, scatter))
     adequate = final.adequate and scatter is None and (final.fit.dof > 0 or not training.noise_known)
@@ -289,12 +290,21 @@ def _likelier(sets: Sequence[CredibleSet], terms: Sequence[Term]) -> dict[str, s
     return {one.cause: one.names[0] for one in sets if one.names[0] not in names and one.cause in names}
 
 
-def _weak(findings: Sequence[Finding], final: ErrorFigures, likelier: Mapping[str, str]) -> dict[str, str]:
+def _weak(
+    findings: Sequence[Finding],
+    final: ErrorFigures,
+    likelier: Mapping[str, str],
+    places: Sequence[CredibleSet],
+) -> dict[str, str]:
     """Names that do not stand after all, with the reason."""
     weak = {}
+    empty = {one.cause: 1 - one.present for one in places if one.present < limits.certain}
     for finding in findings:
         if finding.effect in likelier:
             weak[finding.effect] = f"in its place is likelier: {likelier[finding.effect]}"
+        elif finding.effect in empty:
+            # Models that predict the same are one model; one that does so without it has nothing there.
+            weak[finding.effect] = f"models with nothing in its place have {empty[finding.effect]:.0%}"
         elif final.heldout_rms is None and finding.effect != "bias":
             weak[finding.effect] = "no dwell could be left out to check it by"
         elif not told_from_zero(finding):
