@@ -6,6 +6,11 @@ Samples of 10 to 48 dwells (60 to 350 samples, filters of 1 to 127 taps, noise f
 converter's step) hold nothing, a `tone`, a `settling` or a `noise_change` of an amplitude whose gain
 2Δ ln L, for somebody who knows noise, form and place, is drawn between 16 and 300. Printed is how often it
 is listed, and how often called found.
+
+    python scripts/within_statistics.py --stated 100
+
+puts in what a session without anything said it would have seen with 90 % (`detectable`), and a third of it,
+and prints how often each is found.
 """
 
 from __future__ import annotations
@@ -27,6 +32,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from adis_gonio.dwells import search_within
 from adis_gonio.dwells.second_pass import stands
 from tracing.dwell_samples import bartlett, draw
+from tracing.stated import EFFECTS, SORTS, finder
 
 HIDDEN = ("tone", "settling", "noise_change")
 BINS = (16.0, 30.0, 50.0, 100.0, 300.0)
@@ -91,6 +97,17 @@ def session(kind: str, seed: int, index: int) -> tuple[float, list[tuple[str, bo
     return gain, [(finding.effect or finding.kind, stands(finding)) for finding in search_within(samples)]
 
 
+def stated(count: int, seed: int, case: tuple[str, str]) -> str:
+    """Row of the table of an effect in a sort of session."""
+    hits = {1.0: 0, 1 / 3: 0}
+    for one in range(1000 * seed, 1000 * seed + count):
+        # Each session states what it would have seen; of few dwells it knows that by their scatter only.
+        found = finder(*case, quiet_seed=one)
+        for share in hits:
+            hits[share] += found(share, one)
+    return f"| {case[0]} | {case[1]} | {count} | {hits[1.0]} | {hits[1 / 3]} |"
+
+
 def main() -> int:
     """Run and print."""
     parser = argparse.ArgumentParser(
@@ -99,8 +116,15 @@ def main() -> int:
     parser.add_argument("--sessions", type=int, default=300, help="of each kind (default 300)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--stated", type=int, default=0, help="sessions of what is stated, instead")
     options = parser.parse_args()
     with ProcessPoolExecutor(options.jobs, multiprocessing.get_context("spawn")) as pool:
+        if options.stated:
+            print("| effect | sessions | number | found | found of a third |\n" + "|---" * 5 + "|")
+            cases = itertools.product(EFFECTS, SORTS)
+            for row in pool.map(partial(stated, options.stated, options.seed), cases):
+                print(row)
+            return 0
         print("| hidden | gain | sessions | listed | found | something else found |")
         print("|" + "---|" * 6)
         for kind in ("none", *HIDDEN):

@@ -163,7 +163,8 @@ def _settled(
 
 def _under(data: Readings, kind: Kind, size: float, terms: Sequence[Term], max_effects: int) -> Selection:
     """The selection under a component of this size."""
-    found = select(_with(data, kind, size), terms, max_effects, limits.scatter_beam, limits.fold_rounds)
+    beam, rounds = limits.scatter_beam, limits.fold_rounds
+    found = select(_with(data, kind, size), terms, max_effects, beam=beam, rounds=rounds)
     check()
     return found
 

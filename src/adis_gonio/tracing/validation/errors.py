@@ -77,7 +77,7 @@ class Fold:
     def chosen_anew(self, rows: Readings) -> Chosen:
         """Fit of the dwells that are kept, with everything chosen from them alone."""
         terms = [term for term in self.terms if not of_one_dwell(term, rows.conditions)]
-        chosen = select(rows, terms, self.max_effects, limits.fold_beam, limits.fold_rounds)
+        chosen = select(rows, terms, self.max_effects, beam=limits.fold_beam, rounds=limits.fold_rounds)
         if self.averaged is not None:
             again = average(chosen, self.averaged.candidates)
             if again is not None:

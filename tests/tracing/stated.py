@@ -1,0 +1,77 @@
+"""What the pass inside the dwells says it would have seen, put in: who looks whether it does.
+
+Used by a test, and with more sessions by scripts/within_statistics.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from adis_gonio.dwells import density_of, look_within, search_within
+from adis_gonio.dwells.courses import grid
+from adis_gonio.model.records import Floats
+from tracing.dwell_samples import Added, draw
+
+SORTS = {
+    "24 dwells of 5 s": {},
+    "six long dwells, three axes": {"dwells": 6, "n": 1200, "axes": 3},
+    "1/f noise, no filter": {"flicker_mg2": 0.05, "filter_m": 0},
+}
+
+
+def tone(size: float, dwells: int, axes: int, hertz: float) -> Added:
+    def added(k: int, time: Floats, rng: np.random.Generator) -> Floats:
+        rows = np.zeros((len(time), axes))
+        rows[:, 0] = size * np.cos(2 * np.pi * hertz * time + rng.uniform(0, 2 * np.pi))
+        return rows
+
+    return added
+
+
+def noise_change(size: float, dwells: int, axes: int, _: float) -> Added:
+    def added(k: int, time: Floats, rng: np.random.Generator) -> Floats:
+        rows = np.zeros((len(time), axes))
+        rows[:, 0] = rng.normal(0, size * (k >= dwells // 2), len(time))
+        return rows
+
+    return added
+
+
+def settling(size: float, dwells: int, axes: int, tau: float) -> Added:
+    def added(k: int, time: Floats, rng: np.random.Generator) -> Floats:
+        rows = np.zeros((len(time), axes))
+        rows[:, 0] = size * np.exp(-(time - time[0]) / tau)
+        return rows
+
+    return added
+
+
+EFFECTS = {"tone": tone, "noise_change": noise_change, "settling": settling}
+
+
+def finder(name: str, sort: str, quiet_seed: int = 99) -> Callable[[float, int], bool]:
+    """Whether an effect of so much of the stated amplitude is found in the session of a seed.
+
+    The amplitude is what the session of `quiet_seed`, in which there is nothing, says it would have seen.
+    """
+    options = SORTS[sort]
+    quiet = draw(np.random.default_rng(quiet_seed), **options)
+    amplitude = look_within(quiet)[1][name].amplitude
+    assert amplitude is not None
+    constants = [tau for tau in grid(quiet, quiet.counts >= 6) if tau is not None]
+    shape = constants[len(constants) // 2]
+    if name == "tone":
+        density = density_of(quiet)
+        assert density is not None
+        base = density.base[density.searched, 0]
+        middling = int(np.argmin(np.abs(base - np.median(base)))) + density.searched.start
+        shape = density.frequency[middling] / quiet.period_s
+
+    def found(share: float, seed: int) -> bool:
+        added = EFFECTS[name](share * amplitude, len(quiet), quiet.axes, shape)
+        samples = draw(np.random.default_rng([seed, 4]), added=added, **options)
+        return any(finding.kind == name for finding in search_within(samples))
+
+    return found
