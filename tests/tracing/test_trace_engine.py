@@ -108,7 +108,7 @@ def test_products_of_blocks_are_those_of_least_squares_with_the_rows_of_the_prio
     for _ in range(2):  # the second time from what was kept
         chi2, z, inside = products.beside(model)
         assert chi2 == pytest.approx(left @ left)
-        assert problem.chi2 - problem.explained(model) == pytest.approx(left @ left)
+        assert problem.chi2 - problem.gain(model) == pytest.approx(left @ left)
         assert z == pytest.approx(left @ longer, abs=1e-9 * np.sqrt(problem.chi2))
         assert inside.T @ inside == pytest.approx(longer.T @ onto @ few.columns, abs=1e-9)
     for k in model:
@@ -140,7 +140,7 @@ def test_an_amplitude_costs_as_many_nats_as_a_part_seldom_has_it_whatever_the_no
     problem = replace(problem, target=added - base @ (base.T @ added))
     free = problem.chi2 - float((span(problem, (0,))[1] ** 2).sum())
     assert free == pytest.approx(problem.chi2)
-    cost = 0.5 * (free - problem.explained((0,))) / inflation
+    cost = 0.5 * (free - problem.gain((0,))) / inflation
     seen = 1 - problem.prior[0][0, 0]  # of a prior that is not vague beside the noise a part
     # Blocks are orthonormal to 1e-10.
     assert cost == pytest.approx(nats * seen, rel=2e-3, abs=1e-10 * problem.chi2 / inflation)
@@ -165,7 +165,7 @@ def test_search_finds_the_pair_that_exhaustive_enumeration_finds() -> None:
     found = search(problem, 2)
     best = -np.inf
     for pair in itertools.combinations(range(len(problem.terms)), 2):
-        best = max(best, 0.5 * problem.explained(pair) - float(prices[list(pair)].sum()))
+        best = max(best, 0.5 * problem.gain(pair) - float(prices[list(pair)].sum()))
     assert found.scores[found.best] == pytest.approx(best, rel=2e-8)  # the ridge of `gains`
 
 

@@ -6,12 +6,13 @@ sum of squares of its scores and a search needs nothing but dot products of colu
 
 Amplitudes have a normal prior as wide as a part can have them. It acts as rows of its own below each block
 (target 0, a column 1/σ), which no other block shares: they are never written down. A block is orthonormal
-*together with* these rows, its products with others are those of the readings alone.
+*together with* these rows, its products with others are those of the readings alone. Without them a
+covariate that is constant but for its noise would be a second bias, of an amplitude that no part has.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -131,21 +132,18 @@ class LinearProblem:
         """The same with other products (M,) of the prior's rows, by the blocks as they are."""
         columns = np.empty_like(self.columns)
         back, turned = list(self.back), list(prior)
-        for size in np.unique(self.width).tolist():
-            members = np.flatnonzero(self.width == size)
-            index = self.first[members, None] + np.arange(size)
+        for members, index, stack in _by_width(self.columns, self.first, self.width):
             held = np.stack([prior[k] for k in members])
-            gram = np.eye(size) - np.stack([self.prior[k] for k in members]) + held
+            gram = np.eye(index.shape[1]) - np.stack([self.prior[k] for k in members]) + held
             turn = np.linalg.inv(np.linalg.cholesky(gram)).transpose(0, 2, 1)
-            stack = self.columns[:, index].transpose(1, 0, 2) @ turn  # (members, rows, width)
-            columns[:, index] = stack.transpose(1, 0, 2)
+            columns[:, index] = (stack @ turn).transpose(1, 0, 2)
             held = turn.transpose(0, 2, 1) @ held @ turn
             for k, member in enumerate(members.tolist()):
                 back[member] = self.back[member] @ turn[k]
                 turned[member] = held[k]
         return replace(self, columns=columns, back=tuple(back), prior=tuple(turned), inflation=inflation)
 
-    def explained(self, model: Sequence[int]) -> float:
+    def gain(self, model: Sequence[int]) -> float:
         """χ² that a model takes from the target, less what its amplitudes cost by the prior."""
         if not len(model):
             return 0.0
@@ -242,6 +240,16 @@ def _beside(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Fl
     return columns, np.where(seen, before * after, 1.0)
 
 
+def _by_width(
+    columns: Floats, first: NDArray[np.intp], width: NDArray[np.intp]
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:
+    """Blocks of one width together: their numbers (m,), places (m, width) and columns (m, rows, width)."""
+    for size in np.unique(width).tolist():
+        members = np.flatnonzero(width == size)
+        index = first[members, None] + np.arange(size)
+        yield members, index, columns[:, index].transpose(1, 0, 2)
+
+
 def _orthonormal_blocks(
     columns: Floats, length: Floats, widths: NDArray[np.intp]
 ) -> tuple[list[int], NDArray[np.intp], Floats, tuple[Floats, ...]]:
@@ -252,10 +260,8 @@ def _orthonormal_blocks(
     """
     starts = np.cumsum(widths) - widths
     found: dict[int, list[tuple[int, Floats, Floats]]] = {}
-    for size in np.unique(widths).tolist():
-        members = np.flatnonzero(widths == size)
-        index = starts[members, None] + np.arange(size)
-        stack = columns[:, index].transpose(1, 0, 2)  # (members, rows, width)
+    for members, index, stack in _by_width(columns, starts, widths):
+        size = index.shape[1]
         gram = stack.transpose(0, 2, 1) @ stack
         root = np.linalg.cholesky(gram + 1e-10 * np.eye(size))
         whole = np.all(np.diagonal(root, axis1=1, axis2=2) ** 2 > _RANK, axis=1)

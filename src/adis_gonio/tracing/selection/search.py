@@ -233,7 +233,7 @@ class _Beam:
 
     def _exchange(self) -> None:
         """Open the neighbours of the best models (one term less) until none is better."""
-        for _ in range(limits.exchanged):
+        for _ in range(limits.exchanges):
             best = self.found.best
             for model in _different(self.found, limits.exchanged):
                 if spent():

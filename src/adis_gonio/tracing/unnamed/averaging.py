@@ -195,7 +195,7 @@ def _formulas(
     problem, found = selection.problem, selection.found
 
     def score(model: tuple[int, ...]) -> float:
-        explained = 0.5 * problem.explained(model) / selection.inflation
+        explained = 0.5 * problem.gain(model) / selection.inflation
         return explained - float(sum(found.prices[k] for k in model))
 
     covered = {(process.term.where, process.term.covariates) for process in candidates}
