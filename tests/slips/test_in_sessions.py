@@ -16,8 +16,7 @@ from adis_gonio.fitting import fit
 from adis_gonio.session.overrides import AngleChange, Overrides
 from adis_gonio.slips.of_session import angles_of, in_context, positions_of
 from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.outcome.positions import as_the_part_stood
-from adis_gonio.tracing.selection.select import _gross_slips
+from adis_gonio.tracing.outcome.positions import as_the_angles_leave, as_the_part_stood
 from fakes import planar_session as planar
 from session.hand_bench import by_hand, hand_sensor
 from slip_oracle import answer
@@ -160,9 +159,10 @@ def test_what_slipped_with_the_last_dwells_is_not_taken_out_once_more(tmp_path):
     stood = around + np.where(np.arange(24) >= 22, 8.0, 0.0)
     session = load_session(written(tmp_path / "slipped.csv", around, stood))
     data = readings_of(session)
-    terms = named_terms(data)[0]
-    assert len(_gross_slips(data, terms)) == 2
-    assert _gross_slips(as_the_part_stood(data, positions_of(session)), terms) == {}
+    said = positions_of(session)
+    assert [(one.position, one.finding, one.others) for one in said.findings] == [(22, "slipped", (23,))]
+    left = as_the_angles_leave(named_terms(data)[0], as_the_part_stood(data, said), said)
+    assert not any(term.begins for term in left)
 
 
 def test_a_slip_that_a_line_reaches_stays_in_the_readings_as_a_step_of_the_true_angle(tmp_path):

@@ -36,7 +36,11 @@ from adis_gonio.tracing.outcome.findings import (
     scatter_finding,
     unnamed_of,
 )
-from adis_gonio.tracing.outcome.positions import as_the_part_stood, ruled_out, with_positions
+from adis_gonio.tracing.outcome.positions import (
+    as_the_angles_leave,
+    as_the_part_stood,
+    with_positions,
+)
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, TraceResult, Unnamed
 from adis_gonio.tracing.outcome.sets import credible_sets, one_a_function, votes
 from adis_gonio.tracing.outcome.shares import excesses, unnamed_with_share, with_shares
@@ -305,6 +309,8 @@ def accused(position: int, finding: Any, *names: str, error_deg: float = 1.0, ot
 class TestPositions:
     """What gravity and gyro say of positions, in one story with the trace."""
 
+    OF_ONE_DWELL = ("outlier_dwell[xy]", "position_slip")
+
     def stood_deg(self, data: Readings, *findings: PositionFinding) -> np.ndarray:
         """By how much the angles of the readings are moved."""
         stood = as_the_part_stood(data, Diagnosis(findings))
@@ -358,12 +364,43 @@ class TestPositions:
         self, finding: str, names: tuple[str, ...], gone: set[str]
     ) -> None:
         data = replace(noisy(turn(), 27), position=np.arange(24) + 100)
-        said = ruled_out(data, Diagnosis((accused(105, finding, *names),)))
-        assert said == {(name, 5) for name in gone}
+        terms = labelled(data, *(f"{name}(dwell={k})" for name in self.OF_ONE_DWELL for k in range(24)))
+        left = as_the_angles_leave(terms, data, Diagnosis((accused(105, finding, *names),)))
+        assert {term.label for term in terms} - {term.label for term in left} == {
+            term.label for term in terms if term.name in gone and term.dwell == 5
+        }
+
+    @pytest.mark.parametrize(
+        ("finding", "times", "begins"),
+        [
+            ("misset", 1.02, True),
+            ("misset", 0.98, False),  # the linear problem reaches it
+            ("mistyped", -1.02, True),
+            ("swapped", 1.02, True),
+            ("slipped", 1.02, False),  # taken out of all that follows
+            ("gravity_wrong", 1.02, False),
+        ],
+    )
+    def test_a_slip_out_of_the_linear_problem_s_reach_begins_at_the_size_that_the_angles_show(
+        self, finding: str, times: float, begins: bool
+    ) -> None:
+        data = replace(noisy(turn(), 27), position=np.arange(24) + 100)
+        reach = math.degrees(math.acos(1 - float(np.sqrt(data.variance_of_mean[0])) / G))
+        shown = Diagnosis((accused(105, finding, "gravity_wrong", "misset", error_deg=times * reach),))
+        terms = labelled(data, "bias[xy]", "position_slip(dwell=4)", "position_slip(dwell=5)")
+        left = as_the_angles_leave(terms, data, shown)
+        # ψ = α − θ: what stands further on has a negative slip.
+        assert [term.begins for term in left] == pytest.approx([0.0, 0.0, -times * reach * begins])
+
+    def test_what_is_wrong_with_a_check_dwell_is_none_of_the_candidates_business(self) -> None:
+        data = noisy(turn(), 27)
+        terms = labelled(data, "bias[xy]", "position_slip(dwell=5)", "outlier_dwell[xy](dwell=5)")
+        assert as_the_angles_leave(terms, data, Diagnosis((accused(105, "misset"),))) == terms
 
     def test_without_an_order_no_effect_of_one_dwell_is_there_to_be_ruled_out(self) -> None:
         data = noisy(turn(order=None), 27)
-        assert ruled_out(data, Diagnosis((accused(5, "mistyped"),))) == frozenset()
+        terms = labelled(data, "bias[xy]")
+        assert as_the_angles_leave(terms, data, Diagnosis((accused(5, "mistyped"),))) == terms
 
     def result(self) -> TraceResult:
         figures = ErrorFigures(1.0, None, None, None)

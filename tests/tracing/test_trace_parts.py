@@ -506,14 +506,15 @@ class TestSelection:
         assert chose.fit.values.terms[0] == pytest.approx([900.0, 400.0], abs=0.2)
 
     @pytest.mark.parametrize("biases", [("bias[x]", "bias[xy]", "bias[y]"), ()])
-    def test_a_gross_slip_is_taken_out_beside_the_widest_bias_that_is_a_candidate(
+    def test_a_slip_of_known_size_is_refitted_beside_the_widest_bias_that_is_a_candidate(
         self, biases: tuple[str, ...]
     ) -> None:
         off = np.array([50.0, -30.0]) if biases else np.zeros(2)
         data = slipped(by_deg=15.0)
         data = replace(data, mean=data.mean + np.random.default_rng(46).normal(off, U, (24, 2)))
         terms = labelled(data, *biases, *(f"position_slip(dwell={k})" for k in range(24)))
-        fit = choice._with_slips(data, terms, choice._gross_slips(data, terms))
+        terms = [replace(term, begins=14.0 * (term.dwell == 1)) for term in terms]
+        fit = choice._begun(Fit.begin(data).refit(), terms)
         slip, *bias = fit.values.terms
         assert [term.label for term in fit.terms] == ["position_slip(dwell=1)", "bias[xy]"][: 1 + len(bias)]
         assert slip == pytest.approx([15.0], abs=0.03)

@@ -189,7 +189,7 @@ class TestStatement:
         assert told.value == size
         assert told.u == pytest.approx(size / math.sqrt(curvature), rel=0.02)
         ratio = 2 * (at(0.0) - likelihood(left, U**2))
-        assert told.p_value == pytest.approx(0.5 * stats.chi2.sf(ratio, 1) * 20, rel=0.02)
+        assert told.p_value == pytest.approx(0.5 * stats.chi2.sf(ratio, 1) / 0.0175, rel=0.02)
         assert told.p_value < 1
         assert told.declared == pytest.approx(U)
         assert (told.kind, told.unit, told.log_odds) == ("reading_scatter", "mg", 2.5)
@@ -213,8 +213,8 @@ class TestStatement:
         # A standard deviation from some 22 of one size that is far above the noise.
         assert told.u == pytest.approx(0.05 / math.sqrt(2 * 22), rel=0.3)
 
-    def test_it_costs_a_thought_in_twenty_and_one_parameter(self) -> None:
-        assert scatter._price(rough(1.0)) == pytest.approx(math.log(20) + 0.5 * math.log(48))
+    def test_it_costs_the_thought_of_an_effect_and_one_parameter(self) -> None:
+        assert scatter._price(rough(1.0)) == pytest.approx(-math.log(0.0175) + 0.5 * math.log(48))
 
 
 class TestRival:

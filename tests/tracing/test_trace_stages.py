@@ -30,6 +30,7 @@ from adis_gonio.tracing.selection.scatter import Scatter
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.trace import UNCHECKED, trace, trace_readings
 from tracing.small_problems import biased, chosen, function, labelled, noisy, turn
+from tracing.test_trace_outcome import accused
 
 stages = import_module("adis_gonio.tracing.trace")
 
@@ -253,7 +254,7 @@ class TestResult:
         assert len(told(bent(), errors=(10.0, 2.0, 1.0), heldout=worse).steps) == 1
         assert len(told(bent((2, 7, 12, 17)), errors=(10.0, 2.0, 1.0), heldout=worse).steps) == 2
 
-    def test_effects_that_something_else_rules_out_are_no_candidates(
+    def test_effects_that_the_angles_of_the_positions_rule_out_are_no_candidates(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         data = biased()
@@ -266,7 +267,7 @@ class TestResult:
         monkeypatch.setattr(stages, "_searched", searched)
         monkeypatch.setattr(stages, "nameless_terms", lambda training: [])
         with pytest.raises(FitError, match="enough"):
-            trace_readings(data, 2, {("outlier_dwell", 7), ("position_slip", 3)})
+            trace_readings(data, 2, Diagnosis((accused(7, "misset"), accused(3, "gravity_wrong"))))
         dwells = {
             name: {term.dwell for term in candidates if term.name == name}
             for name in ("outlier_dwell", "position_slip")
@@ -498,14 +499,14 @@ class TestSessions:
     def test_what_is_wrong_with_the_readings_is_said_of_their_session(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        def refuse(*_: Any) -> TraceResult:
+        def refuse(_: Readings) -> None:
             raise FitError("too few")
 
         with monkeypatch.context() as patched:
             patched.setattr(stages, "in_context", lambda session, error: f"of this session: {error}")
-            patched.setattr(stages, "ruled_out", refuse)
+            patched.setattr(stages, "_enough", refuse)
             with pytest.raises(FitError, match="of this session: too few"):
-                self.traced(patched, session())
+                trace(session())
 
     def test_positions_stand_in_the_result_and_what_was_overridden_does_too(
         self, monkeypatch: pytest.MonkeyPatch

@@ -105,11 +105,14 @@ class NamedTerm(Term):
         Index among the parameters, and value, of each shape.
     spread : float or None
         Prior standard deviation of each value about zero.
+    begins : float
+        Amplitude that is known roughly beforehand, about which the linear problem is to stand; 0 for none.
     """
 
     effect: Effect
     shapes: tuple[tuple[int, float], ...] = ()
     spread: float | None = None
+    begins: float = 0.0
 
     @property
     def name(self) -> str | None:

@@ -30,7 +30,7 @@ class Limits:
     effect_share: float = number(
         0.0175,
         "measured",
-        "prior share of an effect, whatever else a session can show (scripts/trace_level.py)",
+        "prior share of an effect, or of scatter, whatever else can show (scripts/trace_level.py)",
     )
     nameless_share: float = number(0.3, "chosen", "prior share of all functions without a name together")
     bias_weight: float = number(
@@ -54,7 +54,6 @@ class Limits:
     smooth_weight: float = number(0.25, "chosen", "part of a covariate's prior that its polynomials have")
     pair_weight: float = number(0.3, "chosen", "prior weight of a process in two covariates against one")
     prior_snr: float = number(4.0, "chosen", "prior standard deviation of an effect, in u of a reading")
-    scatter_prior: float = number(0.05, "chosen", "prior probability of a variance component", off=1e-30)
 
     # What a session can show
     independent: float = number(
@@ -73,13 +72,6 @@ class Limits:
         1.9, "derived", "least dwells that a bump touches: one dwell is an outlier", off=0.0
     )
     most_cycles: int = number(72, "physical", "most cycles a turn that are looked for: a worm of 72 teeth")
-
-    # Physical bounds
-    gross_spreads: float = number(
-        6.0, "chosen", "slip from which it is gross, in spreads of the dwells about their median"
-    )
-    gross_share: float = number(0.2, "chosen", "largest share of the dwells that slipped grossly")
-    gross_length: float = number(0.2, "chosen", "largest change of a reading's length in a gross slip")
 
     # Choice
     adequate: float = number(0.01, "level", "level of the test of adequacy")

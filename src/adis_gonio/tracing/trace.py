@@ -6,7 +6,7 @@ Session ─ readings ─▶ candidates ─▶ selection ─▶ validation ─▶
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from adis_gonio.budget import attempt, current, spent, within
@@ -35,7 +35,7 @@ from adis_gonio.tracing.outcome.findings import (
 )
 from adis_gonio.tracing.outcome.naming import judge
 from adis_gonio.tracing.outcome.openings import undecided
-from adis_gonio.tracing.outcome.positions import as_the_part_stood, ruled_out, with_positions
+from adis_gonio.tracing.outcome.positions import as_the_angles_leave, as_the_part_stood, with_positions
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, NextDwell, Step, Stopped, TraceResult
 from adis_gonio.tracing.outcome.sets import CredibleSet, credible_sets, one_a_function
 from adis_gonio.tracing.outcome.shares import excesses, shares, unnamed_with_share, with_shares
@@ -109,7 +109,7 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
     positions = positions_of(session) if own else Diagnosis()
     data = as_the_part_stood(readings_of_part(session, part), positions)
     try:
-        result = trace_readings(data, max_effects, ruled_out(data, positions))
+        result = trace_readings(data, max_effects, positions)
     except FitError as error:
         raise FitError(in_context(session, error)) from error
     result = with_positions(result, data, positions)
@@ -127,22 +127,21 @@ def _stamped(result: TraceResult, *, checked: bool) -> TraceResult:
     return replace(result, stopped=Stopped.of(budget, checked=checked)) if budget.left_out else result
 
 
-def trace_readings(
-    data: Readings, max_effects: int = 6, impossible: Collection[tuple[str, int]] = ()
-) -> TraceResult:
+def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | None = None) -> TraceResult:
     """Trace readings; see `trace`.
 
     Parameters
     ----------
-    impossible : collection of (str, int)
-        Effects of one dwell, by the dwell's order, that something besides the readings rules out.
+    positions : Diagnosis, optional
+        What is known of the positions before: effects of one dwell that cannot be, sizes of gross slips.
     """
     from adis_gonio.advice.words import advise  # next door, and it looks in here
 
     training, checking = data.training, data.checking
     _enough(training)
     named, missing = named_terms(training)
-    named = [term for term in named if (term.name, term.dwell) not in impossible]
+    if positions is not None:
+        named = as_the_angles_leave(named, training, positions)
     terms: list[Term] = [*named, *nameless_terms(training)]
     measured = training
     selection, scatter = _searched(training, terms, max_effects)

@@ -1,21 +1,24 @@
 """A trace and what declared, gravity's and the gyro's angles say of the positions: one story.
 
-An effect of one dwell (`position_slip`, `outlier_dwell`) that the three angles rule out is no candidate.
-A part that slipped for all that followed has no name among the effects. A slip that is gross is taken out
-before the search, and the trace says so; a smaller one competes as a step of the true angle with whatever
-else may have turned the part by and by.
+An effect of one dwell (`position_slip`, `outlier_dwell`) that the three angles rule out is no candidate. A
+`position_slip` that they show, and that no linear problem reaches, begins at its size. A part that slipped
+for all that followed has no name among the effects. A slip that is gross is taken out before the search,
+and the trace says so; a smaller one competes as a step of the true angle with whatever else may have turned
+the part by and by.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from adis_gonio.estimation.readings import Readings
+from adis_gonio.estimation.terms import NamedTerm
 from adis_gonio.slips import Diagnosis, PositionFinding
 from adis_gonio.tracing.outcome.result import TraceResult
-from adis_gonio.tracing.selection.select import out_of_reach
 
 _MOVED = frozenset({"mistyped", "misset", "swapped"})
 
@@ -33,25 +36,49 @@ def as_the_part_stood(data: Readings, positions: Diagnosis) -> Readings:
 
 def _gross(data: Readings, positions: Diagnosis) -> list[PositionFinding]:
     """Slips that last and that no linear problem reaches."""
-    lasting = [found for found in positions.findings if found.finding == "slipped"]
-    return [f for f in lasting if out_of_reach(data, np.radians(f.error_deg[0])).mean() > 0.5]
+    return [f for f in positions.findings if f.finding == "slipped" and _out_of_reach(data, f)]
 
 
-def ruled_out(data: Readings, positions: Diagnosis) -> frozenset[tuple[str, int]]:
-    """Effects of one dwell that cannot be: its reading is right, or it stood where it was declared."""
+def _out_of_reach(data: Readings, found: PositionFinding) -> bool:
+    """Whether the linear problem does not reach an error of a position.
+
+    Off by δ, a reading is G (1 − cos δ) shorter along its old direction than a slip says (2 mg at 4°): out
+    of reach is what shortens it by more than its uncertainty.
+    """
+    shorter = data.gravity_mg * (1 - math.cos(math.radians(found.error_deg[0])))
+    return shorter > math.sqrt(float(np.median(data.variance_of_mean)))
+
+
+def as_the_angles_leave(
+    terms: Sequence[NamedTerm], data: Readings, positions: Diagnosis
+) -> list[NamedTerm]:
+    """Candidates without effects of one dwell that cannot be, and with the sizes of slips that are gross.
+
+    A reading that is right has no `outlier_dwell`; what stood where it was declared has no `position_slip`.
+    """
     order = data.conditions.order
     if order is None:
-        return frozenset()
+        return list(terms)
     of_position = dict(zip(data.position.tolist(), order.tolist(), strict=True))
-    gone = set()
+    gone: set[tuple[str | None, int | None]] = set()
+    begins: dict[tuple[str | None, int | None], float] = {}
     for found in positions.findings:
+        if found.position not in of_position:
+            continue  # a check dwell
         names = {named.name for named in found.names}
         number = int(of_position[found.position])
         if found.finding in _MOVED and "gravity_wrong" not in names:
             gone.add(("outlier_dwell", number))
         if names == {"gravity_wrong"}:
             gone.add(("position_slip", number))
-    return frozenset(gone)
+        if found.finding in _MOVED and _out_of_reach(data, found):
+            # ψ = α − θ: what stands further on by e has a slip of −e.
+            begins["position_slip", number] = -found.error_deg[0]
+    return [
+        replace(term, begins=begins.get((term.name, term.dwell), 0.0))
+        for term in terms
+        if (term.name, term.dwell) not in gone
+    ]
 
 
 def with_positions(result: TraceResult, data: Readings, positions: Diagnosis) -> TraceResult:
@@ -87,4 +114,4 @@ def _first(positions: Diagnosis) -> tuple[str, ...]:
     return tuple(said)
 
 
-__all__ = ["as_the_part_stood", "ruled_out", "with_positions"]
+__all__ = ["as_the_angles_leave", "as_the_part_stood", "with_positions"]

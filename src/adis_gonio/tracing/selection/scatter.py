@@ -105,8 +105,8 @@ def _kinds(data: Readings) -> Iterator[Kind]:
 
 
 def _price(data: Readings) -> float:
-    """Of one parameter that is set at its best, and of having thought of it."""
-    return -math.log(limits.scatter_prior) + 0.5 * math.log(max(data.mean.size, 2))
+    """Of one parameter that is set at its best, and of having thought of it, as of any effect."""
+    return -math.log(limits.effect_share) + 0.5 * math.log(max(data.mean.size, 2))
 
 
 def _evidence(selection: Selection) -> float:
@@ -237,7 +237,7 @@ def _stated(data: Readings, kind: Kind, size: float, chosen: Selection, log_odds
     none = _restricted(_fit_under(chosen.fit, data))
     ratio = 2 * max(height(0.0) - none, 0.0)
     # At the edge of what a variance can be, half of the distribution is zero.
-    p_value = min(1.0, 0.5 * float(chi2.sf(ratio, 1)) / limits.scatter_prior)
+    p_value = min(1.0, 0.5 * float(chi2.sf(ratio, 1)) / limits.effect_share)
     curvature = -(height(step) - 2 * height(0.0) + height(-step)) / step**2
     relative = 1 / math.sqrt(curvature) if curvature > 0 else 1.0
     factor: Callable[[float], float] = math.degrees if kind == "fixture_scatter" else float

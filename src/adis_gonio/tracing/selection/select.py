@@ -6,14 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adis_gonio.budget import spent
 from adis_gonio.estimation.fit import Fit, adequacy
 from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.robust import MAD_TO_SD
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
-from adis_gonio.model.records import Floats
 from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, linearise, span
 from adis_gonio.tracing.selection.posterior import ModelPosterior, weigh
 from adis_gonio.tracing.selection.search import Search, search
@@ -113,10 +110,7 @@ def select(
 ) -> Selection:
     """Choose terms for these readings (all of them: `check` dwells are the caller's business)."""
     base = Fit.begin(data).refit()
-    about = base
-    slipped = _gross_slips(data, terms) if max_terms else {}
-    if slipped:
-        about = _with_slips(data, terms, slipped)
+    about = _begun(base, terms) if max_terms else base
     inflation = 1.0 if data.noise_known else max(base.chi2 / max(base.dof, 1), 1e-12)
     before: tuple[str, ...] | None = None
     for _ in range(rounds):
@@ -156,80 +150,24 @@ def _with_constant(term: Term) -> bool:
     return isinstance(term, NamelessTerm) and term.basis.with_constant
 
 
-def _gross_slips(data: Readings, terms: Sequence[Term]) -> dict[Term, float]:
-    """Dwells that stand elsewhere by a gross slip: their term, and by how much in degrees.
+def _begun(base: Fit, terms: Sequence[Term]) -> Fit:
+    """The base model with slips that are known roughly and a bias, refitted; the same without such slips.
 
-    Where a slip is out of the linear problem's reach, only an outlier of both axes would explain it. About
-    a state that has the slip it is exact.
+    Where a slip is out of the linear problem's reach, only an outlier of both axes would explain it there.
+    About a state that has the slip, and the bias that the others show, it is exact.
     """
-    theta = data.angle_rad
-    if not data.planar or data.conditions.angle_rad is None or data.free:
-        return {}
-    reading = data.mean - _robust_bias(data, theta)
-    shown = np.arctan2(reading[:, 1], reading[:, 0]) + theta
-    middle = np.angle(np.exp(1j * shown).sum())
-    off = np.angle(np.exp(1j * (shown - middle)))
-    off = np.angle(np.exp(1j * (off - np.median(off))))
-    typical = MAD_TO_SD * float(np.median(np.abs(off)))
-    length = np.linalg.norm(reading, axis=1) / data.gravity_mg
-    far = out_of_reach(data, off)
-    far &= np.abs(off) > limits.gross_spreads * typical
-    if (
-        not far.any()
-        or far.mean() > limits.gross_share
-        or (np.abs(length[far] / np.median(length) - 1) > limits.gross_length).any()
-    ):
-        return {}
-    of_dwell = {term.dwell: term for term in terms if term.name == "position_slip"}
-    order = data.conditions.order
-    out: dict[Term, float] = {}
-    for k in np.flatnonzero(far).tolist():
-        term = None if order is None else of_dwell.get(round(float(order[k])))
-        if term is None:
-            return {}
-        out[term] = float(np.degrees(off[k]))
-    return out
-
-
-def out_of_reach(data: Readings, off_rad: Floats | float) -> NDArray[np.bool_]:
-    """Dwells (n,) in which the linear problem does not reach a slip.
-
-    Off by δ, a reading is G (1 − cos δ) shorter along its old direction than a slip says (2 mg at 4°): out
-    of reach is what shortens it by more than its uncertainty.
-    """
-    return np.asarray(data.gravity_mg * (1 - np.cos(off_rad)) > np.sqrt(data.variance_of_mean))
-
-
-def _robust_bias(data: Readings, theta: Floats) -> Floats:
-    """Rough biases (2,) in mg by least squares on the first harmonic, without dwells that are far off."""
-    design = np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))])
-    kept = np.ones(len(theta), dtype=bool)
-    bias = np.zeros(2)
-    for _ in range(4):
-        if np.linalg.svd(design[kept], compute_uv=False)[-1] < 0.3:
-            return np.zeros(2)
-        solved = np.linalg.lstsq(design[kept], data.mean[kept], rcond=None)[0]
-        left = np.linalg.norm(data.mean - design @ solved, axis=1)
-        kept = left <= 4 * np.median(left)
-        bias = solved[2]
-    return np.asarray(bias)
-
-
-def _with_slips(data: Readings, terms: Sequence[Term], slipped: dict[Term, float]) -> Fit:
-    """Slips that are known roughly and a bias, which the linear problem needs as well, refitted."""
-    order, theta = data.conditions.order, data.angle_rad
-    assert order is not None
-    kept = data.rows(~np.isin(np.round(order), [term.dwell for term in slipped if term.dwell is not None]))
-    firm = Fit.begin(kept).refit().values.base
-    values = [np.array([value]) for value in slipped.values()]
-    model: list[Term] = list(slipped)
-    biases = [term for term in terms if term.name == "bias" and isinstance(term, NamedTerm)]
-    if biases:
-        widest = max(biases, key=lambda term: len(term.effect.axes))
-        model.append(widest)
-        values.append(widest.start(_robust_bias(data, theta)[: len(widest.effect.axes)]))
-    begun = Fit.begin(data)
-    return replace(begun, values=replace(begun.values, base=firm)).having(model, values).refit()
+    orders = base.data.conditions.order
+    here = set() if orders is None else set(np.round(orders).tolist())
+    named = [term for term in terms if isinstance(term, NamedTerm)]
+    slips = [term for term in named if term.begins and term.dwell in here]
+    if not slips:
+        return base
+    biases = [term for term in named if term.name == "bias"]
+    widest = max(biases, key=lambda term: len(term.effect.axes), default=None)
+    model = slips if widest is None else [*slips, widest]
+    return base.having(
+        model, [term.start(np.full(len(term.amplitudes), term.begins)) for term in model]
+    ).refit()
 
 
 def _fitted(
