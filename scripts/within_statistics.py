@@ -9,8 +9,8 @@ is listed, and how often called found.
 
     python scripts/within_statistics.py --stated 100
 
-puts in what a session without anything said it would have seen with 90 % (`detectable`), and a third of it,
-and prints how often each is found.
+puts into the samples of a session without anything what it said it would have seen with 90 %
+(`detectable`), and a third of it, and prints how often each is found.
 """
 
 from __future__ import annotations
@@ -100,9 +100,8 @@ def session(kind: str, seed: int, index: int) -> tuple[float, list[tuple[str, bo
 def stated(count: int, seed: int, case: tuple[str, str]) -> str:
     """Row of the table of an effect in a sort of session."""
     hits = {1.0: 0, 1 / 3: 0}
+    found = finder(*case)
     for one in range(1000 * seed, 1000 * seed + count):
-        # Each session states what it would have seen; of few dwells it knows that by their scatter only.
-        found = finder(*case, quiet_seed=one)
         for share in hits:
             hits[share] += found(share, one)
     return f"| {case[0]} | {case[1]} | {count} | {hits[1.0]} | {hits[1 / 3]} |"

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from adis_gonio.dwells import density_of, look_within, search_within
+from adis_gonio.dwells import Samples, density_of, look_within, search_within
 from adis_gonio.dwells.courses import grid
 from adis_gonio.model.records import Floats
 from tracing.dwell_samples import Added, draw
@@ -51,27 +51,34 @@ def settling(size: float, dwells: int, axes: int, tau: float) -> Added:
 EFFECTS = {"tone": tone, "noise_change": noise_change, "settling": settling}
 
 
-def finder(name: str, sort: str, quiet_seed: int = 99) -> Callable[[float, int], bool]:
+def finder(name: str, sort: str) -> Callable[[float, int], bool]:
     """Whether an effect of so much of the stated amplitude is found in the session of a seed.
 
-    The amplitude is what the session of `quiet_seed`, in which there is nothing, says it would have seen.
+    The amplitude is what this session says it would have shown; the effect is put into its very samples.
     """
     options = SORTS[sort]
-    quiet = draw(np.random.default_rng(quiet_seed), **options)
-    amplitude = look_within(quiet)[1][name].amplitude
-    assert amplitude is not None
-    constants = [tau for tau in grid(quiet, quiet.counts >= 6) if tau is not None]
-    shape = constants[len(constants) // 2]
-    if name == "tone":
-        density = density_of(quiet)
-        assert density is not None
-        base = density.base[density.searched, 0]
-        middling = int(np.argmin(np.abs(base - np.median(base)))) + density.searched.start
-        shape = density.frequency[middling] / quiet.period_s
 
     def found(share: float, seed: int) -> bool:
-        added = EFFECTS[name](share * amplitude, len(quiet), quiet.axes, shape)
-        samples = draw(np.random.default_rng([seed, 4]), added=added, **options)
+        quiet = draw(np.random.default_rng([seed, 4]), **options)
+        amplitude = look_within(quiet)[1][name].amplitude
+        assert amplitude is not None
+        hidden = EFFECTS[name](share * amplitude, len(quiet), quiet.axes, middling(name, quiet))
+        own = np.random.default_rng([seed, 5])  # so that the noise is the same
+        samples = draw(
+            np.random.default_rng([seed, 4]), added=lambda k, time, _: hidden(k, time, own), **options
+        )
         return any(finding.kind == name for finding in search_within(samples))
 
     return found
+
+
+def middling(name: str, quiet: Samples) -> float:
+    """Frequency in Hz, or time constant in s, of which the figure speaks."""
+    if name == "tone":
+        density = density_of(quiet)
+        assert density is not None
+        bound = density.bound[density.searched, 0]
+        at = int(np.argmin(np.abs(bound - np.median(bound)))) + density.searched.start
+        return float(density.frequency[at] / quiet.period_s)
+    constants = [tau for tau in grid(quiet, quiet.counts >= 6) if tau is not None]
+    return constants[len(constants) // 2]

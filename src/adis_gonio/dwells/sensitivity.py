@@ -1,13 +1,15 @@
 """Smallest `tone`, `noise_change` and `settling` that the samples inside the dwells would have shown.
 
-Each is the amplitude at which the search of that name finds the effect with a probability of 90 %, at the
-level and against the noise that it uses itself. It belongs to the worst axis.
+Each is the amplitude at which the search of that name would find the effect in these very samples with a
+probability of 90 %, at the level and against the noise that it uses itself. It belongs to the worst axis.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
 from adis_gonio.dwells.courses import LEAST_DWELLS, LEAST_SAMPLES, grid, projections
 from adis_gonio.dwells.density import TAPER_LOSS, Density
@@ -16,11 +18,12 @@ from adis_gonio.dwells.samples import Samples
 from adis_gonio.dwells.variances import LEAST_DWELLS as LEAST_LOUD
 from adis_gonio.dwells.variances import TESTS, levels_of, step_of
 from adis_gonio.estimation.values import Detectable
+from adis_gonio.model.records import Floats
 
 _POWER = 0.9
+_LARGEST = 1e6
 _TAPERED = 2 / 3 * 0.95
 """(Σw)²/(n Σw²) of Hann's taper, and what a frequency between two points of the grid loses on average."""
-_LARGEST = 1e6
 
 
 def sensitivity(samples: Samples, density: Density | None) -> dict[str, Detectable]:
@@ -90,12 +93,30 @@ def _noise_change(samples: Samples, density: Density | None) -> Detectable:
         own = levels_of(samples, density, axis)
         half = float(own.dof.sum()) / 2
         ratio = float(stats.f.isf(p, half, half) / stats.f.isf(_POWER, half, half))
-        away = _noncentral(p, dwells - 2) * step_of(own.course, own.level_dof, dwells // 2)[1]
-        # White noise of a variance of 1 mg² raises the level by the mean of what it adds to each ordinate.
-        each = float(np.mean(1 / density.base[density.searched, axis]))
-        seen = (own.common * (ratio - 1), float(np.median(own.level)) * np.expm1(min(away, 50.0)) / each)
-        worst = max(worst, float(np.sqrt(max(min(seen), 0.0))))
+        # What joins scatters by itself: by its degrees of freedom, whatever these few dwells show.
+        chance = math.sqrt(float(special.polygamma(1, np.median(own.level_dof) / 2)) * 4 / dwells)
+        away = _noncentral(p, dwells - 2) * max(step_of(own.course, own.level_dof, dwells // 2)[1], chance)
+        quiet = float(np.median(own.level)) * density.base[density.searched, axis]
+        seen = (own.common * (ratio - 1), _joining(quiet, away))
+        worst = max(worst, math.sqrt(min(seen)))
     return Detectable(worst, "mg", "extra")
+
+
+def _joining(quiet: Floats, away: float) -> float:
+    """Variance of white noise in mg² that raises the level of half of the dwells by `away` (a logarithm).
+
+    The level is in units of the density (points,) of all dwells, which what joins changes as well.
+    """
+
+    def missing(log_variance: float) -> float:
+        loud = quiet + math.exp(log_variance)
+        base = quiet
+        for _ in range(8):
+            base = (quiet / np.median(quiet / base) + loud / np.median(loud / base)) / 2
+        return float(np.log(np.mean(loud / base) / np.mean(quiet / base))) - away
+
+    low, high = float(np.log(quiet.min())) - 20, float(np.log(quiet.max())) + 50
+    return math.exp(optimize.brentq(missing, low, high, xtol=1e-3)) if missing(high) > 0 else math.inf
 
 
 def _settling(samples: Samples) -> Detectable:
@@ -110,10 +131,15 @@ def _settling(samples: Samples) -> Detectable:
     z, norm = projections(samples, usable, constants[len(constants) // 2])
     energy = float((norm**2).sum())
     tests = (len(constants) + 1) * 2 * samples.axes
-    size = _noncentral(LEVEL / SEARCHES / tests / 2, dwells - 1)
+    size = _standing_out(LEVEL / SEARCHES / tests / 2, dwells - 1)
     slope = (norm[:, None] * z).sum(axis=0) / energy
     scatter = ((z - norm[:, None] * slope)[usable] ** 2).sum(axis=0) / (dwells - 1)
     return Detectable(float(np.sqrt(scatter.max() / energy)) * size, "mg", "settling")
+
+
+def _standing_out(p: float, dof: int) -> float:
+    """Size in units of its u, which the session's scatter gives, at which 90 % exceed the limit at p."""
+    return float(stats.t.isf(p, dof) + stats.t.isf(1 - _POWER, dof))
 
 
 def _noncentral(p: float, dof: int) -> float:
