@@ -186,10 +186,12 @@ class _Beam:
             # Alone a named term may be far behind many nameless ones that do the work of two named ones.
             wanted |= self.named
         kept = np.flatnonzero(wanted & np.isfinite(gained))
-        fresh = {
-            tuple(sorted((*model, k))): here + gain
-            for k, gain in zip(number[kept].tolist(), gained[kept].tolist(), strict=True)
-        }
+        wider = np.empty((len(kept), len(model) + 1), dtype=np.intp)
+        wider[:, :-1], wider[:, -1] = model, number[kept]
+        wider.sort(axis=1)
+        fresh: dict[Model, float] = dict(
+            zip(map(tuple, wider.tolist()), (here + gained[kept]).tolist(), strict=True)
+        )
         found.scores.update(fresh)
         self.top = max(self.top, *fresh.values()) if fresh else self.top
         return fresh
