@@ -570,8 +570,7 @@ def nameless_spread(model: Measurement, term: Term) -> float:
 def amplitude_spread(model: Measurement, term: Term) -> Floats:
     """Prior standard deviation of each amplitude (d,) of any term: of a name, its bounds are two of it."""
     if isinstance(term, NamedTerm):
-        low, high = term.bounds()[term.amplitudes].T
-        return np.asarray((high - low) / 4)
+        return term.amplitude_spread
     return np.atleast_1d(nameless_spread(model, term))
 
 

@@ -175,6 +175,12 @@ class NamedTerm(Term):
         """Physical bounds of the catalogue."""
         return self._bounds
 
+    @cached_property
+    def amplitude_spread(self) -> Floats:
+        """Prior standard deviation of each amplitude (d,): its bounds are two of it."""
+        low, high = self._bounds[self.amplitudes].T
+        return np.asarray((high - low) / 4)
+
     def limited(self, old: Floats, new: Floats) -> Floats:
         """Within the bounds; a shape may at most double or halve in one step: the slope is only local."""
         new = new.copy()

@@ -38,7 +38,7 @@ class LinearProblem:
     columns : (rows, P) float
         Blocks, term after term: QᵀQ + `prior` is the identity of each.
     first, width : (M,) int
-        Where the block of each term begins, and its columns.
+        Where the block of each term begins, and its columns; widths increase.
     target : (rows,) float
         Whitened readings, off the base model.
     dof : int
@@ -128,20 +128,28 @@ class LinearProblem:
         factor = inflation / self.inflation
         return self._holding([factor * own for own in self.prior], inflation)
 
-    def _holding(self, prior: list[Floats], inflation: float) -> LinearProblem:
+    def _holding(self, prior: Sequence[Floats], inflation: float) -> LinearProblem:
         """The same with other products (M,) of the prior's rows, by the blocks as they are."""
         columns = np.empty_like(self.columns)
-        back, turned = list(self.back), list(prior)
-        for members, index, stack in _by_width(self.columns, self.first, self.width):
-            held = np.stack([prior[k] for k in members])
-            gram = np.eye(index.shape[1]) - np.stack([self.prior[k] for k in members]) + held
+        back: list[Floats] = []
+        turned: list[Floats] = []
+        for members, places, stack in self._by_width():
+            held = np.array(prior[members])
+            gram = np.eye(stack.shape[2]) - np.array(self.prior[members]) + held
             turn = np.linalg.inv(np.linalg.cholesky(gram)).transpose(0, 2, 1)
-            columns[:, index] = (stack @ turn).transpose(1, 0, 2)
-            held = turn.transpose(0, 2, 1) @ held @ turn
-            for k, member in enumerate(members.tolist()):
-                back[member] = self.back[member] @ turn[k]
-                turned[member] = held[k]
+            columns[:, places] = (stack @ turn).transpose(1, 0, 2).reshape(len(columns), -1)
+            back.extend(own @ half for own, half in zip(self.back[members], turn, strict=True))
+            turned.extend(turn.transpose(0, 2, 1) @ held @ turn)
         return replace(self, columns=columns, back=tuple(back), prior=tuple(turned), inflation=inflation)
+
+    def _by_width(self) -> Iterator[tuple[slice, slice, Floats]]:
+        """Blocks of one width, which stand together: numbers, places, and columns (m, rows, width)."""
+        begin = 0
+        for size, count in zip(*np.unique(self.width, return_counts=True), strict=True):
+            members = slice(begin, begin + int(count))
+            places = slice(int(self.first[begin]), int(self.first[begin] + size * count))
+            yield members, places, self.columns[:, places].reshape(-1, count, size).transpose(1, 0, 2)
+            begin = members.stop
 
     def gain(self, model: Sequence[int]) -> float:
         """χ² that a model takes from the target, less what its amplitudes cost by the prior."""
@@ -204,7 +212,10 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
 
     raw, widths = fit.candidates(terms)
     columns, length = _beside(base, fit.white(raw), widths)
-    chosen, width, together, back = _orthonormal_blocks(columns, length, widths)
+    spreads = (amplitude_spread(fit.data.model, term) for term in terms)
+    each = [np.full(size, own) for size, own in zip(widths.tolist(), spreads, strict=True)]
+    spread = np.concatenate([np.zeros(0), *each])
+    chosen, width, together, back, prior = _orthonormal_blocks(columns, length, spread, widths)
     first = (np.cumsum(width) - width).astype(np.intp)
     seen = set(chosen)
     free = LinearProblem(
@@ -220,9 +231,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
         column_price=_column_prices(together, first),
         prior=tuple(np.zeros((size, size)) for size in width.tolist()),
     )
-    spreads = (amplitude_spread(fit.data.model, term)[:, None] for term in free.terms)
-    away = [own / spread for own, spread in zip(back, spreads, strict=True)]
-    return free._holding([rows.T @ rows for rows in away], 1.0)
+    return free._holding(prior, 1.0)
 
 
 def _beside(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
@@ -240,51 +249,49 @@ def _beside(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Fl
     return columns, np.where(seen, before * after, 1.0)
 
 
-def _by_width(
-    columns: Floats, first: NDArray[np.intp], width: NDArray[np.intp]
-) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:
-    """Blocks of one width together: their numbers (m,), places (m, width) and columns (m, rows, width)."""
-    for size in np.unique(width).tolist():
-        members = np.flatnonzero(width == size)
-        index = first[members, None] + np.arange(size)
-        yield members, index, columns[:, index].transpose(1, 0, 2)
-
-
 def _orthonormal_blocks(
-    columns: Floats, length: Floats, widths: NDArray[np.intp]
-) -> tuple[list[int], NDArray[np.intp], Floats, tuple[Floats, ...]]:
-    """Terms that the session can see, their widths (M,), orthonormal blocks (rows, P) and ways back.
+    columns: Floats, length: Floats, spread: Floats, widths: NDArray[np.intp]
+) -> tuple[list[int], NDArray[np.intp], Floats, tuple[Floats, ...], tuple[Floats, ...]]:
+    """Terms that the session can see, their widths (M,), orthonormal blocks (rows, P), ways back, priors.
 
     Blocks of one width stand together and are made at once; a way back leads from the coefficients of a
-    block to amplitudes.
+    block to amplitudes, and a prior is the products (width, width) of its rows where the amplitude of each
+    column has a standard deviation of `spread` (P,).
     """
     starts = np.cumsum(widths) - widths
-    found: dict[int, list[tuple[int, Floats, Floats]]] = {}
-    for members, index, stack in _by_width(columns, starts, widths):
-        size = index.shape[1]
+    found: dict[int, list[tuple[int, Floats, Floats, Floats]]] = {}
+    for size in np.unique(widths).tolist():
+        members = np.flatnonzero(widths == size)
+        index = starts[members, None] + np.arange(size)
+        stack = columns[:, index].transpose(1, 0, 2)
         gram = stack.transpose(0, 2, 1) @ stack
         root = np.linalg.cholesky(gram + 1e-10 * np.eye(size))
         whole = np.all(np.diagonal(root, axis1=1, axis2=2) ** 2 > _RANK, axis=1)
-        halves = np.linalg.inv(root).transpose(0, 2, 1)
-        turned = stack @ halves
-        back = halves / length[index][:, :, None]
-        for k, member in enumerate(members.tolist()):
-            if whole[k]:
-                found.setdefault(size, []).append((member, turned[k], back[k]))
-                continue
+        halves = np.linalg.inv(root[whole]).transpose(0, 2, 1)
+        own = members[whole].tolist(), stack[whole] @ halves, *_back(halves, index[whole], length, spread)
+        found.setdefault(size, []).extend(zip(*own, strict=True))
+        for k in np.flatnonzero(~whole).tolist():
             values, vectors = np.linalg.eigh(gram[k])
-            seen = np.asarray(values > _RANK)
+            seen = values > _RANK
             if seen.any():
                 half = vectors[:, seen] / np.sqrt(values[seen])
-                own = (member, stack[k] @ half, half / length[index[k]][:, None])
-                found.setdefault(int(seen.sum()), []).append(own)
+                rest = int(members[k]), stack[k] @ half, *_back(half, index[k], length, spread)
+                found.setdefault(half.shape[1], []).append(rest)
     blocks = [block for size in sorted(found) for block in sorted(found[size], key=lambda own: own[0])]
     return (
-        [member for member, _, _ in blocks],
-        np.array([block.shape[1] for _, block, _ in blocks], dtype=np.intp),
-        np.concatenate([np.zeros((len(columns), 0)), *(block for _, block, _ in blocks)], axis=1),
-        tuple(back for _, _, back in blocks),
+        [member for member, _, _, _ in blocks],
+        np.array([block.shape[1] for _, block, _, _ in blocks], dtype=np.intp),
+        np.concatenate([np.zeros((len(columns), 0)), *(block for _, block, _, _ in blocks)], axis=1),
+        tuple(back for _, _, back, _ in blocks),
+        tuple(prior for _, _, _, prior in blocks),
     )
+
+
+def _back(half: Floats, index: NDArray[np.intp], length: Floats, spread: Floats) -> tuple[Floats, Floats]:
+    """Ways back (…, d, width) of combinations of the columns `index` (…, d), and products of the prior."""
+    back = half / length[index][..., None]
+    away = back / spread[index][..., None]
+    return back, away.swapaxes(-1, -2) @ away
 
 
 def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
