@@ -137,10 +137,14 @@ class Fit:
     @cached_property
     def predicted(self) -> Floats:
         """Prediction (n, axes) at the attitudes."""
-        predicted = self.ideal
+        return self._predicted(self.ideal)
+
+    def _predicted(self, ideal: Floats) -> Floats:
+        """Prediction (n, axes) where the axes should read `ideal` (n, axes)."""
+        predicted = ideal
         for term, own in zip(self.terms, self.values.terms, strict=True):
             if not term.enters_angle:
-                predicted = predicted + term.added(own, self.ideal, self.data.conditions)
+                predicted = predicted + term.added(own, ideal, self.data.conditions)
         return predicted
 
     @property
@@ -427,17 +431,18 @@ class Fit:
 
     def settled(self, passes: int = 2) -> Fit:
         """The same with the attitudes that fit its other values best."""
-        fit, data = self, self.data
-        freedom = data.model.freedom
+        data, model = self.data, self.data.model
+        freedom = model.freedom
         fixed = data.fixture == 0
         if not freedom or (freedom == 1 and fixed.all()):
             return self
-        with np.errstate(divide="ignore"):
-            precision = np.where(fixed, 0.0, 1 / data.fixture**2)
+        precision = data.fixture_precision
+        attitude = self.values.attitude
         for _ in range(passes):
-            along = data.root @ fit.tangent
-            left = data.root @ fit.misfit[:, :, None]
-            pull = precision[:, None] * data.model.deviation_rad(fit.values.attitude)
+            at = self.values.base, attitude, self.turn_rad
+            along = data.root @ model.tangent(*at)
+            left = data.root @ (data.mean - self._predicted(model.ideal(*at)))[:, :, None]
+            pull = precision[:, None] * model.deviation_rad(attitude)
             if freedom == 1:
                 gram = (along**2).sum(axis=1) + precision[:, None]
                 step = ((along * left).sum(axis=1) - pull) / np.maximum(gram, 1e-300)
@@ -449,9 +454,8 @@ class Fit:
                 trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
                 gram = gram + (1e-12 * trace + 1e-300) * np.eye(freedom)
                 step = np.linalg.solve(gram, right[:, :, None])[:, :, 0]
-            attitude = data.model.moved(fit.values.attitude, step)
-            fit = replace(fit, values=replace(fit.values, attitude=attitude))
-        return fit
+            attitude = model.moved(attitude, step)
+        return replace(self, values=replace(self.values, attitude=attitude))
 
     def refit(
         self, iterations: int = 15, tolerance: float = _LEAST_GAIN, within: Floats | None = None

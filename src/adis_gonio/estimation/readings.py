@@ -223,6 +223,12 @@ class Readings:
         return np.where(declared, self.fixture_rad, np.inf)
 
     @cached_property
+    def fixture_precision(self) -> Floats:
+        """Precision (n,) with which a declared angle is known, in rad⁻²; 0 where it is certain or free."""
+        certain = self.fixture == 0
+        return np.where(certain, 0.0, 1 / np.where(certain, 1.0, self.fixture) ** 2)
+
+    @cached_property
     def turn_rad(self) -> Floats:
         """−θ (n,); 0 where no angle is declared."""
         return np.where(np.isfinite(self.angle_rad), -self.angle_rad, 0.0)

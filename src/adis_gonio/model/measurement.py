@@ -249,15 +249,21 @@ class PlanarTurn(Measurement):
         """K_x G cos ψ and K_y G sin(ψ + Δφ)."""
         alpha, k_x, k_y, skew = base
         psi = alpha + turn_rad + attitude
-        ideal: Floats = self.gravity_mg * np.stack([k_x * np.cos(psi), k_y * np.sin(psi + skew)], axis=1)
+        ideal = np.empty((len(psi), 2))
+        ideal[:, 0] = k_x * np.cos(psi)
+        ideal[:, 1] = k_y * np.sin(psi + skew)
+        ideal *= self.gravity_mg
         return ideal
 
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """−K_x G sin ψ and K_y G cos(ψ + Δφ)."""
         alpha, k_x, k_y, skew = base
         psi = alpha + turn_rad + attitude
-        slope = self.gravity_mg * np.stack([-k_x * np.sin(psi), k_y * np.cos(psi + skew)], axis=1)
-        return np.asarray(slope[:, :, None])
+        slope = np.empty((len(psi), 2, 1))
+        slope[:, 0, 0] = -k_x * np.sin(psi)
+        slope[:, 1, 0] = k_y * np.cos(psi + skew)
+        slope *= self.gravity_mg
+        return slope
 
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """By α, K_x, K_y, Δφ."""
