@@ -19,7 +19,6 @@ Cost is linear in the number of dwells.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -294,20 +293,21 @@ class Fit:
         conditions = self.data.conditions
         driven = self.data.model.stimulus(self.ideal, conditions)
         of_axis: dict[tuple[int, Where, int], Floats] = {}
-        blocks: list[list[tuple[int | slice, Floats]]] = []
-        for term in terms:
+        blocks: list[tuple[int | slice, Floats]] = []
+        widths = np.zeros(len(terms), dtype=np.intp)
+        for k, term in enumerate(terms):
             if not isinstance(term, NamelessTerm) or term.enters_angle:
-                blocks.append([(slice(None), self.candidate(term))])
+                own = self.candidate(term)
+                blocks.append((slice(None), own))
+                widths[k] = own.shape[-1]
                 continue
-            own: list[tuple[int | slice, Floats]] = []
             for axis in term.axes:
                 key = (id(term.basis), term.where, axis)
                 if key not in of_axis:
                     of_axis[key] = term.on_axis(axis, driven, conditions)
-                own.append((axis, of_axis[key]))
-            blocks.append(own)
-        widths = np.array([sum(rows.shape[-1] for _, rows in own) for own in blocks], dtype=np.intp)
-        return side_by_side(list(itertools.chain.from_iterable(blocks)), self.ideal.shape), widths
+                blocks.append((axis, of_axis[key]))
+                widths[k] += of_axis[key].shape[-1]
+        return side_by_side(blocks, self.ideal.shape), widths
 
     @cached_property
     def base_columns(self) -> Floats:
@@ -576,6 +576,15 @@ def amplitude_spread(model: Measurement, term: Term) -> Floats:
     if isinstance(term, NamedTerm):
         return term.amplitude_spread
     return np.atleast_1d(nameless_spread(model, term))
+
+
+def amplitude_spreads(model: Measurement, terms: Sequence[Term], widths: NDArray[np.intp]) -> Floats:
+    """The same of many terms side by side (P,), of so many amplitudes each (M,)."""
+    spread = np.repeat([nameless_spread(model, term) for term in terms], widths)
+    for term, end in zip(terms, np.cumsum(widths).tolist(), strict=True):
+        if isinstance(term, NamedTerm):
+            spread[end - len(term.amplitudes) : end] = term.amplitude_spread
+    return spread
 
 
 def foreseen(rest: Floats, left: Floats, most: float) -> NDArray[np.bool_]:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.estimation.fit import Fit, amplitude_spread
+from adis_gonio.estimation.fit import Fit, amplitude_spreads
 from adis_gonio.estimation.terms import ROUNDING, Term
 from adis_gonio.model.records import Floats
 from adis_gonio.tracing.thresholds import limits
@@ -212,9 +212,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
 
     raw, widths = fit.candidates(terms)
     columns, length = _beside(base, fit.white(raw), widths)
-    spreads = (amplitude_spread(fit.data.model, term) for term in terms)
-    each = [np.full(size, own) for size, own in zip(widths.tolist(), spreads, strict=True)]
-    spread = np.concatenate([np.zeros(0), *each])
+    spread = amplitude_spreads(fit.data.model, terms, widths)
     chosen, width, together, back, prior = _orthonormal_blocks(columns, length, spread, widths)
     first = (np.cumsum(width) - width).astype(np.intp)
     seen = set(chosen)
