@@ -15,7 +15,7 @@ stand in its place.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -134,11 +134,12 @@ def density_of(samples: Samples) -> Density | None:
     beside = _beside(pooled, searched, each)
     information = len(dwells) / each / TAPER_LOSS
     tests = samples.axes * (searched.stop - searched.start) / each
+    responses = [own[searched] for own in _responses(counts[dwells], size)]
     shape = np.ones((len(frequency), samples.axes))
     lined = np.zeros(samples.axes, dtype=bool)
     for axis in range(samples.axes):
         own, usual = pooled[searched, axis], beside(pooled, axis)[searched]
-        with_peak, without = (_shape(p, frequency[searched], counts[dwells], size) for p in (own, usual))
+        with_peak, without = (_shape(p, frequency[searched], responses) for p in (own, usual))
         gain = information * _gain(own, with_peak, without, own != usual)
         lined[axis] = corrected(math.exp(-max(gain, 0.0)), tests) < LEVEL
         shape[searched, axis] = without if lined[axis] else with_peak
@@ -256,8 +257,8 @@ def _smooth(flat: Floats, searched: slice, width: Floats, each: float) -> Floats
     return np.maximum(smooth, 1e-300)
 
 
-def _shape(pooled: Floats, frequency: Floats, counts: NDArray[np.intp], size: int) -> Floats:
-    """Shape (k,) of filtered white noise with a floor and 1/f noise that fits best.
+def _shape(pooled: Floats, frequency: Floats, responses: Sequence[Floats]) -> Floats:
+    """Shape (k,) that fits best: white noise behind a filter (`responses`) with a floor and 1/f noise.
 
     Whittle likelihood with the scale fitted, over cells of neighbours; the model is averaged over the same
     cells, so that a cell may be wider than a notch of the filter.
@@ -271,28 +272,23 @@ def _shape(pooled: Floats, frequency: Floats, counts: NDArray[np.intp], size: in
 
     seen = cells(pooled)
     low = np.array(_FLICKERS)[:, None] * cells(frequency[0] / frequency)
+    floors = np.array(_FLOORS)[:, None, None]
     falls = {knee: _falling(frequency, knee) for knee in _KNEES}
-    first = round(float(frequency[0]) * size)
 
     def deviance(own: Floats) -> Floats:
         """−2 log likelihood less a constant, of models (…, cells) with their scale fitted."""
         return np.asarray(np.log(own) @ weight + weight.sum() * np.log((seen / own) @ weight))
 
     best, chosen, start = np.inf, np.ones_like(pooled), (0.0, 0.0, 0.0)
-    for filter_m in _FILTERS:
-        if 2 ** (filter_m + 1) > counts.max():
-            break
-        response = _expected(filter_m, counts, size)[first : first + len(frequency)]
-        response = response / response.max()  # a long filter leaves little of its noise there
+    for through in responses:
+        response = through / through.max()  # a long filter leaves little of its noise there
         white = cells(response)
         for knee, falling in falls.items():
-            converter = cells(falling)
-            for floor in _FLOORS:
-                losses = deviance(white + floor * converter + low)
-                k = int(losses.argmin())
-                if losses[k] < best:
-                    best, chosen = float(losses[k]), response
-                    start = (floor, _FLICKERS[k], knee)
+            losses = deviance(white + floors * cells(falling) + low)
+            floor, amount = np.unravel_index(int(losses.argmin()), losses.shape)
+            if losses[floor, amount] < best:
+                best, chosen = float(losses[floor, amount]), response
+                start = (_FLOORS[floor], _FLICKERS[amount], knee)
 
     least, most = np.log([1e-7, 1e-7, 0.1 * frequency[0]]), np.log([1e4, 1e4, 1.0])
 
@@ -317,6 +313,11 @@ def _falling(frequency: Floats, knee: float) -> Floats:
     if np.isinf(knee):
         return np.ones_like(frequency)
     return np.asarray((knee**2 + frequency[0] ** 2) / (knee**2 + frequency**2))
+
+
+def _responses(counts: NDArray[np.intp], size: int) -> list[Floats]:
+    """Expected densities of white noise behind each filter that is shorter than the longest dwell."""
+    return [_expected(m, counts, size) for m in _FILTERS if 2 ** (m + 1) <= counts.max()]
 
 
 def _expected(filter_m: int, counts: NDArray[np.intp], size: int) -> Floats:
