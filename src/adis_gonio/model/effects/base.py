@@ -26,12 +26,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from enum import StrEnum
+from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.errors import UsageError
+from adis_gonio.model.effects.lag import lagged
 from adis_gonio.model.records import Floats
 
 AXES = ("x", "y", "z")
@@ -157,6 +159,20 @@ class Conditions:
         if found is None:
             raise UsageError(f"the session does not record {name}")
         return found
+
+    @cached_property
+    def _late(self) -> dict[tuple[int, float], tuple[Floats, Floats]]:
+        """What `late_load` has found: candidates have few time constants, each on every choice of axes."""
+        return {}
+
+    def late_load(self, axis: int, tau_s: float) -> tuple[Floats, Floats]:
+        """Load (n,) of an axis in mg that lags by a time constant, and its derivative by that, in mg/s."""
+        if self.load_history is None:
+            raise UsageError("the session does not record load_history")
+        if (axis, tau_s) not in self._late:
+            times, loads = self.load_history
+            self._late[axis, tau_s] = lagged(times, loads[:, axis], self.time_s, tau_s)
+        return self._late[axis, tau_s]
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Conditions:
         """Conditions of some of the rows; histories stay whole."""

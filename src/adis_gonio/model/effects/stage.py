@@ -23,7 +23,6 @@ from adis_gonio.model.effects.families import (
     StageEffect,
     by_letters,
 )
-from adis_gonio.model.effects.lag import lagged
 from adis_gonio.model.records import MG_PER_G, Floats
 
 LEAST_CYCLES = 3
@@ -234,10 +233,7 @@ class Creep(AxisEffect):
 
     def _course(self, column: int, tau_s: float, own_mg: Floats, c: Conditions) -> tuple[Floats, Floats]:
         """(a_late − a)/1000 of a column and its derivative by τ, (n,) each."""
-        if c.load_history is None:
-            raise UsageError("the session does not record load_history")
-        times, loads = c.load_history
-        late, by_tau = lagged(times, loads[:, column], c.time_s, tau_s)
+        late, by_tau = c.late_load(column, tau_s)
         return (late - own_mg) / MG_PER_G, by_tau / MG_PER_G
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:

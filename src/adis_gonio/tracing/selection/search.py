@@ -133,6 +133,7 @@ class _Beam:
         self.found, self.spare, self.max_terms, self.width = found, spare, max_terms, width
         self.every = _Joining(problem, np.arange(len(problem.terms)), Products(problem, problem))
         self.named = np.array([term.name is not None for term in problem.terms])
+        self.nameless = frozenset(np.flatnonzero(~self.named).tolist())
         biases = (int(w) for w, t in zip(problem.width, problem.terms, strict=True) if t.name == "bias")
         self.bias_width = max(biases, default=0)
         self.top = 0.0
@@ -231,7 +232,7 @@ class _Beam:
         return kept
 
     def _all_named(self, model: Model) -> bool:
-        return all(self.named[k] for k in model)
+        return self.nameless.isdisjoint(model)
 
     def _exchange(self) -> None:
         """Open the neighbours of the best models (one term less) until none is better."""
