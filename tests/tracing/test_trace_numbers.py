@@ -432,7 +432,7 @@ class TestWhatIsSaid:
         data = noisy(turn(angles_deg=np.random.default_rng(18).permutation(np.arange(36) * 10.0)), 18)
         rng = np.random.default_rng(19)
         rows = rng.normal(size=(36, 2)) + size * np.sin(data.conditions.time_s / 250)[:, None]
-        z = permuted(data.conditions.time_s, rows, rng)
+        z = permuted(rows, rng, data.conditions.time_s)
         assert 3 < z < 4.2 or 4.8 < z < 8
         assert (z > 4.5) == said
         empty = single(rows.ravel(), np.zeros((0, 72)), [])
@@ -440,12 +440,29 @@ class TestWhatIsSaid:
         assert (found is not None) == said
         assert found is None or found.covariates == ("time",)
 
+    @pytest.mark.number("told")
+    @pytest.mark.parametrize(("size", "said"), [(3.7, ("time",)), (4.3, ("time", "supply"))])
+    def test_the_rest_follows_two_covariates_if_they_do_better_than_one_by_two_deviations(
+        self, size: float, said: tuple[str, ...]
+    ) -> None:
+        rng = np.random.default_rng(20)
+        c = turn(48, angle_rad=np.zeros(48), supply_v=5 + 0.1 * rng.standard_normal(48))
+        late, high = np.sign(c.time_s - c.time_s.mean()), np.sign(c.supply_v - 5)
+        rows = rng.normal(size=(48, 2)) + (3 * late + size * late * high)[:, None]
+        alone, both = permuted(rows, rng, c.time_s), permuted(rows, rng, c.time_s, c.supply_v)
+        assert 1.2 < both - alone < 1.7 or 2.3 < both - alone < 3.5
+        assert (both - alone > 2) == (len(said) == 2)
+        empty = single(rows.ravel(), np.zeros((0, 96)), [])
+        found = dependence(believed(empty, {(): 1.0}, data=noisy(c, 20)))
+        assert found is not None
+        assert found.covariates == said
 
-def permuted(covariate: np.ndarray, rows: np.ndarray, rng: np.random.Generator) -> float:
-    """By how many standard deviations of permutations neighbours in a covariate are alike."""
-    u = (covariate - covariate.mean()) / covariate.std()
-    one, other = np.triu_indices(len(u), 1)
-    near = np.exp(-0.5 * ((u[one] - u[other]) / 0.4) ** 2)
+
+def permuted(rows: np.ndarray, rng: np.random.Generator, *covariates: np.ndarray) -> float:
+    """By how many standard deviations of permutations neighbours in covariates are alike."""
+    one, other = np.triu_indices(len(rows), 1)
+    apart = [(u[one] - u[other]) / u.std() for u in covariates]
+    near = np.exp(-0.5 * np.sum(np.square(apart), axis=0) / 0.4**2)
 
     def alike(mixed: np.ndarray) -> float:
         return float(near @ (mixed[one] * mixed[other]).sum(axis=1))

@@ -11,7 +11,7 @@ from scipy import stats
 
 from adis_gonio.tracing.outcome.openings import undecided
 from adis_gonio.tracing.unnamed.dependence import dependence
-from tracing.small_problems import observations, single
+from tracing.small_problems import noisy, observations, single, turn
 
 
 def left_by(target: np.ndarray, columns=(), names=(), best=(), data=None) -> SimpleNamespace:
@@ -148,6 +148,7 @@ class TestCovariatesThatItFollows:
         assert found is not None
         assert set(found.covariates) == {"temperature", "supply"}
         assert " and " in found.form
+        assert 0.8 < found.explains <= 1
 
     def test_noise_follows_nothing(self) -> None:
         said = [dependence(self.residual(seed=seed)) for seed in range(25)]
@@ -173,9 +174,22 @@ class TestCovariatesThatItFollows:
         assert found.covariates == ("time",)
         assert found.p_value == pytest.approx(3 / 400)  # time, angle and the two of them
 
-    def test_eight_dwells_are_too_few_to_say_anything_by(self) -> None:
-        def halves(c):
-            return 40 * np.sign(c.time_s[:, None] - c.time_s.mean() - 1)
+    def pairs(self, pairs: int, alone: int) -> SimpleNamespace:
+        """Pairs of dwells at an angle each, alike in it and unlike the others, and dwells alone."""
+        place = np.append(np.repeat(np.arange(pairs), 2), pairs + np.arange(alone))
+        rows = 10.0 * (place[:, None] == np.arange(pairs))
+        c = turn(angles_deg=360 * place / (pairs + alone), time_s=np.zeros(len(place)))
+        return left_by(rows.ravel(), data=noisy(c, 9))
 
-        assert dependence(self.residual(halves, n=8)) is None
-        assert dependence(self.residual(halves, n=12)).covariates == ("time",)
+    def test_eight_dwells_are_too_few_to_say_anything_by_and_nine_may_do(self) -> None:
+        # Of the orders of eight dwells one in 28 · 15 · 6 / 6 = 420 has three pairs as near.
+        assert dependence(self.pairs(3, alone=2)) is None
+        found = dependence(self.pairs(3, alone=3))
+        assert found is not None
+        assert found.covariates == ("angle",)
+
+    def test_what_one_order_of_some_hundreds_shows_as_well_is_not_said_however_far_it_stands_out(
+        self,
+    ) -> None:
+        # One order of 36 · 21 / 2 = 378 has two pairs as near, five standard deviations from the others.
+        assert dependence(self.pairs(2, alone=5)) is None
