@@ -428,6 +428,51 @@ def test_of_many_values_steps_stand_at_even_quantiles_from_the_first_to_the_last
     assert _knots(np.arange(22.0), 5) == [0.5, 5.5, 10.5, 15.5, 20.5]
 
 
+def test_forms_of_the_angle_the_position_before_and_the_reading_are_these() -> None:
+    forms: dict[tuple[str, ...], set[str]] = {}
+    for term in nameless_terms(TURNED):
+        forms.setdefault(term.covariates, set()).add(term.basis.form.removesuffix(CONST))
+
+    def waves(orders: Sequence[int], angle: str, suffix: str = "") -> set[str]:
+        return {
+            f"{form}{suffix}"
+            for k in orders
+            for form in (f"sin {k}{angle}, cos {k}{angle}", f"sin {k}{angle}", f"cos {k}{angle}")
+        }
+
+    # One cycle of the angle is gain and misalignment.
+    assert forms[("angle",)] == {
+        *waves((2, 3, 4, 5, 6), "θ"),
+        *(f"a bump at θ = {at}° of width {width}°" for at in range(0, 360, 15) for width in (8, 25)),
+        *(f"a smooth function of the angle (harmonics to {top})" for top in (3, 4, 5, 6)),
+        *("θ (along all turns)", "θ within a turn (saw-tooth)", "number of the turn"),
+        *("sign sin θ", "sign cos θ", "|sin θ|", "|cos θ|"),
+    }
+    assert forms[("previous_angle",)] == {
+        *waves((1, 2, 3), "θ′", " of the previous position"),
+        *(f"a smooth function of the previous position (harmonics to {top})" for top in (2, 3, 4)),
+        *("the move θ − θ′", "|θ − θ′|", "sign(θ − θ′)"),
+    }
+    # Of the reading itself the second and third power have names, and the modulus.
+    assert forms[("reading",)] == {
+        *("a⁴", "a⁵", "a⁶", "a⁷", "a|a|", "|a|³", "sign a", "√|a|", "sign a √|a|"),
+        *("max(a, 0)²", "min(a, 0)²", "max(a, 0)³", "min(a, 0)³"),
+        *(f"max(a − {knee} g, 0)" for knee in (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75)),
+        *("|a_p|", "a_p³", "a a_p²", "a² a_p", "a |a_p|", "a_p |a|", "sign a_p", "a_p⁴", "a_p⁵"),
+        *("a² a_p²", "a³ a_p", "a a_p³"),
+        *(f"a smooth function of the reading (degree {degree})" for degree in (4, 5, 6)),
+    }
+
+
+def test_of_gyros_which_have_a_constant_already_forms_of_time_are_those_without_one() -> None:
+    turned, gyros = (
+        {t.basis.form for t in nameless_terms(data) if t.covariates == ("time",) and t.where == "bias"}
+        for data in (TURNED, GYROS)
+    )
+    assert {form for form in turned if form.endswith(CONST)}
+    assert gyros == {form for form in turned if not form.endswith(CONST)}
+
+
 def test_no_function_is_a_candidate_twice() -> None:
     # Else a cause would be two, each with its share of the prior and half of the posterior.
     terms = [term for term in of_one_place(TURNED, "bias").values() if term.axes == (0,)]
