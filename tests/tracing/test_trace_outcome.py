@@ -25,7 +25,7 @@ from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.between import bases
 from adis_gonio.tracing.outcome.cycles import cycles_alike
 from adis_gonio.tracing.outcome.detect import detectable
-from adis_gonio.tracing.outcome.figures import Panel, _uncertainty, views_of
+from adis_gonio.tracing.outcome.figures import Panel, _left_over, _uncertainty, views_of
 from adis_gonio.tracing.outcome.findings import (
     base_of,
     dof_of,
@@ -166,6 +166,13 @@ class TestFiguresOfSteps:
         assert np.abs(others).max() < 0.05, "none is off by a turn"
         np.testing.assert_allclose(panel.after, 0.0, atol=1e-4)
         np.testing.assert_allclose(panel.u, np.degrees(math.hypot(U / G, 2e-4)), rtol=1e-3)
+
+    def test_an_angle_is_off_by_less_than_half_a_turn_however_often_the_stage_has_turned(self) -> None:
+        # By how much the part is turned is known but for whole turns.
+        off_deg = np.array([0.3, 170.0, -170.0, -0.2])
+        turned = np.radians(off_deg + 360.0 * np.array([2, -1, 1, -3]))
+        fit: Any = SimpleNamespace(data=self.data, angle_error_rad=lambda data: turned)
+        np.testing.assert_allclose(_left_over(fit, "angle"), off_deg, atol=1e-9)
 
     def test_dwells_for_checking_are_drawn_beside_those_that_were_fitted(self) -> None:
         check = np.arange(24) % 6 == 5
@@ -569,6 +576,46 @@ class TestFindings:
         assert in_units_of_file(cubic, counts) is cubic
 
 
+class TestTheWhole:
+    """What the result says of the session besides its findings."""
+
+    figures = ErrorFigures(1.0, None, None, None)
+
+    def result(self, *fits: Any, found: Sequence[str] = ()) -> TraceResult:
+        findings = tuple(Finding(name, (), {}, 0.0, 0.0, 1.0) for name in found)
+        return TraceResult(True, findings, (), (), None, self.figures, self.figures, {}, (), fits=fits)
+
+    def fit(self, recorded: bool, *covariates: str) -> Any:
+        """As much of a fit as is looked at: terms by their covariates, dwells at 30 and 33 °C."""
+        c = Conditions(np.arange(2.0), temperature_c=np.array([30.0, 33.0]) if recorded else None)
+        terms = [named(None, covariates=(name,)) for name in covariates]
+        data = SimpleNamespace(conditions=c, model=SimpleNamespace(part="gyro"))
+        return SimpleNamespace(data=data, terms=terms)
+
+    def test_parameters_hold_at_25_degrees_where_the_final_model_follows_the_temperature(self) -> None:
+        plain, warm = self.fit(True, "time"), self.fit(True, "time", "temperature")
+        for fits, expected in (
+            ((warm,), 25.0),
+            ((plain, warm), 25.0),
+            ((plain,), 31.5),
+            ((warm, plain), 31.5),  # an average may take the place of what a step before it had
+            ((self.fit(False),), None),
+        ):
+            assert self.result(*fits).reference_temperature_c == expected
+
+    def test_without_fits_they_hold_at_25_degrees_where_an_effect_of_the_temperature_was_found(
+        self,
+    ) -> None:
+        for name in ("bias_temperature", "thermal_lag"):
+            assert self.result(found=[name, "warm_up"]).reference_temperature_c == 25.0
+        assert self.result(found=["warm_up"]).reference_temperature_c is None
+
+    def test_the_part_is_that_of_the_readings_and_without_fits_the_accelerometer(self) -> None:
+        fit = self.fit(True)
+        assert self.result(fit).part == self.result(fit, fit).part == "gyro"
+        assert self.result().part == "accelerometer"
+
+
 class TestBaseAndRivals:
     def test_base_parameters_are_those_of_least_squares(self) -> None:
         data = biased()
@@ -654,15 +701,18 @@ class TestWhatHasNoName:
         assert (told.covariates, told.form) == (("time",), "bias of x follows drift")
         assert (told.probability, told.p_value) == (0.8, pytest.approx(0.2))
 
-    @pytest.mark.parametrize(("adequate", "known"), [(True, True), (False, False)])
+    @pytest.mark.parametrize(
+        ("adequate", "known", "said"), [(True, True, False), (False, False, False), (False, True, True)]
+    )
     def test_of_an_adequate_model_or_one_without_known_noise_nothing_more_is_said(
-        self, adequate: bool, known: bool
+        self, adequate: bool, known: bool, said: bool
     ) -> None:
-        c = turn()
-        data = read(c, ideal_mg(c) + np.outer(c.time_s / 100, [1.0, -2.0]))
+        angles = np.random.default_rng(33).permutation(np.arange(24) * 15.0)
+        c = turn(angles_deg=angles)
+        data = read(c, ideal_mg(c) + np.outer(np.sin(c.time_s / 150), [1.0, -2.0]))
         data = replace(data, known=np.full(24, known))
-        selection = chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0))
-        assert unnamed_of(replace(selection, adequate=adequate), None) is None
+        selection = chosen(data, labelled(data, "bias[xy]"), ((), 1.0))
+        assert (unnamed_of(replace(selection, adequate=adequate), None) is not None) == said
 
     def test_what_an_inadequate_model_leaves_is_said_by_what_it_follows(self) -> None:
         angles = np.random.default_rng(33).permutation(np.arange(24) * 15.0)
