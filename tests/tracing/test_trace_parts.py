@@ -9,7 +9,8 @@ import unicodedata
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from types import MappingProxyType, SimpleNamespace
+from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,19 +21,20 @@ from adis_gonio.budget import Budget, within
 from adis_gonio.errors import FitError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings, from_means
+from adis_gonio.estimation.terms import NamelessTerm
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.effects import Conditions, catalogue
 from adis_gonio.model.rates import MeanRate
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import covariates_of, named_terms
-from adis_gonio.tracing.candidates.processes import RING, evidence, processes
+from adis_gonio.tracing.candidates.processes import RING, Process, evidence, processes
 from adis_gonio.tracing.outcome.naming import Names
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding
 from adis_gonio.tracing.outcome.sets import CredibleSet
 from adis_gonio.tracing.selection import select as choice
 from adis_gonio.tracing.selection.design import LinearProblem, _beside, orthonormal
-from adis_gonio.tracing.selection.posterior import weigh
-from adis_gonio.tracing.selection.search import Model, search
+from adis_gonio.tracing.selection.posterior import ModelPosterior, _present, weigh
+from adis_gonio.tracing.selection.search import Model, Search, _Beam, search
 from adis_gonio.tracing.selection.select import select
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace import _disagreement, _enough, _weak
@@ -71,11 +73,15 @@ class TestFunctionsWithoutAName:
     """Forms are what their words say."""
 
     c = surroundings()
-    terms = MappingProxyType({t.label: t for t in nameless_terms(noisy(surroundings(), 41))})
+
+    @staticmethod
+    @cache
+    def terms() -> dict[str, NamelessTerm]:
+        return {t.label: t for t in nameless_terms(noisy(surroundings(), 41))}
 
     def column(self, label: str, reading: np.ndarray) -> np.ndarray:
         """Of one axis, with readings in g."""
-        return self.terms[label].columns(G * reading, self.c)[:, :, 0]
+        return self.terms()[label].columns(G * reading, self.c)[:, :, 0]
 
     @pytest.mark.parametrize(
         "form",
@@ -146,6 +152,12 @@ class TestFunctionsWithoutAName:
         np.testing.assert_allclose(told[inside], ratio * slope[inside], atol=0.02)
         assert np.abs(told).max() == pytest.approx(1.0)
 
+    def test_powers_of_time_are_of_its_share_of_the_session(self) -> None:
+        share = self.c.time_s / np.ptp(self.c.time_s)
+        for form, power in (("t²", 2), ("t³", 3), ("√t", 0.5)):
+            np.testing.assert_allclose(self.column(f"bias[x]~{form}", np.ones((24, 2)))[:, 0], share**power)
+        np.testing.assert_allclose(self.column("misalignment[x]~t", np.ones((24, 2)))[:, 0], share)
+
     def test_a_product_is_of_both_covariates_from_their_own_zeros(self) -> None:
         told = self.column("bias[x]~(T − 25 °C) × (V − 5 V)", np.ones((24, 2)))[:, 0]
         temperature, supply = self.c.temperature_c, self.c.supply_v
@@ -205,7 +217,11 @@ def said(form: str, a: float, p: float) -> float:
 
 class TestProcesses:
     data = noisy(surroundings(), 43)
-    every = tuple(processes(data))
+
+    @classmethod
+    @cache
+    def every(cls) -> tuple[Process, ...]:
+        return tuple(processes(cls.data))
 
     @pytest.mark.parametrize(("inflation", "noise"), [((), 1.0), ((2.0,), 2.0)])
     def test_the_evidence_is_that_of_a_normal_prior_on_the_features(
@@ -257,7 +273,7 @@ class TestProcesses:
     def features(self, covariates: tuple[str, ...], data: Readings | None = None) -> list[Any]:
         """Bases of these covariates, one a length."""
         seen: dict[int, Any] = {}
-        for process in self.every if data is None else processes(data):
+        for process in self.every() if data is None else processes(data):
             if process.term.covariates == covariates:
                 seen.setdefault(id(process.term.basis), process.term.basis)
         return list(seen.values())
@@ -299,7 +315,7 @@ class TestProcesses:
     def test_every_covariate_enters_where_it_can_with_each_choice_of_axes_length_and_amplitude(
         self,
     ) -> None:
-        every = self.every
+        every = self.every()
         count = Counter(process.term.covariates for process in every)
         # Of two axes three choices, once at the angle; four amplitudes.
         single = {("time",), ("temperature",), ("supply",)}
@@ -365,6 +381,29 @@ class TestSearch:
         with within(Budget(left_out=["the time is over"])):
             assert set(map(len, search(problem, 2).scores)) == {0, 1}
 
+    def widest(self, count: int, scores: dict[Model, float]) -> list[Model]:
+        """Of models of four functions, two outliers and two curvatures those that are extended."""
+        data = noisy(surroundings(), 43)
+        labels = [*(f"outlier_dwell[x](dwell={k})" for k in (3, 7)), "quadratic[x]", "quadratic[y]"]
+        terms = [*(function(name, lambda c: c.time_s) for name in "abcd"), *labelled(data, *labels)]
+        problem = replace(names_only(*"abcdefgh"), terms=tuple(terms))
+        return _Beam(Search(problem, np.zeros(8)), 1, 3, count)._widest(scores, count)
+
+    def test_of_single_terms_the_best_of_each_name_and_axes_are_extended_however_far_behind(self) -> None:
+        scores: dict[Model, float] = {(k,): -9.0 * k for k in reversed(range(8))}
+        assert self.widest(2, scores) == [(0,), (1,), (4,), (6,), (7,)]
+
+    def test_of_larger_models_a_third_has_names_only(self) -> None:
+        ahead: list[Model] = [(0, 1), (0, 6), (6, 7), (1, 2), (1, 6), (2, 6)]
+        behind: list[Model] = [(2, 7), (4, 6), (3, 7), (4, 7), (0, 2)]
+        scores = {model: -9.0 * k for k, model in enumerate([*ahead, *behind])}
+        assert self.widest(6, scores) == [*ahead, (4, 6)]
+        assert self.widest(9, scores) == [*ahead, *behind[:4]]
+        assert self.widest(3, scores) == ahead[:3]
+        assert self.widest(1, scores) == ahead[:1]
+        named_first = dict(zip([(5, 7), (4, 6), (4, 7), *ahead], np.arange(9.0, 0.0, -1.0), strict=False))
+        assert self.widest(3, named_first) == [(5, 7), (4, 6), (4, 7)]
+
     def exhaustive(self, problem: LinearProblem, prices: np.ndarray, most: int) -> dict[Model, float]:
         """Score of every model by least squares."""
         scores = {}
@@ -427,6 +466,15 @@ class TestPosterior:
         assert verdict.names == pytest.approx({"cubic": 0.8, "warm_up": 0.3})
         assert verdict.weights == pytest.approx({(0,): 0.5, (0, 1): 0.3, (): 0.2})
 
+    def test_a_name_that_all_models_have_is_certain_and_never_more_for_rounding(self) -> None:
+        wave = named(None, covariates=("angle",))
+        terms = [named("cubic"), wave, *(named(name) for name in "abc")]
+        shares = {(0, 1): 0.2, (0, 1, 2): 0.4, (0, 1, 3): 0.3, (0, 1, 4): 0.1}
+        assert sum(shares.values()) > 1
+        names, covariates = _present(terms, shares)
+        assert (names["cubic"], covariates[("angle",)]) == (1.0, 1.0)
+        assert names["b"] == 0.3
+
     def test_the_model_is_the_best_of_the_names_that_are_most_probable_together(self) -> None:
         # Variants of one name share what they have; a single model of another name has less than they.
         problem = names_only("cubic", "cubic", "warm_up")
@@ -435,6 +483,18 @@ class TestPosterior:
 
 
 class TestSelection:
+    @pytest.mark.parametrize("known", [True, False])
+    def test_what_no_model_explains_is_assumed_for_noise_by_the_freedom_beside_the_model(
+        self, known: bool
+    ) -> None:
+        # Beside one column three rows are left: χ² of 12.6 exceeds 11.3 once in a hundred with three
+        # degrees of freedom, and with five it would not.
+        data: Any = SimpleNamespace(noise_known=known, noise_dof=math.inf)
+        problem = single([20.0, *[math.sqrt(4.2)] * 3], np.eye(4)[:1], [named("cubic")])
+        found, inflation = choice._inflated(data, problem, 1, 1, 1.0)
+        assert found.best == (0,)
+        assert inflation == found.inflation == pytest.approx(4.2)
+
     def test_where_the_noise_is_not_known_it_is_what_the_model_leaves_and_no_model_is_inadequate(
         self,
     ) -> None:
@@ -520,6 +580,36 @@ class TestSelection:
         assert slip == pytest.approx([15.0], abs=0.03)
         assert len(bias) == bool(biases)
         np.testing.assert_allclose(bias, [off] * len(bias), atol=5 * U / math.sqrt(24))
+
+    @pytest.mark.parametrize(
+        ("worse", "taken"),
+        [
+            ("", 1),  # the best of the names that are likeliest together, whatever is likelier by itself
+            ("1", 0),
+            ("10", 3),
+            ("103", 2),
+            ("1032", 4),
+            ("10324", 1),  # four others and no more
+            ("103245", 1),
+        ],
+    )
+    def test_a_model_that_ends_above_the_base_model_gives_way_to_the_likeliest_that_does_not(
+        self, monkeypatch: pytest.MonkeyPatch, worse: str, taken: int
+    ) -> None:
+        shares = (0.35, 0.02, 0.2, 0.3, 0.1, 0.03)
+        verdict: Any = ModelPosterior((1,), {(k,): share for k, share in enumerate(shares)}, {}, {}, {})
+        problem: Any = SimpleNamespace()
+        about: Any = SimpleNamespace()
+
+        def refitted(of: Any, model: Model, start: Any) -> Any:
+            assert (of, start) == (problem, about)
+            # As good as the base model but for rounding, or worse by a little.
+            return SimpleNamespace(model=model, chi2=40.0 * (1 + (3e-6 if str(*model) in worse else 1e-8)))
+
+        monkeypatch.setattr(choice, "fit_model", refitted)
+        told, fit = choice._fitted(problem, verdict, about, 40.0)
+        assert told == replace(verdict, best=(taken,))
+        assert vars(fit)["model"] == (taken,)
 
     def test_whether_a_bias_is_apart_is_asked_of_a_refit_where_nothing_was_chosen_yet(
         self, monkeypatch: pytest.MonkeyPatch
