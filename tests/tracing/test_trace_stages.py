@@ -187,7 +187,11 @@ class TestResult:
     def test_a_name_that_does_not_stand_after_all_is_open_with_the_reason_and_no_finding(
         self, told: Told, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(stages, "_weak", lambda *_: {"cubic": "too weak"})
+        def weak(_: Any, final: ErrorFigures, *others: Any) -> dict[str, str]:
+            assert final.heldout_rms == 1.0, "it is judged by the figures of the final model"
+            return {"cubic": "too weak"}
+
+        monkeypatch.setattr(stages, "_weak", weak)
         result = told(bent())
         assert [finding.effect for finding in result.found] == ["bias"]
         assert result.reasons == {"cubic": "too weak"}
@@ -461,6 +465,16 @@ class TestSessions:
         empty = Dwell(1, np.zeros(0), np.zeros((0, 2)), angle_deg=90.0)
         one = session(1)
         assert self.traced(monkeypatch, replace(one, dwells=(*one.dwells, empty)))[1] == ["series"]
+        assert "series" not in self.traced(monkeypatch, replace(one, dwells=(empty,)))[1]
+
+    def test_of_one_dwell_what_the_limit_left_out_leaves_a_result_that_is_checked(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        with within(Budget(left_out=["a model of the samples"])):
+            result, asked = self.traced(monkeypatch, session(1))
+        assert asked == ["series"]
+        assert result.stopped is not None
+        assert result.stopped.checked
 
     @pytest.mark.parametrize("checked", [True, False])
     def test_what_the_limit_left_out_is_said_with_whether_it_was_checked_by_then(
