@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from types import MappingProxyType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -95,7 +95,11 @@ def misfit_mg(data: Readings, fit: Fit) -> np.ndarray:
 
 class TestFiguresOfSteps:
     data = noisy(surroundings(), 21)
-    catalogue = MappingProxyType({term.label: term for term in named_terms(data)[0]})
+
+    @property
+    def catalogue(self) -> dict[str, Term]:
+        """Candidates by their labels, made when they are asked for."""
+        return {term.label: term for term in named_terms(self.data)[0]}
 
     @pytest.mark.parametrize(
         ("label", "drawn"),
