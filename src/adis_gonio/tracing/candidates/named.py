@@ -156,7 +156,6 @@ def _grid(parameter: Parameter, data: Readings) -> list[float]:
         return [parameter.typical]
     time = data.conditions.time_s
     length = max(float(np.ptp(time)), 1.0)
-    step = max(length / max(len(time) - 1, 1), 1e-3)
-    low = max(parameter.low, step)
+    low = max(parameter.low, length / max(len(time) - 1, 1))
     high = min(parameter.high, max(1.5 * length, 2 * low))
     return [float(value) for value in np.geomspace(low, high, limits.grid)]

@@ -34,7 +34,6 @@ def dependence(selection: Selection) -> Unnamed | None:
         candidates[(one, two)] = _kernel(u) * _kernel(v)
     orders = np.array([rng.permutation(len(data)) for _ in range(limits.permutations)])
     like = rows @ rows.T
-    np.fill_diagonal(like, 0.0)
     scores = {}
     for names, kernel in candidates.items():
         seen = float((kernel * like).sum())
