@@ -87,10 +87,15 @@ class Streamed:
         )
 
 
+LINE_ERRORS = ("board_framing", "host_framing", "board_overruns")
+
+
 def stream(board: Board, seconds: float) -> Streamed:
-    """Seven registers at the full rate for so long in the board's time."""
+    """Seven registers at the full rate for so long in the board's time; line errors since the opening."""
     words, times, lost = [], [], 0
     with Adis16354(open_board(board)) as sensor:
+        # A hello may have met a receiver that was being switched on, within a byte; it is repeated.
+        opened = board.report()
         sensor.configure(smpl_prd=1, filter_m=0, data_ready=True)
         board.set("pattern", 1)
         board.sleep_s(0.01)
@@ -105,6 +110,8 @@ def stream(board: Board, seconds: float) -> Streamed:
                 times.append(block.time_s)
                 lost += block.lost
             report = board.report()
+            for name in LINE_ERRORS:
+                report[name] -= opened[name]
             line_bytes = (report["heard"] - before["heard"]) * 8 / (report["frames"] - before["frames"])
         board.set("pattern", 0)
     return Streamed(np.concatenate(words), np.concatenate(times), lost, line_bytes, report)
