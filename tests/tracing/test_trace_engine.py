@@ -94,7 +94,7 @@ def test_products_of_blocks_are_those_of_least_squares_with_the_rows_of_the_prio
 ) -> None:
     data = observations([QUADRATIC])
     free = linearise(Fit.begin(data).refit(), [*named_terms(data)[0], *nameless_terms(data)[::40]])
-    problem = free.under(inflation)
+    problem = free.under(3.0).under(inflation)
     few = problem.only(np.arange(1, len(problem.terms), 3))
     spreads = [amplitude_spread(data.model, problem.terms[k]) for k in model]
     held = [problem.back[k] / spread[:, None] for k, spread in zip(model, spreads, strict=True)]
