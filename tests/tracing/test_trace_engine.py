@@ -11,7 +11,7 @@ import pytest
 from scipy import linalg
 
 from adis_gonio.errors import FitError
-from adis_gonio.estimation.fit import Fit, adequacy, amplitude_spread
+from adis_gonio.estimation.fit import Fit, adequacy, amplitude_spreads
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.tracing import trace_readings
@@ -96,9 +96,10 @@ def test_products_of_blocks_are_those_of_least_squares_with_the_rows_of_the_prio
     free = linearise(Fit.begin(data).refit(), [*named_terms(data)[0], *nameless_terms(data)[::40]])
     problem = free.under(3.0).under(inflation)
     few = problem.only(np.arange(1, len(problem.terms), 3))
-    spreads = [amplitude_spread(data.model, problem.terms[k]) for k in model]
-    held = [problem.back[k] / spread[:, None] for k, spread in zip(model, spreads, strict=True)]
-    below = np.sqrt(inflation) * linalg.block_diag(np.zeros((0, 0)), *held)[: sum(map(len, held))]
+    sizes = [len(problem.back[k]) for k in model]
+    spread = amplitude_spreads(data.model, [problem.terms[k] for k in model], np.array(sizes, dtype=int))
+    back = linalg.block_diag(np.zeros((0, 0)), *(problem.back[k] for k in model))[: sum(sizes)]
+    below = np.sqrt(inflation) * back / spread[:, None]
     columns = np.concatenate([np.zeros((len(problem.target), 0)), *map(problem.block, model)], axis=1)
     whole = np.concatenate([columns, below])
     onto = (whole @ np.linalg.pinv(whole, rcond=1e-2))[:, : len(columns)]

@@ -21,9 +21,9 @@ from adis_gonio.estimation.values import Detectable
 from adis_gonio.model.records import Floats
 
 _POWER = 0.9
-_LARGEST = 1e6
 _TAPERED = 2 / 3 * 0.95
 """(Σw)²/(n Σw²) of Hann's taper, and what a frequency between two points of the grid loses on average."""
+_LARGEST = 1e6
 
 
 def sensitivity(samples: Samples, density: Density | None) -> dict[str, Detectable]:

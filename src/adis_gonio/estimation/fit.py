@@ -571,15 +571,8 @@ def nameless_spread(model: Measurement, term: Term) -> float:
     return NAMELESS_SPREAD * (MG_PER_G if term.enters_angle else model.full)
 
 
-def amplitude_spread(model: Measurement, term: Term) -> Floats:
-    """Prior standard deviation of each amplitude (d,) of any term: of a name, its bounds are two of it."""
-    if isinstance(term, NamedTerm):
-        return term.amplitude_spread
-    return np.atleast_1d(nameless_spread(model, term))
-
-
 def amplitude_spreads(model: Measurement, terms: Sequence[Term], widths: NDArray[np.intp]) -> Floats:
-    """The same of many terms side by side (P,), of so many amplitudes each (M,)."""
+    """Prior standard deviation (P,) of each amplitude of terms side by side, of so many each (M,)."""
     spread = np.repeat([nameless_spread(model, term) for term in terms], widths)
     for term, end in zip(terms, np.cumsum(widths).tolist(), strict=True):
         if isinstance(term, NamedTerm):

@@ -74,10 +74,10 @@ def as_the_angles_leave(
         if found.finding in _MOVED and _out_of_reach(data, found):
             # ψ = α − θ: what stands further on by e has a slip of −e.
             begins["position_slip", number] = -found.error_deg[0]
+    kept = [term for term in terms if (term.name, term.dwell) not in gone]
     return [
-        replace(term, begins=begins.get((term.name, term.dwell), 0.0))
-        for term in terms
-        if (term.name, term.dwell) not in gone
+        replace(term, begins=begins[key]) if (key := (term.name, term.dwell)) in begins else term
+        for term in kept
     ]
 
 
