@@ -14,7 +14,6 @@ import pytest
 from adis_gonio.budget import Budget, within
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.readings import Readings, from_means
-from adis_gonio.estimation.terms import NamelessTerm
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.rates import MeanRate
 from adis_gonio.tracing.outcome.result import ErrorFigures
@@ -250,23 +249,6 @@ class TestFolds:
         alone = Fold([], None, 2).chosen_anew(self.data)
         assert (alone.fit, alone.by) == ("choice", "choice")
         assert asked == ["promising"]
-
-    def test_what_one_dwell_of_the_others_shows_is_no_candidate_there(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        step = function("a step at t", lambda c: (c.time_s > 60 * 20.5).astype(float), local="step")
-        line = function("line", lambda c: c.time_s / 1e3)
-        seen: list[list[str]] = []
-
-        def select(rows: Readings, terms: Sequence[NamelessTerm], most: int, **_: Any) -> Any:
-            seen.append([term.label for term in terms])
-            return SimpleNamespace(fit=None)
-
-        monkeypatch.setattr(errors, "select", select)
-        fold = Fold([step, line], None, 2)
-        for dwells in (24, 22):
-            fold.chosen_anew(self.data.rows(np.arange(24) < dwells))
-        assert seen == [["a step at t", "line"], ["line"]]
 
 
 class Answering:

@@ -11,7 +11,7 @@ import pytest
 from adis_gonio import load_session, trace
 from adis_gonio.estimation.readings import readings_of
 from adis_gonio.estimation.terms import Basis, NamelessTerm
-from adis_gonio.tracing.candidates.grammar import nameless_terms, of_one_dwell
+from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.selection.select import select
 from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
@@ -45,17 +45,6 @@ def test_names_do_not_choose_the_dwells_by_which_they_are_judged() -> None:
     assert len(named) == 2
     for design, mask in counting(data, designs, named).items():
         np.testing.assert_array_equal(mask, counting(data, designs, [])[design])
-
-
-def test_a_jump_that_one_dwell_of_a_fold_shows_is_no_candidate_there() -> None:
-    data = readings_of(forth_and_back())
-    (jump,) = [t for t in nameless_terms(data) if t.label.startswith("gain[x]~a step at t")][:1]
-    after = jump.basis.over(data.conditions)[:, 0]
-    assert not of_one_dwell(jump, data.conditions)
-    least = after if after.sum() < len(after) / 2 else 1 - after
-    keep = least == 0
-    keep[np.flatnonzero(least)[0]] = True
-    assert of_one_dwell(jump, data.conditions.rows(keep))
 
 
 def test_the_average_holds_no_polynomial_where_a_process_bends_as_well() -> None:

@@ -23,7 +23,7 @@ from adis_gonio.estimation.terms import Basis
 from adis_gonio.estimation.values import Value
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.rates import MeanRate
-from adis_gonio.tracing.candidates.grammar import nameless_terms, of_one_dwell
+from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import cycles_shown, named_terms
 from adis_gonio.tracing.candidates.processes import processes
 from adis_gonio.tracing.outcome.findings import told_from_zero
@@ -35,7 +35,6 @@ from adis_gonio.tracing.selection.design import linearise, span
 from adis_gonio.tracing.selection.scatter import with_scatter
 from adis_gonio.tracing.selection.select import select
 from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
-from adis_gonio.tracing.unnamed.dependence import dependence
 from adis_gonio.tracing.validation.errors import Fold, guarding, in_order
 from adis_gonio.tracing.validation.leaving_out import determined, folds
 from adis_gonio.tracing.validation.survival import checkable, never_worse
@@ -203,16 +202,6 @@ class TestWhatASessionCanShow:
         data = noisy(turn(**(still | {field: moved})), 2)
         pairs = {term.covariates for term in nameless_terms(data)}
         assert (("time", what) in pairs) == looked_for
-
-    @pytest.mark.number("bump_dwells")
-    @pytest.mark.parametrize(("dwells", "alone"), [(1, True), (2, False)])
-    def test_a_bump_over_two_dwells_is_a_candidate_and_one_over_a_single_dwell_is_an_outlier(
-        self, dwells: int, alone: bool
-    ) -> None:
-        c = turn()
-        bump = function("bump", lambda c: 1.0 * (np.abs(c.order - 9.2) < dwells / 2), local="bump")
-        assert bump.basis.over(c).sum() == dwells
-        assert of_one_dwell(bump, c) == alone
 
     @pytest.mark.number("most_cycles")
     def test_a_worm_of_72_teeth_is_looked_for_and_nothing_finer(self) -> None:
@@ -423,49 +412,3 @@ class TestWhatIsSaid:
         labels = {own.label for term in terms for _, own, _ in term.members}
         assert "wave" in labels
         assert ("nearly" in labels) == member
-
-    @pytest.mark.number("dependence_z")
-    @pytest.mark.parametrize(("size", "said"), [(0.6, False), (0.9, True)])
-    def test_the_rest_follows_a_covariate_from_four_and_a_half_permuted_deviations(
-        self, size: float, said: bool
-    ) -> None:
-        data = noisy(turn(angles_deg=np.random.default_rng(18).permutation(np.arange(36) * 10.0)), 18)
-        rng = np.random.default_rng(19)
-        rows = rng.normal(size=(36, 2)) + size * np.sin(data.conditions.time_s / 250)[:, None]
-        z = permuted(rows, rng, data.conditions.time_s)
-        assert 3 < z < 4.2 or 4.8 < z < 8
-        assert (z > 4.5) == said
-        empty = single(rows.ravel(), np.zeros((0, 72)), [])
-        found = dependence(believed(empty, {(): 1.0}, data=data))
-        assert (found is not None) == said
-        assert found is None or found.covariates == ("time",)
-
-    @pytest.mark.number("told")
-    @pytest.mark.parametrize(("size", "said"), [(3.7, ("time",)), (4.3, ("time", "supply"))])
-    def test_the_rest_follows_two_covariates_if_they_do_better_than_one_by_two_deviations(
-        self, size: float, said: tuple[str, ...]
-    ) -> None:
-        rng = np.random.default_rng(20)
-        c = turn(48, angle_rad=np.zeros(48), supply_v=5 + 0.1 * rng.standard_normal(48))
-        late, high = np.sign(c.time_s - c.time_s.mean()), np.sign(c.supply_v - 5)
-        rows = rng.normal(size=(48, 2)) + (3 * late + size * late * high)[:, None]
-        alone, both = permuted(rows, rng, c.time_s), permuted(rows, rng, c.time_s, c.supply_v)
-        assert 1.2 < both - alone < 1.7 or 2.3 < both - alone < 3.5
-        assert (both - alone > 2) == (len(said) == 2)
-        empty = single(rows.ravel(), np.zeros((0, 96)), [])
-        found = dependence(believed(empty, {(): 1.0}, data=noisy(c, 20)))
-        assert found is not None
-        assert found.covariates == said
-
-
-def permuted(rows: np.ndarray, rng: np.random.Generator, *covariates: np.ndarray) -> float:
-    """By how many standard deviations of permutations neighbours in covariates are alike."""
-    one, other = np.triu_indices(len(rows), 1)
-    apart = [(u[one] - u[other]) / u.std() for u in covariates]
-    near = np.exp(-0.5 * np.sum(np.square(apart), axis=0) / 0.4**2)
-
-    def alike(mixed: np.ndarray) -> float:
-        return float(near @ (mixed[one] * mixed[other]).sum(axis=1))
-
-    drawn = [alike(rng.permutation(rows)) for _ in range(2000)]
-    return float((alike(rows) - np.mean(drawn)) / np.std(drawn))

@@ -1,8 +1,7 @@
-"""What an inadequate model leaves: names that could explain it, covariates that it follows."""
+"""Names that could explain what an inadequate model leaves."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,8 +9,7 @@ import pytest
 from scipy import stats
 
 from adis_gonio.tracing.outcome.openings import undecided
-from adis_gonio.tracing.unnamed.dependence import dependence
-from tracing.small_problems import noisy, observations, single, turn
+from tracing.small_problems import single
 
 
 def left_by(target: np.ndarray, columns=(), names=(), best=(), data=None) -> SimpleNamespace:
@@ -109,87 +107,3 @@ def replace_model(selection: SimpleNamespace, best: tuple[int, ...]) -> SimpleNa
     return SimpleNamespace(
         problem=selection.problem, verdict=SimpleNamespace(best=best), data=selection.data
     )
-
-
-class TestCovariatesThatItFollows:
-    def residual(self, follows=None, n: int = 36, seed: int = 0, data=None) -> SimpleNamespace:
-        data = observations(n=n) if data is None else data
-        rows = np.random.default_rng(seed).normal(size=(len(data), 2))
-        if follows is not None:
-            rows = rows + follows(data.conditions)
-        return left_by(rows.ravel(), data=data)
-
-    @pytest.mark.parametrize(
-        ("name", "follows"),
-        [
-            ("temperature", lambda c: 4 * np.sin((c.temperature_c[:, None] - 30) / 2)),
-            ("supply", lambda c: 4 * np.tanh(15 * (c.supply_v[:, None] - 5))),
-            ("time", lambda c: 4 * np.sign(c.time_s[:, None] - 1000)),
-            ("angle", lambda c: 4 * np.cos(2 * c.angle_rad[:, None] + 1)),
-            ("previous_angle", lambda c: 4 * np.cos(c.previous_angle_rad[:, None] + 1)),
-            ("approach", lambda c: 3 * c.approach[:, None]),
-        ],
-    )
-    def test_the_one_it_follows_is_said_alone_with_the_share_that_it_explains(self, name, follows) -> None:
-        found = dependence(self.residual(follows))
-        assert found is not None
-        assert found.covariates == (name,)
-        assert name in found.form
-        assert found.probability is None
-        # One in 400 permutations, times six covariates and fifteen pairs of them.
-        assert found.p_value == pytest.approx(21 / 400)
-        assert 0.8 < found.explains <= 1
-
-    def test_a_function_of_two_is_said_with_both(self) -> None:
-        def saddle(c):
-            return 5 * np.sign((c.temperature_c - 30) * (c.supply_v - 5))[:, None]
-
-        found = dependence(self.residual(saddle, n=72))
-        assert found is not None
-        assert set(found.covariates) == {"temperature", "supply"}
-        assert " and " in found.form
-        assert 0.8 < found.explains <= 1
-
-    def test_noise_follows_nothing(self) -> None:
-        said = [dependence(self.residual(seed=seed)) for seed in range(25)]
-        assert said == [None] * 25  # 21 covariates and pairs of them at about 1 in 1000 each
-
-    def test_a_scatter_of_single_dwells_follows_nothing(self) -> None:
-        # The two axes of a dwell agree, but dwells of like covariates do not.
-        scatter = np.random.default_rng(8).normal(0, 5, (36, 1))
-        assert dependence(self.residual(lambda c: scatter)) is None
-
-    def test_what_was_not_recorded_or_stood_still_is_not_said(self) -> None:
-        data = observations(n=36)
-        still = replace(
-            data,
-            conditions=replace(
-                data.conditions, temperature_c=np.full(36, 25.0), supply_v=None, approach=None,
-                previous_angle_rad=None,
-            ),
-        )  # fmt: skip
-        clock = data.conditions.temperature_c[:, None]
-        found = dependence(self.residual(lambda c: 4 * np.sin((clock - 30) / 2), data=still))
-        assert found is not None
-        assert found.covariates == ("time",)
-        assert found.p_value == pytest.approx(3 / 400)  # time, angle and the two of them
-
-    def pairs(self, pairs: int, alone: int) -> SimpleNamespace:
-        """Pairs of dwells at an angle each, alike in it and unlike the others, and dwells alone."""
-        place = np.append(np.repeat(np.arange(pairs), 2), pairs + np.arange(alone))
-        rows = 10.0 * (place[:, None] == np.arange(pairs))
-        c = turn(angles_deg=360 * place / (pairs + alone), time_s=np.zeros(len(place)))
-        return left_by(rows.ravel(), data=noisy(c, 9))
-
-    def test_eight_dwells_are_too_few_to_say_anything_by_and_nine_may_do(self) -> None:
-        # Of the orders of eight dwells one in 28 · 15 · 6 / 6 = 420 has three pairs as near.
-        assert dependence(self.pairs(3, alone=2)) is None
-        found = dependence(self.pairs(3, alone=3))
-        assert found is not None
-        assert found.covariates == ("angle",)
-
-    def test_what_one_order_of_some_hundreds_shows_as_well_is_not_said_however_far_it_stands_out(
-        self,
-    ) -> None:
-        # One order of 36 · 21 / 2 = 378 has two pairs as near, five standard deviations from the others.
-        assert dependence(self.pairs(2, alone=5)) is None

@@ -36,11 +36,9 @@ from adis_gonio.tracing.selection.design import LinearProblem, _beside, orthonor
 from adis_gonio.tracing.selection.posterior import ModelPosterior, _present, weigh
 from adis_gonio.tracing.selection.search import Model, Search, _Beam, search
 from adis_gonio.tracing.selection.select import select
-from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace import _disagreement, _enough, _weak
 from adis_gonio.tracing.unnamed import averaging
 from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
-from adis_gonio.tracing.unnamed.dependence import dependence
 from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order, without_folds
 from adis_gonio.tracing.validation.survival import (
     checkable,
@@ -888,79 +886,6 @@ class TestSurvival:
         gyros = from_means(np.zeros((1, 3)), np.eye(3)[None], c, measurement=MeanRate())
         with pytest.raises(FitError, match="one reading alone"):
             _enough(gyros)
-
-
-class TestDependence:
-    """What an inadequate model leaves, by covariate."""
-
-    def told(self, c: Conditions, size: np.ndarray) -> Any:
-        data = noisy(c, 50)
-        rows = 0.1 * np.random.default_rng(50).normal(size=(len(data), 2)) + size[:, None]
-        return dependence(
-            believed(single(rows.ravel(), np.zeros((0, rows.size)), []), {(): 1.0}, data=data)
-        )
-
-    @pytest.mark.parametrize("covariate", ["temperature", "supply", "approach", "angle", "previous_angle"])
-    def test_the_covariate_that_it_follows_is_said(self, covariate: str) -> None:
-        rng = np.random.default_rng(51)
-        c = surroundings(36, 51)
-        c = replace(
-            c, temperature_c=rng.uniform(20, 30, 36), previous_angle_rad=rng.permutation(c.angle_rad)
-        )
-        values: Any = {
-            "temperature": c.temperature_c,
-            "supply": c.supply_v,
-            "approach": c.approach,
-            "angle": np.sin(c.angle_rad),
-            "previous_angle": np.cos(c.previous_angle_rad),
-        }[covariate]
-        size = 3 * (values - values.mean()) / values.std()
-        told = self.told(c, size)
-        assert told.covariates == (covariate,)
-        assert told.form.startswith(f"a smooth function of {covariate}")
-        assert told.explains > 0.5
-        assert told.probability is None
-
-    def test_in_space_a_reading_is_a_covariate(self) -> None:
-        rng = np.random.default_rng(52)
-        up = rng.normal(size=(40, 3))
-        up /= np.linalg.norm(up, axis=1)[:, None]
-        data = from_means(
-            G * up, np.tile(0.01 * np.eye(3), (40, 1, 1)), Conditions(60.0 * rng.permutation(40))
-        )
-        rows = 0.1 * rng.normal(size=40) + 3 * up[:, 1]
-        told = dependence(believed(single(rows, np.zeros((0, 40)), []), {(): 1.0}, data=data))
-        assert told is not None
-        assert told.covariates == ("reading_y",)
-
-    def test_of_gyros_without_accelerometers_the_other_covariates_are_looked_at(self) -> None:
-        rng = np.random.default_rng(52)
-        c = Conditions(60.0 * rng.permutation(40), rate_dps=np.tile(50 * rng.choice([-1, 1], 40), (3, 1)).T)
-        gyros = from_means(
-            rng.normal(size=(40, 3)), np.tile(np.eye(3), (40, 1, 1)), c, measurement=MeanRate()
-        )
-        rows = 0.1 * rng.normal(size=(40, 3)) + 0.06 * c.rate_dps
-        told = dependence(believed(single(rows.ravel(), np.zeros((0, 120)), []), {(): 1.0}, data=gyros))
-        assert told is not None
-        assert told.covariates == ("rotation",)
-
-    def test_where_nothing_changed_there_is_nothing_to_follow(self) -> None:
-        # Without angles the readings are covariates as well: they stand still too.
-        still = np.tile([1000.0, 0.0], (9, 1))
-        data = replace(noisy(turn(9), 53), mean=still, conditions=Conditions(np.zeros(9)))
-        rows = np.outer(np.arange(9.0), [1.0, 1.0])
-        empty = single(rows.ravel(), np.zeros((0, 18)), [])
-        assert dependence(believed(empty, {(): 1.0}, data=data)) is None
-
-    def test_its_p_is_that_of_permutations_for_each_covariate_and_pair_and_never_above_one(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        c = surroundings(36, 51)
-        size = 3 * (np.asarray(c.supply_v) - 5.0) / np.std(c.supply_v)
-        # Six covariates and their fifteen pairs, 400 permutations of which none comes near.
-        assert self.told(c, size).p_value == pytest.approx(21 / 400)
-        monkeypatch.setattr(limits, "permutations", 3)
-        assert self.told(c, size).p_value == 1.0
 
 
 class TestAverages:

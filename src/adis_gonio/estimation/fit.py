@@ -482,6 +482,9 @@ class Fit:
             size = np.linalg.norm(rows, axis=0)
             size[size == 0] = 1.0
             step = np.linalg.lstsq(rows / size, left, rcond=1e-9)[0] / size
+            least = tolerance * max(1.0, 1e-3 * fit.loss)
+            if left @ left - np.square(left - rows @ step).sum() < least:
+                break
             if within is not None:
                 step = within @ step
             for damping in _DAMPING:
@@ -491,7 +494,7 @@ class Fit:
             else:
                 break
             gain, fit = fit.loss - trial.loss, trial
-            if gain < tolerance * max(1.0, 1e-3 * fit.loss):
+            if gain < least:
                 break
         return fit
 

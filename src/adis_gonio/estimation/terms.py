@@ -19,7 +19,6 @@ from adis_gonio.model.effects import AXES, Conditions, Effect, Enters
 from adis_gonio.model.records import MG_PER_G, Floats
 
 Where = Literal["bias", "gain", "misalignment", "angle"]
-Local = Literal["", "step", "bump"]
 
 
 @dataclass(frozen=True)
@@ -211,8 +210,6 @@ class Basis:
         True for polynomials and harmonics that stand for a function without a formula.
     with_constant : bool
         True where a constant stands beside the function.
-    local : {"", "step", "bump"}
-        Functions that change at one place only.
     """
 
     form: str
@@ -221,7 +218,6 @@ class Basis:
     by_axis: Callable[[Floats, int], Floats] | None = None
     approximates: bool = False
     with_constant: bool = False
-    local: Local = ""
     _last: list[tuple[Conditions, Floats]] = field(
         default_factory=list, init=False, repr=False, compare=False
     )

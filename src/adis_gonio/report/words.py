@@ -318,9 +318,7 @@ def unnamed(result: TraceResult) -> str:
     rest = result.unnamed
     if rest is None:
         return ""
-    sure = p_text(rest.p_value)
-    if rest.probability is not None:
-        sure = f"probability {percent(rest.probability)}, {sure}"
+    sure = f"probability {percent(rest.probability)}, {p_text(rest.p_value)}"
     return f"{rest.form} (explains {percent(rest.explains)} of the excess; {sure})"
 
 

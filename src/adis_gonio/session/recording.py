@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 
 from adis_gonio.model.records import Floats
@@ -54,8 +55,11 @@ class Recording:
         self._period_s = period_s
         self._earlier: list[tuple[Phase, Block]] = [("before", block) for block in earlier]
         self._blocks: list[Block] = []
+        self._ends = [0]  # of the blocks that hold samples, and what was lost until then
+        self._lost = [0]
         self._count = 0
         self._still_s: float | None = None
+        self._first_s = 0.0
         self._begin_s = 0.0
         self._stop: int | None = None
 
@@ -78,14 +82,17 @@ class Recording:
 
     @property
     def lost(self) -> int:
-        """Scans lost within the dwell."""
-        return sum(block.lost for phase, block in self._pieces() if phase == "dwell")
+        """Scans lost within the dwell: what every block lost that holds a sample of it."""
+        if not self.samples or self.begin is None:
+            return 0
+        first = bisect_right(self._ends, self.begin) - 1
+        last = bisect_left(self._ends, self.begin + self.samples)
+        return self._lost[last] - self._lost[first]
 
     @property
     def waited_s(self) -> float:
         """Time from the first scan to the newest one."""
-        filled = [block for block in self._blocks if len(block)]
-        return float(filled[-1].time_s[-1] - filled[0].time_s[0]) if filled else 0.0
+        return self._samples_time(self._count - 1) - self._first_s if self._count else 0.0
 
     @property
     def elapsed_s(self) -> float:
@@ -97,7 +104,12 @@ class Recording:
     def add(self, block: Block) -> None:
         """Take the next scans."""
         self._blocks.append(block)
-        self._count += len(block)
+        if len(block):
+            if not self._count:
+                self._first_s = float(block.time_s[0])
+            self._count += len(block)
+            self._ends.append(self._count)
+            self._lost.append(self._lost[-1] + block.lost)
         if self.begun and self._stop is None:
             self._find_stop()
 

@@ -68,9 +68,6 @@ class Limits:
         0.5, "physical", "least range of temperature in a product: below it is noise", off=0.0
     )
     least_range_v: float = number(0.01, "physical", "the same of the supply", off=0.0)
-    bump_dwells: float = number(
-        1.9, "derived", "least dwells that a bump touches: one dwell is an outlier", off=0.0
-    )
     most_cycles: int = number(72, "physical", "most cycles a turn that are looked for: a worm of 72 teeth")
 
     # Choice
@@ -116,9 +113,6 @@ class Limits:
     visible: float = number(
         0.05, "chosen", "least part of a formula beside base and names, for it to be averaged", off=0.0
     )
-    dependence_z: float = number(
-        4.5, "measured", "permuted standard deviations of a dependence: 1 in 1000 a covariate", off=INFINITE
-    )
 
     # Effort
     scatter_ratio: float = number(0.5, "effort", "least scatter in u of a reading: less changes no weight")
@@ -142,7 +136,6 @@ class Limits:
     counted: float = number(0.01, "effort", "least weight of a member of the average")
     promising: int = number(40, "effort", "processes that are tried again inside a fold")
     fold_active: int = number(150, "effort", "candidates that are tried again in a fold and under scatter")
-    permutations: int = number(400, "effort", "permutations of a dependence")
     grid: int = number(9, "effort", "values of a time constant")
 
 

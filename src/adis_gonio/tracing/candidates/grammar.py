@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import Basis, Local, NamelessTerm, Term, Where
+from adis_gonio.estimation.terms import Basis, NamelessTerm, Where
 from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.effects.lag import lagged
@@ -48,7 +48,7 @@ class _Made:
 
 def nameless_terms(data: Readings) -> list[NamelessTerm]:
     """All nameless candidates of a session with their price."""
-    made = [m for m in _bases(data) if not _one_dwell(m.basis, data.conditions)]
+    made = list(_bases(data))
     families = sorted({m.family for m in made})
     weight = {family: 1.0 if family in COMMON else limits.family_weight for family in families}
     total = sum(weight.values())
@@ -90,21 +90,6 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
                 )
             )
     return terms
-
-
-def of_one_dwell(term: Term, conditions: Conditions) -> bool:
-    """True for a bump or a step that touches but one of these dwells."""
-    return isinstance(term, NamelessTerm) and _one_dwell(term.basis, conditions)
-
-
-def _one_dwell(basis: Basis, conditions: Conditions) -> bool:
-    """True for a bump or a step that touches one dwell only: an outlier or a slip, which have names."""
-    if basis.common is None or not basis.local:
-        return False
-    rows = basis.over(conditions)[:, -1]
-    if basis.local == "step":
-        return bool(min(rows.sum(), (1 - rows).sum()) < 2)
-    return bool((rows**2).sum() ** 2 < limits.bump_dwells * (rows**4).sum())
 
 
 def _bases(data: Readings) -> Iterator[_Made]:
@@ -153,13 +138,12 @@ def _both(
     form: str,
     function: Callable[[Conditions], Floats],
     named: Sequence[str] = (),
-    local: Local = "",
 ) -> Iterator[_Made]:
     """A formula as it stands, and with a constant beside it where a constant is not in the base model.
 
     `named` are the places where the catalogue has this formula already.
     """
-    basis = Basis(form, covariates, _column(function), local=local)
+    basis = Basis(form, covariates, _column(function))
     if named:
         places: tuple[Where, ...] = tuple(place for place in EVERYWHERE if place not in named)
         yield _Made(family, False, basis, places)
@@ -387,7 +371,6 @@ def _of_angle(data: Readings) -> Iterator[_Made]:
                     form,
                     ("angle",),
                     of_angle(shapes.ring_bump(float(np.deg2rad(centre)), float(np.deg2rad(width)))),
-                    local="bump",
                 ),
                 ("bias", "angle"),
             )
@@ -404,13 +387,14 @@ def _scaled(values: Floats) -> tuple[float, float]:
 
 
 def _knots(values: Floats, count: int) -> list[float]:
-    """Places between the values seen, at even quantiles; at most one between two neighbours."""
+    """Places between the values seen, at even quantiles, with two dwells on either side.
+
+    What parts off one dwell is an outlier, which has a name.
+    """
     seen = np.unique(values)
     between = (seen[1:] + seen[:-1]) / 2
-    if len(between) <= count:
-        return [float(b) for b in between]
-    pick = np.unique(np.linspace(0, len(between) - 1, count).round().astype(int))
-    return [float(between[k]) for k in pick]
+    pick = np.unique(np.linspace(0, len(between) - 1, min(count, len(between))).round().astype(int))
+    return [float(b) for b in between[pick] if 2 <= np.count_nonzero(values < b) <= len(values) - 2]
 
 
 def _of_scalar(
@@ -444,9 +428,7 @@ def _of_scalar(
         yield from _both(family, covariates, form, about(function))
     for knot in _knots(values, 12):
         place = (knot - middle) / half
-        yield from _both(
-            family, covariates, f"a step at {letter} = {knot:.4g}", inside(shapes.step(place)), local="step"
-        )
+        yield from _both(family, covariates, f"a step at {letter} = {knot:.4g}", inside(shapes.step(place)))
     for knot in np.linspace(middle - 0.8 * half, middle + 0.8 * half, 9):
         place = (knot - middle) / half
         for side, sign in (("above", 1.0), ("below", -1.0)):
@@ -471,7 +453,6 @@ def _of_scalar(
                 covariates,
                 f"a bump at {letter} = {knot:.4g} of width {width * half:.2g}",
                 inside(shapes.bump(place, width)),
-                local="bump",
             )
     yield from _waves(family, letter, get, middle, half, 5)
     yield from _smooth(family, get, middle, half, len(np.unique(values)))
@@ -533,9 +514,7 @@ def _of_time(data: Readings) -> Iterator[_Made]:
     yield from _both("time", covariates, "√t", lambda c: np.sqrt(np.maximum(c.time_s, 0) / (2 * half)))
     for knot in _knots(time, 60):
         place = (knot - middle) / half
-        yield from _both(
-            "time", covariates, f"a step at t = {knot:.4g} s", inside(shapes.step(place)), local="step"
-        )
+        yield from _both("time", covariates, f"a step at t = {knot:.4g} s", inside(shapes.step(place)))
     for knot in np.linspace(middle - 0.8 * half, middle + 0.8 * half, 9):
         place = (knot - middle) / half
         for side, sign in (("after", 1.0), ("before", -1.0)):
@@ -562,7 +541,6 @@ def _of_time(data: Readings) -> Iterator[_Made]:
                 covariates,
                 f"a bump at t = {knot:.4g} s of width {width * half:.3g} s",
                 inside(shapes.bump(place, width)),
-                local="bump",
             )
     yield from _waves("time", "t", get, middle, half, 7)
     yield from _smooth("time", get, middle, half, len(time))

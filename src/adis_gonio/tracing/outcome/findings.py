@@ -22,7 +22,6 @@ from adis_gonio.tracing.selection.scatter import Scatter
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.unnamed.averaging import Averaged
-from adis_gonio.tracing.unnamed.dependence import dependence
 
 
 def dof_of(selection: Selection) -> float:
@@ -114,7 +113,7 @@ def _gain(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
 
 
 def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | None:
-    """Nameless terms of the model; else what the residual of an inadequate model depends on."""
+    """Nameless terms of the model, or what is averaged in their place."""
     from scipy import stats
 
     problem, verdict = selection.problem, selection.verdict
@@ -141,9 +140,7 @@ def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | Non
             probability=averaged.weight,
             p_value=min(1.0, 1 - averaged.weight),
         )
-    if selection.adequate or not selection.data.noise_known:
-        return None
-    return dependence(selection)
+    return None
 
 
 def rivals_of(selection: Selection) -> tuple[Rival, ...]:

@@ -126,15 +126,15 @@ class Unnamed:
         Formula in words.
     explains : float
         Fraction of the base model's excess residual.
-    probability : float or None
-        Posterior of these covariates; None for a dependence test.
+    probability : float
+        Posterior of these covariates.
     p_value : float
     """
 
     covariates: tuple[str, ...]
     form: str
     explains: float
-    probability: float | None
+    probability: float
     p_value: float
 
     def as_dict(self) -> dict[str, Any]:

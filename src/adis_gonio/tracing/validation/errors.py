@@ -13,7 +13,6 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.records import Floats
-from adis_gonio.tracing.candidates.grammar import of_one_dwell
 from adis_gonio.tracing.outcome.result import ErrorFigures
 from adis_gonio.tracing.selection.design import span
 from adis_gonio.tracing.selection.select import Selection, select
@@ -76,8 +75,9 @@ class Fold:
 
     def chosen_anew(self, rows: Readings) -> Chosen:
         """Fit of the dwells that are kept, with everything chosen from them alone."""
-        terms = [term for term in self.terms if not of_one_dwell(term, rows.conditions)]
-        chosen = select(rows, terms, self.max_effects, beam=limits.fold_beam, rounds=limits.fold_rounds)
+        chosen = select(
+            rows, self.terms, self.max_effects, beam=limits.fold_beam, rounds=limits.fold_rounds
+        )
         if self.averaged is not None:
             again = average(chosen, self.averaged.candidates)
             if again is not None:
