@@ -132,6 +132,21 @@ def test_flicker_without_white_noise_is_not_taken_for_noise_that_averaging_lower
     assert all((noise.flicker_limit >= noise.flicker).all() for noise in found)
 
 
+@pytest.mark.parametrize(("n", "white"), [(100, 0.0), (256, 0.0), (4096, 1.0)])
+def test_dwells_that_are_shaken_do_not_raise_the_flicker_that_the_quiet_ones_show(n, white):
+    rng = np.random.default_rng(n)
+
+    def shown(loudness):
+        rows = [np.stack([one_over_f(rng, n, 0.5) for _ in range(2)], axis=1) for _ in range(12)]
+        shaken = [loudness if k % 2 else white for k in range(12)]
+        return noise_of_means([r + rng.normal(0, s, r.shape) for r, s in zip(rows, shaken, strict=True)])
+
+    found = np.array([shown(60.0).flicker for _ in range(12)])
+    # Two hundred times as loud as the flicker: their own means scatter by 2 to 12 times its size.
+    assert 0.6 < np.median(found) / 0.5**2 < 1.6
+    assert found.max() / 0.5**2 < 3
+
+
 @pytest.mark.parametrize(
     ("filter_m", "n", "too_short"),
     [(0, 100, False), (3, 1200, False), (6, 4000, False), (4, 64, True), (5, 120, True), (6, 300, True)],

@@ -99,9 +99,9 @@ def test_trace_names_what_is_there_and_nothing_else(kind: str, pools: Pools) -> 
         # A slip beside an outlier: the slip alone is said; a warm-up beside a gain that drifts: the latter.
         assert missed(v.exact for v in verdicts) <= 2, told(verdicts)
     else:
-        share, most = (0.90, 0.05) if kind == "uncatalogued" else (0.60, 0.15)
-        assert at_least(share, (v.covariate for v in verdicts)), told(verdicts)
-        assert at_least(1 - most, (not v.wrong for v in verdicts)), told(verdicts)
+        # A jump of the stage is said to follow the temperature, a window of time the time and the supply.
+        assert missed(v.covariate for v in verdicts) <= 1, told(verdicts)
+        assert not any(v.wrong for v in verdicts), told(verdicts)
     ratios = [v.heldout_ratio for v in verdicts if not np.isnan(v.heldout_ratio)]
     # Beyond the grammar the oracle knows a form that nobody can name; over hundreds of sessions
     # (scripts/trace_statistics.py) the median is about 1.1 there too, in a round of eight it scatters.

@@ -452,14 +452,28 @@ def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:
 
 
 def _all_flicker(groups: list[_Ordinates]) -> Floats:
-    """Allan variance (axes,) of 1/f noise that makes up the whole of the lowest ordinates."""
-    moment, count = np.zeros(groups[0].cross.shape[-1]), 0.0
+    """Allan variance (axes,) of 1/f noise that makes up the whole of the lowest ordinates.
+
+    The sensor's own is one in all dwells, so that a dwell counts as much less as it is louder.
+    """
+    axes = groups[0].cross.shape[-1]
+    moment, total = np.zeros(axes), np.zeros(axes)
+    k = np.arange(1, _LOWEST + 1)
     for group in groups:
-        k = np.arange(1, min(_LOWEST, len(group.weight)) + 1)
-        auto = np.diagonal(group.cross[:, : len(k)], axis1=2, axis2=3)
-        moment += np.einsum("k,dka->a", k / group.n, auto)
-        count += len(group.dwell) * len(k)
-    return np.asarray(_ALLAN_OF_FLICKER * moment / count)
+        if len(group.weight) <= _LOWEST:
+            continue
+        auto = np.diagonal(group.cross[:, :_SLOPE], axis1=2, axis2=3)
+        # By ordinates that are not averaged: a low one would otherwise count more for being low.
+        quiet = _reciprocal(auto[:, _LOWEST:].mean(axis=1))
+        moment += (quiet * np.einsum("k,dka->da", k / group.n, auto[:, :_LOWEST])).sum(axis=0) / len(k)
+        total += quiet.sum(axis=0)
+    return np.asarray(_ALLAN_OF_FLICKER * moment / np.maximum(total, 1e-300))
+
+
+def _reciprocal(level: Floats) -> Floats:
+    """1/level of dwells (d, axes); 0 where there is none but rounding beside others."""
+    least = np.maximum(1e-9 * level.max(axis=0), 1e-300)
+    return np.where(level > least, 1 / np.maximum(level, least), 0.0)
 
 
 def _flicker(
@@ -489,6 +503,8 @@ def _flicker(
     spread = np.sqrt(ordinates * (1 + ordinates * 2 / dof)) / weight
     threshold = float(fdtri(2 * ordinates, max(dof, 1.0), 0.99))
     shown = 1 + excess / ordinates > threshold
-    per_mean = np.mean(np.diagonal(density, axis1=1, axis2=2) / n[:, None], axis=0) * _ALLAN_OF_FLICKER
+    # One in all dwells, in loud ones a small part of what they show.
+    quiet = _reciprocal(np.diagonal(density, axis1=1, axis2=2) / n[:, None])
+    per_mean = _ALLAN_OF_FLICKER * (quiet > 0).sum(axis=0) / np.maximum(quiet.sum(axis=0), 1e-300)
     flicker = np.where(shown, np.maximum(relative, 0.0), 0.0) * per_mean
     return flicker, np.maximum(relative + 1.645 * spread, 0.0) * per_mean
