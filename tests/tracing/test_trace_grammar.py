@@ -409,6 +409,14 @@ def test_forms_of_force_and_rate_are_read_the_same_way() -> None:
         )
 
 
+def test_gyros_that_were_never_turned_have_no_functions_of_the_rate() -> None:
+    still = replace(
+        GYROS, conditions=replace(C, force_g=GYROS.conditions.force_g, rate_dps=np.zeros((N, 3)))
+    )
+    assert any("rotation" in term.covariates for term in nameless_terms(GYROS))
+    assert not any("rotation" in term.covariates for term in nameless_terms(still))
+
+
 def test_places_of_steps_part_the_values_that_were_seen() -> None:
     for letter, covariate, most in (("t", "time", 60), ("T", "temperature", 12), ("V", "supply", 12)):
         forms = {t.basis.form for t in nameless_terms(TURNED) if t.covariates == (covariate,)}

@@ -243,6 +243,11 @@ class TestProcesses:
             ratio -= stats.multivariate_normal(np.zeros(len(y)), noise * np.eye(len(y))).logpdf(y)
             assert score == pytest.approx(ratio - process.price, abs=1e-4)
 
+    def test_each_enters_on_some_axes_or_at_the_angle(self) -> None:
+        placed = {(process.term.where, process.term.axes) for process in self.every()}
+        at_readings = itertools.product(("bias", "gain", "misalignment"), [(0,), (1,), (0, 1)])
+        assert placed == {("angle", ()), *at_readings}
+
     @pytest.mark.parametrize("width", RING)
     def test_features_of_the_angle_are_those_of_the_periodic_kernel(self, width: float) -> None:
         number = RING.index(width)
