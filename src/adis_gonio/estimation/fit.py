@@ -484,7 +484,7 @@ class Fit:
             step = np.linalg.lstsq(rows / size, left, rcond=1e-9)[0] / size
             least = tolerance * max(1.0, 1e-3 * fit.loss)
             if left @ left - np.square(left - rows @ step).sum() < least:
-                break
+                break  # the step would gain nothing that is seen
             if within is not None:
                 step = within @ step
             for damping in _DAMPING:

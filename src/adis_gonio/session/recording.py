@@ -83,7 +83,7 @@ class Recording:
     @property
     def lost(self) -> int:
         """Scans lost within the dwell: what every block lost that holds a sample of it."""
-        if not self.samples or self.begin is None:
+        if self.begin is None or not self.samples:
             return 0
         first = bisect_right(self._ends, self.begin) - 1
         last = bisect_left(self._ends, self.begin + self.samples)
