@@ -83,12 +83,6 @@ def test_the_corrected_model_does_not_run_off_where_dwells_are_left_out(
     assert result.after.heldout_rms < most * result.before.heldout_rms
 
 
-def test_advice_survives_a_model_of_thirteen_columns(tmp_path: Path) -> None:
-    path = tmp_path / "blind.csv"
-    write(path, *draw("beyond", 302, 16))
-    assert trace(load_session(path)).advice
-
-
 def test_a_harmonic_that_is_rounding_on_the_grid_of_a_session_is_no_candidate() -> None:
     # On a grid of 36° a fit gave sin 5θ an amplitude of 10¹⁴, which the angles of check dwells then showed.
     data = readings_of(forth_and_back())

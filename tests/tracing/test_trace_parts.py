@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from scipy import linalg, stats
 
+from adis_gonio.advice.proposals import _columns, _hypothesis, _prior
 from adis_gonio.budget import Budget, within
 from adis_gonio.errors import FitError
 from adis_gonio.estimation.fit import Fit
@@ -1156,3 +1157,27 @@ class TestNamedCandidates:
         c = turn(temperature_c=25 + np.arange(24.0) % levels)
         terms = named_terms(noisy(c, 55))[0]
         assert {t.effect.degree for t in terms if t.name == "bias_temperature"} == degrees
+
+
+def test_what_a_model_knows_of_its_values_is_not_lost_to_rounding_where_columns_are_nearly_alike() -> None:
+    data = noisy(turn(), 61)
+    data = replace(data, own_covariance=1e-20 * data.own_covariance)
+    functions = {term.label: term for term in nameless_terms(data)}
+    smooth = functions["bias[x]~a smooth function of the angle (harmonics to 6)"]
+    terms = [*labelled(data, "bias[xy]", "cubic[xy]"), smooth]
+    widths = [term.columns(data.mean, data.conditions).shape[-1] for term in terms]
+    fit = Fit.begin(data).refit()
+    fit = fit.having(terms, [term.start(np.zeros(w)) for term, w in zip(terms, widths, strict=True)])
+    told, evidence = _hypothesis(fit, 1.0, 1.0)
+    rows = _columns(fit, fit.whitener).reshape(-1, len(told.root))
+    _, precision = _prior(fit, rows)
+    scaled = rows / np.sqrt(precision)
+    assert scaled.shape[1] > 13
+    # XᵀX + 1 has the variances 1/(s² + 1) along X's right singular vectors.
+    _, size, along = np.linalg.svd(scaled)
+    exact = (along.T / (size**2 + 1)) @ along
+    variance = np.diag(told.root @ told.root.T) * precision
+    np.testing.assert_allclose(variance, np.diag(exact), rtol=1e-9)
+    formed = np.linalg.inv(scaled.T @ scaled + np.eye(len(precision)))
+    assert np.abs(np.diag(formed) / np.diag(exact) - 1).max() > 1e-7, "the case is too easy"
+    assert evidence == pytest.approx(-0.5 * (told.chi2 + np.log(size**2 + 1).sum()), rel=1e-9)
