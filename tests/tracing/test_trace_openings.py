@@ -12,7 +12,7 @@ from adis_gonio.tracing.outcome.openings import undecided
 from tracing.small_problems import single
 
 
-def left_by(target: np.ndarray, columns=(), names=(), best=(), data=None) -> SimpleNamespace:
+def left_by(target: np.ndarray, columns=(), names=(), best=()) -> SimpleNamespace:
     """A selection whose candidates are single columns, and whose model leaves `target`."""
     blocks = [np.asarray(column) / np.linalg.norm(column) for column in columns]
     terms = [
@@ -20,7 +20,7 @@ def left_by(target: np.ndarray, columns=(), names=(), best=(), data=None) -> Sim
         for name in names
     ]
     problem = single(target, np.reshape(blocks, (-1, len(target))), terms)
-    return SimpleNamespace(problem=problem, verdict=SimpleNamespace(best=best), data=data)
+    return SimpleNamespace(problem=problem, verdict=SimpleNamespace(best=best))
 
 
 class TestNamesThatCouldExplainIt:
@@ -104,6 +104,4 @@ class TestNamesThatCouldExplainIt:
 
 
 def replace_model(selection: SimpleNamespace, best: tuple[int, ...]) -> SimpleNamespace:
-    return SimpleNamespace(
-        problem=selection.problem, verdict=SimpleNamespace(best=best), data=selection.data
-    )
+    return SimpleNamespace(problem=selection.problem, verdict=SimpleNamespace(best=best))

@@ -471,8 +471,8 @@ def _all_flicker(groups: list[_Ordinates]) -> Floats:
 
 
 def _reciprocal(level: Floats) -> Floats:
-    """1/level of dwells (d, axes); 0 where there is none but rounding beside others."""
-    least = np.maximum(1e-9 * level.max(axis=0), 1e-300)
+    """1/level of dwells (d, …, axes); 0 where there is none but rounding beside others."""
+    least = np.maximum(1e-9 * level.max(axis=tuple(range(level.ndim - 1))), 1e-300)
     return np.where(level > least, 1 / np.maximum(level, least), 0.0)
 
 
@@ -493,10 +493,8 @@ def _flicker(
         auto = np.diagonal(group.cross[:, lowest], axis1=2, axis2=3)
         w = group.weight[lowest]
         # A dwell without any noise beside noisy ones says nothing; its rounding must not be a ratio.
-        least = np.maximum(1e-9 * expected.max(axis=(0, 1)), 1e-300)
-        excess += np.einsum(
-            "k,dka->a", w, np.where(expected > least, auto / np.maximum(expected, least), 1) - 1
-        )
+        each = _reciprocal(expected)
+        excess += np.einsum("k,dka->a", w, np.where(each > 0, auto * each, 1) - 1)
         weight += len(group.dwell) * float(w @ (1 / k))
         ordinates += len(group.dwell) * float(w.sum())
     relative = excess / weight

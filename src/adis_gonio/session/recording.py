@@ -55,11 +55,9 @@ class Recording:
         self._period_s = period_s
         self._earlier: list[tuple[Phase, Block]] = [("before", block) for block in earlier]
         self._blocks: list[Block] = []
-        self._ends = [0]  # of the blocks that hold samples, and what was lost until then
+        self._ends = [0]  # samples until the end of each block, and scans lost until there
         self._lost = [0]
-        self._count = 0
         self._still_s: float | None = None
-        self._first_s = 0.0
         self._begin_s = 0.0
         self._stop: int | None = None
 
@@ -92,7 +90,7 @@ class Recording:
     @property
     def waited_s(self) -> float:
         """Time from the first scan to the newest one."""
-        return self._samples_time(self._count - 1) - self._first_s if self._count else 0.0
+        return self._samples_time(self._count - 1) - self._samples_time(0) if self._count else 0.0
 
     @property
     def elapsed_s(self) -> float:
@@ -103,13 +101,11 @@ class Recording:
 
     def add(self, block: Block) -> None:
         """Take the next scans."""
+        if not len(block):
+            return
         self._blocks.append(block)
-        if len(block):
-            if not self._count:
-                self._first_s = float(block.time_s[0])
-            self._count += len(block)
-            self._ends.append(self._count)
-            self._lost.append(self._lost[-1] + block.lost)
+        self._ends.append(self._count + len(block))
+        self._lost.append(self._lost[-1] + block.lost)
         if self.begun and self._stop is None:
             self._find_stop()
 
@@ -160,6 +156,11 @@ class Recording:
             status,
         )
 
+    @property
+    def _count(self) -> int:
+        """Samples so far."""
+        return self._ends[-1]
+
     def _find_stop(self) -> None:
         # Half a period early, so that rounding of times cannot add or drop a sample.
         self._stop = self._first_sample(self._begin_s + self._dwell_s - 0.5 * self._period_s)
@@ -169,18 +170,14 @@ class Recording:
         index = self._count
         for block in reversed(self._blocks):
             index -= len(block)
-            if len(block) and block.time_s[0] < at_s:
+            if block.time_s[0] < at_s:
                 inside = int((block.time_s < at_s).sum())
                 return None if index + inside == self._count else index + inside
         return 0 if self._count else None
 
     def _samples_time(self, sample: int) -> float:
-        index = self._count
-        for block in reversed(self._blocks):
-            index -= len(block)
-            if index <= sample:
-                return float(block.time_s[sample - index])
-        raise IndexError(sample)
+        at = bisect_right(self._ends, sample) - 1
+        return float(self._blocks[at].time_s[sample - self._ends[at]])
 
     def _pieces(self) -> list[tuple[Phase, Block]]:
         """Blocks cut where the dwell begins and ends; what a cut block lost is counted to the dwell."""
@@ -196,7 +193,7 @@ class Recording:
                 ("after", edges[2], edges[3]),
             ]
             parts = [part for part in parts if part[2] > part[1]]
-            lossy = "dwell" if any(part[0] == "dwell" for part in parts) else parts[0][0] if parts else ""
+            lossy = "dwell" if any(part[0] == "dwell" for part in parts) else parts[0][0]
             for phase, low, high in parts:
                 pieces.append((phase, cut(block, low, high, counted=phase == lossy)))
             index += len(block)
