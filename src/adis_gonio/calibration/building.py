@@ -58,7 +58,23 @@ _NAMELESS = "has no name, so that nobody knows whether it belongs to the sensor"
 
 
 def calibration_of_fit(result: FitResult) -> Calibration:
-    """Calibration by the parameters of a fit.
+    """Return the calibration by a fit, for the offsets that the sensor holds now.
+
+    Raises
+    ------
+    UsageError, FitError
+        As `calibration_as_recorded`.
+    SessionError
+        A write of offsets to the sensor was interrupted.
+    """
+    return _as_written(calibration_as_recorded(result))
+
+
+def calibration_as_recorded(result: FitResult) -> Calibration:
+    """Return the calibration by a fit, for the offsets in force while its session was recorded.
+
+    Only this calibration may meet the session's own readings: a write since then changes the sensor and
+    the coefficients, but not the readings.
 
     Raises
     ------
@@ -66,8 +82,6 @@ def calibration_of_fit(result: FitResult) -> Calibration:
         The result was not made from a session (`fit_readings`).
     FitError
         The session does not determine what an angle needs.
-    SessionError
-        A write of offsets to the sensor was interrupted.
     """
     where = _known(result.provenance)
     model = _model(where)
@@ -96,9 +110,7 @@ def calibration_of_fit(result: FitResult) -> Calibration:
         if (where.counts)
         else None
     )
-    return _as_written(
-        Calibration(result.method, where, parameters, matrix, assumed=assumed, counts_per_mg=counts)
-    )
+    return Calibration(result.method, where, parameters, matrix, assumed=assumed, counts_per_mg=counts)
 
 
 def calibration_of_trace(result: TraceResult) -> Calibration:

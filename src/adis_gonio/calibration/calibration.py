@@ -373,6 +373,25 @@ class Calibration:
         gyro = None if self.gyro is None else self.gyro.with_force_moved(moved_g)
         return replace(self, parameters=moved, provenance=where, gyro=gyro)
 
+    def for_registers(
+        self, offsets_lsb: Sequence[int] | None, gyro_offsets_lsb: Sequence[int] | None
+    ) -> Calibration:
+        """Return the calibration for readings taken while the offset registers held these numbers.
+
+        Parameters
+        ----------
+        offsets_lsb, gyro_offsets_lsb : three int or None
+            XACCL_OFF … and XGYRO_OFF …, in LSB. If they are None, or if the calibration does not know its
+            own, that part is returned unchanged.
+        """
+        moved = self
+        if offsets_lsb is not None and self.provenance.offsets_lsb is not None:
+            moved = moved.with_offsets(offsets_lsb)
+        gyro = moved.gyro
+        if gyro is not None and gyro.offsets_lsb is not None and gyro_offsets_lsb is not None:
+            moved = replace(moved, gyro=gyro.with_offsets(gyro_offsets_lsb))
+        return moved
+
     # -- how ---------------------------------------------------------------------------------------
 
     @property

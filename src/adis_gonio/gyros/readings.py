@@ -17,6 +17,7 @@ from adis_gonio.errors import UsageError
 from adis_gonio.estimation.readings import Readings, Unit
 from adis_gonio.gyros.intervals import RateIntervals, rate_intervals
 from adis_gonio.model.effects import AXES, Conditions
+from adis_gonio.model.provenance import provenance_of
 from adis_gonio.model.rates import MeanRate
 from adis_gonio.model.records import Floats, Session
 
@@ -59,7 +60,9 @@ def gyro_readings_by(session: Session, accelerometers: Calibration) -> Readings:
         if here and there and here != there:
             raise UsageError(f"the calibration of the accelerometers is of {there}, the session of {here}")
     current().tell("noise of the gyros")
-    intervals = rate_intervals(session, accelerometers)
+    held = provenance_of(session)  # the offsets while the session was recorded, whatever was written since
+    matching = accelerometers.for_registers(held.offsets_lsb, held.gyro_offsets_lsb)
+    intervals = rate_intervals(session, matching)
     return readings_of_intervals(intervals, session.sensor, session.gravity_mg)
 
 

@@ -83,6 +83,7 @@ def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
     except AdisGonioError:
         return _as_read(session, *given)
     try:
+        from adis_gonio.calibration.building import calibration_as_recorded
         from adis_gonio.fitting import fit
         from adis_gonio.fitting.methods import fit_of
 
@@ -95,7 +96,7 @@ def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
     g = session.gravity_mg
     if readings.planar:
         try:
-            calibration = result.calibration()
+            calibration = calibration_as_recorded(result)
         except AdisGonioError:
             return _as_read(session)
         shown = calibration.angle(readings.mean, reading_u=list(u_mg))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -283,12 +283,7 @@ def calibration_for(calibration: Calibration, source: LiveSource) -> Calibration
         raise UsageError("the calibration takes readings in counts of unknown scale; a sensor gives mg")
     if where.sensor != source.part:
         raise UsageError(f"the calibration is of an {where.sensor}, this is an {source.part}")
-    if source.offsets_lsb is not None and where.offsets_lsb is not None:
-        calibration = calibration.with_offsets(source.offsets_lsb)
-    gyro, now = calibration.gyro, source.gyro_offsets_lsb
-    if gyro is not None and gyro.offsets_lsb is not None and now is not None:
-        calibration = replace(calibration, gyro=gyro.with_offsets(now))
-    return calibration
+    return calibration.for_registers(source.offsets_lsb, source.gyro_offsets_lsb)
 
 
 def smoother_for(

@@ -1,0 +1,156 @@
+"""A write changes the sensor and the coefficients, never the result of the recorded session."""
+
+import io
+import json
+import sqlite3
+from contextlib import closing, redirect_stdout
+
+import numpy as np
+import pytest
+
+from adis_gonio import Adis16354, load_session, open_bus
+from adis_gonio.calibration.loading import load_calibration
+from adis_gonio.calibration.with_gyros import gyro_calibration_of
+from adis_gonio.cli import main
+from adis_gonio.errors import DataError, FitError
+from adis_gonio.writeback import (
+    OffsetWriter,
+    WriteSettings,
+    gyro_offsets_in_force,
+    gyro_offsets_recorded,
+    offsets_in_force,
+    offsets_recorded,
+)
+from adis_gonio.writeback.journal import operations_of
+
+URL = "sim:?seed=1"
+PLANS = ("two-position", "four-position", "mmpm", "tumble", "poses", "free-turn", "gyro-turns")
+QUICK = ("--auto", "--dwell", "2")
+PARTS = ("accelerometer", "gyro")
+NOTHING_TO_WRITE = {("two-position", "accelerometer"), ("free-turn", "gyro")}
+"""Two positions show no bias, and a free turn has no gyro at rest."""
+
+
+@pytest.fixture(scope="module", params=PLANS)
+def recorded(request, tmp_path_factory):
+    """Return a plan's name, the bytes of a session of it, and its results."""
+    path = tmp_path_factory.mktemp("plans") / f"{request.param}.session"
+    assert main(["calibrate", URL, "--plan", request.param, *QUICK, "-o", str(path)]) == 0
+    return request.param, path.read_bytes(), results(path)
+
+
+def document(*arguments: str) -> dict | int:
+    """Return the JSON of a command without its warnings, or its exit status if it fails."""
+    with redirect_stdout(io.StringIO()) as shown:
+        status = main([*arguments, "--json"])
+    if status != 0:
+        return status
+    read = json.loads(shown.getvalue())
+    read.pop("warnings", None)  # a write is remarked on
+    return read
+
+
+def results(path) -> list[dict | int]:
+    """Return the documents of `fit` and `trace` of both parts."""
+    return [
+        document(command, str(path), "--sensor-part", part)
+        for command in ("fit", "trace")
+        for part in PARTS
+    ]
+
+
+def calibrations(path):
+    """Return the calibrations of accelerometers and gyros that an export states now; None without one."""
+    try:
+        accelerometers = load_calibration(path)
+    except FitError:
+        accelerometers = None
+    try:
+        gyros = gyro_calibration_of(load_session(path))
+    except (DataError, FitError):
+        gyros = None
+    return accelerometers, gyros
+
+
+def values_of(calibration, prefix: str) -> dict[str, float]:
+    return {one.name: one.value for one in calibration.parameters if one.name.startswith(prefix)}
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_fit_and_trace_of_both_parts_stay_and_coefficients_move_by_what_was_written(
+    recorded, tmp_path, part
+):
+    plan, held, before = recorded
+    path = tmp_path / "q.session"
+    path.write_bytes(held)
+    accel, gyro = calibrations(path)
+    command = ["write", str(path), URL, "--yes", "--even-if-inadequate"]
+    status = main([*command, "--gyros"] if part == "gyro" else command)
+    if (plan, part) in NOTHING_TO_WRITE:
+        assert status == 1
+        return
+    assert status == 0
+    assert results(path) == before
+    session = load_session(path)
+    moved_mg = offsets_in_force(session) - offsets_recorded(session)
+    moved_dps = gyro_offsets_in_force(session) - gyro_offsets_recorded(session)
+    assert np.any(moved_dps if part == "gyro" else moved_mg)
+    accel_now, gyro_now = calibrations(path)
+    if accel is not None:
+        was, now = values_of(accel, "bias_"), values_of(accel_now, "bias_")
+        for axis, by in zip("xyz", moved_mg, strict=True):
+            if f"bias_{axis}" in was:
+                assert now[f"bias_{axis}"] - was[f"bias_{axis}"] == pytest.approx(by, abs=1e-9)
+        # One attitude: the part reads more by the offsets, and the angle is the same.
+        attitude = np.array([612.3, -789.1, 24.0])[: accel.axes]
+        plane = None if accel.planar else "xy"
+        then = accel.angle(attitude, plane=plane).angle_deg
+        assert accel_now.angle(attitude + moved_mg[: accel.axes], plane=plane).angle_deg == pytest.approx(
+            then, abs=1e-9
+        )
+    if gyro is not None:
+        # The gyros feel the force that the accelerometers read, which the chip moves too.
+        by_force = gyro.g_sensitivity_dps_per_g @ (moved_mg / 1000)
+        difference = np.array(list(values_of(gyro_now, "gyro_bias_").values())) - np.array(
+            list(values_of(gyro, "gyro_bias_").values())
+        )
+        np.testing.assert_allclose(difference, moved_dps - by_force, atol=1e-9)
+
+
+def test_an_interrupted_write_keeps_the_results(tmp_path):
+    path, cut = tmp_path / "q.session", tmp_path / "cut.session"
+    assert main(["calibrate", URL, "--plan", "four-position", *QUICK, "-o", str(path)]) == 0
+    before = results(path)
+
+    def power_cut(text: str) -> None:
+        """Copy the session as it is in the middle of the write."""
+        if "written and read back" in text:
+            with closing(sqlite3.connect(path)) as now, closing(sqlite3.connect(cut)) as copy:
+                now.backup(copy)
+
+    with open_bus(URL) as bus:
+        made = OffsetWriter(
+            Adis16354(bus, bus.world.variant), path, WriteSettings(dwell_s=1.0), tell=power_cut
+        )
+        made.plan()
+        made.write()
+    assert operations_of(load_session(cut))[-1].open
+    assert results(cut) == before
+
+
+def test_accelerometers_calibrated_before_a_write_serve_a_session_recorded_after_it(tmp_path):
+    flash = f"{URL}&flash={tmp_path / 'part.flash'}"
+    first, second = tmp_path / "first.session", tmp_path / "second.session"
+    assert main(["calibrate", flash, "--plan", "poses", *QUICK, "-o", str(first)]) == 0
+    exported = tmp_path / "before.json"
+    load_calibration(first).save(exported)
+    assert main(["write", str(first), flash, "--yes", "--save", "--even-if-inadequate"]) == 0
+    assert (
+        main(["calibrate", flash, "--plan", "gyro-turns", "--positions", "3", *QUICK, "-o", str(second)])
+        == 0
+    )
+    by_old, by_new = (
+        document("fit", str(second), "--sensor-part", "gyro", "--calibration", str(path))
+        for path in (exported, first)
+    )
+    assert by_old == by_new
