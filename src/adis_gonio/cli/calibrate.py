@@ -222,11 +222,10 @@ def _status(session: Session, *, complete: bool) -> int:
     if doubts:
         kept = sum(doubt["attempt"] is not None for doubt in doubts)
         what = [f"{counted(kept, 'dwell')} kept nevertheless"] if kept else []
-        if kept < len(doubts):
-            what.append(
-                f"{counted(len(doubts) - kept, 'position')} that contradicted dwells before skipped"
-            )
-        click.echo(f"{', '.join(what)}; the data stay in {session.source}: measure again", err=True)
+        skipped = sum(doubt["kind"] != "registers" for doubt in doubts) - kept
+        if skipped:
+            what.append(f"{counted(skipped, 'position')} that contradicted dwells before skipped")
+        click.echo("; ".join([*what, f"the data stay in {session.source}: measure again"]), err=True)
     return 0 if complete and not doubts else 1
 
 

@@ -154,6 +154,13 @@ class IioSource:
     def give_back(self) -> None:
         """Nothing: the device is left as it is."""
 
+    def mark_restart(self) -> None:
+        """Nothing: there are no registers."""
+
+    def settings_held(self) -> dict[str, int]:
+        """Empty: there are no registers."""
+        return {}
+
     def registers(self) -> dict[str, int]:
         """None: what a device has is in the configuration."""
         return {}

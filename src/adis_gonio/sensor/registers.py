@@ -7,7 +7,7 @@ sheet only; C, derived, or code only; D, an estimate.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
@@ -337,6 +337,28 @@ GYRO_OUT = ("XGYRO_OUT", "YGYRO_OUT", "ZGYRO_OUT")
 TEMP_OUT = ("XTEMP_OUT", "YTEMP_OUT", "ZTEMP_OUT")
 ACCEL_OFF = ("XACCL_OFF", "YACCL_OFF", "ZACCL_OFF")
 GYRO_OFF = ("XGYRO_OFF", "YGYRO_OFF", "ZGYRO_OFF")
+
+READING_BITS: dict[str, int] = {
+    **dict.fromkeys((*ACCEL_OFF, *GYRO_OFF), -1),
+    "SMPL_PRD": 0xFF,
+    "SENS_AVG": 0x0707,
+    "MSC_CTRL": 0x03C0,
+}
+"""Bits that shift or scale a reading: offsets, rate, range, filter, compensations and manual self-test."""
+
+
+def changed_settings(then: Mapping[str, int], now: Mapping[str, int]) -> dict[str, tuple[int, int]]:
+    """Return the registers of `READING_BITS` whose bits differ: number then and number now.
+
+    A register that is missing on one side is not compared.
+    """
+    pairs = {
+        name: (then[name] & bits, now[name] & bits)
+        for name, bits in READING_BITS.items()
+        if name in then and name in now
+    }
+    return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+
 
 ND = 1 << 15
 EA = 1 << 14

@@ -102,6 +102,7 @@ class SessionBench:
         self._stream: SampleStream | None = None
         self._moves_until_s = -math.inf
         self._scanning: JsonDict = {}
+        self._held: dict[str, int] = {}
 
     @property
     def simulated(self) -> bool:
@@ -183,7 +184,27 @@ class SessionBench:
                 f"dwell_s is {settings.dwell_s:g}: at {1 / self.period_s:.4g} samples a second"
                 f" take {LEAST_SAMPLES * self.period_s:.3g} s or more"
             )
-        return before, self.source.registers()
+        after = self.source.registers()
+        self.source.mark_restart()
+        self._held = self.source.settings_held()
+        return before, after
+
+    def settings_lost(self) -> str:
+        """Say which settings are no longer as configured, and what to do; empty if all of them are.
+
+        A difference is read twice, because the bus may have falsified the first reply.
+        """
+        if self.source.settings_held() == self._held:
+            return ""
+        now = self.source.settings_held()
+        changed = [f"{name} {then} → {now[name]}" for name, then in self._held.items() if now[name] != then]
+        if not changed:
+            return ""
+        return (
+            f"the sensor's settings changed since the dwell before ({', '.join(changed)}): it restarted, or"
+            " somebody wrote to it; this dwell is kept, but not used; set the registers back, then go on"
+            " with --resume"
+        )
 
     @property
     def why_polled(self) -> str:

@@ -211,7 +211,11 @@ class Dwelling:
         bench.close_stream()
         ledger.scanning(bench.scanning)
         status = bench.source.status()
+        lost = bench.settings_lost()
         bench.checkpoint()
+        if lost:
+            yield self._interrupted(recording, lost)
+            raise SessionError(f"{recording.position}: {lost}")
         attempt = recording.attempt("complete", bench.now_s, status=None if status is None else status.word)
         number = ledger.archive.add_attempt(attempt)
         place, scans = recording.place, recording.scans()

@@ -13,7 +13,7 @@ from collections.abc import Generator, Iterator
 from typing import Literal, Protocol, runtime_checkable
 
 from adis_gonio.counting import counted
-from adis_gonio.errors import UsageError
+from adis_gonio.errors import SessionError, UsageError
 from adis_gonio.model.sweeps import Sweeps
 from adis_gonio.session.bench import SessionBench
 from adis_gonio.session.blocks import Block
@@ -170,6 +170,10 @@ class TurnTaking:
             yield ledger.problem(Problem("stillness", f"the turn was broken off: {why}", place))
             return
         status = bench.source.status()
+        settings = bench.settings_lost()
+        if settings:
+            pieces.write("interrupted", settings)
+            raise SessionError(settings)
         number = pieces.write("complete", "", None if status is None else status.word)
         ledger.count(place, number)
         ledger.recorded_s = pieces.length_s  # it ends with the turns

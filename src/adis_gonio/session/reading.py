@@ -10,6 +10,7 @@ import numpy as np
 from adis_gonio.counting import counted
 from adis_gonio.errors import DataError
 from adis_gonio.model.records import Dwell, Session
+from adis_gonio.sensor.registers import changed_settings
 from adis_gonio.session.blocks import GENERIC, Block, die_temperatures, join, session_columns
 from adis_gonio.session.faults import WITHOUT_NEWS, Alarms, alarms_of
 from adis_gonio.session.plans import Plan
@@ -66,7 +67,7 @@ def read_session(path: str | Path) -> Session:
             "advised": [record.value for record in view.records("advised")],
             "turned": [record.value for record in view.records("turned")],
             "reversed": bool(view.last("reversed")),
-            "doubts": view.doubts(),
+            "doubts": view.doubts() + _changed_registers(view),
             "remarks": [record.value for record in view.records("remark")],
             "complete": not pending,
             "skipped": sorted(skipped),
@@ -121,7 +122,7 @@ def _free_turn(path: str | Path, view: ArchiveView) -> Session:
         "problems": [record.value for record in view.records("problem")],
         "advised": [],
         "reversed": False,
-        "doubts": [],
+        "doubts": _changed_registers(view),
         "remarks": [record.value for record in view.records("remark")],
         "complete": not reason,
         "skipped": [],
@@ -134,7 +135,7 @@ def _free_turn(path: str | Path, view: ArchiveView) -> Session:
     if header.simulated and truth is not None:
         facts["truth"] = truth
     length_s = float(recording.time_s[-1] - recording.time_s[0])
-    notes = []
+    notes = [doubt["message"] for doubt in facts["doubts"]]
     if reason:
         notes.append(
             f"the turn was broken off after {length_s:.0f} s: {reason}; --resume records a new one"
@@ -200,10 +201,27 @@ def _facts_of(attempt: StoredAttempt, scans: Block, dropped: int) -> JsonDict:
     }
 
 
+def _changed_registers(view: ArchiveView) -> list[JsonDict]:
+    """Return the doubt about a session whose registers were not the same at its end as at its beginning."""
+    then, now = view.last("registers-configured"), view.last("registers-after")
+    changed = changed_settings(then or {}, now or {})
+    if not changed:
+        return []
+    told = ", ".join(f"{name} {before} → {after}" for name, (before, after) in changed.items())
+    message = (
+        f"the sensor's settings changed while the session was recorded ({told}): it restarted, or somebody"
+        " wrote to it, and dwells from before and after do not agree"
+    )
+    return [{"attempt": None, "kind": "registers", "message": message}]
+
+
 def _doubtful(plan: Plan, doubt: JsonDict) -> str:
+    if doubt["kind"] == "registers":
+        return str(doubt["message"])
     if doubt["attempt"] is None:
-        return f"{plan.positions[doubt['place']]} contradicted dwells before it and was skipped"
-    return f"attempt {doubt['attempt']} was kept"
+        where = plan.positions[doubt["place"]]
+        return f"{where} contradicted dwells before it and was skipped: {doubt['message']}"
+    return f"attempt {doubt['attempt']} was kept: {doubt['message']}"
 
 
 def _notes(plan: Plan, pending: Sequence[int], skipped: set[int], facts: JsonDict) -> tuple[str, ...]:
@@ -215,7 +233,7 @@ def _notes(plan: Plan, pending: Sequence[int], skipped: set[int], facts: JsonDic
         )
     if facts["reversed"]:
         notes.append("turned the other way: every angle of the plan was taken with the other sign")
-    notes += [f"{_doubtful(plan, doubt)}: {doubt['message']}" for doubt in facts["doubts"]]
+    notes += [_doubtful(plan, doubt) for doubt in facts["doubts"]]
     if skipped:
         notes.append(f"skipped: {', '.join(str(plan.positions[place]) for place in sorted(skipped))}")
     lost = sum(dwell["lost"] for dwell in dwells)

@@ -18,7 +18,7 @@ from adis_gonio.sensor.bartlett import white_gain
 from adis_gonio.sensor.data_ready import MASK as DATA_READY_BITS
 from adis_gonio.sensor.data_ready import DataReadyLoan
 from adis_gonio.sensor.driver import Adis16354, open_sensor
-from adis_gonio.sensor.registers import REGISTERS
+from adis_gonio.sensor.registers import BY_NAME, READING_BITS, REGISTERS
 from adis_gonio.sensor.settings import Configuration, Status
 from adis_gonio.session.blocks import Block
 from adis_gonio.session.settings import Settings
@@ -135,7 +135,13 @@ class SampleSource(Protocol):
         """
 
     def give_back(self) -> None:
-        """Set back what `configure` borrowed; may be called twice."""
+        """Set back what `configure` and `mark_restart` borrowed; may be called twice."""
+
+    def mark_restart(self) -> None:
+        """Write a number that a restart loses into a register that nothing uses, if there is one."""
+
+    def settings_held(self) -> dict[str, int]:
+        """Return the settings that shift or scale a sample, and the mark; empty without registers."""
 
     def registers(self) -> dict[str, int]:
         """All that can be read of its state; empty where there are no registers."""
@@ -162,6 +168,9 @@ class SampleSource(Protocol):
         """Close."""
 
 
+MARK = 0x2A5A
+"""Number in the level of an unused alarm while a session runs: after a restart its flash copy is there."""
+
 HOLDING_SETTINGS = tuple(
     row.name
     for row in REGISTERS
@@ -184,6 +193,7 @@ class ChipSource:
         self.world: Any = getattr(sensor.bus, "world", None)
         self.why_polled = ""
         self._loan: DataReadyLoan | None = None
+        self._marked: tuple[str, int] | None = None
 
     def now_s(self) -> float:
         """Clock of the bus."""
@@ -201,6 +211,7 @@ class ChipSource:
         SessionError
             The settings insist on data-ready, and it cannot be used.
         """
+        self._forget_old_mark()
         self.sensor.configure(
             smpl_prd=settings.smpl_prd, filter_m=settings.filter_m, gyro_range_dps=settings.gyro_range_dps
         )
@@ -224,10 +235,44 @@ class ChipSource:
             raise SessionError(f"{self.url}: {self.why_polled} (the session asks for it)")
 
     def give_back(self) -> None:
-        """Set data-ready back; may be called twice."""
+        """Set data-ready and the alarm's level back; may be called twice."""
         loan, self._loan = self._loan, None
-        if loan is not None:
-            loan.give_back()
+        marked, self._marked = self._marked, None
+        try:
+            if loan is not None:
+                loan.give_back()
+        finally:
+            if marked is not None and self.sensor.read(marked[0]) == MARK:
+                self.sensor.write(*marked)
+
+    def mark_restart(self) -> None:
+        """Write `MARK` into the level of an alarm that is off; without one a restart may not show.
+
+        The offsets and the rate may be the same before and after a restart, because nobody changed what
+        the flash holds. ALM_MAG1 and ALM_MAG2 do nothing while their source in ALM_CTRL is 0 (DS, B).
+        """
+        control = BY_NAME["ALM_CTRL"]
+        word = self.sensor.read_words([control])[0]
+        for number in (2, 1):
+            if not word & control.field(f"source{number}").mask:
+                name = f"ALM_MAG{number}"
+                before = self.sensor.read(name)
+                self.sensor.write(name, MARK)
+                self._marked = (name, before)
+                return
+
+    def _forget_old_mark(self) -> None:
+        """Clear the mark of a session whose program was killed."""
+        for name in ("ALM_MAG1", "ALM_MAG2"):
+            if self.sensor.read(name) == MARK:
+                self.sensor.write(name, 0)
+
+    def settings_held(self) -> dict[str, int]:
+        """Bits of `READING_BITS` in their registers, and the alarm's level that holds the mark."""
+        names = [*READING_BITS, *([self._marked[0]] if self._marked else [])]
+        words = self.sensor.read_words(names)
+        numbers = {name: BY_NAME[name].number(word) for name, word in zip(names, words, strict=True)}
+        return {name: number & READING_BITS.get(name, -1) for name, number in numbers.items()}
 
     def registers(self) -> dict[str, int]:
         """All readable registers."""

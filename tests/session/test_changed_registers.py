@@ -1,0 +1,116 @@
+"""Registers that change while a session runs: no dwell of another register state counts."""
+
+import pytest
+
+from adis_gonio import fit, load_session, open_bus
+from adis_gonio.cli import main
+from adis_gonio.errors import SessionError
+from adis_gonio.sensor import Adis16354
+from adis_gonio.session.archive import ArchiveView
+from adis_gonio.session.events import DwellDone, DwellProgress
+from adis_gonio.session.plans import plan
+from adis_gonio.session.runner import SessionRunner
+from adis_gonio.session.settings import Settings
+from adis_gonio.session.source import MARK
+
+POLLED = "sim:?seed=3&stream=0"
+SHORT = Settings(dwell_s=1.0, settle_s=0.1)
+
+
+def restart(bus, sensor) -> None:
+    """The chip takes its flash copies, as after a supply dip; the driver does not know."""
+    bus.chip.hard_reset(bus.now_s())
+    bus.sleep_s(0.3)
+
+
+def write(register: str, number: int):
+    """Another program writes a register; the driver does not know."""
+
+    def act(bus, sensor) -> None:
+        Adis16354(bus, "adis16354").write(register, number)
+
+    return act
+
+
+def offset_by(lsb: int):
+    return write("XACCL_OFF", lsb)
+
+
+CHANGES = {
+    "restart": restart,
+    "offset of 1 LSB": offset_by(1),
+    "offset of 32 LSB": offset_by(32),
+    "offset of 128 LSB": offset_by(128),
+    "gyro offset": write("ZGYRO_OFF", 9),
+    "filter": write("SENS_AVG", 0x0404),
+    "range": write("SENS_AVG", 0x0202),
+    "compensation": write("MSC_CTRL", 0x80),
+    "rate": write("SMPL_PRD", 0x04),
+}
+
+
+def run(path, change, when, ram_offset=0):
+    """Run a session of four positions; act once, between two dwells or within one."""
+    with open_bus(POLLED) as bus:
+        sensor = Adis16354(bus, "adis16354")
+        if ram_offset:
+            sensor.write("XACCL_OFF", ram_offset)
+        runner = SessionRunner.begin(sensor, path, plan("four-position"), SHORT, auto=True)
+        done = 0
+        for event in runner.run():
+            done += isinstance(event, DwellDone)
+            if change is not None and done == 2 and isinstance(event, when):
+                change(bus, sensor)
+                change = None
+
+
+@pytest.mark.parametrize("when", [DwellDone, DwellProgress])
+@pytest.mark.parametrize("kind", CHANGES)
+@pytest.mark.parametrize("ram_offset", [0, 40])
+def test_a_changed_register_ends_the_session_and_the_dwell_does_not_count(tmp_path, kind, when, ram_offset):
+    path = tmp_path / "q.session"
+    with pytest.raises(SessionError, match="settings changed"):
+        run(path, CHANGES[kind], when, ram_offset)
+    with ArchiveView(path) as view:
+        assert [attempt.place for attempt in view.dwells()] == [0, 1]
+        kept = [attempt for attempt in view.attempts() if attempt.place == 2]
+        assert kept
+        assert all(attempt.outcome == "interrupted" for attempt in kept)
+        assert sum(len(block) for attempt in kept for block in view.blocks(attempt))
+
+
+def test_a_session_without_a_change_leaves_the_alarm_level_as_it_was(tmp_path):
+    path = tmp_path / "q.session"
+    run(path, None, DwellDone)
+    session = load_session(path)
+    assert session.facts["doubts"] == []
+    registers = session.facts["registers"]
+    assert registers["before"]["ALM_MAG2"] == registers["after"]["ALM_MAG2"] == 0
+    with ArchiveView(path) as view:
+        assert len(view.dwells()) == 4
+
+
+def test_the_mark_of_a_killed_session_is_cleared_and_a_used_alarm_is_left_alone(tmp_path):
+    path = tmp_path / "q.session"
+    with open_bus(POLLED) as bus:
+        sensor = Adis16354(bus, "adis16354")
+        sensor.write("ALM_MAG2", MARK)  # a killed program left it
+        sensor.write("ALM_MAG1", 77)
+        sensor.write("ALM_CTRL", 0x2000)  # alarm 2 watches a gyro
+        for _ in SessionRunner.begin(sensor, path, plan("two-position"), SHORT, auto=True).run():
+            pass
+        assert sensor.read("ALM_MAG2") == 0
+        assert sensor.read("ALM_MAG1") == 77
+        assert sensor.read("ALM_CTRL") == 0x2000
+
+
+def test_fit_of_an_archive_whose_registers_changed_says_so(tmp_path, monkeypatch, capsys):
+    """An older program compared nothing; its archive holds the registers before and after."""
+    path = tmp_path / "q.session"
+    monkeypatch.setattr("adis_gonio.session.bench.SessionBench.settings_lost", lambda bench: "")
+    run(path, restart, DwellDone, 40)
+    (doubt,) = load_session(path).facts["doubts"]
+    assert "XACCL_OFF 40 → 0" in doubt["message"]
+    assert any("XACCL_OFF 40 → 0" in warning for warning in fit(load_session(path)).warnings)
+    assert main(["fit", str(path)]) == 0
+    assert "XACCL_OFF 40 → 0" in " ".join(capsys.readouterr().out.split())
