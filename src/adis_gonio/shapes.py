@@ -91,7 +91,11 @@ def choice(*allowed: str | int | None) -> Shape:
     """One of some texts or integers."""
 
     def check(value: Any) -> None:
-        if isinstance(value, bool | float) or not isinstance(value, str | int | None) or value not in allowed:
+        if (
+            isinstance(value, bool | float)
+            or not isinstance(value, str | int | None)
+            or value not in allowed
+        ):
             few = len(allowed) <= 8
             raise _refuse(value, f"one of {', '.join(map(repr, allowed))}" if few else "a known name")
 

@@ -337,7 +337,9 @@ def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
     found = _objects(connection)
     strange = sorted(name for name, made in found.items() if wanted.get(name) != made)
     if strange:
-        raise damaged(path, f"'{_one_line(strange[0])}' is no {_kind(wanted, strange[0])} of a session file")
+        raise damaged(
+            path, f"'{_one_line(strange[0])}' is no {_kind(wanted, strange[0])} of a session file"
+        )
     missing = [table for table in TABLES if table not in found]
     if missing:
         raise damaged(path, f"no such table: {missing[0]}")

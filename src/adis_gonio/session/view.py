@@ -11,11 +11,18 @@ from typing import Any, Self
 
 import numpy as np
 
-from adis_gonio.session import database
 from adis_gonio.sensor.registers import ACCEL_OUT, BY_NAME
+from adis_gonio.session import database
 from adis_gonio.session.blocks import GENERIC, UNITS, Block, count_alarms, from_bytes
 from adis_gonio.session.plans import Plan, Position
-from adis_gonio.session.row_schema import LARGEST_S, LARGEST_VALUE, META, RECORDS, checked_row, checked_value
+from adis_gonio.session.row_schema import (
+    LARGEST_S,
+    LARGEST_VALUE,
+    META,
+    RECORDS,
+    checked_row,
+    checked_value,
+)
 from adis_gonio.session.rows import Header, JsonDict, Move, Phase, Record, StoredAttempt, checksum
 from adis_gonio.shapes import ShapeError, anything
 

@@ -55,7 +55,9 @@ _GYRO = _xyz(
     "angular_rate_?", "angular_velocity_?",
 )  # fmt: skip
 _ALIASES: dict[str, str] = {
-    **dict.fromkeys(("time", "t", "timestamp", "zeit", "elapsed", "seconds"), "time_s"),
+    **dict.fromkeys(
+        ("time", "t", "timestamp", "zeit", "elapsed", "seconds", "datetime", "date_time"), "time_s"
+    ),
     **dict.fromkeys(("pos", "dwell", "pose"), "position"),
     **dict.fromkeys(("angle", "theta", "θ", "winkel"), "angle_deg"),
     **{alias: f"a{axis}" for axis, forms in _ACCEL.items() for alias in forms},
@@ -80,7 +82,7 @@ _GYRO_UNITS = {
 }
 _SCALES: dict[str, dict[str, Scale]] = {
     "time_s": {
-        **dict.fromkeys(("s", "sec", "second", "seconds", "sekunden"), (1.0, 1.0, 0.0)),
+        **dict.fromkeys(("s", "sec", "second", "seconds", "sekunden", "utc"), (1.0, 1.0, 0.0)),
         **dict.fromkeys(("ms", "msec", "millis"), (1.0, 1e3, 0.0)),
         **dict.fromkeys(("us", "µs", "μs", "usec", "micros"), (1.0, 1e6, 0.0)),
         "ns": (1.0, 1e9, 0.0),
