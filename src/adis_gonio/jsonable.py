@@ -31,7 +31,7 @@ def json_value(text: str, **options: Any) -> Any:
     Parameters
     ----------
     options
-        Of `json.loads`.
+        Of `json.loads`; `parse_constant=float` lets NaN pass where a check of the field names it.
 
     Raises
     ------
@@ -40,7 +40,8 @@ def json_value(text: str, **options: Any) -> Any:
         of more than 64 bits; lists or objects more than `MOST_DEPTH` deep.
     """
     try:
-        value = json.loads(text, parse_constant=_refuse, parse_float=_real, parse_int=_whole, **options)
+        strict = {"parse_constant": _refuse, "parse_float": _real, "parse_int": _whole}
+        value = json.loads(text, **{**strict, **options})
     except RecursionError:
         raise ValueError(f"it is nested more than {MOST_DEPTH} deep") from None
     level = [value]

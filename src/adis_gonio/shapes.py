@@ -117,7 +117,8 @@ def list_of(shape: Shape, least: int, most: int) -> Shape:
 
     def check(value: Any) -> None:
         if not isinstance(value, list) or not least <= len(value) <= most:
-            raise _refuse(value, f"a list of {least} to {most} values")
+            count = f"{most}" if least == most else f"{least} to {most}"
+            raise _refuse(value, f"a list of {count} values")
         for k, entry in enumerate(value):
             _inside(f"[{k}]", shape, entry)
 

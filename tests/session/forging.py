@@ -40,6 +40,8 @@ def forge(source: Path, target: Path, rng: random.Random) -> str:
         table = rng.choice(TABLES)
         names = [row[1] for row in connection.execute(f"PRAGMA table_info({table})")]
         rows = connection.execute(f"SELECT rowid, * FROM {table}").fetchall()
+        if not rows:
+            continue
         rowid, *values, _ = rng.choice(rows)
         k = rng.randrange(len(values))
         old, values[k] = values[k], _exchanged(values[k], rng)
