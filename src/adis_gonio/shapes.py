@@ -132,7 +132,7 @@ def mapping_of(shape: Shape) -> Shape:
         if not isinstance(value, dict):
             raise _refuse(value, "an object")
         for key, entry in value.items():
-            _inside(f".{key}", shape, entry)
+            _inside(_way(key), shape, entry)
 
     return check
 
@@ -159,13 +159,17 @@ def fields(
             shape = known.get(key, others)
             if shape is None:
                 raise ShapeError(f" holds {shown(key)}, which is not known")
-            _inside(f".{key}", shape, entry)
+            _inside(_way(key), shape, entry)
 
     return check
+
+
+def _way(key: str) -> str:
+    return f".{key[:_SHOWN]}" if key.isprintable() else f"[{shown(key)}]"
 
 
 def _inside(way: str, shape: Shape, value: Any) -> None:
     try:
         shape(value)
     except ShapeError as error:
-        raise ShapeError(f"{way[:_SHOWN]}{error}") from None
+        raise ShapeError(f"{way}{error}") from None

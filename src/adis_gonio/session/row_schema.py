@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from adis_gonio.jsonable import json_value
-from adis_gonio.sensor.registers import BY_NAME
+from adis_gonio.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
 from adis_gonio.sensor.variants import GYRO_LSB_DPS, VARIANTS
 from adis_gonio.session.blocks import GENERIC, UNITS
 from adis_gonio.session.plans import MOST_POSITIONS
@@ -51,6 +51,7 @@ _VECTOR = list_of(number(-1e6, 1e6), 3, 3)
 _TEXTS = list_of(text, 0, 10_000)
 _TEMPERATURE, _SUPPLY = nullable(number(-273.15, 1000.0)), nullable(number(0.0, 100.0))
 _REGISTER_NUMBERS = mapping_of(whole(-0x8000, 0xFFFF))
+_OFFSETS = fields({}, {name: whole(*BY_NAME[name].range) for name in (*ACCEL_OFF, *GYRO_OFF)})
 _SCAN = list_of(choice(*BY_NAME, *UNITS), 0, len(BY_NAME))
 _RANGE = nullable(choice(*GYRO_LSB_DPS))
 _NUMBERING = {"smpl_prd": whole(0, 0xFF), "filter_m": whole(0, 6)}
@@ -93,18 +94,22 @@ def _fixture(value: Any) -> None:
         nullable(number(0.0, 1e6))(value)
 
 
-META: Mapping[str, Shape] = {
-    "url": text,
-    "variant": choice(*VARIANTS, GENERIC),
-    "plan": _PLAN,
-    "settings": _SETTINGS,
-    "gravity_mps2": number(1e-6, 1e6),
-    "fixture_sigma_deg": _fixture,
-    "simulated": truth_value,
-    "created_utc": moment,
-    **dict.fromkeys(("title", "note", "operator", "serial", "stage", "software"), text),
-}
-"""Facts of the table `meta` by key."""
+META = fields(
+    {
+        "url": text,
+        "variant": choice(*VARIANTS, GENERIC),
+        "plan": _PLAN,
+        "settings": _SETTINGS,
+        "gravity_mps2": number(1e-6, 1e6),
+        "fixture_sigma_deg": _fixture,
+    },
+    {
+        "simulated": truth_value,
+        "created_utc": moment,
+        **dict.fromkeys(("title", "note", "operator", "serial", "stage", "software"), text),
+    },
+)
+"""Facts of the table `meta` by key: the fields of `Header`."""
 
 _DOUBT = {"kind": text, "message": text}
 _SUMMARY = fields(
@@ -170,7 +175,7 @@ RECORDS: Mapping[str, Shape] = {
         },
         {
             "op": choice("write", "undo", "autonull"),
-            **dict.fromkeys(("old", "new", "found", "beside"), _REGISTER_NUMBERS),
+            **dict.fromkeys(("old", "new", "found", "beside"), _OFFSETS),
             "save": truth_value,
             **dict.fromkeys(("endurance", "endurance_after"), nullable(_COUNT)),
         },

@@ -54,15 +54,14 @@ class ArchiveView:
 
     def header(self) -> Header:
         """What stands from the beginning."""
-        rows = self._rows("meta", "key")
         try:
-            values = {key: checked_value(key, META.get(key, anything), value) for key, value in rows}
-            values["plan"] = Plan.from_dict(values["plan"])
-            if values["fixture_sigma_deg"] == "free":
-                values["fixture_sigma_deg"] = math.inf
-            return Header(**values)
-        except (KeyError, TypeError, ShapeError) as error:
-            raise database.damaged(self.path, f"table meta: {error}") from None
+            values = checked_value("table meta", META, dict(self._rows("meta", "key")))
+        except ShapeError as error:
+            raise database.damaged(self.path, str(error)) from None
+        values["plan"] = Plan.from_dict(values["plan"])
+        if values["fixture_sigma_deg"] == "free":
+            values["fixture_sigma_deg"] = math.inf
+        return Header(**values)
 
     def records(self, kind: str | None = None) -> list[Record]:
         """Records of one kind, or all, in order."""
@@ -177,6 +176,25 @@ class ArchiveView:
             raise database.damaged(self.path, f"a record names place {place}, which the plan does not have")
         return place
 
+    def offset_writes(self) -> list[JsonDict]:
+        """Steps of writes to the sensor's offset registers, in order; `writeback.journal` reads them.
+
+        Raises
+        ------
+        DataError
+            The first step of a write lacks the registers, or a step is about others.
+        """
+        steps = [record.value | {"utc": record.utc} for record in self.records("offsets")]
+        written: dict[int, set[str]] = {}
+        for step in steps:
+            number = step["number"]
+            if number not in written and not {"op", "old", "found", "save"} <= step.keys():
+                raise database.damaged(self.path, f"the first step of write {number} is missing")
+            names = written.setdefault(number, set(step.get("old", ())))
+            if any(set(step.get(part, names)) != names for part in ("old", "new", "found")):
+                raise database.damaged(self.path, f"the steps of write {number} are about other registers")
+        return steps
+
     def withdrawn(self) -> set[int]:
         """Numbers of the complete attempts that the operator took back."""
         return {record.value for record in self.records("withdrawn")}
@@ -258,7 +276,7 @@ class ArchiveView:
         line: list[Move] = []
         while attempt:
             run = of_run[attempt]
-            line = [move for number, move in moves if of_run[number] == run and number <= attempt] + line
+            line = [move for number, move in moves if of_run.get(number) == run and number <= attempt] + line
             attempt = runs[run]
         return line
 

@@ -28,7 +28,7 @@ _FOREIGN = {
     b"%PDF": "a PDF file: take the file that it was printed from",
 }
 _HTML = (b"<!doctype html", b"<html", b"<head", b"<body")
-LONGEST_LINE = 1 << 20
+LONGEST_LINE = 1 << 16
 """Characters: rows have hundreds; a file without line ends would fill the memory."""
 _REPLACEMENT = "�"
 
@@ -82,16 +82,21 @@ def chunks_of(path: Path) -> Iterator[Chunk]:
         held = len(text) - len(text.rstrip("\r"))
         *lines, carry = _plain_ends(text[: len(text) - held]).split("\n")
         carry += "\r" * held
-        if len(carry) > LONGEST_LINE:
-            raise DataError(
-                f"{path.name}, after row {first - 1}: a row has more than {LONGEST_LINE} characters; "
-                "not a samples CSV"
-            )
+        _refuse_long(path, first, [*lines, carry])
         if lines:
             yield Chunk(first, lines, share)
             first += len(lines)
     *lines, rest = _plain_ends(carry).split("\n")
+    _refuse_long(path, first, [*lines, rest])
     yield Chunk(first, [*lines, rest] if rest else lines, 1.0, last=True, cut=bool(rest))
+
+
+def _refuse_long(path: Path, first: int, lines: list[str]) -> None:
+    if max(map(len, lines)) > LONGEST_LINE:
+        row = first + next(k for k, line in enumerate(lines) if len(line) > LONGEST_LINE)
+        raise DataError(
+            f"{path.name}, row {row}: has more than {LONGEST_LINE} characters; not a samples CSV"
+        )
 
 
 def _plain_ends(text: str) -> str:

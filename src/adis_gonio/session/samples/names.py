@@ -103,6 +103,8 @@ SAME: Scale = (1.0, 1.0, 0.0)
 
 _BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$")
 _SLASH = re.compile(r"^([^/]+?)\s*/\s*\(?(.+?)\)?$")
+_LONGEST_NAME = 200
+"""Characters of a header's cell that are read: these forms take the cube of its length."""
 _SPACES = re.compile(r"[\s.\-]+")
 
 
@@ -150,7 +152,7 @@ def unit_in(text: str) -> str:
 def without_unit(text: str) -> str:
     """A header's cell without its unit, as it is spelled."""
     for form in (_BRACKETS, _SLASH):
-        match = form.match(text.strip())
+        match = form.match(text[:_LONGEST_NAME].strip())
         if match:
             return match[1].strip(" /")
     return text.strip()
@@ -159,7 +161,7 @@ def without_unit(text: str) -> str:
 def _parted(text: str) -> tuple[str, str]:
     """Name, with underscores and in small letters, and unit of a header's cell."""
     for form in (_BRACKETS, _SLASH):
-        match = form.match(text)
+        match = form.match(text[:_LONGEST_NAME])
         if match:
             return _normal(match[1]), match[2].strip()
     return _normal(text), ""
