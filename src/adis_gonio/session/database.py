@@ -10,6 +10,8 @@
 | `moves` | a move of the stage by the program, at its time on the bus's clock |
 
 Every table refuses UPDATE and DELETE: what was written stays. Every row ends with a checksum of the others.
+A file with other tables, or with views, triggers or indexes of its own, is refused before anything in it is
+run; statements have a limit of steps and rows a limit of length. `row_schema` declares every value.
 Numbers in blobs are little-endian. Times called `bus_s` are on the clock of the bus of that run, in s;
 adding the run's `clock_offset_s` makes them seconds since the session began. `continues` is the attempt
 after which a resumed run goes on, 0 for the beginning: a simulated world is brought back to that point.

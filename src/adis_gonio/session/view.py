@@ -41,6 +41,7 @@ class ArchiveView:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._connection = database.connect(self.path, write=False)
+        self._header: Header | None = None
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:
@@ -53,7 +54,12 @@ class ArchiveView:
             self._connection.rollback()
 
     def header(self) -> Header:
-        """What stands from the beginning."""
+        """What stands from the beginning; read once, since no row of it ever changes."""
+        if self._header is None:
+            self._header = self._read_header()
+        return self._header
+
+    def _read_header(self) -> Header:
         try:
             values = checked_value("table meta", META, dict(self._rows("meta", "key")))
         except ShapeError as error:
@@ -67,8 +73,7 @@ class ArchiveView:
         """Records of one kind, or all, in order."""
         return [
             Record(run, utc, bus_s, name, self._record_value(number, name, value))
-            for number, run, utc, bus_s, name, value in self._rows("records", "record")
-            if kind in (None, name)
+            for number, run, utc, bus_s, name, value in self._rows("records", "record", kind=kind)
         ]
 
     def _record_value(self, number: int, kind: str, value: Any) -> Any:
@@ -148,9 +153,10 @@ class ArchiveView:
 
         A place whose last dwell was withdrawn has none: it is to be done again.
         """
-        latest = {a.place: a.number for a in self.attempts() if a.outcome == "complete"}
+        attempts = self.attempts()
+        latest = {a.place: a.number for a in attempts if a.outcome == "complete"}
         counted = set(latest.values()) - self.withdrawn()
-        return [a for a in self.attempts() if a.number in counted]
+        return [a for a in attempts if a.number in counted]
 
     def doubts(self) -> list[JsonDict]:
         """Why a result cannot be right.
@@ -276,7 +282,9 @@ class ArchiveView:
         line: list[Move] = []
         while attempt:
             run = of_run[attempt]
-            line = [move for number, move in moves if of_run.get(number) == run and number <= attempt] + line
+            line = [
+                move for number, move in moves if of_run.get(number) == run and number <= attempt
+            ] + line
             attempt = runs[run]
         return line
 
@@ -306,10 +314,13 @@ class ArchiveView:
     ) -> None:
         self.close()
 
-    def _rows(self, table: str, order: str, column: str = "1", value: int = 1) -> list[tuple[Any, ...]]:
+    def _rows(
+        self, table: str, order: str, column: str = "1", value: int = 1, kind: str | None = None
+    ) -> list[tuple[Any, ...]]:
         """Rows of a table without their checksums, all or those that have a value in a column.
 
-        This is the door: every value has the type and range of `row_schema`, and JSON is a value.
+        This is the door: every value has the type and range of `row_schema`, and JSON is a value. Records
+        of another kind than `kind` are left out once their checksum was checked.
         """
         with database.explained(self.path):
             rows = self._connection.execute(
@@ -319,6 +330,8 @@ class ArchiveView:
         for number, row in enumerate(rows, start=1):
             if checksum(*row[:-1]) != row[-1]:
                 raise database.damaged(self.path, f"checksum of row {number} of table {table}")
+            if kind is not None and kind != row[-3]:
+                continue
             try:
                 checked.append(checked_row(table, row[:-1]))
             except ShapeError as error:
