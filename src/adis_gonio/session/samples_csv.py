@@ -292,7 +292,9 @@ class _Remarks:
                 f"not used: {', '.join(unused)}: {why}; add a column 'position', or fill in every row"
             )
         if self.taken and not free:
-            of = ", ".join(f"{name} in {n} of {self.dwells} dwells" for name, n in self.taken.items())
+            of = ", ".join(
+                f"{name} in {n} of {counted(self.dwells, 'dwell')}" for name, n in self.taken.items()
+            )
             notes.append(f"given once a dwell, filled down: {of}")
         if self.filled:
             notes.append(f"empty cells have the value of the dwell's other rows: {', '.join(self.filled)}")
