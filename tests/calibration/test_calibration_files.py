@@ -92,10 +92,15 @@ def damaged():
     yield put("version", value=2), "version 2, this program reads 1: update"
     yield lambda d: d.pop("parameters"), "lacks 'parameters'"
     yield lambda d: d["parameters"].pop("scale_x"), "covariance's names"
-    yield put("parameters", "scale_x", "value", value="big"), "'big' is no finite number"
-    yield put("parameters", "scale_x", "value", value=None), "None is no finite number"
+    yield put("parameters", "scale_x", "value", value="big"), "parameters.scale_x.value is 'big'"
+    yield put("parameters", "scale_x", "value", value=None), "parameters.scale_x.value is None"
+    yield put("parameters", "scale_x", "value", value=10**400), "or too large"
+    yield put("parameters", "scale_x", "u", value=-1.0), "scale_x.u is -1.0"
+    yield put("offsets_lsb", value=[2**40, 0, 0]), "from -2048 to 2047"
+    yield put("assumed", value=7), "assumed is 7"
+    yield put("covariance", "matrix", 0, 0, value=-1.0), "variance is negative"
     yield put("covariance", "matrix", value=[[1.0]]), "is no matrix"
-    yield put("plane", value="zz"), "plane is not"
+    yield put("plane", value="zz"), "plane is 'zz'"
     yield (
         put("effects", value=[{"effect": "nosuch", "axes": [], "choices": {}, "parameters": []}]),
         "nosuch",

@@ -121,10 +121,10 @@ def test_truth_stands_only_in_simulated_sessions(tmp_path):
     for simulated in (True, False):
         path = tmp_path / f"{simulated}.session"
         with begun(path, simulated=simulated) as archive:
-            archive.add_record("truth", {"delta_k": np.float64(0.01), "list": np.arange(2)}, 0.0)
+            archive.add_record("truth", {"delta_k": np.float64(0.01), "alpha": np.int64(2)}, 0.0)
             archive.add_attempt(attempt(0))
         facts = read_session(path).facts
-        assert facts.get("truth") == ({"delta_k": 0.01, "list": [0, 1]} if simulated else None)
+        assert facts.get("truth") == ({"delta_k": 0.01, "alpha": 2} if simulated else None)
 
 
 def test_free_attitudes_come_back_as_infinite_fixture(tmp_path):

@@ -16,7 +16,10 @@ from adis_gonio.errors import DataError, UsageError
 from adis_gonio.model.effects import effect
 from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.provenance import Covered, Provenance
+from adis_gonio.model.records import SENSORS, Floats
 from adis_gonio.output import check_output, replacing
+from adis_gonio.sensor.registers import BY_NAME
+from adis_gonio.shapes import anything, choice, fields, list_of, mapping_of, nullable, number, text, whole
 
 SCHEMA = "adis-gonio/calibration"
 VERSION = 1
@@ -96,9 +99,10 @@ def calibration_from(document: Any, name: str = "calibration") -> Calibration:
             f"{VERSION}: update adis-gonio"
         )
     try:
+        DOCUMENT(document)
         made = _checked(_read(document))
     except (KeyError, TypeError, ValueError, AttributeError, UsageError) as error:
-        what = f"lacks {error}" if isinstance(error, KeyError) else str(error)
+        what = f"lacks {error}" if isinstance(error, KeyError) else str(error).lstrip(" .")
         raise DataError(f"{name}: is a damaged calibration: {what}") from None
     if document.get("gyro") is None:
         return made
@@ -107,47 +111,114 @@ def calibration_from(document: Any, name: str = "calibration") -> Calibration:
     return replace(made, gyro=gyro_calibration_from(document["gyro"], f"{name}: gyro"))
 
 
+_VALUE = number(-1e15, 1e15)
+COEFFICIENTS = mapping_of(
+    fields(
+        {"value": _VALUE, "u": nullable(number(0.0, 1e15)), "unit": text},
+        {"dof": nullable(number(0.0, 1e300))},
+        others=anything,
+    )
+)
+"""Shape of parameters with their uncertainties, by name."""
+TEXTS = list_of(text, 0, 10_000)
+COVARIANCE = nullable(
+    fields(
+        {"names": TEXTS, "matrix": list_of(list_of(number(-1e30, 1e30), 0, 10_000), 0, 10_000)},
+        others=anything,
+    )
+)
+NOT_CORRECTED = list_of(fields({"effect": text, "reason": text}), 0, 10_000)
+REFERENCE = fields(
+    {
+        "session_temperature_c": nullable(mapping_of(_VALUE)),
+        "session_supply_v": nullable(mapping_of(_VALUE)),
+    },
+    others=anything,
+)
+_EFFECT = fields(
+    {
+        "effect": text,
+        "axes": list_of(choice("x", "y", "z"), 0, 3),
+        "choices": mapping_of(whole(-1000, 1000)),
+        "parameters": TEXTS,
+    },
+    others=anything,
+)
+DOCUMENT = fields(
+    {
+        "method": text,
+        "sensor": choice(*SENSORS),
+        "plane": choice("xy", "none"),
+        "unit": choice("mg", "counts"),
+        "counts_per_mg": nullable(list_of(_VALUE, 2, 3)),
+        "gravity_mps2": number(1e-6, 1e6),
+        "parameters": COEFFICIENTS,
+        "covariance": COVARIANCE,
+        "effects": list_of(_EFFECT, 0, 10_000),
+        "not_corrected": NOT_CORRECTED,
+        "assumed": TEXTS,
+        "reference": REFERENCE,
+        "offsets_lsb": nullable(list_of(whole(*BY_NAME["XACCL_OFF"].range), 3, 3)),
+        "source": mapping_of(text),
+    },
+    others=anything,
+)
+"""Types and ranges of all that is read of a calibration file."""
+
+
 def _read(document: Mapping[str, Any]) -> Calibration:
     source, reference = document["source"], document["reference"]
     offsets, counts = document["offsets_lsb"], document["counts_per_mg"]
-    if document["plane"] not in ("xy", "none") or document["unit"] not in ("mg", "counts"):
-        raise ValueError("plane is not xy or none, or unit is not mg or counts")
-    texts: dict[str, Any] = {str(key): str(value) for key, value in source.items()}
     where = Provenance(
-        sensor=str(document["sensor"]),
+        sensor=document["sensor"],
         plane=document["plane"],
-        gravity_mps2=_number(document["gravity_mps2"]),
+        gravity_mps2=float(document["gravity_mps2"]),
         counts=document["unit"] == "counts",
         temperature_c=_covered(reference["session_temperature_c"]),
         supply_v=_covered(reference["session_supply_v"]),
-        offsets_lsb=None if offsets is None else (int(offsets[0]), int(offsets[1]), int(offsets[2])),
-        **texts,
+        offsets_lsb=None if offsets is None else (offsets[0], offsets[1], offsets[2]),
+        **source,
     )
     covariance = document["covariance"]
     parameters = tuple(_parameter(key, value) for key, value in document["parameters"].items())
-    if covariance is not None and covariance["names"] != [one.name for one in parameters]:
-        raise ValueError("the covariance's names are not those of the parameters")
     return Calibration(
-        method=str(document["method"]),
+        method=document["method"],
         provenance=where,
         parameters=parameters,
-        covariance=None if covariance is None else np.array(covariance["matrix"], dtype=float),
+        covariance=None if covariance is None else matrix_of(covariance, [one.name for one in parameters]),
         effects=tuple(
             EffectTerm(effect(one["effect"], one["axes"], **one["choices"]), tuple(one["parameters"]))
             for one in document["effects"]
         ),
         not_corrected=tuple(NotCorrected(**one) for one in document["not_corrected"]),
-        assumed=tuple(str(one) for one in document["assumed"]),
-        counts_per_mg=None if counts is None else tuple(_number(one) for one in counts),
+        assumed=tuple(document["assumed"]),
+        counts_per_mg=None if counts is None else tuple(map(float, counts)),
     )
+
+
+def matrix_of(covariance: Mapping[str, Any], names: list[str]) -> Floats:
+    """Covariance (p, p) of p parameters.
+
+    Raises
+    ------
+    ValueError
+        Other names, another size, not symmetric, or a negative variance.
+    """
+    if covariance["names"] != names:
+        raise ValueError("the covariance's names are not those of the parameters")
+    rows, p = covariance["matrix"], len(names)
+    if len(rows) != p or any(len(row) != p for row in rows):
+        raise ValueError(f"the covariance of {p} parameters is no matrix of {p} × {p} finite numbers")
+    matrix = np.array(rows, dtype=float).reshape(p, p)
+    sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    if (np.diag(matrix) < 0).any() or (np.abs(matrix - matrix.T) > 1e-9 * np.outer(sizes, sizes)).any():
+        raise ValueError("the covariance is not symmetric, or a variance is negative")
+    return matrix
 
 
 def _checked(calibration: Calibration) -> Calibration:
     """The same, or `ValueError` where parts of it do not fit together."""
-    p, names = len(calibration.parameters), {one.name for one in calibration.parameters}
-    matrix = calibration.covariance
-    if matrix is not None and (matrix.shape != (p, p) or not np.isfinite(matrix).all()):
-        raise ValueError(f"the covariance of {p} parameters is no matrix of {p} × {p} finite numbers")
+    names = {one.name for one in calibration.parameters}
     for term in calibration.effects:
         wanted = len(term.effect.parameters)
         if len(term.parameters) != wanted or not set(term.parameters) <= names:
@@ -210,10 +281,10 @@ def _parameter(name: str, entry: Mapping[str, Any]) -> Coefficient:
     u, dof = entry["u"], entry.get("dof")
     return Coefficient(
         name,
-        _number(entry["value"]),
-        None if u is None else _number(u),
-        str(entry["unit"]),
-        None if dof is None else _number(dof),
+        float(entry["value"]),
+        None if u is None else float(u),
+        entry["unit"],
+        None if dof is None else float(dof),
     )
 
 
@@ -226,15 +297,9 @@ def _effect(term: EffectTerm) -> dict[str, Any]:
     }
 
 
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"{value!r} is no finite number")
-    return float(value)
-
-
 def _listed(values: tuple[float, ...] | tuple[int, ...] | None) -> list[float] | None:
     return None if values is None else list(values)
 
 
 def _covered(entry: Mapping[str, Any] | None) -> Covered | None:
-    return None if entry is None else Covered(**{key: _number(value) for key, value in entry.items()})
+    return None if entry is None else Covered(**entry)

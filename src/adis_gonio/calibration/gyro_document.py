@@ -6,15 +6,24 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-import numpy as np
-
 from adis_gonio.calibration.calibration import NotCorrected
-from adis_gonio.calibration.document import _coefficient, _covered, _parameter
+from adis_gonio.calibration.document import (
+    COEFFICIENTS,
+    COVARIANCE,
+    NOT_CORRECTED,
+    REFERENCE,
+    TEXTS,
+    _coefficient,
+    _covered,
+    _parameter,
+    matrix_of,
+)
 from adis_gonio.calibration.gyros import GyroCalibration, kind_of
 from adis_gonio.errors import DataError, FitError
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.sensor.registers import BY_NAME
+from adis_gonio.shapes import anything, choice, fields, list_of, nullable, text, whole
 
 GYRO_SCHEMA = "adis-gonio/gyro-calibration"
 VERSION = 1
@@ -65,18 +74,34 @@ def gyro_calibration_from(document: Any, name: str = "gyro calibration") -> Gyro
             f"{VERSION}: update adis-gonio"
         )
     try:
+        DOCUMENT(document)
         made = _read(document)
         made.check()
     except (KeyError, TypeError, ValueError, AttributeError, FitError) as error:
-        what = f"lacks {error}" if isinstance(error, KeyError) else str(error)
+        what = f"lacks {error}" if isinstance(error, KeyError) else str(error).lstrip(" .")
         raise DataError(f"{name}: is a damaged gyro calibration: {what}") from None
     return made
 
 
+DOCUMENT = fields(
+    {
+        "method": text,
+        "unit": choice("dps"),
+        "parameters": COEFFICIENTS,
+        "covariance": COVARIANCE,
+        "not_corrected": NOT_CORRECTED,
+        "assumed": TEXTS,
+        "reference": REFERENCE,
+        "offsets_lsb": nullable(list_of(whole(*BY_NAME["XGYRO_OFF"].range), 3, 3)),
+    },
+    {"source": text},
+    others=anything,
+)
+"""Types and ranges of all that is read of a gyro calibration."""
+
+
 def _read(document: Mapping[str, Any]) -> GyroCalibration:
-    reference, covariance = document["reference"], document["covariance"]
-    if document["unit"] != "dps":
-        raise ValueError("its unit is not dps")
+    reference, covariance, offsets = document["reference"], document["covariance"], document["offsets_lsb"]
     # Effects in temperature and supply are zero there: another reference would move every zero rate.
     if (reference["temperature_c"], reference["supply_v"]) != (REFERENCE_C, REFERENCE_V):
         raise ValueError(f"its reference is not {REFERENCE_C:g} °C and {REFERENCE_V:g} V")
@@ -89,36 +114,13 @@ def _read(document: Mapping[str, Any]) -> GyroCalibration:
     if missing:
         raise ValueError(f"parameter {missing[0]} is missing")
     return GyroCalibration(
-        method=str(document["method"]),
+        method=document["method"],
         parameters=parameters,
-        covariance=None if covariance is None else _matrix(covariance, names),
-        assumed=tuple(str(one) for one in document["assumed"]),
+        covariance=None if covariance is None else matrix_of(covariance, names),
+        assumed=tuple(document["assumed"]),
         not_corrected=tuple(NotCorrected(**one) for one in document["not_corrected"]),
         temperature_c=_covered(reference["session_temperature_c"]),
         supply_v=_covered(reference["session_supply_v"]),
-        offsets_lsb=_offsets(document["offsets_lsb"]),
-        source=str(document.get("source", "")),  # files of before have none
+        offsets_lsb=None if offsets is None else (offsets[0], offsets[1], offsets[2]),
+        source=document.get("source", ""),  # files of before have none
     )
-
-
-def _matrix(covariance: Mapping[str, Any], names: list[str]) -> Any:
-    if covariance["names"] != names:
-        raise ValueError("the covariance's names are not those of the parameters")
-    matrix, p = np.array(covariance["matrix"], dtype=float), len(names)
-    if matrix.shape != (p, p) or not np.isfinite(matrix).all():
-        raise ValueError(f"the covariance of {p} parameters is no matrix of {p} × {p} finite numbers")
-    sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    if (np.diag(matrix) < 0).any() or (np.abs(matrix - matrix.T) > 1e-9 * np.outer(sizes, sizes)).any():
-        raise ValueError("the covariance is not symmetric, or a variance is negative")
-    return matrix
-
-
-def _offsets(given: Any) -> tuple[int, int, int] | None:
-    if given is None:
-        return None
-    if not isinstance(given, list) or len(given) != 3 or any(type(one) is not int for one in given):
-        raise ValueError("offsets_lsb is not three whole numbers")
-    low, high = BY_NAME["XGYRO_OFF"].range
-    if not all(low <= one <= high for one in given):
-        raise ValueError(f"offsets_lsb holds a number beyond {low} to {high}")
-    return given[0], given[1], given[2]

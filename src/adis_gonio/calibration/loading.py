@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +10,14 @@ from adis_gonio.calibration.document import SCHEMA, calibration_from
 from adis_gonio.calibration.gyro_document import GYRO_SCHEMA, gyro_calibration_from
 from adis_gonio.calibration.gyros import GyroCalibration
 from adis_gonio.errors import DataError, FitError, UsageError
+from adis_gonio.jsonable import json_value
 from adis_gonio.model.provenance import Provenance, provenance_of
 from adis_gonio.output import ends_in
 
 _FOR_OTHERS = (".h", ".hpp", ".xml", ".html", ".parquet")
 """Endings of what `export` and `report` write and nothing here reads."""
+LARGEST_BYTES = 10_000_000
+"""Of a calibration file; it has some ten thousand."""
 
 
 def load_calibration(path: str | Path, method: str | None = None) -> Calibration:
@@ -131,10 +133,15 @@ def _json_of(path: Path) -> Any:
     """Document of a file that begins as JSON does; None for others, which `load_session` judges."""
     try:
         with path.open("rb") as file:
-            if file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")[:1] not in (b"{", b"["):
+            content = file.read(64)
+            if content.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] not in (b"{", b"["):
                 return None
-        return json.loads(path.read_text("utf-8-sig"))
-    except (OSError, IsADirectoryError):
+            content += file.read(LARGEST_BYTES)
+    except OSError:
         return None
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+    if len(content) > LARGEST_BYTES:
+        raise DataError(f"{path}: is no calibration: it has more than {LARGEST_BYTES // 1_000_000} MB")
+    try:
+        return json_value(content.decode("utf-8-sig"), parse_constant=float)
+    except ValueError as error:
         raise DataError(f"{path}: is no JSON: {error}") from None

@@ -11,7 +11,7 @@ from typing import Any
 
 from adis_gonio.counting import counted
 from adis_gonio.errors import DataError, UsageError
-from adis_gonio.jsonable import finite
+from adis_gonio.jsonable import finite, json_value
 from adis_gonio.output import ends_in, replacing
 from adis_gonio.session.plans import MOST_POSITIONS, PLAN_NAMES, Plan, Position, plan, with_checks
 
@@ -69,14 +69,16 @@ def read_plan(path: str | Path) -> Plan:
     try:
         if path.stat().st_size > LARGEST_BYTES:
             raise DataError(f"{path}: is no plan: it has more than {LARGEST_BYTES // 1_000_000} MB")
-        document = json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=_once)
+        text = path.read_text(encoding="utf-8-sig")
+        document = json_value(text, object_pairs_hook=_once, parse_constant=float)
     except _TwiceError as error:
         raise DataError(f"{path}: {error} stands there twice: leave one of them") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (ValueError, RecursionError) as error:
-        where = f" at line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
-        raise DataError(f"{path}: is no plan: no JSON{where}") from None
+    except json.JSONDecodeError as error:
+        raise DataError(f"{path}: is no plan: no JSON at line {error.lineno}") from None
+    except ValueError as error:
+        raise DataError(f"{path}: is no plan: {error}") from None
     return plan_from(document, str(path))
 
 
@@ -132,7 +134,7 @@ def _position(entry: Any, where: str) -> Position:
         raise DataError(f"{where} is {_shown(entry)}: take an object with {', '.join(_KEYS)}")
     unknown = sorted(set(entry) - set(_KEYS))
     if unknown:
-        raise DataError(f"{where}.{unknown[0]} is not known; a position has {', '.join(_KEYS)}")
+        raise DataError(f"{where}.{unknown[0][:40]} is not known; a position has {', '.join(_KEYS)}")
     angle: Any = entry.get("angle_deg")
     wait: Any = entry.get("wait_s", 0.0)
     if not _number(angle, -LARGEST_DEG, LARGEST_DEG):

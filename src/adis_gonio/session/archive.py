@@ -32,6 +32,7 @@ class Archive(ArchiveView):
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path
         self._connection = connection
+        self._header = None
         self._run = 0
 
     @classmethod

@@ -10,6 +10,8 @@
 | `moves` | a move of the stage by the program, at its time on the bus's clock |
 
 Every table refuses UPDATE and DELETE: what was written stays. Every row ends with a checksum of the others.
+A file with other tables, or with views, triggers or indexes of its own, is refused before anything in it is
+run; statements have a limit of steps and rows a limit of length. `row_schema` declares every value.
 Numbers in blobs are little-endian. Times called `bus_s` are on the clock of the bus of that run, in s;
 adding the run's `clock_offset_s` makes them seconds since the session began. `continues` is the attempt
 after which a resumed run goes on, 0 for the beginning: a simulated world is brought back to that point.
@@ -24,7 +26,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
@@ -119,6 +121,10 @@ def statements() -> list[str]:
         f"PRAGMA user_version = {SCHEMA_VERSION}",
     ]
 
+
+MOST_STEPS = 100_000_000
+"""Instructions of SQLite's machine after which a statement is stopped; a session of a day takes 10⁶."""
+LONGEST_ROW_BYTES = 64_000_000
 
 WAIT_S = 30.0
 """How long a reader waits for a commit, and a writer for readers, in s."""
@@ -247,6 +253,8 @@ def _explain(path: Path, error: sqlite3.Error) -> DataError | SessionError:
     name = getattr(error, "sqlite_errorname", "")
     if name.startswith("SQLITE_NOTADB"):
         return DataError(f"{path}: is no session file")
+    if name.startswith(("SQLITE_INTERRUPT", "SQLITE_TOOBIG")):
+        return damaged(path, f"it cannot be read within bounds: {text}")
     if name.startswith("SQLITE_CORRUPT") or text.startswith(("no such table", "no such column")):
         return _truncated(path) or damaged(path, text)
     if name.startswith("SQLITE_FULL"):
@@ -268,13 +276,18 @@ def _journal(path: Path) -> Path:
 
 def _open(path: Path, mode: str) -> sqlite3.Connection:
     with explained(path):
-        return sqlite3.connect(
+        connection = sqlite3.connect(
             f"file:{quote(str(path.absolute()))}?mode={mode}",
             uri=True,
             timeout=WAIT_S,
             isolation_level=None,
             check_same_thread=False,
+            cached_statements=0,  # a statement kept for another run would go on counting its steps
         )
+        connection.set_progress_handler(lambda: 1, MOST_STEPS)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST_ROW_BYTES)
+        connection.execute("PRAGMA trusted_schema = OFF")
+        return connection
 
 
 def _check_file(path: Path) -> None:
@@ -306,7 +319,39 @@ def _check_content(path: Path, connection: sqlite3.Connection) -> None:
         raise DataError(
             f"{path}: has schema {version}, this program reads up to {SCHEMA_VERSION}; update adis-gonio"
         )
+    _refuse_other_objects(path, connection)
     # A damaged tree could hide rows without any error, hence the walk through all pages.
     (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     if found != "ok":
         raise damaged(path, _one_line(str(found)))
+
+
+def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
+    """Refuse a file whose tables are not exactly those of `statements`, or that holds anything else.
+
+    A view in the place of a table may run without end; a trigger, an index or another table would run the
+    expressions of whoever made the file. A guard against UPDATE or DELETE may be missing.
+    """
+    with closing(sqlite3.connect(":memory:")) as model:
+        for statement in statements():
+            model.execute(statement)
+        wanted = _objects(model)
+    found = _objects(connection)
+    strange = sorted(name for name, made in found.items() if wanted.get(name) != made)
+    if strange:
+        raise damaged(
+            path, f"'{_one_line(strange[0])}' is no {_kind(wanted, strange[0])} of a session file"
+        )
+    missing = [table for table in TABLES if table not in found]
+    if missing:
+        raise damaged(path, f"no such table: {missing[0]}")
+
+
+def _objects(connection: sqlite3.Connection) -> dict[str, tuple[str, str]]:
+    """Kind and SQL of what a database holds, by name; without SQLite's own."""
+    query = "SELECT name, type, sql FROM sqlite_master WHERE name NOT LIKE 'sqlite\\_%' ESCAPE '\\'"
+    return {str(name): (str(kind), str(sql)) for name, kind, sql in connection.execute(query)}
+
+
+def _kind(wanted: dict[str, tuple[str, str]], name: str) -> str:
+    return wanted[name][0] if name in wanted else "part"

@@ -72,7 +72,7 @@ def read_session(path: str | Path) -> Session:
             "complete": not pending,
             "skipped": sorted(skipped),
             "scanning": view.last("scanning"),
-            "offset_writes": [record.value | {"utc": record.utc} for record in view.records("offsets")],
+            "offset_writes": view.offset_writes(),
             "dwells": [
                 _facts_of(a, scans, dropped.get(a.number, 0))
                 for a, scans in zip(stored, joined, strict=True)
@@ -127,7 +127,7 @@ def _free_turn(path: str | Path, view: ArchiveView) -> Session:
         "complete": not reason,
         "skipped": [],
         "scanning": view.last("scanning"),
-        "offset_writes": [record.value | {"utc": record.utc} for record in view.records("offsets")],
+        "offset_writes": view.offset_writes(),
         "dwells": [],
         "broken_off": reason,
     }

@@ -14,6 +14,7 @@ from __future__ import annotations
 import gzip
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -21,10 +22,12 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
+from adis_gonio.counting import counted
 from adis_gonio.errors import DataError
 from adis_gonio.model.records import METADATA, Dwell, Floats, Session, Use
 from adis_gonio.output import ends_in
 from adis_gonio.session.overrides import Overrides
+from adis_gonio.session.samples.keys import without_formulas
 from adis_gonio.session.samples.names import AXES, GYROS
 from adis_gonio.session.samples.table import SamplesTable, table_of
 from adis_gonio.session.segmentation import segment_with_notes, shows_a_free_turn
@@ -63,9 +66,10 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
     free = recording is not None and shows_a_free_turn(recording, slices)
     if free:
         notes = (*notes, "one continuous turn without declared angles: taken as a free turn")
-    angle = _constant(table, "angle_deg", slices, partial(_angle, table))
-    approach = _constant(table, "approach", slices, _approach)
-    use = _constant(table, "use", slices, _use)
+    said = _Remarks(len(slices))
+    angle = _per_dwell(table, "angle_deg", slices, partial(_angle, table), said)
+    approach = _per_dwell(table, "approach", slices, _approach, said)
+    use = _per_dwell(table, "use", slices, _use, said)
     dwells = tuple(
         Dwell(
             position=number,
@@ -84,7 +88,7 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
     session = Session(
         dwells=dwells,
         source=str(path),
-        notes=table.notes + notes,
+        notes=(*table.notes, *notes, *said.notes(free=free)),
         cut_by_stillness=not by_position,
         recording=recording,
         free_turn=free,
@@ -117,8 +121,8 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     parts = _columns_of(dwells, path.name)
     if session.free_turn:  # without the column the file is one continuous recording
         del parts["position"]
-    lines = [f"# {key}: {value}" for key, value in _keys_of(session).items()]
-    lines += [f"# note: {' '.join(note.split())}" for note in session.notes]
+    lines = [f"# {key}: {without_formulas(value)}" for key, value in _keys_of(session).items()]
+    lines += [f"# note: {without_formulas(' '.join(note.split()))}" for note in session.notes]
     lines.append(",".join(parts))
     texts = [chain.from_iterable(map(texts_of, dwells)) for texts_of in parts.values()]
     lines.extend(map(",".join, zip(*texts, strict=True)))
@@ -254,31 +258,113 @@ def _position(table: SamplesTable, row: int, text: str) -> int:
     return int(value)
 
 
-def _constant(
-    table: SamplesTable, name: str, slices: list[slice], parse: Callable[[str], Any]
+@dataclass
+class _Remarks:
+    """Remarks on columns with one value a dwell.
+
+    Attributes
+    ----------
+    dwells : int
+    given : list of str
+        Columns with a value in any row.
+    taken : dict of str to int
+        Dwells whose value was noted before their first row, by column.
+    filled, unused : list of str
+        Columns with empty cells within a dwell, and columns of which no dwell has a value.
+    lost : list of str
+        Values without a dwell, in words.
+    """
+
+    dwells: int
+    given: list[str] = field(default_factory=list)
+    taken: dict[str, int] = field(default_factory=dict)
+    filled: list[str] = field(default_factory=list)
+    unused: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+
+    def notes(self, *, free: bool) -> tuple[str, ...]:
+        """One line each."""
+        notes = []
+        unused = self.given if free else self.unused
+        if unused:
+            why = "a free turn has no dwells" if free else "no dwell that was found goes with its values"
+            notes.append(
+                f"not used: {', '.join(unused)}: {why}; add a column 'position', or fill in every row"
+            )
+        if self.taken and not free:
+            of = ", ".join(
+                f"{name} in {n} of {counted(self.dwells, 'dwell')}" for name, n in self.taken.items()
+            )
+            notes.append(f"given once a dwell, filled down: {of}")
+        if self.filled:
+            notes.append(f"empty cells have the value of the dwell's other rows: {', '.join(self.filled)}")
+        return (*notes, *(() if free else self.lost))
+
+
+def _per_dwell(
+    table: SamplesTable, name: str, slices: list[slice], parse: Callable[[str], Any], said: _Remarks
 ) -> list[Any]:
-    """Value of a column that must not change within a dwell; None where it is empty or absent."""
+    """Values of a column that has one value a dwell; None for a dwell without a value.
+
+    Cells of a dwell may be empty if another cell of the dwell has the value. If all of them are empty, the
+    last value between the dwell and the one before counts: a dwell that is found by stillness begins some
+    rows after the row where somebody noted the angle.
+    """
     if name not in table.runs:
         return [None] * len(slices)
-    values = []
-    for rows in slices:
-        first: tuple[str, Any] | None = None
-        for row, text in table.texts(name, rows):
-            text = text.strip()
-            try:
-                value = parse(text)
-            except ValueError as error:
-                raise table.fail(row, f"column '{name}': '{text}' {error}") from None
-            if first is None:
-                first = text, value
-            elif value != first[1]:
-                raise table.fail(
-                    row,
-                    f"{name} changes within a dwell from '{first[0]}' to '{text}'; a new setting is a new "
-                    "position",
-                )
-        values.append(None if first is None else first[1])
+    said.given += [name] if any(text.strip() for _, text in table.runs[name]) else []
+    inside = [_stated(table, name, rows) for rows in slices]
+    edges = [0, *(rows.stop for rows in slices)]
+    ends = [*(rows.start for rows in slices), len(table.time_s)]
+    gaps = [_stated(table, name, slice(a, b)) for a, b in zip(edges, ends, strict=True)]
+    # Values noted on the last row of each dwell would all go to the dwell after.
+    before = bool(gaps[0]) or not gaps[-1] or not slices or bool(inside[0])
+    values, taken = [], 0
+    last: list[tuple[int, str]] = []
+    for k, (rows, texts) in enumerate(zip(slices, inside, strict=True)):
+        if not texts and before:
+            # Two dwells without a row between them are one that was split at a step.
+            texts = gaps[k][-1:] or (last if rows.start == edges[k] else [])
+            taken += bool(texts)
+            last = texts
+        elif texts and any(not text.strip() for _, text in table.texts(name, rows)):
+            said.filled += [name] if name not in said.filled else []
+        values.append(_one_value(table, name, texts, parse))
+    if taken:
+        said.taken[name] = taken
+        unused = sum(len(gap) - 1 for gap in gaps[:-1] if gap) + len(gaps[-1])
+        where = f"{name}: {counted(unused, 'value')} given where no dwell was found"
+        said.lost += [where] if unused else []
+    elif any(gaps) and not any(inside):
+        said.unused.append(name)
     return values
+
+
+def _stated(table: SamplesTable, name: str, rows: slice) -> list[tuple[int, str]]:
+    """Texts of a column within rows that are not empty, each with the row where it begins."""
+    if rows.start >= rows.stop:
+        return []
+    return [(row, text.strip()) for row, text in table.texts(name, rows) if text.strip()]
+
+
+def _one_value(
+    table: SamplesTable, name: str, texts: list[tuple[int, str]], parse: Callable[[str], Any]
+) -> Any:
+    """Value of a dwell out of its texts; None without any."""
+    value = None
+    for k, (row, text) in enumerate(texts):
+        try:
+            found = parse(text)
+        except ValueError as error:
+            raise table.fail(row, f"column '{name}': '{text}' {error}") from None
+        if k and found != value:
+            raise table.fail(
+                row,
+                f"{name} changes within a dwell from '{texts[0][1]}' to '{text}'; a new setting is a new "
+                "position",
+            )
+        value = found
+    return value
 
 
 def _angle(table: SamplesTable, text: str) -> float | None:

@@ -95,5 +95,16 @@ class Settings:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Settings:
-        """Settings from their JSON form; those that are not there have their defaults."""
+        """Settings from their JSON form; those that are not there have their defaults.
+
+        Raises
+        ------
+        UsageError
+            A value as above, or a setting that this program does not know.
+        """
+        unknown = sorted(data.keys() - cls.__dataclass_fields__.keys())
+        if unknown:
+            raise UsageError(
+                f"the session has a setting {unknown[0]!r:.40}: update adis-gonio to resume it"
+            )
         return cls(**{**data, "registers": tuple(data.get("registers", DEFAULT_SCAN))})

@@ -170,10 +170,10 @@ def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[
         return ()
     if known[-1].open:
         return (INTERRUPTED,)
-    now = {name: number for name, number in known[-1].target.items() if number != recorded[name]}
+    now = {name: number for name, number in known[-1].target.items() if number != recorded.get(name)}
     if not now:
         return ()
-    told = ", ".join(f"{name} {recorded[name]} → {number}" for name, number in now.items())
+    told = ", ".join(f"{name} {recorded.get(name, 'unknown')} → {number}" for name, number in now.items())
     flash = "saved to flash" if known[-1].saved else "not saved to flash"
     return (
         f"offsets were written to the sensor since ({told}; {flash}): {what} here are those of the "

@@ -18,7 +18,8 @@ SPACE = " "
 DELIMITERS = ("\t", ";", ",", SPACE)
 IN_WORDS = {"\t": "tab", ";": "semicolon", ",": "comma", SPACE: "space"}
 
-_NUMBER = r"[+-]?(?:\d+{0}?\d*|{0}\d+)(?:[eE][+-]?\d+)?"
+# Possessive (++): digits are never tried again in another split, which takes hours in a cell of thousands.
+_NUMBER = r"[+-]?(?:\d++{0}?\d*+|{0}\d+)(?:[eE][+-]?\d+)?"
 _GROUPED = r"[+-]?[1-9]\d{{0,2}}(?:{1}\d{{3}})+(?:{0}\d*)?"
 _FORMS = {
     mark: (

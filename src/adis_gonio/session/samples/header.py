@@ -18,6 +18,12 @@ from adis_gonio.session.samples.names import AXES, COLUMNS, GYROS, CsvColumn
 _SEPARATORS = ("\t", ";", ",", "|", ":", "^", "~")
 """What Excel's first line `sep=…` may state."""
 _EXPECTED = "time_s,position,angle_deg,ax,ay"
+MOST_HEAD_LINES = 10_000
+MOST_HEAD_CHARACTERS = 10_000_000
+"""Before the first row."""
+MOST_COLUMNS = 1000
+_PREAMBLE_LINES = 200
+"""Lines in which a header is looked for, behind what a logger prints when it starts."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +92,7 @@ def head_of(path: Path, wanted: Mapping[str, str]) -> Head:
     UsageError
         `wanted` names a column that is not there.
     """
-    comments, line, text, forced = _leading(path)
+    comments, line, text, forced, skipped = _leading(path, wanted)
     delimiter, cells = _split(text, forced, wanted)
     if not _known(cells) and not wanted and comments:
         # A header behind a comment sign, as numpy.savetxt writes it.
@@ -97,26 +103,70 @@ def head_of(path: Path, wanted: Mapping[str, str]) -> Head:
             comments = comments[:-1]
     if not line or not cells:
         raise DataError(f"{path.name}: no header row; expected one like '{_EXPECTED}'")
+    if len(cells) > MOST_COLUMNS:
+        raise DataError(f"{path.name}, row {line}: a header of {len(cells)} columns; not a samples CSV")
     columns, notes = _Assignment(path, line, cells).columns(wanted)
+    if skipped:
+        shown = ", ".join(f"'{other[:40].strip()}'" for _, other in skipped[:3])
+        more = ", …" if len(skipped) > 3 else ""
+        notes.append(f"rows before the header in row {line} were skipped: {shown}{more}")
     dialect = Dialect(delimiter)
     keys = keys_of(path.name, comments, dialect, len(cells))
     return Head(path, line, len(cells), dialect, columns, keys, tuple(notes))
 
 
-def _leading(path: Path) -> tuple[list[tuple[int, str]], int, str, str | None]:
-    """Lines with `#`, number and text of the line after them, and the delimiter that `sep=` states."""
+def _leading(
+    path: Path, wanted: Mapping[str, str]
+) -> tuple[list[tuple[int, str]], int, str, str | None, list[tuple[int, str]]]:
+    """Lines with `#`, number and text of the header, the delimiter that `sep=` states, skipped lines.
+
+    The header is the first other line that names a time and two accelerations, if one of the first does:
+    a logger prints text when it starts, and a log may begin in the middle of a row. Else it is the first
+    line, for an error that shows it.
+    """
     comments: list[tuple[int, str]] = []
+    others: list[tuple[int, str]] = []
     forced: str | None = None
+    held = 0
     for chunk in chunks_of(path):
         for number, line in enumerate(chunk.lines, chunk.first):
             bare = line.strip()
+            held += len(bare)
+            if number > MOST_HEAD_LINES or held > MOST_HEAD_CHARACTERS:
+                raise DataError(
+                    f"{path.name}: no header within {MOST_HEAD_LINES} lines and {MOST_HEAD_CHARACTERS} "
+                    f"characters; expected one like '{_EXPECTED}'"
+                )
             if bare.lower().startswith("sep="):
                 forced = line[4:5] if line[4:5] in _SEPARATORS else None
             elif bare.startswith(("#", '"#')):
                 comments.append((number, bare))
             elif bare.strip(';,\t" '):
-                return comments, number, line, forced
-    return comments, 0, "", forced
+                if _names_samples(line, forced, wanted):
+                    return comments, number, line, forced, others
+                others.append((number, line))
+            if others and number >= others[0][0] + _PREAMBLE_LINES:
+                return _without_header(comments, others, forced)
+    return _without_header(comments, others, forced)
+
+
+def _without_header(
+    comments: list[tuple[int, str]], others: list[tuple[int, str]], forced: str | None
+) -> tuple[list[tuple[int, str]], int, str, str | None, list[tuple[int, str]]]:
+    """The first line in the place of a header that was not found, with the comments above it."""
+    number, line = others[0] if others else (0, "")
+    above = [comment for comment in comments if not number or comment[0] < number]
+    return above, number, line, forced, []
+
+
+def _names_samples(line: str, forced: str | None, wanted: Mapping[str, str]) -> bool:
+    """True if the line names a time and two accelerations, or one of the columns that the user names."""
+    _, cells = _split(line, forced, wanted)
+    told = {text.strip().lower() for text in wanted.values()}
+    if any(_alike(cell, text) for cell in cells for text in told):
+        return True
+    known = {found[0] for found in map(names.recognised, cells) if found is not None}
+    return {"time_s", "ax", "ay"} <= known
 
 
 def _split(line: str, forced: str | None, wanted: Mapping[str, str]) -> tuple[str, list[str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +12,18 @@ from adis_gonio.errors import DataError, UsageError
 from adis_gonio.model.gravity import checked_gravity_mps2
 from adis_gonio.model.records import ACCEL_UNITS, GYRO_UNITS, PLANES, SENSORS
 from adis_gonio.session.samples.dialect import SPACE, Dialect
+
+_BEGINS = r"(?=[=+\-@＝＋－＠])"
+_FORMULA = re.compile(r"""([,;|][\s"']*)""" + _BEGINS)
+_WITHOUT_FORMULA = re.compile(r"""([,;|][\s"']*)'""" + _BEGINS)
+
+
+def without_formulas(text: str) -> str:
+    """Text in which a spreadsheet finds no formula, even if it begins a new cell at a comma.
+
+    An apostrophe stands before each sign that would begin one; `keys_of` takes it out again.
+    """
+    return _FORMULA.sub(r"\1'", text)
 
 
 @dataclass(frozen=True)
@@ -51,7 +64,7 @@ def keys_of(file: str, lines: Sequence[tuple[int, str]], dialect: Dialect, colum
     notes: list[str] = []
     for number, line in lines:
         name, colon, text = _bare(line, dialect, columns).partition(":")
-        name, text = name.strip().lower(), text.strip()
+        name, text = name.strip().lower(), _WITHOUT_FORMULA.sub(r"\1", text.strip())
         if not colon:
             continue
         if name == "note":

@@ -25,7 +25,11 @@ _FOREIGN = {
     b"\xd0\xcf\x11\xe0": "an old Excel workbook: save the sheet as CSV",
     b"PAR1": "a Parquet file: write it as CSV",
     b"\x89HDF": "an HDF5 file: write it as CSV",
+    b"%PDF": "a PDF file: take the file that it was printed from",
 }
+_HTML = (b"<!doctype html", b"<html", b"<head", b"<body")
+LONGEST_LINE = 1 << 16
+"""Characters: rows have hundreds; a file without line ends would fill the memory."""
 _REPLACEMENT = "�"
 
 
@@ -78,11 +82,21 @@ def chunks_of(path: Path) -> Iterator[Chunk]:
         held = len(text) - len(text.rstrip("\r"))
         *lines, carry = _plain_ends(text[: len(text) - held]).split("\n")
         carry += "\r" * held
+        _refuse_long(path, first, [*lines, carry])
         if lines:
             yield Chunk(first, lines, share)
             first += len(lines)
     *lines, rest = _plain_ends(carry).split("\n")
+    _refuse_long(path, first, [*lines, rest])
     yield Chunk(first, [*lines, rest] if rest else lines, 1.0, last=True, cut=bool(rest))
+
+
+def _refuse_long(path: Path, first: int, lines: list[str]) -> None:
+    if max(map(len, lines)) > LONGEST_LINE:
+        row = first + next(k for k, line in enumerate(lines) if len(line) > LONGEST_LINE)
+        raise DataError(
+            f"{path.name}, row {row}: has more than {LONGEST_LINE} characters; not a samples CSV"
+        )
 
 
 def _plain_ends(text: str) -> str:
@@ -112,6 +126,11 @@ def _decoded(path: Path, file: IO[bytes], raw: IO[bytes], size: int) -> Iterator
     for magic, kind in _FOREIGN.items():
         if data.startswith(magic):
             raise DataError(f"{path.name}: not a samples CSV: it is {kind}")
+    if data.lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(_HTML):
+        raise DataError(
+            f"{path.name}: not a samples CSV: it is an HTML page; download the file itself, not the page "
+            "that shows it"
+        )
     decoder = codecs.getincrementaldecoder(_encoding(data))("adis_gonio.windows-1252")
     blank = True
     while data:

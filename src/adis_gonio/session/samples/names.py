@@ -55,7 +55,9 @@ _GYRO = _xyz(
     "angular_rate_?", "angular_velocity_?",
 )  # fmt: skip
 _ALIASES: dict[str, str] = {
-    **dict.fromkeys(("time", "t", "timestamp", "zeit", "elapsed", "seconds"), "time_s"),
+    **dict.fromkeys(
+        ("time", "t", "timestamp", "zeit", "elapsed", "seconds", "datetime", "date_time"), "time_s"
+    ),
     **dict.fromkeys(("pos", "dwell", "pose"), "position"),
     **dict.fromkeys(("angle", "theta", "θ", "winkel"), "angle_deg"),
     **{alias: f"a{axis}" for axis, forms in _ACCEL.items() for alias in forms},
@@ -80,7 +82,7 @@ _GYRO_UNITS = {
 }
 _SCALES: dict[str, dict[str, Scale]] = {
     "time_s": {
-        **dict.fromkeys(("s", "sec", "second", "seconds", "sekunden"), (1.0, 1.0, 0.0)),
+        **dict.fromkeys(("s", "sec", "second", "seconds", "sekunden", "utc"), (1.0, 1.0, 0.0)),
         **dict.fromkeys(("ms", "msec", "millis"), (1.0, 1e3, 0.0)),
         **dict.fromkeys(("us", "µs", "μs", "usec", "micros"), (1.0, 1e6, 0.0)),
         "ns": (1.0, 1e9, 0.0),
@@ -101,6 +103,8 @@ SAME: Scale = (1.0, 1.0, 0.0)
 
 _BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$")
 _SLASH = re.compile(r"^([^/]+?)\s*/\s*\(?(.+?)\)?$")
+_LONGEST_NAME = 200
+"""Characters of a header's cell that are read: these forms take the cube of its length."""
 _SPACES = re.compile(r"[\s.\-]+")
 
 
@@ -148,7 +152,7 @@ def unit_in(text: str) -> str:
 def without_unit(text: str) -> str:
     """A header's cell without its unit, as it is spelled."""
     for form in (_BRACKETS, _SLASH):
-        match = form.match(text.strip())
+        match = form.match(text[:_LONGEST_NAME].strip())
         if match:
             return match[1].strip(" /")
     return text.strip()
@@ -157,7 +161,7 @@ def without_unit(text: str) -> str:
 def _parted(text: str) -> tuple[str, str]:
     """Name, with underscores and in small letters, and unit of a header's cell."""
     for form in (_BRACKETS, _SLASH):
-        match = form.match(text)
+        match = form.match(text[:_LONGEST_NAME])
         if match:
             return _normal(match[1]), match[2].strip()
     return _normal(text), ""

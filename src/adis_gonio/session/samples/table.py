@@ -8,9 +8,11 @@ named with its row. Columns that hold one value a dwell are kept as runs of equa
 from __future__ import annotations
 
 import math
+import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -29,6 +31,10 @@ SERIES = ("time_s", *AXES, *GYROS, "temp_c", "supply_v")
 """Columns with a number in every row."""
 RUNS = ("position", "angle_deg", "approach", "use")
 """Columns with one value a dwell."""
+_WALL_CLOCK = re.compile(
+    r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?\s*(Z|[+-]\d\d(:?\d\d)?)?", re.ASCII
+)
+"""ISO 8601 with date and time, as loggers write it; with Z or an offset, or in one zone without."""
 _GROWTH, _LEAST = 1.125, 1 << 15
 _SLOWEST_S = 2.0
 """Step between rows from which a time without a unit may as well be in ms."""
@@ -142,6 +148,9 @@ class _Reader:
         self.lines: list[tuple[int, int]] = []
         self.notes: list[str] = []
         self.n, self.latest_s = 0, -math.inf
+        self._began: datetime | None = None
+        """Time of the first row, if the file has times of the wall clock."""
+        self._repeated, self._first_repeated = 0, 0
         self._joined = ""
         """Note on marks between thousands, once there are any."""
         self._waiting: tuple[int, str, str] | None = None
@@ -189,6 +198,8 @@ class _Reader:
         ValueError
             One is not.
         """
+        if name == "time_s" and (self._began or (not self.n and _WALL_CLOCK.fullmatch(cells[0].strip()))):
+            return np.array([self._since_beginning(cell) for cell in cells])
         text = "\n".join(cells)
         if self.dialect.decimal == ",":
             if "." in text:
@@ -198,6 +209,24 @@ class _Reader:
         if "_" in text or not np.isfinite(values).all():
             raise ValueError
         return values
+
+    def _since_beginning(self, cell: str) -> float:
+        """Time of a cell in s since the first row's.
+
+        Raises
+        ------
+        ValueError
+            No date with a time, or an offset from UTC in some rows only.
+        """
+        text = cell.strip()
+        if not _WALL_CLOCK.fullmatch(text):
+            raise ValueError(text)
+        at = datetime.fromisoformat(text.replace(" +", "+").replace(" -", "-").replace(" Z", "Z"))
+        if self._began is None:
+            self._began = at
+        if (at.tzinfo is None) != (self._began.tzinfo is None):
+            raise ValueError(text)
+        return (at - self._began).total_seconds()
 
     def _walk(self, chunk: Chunk) -> None:
         """Add a chunk row by row."""
@@ -279,9 +308,13 @@ class _Reader:
             values = np.empty(len(cells))
         for row, cell in enumerate(cells):
             try:
-                values[row] = self._one(cell)
+                clock = name == "time_s" and self._began is not None
+                values[row] = self._since_beginning(cell) if clock else self._one(cell)
             except ValueError:
-                raise _BadCellError(row, f"column '{name}': {self._what(cell.strip())}") from None
+                what = self._what(cell.strip())
+                if name == "time_s" and self._began is not None:
+                    what = f"'{cell.strip()}' is not a time like '{self._began.isoformat(' ')}' before it"
+                raise _BadCellError(row, f"column '{name}': {what}") from None
         return values
 
     def _what(self, cell: str) -> str:
@@ -307,7 +340,8 @@ class _Reader:
             if not self.lines or self._next_line(self.n + row) != line:
                 self.lines.append((self.n + row, line))
         for name, series in values.items():
-            scale = scale_of(name, self.head.columns[name].unit) if name not in (*AXES, *GYROS) else SAME
+            scaled = name not in (*AXES, *GYROS) and not (name == "time_s" and self._began)
+            scale = scale_of(name, self.head.columns[name].unit) if scaled else SAME
             if scale not in (SAME, None):
                 values[name] = series * scale[0] / scale[1] + scale[2]
         time = values["time_s"]
@@ -332,6 +366,10 @@ class _Reader:
 
     def _refuse_backwards(self, time: Floats) -> None:
         before = np.concatenate([[self.latest_s], time[:-1]])
+        same = np.flatnonzero(time == before)
+        if same.size and not self._repeated:
+            self._first_repeated = self._next_line(self.n + int(same[0]))
+        self._repeated += same.size
         backwards = np.flatnonzero(time < before)
         if backwards.size:
             k = int(backwards[0])
@@ -349,6 +387,11 @@ class _Reader:
                 f"{self.head.path.name}: the header in row {self.head.line} is followed by no sample"
             )
         self.notes += [self._joined] if self._joined else []
+        if self._began is not None:
+            self.notes.append(f"time_s is counted from {self._began.isoformat(' ')}")
+        if self._repeated:
+            of = f"{self._repeated} of {self.n} rows have the time of the row before"
+            self.notes.append(f"{of}, first in row {self._first_repeated}: a coarse clock, or rows twice")
         others = {name: growing.done() for name, growing in self.others.items()}
         table = SamplesTable(
             head=self.head,
@@ -362,7 +405,8 @@ class _Reader:
             lines=self.lines,
             notes=(*self.head.keys.notes, *self.head.notes, *self.notes),
         )
-        _refuse_unclear_time(table)
+        if self._began is None:
+            _refuse_unclear_time(table)
         return table
 
 
@@ -439,7 +483,9 @@ def _proof_in(head: Head, chunk: Chunk) -> tuple[str, tuple[int, str] | None]:
         if proof is not None:
             return proof[0], None
         if undecided is None:
-            marked = [cell.strip() for cell in own if marks_in([cell])]
+            marked = [
+                cell.strip() for cell in own if marks_in([cell]) and not _WALL_CLOCK.fullmatch(cell.strip())
+            ]
             undecided = (number, marked[0]) if marked else None
     return "", undecided
 
