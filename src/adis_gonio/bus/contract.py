@@ -42,12 +42,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.errors import BusClosedError, CapabilityError, UsageError
+from adis_gonio.errors import BusClosedError, CapabilityError, ProtocolError, UsageError
 
 Words = NDArray[np.uint16]
 
@@ -166,7 +166,23 @@ class SpiBus(ABC):
             self._require_open()
             if not frames.size:
                 return np.empty(0, np.uint16)
-            return self._exchange(frames)
+            return self._checked(self._exchange(frames), frames.size)
+
+    def _checked(self, replies: Words, count: int) -> Words:
+        """Return the replies; raise `ProtocolError` unless they are `count` words of 16 bits."""
+        if isinstance(replies, np.ndarray) and replies.dtype == np.uint16 and replies.shape == (count,):
+            return replies
+        try:
+            there: NDArray[Any] = np.asarray(replies)
+        except ValueError:  # values of different shapes
+            there = np.empty(0)
+        whole = there.shape == (count,) and there.dtype.kind in "iu"
+        if not whole or not ((there >= 0) & (there <= 0xFFFF)).all():
+            raise ProtocolError(
+                f"{self.url or type(self).__name__}: the bus answered {count} frames with"
+                f" {there.size} values, not with {count} words of 16 bits"
+            )
+        return there.astype(np.uint16)
 
     def close(self) -> None:
         """Give the device back. A second call does nothing."""

@@ -7,6 +7,7 @@ kernel's Documentation/ABI/testing/sysfs-bus-iio.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -176,6 +177,9 @@ def number_of(attributes: Mapping[str, str], name: str, default: float, where: s
     if text is None:
         return default
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
-        raise CannotOpenError(f"{where}: {name} is '{text.strip()}', which is no number") from None
+        number = math.nan
+    if not math.isfinite(number):
+        raise CannotOpenError(f"{where}: {name} is '{text.strip()[:40]}', which is no finite number")
+    return number

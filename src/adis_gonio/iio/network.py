@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
+import time
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
 
@@ -16,6 +18,7 @@ PORT = 30431
 
 TIMEOUT_S = 5.0
 LINE_LIMIT = 1024
+_RECEIVED = 1 << 16
 XML_LIMIT = 1 << 22
 """A context of hundreds of devices is smaller."""
 
@@ -53,12 +56,14 @@ class NetworkDevice:
             raise CannotOpenError(
                 f"{self.where}: {why}: is iiod or adis-gonio serve running there?"
             ) from error
-        self._file = self._socket.makefile("rb")
+        self._received = bytearray()
         self._timeout_s = timeout_s
+        self._deadline_s = math.inf
         try:
-            self._element = self._find(name)
-            self._id = self._element.get("id", "")
-            self._ask(f"TIMEOUT {round(timeout_s * 1000)}")
+            with self._within(timeout_s):
+                self._element = self._find(name)
+                self._id = self._element.get("id", "")
+                self._ask(f"TIMEOUT {round(timeout_s * 1000)}")
         except BaseException:
             self.close()
             raise
@@ -67,6 +72,10 @@ class NetworkDevice:
 
     def facts(self) -> DeviceFacts:
         """Read what the device says of itself."""
+        with self._within(self._timeout_s):
+            return self._facts()
+
+    def _facts(self) -> DeviceFacts:
         rate = self._attributes_named(self._element, "", ("sampling_frequency",))
         channels = []
         for element in self._element.findall("channel"):
@@ -119,7 +128,8 @@ class NetworkDevice:
 
     def read_raw(self, channel: str) -> float:
         """Present raw number of a channel."""
-        text = self._read(f"INPUT {self._id_of(channel)} raw")
+        with self._within(self._timeout_s):
+            text = self._read(f"INPUT {self._id_of(channel)} raw")
         return number_of({"raw": text}, "raw", 0.0, self.where)
 
     def _id_of(self, channel: str) -> str:
@@ -137,16 +147,16 @@ class NetworkDevice:
         bits = sum(1 << order.index(self._id_of(channel.id)) for channel in channels)
         words = -(-len(order) // 32)
         self._mask = f"{bits:0{8 * words}x}"
-        answer = self._number(f"OPEN {self._id} {samples} {self._mask}")
+        with self._within(self._timeout_s):
+            answer = self._number(f"OPEN {self._id} {samples} {self._mask}")
         if answer < 0:
             hint = "; another program reads it" if answer == BUSY else "; ?poll=HZ reads single values"
             raise CannotOpenError(f"{self.where}: the buffer cannot be opened: {_words(answer)}{hint}")
         self._buffered = True
 
     def read_buffer(self, size: int, timeout_s: float) -> bytes:
-        """`size` bytes of whole scans."""
-        self._socket.settimeout(max(timeout_s, self._timeout_s))
-        try:
+        """Read `size` bytes of whole scans."""
+        with self._within(max(timeout_s, self._timeout_s)):
             data, length = b"", self._number(f"READBUF {self._id} {size}")
             while length > 0:
                 if not data and (mask := self._line()).lower() != self._mask:
@@ -155,8 +165,6 @@ class NetworkDevice:
                 if len(data) >= size:
                     return data
                 length = self._integer()
-        finally:
-            self._socket.settimeout(self._timeout_s)
         if length == 0 and data:
             return data
         raise (BusTimeoutError if length == -110 else ProtocolError)(
@@ -168,13 +176,14 @@ class NetworkDevice:
         if self._buffered:
             self._buffered = False
             # A break in the middle of an answer leaves bytes behind: only the connection's end is sure.
-            with contextlib.suppress(BusTimeoutError, ProtocolError, BusClosedError):
+            with (
+                contextlib.suppress(BusTimeoutError, ProtocolError, BusClosedError),
+                self._within(self._timeout_s),
+            ):
                 self._number(f"CLOSE {self._id}")
 
     def close(self) -> None:
         """End the connection; may be called twice."""
-        with contextlib.suppress(OSError):
-            self._file.close()
         self._socket.close()
 
     # -- the protocol -----------------------------------------------------------------------------
@@ -207,18 +216,42 @@ class NetworkDevice:
             raise ProtocolError(f"{self.where}: '{line[:40]}' where a number is expected") from None
 
     def _line(self) -> str:
-        with self._typed():
-            line = self._file.readline(LINE_LIMIT)
-        if not line.endswith(b"\n"):
-            raise ProtocolError(f"{self.where}: the server has ended the connection")
-        return line.decode("ascii", "replace").strip()
+        while (end := self._received.find(b"\n")) < 0:
+            if len(self._received) > LINE_LIMIT:
+                raise ProtocolError(f"{self.where}: a line of more than {LINE_LIMIT} bytes")
+            self._receive()
+        return self._taken(end + 1).decode("ascii", "replace").strip()
 
     def _exactly(self, size: int) -> bytes:
-        with self._typed():
-            data = self._file.read(size)
-        if len(data) < size:
-            raise ProtocolError(f"{self.where}: the server has ended the connection")
+        while len(self._received) < size:
+            self._receive()
+        return self._taken(size)
+
+    def _taken(self, size: int) -> bytes:
+        data = bytes(self._received[:size])
+        del self._received[:size]
         return data
+
+    def _receive(self) -> None:
+        """Wait for more bytes, until the operation's deadline."""
+        with self._typed():
+            left_s = self._deadline_s - time.monotonic()
+            if left_s <= 0:
+                raise TimeoutError
+            self._socket.settimeout(left_s)
+            data = self._socket.recv(_RECEIVED)
+        if not data:
+            raise ProtocolError(f"{self.where}: the server has ended the connection")
+        self._received += data
+
+    @contextlib.contextmanager
+    def _within(self, seconds: float) -> Iterator[None]:
+        """Give an operation one deadline, however many requests and bytes it takes."""
+        self._deadline_s = time.monotonic() + seconds
+        try:
+            yield
+        finally:
+            self._deadline_s = math.inf
 
     @contextlib.contextmanager
     def _typed(self) -> Iterator[None]:

@@ -38,6 +38,9 @@ TYPICAL_BIAS_MG = 50.0
 PATIENCE_S = 5.0
 """Least time without a scan after which a device is called silent."""
 
+RATES_HZ = (1e-3, 1e6)
+"""Sample rates that a device may state: a sample each 17 minutes to one each microsecond."""
+
 BUFFER_BLOCKS = 4
 """Size of the device's buffer in blocks."""
 
@@ -124,6 +127,11 @@ class IioSource:
         rate = poll_hz or rate_hz or facts.rate_hz
         if rate is None:
             raise CannotOpenError(f"{url}: {facts.name} does not say its sampling_frequency: add ?rate=HZ")
+        low, high = RATES_HZ
+        if not low <= rate <= high:
+            raise CannotOpenError(
+                f"{url}: {facts.name} states {rate:g} samples a second; {low:g} to {high:g} can be read"
+            )
         self.measuring = IioMeasuring(
             rate,
             facts.name,

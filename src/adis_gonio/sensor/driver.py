@@ -81,6 +81,12 @@ FLASH_LIFE = 10_000
 """Flash writes that the part is made for (DS, A)."""
 ENDURANCE_WRAP = 32_768
 
+MOST_READINGS = 4
+"""Readings of a register among which two in a row have to agree."""
+
+_STUCK_WORDS = frozenset({0x0000, 0xFFFF})
+"""Replies of a line that is stuck at one level."""
+
 PLAUSIBLE = 0.15
 """Relative distance of |a| at rest from 1 g up to which a variant is believed: ±2 % of scale and a bias
 of tens of mg fit in, the next variant is 5.4 times away."""
@@ -251,9 +257,50 @@ class Adis16354:
     # -- configuration ----------------------------------------------------------------------------
 
     def configuration(self) -> Configuration:
-        """How the sensor measures now."""
-        smpl_prd, sens_avg, msc_ctrl = self.read_words(["SMPL_PRD", "SENS_AVG", "MSC_CTRL"])
+        """Read how the sensor measures now.
+
+        Raises
+        ------
+        SilentChipError
+            As `read_checked`: no period or length is taken from a line that is stuck.
+        """
+        smpl_prd, sens_avg, msc_ctrl = self.read_checked(["SMPL_PRD", "SENS_AVG", "MSC_CTRL"])
         return Configuration.from_words(smpl_prd, sens_avg, msc_ctrl)
+
+    def read_checked(self, names: Sequence[str | Register]) -> list[int]:
+        """Return words that two successive readings agree on, with SENS_AVG before and behind them.
+
+        SENS_AVG is never 0x0000 or 0xFFFF (its range code is 4, 2 or 1), so these replies come from a stuck
+        line. For registers whose value a program relies on, such as SMPL_PRD and ENDURANCE.
+
+        Raises
+        ------
+        SilentChipError
+            SENS_AVG reads zeros or ones.
+        VerifyError
+            The readings differ each time.
+        """
+        rows = [BY_NAME["SENS_AVG"], *registers(names), BY_NAME["SENS_AVG"]]
+        before: list[int] = []
+        for _ in range(MOST_READINGS):
+            words = self.read_words(rows)
+            stuck = _STUCK_WORDS.intersection((words[0], words[-1]))
+            if words == before and not stuck:
+                return words[1:-1]
+            before = words
+        if stuck:
+            level = "zeros" if 0 in stuck else "ones"
+            raise SilentChipError(
+                f"{self.bus.url}: nothing answers, replies are {level};"
+                " check supply, chip select and the data line"
+            )
+        raise VerifyError(
+            f"{self.bus.url}: the registers read differently each time; check supply and wires"
+        )
+
+    def endurance(self) -> int:
+        """Return ENDURANCE, the count of flash updates (0 to 32767). Errors as `read_checked`."""
+        return BY_NAME["ENDURANCE"].number(self.read_checked(["ENDURANCE"])[0])
 
     def configure(
         self,
@@ -641,10 +688,10 @@ class Adis16354:
         self.bus.exchange_array(write_frames(row, row.field(field).mask, byte_mask=0x00FF))
 
     def _flash_command(self, field: str, wait_s: float, what: str) -> int:
-        before = self.read("ENDURANCE")
+        before = self.endurance()
         self._command(field)
         self.bus.sleep_s(wait_s)
-        after = self.read("ENDURANCE")
+        after = self.endurance()
         if after != (before + 1) % ENDURANCE_WRAP:
             raise VerifyError(
                 f"{what} was not done: ENDURANCE was {before} and is {after} (expected one more);"
@@ -656,7 +703,7 @@ class Adis16354:
         return after
 
     def _require_flash_life(self, force: bool) -> None:
-        written = self.read("ENDURANCE")
+        written = self.endurance()
         if written >= FLASH_LIFE and not force:
             raise ChipError(
                 f"ENDURANCE is {written}: the flash is made for {FLASH_LIFE} writes; force it if you must"

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.bus import FrameStream, SpiBus, Words
-from adis_gonio.errors import AdisGonioError, ChipError, SilentChipError
+from adis_gonio.errors import AdisGonioError, ChipError, ProtocolError, SilentChipError
 from adis_gonio.sensor.decoding import Floats, ScanBlock
 from adis_gonio.sensor.frames import IDLE, read_frames
 from adis_gonio.sensor.registers import ND, Register
@@ -40,6 +40,9 @@ SILENT_PERIODS = 20
 ALIGNABLE = 0.45
 """Longest pass, in periods of the update, that leaves a silence between two updates: as many reads without
 news as a pass has, behind as many with news, and a tenth to spare."""
+
+LONGEST_EXCHANGE_S = 1.0
+"""Time that one exchange may take: a slow sample rate means more exchanges, and a stop is heard soon."""
 
 LEAST_PASSES = 4
 """Passes in a batch, and those that are kept for the next one: an update and its silence take three."""
@@ -161,6 +164,11 @@ class StreamedScans(ScanStream):
 
     def _next(self) -> ScanBlock:
         block = next(self._stream)
+        if block.words.shape != (len(block.time_s), len(self._names)):
+            raise ProtocolError(
+                f"the bus streams blocks of shape {block.words.shape}: {len(block.time_s)} times and"
+                f" {len(self._names)} registers were expected"
+            )
         # A scan with a word without ND repeats an older one, at least in part: its edge was no update's.
         new: NDArray[np.bool_] = np.all(block.words[:, self._flags] & ND, axis=1)
         dropped = len(new) - int(new.sum())
@@ -266,6 +274,8 @@ class PolledScans(ScanStream):
         passes = max(LEAST_PASSES, int(np.ceil(self._block_scans * scan_s / self._pass_s)))
         if not self._probed:  # a bridge may be far slower than its timing: look before a long batch
             passes, self._probed = LEAST_PASSES, True
+        # A pass may take seconds on a slow bridge; no exchange of several passes lasts longer than this.
+        passes = min(passes, max(1, int(LONGEST_EXCHANGE_S / self._pass_s)))
         if self._bus.unbroken_frames is not None:
             # One burst a batch: the board keeps the timing within one only.
             passes = min(passes, max(1, (self._bus.unbroken_frames - 1) // len(self._frames)))

@@ -21,7 +21,6 @@ from adis_gonio.errors import (
     AdisGonioError,
     ChipError,
     SessionError,
-    SilentChipError,
     UsageError,
     VerifyError,
 )
@@ -51,10 +50,6 @@ from adis_gonio.writeback.plan import UNITS, WritePlan, recorded_offsets
 from adis_gonio.writeback.rest import Rest
 
 Tell = Callable[[str], None]
-
-_READINGS = 4
-_SILENT = (0x0000, 0xFFFF)
-"""What a dead line reads as; SENS_AVG never does, since its gyro range is one of three bits."""
 
 
 @dataclass(frozen=True)
@@ -488,21 +483,10 @@ class OffsetWriter:
         return rest
 
     def _read(self) -> tuple[dict[str, int], int]:
-        """Offset registers and ENDURANCE, read until two readings agree: a supply that dips spoils one.
-
-        SENS_AVG behind them tells that the part answered to the end.
-        """
+        """Read the offset registers and ENDURANCE; two readings agree, since a supply dip spoils one."""
         names = self._part.registers
-        rows = registers((*names, "ENDURANCE", "SENS_AVG"))
-        words: list[int] = []
-        for _ in range(_READINGS):
-            before, words = words, self.sensor.read_words(rows)
-            if words[-1] in _SILENT:
-                raise SilentChipError(f"{self.sensor.bus.url}: nothing answers; check supply and wires")
-            if words == before:
-                break
-        else:
-            raise VerifyError("the registers read otherwise each time; check supply and wires")
+        rows = registers((*names, "ENDURANCE"))
+        words = self.sensor.read_checked(rows)
         numbers = {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
         return {name: numbers[name] for name in names}, numbers["ENDURANCE"]
 
