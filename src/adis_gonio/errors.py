@@ -25,10 +25,19 @@ error                  who acts
 from __future__ import annotations
 
 
+def one_line(text: str) -> str:
+    """Return the words of a text with one space between them and `?` for each unprintable character."""
+    words = " ".join(text.split())
+    return "".join(letter if letter.isprintable() else "?" for letter in words)
+
+
 class AdisGonioError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """Base of every error that this package raises on purpose; its text is one printable line."""
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        return one_line(super().__str__())
 
 
 class UsageError(AdisGonioError, ValueError):

@@ -178,3 +178,17 @@ def test_commands_that_need_frames_say_so(tree, capsys):
         assert told.count("\n") == 1
     assert main(["devices", "--json"]) == 0
     json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "-inf", "1e400"])
+def test_a_scale_that_is_not_finite_is_refused(tree, text):
+    tree.write("in_accel_scale", text)
+    with pytest.raises(CannotOpenError, match=f"scale is '{text}'"):
+        open_source(url_of(tree))
+
+
+@pytest.mark.parametrize("rate", ["1e-300", "0", "-5", "1e12", "nan"])
+def test_a_rate_that_no_device_has_is_refused(tree, rate):
+    tree.write("in_accel_sampling_frequency", rate)
+    with pytest.raises(CannotOpenError, match=r"samples a second|sampling_frequency"):
+        open_source(url_of(tree))

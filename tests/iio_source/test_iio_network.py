@@ -3,6 +3,7 @@
 import contextlib
 import socket
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from adis_gonio import fit, load_session, trace
 from adis_gonio.cli import main
 from adis_gonio.errors import BusError, CannotOpenError, SessionError, UsageError
+from adis_gonio.iio.network import NetworkDevice
 from adis_gonio.iio.source import NO_FAULTS
 from adis_gonio.session import SessionRunner, Settings, plan
 from adis_gonio.session.events import DwellDone, ExtensionOffered, Finished, PositionAsked
@@ -162,8 +164,8 @@ def test_an_address_that_is_none_is_wrong_usage(place):
 
 
 @contextlib.contextmanager
-def bad_server(answers: bytes, *, hang=False):
-    """Sends what it has, whatever it is asked, and hangs up (or not)."""
+def bad_server(answers: bytes, *, hang=False, drip_s=0.0):
+    """Send the answers whatever is asked, each byte after `drip_s`, then hang up unless `hang`."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         end = threading.Event()
 
@@ -172,7 +174,10 @@ def bad_server(answers: bytes, *, hang=False):
                 connection, _ = listener.accept()
                 with connection:
                     connection.recv(1)
-                    connection.sendall(answers)
+                    for byte in answers if drip_s else ():
+                        connection.sendall(bytes([byte]))
+                        end.wait(drip_s)
+                    connection.sendall(answers if not drip_s else b"")
                     if hang:
                         end.wait(60)
                     connection.shutdown(socket.SHUT_WR)
@@ -221,6 +226,16 @@ def test_a_server_that_does_not_answer_is_a_time_out(monkeypatch):
     monkeypatch.setattr("adis_gonio.iio.network.NetworkDevice.__init__.__defaults__", (0.3,), raising=False)
     with bad_server(b"", hang=True) as port, pytest.raises(BusError, match="does not answer"):
         open_source(f"iio:ip:127.0.0.1:{port}/x")
+
+
+def test_a_server_that_drips_is_given_one_deadline_for_all_its_bytes():
+    answers, drip_s = context(AXES * 20), 0.02
+    assert len(answers) * drip_s > 20
+    with bad_server(answers, drip_s=drip_s) as port:
+        began_s = time.monotonic()
+        with pytest.raises(BusError, match="does not answer"):
+            NetworkDevice("127.0.0.1", port, "x", timeout_s=0.5)
+        assert time.monotonic() - began_s < len(answers) * drip_s / 2
 
 
 def test_a_device_that_is_not_there_names_those_that_are():

@@ -150,9 +150,22 @@ def test_a_failed_opening_closes_the_bus(monkeypatch):
 # -- registers --------------------------------------------------------------------------------------
 
 
+def checked_reading(*steps: tuple[int, int]) -> list[tuple[int, int]]:
+    """Return a script of two successive readings of registers with SENS_AVG before and behind them.
+
+    A step is a read frame and its word; a reply comes one frame late.
+    """
+    rows = [(0x3800, 0x0402), *steps, (0x3800, 0x0402)]
+    replies = [0x0000, *(word for _, word in rows)]
+    return [*zip([*(frame for frame, _ in rows), 0x0000], replies, strict=True)] * 2
+
+
+CONFIGURATION = checked_reading((0x3600, 0x0001), (0x3800, 0x0402), (0x3400, 0x0000))
+
+
 def test_the_frames_of_a_verified_write_are_the_data_sheets():
     script = [
-        (0x3600, 0x0000), (0x3800, 0x0001), (0x3400, 0x0402), (0x0000, 0x0000),  # configuration
+        *CONFIGURATION,
         (0xA034, 0x0000), (0xA102, 0x0000),  # XACCL_OFF low, high
         (0x2000, 0x0000), (0x0000, 0x0234),  # read back, one frame late
     ]  # fmt: skip
@@ -162,7 +175,7 @@ def test_the_frames_of_a_verified_write_are_the_data_sheets():
 
 def test_a_write_that_does_not_stick_is_an_error():
     script = [
-        (0x3600, 0), (0x3800, 0x0001), (0x3400, 0x0402), (0x0000, 0),
+        *CONFIGURATION,
         (0xA034, 0), (0xA102, 0), (0x2000, 0), (0x0000, 0x0034),
     ]  # fmt: skip
     sensor = Adis16354(ScriptedBus(script), check=False)
@@ -380,10 +393,10 @@ def test_saved_offsets_survive_a_reset_and_unsaved_ones_do_not(sensor):
 
 def test_a_flash_update_that_was_not_done_is_found_by_the_counter():
     script = [
-        (0x3600, 0), (0x3800, 0x0001), (0x3400, 0x0402), (0x0000, 0),
-        (0x0000, 0), (0x0000, 7),  # life
-        (0x0000, 0), (0x0000, 7),  # before
-        (0xBE08, 0), (0x0000, 0), (0x0000, 7),  # the command, and the counter stands still
+        *CONFIGURATION,
+        *checked_reading((0x0000, 7)),  # life
+        *checked_reading((0x0000, 7)),  # before
+        (0xBE08, 0), *checked_reading((0x0000, 7)),  # the command, and the counter stands still
     ]  # fmt: skip
     sensor = Adis16354(ScriptedBus(script), check=False)
     with pytest.raises(VerifyError, match="ENDURANCE was 7 and is 7"):
@@ -391,7 +404,7 @@ def test_a_flash_update_that_was_not_done_is_found_by_the_counter():
 
 
 def test_a_worn_flash_is_not_written_unless_forced():
-    script = [(0x3600, 0), (0x3800, 0x0001), (0x3400, 0x0402), (0x0000, 0), (0x0000, 0), (0x0000, 10_000)]
+    script = [*CONFIGURATION, *checked_reading((0x0000, 10_000))]
     with (
         Adis16354(ScriptedBus(script), check=False) as sensor,
         pytest.raises(ChipError, match="made for 10000"),

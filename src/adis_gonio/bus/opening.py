@@ -9,7 +9,7 @@ from importlib.metadata import EntryPoint, entry_points
 from urllib.parse import parse_qsl
 
 from adis_gonio.bus.contract import SpiBus
-from adis_gonio.errors import BusError, NotInstalledError, UsageError
+from adis_gonio.errors import BusError, NotInstalledError, UsageError, one_line
 
 ENTRY_POINT_GROUP = "adis_gonio.bus"
 SOURCE_GROUP = "adis_gonio.source"
@@ -106,10 +106,14 @@ DEVICE_GROUP = "adis_gonio.devices"
 
 @dataclass(frozen=True)
 class Device:
-    """A device that could be opened: its URL and what it is."""
+    """A device that could be opened: its URL and its description, each one printable line."""
 
     url: str
     description: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "url", one_line(self.url))
+        object.__setattr__(self, "description", one_line(self.description))
 
     def as_dict(self) -> dict[str, str]:
         """JSON form."""

@@ -16,7 +16,7 @@ import numpy as np
 from adis_gonio.calibration.calibration import Calibration, Coefficient
 from adis_gonio.calibration.document import derived_delta_k
 from adis_gonio.calibration.gyros import GyroCalibration, kind_of
-from adis_gonio.errors import FitError
+from adis_gonio.errors import FitError, one_line
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.sensor.variants import VARIANTS
 
@@ -104,8 +104,7 @@ def _add(parent: ET.Element, name: str, text: str | None = None, space: str = DC
 
 def _clean(text: str) -> str:
     """Words with one space between them, without the control characters that XML cannot hold."""
-    printable = "".join(c if c.isprintable() else " " for c in text)
-    return " ".join(printable.encode("utf-8", "replace").decode("utf-8").split()) or NOT_STATED
+    return one_line(text.encode("utf-8", "replace").decode("utf-8")) or NOT_STATED
 
 
 def _named(parent: ET.Element, name: str, text: str, element: str = "name") -> ET.Element:

@@ -19,6 +19,7 @@ PORT = 30431
 TIMEOUT_S = 5.0
 LINE_LIMIT = 1024
 _RECEIVED = 1 << 16
+_SHORTEST_WAIT_S = 1e-6
 XML_LIMIT = 1 << 22
 """A context of hundreds of devices is smaller."""
 
@@ -235,10 +236,6 @@ class NetworkDevice:
     def _receive(self) -> None:
         """Wait for more bytes, until the operation's deadline."""
         with self._typed():
-            left_s = self._deadline_s - time.monotonic()
-            if left_s <= 0:
-                raise TimeoutError
-            self._socket.settimeout(left_s)
             data = self._socket.recv(_RECEIVED)
         if not data:
             raise ProtocolError(f"{self.where}: the server has ended the connection")
@@ -255,14 +252,17 @@ class NetworkDevice:
 
     @contextlib.contextmanager
     def _typed(self) -> Iterator[None]:
+        """Use the socket for the time that the operation has left; errors are of this package."""
         try:
+            # A time-out of 0 would mean a socket that does not wait at all.
+            self._socket.settimeout(max(self._deadline_s - time.monotonic(), _SHORTEST_WAIT_S))
             yield
         except TimeoutError as error:
             raise BusTimeoutError(f"{self.where}: the server does not answer") from error
         except OSError as error:
+            if self._socket.fileno() < 0:
+                raise BusClosedError(f"{self.where}: used after it was closed") from error
             raise ProtocolError(f"{self.where}: {error.strerror or error}") from error
-        except ValueError as error:
-            raise BusClosedError(f"{self.where}: used after it was closed") from error
 
 
 def _accelerometer(element: ET.Element) -> bool:

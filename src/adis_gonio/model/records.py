@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.counting import counted
+from adis_gonio.errors import one_line
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -128,7 +129,8 @@ class Session:
     reading_u_mg : float or None
         Standard uncertainty of a dwell that has one sample only.
     title, operator, serial, stage : str
-        What somebody wrote down: name of the session, who measured, the part's serial number, the stage.
+        Name of the session, the operator, the part's serial number and the stage, as written down; each
+        is kept as one printable line.
     source : str
         File that it came from.
     notes : tuple of str
@@ -165,6 +167,10 @@ class Session:
     free_turn: bool = False
     facts: dict[str, Any] = field(default_factory=dict)
     turns_from: Callable[[], tuple[Turn, ...]] | None = field(default=None, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        for name in ("title", "operator", "serial", "stage"):
+            object.__setattr__(self, name, one_line(getattr(self, name)))
 
     def __repr__(self) -> str:
         name = self.title or self.source or "untitled"

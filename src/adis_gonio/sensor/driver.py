@@ -50,7 +50,13 @@ from adis_gonio.sensor.registers import (
     register,
     registers,
 )
-from adis_gonio.sensor.scanning import PolledScans, ScanLayout, ScanStream, StreamedScans
+from adis_gonio.sensor.scanning import (
+    LONGEST_EXCHANGE_S,
+    PolledScans,
+    ScanLayout,
+    ScanStream,
+    StreamedScans,
+)
 from adis_gonio.sensor.settings import (
     ALARM_SOURCES,
     Alarm,
@@ -413,7 +419,8 @@ class Adis16354:
             layout = ScanLayout(table, self.variant.name, self._gyro_range, period_s, at_end.close)
             if ready and Capability.STREAM in self.bus.capabilities:
                 frames = [int(frame) for frame in read_frames(table)]
-                source = self.bus.stream(frames, block_scans=block_scans)
+                scans = max(1, min(block_scans, int(LONGEST_EXCHANGE_S / period_s)))
+                source = self.bus.stream(frames, block_scans=scans)
                 stream: ScanStream = StreamedScans(source, layout)
             else:
                 counts = ready and Capability.EVENT_COUNTER in self.bus.capabilities

@@ -30,7 +30,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
-from adis_gonio.errors import DataError, SessionError
+from adis_gonio.errors import DataError, SessionError, one_line
 
 APPLICATION_ID = 0x4144474F
 """`ADGO` in the file's header; `file` and SQLite see whose it is."""
@@ -241,15 +241,14 @@ def _truncated(path: Path) -> DataError | None:
     return DataError(f"{path}: is truncated{of}; restore it from a copy (it was left as it is)")
 
 
-def _one_line(text: str) -> str:
-    """SQLite quotes SQL and what it finds in pages: one printable line of it is enough."""
-    words = " ".join(text.split())
-    plain = "".join(letter if letter.isprintable() else "?" for letter in words)
-    return plain if len(plain) <= LONGEST_TEXT else f"{plain[:LONGEST_TEXT]}…"
+def _excerpt(text: str) -> str:
+    """First printable line's worth of a text, since SQLite quotes SQL and bytes of pages."""
+    line = one_line(text)
+    return line if len(line) <= LONGEST_TEXT else f"{line[:LONGEST_TEXT]}…"
 
 
 def _explain(path: Path, error: sqlite3.Error) -> DataError | SessionError:
-    text = _one_line(str(error))
+    text = _excerpt(str(error))
     name = getattr(error, "sqlite_errorname", "")
     if name.startswith("SQLITE_NOTADB"):
         return DataError(f"{path}: is no session file")
@@ -323,7 +322,7 @@ def _check_content(path: Path, connection: sqlite3.Connection) -> None:
     # A damaged tree could hide rows without any error, hence the walk through all pages.
     (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     if found != "ok":
-        raise damaged(path, _one_line(str(found)))
+        raise damaged(path, _excerpt(str(found)))
 
 
 def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
@@ -339,9 +338,7 @@ def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
     found = _objects(connection)
     strange = sorted(name for name, made in found.items() if wanted.get(name) != made)
     if strange:
-        raise damaged(
-            path, f"'{_one_line(strange[0])}' is no {_kind(wanted, strange[0])} of a session file"
-        )
+        raise damaged(path, f"'{_excerpt(strange[0])}' is no {_kind(wanted, strange[0])} of a session file")
     missing = [table for table in TABLES if table not in found]
     if missing:
         raise damaged(path, f"no such table: {missing[0]}")
