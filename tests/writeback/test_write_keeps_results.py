@@ -154,3 +154,18 @@ def test_accelerometers_calibrated_before_a_write_serve_a_session_recorded_after
         for path in (exported, first)
     )
     assert by_old == by_new
+
+
+def test_offsets_count_also_on_axes_whose_bias_the_session_does_not_determine(tmp_path):
+    path = tmp_path / "two.session"
+    assert main(["calibrate", URL, "--plan", "two-position", *QUICK, "-o", str(path)]) == 0
+    before = load_calibration(path)
+    assert "bias_x" not in before
+    offsets = np.array([40, -25, 0])
+    after = before.with_offsets(offsets.tolist())
+    readings_mg = np.array([[700.0, -690.0], [10.0, 1005.0]])
+    added_mg = offsets[:2] * 0.4672
+    ours, theirs = after.angle(readings_mg + added_mg), before.angle(readings_mg)
+    assert ours.angle_deg == pytest.approx(theirs.angle_deg, abs=1e-9)
+    assert ours.u_deg == pytest.approx(theirs.u_deg, rel=1e-3)
+    assert load_calibration(path).as_dict() == before.as_dict()

@@ -344,10 +344,11 @@ class Calibration:
         return self._with_u(shown, accel, temperature_c, supply_v, reading_u)
 
     def with_offsets(self, offsets_lsb: Sequence[int]) -> Calibration:
-        """The same for a part whose offset registers hold other numbers than while it was calibrated.
+        """Return the calibration for a part whose offset registers hold other numbers.
 
-        The part adds XACCL_OFF … to its outputs, so that what the chip corrects now has left the bias and
-        is not corrected again.
+        The part adds XACCL_OFF … to its outputs, so a bias that the chip corrects now is not corrected
+        again. An axis without a bias among the parameters gets one that is the difference of the offsets,
+        without an uncertainty.
 
         Raises
         ------
@@ -367,11 +368,16 @@ class Calibration:
         now = tuple(int(number) for number in offsets_lsb)
         added = {f"bias_{axis}": (now[k] - then[k]) * lsb_mg for k, axis in enumerate(AXES)}
         moved = tuple(replace(one, value=one.value + added.get(one.name, 0.0)) for one in self.parameters)
+        names = [f"bias_{axis}" for axis in AXES[: self.axes]]
+        new = tuple(Coefficient(n, added[n], None, "mg") for n in names if added[n] and n not in self)
+        covariance = self.covariance
+        if covariance is not None:
+            covariance = np.pad(covariance, (0, len(new)))
         where = replace(self.provenance, offsets_lsb=(now[0], now[1], now[2]), written_lsb=None)
         # The gyros feel what the accelerometers read, which the chip has moved.
         moved_g = (np.array(now) - np.array(then)) * lsb_mg / 1000
         gyro = None if self.gyro is None else self.gyro.with_force_moved(moved_g)
-        return replace(self, parameters=moved, provenance=where, gyro=gyro)
+        return replace(self, parameters=moved + new, covariance=covariance, provenance=where, gyro=gyro)
 
     def for_registers(
         self, offsets_lsb: Sequence[int] | None, gyro_offsets_lsb: Sequence[int] | None
