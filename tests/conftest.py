@@ -1,7 +1,6 @@
-"""What all tests share: the folder of real recordings, and that CI skips nothing."""
+"""Settings of all tests: no deadline for an example, and no skip in CI."""
 
 import os
-from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -9,16 +8,6 @@ from hypothesis import settings
 # A busy machine is slow, not wrong: hypothesis' limit of time for an example would fail it.
 settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
-
-DATA = Path(os.environ.get("ADIS_GONIO_DATA", Path(__file__).parents[1] / ".." / "shared" / "data"))
-
-
-@pytest.fixture(scope="session")
-def data_folder() -> Path:
-    """Folder of the real recordings; skips where it is absent (see docs/data.md for the sources)."""
-    if not DATA.is_dir():
-        pytest.skip(f"no recordings in {DATA}: set ADIS_GONIO_DATA (sources in docs/data.md)")
-    return DATA
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -1,4 +1,4 @@
-"""Real recordings with a known effect added, from the folder that ADIS_GONIO_DATA names (docs/data.md).
+"""Real recordings with a known effect added, from the folder that ADIS_GONIO_DATA names.
 
 The recordings belong to others and are read where they lie. What is added is a term of the catalogue in
 what the axes read; how much it gains is reckoned against what base model and bias leave of the recording
@@ -34,7 +34,7 @@ FILES = (
 EFFECTS = ("quadratic", "cubic", "asymmetry", "cross_axis", "bias_drift", "warm_up")
 
 _XSENS = np.array([414.4, 412.0, 414.6]), np.array([33123.9, 33275.1, 32364.5])
-"""Counts per m/s² and zero of the Xsens recording (docs/data.md), to know what its axes read."""
+"""Counts per m/s² and zero of the Xsens recording (its README), to know what its axes read."""
 _KEEP_ROWS = 20
 """Of the fourteen poses' 10 000 samples each one in so many is kept, so that a trace takes seconds."""
 _STILL_S, _WINDOW = 1.5, 50
@@ -44,9 +44,7 @@ def folder() -> Path:
     """Where the recordings lie."""
     path = Path(os.environ.get("ADIS_GONIO_DATA", Path(__file__).parents[3] / "shared" / "data"))
     if not path.is_dir():
-        raise ChallengeError(
-            f"{path}: no recordings there; set ADIS_GONIO_DATA to their folder (docs/data.md)"
-        )
+        raise ChallengeError(f"{path}: no recordings there; set ADIS_GONIO_DATA to their folder")
     return path
 
 

@@ -13,6 +13,7 @@ from adis_gonio.allan import fit_allan
 from adis_gonio.errors import DataError, UsageError
 from adis_gonio.model.records import Dwell, Session
 from allan_statistics import Case, noise, samples, session_of
+from recordings import recording
 
 WHITE = Case({"white": 0.05}, 8192, 0)
 ALL = Case({"white": 0.05, "flicker": 0.02, "walk": 0.012}, 1 << 17, 0)
@@ -243,10 +244,10 @@ def test_memory_is_a_few_times_one_axis():
     assert peak < 20 * 8 * n
 
 
-def test_a_real_recording_at_rest_is_fitted_on_its_first_fifty_seconds(data_folder):
+def test_a_real_recording_at_rest_is_fitted_on_its_first_fifty_seconds():
     from adis_gonio import load_session
 
-    found = fit_allan(load_session(data_folder / "xsens_mti_recording.csv.gz"))
+    found = fit_allan(load_session(recording("xsens_mti_recording")))
     assert found.longest_s == pytest.approx(51.5, abs=0.5)
     assert len(found.samples) == 1
     for axis in found.axes:

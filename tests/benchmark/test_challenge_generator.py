@@ -15,6 +15,7 @@ from blind_residual.circumstances import Circumstances, ideal_plane, lagged
 from blind_residual.generator import FAMILIES, Truth, draw
 from blind_residual.noise import Noise
 from blind_residual.runners.common import read
+from recordings import MEASURED
 
 
 def circumstances(plane: bool = True, n: int = 30, seed: int = 0) -> Circumstances:
@@ -230,11 +231,11 @@ def test_no_csv_holds_a_word_of_the_truth():
     assert not any(word in head for word in (truth.kind, "truth", "gain", "seed"))
 
 
-def test_recordings_get_what_the_truth_says_and_nothing_else(data_folder: Path):
-    csv, truth = recordings.plant(data_folder, "t", 2)  # a continuous recording in m/s²
+def test_recordings_get_what_the_truth_says_and_nothing_else():
+    csv, truth = recordings.plant(MEASURED, "t", 2)  # a continuous recording in m/s²
     assert truth.family == "recording"
     assert truth.kind.startswith("mpu9150_0")
     assert min(truth.gain) > 5
     assert len(truth.start_s) in (22, 23)
-    assert csv == recordings.plant(data_folder, "t", 2)[0]
+    assert csv == recordings.plant(MEASURED, "t", 2)[0]
     json.dumps(truth.parameters)

@@ -25,6 +25,7 @@ from adis_gonio.sensor import Adis16354
 from adis_gonio.session import load_session
 from adis_gonio.session.export import write_csv
 from adis_gonio.writeback import OffsetWriter, WriteSettings
+from recordings import recording
 from writeback.gyro_rig import FAULTS, gyro_numbers
 from writeback.rig import new_bus, record
 
@@ -165,8 +166,8 @@ def test_turns_that_tell_nothing_for_one_reason_are_one_line(fitted):
     assert "nothing was recorded" in told
 
 
-def test_a_residual_beyond_the_noise_is_a_doubt(data_folder):
-    result = adis_gonio.fit(data_folder / "adis16350_14_poses.csv.gz", part="gyro")
+def test_a_residual_beyond_the_noise_is_a_doubt():
+    result = adis_gonio.fit(recording("adis16350_14_poses"), part="gyro")
     found = estimates_of_gyro_fit(result)
     assert any("larger than their noise" in doubt for doubt in found.doubts)
     assert any("gyro-turns" in remark for remark in found.remarks)

@@ -1,7 +1,6 @@
 """`trace` and `report` as a shell user meets them."""
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +8,7 @@ import pytest
 
 from adis_gonio import load_session, trace
 from adis_gonio.cli import main
-
-DATA = Path(os.environ.get("ADIS_GONIO_DATA", Path(__file__).parents[3] / "shared" / "data"))
+from recordings import recording
 
 
 def written(path: Path, rows: str, **keys: str) -> Path:
@@ -108,10 +106,7 @@ def test_two_positions_have_a_page_that_says_why_there_is_no_more(tmp_path):
 
 @pytest.mark.parametrize("name", ["thermal_cycle", "adis16350_xy_turn", "mpu9150_0_recording"])
 def test_real_recordings_have_a_summary_and_a_page(capsys, tmp_path, name):
-    path = DATA / f"{name}.csv.gz"
-    if not path.exists():
-        pytest.skip(f"{path} is not there")
-    assert main(["report", str(path), "-o", str(tmp_path / "page.html")]) == 0
+    assert main(["report", str(recording(name)), "-o", str(tmp_path / "page.html")]) == 0
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     found = {"thermal_cycle": "thermal_lag", "adis16350_xy_turn": "bias"}.get(name, "bias")
     assert f": {found}</h3>" in text

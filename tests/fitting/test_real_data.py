@@ -1,8 +1,6 @@
 """Recordings of real sensors, by others; see the table of sources in the documentation."""
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,17 +9,11 @@ from adis_gonio.errors import FitError
 from adis_gonio.fitting import fit
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.session.loading import load_session
-
-DATA = Path(os.environ.get("ADIS_GONIO_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
-
-pytestmark = pytest.mark.skipif(
-    not (DATA / "README.md").exists(),
-    reason=f"no recordings in {DATA}; set ADIS_GONIO_DATA to the folder that holds them",
-)
+from recordings import recording
 
 
 def load(name):
-    return load_session(DATA / f"{name}.csv.gz")
+    return load_session(recording(name))
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,7 @@
 """Fit and trace of gyros: the recorded ADIS16350, hidden truths, and what a session cannot tell."""
 
 import json
-import os
 from dataclasses import replace
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -20,12 +18,10 @@ from adis_gonio.model import Dwell, Session
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.rates import MeanRate
 from adis_gonio.tracing import trace, trace_readings
+from recordings import recording
 from tracing.gyro_blind import answer_of, draw, judge
 
-ROOT = Path(__file__).resolve().parents[2]
-DATA = Path(os.environ.get("ADIS_GONIO_DATA", ROOT.parent / "shared" / "data"))
-POSES = DATA / "adis16350_14_poses.csv.gz"
-recorded = pytest.mark.skipif(not POSES.exists(), reason=f"no recording {POSES}")
+POSES = recording("adis16350_14_poses")
 MG_PER_LSB = 2.522
 """Of the accelerometers of an ADIS16350, by its sheet."""
 
@@ -51,7 +47,6 @@ def plain_left_out(session, *, force: bool, order: bool):
     return np.sqrt(np.mean(np.square(left), axis=0))
 
 
-@recorded
 def test_plain_least_squares_gives_the_figures_that_are_to_be_reproduced(recording):
     before = plain_left_out(recording, force=False, order=False)
     force = plain_left_out(recording, force=True, order=False)
@@ -61,7 +56,6 @@ def test_plain_least_squares_gives_the_figures_that_are_to_be_reproduced(recordi
     np.testing.assert_allclose(both[[0, 2]], [0.066, 0.023], atol=0.001)
 
 
-@recorded
 def test_fit_of_the_recording_brings_the_falls_with_names(recording):
     result = adis_gonio.fit(POSES, part="gyro")
     before, force = result.scores["zero rate"].rms_dps, result.scores["gyro"].rms_dps
@@ -80,7 +74,6 @@ def test_fit_of_the_recording_brings_the_falls_with_names(recording):
     assert document["residual_rms_dps"] == pytest.approx(result.residual_rms_dps)
 
 
-@recorded
 def test_trace_of_the_recording_names_the_causes_and_says_what_stays_open(recording):
     result = trace(recording, part="gyro")
     document = result.as_dict()
@@ -249,7 +242,6 @@ def test_readings_of_gyros_are_in_degrees_a_second_whatever_the_file():
     assert one.check.tolist() == [d.use == "check" for d in session.dwells]
 
 
-@recorded
 def test_the_commands_take_the_part_and_the_accelerometers_stay_as_they_were(recording):
     run = CliRunner()
     shown = run.invoke(app, ["fit", "--sensor-part", "gyro", str(POSES)])

@@ -1,25 +1,20 @@
 """The thermal effects on a real recording: one pose through a thermal chamber."""
 
 import gzip
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from adis_gonio.model import STANDARD_GRAVITY_MPS2
 from adis_gonio.model.effects import Conditions, effect
-
-DATA = Path(os.environ.get("ADIS_GONIO_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
-RECORDING = DATA / "thermal_cycle.csv.gz"
+from recordings import recording
 
 
-@pytest.mark.skipif(not RECORDING.exists(), reason=f"{RECORDING} is absent: set ADIS_GONIO_DATA")
 @pytest.mark.parametrize(
     ("axis", "tau_s", "cubic_mg", "lag_mg"), [("x", 158.0, 0.75, 0.48), ("y", 424.0, 2.2, 0.95)]
 )
 def test_lag_explains_held_out_blocks_that_a_cubic_in_temperature_does_not(axis, tau_s, cubic_mg, lag_mg):
-    with gzip.open(RECORDING, "rt", encoding="utf-8") as file:
+    with gzip.open(recording("thermal_cycle"), "rt", encoding="utf-8") as file:
         lines = [line for line in file if not line.startswith("#")]
     column = dict(zip(lines[0].strip().split(","), np.loadtxt(lines[1:], delimiter=",").T, strict=True))
     measured = column[f"a{axis}"] * 1000 / STANDARD_GRAVITY_MPS2

@@ -12,11 +12,12 @@ from adis_gonio.report.gyros import _by_gyro, _how_well, gyro_section
 from adis_gonio.report.numbers import number, uncertain
 from adis_gonio.report.page import build_page
 from adis_gonio.session import load_session
+from recordings import recording
 
 
 @pytest.fixture(scope="module")
-def session(data_folder):
-    return load_session(data_folder / "adis16350_14_poses.csv.gz")
+def session():
+    return load_session(recording("adis16350_14_poses"))
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from adis_gonio.cli import main
+from recordings import recording
 from report.browser import Browser, browser, missing
 from report.rests import rests_csv
 
@@ -45,11 +46,10 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("pages")
 
 
-def session_of(kind: str, folder: Path, data: Path | None) -> Path:
+def session_of(kind: str, folder: Path) -> Path:
     """A session file of a kind."""
     if kind == "recorded":
-        assert data is not None
-        return data / "mpu9150_0_recording.csv.gz"
+        return recording("mpu9150_0_recording")
     if kind in ("two positions", "odd", "untraceable"):
         path = folder / f"{kind.replace(' ', '-')}.csv"
         title = f"# title: {ODD}\n# note: {ODD}\n" if kind == "odd" else ""
@@ -90,8 +90,7 @@ def made(request, folder) -> tuple[str, Path, Path]:
     if kind == "board":
         assert main(["bringup", "sim:?seed=1", "-o", str(page)]) == 0
         return kind, page.with_suffix(".json"), page
-    data = request.getfixturevalue("data_folder") if kind == "recorded" else None
-    session = session_of(kind, folder, data)
+    session = session_of(kind, folder)
     if kind == "noise":
         assert main(["allan", str(session), "-o", str(page)]) == 0
         return kind, session, page

@@ -1,8 +1,6 @@
-"""`trace` on recordings of real sensors, by others; see docs/data.md."""
+"""`trace` on recordings of real sensors, by others; see examples/measured/README.md."""
 
 import json
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,18 +8,12 @@ import pytest
 from adis_gonio import load_session, trace
 from adis_gonio.cli import main
 from adis_gonio.one_pose import series
-
-DATA = Path(os.environ.get("ADIS_GONIO_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
-
-pytestmark = pytest.mark.skipif(
-    not (DATA / "README.md").exists(),
-    reason=f"no recordings in {DATA}; set ADIS_GONIO_DATA to the folder that holds them",
-)
+from recordings import recording
 
 
 def told(capsys, name: str) -> dict:
     """What the command line says of a recording, as JSON."""
-    assert main(["trace", str(DATA / f"{name}.csv.gz"), "--json"]) == 0
+    assert main(["trace", str(recording(name)), "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
@@ -71,7 +63,7 @@ def test_fourteen_poses_cannot_decide_between_drift_and_curvature(capsys):
 
 @pytest.mark.parametrize("name", ["xsens_mti_recording", *(f"mpu9150_{k}_recording" for k in range(5))])
 def test_nothing_beyond_bias_scale_and_skew_is_claimed_and_nothing_inside_the_dwells(name):
-    session = load_session(DATA / f"{name}.csv.gz")
+    session = load_session(recording(name))
     # A hand held the part: what stands inside the dwells is its own, and no finding.
     assert session.cut_by_stillness
     document = trace(session).as_dict()
@@ -100,7 +92,7 @@ def test_thermal_cycle_is_a_polynomial_and_its_lag(capsys):
 def test_blocks_of_the_thermal_cycle_as_in_its_table(monkeypatch):
     # The table's cubic is that of 12 blocks: the same blocks give the same figures.
     monkeypatch.setattr(series, "BLOCKS", 12)
-    session = load_session(DATA / "thermal_cycle.csv.gz")
+    session = load_session(recording("thermal_cycle"))
     dwell = session.dwells[0]
     problem, candidates = series._problem(
         dwell.accel * series.mg_per_unit(session, dwell), series.series_conditions(dwell)

@@ -9,6 +9,7 @@ from adis_gonio import load_session, trace
 from adis_gonio.cli import main
 from adis_gonio.errors import DataError
 from adis_gonio.twin import compare, simulate_like
+from recordings import recording
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +58,8 @@ def test_a_session_with_other_noise_does_not_agree(measured, traced):
     assert not compare(replace(session, dwells=louder), twin, traced.fits[-1]).agrees
 
 
-def test_the_twin_of_a_real_recording_has_its_noise(data_folder):
-    session = load_session(data_folder / "adis16350_xy_turn.csv.gz")
+def test_the_twin_of_a_real_recording_has_its_noise():
+    session = load_session(recording("adis16350_xy_turn"))
     result = trace(session)
     twin = simulate_like(session, result.fits[-1], seed=2)
     assert twin.sensor == "adis16350"
