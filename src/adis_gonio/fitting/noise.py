@@ -97,8 +97,8 @@ def settle(readings: Readings) -> Settled:
         ratio = math.sqrt(chi2 / dof)
         note = (
             f"the residual is {ratio:.3g} times what the noise within the dwells explains (chi2 "
-            f"{chi2:.4g}, dof {dof}): the model lacks something; {extra:.3g} mg were "
-            "added to every reading so that the uncertainties hold"
+            f"{chi2:.4g}, dof {dof}): the model does not describe this session; each u holds "
+            f"{extra:.3g} mg of scatter on every reading and the effects of the catalogue that the session allows"
         )
         noise = replace(noise, extra_mg=extra, dof=float(dof), notes=(*noise.notes, note))
         determination = follow.determination(noise)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.intervals import effective_dof
 from adis_gonio.estimation.readings import Readings
+from adis_gonio.fitting.missing_effects import missing_effects
 from adis_gonio.fitting.noise import NoiseAssumptions
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
 from adis_gonio.sensor.variants import VARIANTS
@@ -300,9 +301,6 @@ def repeatability_of(data: Readings, noise: NoiseAssumptions) -> tuple[Floats, F
     first = np.full(n, _POOLED) if data.pooled else 3 * np.arange(n) + _EACH
     dof = np.where(data.known, data.dof, noise.dof)
     estimate = np.where(data.known[:, None], first[:, None] + np.arange(axes), _RESIDUAL)
-    if noise.extra_mg > 0:
-        # χ² settles measured and extra variance together: both rest on the residual.
-        dof, estimate = np.minimum(dof, noise.dof), np.full((n, axes), _RESIDUAL)
     return _root(_own(data, noise)), np.repeat(dof[:, None], axes, axis=1), estimate.astype(np.intp)
 
 
@@ -460,11 +458,14 @@ def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, 
     held = list(unseen.biases)
     biases = np.tile(figure * np.eye(axes)[:, held], (len(data), 1, 1))
     skews = skew_u_rad * fit.base_columns[:, :, list(unseen.skews)]
-    acts = np.concatenate([biases, skews], axis=2)
+    missing = np.zeros((len(data), axes, 0))
+    if noise.extra_mg > 0:
+        missing = missing_effects(fit, replace(noise, extra_mg=0.0).applied(data))
+    acts = np.concatenate([biases, skews, missing], axis=2)
     blind = np.einsum("pna,nak->pk", response, acts)
     notes, u = [], noise.extra_mg
     if noise.extra_mg > 0:
-        notes.append("scatter beyond the noise within the dwells")
+        notes.append("scatter beyond the noise within the dwells, and effects of the catalogue")
     if held:
         letters = ", ".join("xyz"[axis] for axis in held)
         size = (
@@ -481,7 +482,8 @@ def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, 
             else "of a size that nothing states: not included"
         )
         notes.append(f"skew {names} taken as zero ({size})")
-    u = math.hypot(u, figure if held else 0.0, math.sqrt(float((skews**2).sum(axis=2).mean())))
+    others = np.concatenate([skews, missing], axis=2)
+    u = math.hypot(u, figure if held else 0.0, math.sqrt(float((others**2).sum(axis=2).mean())))
     statistical = noise.extra_mg > 0 and not acts.any()
     stated = figures is not None or not acts.shape[2]
     return Source(
@@ -498,8 +500,8 @@ def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, 
         noise.extra_mg**2 * np.eye(axes),
         "; ".join(notes) or "the residual shows no more than the noise",
         acts_mg=acts if acts.any() else None,
-        # Of a further reading the biases are the same; what skews do there its pose decides.
+        # A further reading has the same biases; its pose decides what skews and effects do to it.
         further_mg=np.concatenate(
-            [np.zeros((axes, extra.shape[1])), biases[0], np.zeros((axes, skews.shape[2]))], axis=1
+            [np.zeros((axes, extra.shape[1])), biases[0], np.zeros((axes, others.shape[2]))], axis=1
         ),
     )
