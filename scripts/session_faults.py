@@ -3,7 +3,7 @@
 Each session has a seed, a part of its own, a plan, a polled or a streaming bus, and one fault between the
 driver and the chip (tests/fakes/faulty_chip.py): the chip restarts, a register changes, the data line
 sticks, the supply dips. The fault comes at a random time: during a dwell or between two, at the first
-position, at the last one or at any. The command line itself runs:
+position, at the last one or at any, or as registers are read and written. The command line itself runs:
 
     calibrate 'faulty:?seed=…' --plan … --auto -o FILE, then fit FILE --json
 
@@ -17,9 +17,10 @@ position, at the last one or at any. The command line itself runs:
 | traceback | ends with an exception |
 | hung | takes too long: on the host's clock or on the bus's, or one exchange takes more than 1 s |
 
-Biases are compared with the truth plus the offsets that the session file states for its beginning. With
+Biases are compared with the truth plus the offsets that the session file states as configured. With
 --resume a told session goes on with a chip that was switched off and on, and is judged again. Sessions
-without a fault give the rate of `wrong` by chance.
+without a fault give the rate of `wrong` by chance. `inadequate` counts right sessions whose fit widened its
+uncertainties because the residuals contradict the model.
 
 Ends with status 1 if any session is wrong, mute, lost, hung or has a traceback, or is wrong later.
 
@@ -49,7 +50,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import chi2
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -67,6 +67,7 @@ PLANS = {
     "tumble": 0.05,
     "free-turn": 0.1,
 }
+PLACES = ("first", "last", "any", "registers")
 TURNS = ("free-turn",)
 """Plans that are no list of dwells: their dwells are not counted."""
 MOST_U = 4.0
@@ -74,7 +75,6 @@ HOST_LIMIT_S = 120.0
 EXCHANGE_LIMIT_S = 1.0
 WAITING_LIMIT_S = 60.0
 """Simulated time that a session may take beyond twice the time of a session without a fault."""
-INADEQUATE_P = 0.01
 COMPARED = (
     "delta_k", "delta_phi", "scale_x", "scale_y", "scale_z", "skew_xy", "skew_xz", "skew_yz",
     "bias_x", "bias_y", "bias_z", "gyro_bias_z",
@@ -102,7 +102,7 @@ class Task:
     dwell_s: float
     place: str
     within: bool
-    preset: int
+    preset: str
     pulsing: bool
 
     @property
@@ -120,7 +120,7 @@ class Outcome:
     off : dict of str to float
         Error of each compared value in units of its u.
     inadequate : bool
-        The residuals contradict the model at 1 %.
+        The fit added an uncertainty to each reading because the residuals contradict the model.
     fired : bool
         The fault came before the session ended.
     resumed : str
@@ -162,9 +162,9 @@ def task_of(seed: int, kinds: Sequence[str], plan: str = "", dwell_s: float = 1.
         plan=plan or drawn,
         polled=bool(rng.random() < 0.5),
         dwell_s=dwell_s,
-        place=str(rng.choice(["first", "last", "any"])),
+        place=str(rng.choice(PLACES)),
         within=bool(rng.random() < 0.5),
-        preset=int(rng.choice([0, 8, 40, 128])),
+        preset=str(rng.choice(["0", "8", "40", "written"])),
         pulsing=bool(rng.random() < 0.3),
     )
 
@@ -212,10 +212,29 @@ def run(words: Sequence[str]) -> tuple[int, str, str]:
     return status, out.getvalue(), err.getvalue()
 
 
+@dataclass(frozen=True)
+class Timeline:
+    """When a session without a fault does what.
+
+    Attributes
+    ----------
+    gaps_s : list of float
+        Times between the moves, from opening to closing.
+    registers_s : list of (int, float)
+        Each exchange with registers: the number of moves before it, the time since the last of them.
+    dwells : int
+        How many dwells the session has.
+    """
+
+    gaps_s: list[float]
+    registers_s: list[tuple[int, float]]
+    dwells: int
+
+
 @cache
-def timeline(plan: str, polled: bool, dwell_s: float) -> tuple[list[float], int]:
-    """Times in s between the moves of a session without a fault, and how many dwells it has."""
-    task = Task(1, NO_FAULT, plan, polled, dwell_s, "any", within=False, preset=0, pulsing=False)
+def timeline(plan: str, polled: bool, dwell_s: float) -> Timeline:
+    """Run a session without a fault."""
+    task = Task(1, NO_FAULT, plan, polled, dwell_s, "any", within=False, preset="0", pulsing=False)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.session"
         status, _, err = run(calibrate(task, task.url, path))
@@ -223,17 +242,25 @@ def timeline(plan: str, polled: bool, dwell_s: float) -> tuple[list[float], int]
             raise RuntimeError(f"a session without a fault ends with status {status}: {err}")
         dwells = kept_dwells(path)
     bus = faulty_chip.OPENED.pop()
-    return [float(gap) for gap in np.diff([0.0, *bus.moves_s, bus._now])], dwells
+    begins_s = [0.0, *bus.moves_s]
+    moves = [int(np.searchsorted(bus.moves_s, time_s, side="right")) for time_s in bus.exchanges_s]
+    since = [(k, time_s - begins_s[k]) for k, time_s in zip(moves, bus.exchanges_s, strict=True)]
+    return Timeline([float(gap) for gap in np.diff([*begins_s, bus._now])], since, dwells)
 
 
 def faulty_url(task: Task) -> str:
     """URL of the part with its fault, whose time is drawn from the seed."""
-    gaps, _ = timeline(task.plan, task.polled, task.dwell_s)
+    clean = timeline(task.plan, task.polled, task.dwell_s)
+    gaps = clean.gaps_s
     url = f"{task.url}&preset={task.preset}&limit_s={2 * sum(gaps) + WAITING_LIMIT_S:.0f}"
     if task.kind == NO_FAULT:
         return url
     rng = np.random.default_rng([task.seed, 1])
     last = len(gaps) - 1
+    if task.place == "registers":
+        move, wait_s = clean.registers_s[rng.integers(len(clean.registers_s))]
+        wait_s = max(0.0, wait_s + rng.uniform(-1e-3, 1e-3))
+        return f"{url}&fault={task.kind}&move={move}&wait_s={wait_s:.6f}&draw={task.seed}"
     move = {"first": min(1, last), "last": last, "any": int(rng.integers(last + 1))}[task.place]
     dwell_s = min(task.dwell_s, gaps[move]) if task.plan not in TURNS else 0.8 * gaps[move]
     begin_s = gaps[move] - dwell_s
@@ -251,11 +278,11 @@ def kept_dwells(path: Path) -> int:
 
 def due_dwells(task: Task, url: str) -> int:
     """How many dwells were complete before the fault."""
-    gaps, dwells = timeline(task.plan, task.polled, task.dwell_s)
+    clean = timeline(task.plan, task.polled, task.dwell_s)
     if task.plan in TURNS or "move=" not in url:
         return 0
     move = int(url.partition("move=")[2].partition("&")[0])
-    return max(0, dwells - (len(gaps) - 1 - move) - 1)
+    return max(0, clean.dwells - (len(clean.gaps_s) - 1 - move) - 1)
 
 
 def judge_fit(outcome: Outcome, path: Path, truth: dict[str, float]) -> dict[str, float]:
@@ -265,9 +292,8 @@ def judge_fit(outcome: Outcome, path: Path, truth: dict[str, float]) -> dict[str
         return {}
     result = json.loads(out)
     outcome.warnings = result["warnings"]
-    if result["dof"]:
-        outcome.inadequate = bool(chi2.sf(result["chi2"], result["dof"]) < INADEQUATE_P)
-    registers = (load_session(path).facts.get("registers") or {}).get("before") or {}
+    outcome.inadequate = bool(result.get("extra_reading_u_mg"))
+    registers = (load_session(path).facts.get("registers") or {}).get("configured") or {}
     off = {}
     for name in COMPARED:
         row = result["parameters"].get(name)
@@ -275,9 +301,7 @@ def judge_fit(outcome: Outcome, path: Path, truth: dict[str, float]) -> dict[str
             continue
         expected = truth[name]
         if name in OFFSETS:
-            word = registers.get(OFFSETS[name], 0)
-            number = word - (1 << 16) if word >= 1 << 15 else word
-            expected += number * (GYRO_LSB_DPS if "gyro" in name else ACCEL_LSB_MG)
+            expected += registers.get(OFFSETS[name], 0) * (GYRO_LSB_DPS if "gyro" in name else ACCEL_LSB_MG)
         off[name] = (row["value"] - expected) / row["u"]
     return off
 
@@ -336,6 +360,7 @@ def session(task: Task, *, resume: bool = False) -> Outcome:
         except Exception:
             observe(outcome)
             outcome.outcome, outcome.said = "traceback", traceback.format_exc()
+    faulty_chip.OPENED.clear()
     outcome.host_s = time.monotonic() - begin_s
     return outcome
 
@@ -345,17 +370,15 @@ def observe(outcome: Outcome) -> faulty_chip.FaultyBus | None:
     if not faulty_chip.OPENED:
         return None
     bus = faulty_chip.OPENED[-1]
-    faulty_chip.OPENED.clear()
     outcome.fired, outcome.longest_s, outcome.simulated_s = bus.chip.fired, bus.longest_s, bus._now
     return bus
 
 
 def resume_session(outcome: Outcome, path: Path, truth: dict[str, float]) -> None:
     """Go on with a told session after the chip was switched off and on, and judge the result."""
-    again = Outcome(outcome.task, outcome.task.url)
+    again = Outcome(outcome.task, outcome.url)
     again.status, _, err = run(["calibrate", again.url, "--resume", "--auto", "-o", str(path)])
     again.said = last_line(err)
-    faulty_chip.OPENED.clear()
     outcome.resumed = judge(again, path, truth)
     outcome.resumed_said, outcome.resumed_off = again.said, again.off
 

@@ -7,7 +7,8 @@ the data line. Options beyond those of `sim:`
     move=K         the fault's clock starts as the stage's K-th move begins; 0: as the bus opens
     wait_s=T       the fault comes T seconds later
     draw=N         seed of the fault's size, length and place
-    preset=N       offset registers hold N (X) and -N (Y) LSB in RAM, not in flash
+    preset=N       offset registers hold N (X) and -N (Y) LSB in RAM, not in flash; `written`: they cancel
+                   the biases, as after `adis-gonio write` without --save
     pulsing=1      flash holds MSC_CTRL with data-ready enabled, so that a stream survives a restart
     limit_s=T      raise `OvertimeError` if the bus's clock passes T
 """
@@ -29,6 +30,7 @@ from adis_gonio.sim.rules import START_UP_S
 
 SETTLED_S = 2e-4
 """The chip takes frames so much later than its start-up ends."""
+FEW_FRAMES = 40
 OWN_OPTIONS = ("fault", "move", "wait_s", "draw", "preset", "pulsing", "limit_s")
 
 
@@ -270,6 +272,8 @@ class FaultyBus(SimBus):
     ----------
     moves_s : list of float
         When each move of the stage began.
+    exchanges_s : list of float
+        When each exchange of at most `FEW_FRAMES` frames began: reads and writes of registers.
     longest_s : float
         Longest simulated time of one exchange after the fault.
     """
@@ -283,16 +287,23 @@ class FaultyBus(SimBus):
         self._own = own
         self.limit_s = float(own.get("limit_s", "inf"))
         self.moves_s: list[float] = []
+        self.exchanges_s: list[float] = []
         self.longest_s = 0.0
         if own.get("pulsing") == "1":
             self.chip.memory["MSC_CTRL"] = 0x04
             self.chip.memory.save()
-        preset = int(own.get("preset", 0))
-        self.chip.memory["XACCL_OFF"], self.chip.memory["YACCL_OFF"] = preset & 0xFFF, -preset & 0xFFF
+        for name, number in self._preset(own.get("preset", "0")).items():
+            self.chip.memory[name] = BY_NAME[name].word(number)
         self.chip._sampler.configure(self.chip.memory)
         self.chip = FaultyChip(self.chip, np.random.default_rng(int(own.get("draw", 0))))
         self.stage = FaultyStage(self, self.world.stage)
         self._arm()
+
+    def _preset(self, text: str) -> dict[str, int]:
+        if text != "written":
+            return {"XACCL_OFF": int(text), "YACCL_OFF": -int(text)}
+        truth, lsb_mg = self.world.truth(), self.world.variant.accel_mg_per_lsb
+        return {f"{axis.upper()}ACCL_OFF": -round(truth[f"bias_{axis}"] / lsb_mg) for axis in "xyz"}
 
     def note_move(self) -> None:
         """A move of the stage begins."""
@@ -305,6 +316,8 @@ class FaultyBus(SimBus):
 
     def _exchange(self, frames):
         before_s = self.now_s()
+        if len(frames) <= FEW_FRAMES:
+            self.exchanges_s.append(before_s)
         replies = super()._exchange(frames)
         if self.chip.fired:
             self.longest_s = max(self.longest_s, self.now_s() - before_s)
@@ -323,9 +336,14 @@ class FaultyBus(SimBus):
 
 OPENED: list[FaultyBus] = []
 """Buses that this process has opened, the newest last."""
+OUTLIVED = ("fault", "preset")
+"""Options that end as the chip is switched off and on: RAM is lost, and the fault is over."""
 
 
 def open_from_url(url: BusUrl) -> FaultyBus:
-    """Open `faulty:`."""
+    """Open `faulty:`; the second time, the same URL in a process means a chip that was off in between."""
+    if any(bus.url == url.text for bus in OPENED):
+        options = {name: text for name, text in url.options.items() if name not in OUTLIVED}
+        url = replace(url, options=options)
     OPENED.append(FaultyBus(url))
     return OPENED[-1]
