@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any, Protocol, Self
 
 from adis_gonio.bus.opening import SOURCE_GROUP, BusUrl
-from adis_gonio.errors import SessionError, UsageError
+from adis_gonio.errors import ChipError, SessionError, UsageError
 from adis_gonio.sensor.bartlett import white_gain
 from adis_gonio.sensor.data_ready import MASK as DATA_READY_BITS
 from adis_gonio.sensor.data_ready import DataReadyLoan
@@ -210,13 +210,28 @@ class ChipSource:
         ------
         SessionError
             The settings insist on data-ready, and it cannot be used.
+        ChipError
+            The manual self-test is on.
         """
         self._forget_old_mark()
         self.sensor.configure(
             smpl_prd=settings.smpl_prd, filter_m=settings.filter_m, gyro_range_dps=settings.gyro_range_dps
         )
         self._borrow_data_ready(settings)
+        self._refuse_self_test()
         return self.sensor.configuration()
+
+    def _refuse_self_test(self) -> None:
+        """Raise `ChipError` while the stimulus of the manual self-test shifts every reading."""
+        control = BY_NAME["MSC_CTRL"]
+        stimulus = control.field("positive").mask | control.field("negative").mask
+        if self.sensor.read(control) & stimulus:
+            self.give_back()
+            word = self.sensor.read(control) & ~stimulus
+            raise ChipError(
+                f"{self.url}: the manual self-test (MSC_CTRL[9:8]) is on and shifts every reading;"
+                f" end it with 'adis-gonio registers URL MSC_CTRL=0x{word:X}'"
+            )
 
     def _borrow_data_ready(self, settings: Settings) -> None:
         self.give_back()
