@@ -6,6 +6,7 @@ from adis_gonio import fit, load_session, open_bus
 from adis_gonio.cli import main
 from adis_gonio.errors import ChipError, SessionError
 from adis_gonio.sensor import Adis16354
+from adis_gonio.sensor.registers import BY_NAME
 from adis_gonio.session.archive import ArchiveView
 from adis_gonio.session.events import DwellDone, DwellProgress
 from adis_gonio.session.plans import plan
@@ -115,6 +116,16 @@ def test_no_session_begins_while_the_manual_self_test_shifts_readings(tmp_path, 
         with pytest.raises(ChipError, match=f"self-test.* MSC_CTRL={end}'"):
             list(runner.run())
         assert sensor.read("MSC_CTRL") == word
+
+
+def test_a_data_line_stuck_at_ones_is_not_taken_for_a_self_test(tmp_path, monkeypatch):
+    read = Adis16354.read
+
+    def stuck(sensor, name):
+        return 0xFFFF if name is BY_NAME["MSC_CTRL"] else read(sensor, name)
+
+    monkeypatch.setattr(Adis16354, "read", stuck)
+    run(tmp_path / "q.session", None, DwellDone)
 
 
 def test_fit_of_an_archive_whose_registers_changed_says_so(tmp_path, monkeypatch, capsys):
