@@ -1,6 +1,6 @@
-"""Guided sessions with one fault below the driver: what `calibrate` and `fit` make of it.
+"""Guided sessions with one fault below the driver: results of `calibrate` and `fit`.
 
-Each session has a seed, a part of its own, a plan, a polled or a streaming bus, and one fault between the
+Each session has a seed, a simulated part, a plan, a polled or a streaming bus, and one fault between the
 driver and the chip (tests/fakes/faulty_chip.py): the chip restarts, a register changes, the data line
 sticks, the supply dips. The fault comes at a random time: during a dwell or between two, at the first
 position, at the last one or at any, or as registers are read and written. The command line itself runs:
@@ -10,15 +10,15 @@ position, at the last one or at any, or as registers are read and written. The c
 | outcome | the session |
 |---|---|
 | right | ends with status 0, and each value is within 4 u of the truth |
-| told | ends with another status and a message, and the dwells before the fault are in the file |
+| reported | ends with another status and a message, and the dwells before the fault are in the file |
 | wrong | ends with status 0, and a value is off by more than 4 u |
-| later | is told, but `fit` of its file then gives such a value and no warning |
+| later | is reported, but `fit` of its file then gives such a value and no warning |
 | mute, lost | ends with another status, but without a message, or without the dwells before the fault |
 | traceback | ends with an exception |
 | hung | takes too long: on the host's clock or on the bus's, or one exchange takes more than 1 s |
 
 Biases are compared with the truth plus the offsets that the session file states as configured. With
---resume a told session goes on with a chip that was switched off and on, and is judged again. Sessions
+--resume a reported session goes on with a chip that was switched off and on, and is judged again. Sessions
 without a fault give the rate of `wrong` by chance. `inadequate` counts right sessions whose fit widened its
 uncertainties because the residuals contradict the model.
 
@@ -83,8 +83,8 @@ OFFSETS = {
     "bias_x": "XACCL_OFF", "bias_y": "YACCL_OFF", "bias_z": "ZACCL_OFF", "gyro_bias_z": "ZGYRO_OFF",
 }  # fmt: skip
 ACCEL_LSB_MG, GYRO_LSB_DPS = 0.4672, 0.018315
-OUTCOMES = ("right", "told", "wrong", "later", "mute", "lost", "traceback", "hung")
-GOOD = ("right", "told")
+OUTCOMES = ("right", "reported", "wrong", "later", "mute", "lost", "traceback", "hung")
+GOOD = ("right", "reported")
 
 
 class HostOvertimeError(BaseException):
@@ -113,7 +113,7 @@ class Task:
 
 @dataclass
 class Outcome:
-    """What became of one session.
+    """The result of one session.
 
     Attributes
     ----------
@@ -327,14 +327,14 @@ def judge(outcome: Outcome, path: Path, truth: dict[str, float]) -> str:
         return "mute"
     if outcome.dwells < due_dwells(task, outcome.url):
         return "lost"
-    return "later" if wrong and not outcome.warnings else "told"
+    return "later" if wrong and not outcome.warnings else "reported"
 
 
 def last_line(text: str) -> str:
     """The message that ends a program's standard error: an error, or doubts about the result."""
     lines = [line for line in text.splitlines() if line.strip()]
-    told = [line for line in lines if line.startswith(("adis-gonio:", "the result "))]
-    return told[-1] if told else ""
+    ends = [line for line in lines if line.startswith(("adis-gonio:", "the result "))]
+    return ends[-1] if ends else ""
 
 
 def session(task: Task, *, resume: bool = False) -> Outcome:
@@ -348,12 +348,11 @@ def session(task: Task, *, resume: bool = False) -> Outcome:
             outcome.said = last_line(err)
             bus = observe(outcome)
             if bus is None:
-                outcome.outcome = "told" if outcome.said else "mute"
+                outcome.outcome = "reported" if outcome.said else "mute"
             else:
-                truth = bus.world.truth(np.linspace(0.0, bus._now, 200))
-                outcome.outcome = judge(outcome, path, truth)
-                if resume and outcome.outcome == "told" and path.exists():
-                    resume_session(outcome, path, truth)
+                outcome.outcome = judge(outcome, path, truth_of(bus))
+                if resume and outcome.outcome == "reported" and path.exists():
+                    resume_session(outcome, path)
         except (faulty_chip.OvertimeError, HostOvertimeError) as error:
             observe(outcome)
             outcome.outcome, outcome.said = "hung", str(error)
@@ -366,7 +365,7 @@ def session(task: Task, *, resume: bool = False) -> Outcome:
 
 
 def observe(outcome: Outcome) -> faulty_chip.FaultyBus | None:
-    """Take what the session's bus has counted; None if none was opened."""
+    """Take the counts of the session's bus and return it; None if no bus was opened."""
     if not faulty_chip.OPENED:
         return None
     bus = faulty_chip.OPENED[-1]
@@ -374,12 +373,17 @@ def observe(outcome: Outcome) -> faulty_chip.FaultyBus | None:
     return bus
 
 
-def resume_session(outcome: Outcome, path: Path, truth: dict[str, float]) -> None:
-    """Go on with a told session after the chip was switched off and on, and judge the result."""
+def truth_of(bus: faulty_chip.FaultyBus) -> dict[str, float]:
+    """Return the hidden parameters, with the mean wander of the biases while the bus was open."""
+    return bus.world.truth(np.linspace(0.0, bus._now, 200))
+
+
+def resume_session(outcome: Outcome, path: Path) -> None:
+    """Go on with a reported session after the chip was switched off and on, and judge the result."""
     again = Outcome(outcome.task, outcome.url)
     again.status, _, err = run(["calibrate", again.url, "--resume", "--auto", "-o", str(path)])
     again.said = last_line(err)
-    outcome.resumed = judge(again, path, truth)
+    outcome.resumed = judge(again, path, truth_of(faulty_chip.OPENED[-1]))
     outcome.resumed_said, outcome.resumed_off = again.said, again.off
 
 
@@ -405,7 +409,7 @@ def report(outcomes: Sequence[Outcome], kinds: Sequence[str]) -> bool:
     print(row("all faults", faulty))
     resumed = Counter(o.resumed for o in outcomes if o.resumed)
     if resumed:
-        print("\nresumed after told: " + ", ".join(f"{count} {end}" for end, count in resumed.items()))
+        print("\nresumed: " + ", ".join(f"{count} {end}" for end, count in resumed.items()))
     values = sum(len(o.off) for o in outcomes if o.task.kind == NO_FAULT)
     far = sum(abs(v) > MOST_U for o in outcomes if o.task.kind == NO_FAULT for v in o.off.values())
     print(f"without a fault: {far} of {values} values off by more than {MOST_U:g} u")
@@ -420,7 +424,7 @@ def report(outcomes: Sequence[Outcome], kinds: Sequence[str]) -> bool:
 
 
 def show(outcome: Outcome) -> None:
-    """Print a session: what came of it, how to repeat it."""
+    """Print a session, its result and the command that repeats it."""
     off = {name: round(value, 1) for name, value in outcome.off.items() if abs(value) > MOST_U}
     print(f"\n{outcome.outcome}: seed {outcome.task.seed}, {outcome.task.kind}, {outcome.task.plan}")
     print(f"  {outcome.command}")
@@ -450,7 +454,7 @@ def main() -> int:
     parser.add_argument("--only", default="", choices=["", *kinds], help="the only kind of fault")
     parser.add_argument("--plan", default="", choices=["", *PLANS])
     parser.add_argument("--dwell", type=float, default=1.0, help="length of a dwell in s")
-    parser.add_argument("--resume", action="store_true", help="also resume each session that was told")
+    parser.add_argument("--resume", action="store_true", help="also resume each reported session")
     parser.add_argument("--again", type=int, help="repeat the one session of a seed")
     parser.add_argument("--show", action="store_true", help="print each session")
     parser.add_argument("--json", type=Path, help="write all outcomes")

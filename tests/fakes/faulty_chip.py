@@ -120,7 +120,7 @@ class FaultyChip:
             return self.rng.integers(0, 1 << 16, count).astype(np.uint16)
         return np.full(count, 0xFFFF if line == "high" else 0, np.uint16)
 
-    # -- what a fault does ---------------------------------------------------------------------------
+    # -- faults ------------------------------------------------------------------------------------
 
     def set_register(self, at_s: float, name: str, word: int) -> None:
         """Change a register inside the chip at a time."""

@@ -36,7 +36,7 @@ def test_no_fault_gives_a_wrong_result_silently(number):
 @pytest.mark.parametrize("kind", ["restart", "offset", "range"])
 def test_a_change_of_the_chip_between_two_dwells_is_reported(kind):
     found = rig.session(task(kind, seed=43, within=False, place="last"))
-    assert (found.outcome, found.status) == ("told", 1)
+    assert (found.outcome, found.status) == ("reported", 1)
     assert found.dwells == 3
 
 
@@ -61,12 +61,12 @@ def test_the_rig_finds_a_wrong_result_if_registers_are_not_compared():
     assert abs(found.off["bias_x"]) > rig.MOST_U
 
 
-def test_a_told_session_goes_on_after_a_restart_only_with_the_offsets_that_it_began_with():
+def test_a_reported_session_goes_on_after_a_restart_only_with_the_offsets_that_it_began_with():
     fault = {"seed": 43, "place": "last", "within": False}
     same = rig.session(task("restart", **fault, preset="0"), resume=True)
-    assert (same.outcome, same.resumed, same.resumed_said) == ("told", "right", "")
+    assert (same.outcome, same.resumed, same.resumed_said) == ("reported", "right", "")
     other = rig.session(task("restart", **fault, preset="40"), resume=True)
-    assert (other.outcome, other.resumed) == ("told", "told")
+    assert (other.outcome, other.resumed) == ("reported", "reported")
     assert "XACCL_OFF was 40 and is 0" in other.resumed_said
 
 
