@@ -77,7 +77,7 @@ WAITING_LIMIT_S = 60.0
 """Simulated time that a session may take beyond twice the time of a session without a fault."""
 COMPARED = (
     "delta_k", "delta_phi", "scale_x", "scale_y", "scale_z", "skew_xy", "skew_xz", "skew_yz",
-    "bias_x", "bias_y", "bias_z", "gyro_bias_z",
+    "bias_x", "bias_y", "bias_z", "gyro_bias_z", "gyro_scale_z",
 )  # fmt: skip
 OFFSETS = {
     "bias_x": "XACCL_OFF", "bias_y": "YACCL_OFF", "bias_z": "ZACCL_OFF", "gyro_bias_z": "ZGYRO_OFF",
