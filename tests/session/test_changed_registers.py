@@ -118,6 +118,24 @@ def test_no_session_begins_while_the_manual_self_test_shifts_readings(tmp_path, 
         assert sensor.read("MSC_CTRL") == word
 
 
+@pytest.mark.parametrize(
+    ("register", "number"), [("SENS_AVG", 0x0202), ("SENS_AVG", 0x0404), ("SMPL_PRD", 3)]
+)
+def test_a_setting_that_changes_while_the_session_begins_is_refused(
+    tmp_path, monkeypatch, register, number
+):
+    lend = Adis16354.lend_data_ready
+
+    def lend_and_change(sensor, names):
+        loan = lend(sensor, names)
+        Adis16354(sensor.bus, "adis16354").write(register, number)
+        return loan
+
+    monkeypatch.setattr(Adis16354, "lend_data_ready", lend_and_change)
+    with pytest.raises(ChipError, match="changed while the session began"):
+        run(tmp_path / "q.session", None, DwellDone)
+
+
 def test_a_data_line_stuck_at_ones_is_not_taken_for_a_self_test(tmp_path, monkeypatch):
     read = Adis16354.read
 

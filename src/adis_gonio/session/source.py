@@ -211,15 +211,21 @@ class ChipSource:
         SessionError
             The settings insist on data-ready, and it cannot be used.
         ChipError
-            The manual self-test is on.
+            The manual self-test is on, or the chip lost its settings meanwhile.
         """
         self._forget_old_mark()
-        self.sensor.configure(
-            smpl_prd=settings.smpl_prd, filter_m=settings.filter_m, gyro_range_dps=settings.gyro_range_dps
-        )
+        asked = (settings.smpl_prd, settings.filter_m, settings.gyro_range_dps)
+        self.sensor.configure(smpl_prd=asked[0], filter_m=asked[1], gyro_range_dps=asked[2])
         self._borrow_data_ready(settings)
         self._refuse_self_test()
-        return self.sensor.configuration()
+        now = self.sensor.configuration()
+        if (now.smpl_prd, now.filter_m, now.gyro_range_dps) != asked:
+            self.give_back()
+            raise ChipError(
+                f"{self.url}: SMPL_PRD or SENS_AVG changed while the session began: the sensor restarted,"
+                " or somebody wrote to it; check the supply and go on with --resume"
+            )
+        return now
 
     def _refuse_self_test(self) -> None:
         """Raise `ChipError` while the stimulus of the manual self-test shifts every reading."""
