@@ -4,8 +4,9 @@ import pytest
 
 from adis_gonio import fit, load_session, open_bus
 from adis_gonio.cli import main
-from adis_gonio.errors import SessionError
+from adis_gonio.errors import ChipError, SessionError
 from adis_gonio.sensor import Adis16354
+from adis_gonio.sensor.registers import BY_NAME
 from adis_gonio.session.archive import ArchiveView
 from adis_gonio.session.events import DwellDone, DwellProgress
 from adis_gonio.session.plans import plan
@@ -102,6 +103,47 @@ def test_the_mark_of_a_killed_session_is_cleared_and_a_used_alarm_is_left_alone(
         assert sensor.read("ALM_MAG2") == 0
         assert sensor.read("ALM_MAG1") == 77
         assert sensor.read("ALM_CTRL") == 0x2000
+
+
+@pytest.mark.parametrize("polled", [True, False])
+@pytest.mark.parametrize(("word", "end"), [(0x0200, "0x0"), (0x0384, "0x84")])
+def test_no_session_begins_while_the_manual_self_test_shifts_readings(tmp_path, polled, word, end):
+    path = tmp_path / "q.session"
+    with open_bus(POLLED if polled else "sim:?seed=3") as bus:
+        sensor = Adis16354(bus, "adis16354")
+        sensor.write("MSC_CTRL", word)
+        runner = SessionRunner.begin(sensor, path, plan("two-position"), SHORT, auto=True)
+        with pytest.raises(ChipError, match=f"self-test.* MSC_CTRL={end}'"):
+            list(runner.run())
+        assert sensor.read("MSC_CTRL") == word
+
+
+@pytest.mark.parametrize(
+    ("register", "number"), [("SENS_AVG", 0x0202), ("SENS_AVG", 0x0404), ("SMPL_PRD", 3)]
+)
+def test_a_setting_that_changes_while_the_session_begins_is_refused(
+    tmp_path, monkeypatch, register, number
+):
+    lend = Adis16354.lend_data_ready
+
+    def lend_and_change(sensor, names):
+        loan = lend(sensor, names)
+        Adis16354(sensor.bus, "adis16354").write(register, number)
+        return loan
+
+    monkeypatch.setattr(Adis16354, "lend_data_ready", lend_and_change)
+    with pytest.raises(ChipError, match="changed while the session began"):
+        run(tmp_path / "q.session", None, DwellDone)
+
+
+def test_a_data_line_stuck_at_ones_is_not_taken_for_a_self_test(tmp_path, monkeypatch):
+    read = Adis16354.read
+
+    def stuck(sensor, name):
+        return 0xFFFF if name is BY_NAME["MSC_CTRL"] else read(sensor, name)
+
+    monkeypatch.setattr(Adis16354, "read", stuck)
+    run(tmp_path / "q.session", None, DwellDone)
 
 
 def test_fit_of_an_archive_whose_registers_changed_says_so(tmp_path, monkeypatch, capsys):

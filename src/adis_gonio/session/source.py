@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any, Protocol, Self
 
 from adis_gonio.bus.opening import SOURCE_GROUP, BusUrl
-from adis_gonio.errors import SessionError, UsageError
+from adis_gonio.errors import ChipError, SessionError, UsageError
 from adis_gonio.sensor.bartlett import white_gain
 from adis_gonio.sensor.data_ready import MASK as DATA_READY_BITS
 from adis_gonio.sensor.data_ready import DataReadyLoan
@@ -210,13 +210,35 @@ class ChipSource:
         ------
         SessionError
             The settings insist on data-ready, and it cannot be used.
+        ChipError
+            The manual self-test is on, or the chip lost its settings meanwhile.
         """
         self._forget_old_mark()
-        self.sensor.configure(
-            smpl_prd=settings.smpl_prd, filter_m=settings.filter_m, gyro_range_dps=settings.gyro_range_dps
-        )
+        asked = (settings.smpl_prd, settings.filter_m, settings.gyro_range_dps)
+        self.sensor.configure(smpl_prd=asked[0], filter_m=asked[1], gyro_range_dps=asked[2])
         self._borrow_data_ready(settings)
-        return self.sensor.configuration()
+        self._refuse_self_test()
+        now = self.sensor.configuration()
+        if (now.smpl_prd, now.filter_m, now.gyro_range_dps) != asked:
+            self.give_back()
+            raise ChipError(
+                f"{self.url}: SMPL_PRD or SENS_AVG changed while the session began: the sensor restarted,"
+                " or somebody wrote to it; check the supply and go on with --resume"
+            )
+        return now
+
+    def _refuse_self_test(self) -> None:
+        """Raise `ChipError` while the stimulus of the manual self-test shifts every reading."""
+        control = BY_NAME["MSC_CTRL"]
+        stimulus = control.field("positive").mask | control.field("negative").mask
+        word = self.sensor.read(control)
+        if word & stimulus and not word & ~control.write_mask:  # other bits: the line gives no replies
+            self.give_back()
+            word = self.sensor.read(control) & ~stimulus
+            raise ChipError(
+                f"{self.url}: the manual self-test (MSC_CTRL[9:8]) is on and shifts every reading;"
+                f" end it with 'adis-gonio registers URL MSC_CTRL=0x{word:X}'"
+            )
 
     def _borrow_data_ready(self, settings: Settings) -> None:
         self.give_back()
