@@ -195,6 +195,7 @@ STRANGE_CELLS = (
     "\x00", "\x1b[31m", "é", "𝟙", "2026-11-24T10:00:00Z", "2026-11-24 10:00:00.5", "10:00:01", "1.5 mg",
     "0,1,2",
     "\r", "\n", "#", ";", "\t", "-5", "1e9", "9" * 18, "9" * 25, "1.7976931348623157e308", "fit", "check",
+    "1e6", "-1e6", "-1e9", "1e15", "1e19", "-1e19", "1e-300", "1e-6", "0", "-0", "32767", "100000",
 )  # fmt: skip
 NAMES = (
     "time_s", "position", "angle_deg", "approach", "ax", "ay", "az", "gx", "gy", "gz", "temp_c", "supply_v",
@@ -297,7 +298,9 @@ def _write_table(target: Path, keys: list[str], rows: list[list[str]], rng: rand
     encoding = rng.choice(
         ("utf-8",) * 8 + ("utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1252", "utf-32")
     )
-    text = end.join([*keys, *(mark.join(row) for row in rows)]) + rng.choice((end, "", "\x00", "\x1a"))
+    text = end.join([*keys, *(mark.join(row) for row in rows)]) + rng.choice(
+        (end,) * 12 + ("", "\x00", "\x1a")
+    )
     data = text.encode(encoding, errors="replace")
     target.write_bytes(gzip.compress(data, 1) if rng.random() < 0.25 else data)
     return f" ({encoding}, {end!r}, {mark!r})"
@@ -397,6 +400,8 @@ def _document_texts(source: Path, target: Path, rng: random.Random) -> str:
 
 
 TOKENS = (
+    "1e6", "-1e6", "1e9", "-1e9", "1e10", "1e15", "-1e15", "1e-300", "1e-6", "65535", "32767", "-32768",
+    "3600", "6",
     "NaN", "Infinity", "-Infinity", "1e400", "1e308", "-1e308", "5e-324", "-0", "0", "-1", "1", str(HUGE),
     "1" * 5000,
     "9223372036854775807", "9223372036854775808", "-9223372036854775808", "0.1e1", "true", "null", '""',
