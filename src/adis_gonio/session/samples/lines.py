@@ -30,7 +30,7 @@ _FOREIGN = {
 _HTML = (b"<!doctype html", b"<html", b"<head", b"<body")
 LONGEST_LINE = 1 << 16
 """Characters: rows have hundreds; a file without line ends would fill the memory."""
-MOST_GROWTH, SMALL = 200, 1 << 25
+MOST_GROWTH, SMALL = 200, 1 << 24
 """Unpacked bytes for each byte of a gzip file, and unpacked bytes that are always allowed.
 
 Samples pack to a tenth or a thirtieth of their size, equal rows to a thousandth.
