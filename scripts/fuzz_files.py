@@ -160,8 +160,8 @@ def classify(status: int, words: tuple[str, ...], stderr: str) -> str:
     if not all(line.isprintable() and len(line) < 1000 for line in lines):
         return "NOISY"
     chatty = words[0] in _CHATTY
-    said = [line for line in lines if not chatty and not re.search(r" …( \(.*\))?$", line)]
     told = [line for line in lines if line.startswith("adis-gonio:")]
+    said = [line for line in lines if line in told or not re.search(r" …( \(.*\))?$", line)]
     if chatty:
         return "TOLD" if lines and told in ([], lines[-1:]) else "NOISY"
     return "TOLD" if len(told) == 1 and said == told else "NOISY"
@@ -228,7 +228,7 @@ def make_sound_files(folder: Path) -> SoundFiles:
     commands = (
         "simulate --plan mmpm --check 2 --dwell 1 --rate 50 -o turn.session",
         f"{sim} --plan poses --positions 9 -o poses.session",
-        f"{sim} --plan gyro-turns --turns 1 -o gyros.session",
+        f"{sim} --plan gyro-turns --turns 1 --positions 3 -o gyros.session",
         "simulate --dwell 1 --rate 20 --effect quadratic:k2_x=2.5 -o four.session",
         "simulate --plan tumble --positions 3 --dwell 1 --rate 20 -o tumble.csv",
         "export four.session -o four.csv",

@@ -143,7 +143,7 @@ OBJECTS = (
     "PRAGMA writable_schema = ON; UPDATE sqlite_master SET name = x'ff' WHERE name = '{table}'",
     "PRAGMA writable_schema = ON; DELETE FROM sqlite_master",
 )
-"""Statements that put another thing in the place of a table, or beside the tables."""
+"""Statements that put another thing in the place of a table, or add another thing."""
 
 
 def archive_objects(sound: SoundFiles, target: Path, rng: random.Random) -> str:
@@ -160,7 +160,7 @@ def archive_objects(sound: SoundFiles, target: Path, rng: random.Random) -> str:
 
 
 def archive_bytes(sound: SoundFiles, target: Path, rng: random.Random) -> str:
-    """Damage the bytes of a session file, or lay a foreign journal beside it."""
+    """Damage the bytes of a session file, or put a foreign journal next to it."""
     source = rng.choice(sound.sessions)
     way = rng.choice(("bits", "bits", "header", "cut", "page", "zeros", "journal"))
     data = damaged_bytes(source.read_bytes(), "bits" if way == "journal" else way, rng)

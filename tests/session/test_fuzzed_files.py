@@ -1,4 +1,4 @@
-"""A hundred files of `scripts/fuzz_files.py`, and its judgement of commands that misbehave."""
+"""Eighty files of `scripts/fuzz_files.py`, and its judgement of commands that misbehave."""
 
 import json
 import subprocess
@@ -56,12 +56,12 @@ def run_python(*words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_a_hundred_strange_files_end_well_or_in_one_line():
-    done = run_python("fuzz_files.py", "--files", "100", "--seed", "5", "--jobs", "2")
+def test_strange_files_end_well_or_in_one_line():
+    done = run_python("fuzz_files.py", "--files", "80", "--seed", "5", "--jobs", "2")
     assert done.returncode == 0, done.stdout + done.stderr
     (*counts,) = map(int, done.stdout.splitlines()[-2].split()[1:])
     ok, told, noisy, *failures = counts
-    assert (sum(counts), noisy, failures) == (100, 0, [0, 0, 0]), done.stdout
+    assert (sum(counts), noisy, failures) == (80, 0, [0, 0, 0]), done.stdout
     assert ok > 5  # files that are refused at once reach nothing
     assert told > 30
 
