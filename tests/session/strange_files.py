@@ -294,6 +294,9 @@ def _table(sound: SoundFiles, rng: random.Random) -> tuple[str, list[str], list[
 
 def _write_table(target: Path, keys: list[str], rows: list[list[str]], rng: random.Random) -> str:
     """Write the file, sometimes compressed, in another encoding or with other line ends."""
+    if rng.random() < 0.6:
+        target.write_text("\n".join([*keys, *(",".join(row) for row in rows)]) + "\n", encoding="utf-8")
+        return ""
     end, mark = rng.choice(("\n",) * 6 + ("\r\n", "\r", "\n\n")), rng.choice((",",) * 8 + (";", "\t", " "))
     encoding = rng.choice(
         ("utf-8",) * 8 + ("utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1252", "utf-32")
