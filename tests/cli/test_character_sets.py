@@ -129,3 +129,22 @@ def test_what_stands_for_a_letter_is_ascii_and_ends_no_string_of_json():
         assert not set('"\\\n') & set(text), letter
     assert readable("\u00e9") == "e"
     assert readable("\u4e2d") == "?"
+
+
+def test_a_message_never_steers_the_terminal(tmp_path, capsys):
+    path = tmp_path / "a.csv"
+    path.write_text("time_s,ax,ay\n0,\x1b[31m1\u202e,2\n", encoding="utf-8")
+    assert main(["fit", str(path)]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.isprintable()
+    assert "a.csv, row 2" in line
+
+
+def test_a_long_cell_leaves_a_message_its_beginning_and_its_end(tmp_path, capsys):
+    path = tmp_path / "a.csv"
+    path.write_text(f"time_s,ax,ay\n0,{'1' * 5000},2\n", encoding="utf-8")
+    assert main(["fit", str(path)]) == 1
+    line = capsys.readouterr().err
+    assert len(line) < 700
+    assert line.startswith("adis-gonio: a.csv, row 2")
+    assert line.endswith("leave such rows out\n")

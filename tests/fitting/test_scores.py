@@ -13,6 +13,7 @@ from adis_gonio.fitting.scores import DwellPrediction, Score, _folds, predicted
 from adis_gonio.fitting.standing import recommend
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.model.records import Dwell, Session
+from adis_gonio.session.loading import load_session
 from fitting.test_uncertainty import FOUR, NINE, turn
 
 TUMBLE = (*range(0, 360, 30), *range(330, -30, -30))
@@ -259,3 +260,14 @@ def test_every_dwell_is_left_out_once_and_those_that_took_no_part_together(used)
     assert all(rows[fold].all() for fold in folds[1:])
     sizes = [len(fold) for fold in folds[1:]]
     assert max(sizes, default=0) - min(sizes, default=0) <= 1
+
+
+def test_the_paper_is_scored_although_its_equations_divide_by_zero_at_one_place(tmp_path):
+    # Without the dwell at 0° the first two positions are 90° and 180°, and U_x1 is zero.
+    path = tmp_path / "zeros.csv"
+    readings = [(1000, 0), (0, -1000), (-1000, 0), (0, 1000)]
+    rows = [f"{k},{k},{90 * k},{x},{y}" for k, (x, y) in enumerate(readings)]
+    path.write_text("# accel_unit: mg\ntime_s,position,angle_deg,ax,ay\n" + "\n".join(rows) + "\n")
+    standing = fit(load_session(path)).standing
+    assert standing.scores["paper"].dwells == 4
+    assert {score.dwells for score in standing.scores.values()} == {4}

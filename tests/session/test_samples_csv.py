@@ -103,6 +103,9 @@ def test_every_key_and_column_is_read(tmp_path):
         ("0.1,0,5,2000,101", 3, "angle_deg changes within a dwell"),
         ("0.1,0,x,2000,101", 3, "is not an angle"),
         ("0.1,zero,0,2000,101", 3, "is not an integer"),
+        ("0.1,1e300,0,2000,101", 3, "is not an integer"),
+        ("0.1,0,1e300,2000,101", 3, "is no angle"),
+        ("0.1,0,0,-1e308,101", 3, "too large"),
     ],
 )
 def test_a_bad_row_is_named(tmp_path, line, row, words):
@@ -141,6 +144,9 @@ def test_an_angle_written_in_two_ways_is_the_same_angle(tmp_path):
         ("fixture_sigma_deg", "-1"),
         ("fixture_sigma_deg", "loose"),
         ("reading_u_mg", "0"),
+        ("reading_u_mg", "1e300"),
+        ("gravity_mps2", "1e-300"),
+        ("fixture_sigma_deg", "1e300"),
     ],
 )
 def test_an_unknown_value_of_a_key_is_named(tmp_path, key, value):

@@ -33,6 +33,28 @@ def readable(letter: str) -> str:
     return plain or ("" if unicodedata.combining(letter) else "?")
 
 
+LONGEST_MESSAGE = 600
+"""Characters of a message; messages of this program have fewer, so that only text from a file is cut."""
+
+
+def one_line(text: str) -> str:
+    """Message as one printable line: a file's own text must not steer the terminal, nor fill it.
+
+    Bytes of a file's name that are no text stay as they are. A longer message than `LONGEST_MESSAGE` loses
+    its middle: the file stands at its beginning, the cure at its end.
+    """
+    plain = "".join(
+        letter
+        if letter.isprintable() or "\udc80" <= letter <= "\udcff"
+        else " "
+        if letter.isspace()
+        else "?"
+        for letter in text
+    )
+    half = LONGEST_MESSAGE // 2
+    return plain if len(plain) <= LONGEST_MESSAGE else f"{plain[:half]}…{plain[-half:]}"
+
+
 def make_readable() -> None:
     """Let standard output and standard error write what their character set lacks in readable letters.
 

@@ -46,6 +46,8 @@ LEAST_MMPM = 9
 _FAR_FROM_POLE = 0.5
 """cos(2 alpha + delta_phi) from which it is not the pole at 45° that spoils equation 12."""
 _NEAR_POLE = 0.2
+_LEAST_READING = 1e-6
+"""U_x1 and U_y2, in local gravity, below which equations 5 and 12 divide by zero."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,10 @@ def model_without(method: str, rest: Readings, noise: NoiseAssumptions) -> Fit:
             chosen, weights = _grouped(turned, method, TWO)
             linear = _linear(chosen, weights, bias=False)
             if method == "paper":
-                linear = _by_paper(chosen, weights, linear)[0]
+                try:
+                    linear = _by_paper(chosen, weights, linear)[0]
+                except SingularError:
+                    continue
             beta = linear.beta.copy()
             beta[ALPHA] += quarter * math.pi / 2
             return _fit(data, beta, bias=False)
@@ -158,7 +163,7 @@ def fit_paper(readings: Readings) -> FitResult:
     u_at = math.sqrt(max(float(gradient @ spread @ gradient), 0.0))
     first, second = weights @ natural
     distance = abs(math.cos(at))
-    if math.hypot(phi, u_at) > _NEAR_POLE * distance or min(abs(first[0]), abs(second[1])) < 1e-6:
+    if math.hypot(phi, u_at) > _NEAR_POLE * distance or min(abs(first[0]), abs(second[1])) < _LEAST_READING:
         if distance > _FAR_FROM_POLE:
             raise SingularError(
                 f"method paper does not hold here: delta_phi would be {math.degrees(phi):.1f} ± "
@@ -183,8 +188,16 @@ def fit_paper(readings: Readings) -> FitResult:
 
 
 def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linear, Floats]:
-    """Equations 5 to 12 beside the start angle and gain of X of the closed form; (ΔK, Δφ)."""
+    """Equations 5 to 12 with the start angle and the gain of X of the closed form; (ΔK, Δφ).
+
+    Raises
+    ------
+    SingularError
+        A denominator of equation 5 or 12 vanishes.
+    """
     first, second = weights @ (chosen.mean / chosen.gravity_mg)
+    if min(abs(first[0]), abs(second[1])) < _LEAST_READING:
+        raise SingularError("method paper is singular here: U_x1 or U_y2 is zero; use method two-position")
     values, derivative = _paper(first, second, weights)
     beta = exact.beta.copy()
     beta[DELTA_PHI] = values[1]

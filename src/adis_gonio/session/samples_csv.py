@@ -132,6 +132,7 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     path.write_bytes(data)
 
 
+_LARGEST_DEG = 1e6
 _Column = Callable[[Dwell], list[str]]
 """Texts (n,) that a column of the file holds for a dwell of n samples."""
 
@@ -253,8 +254,8 @@ def _position(table: SamplesTable, row: int, text: str) -> int:
         value = table.number("position", text)
     except ValueError:
         value = math.nan
-    if not value.is_integer():
-        raise table.fail(row, f"column 'position': '{text.strip()}' is not an integer")
+    if not (value.is_integer() and abs(value) < 1e9):
+        raise table.fail(row, f"column 'position': '{text.strip()}' is not an integer of at most 9 digits")
     return int(value)
 
 
@@ -374,8 +375,8 @@ def _angle(table: SamplesTable, text: str) -> float | None:
         value = table.number("angle_deg", text)
     except ValueError:
         raise ValueError("is not an angle in degrees") from None
-    if not math.isfinite(value):
-        raise ValueError("is not a finite angle; leave it empty where it is unknown")
+    if not abs(value) <= _LARGEST_DEG:
+        raise ValueError("is no angle of a stage; leave it empty if it is unknown")
     return value
 
 

@@ -13,6 +13,8 @@ from adis_gonio.model.gravity import checked_gravity_mps2
 from adis_gonio.model.records import ACCEL_UNITS, GYRO_UNITS, PLANES, SENSORS
 from adis_gonio.session.samples.dialect import SPACE, Dialect
 
+_LARGEST = 1e6
+"""Of gravity in m/s², an uncertainty in degrees or mg; a session file has the same bounds."""
 _BEGINS = r"(?=[=+\-@＝＋－＠])"
 _FORMULA = re.compile(r"""([,;|][\s"']*)""" + _BEGINS)
 _WITHOUT_FORMULA = re.compile(r"""([,;|][\s"']*)'""" + _BEGINS)
@@ -135,8 +137,8 @@ def _number(text: str) -> float:
 
 def _positive(text: str) -> float:
     value = _number(text)
-    if not (math.isfinite(value) and value > 0):
-        raise ValueError("expected a number above zero")
+    if not 1 / _LARGEST <= value <= _LARGEST:
+        raise ValueError(f"expected a number from {1 / _LARGEST:g} to {_LARGEST:g}")
     return value
 
 
@@ -144,8 +146,8 @@ def _sigma(text: str) -> float:
     if text.lower() == "free":
         return math.inf
     value = _number(text)
-    if not (math.isfinite(value) and value >= 0):
-        raise ValueError("expected degrees, not negative, or 'free'")
+    if not 0 <= value <= _LARGEST:
+        raise ValueError(f"expected degrees from 0 to {_LARGEST:g}, or 'free'")
     return value
 
 

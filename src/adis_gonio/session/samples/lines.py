@@ -30,6 +30,11 @@ _FOREIGN = {
 _HTML = (b"<!doctype html", b"<html", b"<head", b"<body")
 LONGEST_LINE = 1 << 16
 """Characters: rows have hundreds; a file without line ends would fill the memory."""
+MOST_GROWTH, SMALL = 200, 1 << 24
+"""Unpacked bytes for each byte of a gzip file, and unpacked bytes that are always allowed.
+
+Samples pack to a tenth or a thirtieth of their size, equal rows to a thousandth.
+"""
 _REPLACEMENT = "�"
 
 
@@ -132,8 +137,14 @@ def _decoded(path: Path, file: IO[bytes], raw: IO[bytes], size: int) -> Iterator
             "that shows it"
         )
     decoder = codecs.getincrementaldecoder(_encoding(data))("adis_gonio.windows-1252")
-    blank = True
+    blank, unpacked = True, 0
     while data:
+        unpacked += len(data)
+        if unpacked > MOST_GROWTH * raw.tell() + SMALL:
+            raise DataError(
+                f"{path.name}: not a samples CSV: it unpacks to more than {MOST_GROWTH} times its size, as "
+                "equal rows do; unpack it first if these are samples"
+            )
         text = decoder.decode(data)
         _refuse_binary(path, text)
         blank = blank and not text.strip()

@@ -35,6 +35,8 @@ _WALL_CLOCK = re.compile(
     r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?\s*(Z|[+-]\d\d(:?\d\d)?)?", re.ASCII
 )
 """ISO 8601 with date and time, as loggers write it; with Z or an offset, or in one zone without."""
+_LARGEST = 1e20
+"""Of a cell: a time in ns since 1970 has 2e18, and sums of fourth powers stay far below overflow."""
 _GROWTH, _LEAST = 1.125, 1 << 15
 _SLOWEST_S = 2.0
 """Step between rows from which a time without a unit may as well be in ms."""
@@ -206,7 +208,7 @@ class _Reader:
                 raise ValueError
             cells = text.replace(",", ".").split("\n")
         values = np.fromiter(map(float, cells), dtype=np.float64, count=len(cells))
-        if "_" in text or not np.isfinite(values).all():
+        if "_" in text or not (np.abs(values) <= _LARGEST).all():
             raise ValueError
         return values
 
@@ -295,7 +297,7 @@ class _Reader:
 
     def _one(self, cell: str) -> float:
         value = self.dialect.number(cell)
-        if not math.isfinite(value):
+        if not abs(value) <= _LARGEST:
             raise ValueError(cell)
         if not self._joined and ("." if self.dialect.decimal == "," else ",") in cell:
             self._joined = f"marks between thousands were left out, as in '{cell.strip()}' = {value:.12g}"
@@ -327,6 +329,8 @@ class _Reader:
             value = 0.0
         if not math.isfinite(value):
             return f"{cell} is not a finite number; leave such rows out"
+        if abs(value) > _LARGEST:
+            return f"{cell} is too large for a measurement; leave such rows out"
         own, other = ("comma", ".") if self.dialect.decimal == "," else ("point", ",")
         try:
             self.dialect.with_decimal(other, proved=True).number(cell)
