@@ -26,9 +26,12 @@ from __future__ import annotations
 
 
 def one_line(text: str) -> str:
-    """Return the words of a text with one space between them and `?` for each unprintable character."""
+    """Return the words of a text with one space between them and `?` for each unprintable letter.
+
+    Text of a file or a device must not steer a terminal. Bytes of a file's name that are no text stay.
+    """
     words = " ".join(text.split())
-    return "".join(letter if letter.isprintable() else "?" for letter in words)
+    return "".join(c if c.isprintable() or "\udc80" <= c <= "\udcff" else "?" for c in words)
 
 
 class AdisGonioError(Exception):

@@ -16,7 +16,7 @@ from contextlib import nullcontext, suppress
 import click
 
 from adis_gonio import __version__
-from adis_gonio.cli.characters import make_readable, one_line
+from adis_gonio.cli.characters import make_readable, message_line
 from adis_gonio.cli.interrupt import Insistent
 from adis_gonio.cli.lazy import LazyGroup
 from adis_gonio.errors import AdisGonioError
@@ -95,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _fail(message: str, status: int) -> int:
-    print(f"adis-gonio: {one_line(message)}", file=sys.stderr)  # noqa: T201
+    print(f"adis-gonio: {message_line(message)}", file=sys.stderr)  # noqa: T201
     return status
 
 

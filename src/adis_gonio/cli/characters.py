@@ -9,6 +9,8 @@ import codecs
 import sys
 import unicodedata
 
+from adis_gonio.errors import one_line
+
 _ERRORS = "adis-gonio-readable"
 _ASCII = "adis-gonio-ascii"
 
@@ -37,22 +39,13 @@ LONGEST_MESSAGE = 600
 """Characters of a message; messages of this program have fewer, so that only text from a file is cut."""
 
 
-def one_line(text: str) -> str:
-    """Message as one printable line: a file's own text must not steer the terminal, nor fill it.
+def message_line(text: str) -> str:
+    """Return a message as one printable line of about `LONGEST_MESSAGE` characters.
 
-    Bytes of a file's name that are no text stay as they are. A longer message than `LONGEST_MESSAGE` loses
-    its middle: the file stands at its beginning, the cure at its end.
+    A longer one loses its middle: the file stands at its beginning, the cure at its end.
     """
-    plain = "".join(
-        letter
-        if letter.isprintable() or "\udc80" <= letter <= "\udcff"
-        else " "
-        if letter.isspace()
-        else "?"
-        for letter in text
-    )
-    half = LONGEST_MESSAGE // 2
-    return plain if len(plain) <= LONGEST_MESSAGE else f"{plain[:half]}…{plain[-half:]}"
+    line, half = one_line(text), LONGEST_MESSAGE // 2
+    return line if len(line) <= LONGEST_MESSAGE else f"{line[:half]}…{line[-half:]}"
 
 
 def make_readable() -> None:

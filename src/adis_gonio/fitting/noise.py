@@ -98,7 +98,7 @@ def settle(readings: Readings) -> Settled:
         note = (
             f"the residual is {ratio:.3g} times what the noise within the dwells explains (chi2 "
             f"{chi2:.4g}, dof {dof}): the model does not describe this session; each u holds "
-            f"{extra:.3g} mg of scatter on every reading and the effects of the catalogue that the session allows"
+            f"{extra:.3g} mg of scatter on every reading and the catalogue's effects that the data allow"
         )
         noise = replace(noise, extra_mg=extra, dof=float(dof), notes=(*noise.notes, note))
         determination = follow.determination(noise)
