@@ -17,12 +17,12 @@ from adis_gonio.errors import FitError, SessionError, UsageError
 from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.result import Estimate, FitResult
-from adis_gonio.model.effects import AXES, Conditions, effect
+from adis_gonio.model.effects import AXES, effect
 from adis_gonio.model.measurement import BaseParameter, FreeAttitude, PlanarTurn
 from adis_gonio.model.provenance import Provenance
 from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Floats
+from adis_gonio.tracing.outcome.clock import clock_at_middle, follows_clock, middle_s
 from adis_gonio.tracing.outcome.result import TraceResult
-from adis_gonio.tracing.unnamed.averaging import AveragedTerm
 from adis_gonio.writeback.journal import INTERRUPTED
 
 CORRECTABLE = frozenset(
@@ -145,7 +145,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
         if isinstance(term, NamedTerm) and term.name in CORRECTABLE and _stands(term, result)
     ]
     others = [term for term in final.terms if term not in standing and term.name != "bias"]
-    left = [_left_out(term, result, _middle_s(final)) for term in others]
+    left = [_left_out(term, result, middle_s(final)) for term in others]
     if result.unnamed is not None and all(term.name is not None for term in final.terms):
         left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS))
     fit, inflation = _without(final, others, result.inflation)
@@ -179,7 +179,7 @@ def _of_reading(term: Term) -> bool:
 
 def _holds_bias(term: Term) -> bool:
     """True for a function without a name in the place of a bias, of which no value at one time is known."""
-    return term.name is None and not term.enters_angle and not _of_clock(term)
+    return term.name is None and not term.enters_angle and not follows_clock(term)
 
 
 def _without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
@@ -200,20 +200,6 @@ def _without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, fl
     return again, max(inflation, misfit)
 
 
-def _of_clock(term: Term) -> bool:
-    """True for what follows the time since the session began and nothing else."""
-    if isinstance(term, AveragedTerm):  # its members may follow more than the first of them
-        return all(_of_clock(member) for _, member, _ in term.members)
-    needs = term.effect.needs if isinstance(term, NamedTerm) else ()
-    return term.covariates == ("time",) and not needs
-
-
-def _middle_s(fit: Fit) -> float:
-    """Time half-way between the first and the last dwell of a fit, in s since the session began."""
-    time_s = fit.data.conditions.time_s
-    return float(time_s.min() + time_s.max()) / 2
-
-
 class _Columns:
     """Values of a fit with their places among its parameters, in the units that results are stated in.
 
@@ -222,10 +208,9 @@ class _Columns:
 
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
-        self.middle = Conditions(time_s=np.array([_middle_s(fit)]))
         axes = fit.data.axes
-        self.offset, self.offset_slope = self._of_clock(np.zeros(axes), turned=False)
-        self.turn_rad, self.turn_slope = self._of_clock(np.zeros(axes), turned=True)
+        self.offset, self.offset_slope = clock_at_middle(fit, np.zeros(axes))
+        self.turn_rad, self.turn_slope = clock_at_middle(fit, np.zeros(axes), turned=True)
         self.unit = fit.data.unit
         self.names: list[str] = []
         self.values: list[float] = []
@@ -238,22 +223,11 @@ class _Columns:
         self.units.append(unit)
         self.rows.append(gradient)
 
-    def _of_clock(self, ideal_mg: Floats, *, turned: bool) -> tuple[Floats, Floats]:
-        """What the clock adds to a reading (axes,), or to the angle, at the middle; its gradient (…, p)."""
-        one = ideal_mg[None]
-        added = np.zeros(() if turned else ideal_mg.shape)
-        slope = np.zeros((*added.shape, len(self.fit.values.parameters)))
-        for index, (term, own) in enumerate(zip(self.fit.terms, self.fit.values.terms, strict=True)):
-            if _of_clock(term) and term.enters_angle == turned:
-                added = added + term.added(own, one, self.middle)[0]
-                slope[..., self.fit.slice_of(index)] += term.derivative(own, one, self.middle)[0]
-        return added, slope
-
     def _gain(self, axis: int) -> tuple[float, Floats]:
         """Factor on the gain of an axis at the middle, and its gradient (p,)."""
         ideal_mg = np.zeros(self.fit.data.axes)
         ideal_mg[axis] = MG_PER_G
-        full, slope = self._of_clock(ideal_mg, turned=False)
+        full, slope = clock_at_middle(self.fit, ideal_mg)
         factor = 1 + (full[axis] - self.offset[axis]) / MG_PER_G
         return float(factor), (slope[axis] - self.offset_slope[axis]) / MG_PER_G
 
@@ -371,13 +345,13 @@ def _stands(term: NamedTerm, result: TraceResult) -> bool:
     return bool(rivals) and rivals <= CORRECTABLE | {"bias"}
 
 
-def _left_out(term: Term, result: TraceResult, middle_s: float) -> NotCorrected:
+def _left_out(term: Term, result: TraceResult, at_s: float) -> NotCorrected:
     name = term.name
-    if _of_clock(term):
+    if follows_clock(term):
         why = _CLOCK if name is not None else _NAMELESS
         of = "the start angle is that" if term.enters_angle else "bias and gain are those"
         return NotCorrected(
-            term.shown_as, f"{why}; {of} of the session's middle, {middle_s:.4g} s after its start"
+            term.shown_as, f"{why}; {of} of the session's middle, {at_s:.4g} s after its start"
         )
     if name is None:
         return NotCorrected(term.shown_as, _NAMELESS)

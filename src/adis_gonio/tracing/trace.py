@@ -22,6 +22,7 @@ from adis_gonio.slips import Diagnosis
 from adis_gonio.slips.of_session import in_context, positions_of
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
+from adis_gonio.tracing.outcome.clock import bias_at_middle
 from adis_gonio.tracing.outcome.detect import detectable
 from adis_gonio.tracing.outcome.findings import (
     base_of,
@@ -177,7 +178,8 @@ def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | 
     places = credible_sets(selection, averaged)
     sets = tuple(one for one in places if one.present >= limits.certain)
     likelier = _likelier(sets, terms)
-    weak = _weak(findings, figures[-1], likelier, places)
+    in_middle = [bias_at_middle(final, finding) for finding in findings]
+    weak = _weak(in_middle, figures[-1], likelier, places)
     names = without(replace(names, open={**names.open, **weak}), weak)
     notes = list(notes_of(selection, scatter))
     adequate = final.adequate and scatter is None and (final.fit.dof > 0 or not training.noise_known)
