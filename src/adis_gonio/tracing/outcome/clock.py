@@ -65,7 +65,7 @@ def bias_at_middle(selection: Selection, finding: Finding) -> Finding:
         return finding
     fit = selection.fit
     added, slopes = clock_at_middle(fit, np.zeros(fit.data.axes))
-    if not slopes.any():
+    if not slopes.any() and not added.any():
         return finding
     stated = dict(finding.parameters)
     for index, term in enumerate(fit.terms):
