@@ -190,9 +190,9 @@ def zeros_of(selection: Selection) -> dict[str, Value]:
     fit = selection.fit
     axes = tuple(AXES[: data.axes])
     if all(term.name != "bias" for term in fit.terms):
-        term = NamedTerm("bias", (), 0.0, effect("bias", axes))
+        zero = NamedTerm("bias", (), 0.0, effect("bias", axes))
         values = replace(fit.values, terms=(*fit.values.terms, np.zeros(len(axes))))
-        fit = Fit(data, (*fit.terms, term), values, fit.with_prior).refit()
+        fit = Fit(data, (*fit.terms, zero), values, fit.with_prior).refit()
     stated = {f"bias_{letter}": Value(0.0, None, "mg") for letter in axes}
     for index, term in enumerate(fit.terms):
         if not isinstance(term, NamedTerm) or term.name != "bias":
