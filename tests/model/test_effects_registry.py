@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from adis_gonio.errors import UsageError
+from adis_gonio.estimation.readings import from_means
 from adis_gonio.model.effects import BUILT_IN, Conditions, Enters, catalogue, effect, parse_effect
+from adis_gonio.tracing.candidates.named import named_terms
 
 PLUGIN = '''
 from typing import ClassVar
@@ -26,6 +28,15 @@ class ThirdHarmonic(StageEffect):
 
 class Impostor(ThirdHarmonic):
     name = "bias"
+
+class Ageing(ThirdHarmonic):
+    name = "ageing"
+    covariates = ("time",)
+    needs = ()
+
+class Moody(ThirdHarmonic):
+    name = "moody"
+    covariates = ("mood",)
 
 not_an_effect = 3
 '''
@@ -172,3 +183,24 @@ def test_defaults_by_name_refuse_what_the_effect_has_not():
     assert one.defaults({"k2_y": 3.0}).tolist() == [1.0, 3.0]
     with pytest.raises(UsageError, match="did you mean 'k2_y'"):
         one.defaults({"k2y": 3.0})
+
+
+def test_what_an_effect_follows_is_declared_by_its_class(install):
+    """Also where `needs` names nothing; a class that declares nothing follows what it needs."""
+    install("third_harmonic = lobed_stage:ThirdHarmonic", "ageing = lobed_stage:Ageing")
+    assert catalogue()["ageing"].covariates == ("time",)
+    assert catalogue()["third_harmonic"].covariates == ("angle",)
+    data = from_means(
+        np.zeros((3, 2)),
+        np.tile(np.eye(2), (3, 1, 1)),
+        Conditions(time_s=np.arange(3.0), angle_rad=np.arange(3.0)),
+        fixture_rad=0.0,
+    )
+    (term,) = [term for term in named_terms(data)[0] if term.name == "ageing"]
+    assert term.covariates == ("time",)
+
+
+def test_a_covariate_that_does_not_exist_is_refused(install):
+    install("moody = lobed_stage:Moody")
+    with pytest.raises(UsageError, match="no covariate is called 'mood'"):
+        catalogue()

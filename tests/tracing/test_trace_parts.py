@@ -27,7 +27,7 @@ from adis_gonio.estimation.values import Value
 from adis_gonio.model.effects import Conditions, catalogue
 from adis_gonio.model.rates import MeanRate
 from adis_gonio.tracing.candidates.grammar import nameless_terms
-from adis_gonio.tracing.candidates.named import covariates_of, named_terms
+from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.candidates.processes import RING, Process, evidence, processes
 from adis_gonio.tracing.outcome.naming import Names
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding
@@ -1150,7 +1150,7 @@ class TestNamedCandidates:
             "outlier_dwell": ("order",),
         }
         kinds = catalogue("accelerometer")
-        assert {name: covariates_of(kinds[name]) for name in expected} == expected
+        assert {name: kinds[name].covariates for name in expected} == expected
 
     @pytest.mark.parametrize(("levels", "degrees"), [(2, {1}), (3, {1, 2}), (24, {1, 2, 3})])
     def test_a_temperature_of_few_levels_shows_few_powers(self, levels: int, degrees: set[int]) -> None:

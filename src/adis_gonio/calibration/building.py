@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,7 +20,8 @@ from adis_gonio.fitting.result import Estimate, FitResult
 from adis_gonio.model.effects import AXES, effect
 from adis_gonio.model.measurement import BaseParameter, FreeAttitude, PlanarTurn
 from adis_gonio.model.provenance import Provenance
-from adis_gonio.model.records import MG_PER_MPS2, Floats
+from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Floats
+from adis_gonio.tracing.outcome.clock import clock_at_middle, follows_clock, middle_s
 from adis_gonio.tracing.outcome.result import TraceResult
 from adis_gonio.writeback.journal import INTERRUPTED
 
@@ -31,12 +33,11 @@ CORRECTABLE = frozenset(
 )  # fmt: skip
 """Effects that are functions of the reading, the temperature and the supply: a goniometer knows these."""
 
-_CLOCK = "follows the clock of the session, which no later reading shares; the bias is that of its start"
+_CLOCK = "follows the clock of the session, which no later reading shares"
 _STAGE = "belongs to the stage, not to the sensor"
 _MEMORY = "depends on what was before the reading, which a single reading does not show"
 _DWELL = "belongs to a dwell of the session"
 _REASONS = {
-    "bias_drift": _CLOCK,
     "scale_drift": "follows the clock of the session; the gain is that of its start",
     "warm_up": "follows the clock of the session; the bias is that of the warm part",
     "thermal_lag": _MEMORY,
@@ -116,10 +117,14 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
 def calibration_of_trace(result: TraceResult) -> Calibration:
     """Calibration by the final model of a trace: base parameters, and effects that can be corrected.
 
+    What follows the clock alone is taken at the middle of the session: bias, gain and start angle are
+    those of that time, which `not_corrected` states.
+
     Covariance and u are those of the final model. Models that predict the same readings may share a bias
     out in other ways, so that the trace states a larger u of single parameters; angles do not differ by it.
-    Where functions of the reading are left out and one has no name, or no bias stands beside them, the
-    others are fitted anew with a bias: what these carried of it would else stand nowhere.
+    Where functions of the reading are left out and one has no name, or no bias stands beside them, or a
+    function of anything without a name stands in its place, the others are fitted anew with a bias: what
+    these carried of it would else stand nowhere.
 
     Raises
     ------
@@ -140,10 +145,10 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
         if isinstance(term, NamedTerm) and term.name in CORRECTABLE and _stands(term, result)
     ]
     others = [term for term in final.terms if term not in standing and term.name != "bias"]
-    left = [_left_out(term, result) for term in others]
+    left = [_left_out(term, result, middle_s(final)) for term in others]
     if result.unnamed is not None and all(term.name is not None for term in final.terms):
         left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS))
-    fit, inflation = _without(final, [term for term in others if _of_reading(term)], result.inflation)
+    fit, inflation = _without(final, others, result.inflation)
     named = [term for term in fit.terms if isinstance(term, NamedTerm)]
     corrected = [term for term in named if term in standing]
     columns = _Columns(fit)
@@ -172,9 +177,15 @@ def _of_reading(term: Term) -> bool:
     return not term.enters_angle and term.covariates == ("reading",)
 
 
+def _holds_bias(term: Term) -> bool:
+    """True for a function without a name in the place of a bias, of which no value at one time is known."""
+    return term.name is None and not term.enters_angle and not follows_clock(term)
+
+
 def _without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
-    """The other terms and a bias fitted anew; the factor on the variance at which u holds the misfit."""
+    """The terms that stay and a bias fitted anew; the factor on the variance by which u holds the rest."""
     biased = any(term.name == "bias" for term in fit.terms)
+    terms = [term for term in terms if _of_reading(term) or (not biased and _holds_bias(term))]
     if not terms or (biased and all(term.name is not None for term in terms)):
         return fit, inflation
     pairs = zip(fit.terms, fit.values.terms, strict=True)
@@ -182,16 +193,24 @@ def _without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, fl
     if not biased:
         axes = fit.data.axes
         kept.append((NamedTerm("bias", (), 0.0, effect("bias", tuple(AXES[:axes]))), np.zeros(axes)))
-    again = fit.having([term for term, _ in kept], [own for _, own in kept]).refit()
+    values = replace(fit.values, terms=tuple(own for _, own in kept))
+    # Not what `fit` makes of itself: an average over functions keeps the covariance of its members.
+    again = Fit(fit.data, tuple(term for term, _ in kept), values, fit.with_prior).refit()
     misfit = again.chi2 / again.dof if again.dof > 0 else 1.0
     return again, max(inflation, misfit)
 
 
 class _Columns:
-    """Values of a fit with their places among its parameters, in the units that results are stated in."""
+    """Values of a fit with their places among its parameters, in the units that results are stated in.
+
+    What follows the clock is taken at the middle of the session.
+    """
 
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
+        axes = fit.data.axes
+        self.offset, self.offset_slope = clock_at_middle(fit, np.zeros(axes))
+        self.turn_rad, self.turn_slope = clock_at_middle(fit, np.zeros(axes), turned=True)
         self.unit = fit.data.unit
         self.names: list[str] = []
         self.values: list[float] = []
@@ -203,6 +222,14 @@ class _Columns:
         self.values.append(value)
         self.units.append(unit)
         self.rows.append(gradient)
+
+    def _gain(self, axis: int) -> tuple[float, Floats]:
+        """Factor on the gain of an axis at the middle, and its gradient (p,)."""
+        ideal_mg = np.zeros(self.fit.data.axes)
+        ideal_mg[axis] = MG_PER_G
+        full, slope = clock_at_middle(self.fit, ideal_mg)
+        factor = 1 + (full[axis] - self.offset[axis]) / MG_PER_G
+        return float(factor), (slope[axis] - self.offset_slope[axis]) / MG_PER_G
 
     def _gradient(self, place: int | None, factor: float = 1.0) -> Floats:
         gradient = np.zeros(len(self.fit.values.parameters))
@@ -220,11 +247,19 @@ class _Columns:
         if parameter.name.startswith("scale") and not self.unit.known:
             factor = float(self.unit.per_mg[AXES.index(parameter.name[-1])]) * MG_PER_MPS2
             unit = "counts/(m/s²)"
+        gradient = self._gradient(k, factor)
+        if parameter.name == "alpha":
+            value += float(self.turn_rad)
+            gradient += factor * self.turn_slope
+        elif parameter.name.startswith("scale"):
+            gain, slope = self._gain(AXES.index(parameter.name[-1]))
+            gradient = gain * gradient + value * factor * slope
+            value *= gain
         stated = parameter.stated(value) if unit == "deg" else value * factor
-        self._add(parameter.name, stated, unit, self._gradient(k, factor))
+        self._add(parameter.name, stated, unit, gradient)
 
     def biases(self, terms: Sequence[NamedTerm]) -> list[str]:
-        """Bias of every axis, zero where the model has none; names of those that it has."""
+        """Bias of every axis, zero where the model has none; names of those that it has a term for."""
         at: dict[str, int] = {}
         for term in terms:
             start = self.fit.slice_of(self.fit.terms.index(term)).start
@@ -233,8 +268,9 @@ class _Columns:
             place = at.get(f"bias_{letter}")
             factor = float(self.unit.per_mg[axis])
             value = 0.0 if place is None else float(self.fit.values.parameters[place])
-            stated = float(self.unit.zero[axis]) + value * factor
-            self._add(f"bias_{letter}", stated, self.unit.name, self._gradient(place, factor))
+            stated = float(self.unit.zero[axis]) + (value + float(self.offset[axis])) * factor
+            gradient = self._gradient(place, factor) + factor * self.offset_slope[axis]
+            self._add(f"bias_{letter}", stated, self.unit.name, gradient)
         return list(at)
 
     def effect(self, term: NamedTerm) -> EffectTerm:
@@ -309,8 +345,14 @@ def _stands(term: NamedTerm, result: TraceResult) -> bool:
     return bool(rivals) and rivals <= CORRECTABLE | {"bias"}
 
 
-def _left_out(term: Term, result: TraceResult) -> NotCorrected:
+def _left_out(term: Term, result: TraceResult, at_s: float) -> NotCorrected:
     name = term.name
+    if follows_clock(term):
+        why = _CLOCK if name is not None else _NAMELESS
+        of = "the start angle is that" if term.enters_angle else "bias and gain are those"
+        return NotCorrected(
+            term.shown_as, f"{why}; {of} of the session's middle, {at_s:.4g} s after its start"
+        )
     if name is None:
         return NotCorrected(term.shown_as, _NAMELESS)
     if name in CORRECTABLE:

@@ -9,7 +9,6 @@ import numpy as np
 from adis_gonio.model.effects import AXES, Conditions, catalogue
 from adis_gonio.model.records import Floats, Session
 from adis_gonio.one_pose.series import mg_per_unit, series_columns, series_conditions
-from adis_gonio.tracing.candidates.named import covariates_of
 from adis_gonio.tracing.outcome.figures import Panel, StepView, Views
 from adis_gonio.tracing.outcome.result import TraceResult
 
@@ -28,7 +27,7 @@ def series_views(session: Session, result: TraceResult) -> Views:
             steps.append(StepView(step.effect, ()))
             continue
         before = _series_left(readings, [block for name, block in blocks.items() if name != step.effect])
-        name = (covariates_of(catalogue()[step.effect]) or ("time",))[0]
+        name = (catalogue()[step.effect].covariates or ("time",))[0]
         x = _series_covariate(conditions, name)
         if step.effect == "thermal_lag":
             name, x = "temperature_lag", blocks[step.effect][0][:, 0]

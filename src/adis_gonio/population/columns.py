@@ -20,7 +20,7 @@ from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Basis, NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, catalogue
 from adis_gonio.model.records import Floats
-from adis_gonio.tracing.candidates.named import covariates_of, cycles_shown
+from adis_gonio.tracing.candidates.named import cycles_shown
 
 TAUS_S = tuple(float(f"{tau:.3g}") for tau in np.geomspace(10.0, 3160.0, 11))
 """Time constants, a quarter of a decade apart: between two a course loses less than 1 % of its square."""
@@ -85,7 +85,7 @@ def columns_of(data: Readings) -> tuple[list[tuple[Term, list[Column]]], dict[st
             missing[name] = reason
             continue
         for variant, effect, shapes in _variants(kind, data):
-            term = NamedTerm("", covariates_of(kind), 0.0, effect, shapes)
+            term = NamedTerm("", kind.covariates, 0.0, effect, shapes)
             parameters = [effect.parameters[k] for k in term.amplitudes]
             chosen = list(range(len(parameters)))
             if "degree" in kind.choices():

@@ -16,12 +16,14 @@ from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.parts import ACCELEROMETER, known_part, readings_of_part
 from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import Term
+from adis_gonio.estimation.values import Detectable
 from adis_gonio.model.provenance import provenance_of
 from adis_gonio.model.records import Session
 from adis_gonio.slips import Diagnosis
 from adis_gonio.slips.of_session import in_context, positions_of
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
+from adis_gonio.tracing.outcome.clock import bias_at_middle
 from adis_gonio.tracing.outcome.detect import detectable
 from adis_gonio.tracing.outcome.findings import (
     base_of,
@@ -32,6 +34,7 @@ from adis_gonio.tracing.outcome.findings import (
     scatter_finding,
     told_from_zero,
     unnamed_of,
+    zeros_of,
 )
 from adis_gonio.tracing.outcome.naming import judge
 from adis_gonio.tracing.outcome.openings import undecided
@@ -49,6 +52,8 @@ from adis_gonio.tracing.validation.survival import checkable, never_worse, refut
 
 UNCHECKED = "the time limit ended the trace before this was checked"
 """Reason of whatever is in a model that was not validated."""
+ZERO_OF_COUNTS = Detectable(None, "", "", "lies in the base model: counts have no zero of their own")
+"""Of a bias in counts, which stands among the base parameters where it is not found beside them."""
 
 
 def trace(
@@ -177,7 +182,7 @@ def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | 
     places = credible_sets(selection, averaged)
     sets = tuple(one for one in places if one.present >= limits.certain)
     likelier = _likelier(sets, terms)
-    weak = _weak(findings, figures[-1], likelier, places)
+    weak = _weak([bias_at_middle(final, finding) for finding in findings], figures[-1], likelier, places)
     names = without(replace(names, open={**names.open, **weak}), weak)
     notes = list(notes_of(selection, scatter))
     adequate = final.adequate and scatter is None and (final.fit.dof > 0 or not training.noise_known)
@@ -192,6 +197,7 @@ def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | 
     advice, measurements = attempt(
         "what to measure next", lambda: advise(data, open_still, terms, names.confounded), nothing
     )
+    zeros = {} if any(one.effect == "bias" for one in seen) else zeros_of(final)
     return TraceResult(
         adequate=adequate,
         found=seen,
@@ -201,11 +207,14 @@ def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | 
         unnamed=unnamed_with_share(unnamed_of(selection, averaged), of_step),
         before=figures[0],
         after=figures[-1],
-        detectable=detectable(selection.found, selection.verdict.best, missing, training.model.part),
+        detectable={
+            **detectable(selection.found, selection.verdict.best, missing, training.model.part),
+            **({"bias": ZERO_OF_COUNTS} if zeros else {}),
+        },
         advice=advice,
         measurements=measurements,
         rivals=rivals_of(selection),
-        base=base_of(final),
+        base={**base_of(final), **zeros},
         reasons={**names.open, **cut},
         notes=tuple(notes),
         heldout_design=design,

@@ -6,7 +6,7 @@
 ('quadratic', ['k2_x', 'k2_y'], [2.5, 0.0])
 """
 
-from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters, Parameter
+from adis_gonio.model.effects.base import AXES, COVARIATES, Conditions, Effect, Enters, Parameter
 from adis_gonio.model.effects.dwell_terms import (
     NoiseChange,
     OutlierDwell,
@@ -53,6 +53,7 @@ from adis_gonio.model.effects.stage import (
 __all__ = [
     "AXES",
     "BUILT_IN",
+    "COVARIATES",
     "ENTRY_POINT_GROUP",
     "Asymmetry",
     "AxisTilt",

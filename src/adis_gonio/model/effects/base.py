@@ -37,6 +37,22 @@ from adis_gonio.model.effects.lag import lagged
 from adis_gonio.model.records import Floats
 
 AXES = ("x", "y", "z")
+COVARIATES = (
+    "angle", "approach", "force", "order", "previous_angle", "reading", "rotation", "supply",
+    "temperature", "temperature_rate", "time", "variance",
+)  # fmt: skip
+"""What an effect can follow; the trace compares effects and functions without a name by these words."""
+_OF_CONDITION = {
+    "angle_rad": "angle",
+    "approach": "approach",
+    "previous_angle_rad": "previous_angle",
+    "temperature_c": "temperature",
+    "supply_v": "supply",
+    "variance_mg2": "variance",
+    "order": "order",
+    "force_g": "force",
+    "rate_dps": "rotation",
+}
 
 
 class Enters(StrEnum):
@@ -209,6 +225,11 @@ class Effect(ABC):
     """What it adds, as a line of text; i is an axis, p an axis across it, a a reading in mg."""
     separated_by: ClassVar[str]
     """What its rivals are and which measurement tells it from them."""
+    covariates: ClassVar[tuple[str, ...]]
+    """What it follows, in words of `COVARIATES`, the leading one first; empty for a constant.
+
+    A class that declares none follows what it names in `needs`, or the reading if it needs nothing.
+    """
     enters: ClassVar[Enters] = Enters.READING
     needs: ClassVar[tuple[str, ...]] = ()
     """Fields of `Conditions` without which it cannot be computed."""
@@ -222,6 +243,12 @@ class Effect(ABC):
     """Parts of the sensor that it is an effect of, as `Measurement.part` names them."""
     options: ClassVar[dict[str, tuple[int, ...]]] = {}
     """Values that a choice can have in any session; names and units of the parameters tell which it is."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "name" in vars(cls) and not hasattr(cls, "covariates"):
+            needed = tuple(_OF_CONDITION[need] for need in cls.needs if need in _OF_CONDITION)
+            cls.covariates = needed or ("reading",)
 
     def __post_init__(self) -> None:
         unknown = [axis for axis in self.axes if axis not in AXES]

@@ -46,6 +46,7 @@ class Saturation(SampleEffect):
         "Samples pile up at one extreme value; a `quantization` piles them up on every step, a smooth "
         "nonlinearity nowhere. At rest it needs vibration or bias of 0.7 g: see the samples, not the mean."
     )
+    covariates = ("reading",)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -69,6 +70,7 @@ class Quantization(SampleEffect):
         "The distances of the samples are multiples of one step; with noise of a step or more the mean is "
         "free of it: turn the filter down, or tilt by a fraction of a step (0.027° at the horizontal)."
     )
+    covariates = ("reading",)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -94,6 +96,7 @@ class Tone(SampleEffect):
         "k f_s ± f at the same place, and a line that moves with the rate is such an alias: record at two "
         "rates. `vibration_rectification` may follow its strength."
     )
+    covariates = ("reading",)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -124,6 +127,7 @@ class NoiseChange(SampleEffect):
         "The variance within dwells changes and the mean does not; `tone` puts it into one line of the "
         "spectrum, `outlier_dwell` moves a mean, `vibration_rectification` moves the mean with it."
     )
+    covariates = ("reading",)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -157,6 +161,7 @@ class Settling(CourseEffect):
         "a `bias`: look at the samples, or wait longer in some dwells."
     )
     needs = ("time_in_dwell_s",)
+    covariates = ("reading",)
     within_dwell: ClassVar[bool] = True
     amplitude: ClassVar[Parameter] = Parameter("settling", "mg", -1000.0, 1000.0, 2.0)
     shape: ClassVar[Parameter] = Parameter("tau", "s", 1e-3, 3600.0, 1.0, shape=True)
@@ -188,6 +193,7 @@ class OutlierDwell(LinearAxisEffect):
         "for all later dwells: repeat the position."
     )
     needs = ("order",)
+    covariates = ("order",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("offset", "mg", -4000.0, 4000.0, 5.0),)
     elsewhere: ClassVar[dict[str, type[Effect]]] = {}
     """The same of other parts, whose readings have another unit."""

@@ -44,6 +44,7 @@ class BiasTemperature(LinearAxisEffect):
         "positions at two temperatures in changed order; `scale_temperature` grows with the reading."
     )
     needs = ("temperature_c",)
+    covariates = ("temperature",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (
         Parameter("tempco", "mg/°C", -20.0, 20.0, 0.5),
         Parameter("tempco2", "mg/°C²", -1.0, 1.0, 0.01),
@@ -80,6 +81,7 @@ class ScaleTemperature(LinearAxisEffect):
         "at −1 g; `scale_drift` needs the temperature to go both ways."
     )
     needs = ("temperature_c",)
+    covariates = ("temperature",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (
         Parameter("scale_tempco", "ppm/°C", -2000.0, 2000.0, 40.0),
     )
@@ -106,6 +108,7 @@ class MisalignmentTemperature(CrossEffect):
         "angle; a misalignment that goes on in time needs the temperature to go both ways."
     )
     needs = ("temperature_c",)
+    covariates = ("temperature",)
     one_axis: ClassVar[bool] = True
     coefficient: ClassVar[Parameter] = Parameter("misalignment_tempco", "deg/°C", -0.1, 0.1, 0.002)
 
@@ -130,6 +133,7 @@ class ThermalLag(CourseEffect):
         "rates through the same temperature; at one constant rate it is a `bias`."
     )
     needs = ("temperature_c", "temperature_history")
+    covariates = ("temperature",)
     amplitude: ClassVar[Parameter] = Parameter("lag", "mg/°C", -50.0, 50.0, 0.5)
     shape: ClassVar[Parameter] = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
 
@@ -153,6 +157,7 @@ class SupplyBias(LinearAxisEffect):
         "supply by hand at one position."
     )
     needs = ("supply_v",)
+    covariates = ("supply",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("supply", "mg/V", -500.0, 500.0, 5.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
@@ -172,6 +177,7 @@ class SupplyScale(LinearAxisEffect):
         "`scale_drift`: change it by hand."
     )
     needs = ("supply_v",)
+    covariates = ("supply",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (
         Parameter("supply_scale", "ppm/V", -500000.0, 500000.0, 2000.0),
     )
@@ -191,6 +197,7 @@ class BiasDrift(LinearAxisEffect):
         "With positions in one order, time is angle: repeat positions in another order (forth and back, or "
         "shuffled); `bias_temperature` needs the temperature to fall, `warm_up` a longer session."
     )
+    covariates = ("time",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("drift", "mg/min", -50.0, 50.0, 0.05),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
@@ -209,6 +216,7 @@ class ScaleDrift(LinearAxisEffect):
         "temperature or supply only rise or sink it is `scale_temperature` or `supply_scale`: let them go "
         "both ways. A gain that moves after the load has changed is `creep`."
     )
+    covariates = ("time",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (
         Parameter("scale_drift", "ppm/min", -50000.0, 50000.0, 50.0),
     )
@@ -228,6 +236,7 @@ class WarmUp(CourseEffect):
         "Shorter than τ it is `bias_drift`, much longer it is a `bias` of the first dwells; with the "
         "temperature recorded it competes with `bias_temperature`: switch off and on within the session."
     )
+    covariates = ("time",)
     amplitude: ClassVar[Parameter] = Parameter("warm_up", "mg", -200.0, 200.0, 2.0)
     shape: ClassVar[Parameter] = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
 
@@ -252,6 +261,7 @@ class Gravity(Effect):
         "Equal to a common error of all gains; ΔK and Δφ do not depend on it. A measured g, or a second "
         "place of known difference in g, separates it from `scale`."
     )
+    covariates = ("reading",)
     by_axis = False
 
     @property

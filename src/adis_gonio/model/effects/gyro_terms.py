@@ -45,6 +45,7 @@ class GyroBiasTemperature(BiasTemperature):
         "Where temperature only rises it is `gyro_drift` or `gyro_warm_up`: let it fall again, or repeat "
         "poses at two temperatures in changed order; `gyro_scale_temperature` shows in turns alone."
     )
+    covariates = ("temperature",)
     parts = GYRO
     coefficients: ClassVar[tuple[Parameter, ...]] = (
         Parameter("gyro_bias_temperature", "dps/°C", -1.0, 1.0, 0.02),
@@ -78,6 +79,7 @@ class GSensitivity(LinearAxisEffect):
         "goes on where the pose comes back. `g2_sensitivity` does not change its sign with the force."
     )
     needs = ("force_g",)
+    covariates = ("force",)
     parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"force": (0, 1, 2, 3)}
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("g_sensitivity", "dps/g", -2.0, 2.0, 0.05),)
@@ -127,6 +129,7 @@ class G2Sensitivity(LinearAxisEffect):
         "with the opposite sign: poses between the axes tell one from two, vibration tells all."
     )
     needs = ("force_g",)
+    covariates = ("force",)
     parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"force": (0, 1, 2)}
     coefficients: ClassVar[tuple[Parameter, ...]] = (
@@ -159,6 +162,7 @@ class GyroScale(LinearAxisEffect):
         "senses, `gyro_scale_temperature` turns at two temperatures."
     )
     needs = ("rate_dps",)
+    covariates = ("rotation",)
     parts = GYRO
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("gyro_scale_error", "1", -0.2, 0.2, 0.01),)
 
@@ -177,6 +181,7 @@ class GyroScaleTemperature(LinearAxisEffect):
         "`gyro_bias_temperature` shows at rest too, this in turns alone: the same turn at two temperatures."
     )
     needs = ("rate_dps", "temperature_c")
+    covariates = ("temperature",)
     parts = GYRO
     coefficients: ClassVar[tuple[Parameter, ...]] = (
         Parameter("gyro_scale_temperature", "ppm/°C", -5000.0, 5000.0, 100.0),
@@ -203,6 +208,7 @@ class GyroMisalignment(AxisEffect):
         "the three axes."
     )
     needs = ("rate_dps",)
+    covariates = ("rotation",)
     parts = GYRO
     coefficient: ClassVar[Parameter] = Parameter("gyro_misalignment", "deg", -10.0, 10.0, 0.5)
 
@@ -264,6 +270,7 @@ class GyroDrift(LinearAxisEffect):
         "`gyro_bias_temperature` needs the temperature to fall; pauses of different length between dwells "
         "tell time from the number of the dwell."
     )
+    covariates = ("time",)
     parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"steps": (0, 1)}
     coefficients: ClassVar[tuple[Parameter, ...]] = (
@@ -297,6 +304,7 @@ class GyroWarmUp(CourseEffect):
         "Shorter than τ it is `gyro_drift`; with the temperature recorded it competes with "
         "`gyro_bias_temperature`: switch off and on within the session."
     )
+    covariates = ("time",)
     parts = GYRO
     amplitude: ClassVar[Parameter] = Parameter("gyro_warm_up", "dps", -10.0, 10.0, 0.2)
     shape: ClassVar[Parameter] = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
@@ -319,6 +327,7 @@ class GyroSupply(LinearAxisEffect):
         "change the supply by hand in one pose."
     )
     needs = ("supply_v",)
+    covariates = ("supply",)
     parts = GYRO
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("gyro_supply", "dps/V", -10.0, 10.0, 0.25),)
 
@@ -338,6 +347,7 @@ class GyroAsymmetry(LinearAxisEffect):
         "curvature grows with the square."
     )
     needs = ("rate_dps",)
+    covariates = ("rotation",)
     parts = GYRO
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("gyro_asymmetry", "1", -0.1, 0.1, 0.001),)
 

@@ -9,7 +9,7 @@ from importlib.metadata import EntryPoint, entry_points
 
 from adis_gonio.errors import UsageError
 from adis_gonio.model.effects import dwell_terms, environment, gyro_terms, sensor_terms, stage
-from adis_gonio.model.effects.base import AXES, Effect, did_you_mean
+from adis_gonio.model.effects.base import AXES, COVARIATES, Effect, did_you_mean
 from adis_gonio.model.records import Floats
 
 ENTRY_POINT_GROUP = "adis_gonio.effects"
@@ -34,7 +34,7 @@ def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
     ------
     UsageError
         An installed package's entry point cannot be loaded, is no effect, takes another name than the
-        effect's own, or takes a name that is already there.
+        effect's own, names a covariate that does not exist, or takes a name that is already there.
     """
     found = dict(BUILT_IN)
     for point in _installed(tuple(sys.path)):
@@ -46,6 +46,12 @@ def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
             raise UsageError(f"effect '{point.name}': {point.value} is no subclass of Effect")
         if getattr(kind, "name", None) != point.name:
             raise UsageError(f"effect '{point.name}': {point.value} calls itself something else")
+        unknown = [word for word in kind.covariates if word not in COVARIATES]
+        if unknown:
+            raise UsageError(
+                f"effect '{point.name}' of {point.value}: no covariate is called '{unknown[0]}'; "
+                f"name some of {', '.join(COVARIATES)}"
+            )
         if point.name in found and found[point.name] is not kind:
             raise UsageError(f"effect '{point.name}' of {point.value}: the name is taken")
         found[point.name] = kind

@@ -26,6 +26,7 @@ class Bias(LinearAxisEffect):
         "Two positions cannot see it, opposite ones (0/180°) can; in one plane at 1 g the mean of an even "
         "nonlinearity joins it: positions out of the plane, or several temperatures and times, part them."
     )
+    covariates = ()
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("bias", "mg", -1000.0, 1000.0, 10.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
@@ -43,6 +44,7 @@ class Scale(LinearAxisEffect):
         "It is a base parameter (the gain) in every model; `gravity` changes all gains alike and needs "
         "another place or a known g to be told apart, `cubic` needs the third harmonic."
     )
+    covariates = ("reading",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("scale", "1", -0.1, 0.1, 0.001),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
@@ -66,6 +68,7 @@ class Misalignment(CrossEffect):
         "misalignment towards z of a part turned in the xy plane is left, and a turn in another plane "
         "shows it."
     )
+    covariates = ("reading",)
     coefficient: ClassVar[Parameter] = Parameter("misalignment", "deg", -5.0, 5.0, 0.25)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
@@ -88,6 +91,7 @@ class CrossAxis(CrossEffect):
         "Second harmonic sin 2t of an axis, as `stage_eccentricity` gives on both axes in a fixed "
         "proportion: remount the part by 180°, the stage's term changes its sign and the sensor's stays."
     )
+    covariates = ("reading",)
     coefficient: ClassVar[Parameter] = Parameter("kip", "mg/g²", -100.0, 100.0, 1.0)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
@@ -106,6 +110,7 @@ class Quadratic(LinearAxisEffect):
         "opposite sign until positions leave the plane; it resembles `asymmetry` (which has a fourth "
         "harmonic: at least 9 positions) and `stage_eccentricity` (remount by 180°)."
     )
+    covariates = ("reading",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("k2", "mg/g²", -100.0, 100.0, 1.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
@@ -123,6 +128,7 @@ class Cubic(LinearAxisEffect):
         "Third harmonic cos 3t of an axis (at least 7 positions); `stage_ellipticity` has it too, on both "
         "axes together, and changes its sign when the part is remounted by 90°."
     )
+    covariates = ("reading",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("k3", "mg/g³", -100.0, 100.0, 0.7),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
@@ -140,6 +146,7 @@ class Asymmetry(LinearAxisEffect):
         "All even harmonics, 2/π and 4/(3π) cos 2t first, so that few positions take it for `quadratic`; "
         "readings near zero, where |a| has its kink and a² is flat, tell them apart."
     )
+    covariates = ("reading",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("asymmetry", "mg/g", -100.0, 100.0, 1.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
@@ -157,6 +164,7 @@ class CrossQuadratic(CrossEffect):
         "In one plane at 1 g, a_p² = 1 − a_i²: with a bias in the model it equals `quadratic` of opposite "
         "sign; positions out of the plane, where a_i and a_p vary apart, separate them."
     )
+    covariates = ("reading",)
     coefficient: ClassVar[Parameter] = Parameter("kpp", "mg/g²", -100.0, 100.0, 1.0)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
@@ -175,6 +183,7 @@ class VibrationRectification(LinearAxisEffect):
         "variance everywhere it is a `bias`: repeat a position with a source of vibration on and off."
     )
     needs = ("variance_mg2",)
+    covariates = ("variance",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("vre", "mg/g²", -5000.0, 5000.0, 10.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:

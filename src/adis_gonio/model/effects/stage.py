@@ -59,6 +59,7 @@ class StageEccentricity(StageEffect):
         "`bias`: remount the part by 180°, the stage's term changes its sign and the sensor's stay."
     )
     needs = ("angle_rad",)
+    covariates = ("angle",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (
         Parameter("ecc_sin", "deg", -2.0, 2.0, 0.01),
         Parameter("ecc_cos", "deg", -2.0, 2.0, 0.01),
@@ -81,6 +82,7 @@ class StageEllipticity(StageEffect):
         "the part by 90° (180° does not help: two cycles), or compare the stage with a polygon."
     )
     needs = ("angle_rad",)
+    covariates = ("angle",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (
         Parameter("ell_sin", "deg", -2.0, 2.0, 0.01),
         Parameter("ell_cos", "deg", -2.0, 2.0, 0.01),
@@ -118,6 +120,7 @@ class StagePeriodic(StageEffect):
         "to the same at equally spaced angles: measure at angles between those of the session."
     )
     needs = ("angle_rad",)
+    covariates = ("angle",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (
         Parameter("per_sin", "deg", -2.0, 2.0, 0.01),
         Parameter("per_cos", "deg", -2.0, 2.0, 0.01),
@@ -150,6 +153,7 @@ class Backlash(StageEffect):
         "the angle: approach several positions from both sides."
     )
     needs = ("approach",)
+    covariates = ("approach",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("backlash", "deg", -5.0, 5.0, 0.02),)
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
@@ -177,6 +181,7 @@ class PositionSlip(StageEffect):
         "the modulus changes: repeat the position."
     )
     needs = ("order",)
+    covariates = ("order",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("slip", "deg", -190.0, 190.0, 0.1),)
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
@@ -195,6 +200,7 @@ class Hysteresis(LinearAxisEffect):
         "several positions from both sides; with one direction throughout it is a `bias`."
     )
     needs = ("approach",)
+    covariates = ("approach",)
     coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("hysteresis", "mg", -200.0, 200.0, 0.5),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
@@ -222,6 +228,7 @@ class Creep(AxisEffect):
         "not ask where the part has been, `hysteresis` does not decay."
     )
     needs = ("load_history",)
+    covariates = ("previous_angle",)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -275,6 +282,7 @@ class AxisTilt(Effect):
         "In x and y it is a common gain (`gravity`, `scale`), in z a `bias`: level the axis by a spirit "
         "level, or remount the part with z reversed; the term in z changes its sign, a bias does not."
     )
+    covariates = ("reading",)
     by_axis = False
 
     @property

@@ -53,40 +53,8 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
                 label += "[" + "".join(effect.axes) + "]"
             label += "".join(f"({c}={getattr(effect, c)})" for c in effect.choices())
             label += "".join(f"<{value:.4g}>" for _, value in shapes)
-            terms.append(NamedTerm(label, covariates_of(kind), -math.log(part), effect, shapes))
+            terms.append(NamedTerm(label, kind.covariates, -math.log(part), effect, shapes))
     return terms, missing
-
-
-def covariates_of(kind: type[Effect]) -> tuple[str, ...]:
-    """Covariates in the words of a report."""
-    words = {
-        "angle_rad": "angle",
-        "approach": "approach",
-        "previous_angle_rad": "previous_angle",
-        "temperature_c": "temperature",
-        "supply_v": "supply",
-        "variance_mg2": "variance",
-        "order": "order",
-        "force_g": "force",
-        "rate_dps": "rotation",
-    }
-    known = {
-        "bias_drift": ("time",),
-        "gyro_drift": ("time",),
-        "gyro_warm_up": ("time",),
-        "gyro_scale_temperature": ("temperature",),
-        "scale_drift": ("time",),
-        "creep": ("previous_angle",),
-        "warm_up": ("time",),
-        "bias": (),
-        "thermal_lag": ("temperature",),
-        "position_slip": ("order",),
-        "outlier_dwell": ("order",),
-    }
-    if kind.name in known:
-        return known[kind.name]
-    found = tuple(words[need] for need in kind.needs if need in words)
-    return found or ("reading",)
 
 
 def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tuple[tuple[int, float], ...]]]:

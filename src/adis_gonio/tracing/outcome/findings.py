@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from adis_gonio.estimation.fit import Fit
 from adis_gonio.estimation.intervals import NORMAL_95
 from adis_gonio.estimation.readings import Unit
 from adis_gonio.estimation.terms import NamedTerm, NamelessTerm
 from adis_gonio.estimation.values import Value
 from adis_gonio.fitting.outputs import outputs_of
-from adis_gonio.model.effects import AXES
+from adis_gonio.model.effects import AXES, effect
 from adis_gonio.tracing.outcome.between import bases, effects
 from adis_gonio.tracing.outcome.cycles import cycles_alike
 from adis_gonio.tracing.outcome.result import Finding, Rival, Unnamed
@@ -175,6 +176,32 @@ def base_of(selection: Selection) -> dict[str, Value]:
         u = mixture.u(float(np.sqrt(slope @ covariance @ slope)), slope)
         out[output.name] = Value(output.value, None if output.name in hidden else u, output.unit, dof)
     return out
+
+
+def zeros_of(selection: Selection) -> dict[str, Value]:
+    """Bias of every axis as `adis_gonio.fit` states it, where the zero is part of the unit (counts).
+
+    A model without a bias stands at the rough zero by which the readings came into mg: a bias beside it is
+    what a fit makes of that. None where the zero of the unit is known.
+    """
+    data = selection.data
+    if data.unit.known:
+        return {}
+    fit = selection.fit
+    axes = tuple(AXES[: data.axes])
+    if all(term.name != "bias" for term in fit.terms):
+        zero = NamedTerm("bias", (), 0.0, effect("bias", axes))
+        values = replace(fit.values, terms=(*fit.values.terms, np.zeros(len(axes))))
+        fit = Fit(data, (*fit.terms, zero), values, fit.with_prior).refit()
+    stated = {f"bias_{letter}": Value(0.0, None, "mg") for letter in axes}
+    for index, term in enumerate(fit.terms):
+        if not isinstance(term, NamedTerm) or term.name != "bias":
+            continue
+        start = fit.slice_of(index).start
+        for place, parameter in enumerate(term.effect.parameters, start):
+            u = float(np.sqrt(fit.covariance[place, place] * selection.inflation))
+            stated[parameter.name] = Value(float(fit.values.parameters[place]), u, "mg", dof_of(selection))
+    return in_units_of_file(Finding("bias", axes, stated, 1.0, 0.0, 1.0), data.unit).parameters
 
 
 def in_units_of_file(finding: Finding, unit: Unit) -> Finding:

@@ -1,0 +1,82 @@
+"""A bias is judged where the session knows it, and stated in the unit of the readings."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import adis_gonio
+from adis_gonio.estimation.terms import NamedTerm
+from adis_gonio.model.effects import effect
+from adis_gonio.tracing.outcome.clock import bias_at_middle
+from adis_gonio.tracing.outcome.findings import finding_of, told_from_zero
+from calibration.sessions import planar_session
+from tracing.small_problems import U, chosen, noisy, turn
+
+BIAS_MG = (8.0, -8.0)
+
+
+def traded():
+    """A bias of 8 mg beside a warm-up of a time constant far beyond the session: only their sum shows."""
+    rng = np.random.default_rng(7)
+    data = noisy(replace(turn(), angle_rad=rng.permutation(turn().angle_rad)), 7)
+    data = replace(data, mean=data.mean + np.array(BIAS_MG))
+    tau_s = 50 * float(np.ptp(data.conditions.time_s))
+    bias = NamedTerm("bias[xy]", (), 1.0, effect("bias"))
+    warm_up = effect("warm_up")
+    at_grid = ((len(warm_up.parameters) - 1, min(tau_s, 36000.0)),)
+    terms = [bias, NamedTerm("warm_up[xy]", warm_up.covariates, 1.0, warm_up, at_grid)]
+    return chosen(data, terms, ((0, 1), 1.0))
+
+
+def test_a_bias_that_trades_with_a_warm_up_is_told_from_zero_by_its_value_in_the_middle():
+    selection = traded()
+    found = finding_of(selection, "bias")
+    assert not told_from_zero(found)
+    middle = bias_at_middle(selection, found)
+    assert told_from_zero(middle)
+    for name, truth in zip(("bias_x", "bias_y"), BIAS_MG, strict=True):
+        value = middle.parameters[name]
+        assert value.value == pytest.approx(truth, abs=4 * value.u)
+        assert value.u < 3 * U  # of 24 readings, of which each has u = U
+
+
+def test_the_trace_judges_a_bias_by_its_value_in_the_middle(monkeypatch):
+    """What it withdraws as no larger than its uncertainty is withdrawn for that of the middle."""
+    judged = []
+    module = sys.modules["adis_gonio.tracing.trace"]
+    monkeypatch.setattr(module, "bias_at_middle", lambda _, finding: judged.append(finding) or finding)
+    monkeypatch.setattr(module, "told_from_zero", lambda finding: finding.effect != "bias")
+    result = adis_gonio.trace(planar_session(np.random.default_rng(2)))
+    assert "bias" in {finding.effect for finding in judged}
+    assert "no larger than" in result.reasons["bias"]
+
+
+def test_a_bias_stands_as_it_is_where_nothing_follows_the_clock():
+    selection = chosen(traded().data, [NamedTerm("bias[xy]", (), 1.0, effect("bias"))], ((0,), 1.0))
+    found = finding_of(selection, "bias")
+    assert bias_at_middle(selection, found) is found
+
+
+def test_the_zero_of_counts_is_stated_as_the_bias_that_a_fit_finds():
+    """Readings are 2.5 counts per mg from 300 counts, the bias 12 and −7 mg."""
+    session = planar_session(np.random.default_rng(3), unit="counts")
+    result = adis_gonio.trace(session)
+    fitted = {one.name: one for one in adis_gonio.fit(session, method="ml").parameters}
+    assert "bias" not in {finding.effect for finding in result.found}
+    for name, truth in (("bias_x", 330.0), ("bias_y", 282.5)):
+        value = result.base[name]
+        assert value.unit == "counts"
+        assert value.value == pytest.approx(truth, abs=4 * value.u)
+        assert (value.value, value.u) == pytest.approx((fitted[name].value, fitted[name].u), rel=1e-4)
+    assert result.detectable["bias"].amplitude is None
+    assert "counts" in result.detectable["bias"].reason
+
+
+def test_a_bias_in_mg_stays_out_of_the_base_parameters():
+    result = adis_gonio.trace(planar_session(np.random.default_rng(3), bias=(0.0, 0.0)))
+    assert not any(name.startswith("bias") for name in result.base)
+    assert result.detectable["bias"].amplitude is not None
