@@ -34,6 +34,8 @@ AXES = "xyz"
 PER_G = {"g": 1.0, "mps2": 9.80665}
 """Units of acceleration per g."""
 TIMES_THE_LIMIT = (3.0, 10.0)
+LARGEST_MG = 100.0
+"""Amplitude of the catalogue's bounds for effects of the reading."""
 
 
 @dataclass(frozen=True)
@@ -168,10 +170,9 @@ def plant(
     axis = AXES.index(letters[0])
     other = AXES.index(letters[1]) if len(letters) > 1 else (axis + 1) % 3
     times, sign = rng.uniform(*TIMES_THE_LIMIT), rng.choice([-1.0, 1.0])
-    shape = rng.integers(2**32)
     began_s, ended_s = recording.time_s[0], recording.time_s[-1]
 
-    def values(which: Kind, accel_g: Floats, time_s: Floats) -> Floats:
+    def values(which: Kind, accel_g: Floats, time_s: Floats, shape: int) -> Floats:
         part = (time_s - began_s) / (ended_s - began_s)
         added = np.zeros((len(accel_g), 3))
         added[:, axis] = which.function(accel_g, part, axis, other, np.random.default_rng(shape))
@@ -180,12 +181,19 @@ def plant(
     reference = next(one for one in KINDS if one.name == kind.reference)
     # A drift is stated per minute; `values` takes the whole recording as its unit of time.
     amplitude = limit["amplitude"] * ((ended_s - began_s) / 60 if kind.reference == "bias_drift" else 1.0)
+    shape = int(rng.integers(2**32))
     if not kind.catalogued:
         attitudes = np.array([dwell.accel.mean(axis=0) for dwell in session.dwells])
         middles_s = np.array([dwell.time_s.mean() for dwell in session.dwells])
-        sizes = [visible_rms(values(one, attitudes, middles_s), attitudes) for one in (reference, kind)]
-        amplitude *= sizes[0] / sizes[1]
-    added_mg = sign * times * amplitude * values(kind, recording.accel_g, recording.time_s)
+        wanted = amplitude * visible_rms(values(reference, attitudes, middles_s, shape), attitudes)
+        for _ in range(100):
+            amplitude = wanted / visible_rms(values(kind, attitudes, middles_s, shape), attitudes)
+            if times * amplitude <= LARGEST_MG:
+                break
+            shape = int(rng.integers(2**32))  # these poses hardly show this shape: draw another
+        else:
+            raise SystemExit(f"this recording shows no {kind.name} below {LARGEST_MG:g} mg")
+    added_mg = sign * times * amplitude * values(kind, recording.accel_g, recording.time_s, shape)
     answer = {
         "kind": kind.name,
         "catalogued": kind.catalogued,

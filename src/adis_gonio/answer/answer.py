@@ -147,6 +147,16 @@ class Answer:
         return f"{text[:1].upper()}{text[1:]}."
 
     @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentence that leads the answer if the model does not describe the session; else empty."""
+        if self.traced is not None or not self.result.extra_mg:
+            return ()
+        return (
+            "The model does not describe this session: the residual is larger than the noise."
+            " Run adis-gonio trace to find the missing effect.",
+        )
+
+    @property
     def lines(self) -> list[Line]:
         """The headline's table: quantity, unit, value, u, U, k."""
         return [Line.of(name, value) for name, value in self.values.items()]
@@ -173,6 +183,7 @@ class Answer:
         """The headline in plain text of at most `width` columns."""
         return "\n".join(
             [
+                *(line for doubt in self.doubts for line in wrapped(doubt, width)),
                 f"Answer by method {self.title}",
                 *lines_as_text(self.lines),
                 *wrapped(self.why, width, indent=2),
@@ -255,7 +266,11 @@ def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendatio
     """The recommendation with what a trace that added nothing to its model says of it."""
     if trace.stopped is not None and not trace.stopped.checked:
         return recommended
-    said = "no effect missing" if trace.adequate else "its model not adequate, and no effect to add"
+    said = {
+        "adequate": "no effect missing",
+        "not adequate": "its model not adequate, and no effect to add",
+        "not tested": "no effect to add; this session cannot test whether the model is adequate",
+    }[trace.adequacy]
     return replace(recommended, why=f"{recommended.why}; the trace finds {said}")
 
 

@@ -90,7 +90,7 @@ def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
     left = [_left_out(term) for term in final.terms if term not in kept]
     if result.unnamed is not None and all(term.name is not None for term in final.terms):
         left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS))
-    doubts = () if result.adequate else ("the gyros' trace found its model not adequate",)
+    doubts = () if result.adequacy != "not adequate" else ("the gyros' trace found its model not adequate",)
     coefficients, matrix = _stated(final, kept, result.inflation)
     return GyroEstimates(
         "trace",

@@ -139,8 +139,10 @@ def print_answer(
     """
     screen = _screen()
     screen.print()
+    style: str | None = "bold"  # to the line that names the method
     for line in answer.text(min(screen.width, WIDTH)).splitlines():
-        screen.print(line, style="bold" if line.startswith("Answer") else None)
+        screen.print(line, style=style)
+        style = None if line.startswith("Answer") else style
     screen.print()
     if truth is not None or answer.has_more:
         screen.print(_parameters(answer, truth))

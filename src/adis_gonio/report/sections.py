@@ -76,7 +76,7 @@ def answer(given: Answer) -> Section:
         caption="u: standard uncertainty; U = k·u covers 95 %. The error of the angle is the root mean "
         "square over dwells left out; its u is that of any angle shown.",
     )
-    said = [f"By method {given.title}.", given.why, *given.remarks]
+    said = [*given.doubts, f"By method {given.title}.", given.why, *given.remarks]
     return Section("Answer", words=said, tables=[table], key=_key(given.values))
 
 

@@ -195,14 +195,13 @@ def _capital(text: str) -> str:
 def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
     """What the readings say, of the findings that are in their model."""
     names = [with_axes(finding) for finding in found]
-    tested = result.after.chi2_per_dof is not None
     what = f"Found: {listed(names)}." if names else ""
     rest = result.unnamed
     if rest is not None:
         begin = f"{what} Besides, the" if names else "The"
         end = "" if result.adequate else " Not all of the residual is explained."
         return f"{begin} residual follows {listed(list(rest.covariates))} in a way that has no name.{end}"
-    if result.adequate and tested:
+    if result.adequate:
         if not names and not result.steps:
             return (
                 "The base model explains this session: what is left is the noise that was measured within "
@@ -228,11 +227,12 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
             " whether zero or gain does. Whether anything is left cannot be tested: the noise of"
             " neighbouring samples is not independent."
         )
-    if result.adequate or not tested:
+    if not result.tested:
+        noise_known = bool(result.fits) and result.fits[-1].data.noise_known
         ending = "Whether anything is left cannot be tested: " + (
-            "the noise of a reading is not known by itself."
-            if result.adequate
-            else "the model has as many parameters as there are readings. Measure more positions."
+            "the model has as many parameters as there are readings. Measure more positions."
+            if noise_known
+            else "the noise of a reading is not known by itself."
         )
         return f"{what or 'Nothing was found beyond the base model.'} {ending}"
     if result.confounded or result.reasons:

@@ -105,7 +105,7 @@ class TraceAdvisor:
         summary = where_it_stands(result, len(session.dwells))
         decide = [m for m in result.measurements if m.purpose == "decide"]
         wanted = [m for m in decide if m.separation >= LEAST_SEPARATION]
-        if not tested(result):
+        if not result.tested:
             wanted = list(result.measurements)
         elif not wanted and not result.adequate and len(session.dwells) < FEW:
             # Few readings hide what explains the rest behind models that they cannot check.
@@ -118,17 +118,12 @@ class TraceAdvisor:
         return Advice((), (), _ended(result, wanted, within, visited), summary)
 
 
-def tested(result: TraceResult) -> bool:
-    """True where the session has readings to spare, so that its model could have failed."""
-    return result.after.chi2_per_dof is not None
-
-
 def where_it_stands(result: TraceResult, dwells: int) -> dict[str, Any]:
     """What of a trace is compared before and after further positions."""
     return {
         "dwells": dwells,
         "adequate": result.adequate,
-        "tested": tested(result),
+        "tested": result.tested,
         "found": [finding.effect for finding in result.found],
         "uncertain": sorted(
             {step.effect for step in result.steps} - {finding.effect for finding in result.found}
@@ -162,7 +157,7 @@ def _ended(result: TraceResult, wanted: list[NextDwell], within: list[NextDwell]
             "the positions have shown what they can; what is still open needs something else: "
             + "; ".join(sentences(wanted))
         )
-    if result.adequate and tested(result):
+    if result.adequate:
         if not _open_names(result):
             return "the model is adequate, and no further position would decide anything more"
         return (

@@ -199,7 +199,7 @@ def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | 
     )
     zeros = {} if any(one.effect == "bias" for one in seen) else zeros_of(final)
     return TraceResult(
-        adequate=adequate,
+        adequate=adequate and training.noise_known,
         found=seen,
         sets=one_a_function(sets, likelier),
         steps=tuple(Step(label, error) for label, error in zip(steps, figures[1:], strict=True)),

@@ -286,7 +286,8 @@ class TraceResult:
     Attributes
     ----------
     adequate : bool
-        The final model leaves no more than the noise that was measured within the dwells.
+        The final model leaves no more than the noise that was measured within the dwells; False if this
+        was not tested (see `adequacy`).
     found : tuple of Finding
     steps : tuple of Step
     confounded : tuple of tuple of str
@@ -352,8 +353,19 @@ class TraceResult:
 
     def __repr__(self) -> str:
         found = ", ".join(finding.effect for finding in self.found) or "no effect"
-        state = "adequate" if self.adequate else "not adequate"
-        return f"TraceResult(found {found}; {state})"
+        return f"TraceResult(found {found}; {self.adequacy})"
+
+    @property
+    def tested(self) -> bool:
+        """True if the session has readings to spare and a known noise, so that its model could fail."""
+        return self.after.chi2_per_dof is not None
+
+    @property
+    def adequacy(self) -> Literal["adequate", "not adequate", "not tested"]:
+        """Outcome of the test of the final model against the noise within the dwells."""
+        if not self.tested:
+            return "not tested"
+        return "adequate" if self.adequate else "not adequate"
 
     def calibration(self) -> Calibration | GyroCalibration:
         """What turns readings into angles by the final model; of gyros, into rates of turn.
@@ -436,6 +448,7 @@ class TraceResult:
         return {
             **other,
             "adequate": self.adequate,
+            "adequacy": self.adequacy,
             "found": [finding.as_dict() for finding in self.found],
             "steps": [step.as_dict() for step in self.steps],
             "sets": [one.as_dict() for one in self.sets],

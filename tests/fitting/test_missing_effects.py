@@ -1,0 +1,102 @@
+"""Uncertainties of a fit whose model lacks an effect, against the truth of simulated sessions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adis_gonio import fit, load_session
+from adis_gonio.answer import Answer
+from adis_gonio.cli import main
+from adis_gonio.fitting.likelihood import fit_ml
+
+HIDDEN = (
+    "quadratic:k2_x=8",
+    "quadratic:k2_y=-6",
+    "asymmetry:asymmetry_y=7",
+    "cross_quadratic:kpp_yx=-8",
+    "cross_axis:kip_xy=6",
+    "hysteresis:hysteresis_x=4",
+)
+LED_BY = "The model does not describe this session"
+
+
+@pytest.fixture(scope="module")
+def lacking(tmp_path_factory):
+    """Return fits by `ml` of sessions that each hide an effect, with the truth."""
+    folder, found = tmp_path_factory.mktemp("lacking"), []
+    for seed, effect in enumerate(HIDDEN):
+        path = folder / f"{seed}.session"
+        given = ["--plan", "tumble", "--seed", str(seed), "--dwell", "2", "--effect", effect]
+        assert main(["simulate", *given, "-o", str(path)]) == 0
+        session = load_session(path)
+        found.append((fit(session, method="ml"), session.facts["truth"]))
+    return found
+
+
+@pytest.fixture(scope="module")
+def complete(tmp_path_factory):
+    path = tmp_path_factory.mktemp("complete") / "a.session"
+    given = ["--plan", "four-position", "--seed", "3", "--dwell", "2", "-o", str(path)]
+    assert main(["simulate", *given]) == 0
+    return load_session(path)
+
+
+def misses(found, expanded):
+    return [
+        (one.name, abs(one.value - truth[one.name]) / expanded(one))
+        for result, truth in found
+        for one in result.parameters
+        if abs(one.value - truth[one.name]) > expanded(one)
+    ]
+
+
+def test_the_stated_uncertainty_covers_what_a_missing_effect_does_to_the_parameters(lacking):
+    assert all(result.extra_mg > 0 for result, _ in lacking)
+    count = sum(len(result.parameters) for result, _ in lacking)
+    assert count >= 6 * len(HIDDEN)
+    assert len(misses(lacking, lambda one: one.U)) <= 0.05 * count
+
+
+def test_scatter_of_the_readings_alone_would_not_cover_it(lacking, monkeypatch):
+    """The check itself: without the catalogue the same sessions are missed."""
+    monkeypatch.setattr(
+        "adis_gonio.fitting.sources.missing_effects",
+        lambda fit, measured: np.zeros((*measured.mean.shape, 0)),
+    )
+    again = [(fit_ml(result.session), truth) for result, truth in lacking]
+    count = sum(len(result.parameters) for result, _ in again)
+    assert len(misses(again, lambda one: one.U)) > 0.05 * count
+
+
+def test_the_uncertainty_stays_useful(lacking):
+    """A bias that an uncalibrated part leaves open by tens of mg is known to a few."""
+    for result, _ in lacking:
+        assert all(result[f"bias_{axis}"].U < 15 for axis in "xy")
+
+
+def test_a_model_that_does_not_describe_the_session_leads_the_answer_and_names_trace(lacking):
+    for result, _ in lacking:
+        first = Answer.of(result).text().splitlines()[0]
+        assert first.startswith(LED_BY)
+        assert "adis-gonio trace" in Answer.of(result).text()
+
+
+def test_a_model_that_describes_the_session_is_not_doubted(complete):
+    result = fit(complete)
+    assert result.extra_mg == 0
+    assert Answer.of(result).doubts == ()
+
+
+def test_one_dwell_of_few_samples_does_not_take_the_degrees_of_freedom_of_all(lacking):
+    """Welch and Satterthwaite: each estimate counts by what it contributes."""
+    result, _ = lacking[0]
+    readings = result.session
+    dof = np.array(readings.dof, dtype=float)
+    dof[3] = 1.0
+    again = fit_ml(replace(readings, dof=dof))
+    assert again.extra_mg > 0
+    assert again.dof > 20
+    for one in again.parameters:
+        assert one.k == pytest.approx(result[one.name].k, rel=0.1)
+        assert one.k < 2.5
