@@ -101,7 +101,7 @@ class Planting:
 
 @dataclass(frozen=True)
 class Recording:
-    """Samples CSV as text, with its times (n,) in s and accelerations (n, 3) in g."""
+    """Samples CSV as text, with its times (n,) in s, accelerations (n, 3) in g, and its units per g."""
 
     head: list[str]
     names: list[str]
@@ -169,7 +169,6 @@ def plant(
     letters = limit["parameter"].rsplit("_", 1)[1]
     axis = AXES.index(letters[0])
     other = AXES.index(letters[1]) if len(letters) > 1 else (axis + 1) % 3
-    times, sign = rng.uniform(*TIMES_THE_LIMIT), rng.choice([-1.0, 1.0])
     began_s, ended_s = recording.time_s[0], recording.time_s[-1]
 
     def values(which: Kind, accel_g: Floats, time_s: Floats, shape: int) -> Floats:
@@ -180,27 +179,28 @@ def plant(
 
     reference = next(one for one in KINDS if one.name == kind.reference)
     # A drift is stated per minute; `values` takes the whole recording as its unit of time.
-    amplitude = limit["amplitude"] * ((ended_s - began_s) / 60 if kind.reference == "bias_drift" else 1.0)
-    shape = int(rng.integers(2**32))
-    if not kind.catalogued:
-        attitudes = np.array([dwell.accel.mean(axis=0) for dwell in session.dwells])
-        middles_s = np.array([dwell.time_s.mean() for dwell in session.dwells])
-        wanted = amplitude * visible_rms(values(reference, attitudes, middles_s, shape), attitudes)
-        for _ in range(100):
-            amplitude = wanted / visible_rms(values(kind, attitudes, middles_s, shape), attitudes)
-            if times * amplitude <= LARGEST_MG:
-                break
-            shape = int(rng.integers(2**32))  # these poses hardly show this shape: draw another
-        else:
-            raise SystemExit(f"this recording shows no {kind.name} below {LARGEST_MG:g} mg")
-    added_mg = sign * times * amplitude * values(kind, recording.accel_g, recording.time_s, shape)
+    smallest = limit["amplitude"] * ((ended_s - began_s) / 60 if kind.reference == "bias_drift" else 1.0)
+    attitudes = np.array([dwell.accel.mean(axis=0) for dwell in session.dwells]) / recording.per_g
+    middles_s = np.array([dwell.time_s.mean() for dwell in session.dwells])
+    visible = smallest * visible_rms(values(reference, attitudes, middles_s, 0), attitudes)
+    sign = rng.choice([-1.0, 1.0])
+    for _ in range(100):
+        times, shape = rng.uniform(*TIMES_THE_LIMIT), int(rng.integers(2**32))
+        if not kind.catalogued:
+            smallest = visible / visible_rms(values(kind, attitudes, middles_s, shape), attitudes)
+        amplitude = sign * times * smallest
+        if abs(amplitude) <= LARGEST_MG:
+            break
+    else:
+        raise SystemExit(f"this recording shows no {kind.name} below {LARGEST_MG:g} mg")
+    added_mg = amplitude * values(kind, recording.accel_g, recording.time_s, shape)
     answer = {
         "kind": kind.name,
         "catalogued": kind.catalogued,
         "covariate": kind.covariate,
         "axis": AXES[axis],
         "times_the_limit": round(times, 2),
-        "amplitude_mg": round(sign * times * amplitude, 4),
+        "amplitude_mg": round(amplitude, 4),
         "salt": secrets.token_hex(16),
     }
     return Planting(added_mg, answer)

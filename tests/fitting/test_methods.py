@@ -354,7 +354,8 @@ def test_a_residual_beyond_the_noise_is_said_and_enlarges_the_uncertainty():
     assert any("times what the noise within the dwells explains" in w for w in result.warnings)
     assert result.extra_mg == pytest.approx(2.0, rel=0.4)
     honest = fit(planar(angles, noise=noise, u=2.0, sigma=0.01), "ml")
-    assert result["bias_x"].u == pytest.approx(honest["bias_x"].u, rel=0.4)
+    # Effects of the catalogue that 2 mg of scatter would hide are covered as well.
+    assert 1.0 < result["bias_x"].u / honest["bias_x"].u < 8
     assert honest.extra_mg == 0
 
 

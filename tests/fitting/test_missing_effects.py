@@ -62,7 +62,7 @@ def test_scatter_of_the_readings_alone_would_not_cover_it(lacking, monkeypatch):
     """The check itself: without the catalogue the same sessions are missed."""
     monkeypatch.setattr(
         "adis_gonio.fitting.sources.missing_effects",
-        lambda fit, measured: np.zeros((*measured.mean.shape, 0)),
+        lambda fit: np.zeros((*fit.data.mean.shape, 0)),
     )
     again = [(fit_ml(result.session), truth) for result, truth in lacking]
     count = sum(len(result.parameters) for result, _ in again)

@@ -52,7 +52,7 @@ def test_fourteen_poses():
     assert result["bias_y"].value == pytest.approx(-21, abs=1)
     assert result["bias_z"].value == pytest.approx(46, abs=1)
     assert result.residual_rms_mg == pytest.approx(2.0, abs=0.1)
-    assert any("the model lacks something" in w for w in result.warnings)
+    assert any("does not describe this session" in w for w in result.warnings)
     assert "delta_k" not in result
 
 

@@ -58,7 +58,10 @@ def test_what_results_scatter_by_is_what_they_state(method: str) -> None:
     root = FLICKER_MG * vectors * np.sqrt(np.maximum(values, 0.0))
     rng = np.random.default_rng(5)
     names = ("delta_k", "delta_phi", "scale_x", "scale_y", "bias_x", "bias_y")
-    results = [fit_readings(drawn(rng, root), method) for _ in range(700)]
+    drawings = [fit_readings(drawn(rng, root), method) for _ in range(700)]
+    # One session in a thousand has a residual beyond its noise by chance and states more.
+    results = [result for result in drawings if not result.extra_mg]
+    assert len(results) >= 695
     found = np.array([[r[name].value for name in names] for r in results])
     stated = np.array([[r[name].u for name in names] for r in results])
     ratio = found.var(axis=0, ddof=1) / (stated**2).mean(axis=0)

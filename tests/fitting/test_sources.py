@@ -62,15 +62,16 @@ def test_an_estimated_stage_is_of_type_a_and_a_stated_one_of_type_b() -> None:
     assert exact.note == ""
 
 
-def test_a_model_that_lacks_something_is_of_type_a_and_what_cannot_be_seen_of_type_b() -> None:
+def test_the_source_of_a_model_that_lacks_something_holds_scatter_and_the_catalogue() -> None:
     sound = source(fit(turn(NINE), "ml"), MODEL)
     assert (sound.kind, sound.distribution) == ("B", "normal")
     assert sound.note == "the residual shows no more than the noise"
     assert sound.u == 0
     scattered = fit(turn(NINE, noise=5.0, stated=0.1), "ml")
     lacking = source(scattered, MODEL)
-    assert (lacking.kind, lacking.distribution) == ("A", "Student")
-    assert lacking.u == pytest.approx(scattered.extra_mg)
+    assert (lacking.kind, lacking.distribution) == ("B", "normal")
+    assert lacking.u > scattered.extra_mg
+    assert lacking.acts_mg.shape[:2] == (9, 2)
     np.testing.assert_allclose(lacking.reading_mg2, scattered.extra_mg**2 * np.eye(2))
     blind = source(fit(replace(turn((0, 90)), sensor="adis16354"), "two-position"), MODEL)
     assert (blind.kind, blind.distribution) == ("B", "normal")

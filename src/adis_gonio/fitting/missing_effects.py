@@ -2,7 +2,7 @@
 
 If the residual is larger than the noise, some effect is missing, and it also moves the fitted parameters.
 Each amplitude θ of the catalogue is given a normal prior about zero. Its standard deviation is the typical
-size in the catalogue times one common factor s ≥ 1, which maximizes the likelihood of the residual:
+size in the catalogue times one common factor s ≥ 1, which maximizes the likelihood of the residual r:
 
     r ~ N(0, 1 + s² W Wᵀ),  W = whitened columns of typical size, without the part that the fit describes
 
@@ -14,12 +14,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import Readings
 from adis_gonio.estimation.terms import NamedTerm
 from adis_gonio.model.effects import AXES, Enters, catalogue
 from adis_gonio.model.records import Floats
@@ -29,26 +27,24 @@ _DESCRIBED = 1e-6
 _LARGEST_FACTOR = 1e4
 
 
-def missing_effects(fit: Fit, measured: Readings) -> Floats:
+def missing_effects(fit: Fit) -> Floats:
     """Return inputs (n, axes, k) in mg, each at one standard uncertainty, that the model lacks.
 
     Parameters
     ----------
     fit : Fit
-        The model that does not describe the session.
-    measured : Readings
-        The same readings with their measured noise only.
+        The model that does not describe the session, on readings whose noise has the scatter of the
+        residual in it: scatter without any structure is the rival explanation.
     """
-    at_noise = replace(fit, data=measured)
-    columns = np.concatenate([*_columns(at_noise), np.zeros((*measured.mean.shape, 0))], axis=2)
-    white = at_noise.white(columns)
+    columns = np.concatenate([*_columns(fit), np.zeros((*fit.data.mean.shape, 0))], axis=2)
+    white = fit.white(columns)
     size = np.linalg.norm(white, axis=0)
-    remaining = _without(white, at_noise.jacobian)
+    remaining = _without(white, fit.jacobian)
     shown = np.linalg.norm(remaining, axis=0) > _DESCRIBED * size
     columns, remaining = columns[:, :, shown], remaining[:, shown]
     if not columns.shape[2]:
         return columns
-    residual = _without(at_noise.residual.reshape(-1, 1), at_noise.jacobian)[:, 0]
+    residual = _without(fit.residual.reshape(-1, 1), fit.jacobian)[:, 0]
     # In the basis of the singular vectors the amplitudes are independent.
     left, singular, right = np.linalg.svd(remaining, full_matrices=False)
     along = left.T @ residual
@@ -83,7 +79,7 @@ def _without(rows: Floats, columns: Floats) -> Floats:
 
 
 def _factor(strength: Floats, power: Floats) -> float:
-    """Factor s, 1 to 10⁴, that maximizes the likelihood of independent amplitudes.
+    """Factor s, 1 to 10⁴, on the sizes of independent amplitudes that maximizes the likelihood.
 
     Parameters
     ----------

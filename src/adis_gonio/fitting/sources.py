@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -460,7 +460,7 @@ def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, 
     skews = skew_u_rad * fit.base_columns[:, :, list(unseen.skews)]
     missing = np.zeros((len(data), axes, 0))
     if noise.extra_mg > 0:
-        missing = missing_effects(fit, replace(noise, extra_mg=0.0).applied(data))
+        missing = missing_effects(fit)
     acts = np.concatenate([biases, skews, missing], axis=2)
     blind = np.einsum("pna,nak->pk", response, acts)
     notes, u = [], noise.extra_mg
