@@ -12,8 +12,8 @@ import numpy as np
 from adis_gonio import load_session, trace
 from recordings import MEASURED
 
-RECORDINGS = ("mimu4444_exp4_imu1", "mpu9150_0_recording")
-"""Recordings in which `trace` finds a bias and nothing else, with an adequate model."""
+RECORDINGS = ("mimu4444_exp4_imu1", "xsens_mti_recording")
+"""Recordings in which `trace` finds at most a bias, with an adequate model."""
 OWN = {"bias"}
 
 
@@ -65,8 +65,8 @@ def limits(name: str) -> dict:
     return trace(load_session(MEASURED / f"{name}.csv.gz")).as_dict()["detectable"]
 
 
-def planted(name: str, kind: str, seed: int) -> Planted:
-    """Plant one effect in a recording and trace the result."""
+def planted(name: str, kind: str, seed: int) -> Planted | None:
+    """Plant one effect in a recording and trace the result; None if the recording cannot show the kind."""
     source = MEASURED / f"{name}.csv.gz"
     samples = plant_effect.Recording.read(source)
     which = KINDS.index(kind)
@@ -74,6 +74,8 @@ def planted(name: str, kind: str, seed: int) -> Planted:
     planting = plant_effect.plant(
         samples, load_session(source), limits(name), plant_effect.KINDS[which], rng
     )
+    if planting is None:
+        return None
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "planted.csv.gz"
         samples.write(path, planting.added_mg)

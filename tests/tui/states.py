@@ -31,10 +31,10 @@ def look(
     temperature: float = 24.6,
     lost: int = 0,
     limit: events.Vector | None = LIMIT,
+    tolerance: float | None = 1.2,
 ) -> events.Watching:
-    return events.Watching(
-        state, (1000.0, 3.0, -8.0), (1.9, spread, 2.0), angle, target, limit, waits, temperature, lost
-    )
+    accel, noise = (1000.0, 3.0, -8.0), (1.9, spread, 2.0)
+    return events.Watching(state, accel, noise, angle, target, limit, waits, temperature, lost, tolerance)
 
 
 def asked(place: int, made=PLAN, left: float = 754.0) -> events.PositionAsked:

@@ -148,6 +148,9 @@ class Watching(Event):
         Of the newest scan; None where it is not in the scan.
     lost : int
         Scans lost since the session was opened.
+    tolerance_deg : float or None
+        Distance from `target_deg` within which a guard does not question `angle_deg`; None before the
+        first dwell.
     """
 
     state: Literal["idle", "measuring", "moving", "settling"]
@@ -159,6 +162,7 @@ class Watching(Event):
     waits_for: str = ""
     temperature_c: float | None = None
     lost: int = 0
+    tolerance_deg: float | None = None
 
 
 @dataclass(frozen=True)

@@ -136,6 +136,15 @@ class Judge:
         """Live angle by gravity as the stage counts, within ±180°; None with free attitudes."""
         return self._expected.angle_deg(accel_mg) if self._planar else None
 
+    def tolerance_deg(self, accel_mg: Floats, angle_deg: float) -> float | None:
+        """Distance from a stage angle within which a reading there is not questioned.
+
+        It shrinks as dwells show the part's gains, biases and misalignment; None before the first dwell.
+        """
+        if not self._planar or not self._expected.begun:
+            return None
+        return self._expected.off(accel_mg, angle_deg).limit_deg
+
     def _stands(self, position: Position, accel_mg: Floats) -> list[Stand]:
         """Where the part stood in all dwells, and stands now."""
         stands: list[Stand] = []

@@ -51,15 +51,19 @@ class LiveView:
             self.smoother.feed(block)
             self._seen_s = float(block.time_s[-1])
 
-    def angle_deg(self, accel_mg: Floats, target_deg: float | None) -> float | None:
-        """Angle as the stage counts, on the turn that is nearest to the target.
+    def angle_deg(self, accel_mg: Floats, target_deg: float | None) -> tuple[float | None, float | None]:
+        """Angle as the stage counts, on the turn that is nearest to the target, and its tolerance.
 
-        By gravity; where there are gyros, by both.
+        By gravity, and by the gyros if there are any. The tolerance is that of `Judge.tolerance_deg`.
         """
-        angle = None if self.judge is None else self.judge.angle_deg(self._smoothed_mg(accel_mg))
+        if self.judge is None:
+            return None, None
+        smoothed_mg = self._smoothed_mg(accel_mg)
+        angle = self.judge.angle_deg(smoothed_mg)
         if angle is None or target_deg is None:
-            return angle
-        return target_deg + wrapped_deg(angle - target_deg)
+            return angle, None
+        tolerance = self.judge.tolerance_deg(smoothed_mg, target_deg)
+        return target_deg + wrapped_deg(angle - target_deg), tolerance
 
     def _smoothed_mg(self, accel_mg: Floats) -> Floats:
         """A reading (3,), turned to where the smoothed angle is."""
@@ -79,16 +83,18 @@ class LiveView:
         waits_for: str,
     ) -> Watching:
         """The event of a look outside a dwell."""
+        angle_deg, tolerance_deg = self.angle_deg(accel_mg, target_deg)
         return Watching(
             state,
             vector(accel_mg),
             vector(spread_mg),
-            self.angle_deg(accel_mg, target_deg),
+            angle_deg,
             target_deg,
             self.limit_mg,
             waits_for,
             self._temperature_c,
             self._lost,
+            tolerance_deg,
         )
 
     def dwell(
@@ -106,6 +112,7 @@ class LiveView:
     ) -> DwellProgress:
         """The event of a look within a dwell."""
         target_deg = recording.position.angle_deg
+        angle_deg, _ = self.angle_deg(accel_mg, target_deg)
         return DwellProgress(
             recording.place,
             recording.elapsed_s,
@@ -114,7 +121,7 @@ class LiveView:
             recording.lost,
             vector(accel_mg),
             vector(spread_mg),
-            self.angle_deg(accel_mg, target_deg),
+            angle_deg,
             target_deg,
             self.limit_mg,
             "the dwell to end",

@@ -10,6 +10,7 @@ from typing import Literal
 
 from adis_gonio.counting import counted
 from adis_gonio.session import events
+from adis_gonio.session.expectation import wrapped_deg
 from adis_gonio.session.guidance import face
 from adis_gonio.session.plans import GYRO_TURNS, Plan, Position
 
@@ -77,7 +78,10 @@ class BenchState:
     span : Span or None
         How far it is, where that is known.
     angle_deg, target_deg : float or None
-        Live angle and the one asked for.
+        Live angle, on the turn that the stage has made from `here`, and the angle asked for.
+    tolerance_deg : float or None
+        Distance from the target within which the part is there, as far as the dwells so far tell; None
+        while a dwell is recorded and before the first.
     spread_mg, limit_mg : float or None
         Of the axis that is nearest to its limit of stillness, or beyond it.
     waits_for : str
@@ -124,6 +128,7 @@ class BenchState:
         self.span: Span | None = None
         self.angle_deg: float | None = None
         self.target_deg: float | None = None
+        self.tolerance_deg: float | None = None
         self.spread_mg: float | None = None
         self.limit_mg: float | None = None
         self.waits_for = ""
@@ -142,6 +147,7 @@ class BenchState:
         self.quiet = False
         self.zero_known = False
         self.here: Position | None = None
+        self._turned_deg: float | None = None
         self.reversed = False
         self.messages: list[Message] = []
         self.finished: events.Finished | None = None
@@ -153,10 +159,18 @@ class BenchState:
 
     @property
     def more_deg(self) -> float | None:
-        """How far the part has to be turned on, positive as the stage counts; None where unknown."""
+        """Turn that remains on the way asked for, positive as the stage counts; None if unknown."""
         if self.angle_deg is None or self.target_deg is None:
             return None
         return self.target_deg - self.angle_deg
+
+    @property
+    def passes(self) -> bool:
+        """True if the part stands at the angle asked for, and has to come to it from the other side."""
+        asked, here = self.position, self.here
+        if asked is None or here is None or not isinstance(self.question, events.PositionAsked):
+            return False
+        return asked.angle_deg == here.angle_deg and asked.approach != here.approach
 
     def mark(self, place: int) -> Mark:
         """Where a position stands."""
@@ -257,7 +271,8 @@ class BenchState:
         self.span = Span("dwell", event.elapsed_s, event.length_s)
 
     def _look(self, event: events.Watching | events.DwellProgress) -> None:
-        self.angle_deg = event.angle_deg
+        self.angle_deg = self._along(event.angle_deg)
+        self.tolerance_deg = event.tolerance_deg if isinstance(event, events.Watching) else None
         self.target_deg = event.target_deg if event.target_deg is not None else self.target_deg
         self.waits_for = event.waits_for
         if event.temperature_c is not None:
@@ -271,6 +286,13 @@ class BenchState:
             return
         pairs = zip(spread, event.limit_mg, strict=True)
         self.spread_mg, self.limit_mg = max(pairs, key=lambda pair: pair[0] / pair[1])
+
+    def _along(self, angle_deg: float | None) -> float | None:
+        """Angle on the turn that the stage has made since the last dwell; as it is without one."""
+        if angle_deg is None or self._turned_deg is None:
+            return angle_deg
+        self._turned_deg += wrapped_deg(angle_deg - self._turned_deg)
+        return self._turned_deg
 
     def _goes_on(self) -> None:
         self.question, self.span, self.paused, self.quiet = None, None, False, False
@@ -316,6 +338,7 @@ class BenchState:
         self._goes_on()
         self.marks[event.place] = Mark.FAULTY if event.alarms else Mark.DONE
         self.here = event.position
+        self._turned_deg = event.position.angle_deg
         self.zero_known |= event.position.angle_deg is not None
         self.place = None
         self.doing = f"{event.position} is done"
@@ -330,7 +353,7 @@ class BenchState:
     @take.register
     def _(self, event: events.DwellInterrupted) -> None:
         self._goes_on()
-        self.here = None
+        self.here = self._turned_deg = None
         self.say(f"{event.position} interrupted: {event.reason} (samples kept)", "warned")
 
     @take.register

@@ -12,8 +12,6 @@ from adis_gonio.tui.state import BenchState, Mark
 
 SILENT_S = 5.0
 """Time without news of the sensor after which that is said."""
-ON_TARGET_DEG = 0.05
-"""Below this nothing is said of a turn: it would read 0.0°."""
 
 
 _SETTLED = (Mark.DONE, Mark.FAULTY, Mark.SKIPPED)
@@ -94,14 +92,14 @@ def target(state: BenchState) -> str:
         return whole_turns.target(state)
     if state.target_deg is None:
         return "free attitude: no angle to reach" if _is_free(state) else ""
-    more = state.more_deg
+    more, tolerance = state.more_deg, state.tolerance_deg
     goal = f"target {_signless(state.target_deg)}°"
     if not state.zero_known:
         return f"{goal}   this position sets the zero"
-    if more is None:
+    if more is None or tolerance is None or state.passes:
         return goal
-    if abs(more) < ON_TARGET_DEG:
-        return f"{goal}   ● there"
+    if abs(more) <= tolerance:
+        return f"{goal}   ● there, to ±{tolerance:.1f}°"
     arrow, way = ("▶▶", "more") if more > 0 else ("◀◀", "back")
     return f"{goal}   {arrow} turn {_signed(more, 1)}° {way}"
 
