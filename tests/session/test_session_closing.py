@@ -297,7 +297,13 @@ def measurement(angle: float, **changes: object) -> NextDwell:
 def advised(monkeypatch, measurements, *, adequate=True, tested=True, visited=0, most=24, reach=None):
     error = SimpleNamespace(chi2_per_dof=1.0 if tested else None, as_dict=lambda: {})
     result = SimpleNamespace(
-        adequate=adequate, after=error, found=(), steps=(), confounded=(), measurements=measurements
+        adequate=adequate and tested,
+        tested=tested,
+        after=error,
+        found=(),
+        steps=(),
+        confounded=(),
+        measurements=measurements,
     )
     monkeypatch.setattr("adis_gonio.tracing.trace", lambda session, most: result)
     return TraceAdvisor(most).advise(Session(()), visited, reach or (lambda position: True))
@@ -347,6 +353,7 @@ def test_what_no_position_decides_is_named_at_the_end(monkeypatch):
         steps = (SimpleNamespace(effect="quadratic"),)
         result = SimpleNamespace(
             adequate=True,
+            tested=True,
             after=SimpleNamespace(chi2_per_dof=1.0, as_dict=dict),
             found=(),
             steps=steps,

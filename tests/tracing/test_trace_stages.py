@@ -162,17 +162,17 @@ class TestResult:
         unknown = replace(data, known=np.zeros(24, dtype=bool))
         fit = replace(selection.fit, data=unknown.training)
         silent = told((unknown, terms, replace(selection, fit=fit)))
-        assert silent.adequate
+        assert not silent.adequate, "noise that is not known tests no model"
         assert not any("do not agree" in note for note in silent.notes)
 
-    @pytest.mark.parametrize(("known", "adequate"), [(True, False), (False, True)])
-    def test_a_model_that_leaves_no_freedom_cannot_be_called_adequate_under_known_noise(
-        self, told: Told, known: bool, adequate: bool
+    @pytest.mark.parametrize("known", [True, False])
+    def test_a_model_that_leaves_no_freedom_cannot_be_called_adequate(
+        self, told: Told, known: bool
     ) -> None:
         data = replace(noisy(turn(angles_deg=[0, 70]), 71), known=np.full(2, known))
         selection = chosen(data, labelled(data, "quadratic[x]"), ((), 1.0))
         assert selection.adequate
-        assert told((data, [], selection)).adequate == adequate
+        assert not told((data, [], selection)).adequate
 
     def test_the_longest_model_that_left_out_dwells_do_not_speak_against_is_the_result(
         self, told: Told

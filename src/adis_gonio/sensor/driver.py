@@ -295,10 +295,10 @@ class Adis16354:
                 return words[1:-1]
             before = words
         if stuck:
-            level = "zeros" if 0 in stuck else "ones"
+            level, side = ("zeros", "low") if 0 in stuck else ("ones", "high")
             raise SilentChipError(
-                f"{self.bus.url}: nothing answers, replies are {level};"
-                " check supply, chip select and the data line"
+                f"{self.bus.url}: nothing answers, replies are {level}: the data line (MISO) is stuck"
+                f" {side}; check supply, chip select and wires"
             )
         raise VerifyError(
             f"{self.bus.url}: the registers read differently each time; check supply and wires"
