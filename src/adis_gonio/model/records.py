@@ -171,6 +171,7 @@ class Session:
     def __post_init__(self) -> None:
         for name in ("title", "operator", "serial", "stage"):
             object.__setattr__(self, name, one_line(getattr(self, name)))
+        object.__setattr__(self, "notes", tuple(one_line(note) for note in self.notes))
 
     def __repr__(self) -> str:
         name = self.title or self.source or "untitled"
