@@ -35,8 +35,10 @@ _WALL_CLOCK = re.compile(
     r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?\s*(Z|[+-]\d\d(:?\d\d)?)?", re.ASCII
 )
 """ISO 8601 with date and time, as loggers write it; with Z or an offset, or in one zone without."""
-_LARGEST = 1e20
-"""Of a cell: a time in ns since 1970 has 2e18, and sums of fourth powers stay far below overflow."""
+_LATEST = 1e20
+"""Largest time: in ns since 1970 it has 2e18."""
+_LARGEST = 1e10
+"""Largest other number: a count of 32 bits is smaller, and its fourth power is far from overflow."""
 _GROWTH, _LEAST = 1.125, 1 << 15
 _SLOWEST_S = 2.0
 """Step between rows from which a time without a unit may as well be in ms."""
@@ -208,7 +210,7 @@ class _Reader:
                 raise ValueError
             cells = text.replace(",", ".").split("\n")
         values = np.fromiter(map(float, cells), dtype=np.float64, count=len(cells))
-        if "_" in text or not (np.abs(values) <= _LARGEST).all():
+        if "_" in text or not (np.abs(values) <= _largest(name)).all():
             raise ValueError
         return values
 
@@ -290,14 +292,14 @@ class _Reader:
     def _whole(self, cells: list[str]) -> bool:
         try:
             for name in self.series:
-                self._one(cells[self.place[name]])
+                self._one(name, cells[self.place[name]])
         except ValueError:
             return False
         return True
 
-    def _one(self, cell: str) -> float:
+    def _one(self, name: str, cell: str) -> float:
         value = self.dialect.number(cell)
-        if not abs(value) <= _LARGEST:
+        if not abs(value) <= _largest(name):
             raise ValueError(cell)
         if not self._joined and ("." if self.dialect.decimal == "," else ",") in cell:
             self._joined = f"marks between thousands were left out, as in '{cell.strip()}' = {value:.12g}"
@@ -311,15 +313,15 @@ class _Reader:
         for row, cell in enumerate(cells):
             try:
                 clock = name == "time_s" and self._began is not None
-                values[row] = self._since_beginning(cell) if clock else self._one(cell)
+                values[row] = self._since_beginning(cell) if clock else self._one(name, cell)
             except ValueError:
-                what = self._what(cell.strip())
+                what = self._what(name, cell.strip())
                 if name == "time_s" and self._began is not None:
                     what = f"'{cell.strip()}' is not a time like '{self._began.isoformat(' ')}' before it"
                 raise _BadCellError(row, f"column '{name}': {what}") from None
         return values
 
-    def _what(self, cell: str) -> str:
+    def _what(self, name: str, cell: str) -> str:
         """What is wrong with a cell that should be a number."""
         if not cell:
             return "empty"
@@ -329,7 +331,7 @@ class _Reader:
             value = 0.0
         if not math.isfinite(value):
             return f"{cell} is not a finite number; leave such rows out"
-        if abs(value) > _LARGEST:
+        if abs(value) > _largest(name):
             return f"{cell} is too large for a measurement; leave such rows out"
         own, other = ("comma", ".") if self.dialect.decimal == "," else ("point", ",")
         try:
@@ -505,3 +507,8 @@ def _refuse_unclear_time(table: SamplesTable) -> None:
             f"{table.path.name}, row {table.head.line}: column '{column.text}' states no unit and its rows "
             f"are {step:g} apart: call it time_s or time_ms, or say --columns time_ms={column.text}"
         )
+
+
+def _largest(name: str) -> float:
+    """Return the largest number that a cell of a column may hold."""
+    return _LATEST if name == "time_s" else _LARGEST
