@@ -229,7 +229,7 @@ def test_the_bench_screens_angle_has_no_shaking():
         true_deg = math.degrees(turn[-1])
         if time_s[0] > 5:
             mean = accel.mean(axis=0)
-            smooth.append(view.angle_deg(mean, None) - true_deg)
+            smooth.append(view.angle_deg(mean, true_deg)[0] - true_deg)
             plain.append(view.judge.angle_deg(mean) - true_deg)
     # A filter's step, its neighbour and the chip's delay behind a part that turns: 0.04 s of 20 °/s.
     assert np.std(smooth) < 0.3 * np.std(plain)
