@@ -67,8 +67,9 @@
 #define BUFFER_BIT(endpoint, way) (1u << (2u * (endpoint) + (way)))
 
 /* Erratum E15: a transfer to the host that is cut off at the end of USB's frame of 1 ms, as behind a Raspberry
- * Pi 4's hub, may hang the controller. So none is offered late in a frame. */
-#define LATE_IN_FRAME_US 800u
+ * Pi 4's hub, may hang the controller. So none is offered after 800 us of a frame. The check comes 40 us before
+ * that: the frame's interrupt may be late, and copying a packet takes time and may be interrupted. */
+#define LATE_IN_FRAME_US 760u
 
 #define CONTROL 0u
 #define NOTICES 1u
