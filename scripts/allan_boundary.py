@@ -19,12 +19,12 @@ import sys
 
 import numpy as np
 
-from adis_gonio.allan.likelihood import Likelihood
-from adis_gonio.allan.ordinates import ordinates
-from adis_gonio.allan.processes import KINDS
-from adis_gonio.estimation.intervals import NORMAL_95
-from adis_gonio.model.records import Floats
-from adis_gonio.sensor.bartlett import response
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.intervals import NORMAL_95
+from adis_gonio.device.sensor.bartlett import response
+from adis_gonio.fitting.allan.likelihood import Likelihood
+from adis_gonio.fitting.allan.ordinates import ordinates
+from adis_gonio.fitting.allan.processes import KINDS
 from allan_statistics import CASES, Case
 
 PASSED = 0.01

@@ -28,9 +28,10 @@ import allantools
 import numpy as np
 from scipy import fft
 
-from adis_gonio.allan import AxisNoise, fit_allan
-from adis_gonio.estimation.intervals import wilson
-from adis_gonio.model.records import Dwell, Floats, Session
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.intervals import wilson
+from adis_gonio.fitting.allan import AxisNoise, fit_allan
+from adis_gonio.model.records import Dwell, Session
 
 KINDS = ("quantization", "white", "flicker", "walk")
 PERIOD_S = 0.01

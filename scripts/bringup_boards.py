@@ -16,7 +16,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from adis_gonio.bringup import Bringup, Permission, Verdict, bring_up
+from adis_gonio.bench.bringup import Bringup, Permission, Verdict, bring_up
 from fakes.boards import FAULTY, sound
 
 ALL = Permission(writes=True, flash=True)

@@ -26,9 +26,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
+from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting import FitResult, fit
-from adis_gonio.model.records import Dwell, Floats, Session
-from adis_gonio.sensor.variants import VARIANTS
+from adis_gonio.model.records import Dwell, Session
 
 G_MG = 1000.0
 NAMES = ("delta_k", "delta_phi", "angle")

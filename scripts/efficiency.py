@@ -62,7 +62,7 @@ READING_MG = 0.2
 """A dwell of 819 samples of 4.7 mg."""
 SAMPLES, RATE_HZ = 400, 40.0
 FLICKER_MG = 0.1
-"""Bias instability of the ADIS16354, an estimate (`sensor/variants.py`)."""
+"""Bias instability of the ADIS16354, an estimate (`device/sensor/variants.py`)."""
 TRUTHS = 20
 """Hidden values that the sessions of a line share out among them: the bound is computed once for each."""
 
@@ -105,7 +105,7 @@ class Line:
         Mean error in roots of the bound, and half of its interval, by comparison too.
     stated : float
         Median of u² that the fit states, over the bound. With 1/f noise u of a bias holds half its Allan
-        variance more: the bias of another day (`estimation/flicker.py`).
+        variance more: the bias of another day (`fitting/estimation/flicker.py`).
     """
 
     case: Case

@@ -36,12 +36,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adis_gonio.estimation import Fit, NamedTerm, Values, from_means
+from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.determination import information
+from adis_gonio.fitting.estimation import Fit, NamedTerm, Values, from_means
 from adis_gonio.model.effects import AXES, Conditions, effect
 from adis_gonio.model.measurement import axes_matrix
-from adis_gonio.model.records import Dwell, Floats, Session
+from adis_gonio.model.records import Dwell, Session
 
 NOISE_MG = 4.7
 LSB_MG = 0.4672

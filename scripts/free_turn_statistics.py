@@ -27,12 +27,13 @@ from typing import Any
 import numpy as np
 
 import turned_parts
-from adis_gonio.errors import AdisGonioError
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.bench.free_turn import TURNS
+from adis_gonio.device.sensor.variants import GYRO_LSB_DPS
 from adis_gonio.fitting import FitResult, fit
 from adis_gonio.model.measurement import PlanarTurn, wrap_rad
-from adis_gonio.model.records import Dwell, Floats, Session
-from adis_gonio.sensor.variants import GYRO_LSB_DPS
-from adis_gonio.session.free_turn import TURNS
+from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim import World, WorldSettings
 from turned_parts import FILTER_M, words
 

@@ -43,8 +43,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "session"))
 
 from strange_files import KINDS, SoundFiles
 
-from adis_gonio.cli import main as adis_gonio
-from adis_gonio.cli.characters import make_readable
+from adis_gonio.faces.cli import main as adis_gonio
+from adis_gonio.faces.cli.characters import make_readable
 
 OUTCOMES = ("OK", "TOLD", "NOISY", "TRACEBACK", "HUNG", "BIG")
 FAILURES = ("TRACEBACK", "HUNG", "BIG")

@@ -21,8 +21,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from adis_gonio.sensor import Adis16354
-from adis_gonio.serve import IioServer, ServeSettings
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.faces.serve import IioServer, ServeSettings
 from fakes.counting_bus import CountingBus
 
 VERBS = ("VERSION", "PRINT", "HELP", "TIMEOUT", "OPEN", "CLOSE", "READ", "WRITE", "READBUF", "WRITEBUF")

@@ -26,7 +26,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from adis_gonio.bus.wire import Receiver
+from adis_gonio.device.bus.wire import Receiver
 from fakes.rubbish import FUZZERS, PARSERS, fuzz_parser
 
 HOST = Path(__file__).parents[1] / "firmware_proto" / "host"

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 TABLE = ROOT / "firmware_proto" / "protocol.toml"
 HEADER = ROOT / "firmware_proto" / "core" / "gonio_protocol.h"
 CRC_TABLE = ROOT / "firmware_proto" / "core" / "gonio_crc_table.h"
-MODULE = ROOT / "src" / "adis_gonio" / "bus" / "wire" / "protocol.py"
+MODULE = ROOT / "src" / "adis_gonio" / "device" / "bus" / "wire" / "protocol.py"
 
 SIZES = {"u8": 1, "u16": 2, "u32": 4}
 FORMATS = {"u8": "B", "u16": "H", "u32": "I"}
@@ -139,7 +139,11 @@ def module(table: Table) -> str:
     out += ["from __future__ import annotations", ""]
     out += ["import struct", "from dataclasses import dataclass", "from enum import IntEnum, IntFlag"]
     out += ["from typing import ClassVar", ""]
-    out += ["from adis_gonio.bus.contract import Words", "from adis_gonio.bus.wire.body import Body", ""]
+    out += [
+        "from adis_gonio.device.bus.contract import Words",
+        "from adis_gonio.device.bus.wire.body import Body",
+        "",
+    ]
     out += [f"VERSION = {protocol['version']}", f"BAUD = {protocol['baud']:_}"]
     out += [f"BAUD_FAST = {protocol['baud_fast']:_}", ""]
     out += [f"{name.upper()} = {packet[name]}" for name in ("header_size", "crc_size", "max_raw")]

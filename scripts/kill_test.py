@@ -44,11 +44,13 @@ def digest(words: np.ndarray) -> str:
 
 def run_session(path: Path, plan_name: str, positions: int | None, dwell_s: float) -> None:
     """Begin or resume an automatic session; announce each complete dwell on standard output."""
-    from adis_gonio.errors import AdisGonioError
-    from adis_gonio.sensor import open_sensor
-    from adis_gonio.session import SessionRunner, Settings, plan
-    from adis_gonio.session.archive import ArchiveView
-    from adis_gonio.session.events import DwellDone
+    from adis_gonio.base.errors import AdisGonioError
+    from adis_gonio.bench.events import DwellDone
+    from adis_gonio.bench.runner import SessionRunner
+    from adis_gonio.device.sensor import open_sensor
+    from adis_gonio.record.archive import ArchiveView
+    from adis_gonio.record.plans import plan
+    from adis_gonio.record.settings import Settings
 
     print(json.dumps(READY), flush=True)
     with open_sensor(URL) as sensor:
@@ -68,9 +70,9 @@ def run_session(path: Path, plan_name: str, positions: int | None, dwell_s: floa
 
 def run_writer(path: Path, seed: int) -> None:
     """Write small dwells to an archive as fast as possible, so that most moments lie within a commit."""
-    from adis_gonio.sensor.decoding import ScanBlock
-    from adis_gonio.session.archive import Archive, Attempt, Header, utc_now
-    from adis_gonio.session.plans import plan
+    from adis_gonio.device.sensor.decoding import ScanBlock
+    from adis_gonio.record.archive import Archive, Attempt, Header, utc_now
+    from adis_gonio.record.plans import plan
 
     print(json.dumps(READY), flush=True)
     rng = np.random.default_rng(seed)
@@ -121,7 +123,13 @@ def command_line(path: Path, options: list[str], kill_after_s: float | None) -> 
     again = ["--resume"] if begun(path) else []
     if not again:
         path.unlink(missing_ok=True)  # empty: killed before the session existed
-    run = ["-c", "from adis_gonio.cli import main; raise SystemExit(main())", "calibrate", URL, "--auto"]
+    run = [
+        "-c",
+        "from adis_gonio.faces.cli import main; raise SystemExit(main())",
+        "calibrate",
+        URL,
+        "--auto",
+    ]
     arguments = [*run, "-o", str(path), *(again or options)]
     for line, began in _lines(arguments, kill_after_s, outcome, stderr=True):
         if " begun, " in line or " resumed, " in line:
@@ -166,8 +174,8 @@ def _lines(
 
 def begun(path: Path) -> bool:
     """True where a file holds a session, be it without a dwell."""
-    from adis_gonio.errors import AdisGonioError
-    from adis_gonio.session.archive import ArchiveView
+    from adis_gonio.base.errors import AdisGonioError
+    from adis_gonio.record.archive import ArchiveView
 
     try:
         ArchiveView(path).close()
@@ -178,7 +186,7 @@ def begun(path: Path) -> bool:
 
 def stored(path: Path) -> dict[int, str]:
     """Places of the complete dwells in a file, with their words."""
-    from adis_gonio.session.archive import ArchiveView
+    from adis_gonio.record.archive import ArchiveView
 
     if not begun(path):
         return {}
@@ -201,7 +209,7 @@ def check_announced(path: Path, announced: dict[int, str]) -> None:
 
 def check_same(path: Path, undisturbed: Path) -> None:
     """Two finished sessions must be equal in all that a fit reads."""
-    from adis_gonio.session.archive import read_session
+    from adis_gonio.record.archive import read_session
 
     ours, theirs = read_session(path), read_session(undisturbed)
     if len(ours.dwells) != len(theirs.dwells):

@@ -29,7 +29,7 @@ def peak():
             return int(re.search(r"VmHWM:\\s+(\\d+) kB", status.read()).group(1)) / 1024
     except OSError:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-from adis_gonio.session import load_session
+from adis_gonio.record.loading import load_session
 from adis_gonio.fitting import fit
 import scipy.optimize, scipy.stats
 imported, began = peak(), time.perf_counter()

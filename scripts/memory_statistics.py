@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.estimation.values import Value
-from adis_gonio.memory import Index, SessionRecord, summarised
-from adis_gonio.memory.control_chart import CUSUM_H, average_run_length, control_chart, cusum
-from adis_gonio.memory.drift import drift_of
+from adis_gonio.base.values import Value
+from adis_gonio.fleet.memory import Index, SessionRecord, summarised
+from adis_gonio.fleet.memory.control_chart import CUSUM_H, average_run_length, control_chart, cusum
+from adis_gonio.fleet.memory.drift import drift_of
 
 
 def coverage(rng: np.random.Generator, trials: int, sessions: int, between: float) -> tuple[float, float]:

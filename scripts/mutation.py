@@ -77,12 +77,12 @@ class Room:
 
 ROOMS = {
     "wire": Room(
-        ("bus/wire",),
+        ("device/bus/wire",),
         ("tests/wire/test_wire_codec.py",),
-        generated=("bus/wire/protocol.py",),
+        generated=("device/bus/wire/protocol.py",),
     ),
     "sensor": Room(
-        ("sensor",),
+        ("device/sensor",),
         (
             "tests/sensor/test_register_table.py",
             "tests/sensor/test_frames_and_decoding.py",
@@ -91,7 +91,7 @@ ROOMS = {
         ),
     ),
     "estimation": Room(
-        ("estimation", "fitting"),
+        ("fitting",),
         (
             "tests/estimation/test_conic.py",
             "tests/estimation/test_converter.py",

@@ -31,13 +31,13 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.estimation import Readings
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation import Readings
 from adis_gonio.fitting.methods import fit_readings
-from adis_gonio.model.records import Floats
-from adis_gonio.planning.best import best_plan, even
-from adis_gonio.planning.imagined import Bench, imagined
-from adis_gonio.planning.prediction import fitted_variance, reach_of
-from adis_gonio.session.plans import Plan, plan
+from adis_gonio.plan.best import best_plan, even
+from adis_gonio.plan.imagined import Bench, imagined
+from adis_gonio.plan.prediction import fitted_variance, reach_of
+from adis_gonio.record.plans import Plan, plan
 
 FIXTURES_DEG = (0.01, 0.05)
 BIAS_MG = 10.0
@@ -217,9 +217,10 @@ def run(sessions: int, seed: int, jobs: int = 1, fixtures: Sequence[float] = FIX
 
 def through_the_chip(case: Case, sessions: int, seed: int) -> list[Line]:
     """ΔK and Δφ of sessions that the simulated chip has measured."""
+    from adis_gonio.bench.runner import SessionRunner
+    from adis_gonio.device.sensor import open_sensor
     from adis_gonio.fitting import fit
-    from adis_gonio.sensor import open_sensor
-    from adis_gonio.session import SessionRunner, load_session
+    from adis_gonio.record.loading import load_session
 
     off = []
     with tempfile.TemporaryDirectory() as folder:
@@ -258,9 +259,9 @@ TIMES = 1.5
 
 def names_found(positions: int, sessions: int, seed: int) -> dict[str, dict[str, list[int]]]:
     """By plan and effect: how often its name alone (beside a bias), and how often anything else."""
-    from adis_gonio.planning.prediction import predict
-    from adis_gonio.planning.sight import plain_terms
-    from adis_gonio.tracing import trace_readings
+    from adis_gonio.plan.prediction import predict
+    from adis_gonio.plan.sight import plain_terms
+    from adis_gonio.tracing.trace import trace_readings
 
     bench = Bench(0.01)
     made = {

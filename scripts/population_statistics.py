@@ -28,12 +28,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import readings_of
-from adis_gonio.estimation.terms import NamedTerm
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import readings_of
+from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fleet.population import PopulationResult, SessionEvidence, evidence_of, trace_population
 from adis_gonio.model.effects import effect
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.population import PopulationResult, SessionEvidence, evidence_of, trace_population
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.detect import detectable
 from adis_gonio.tracing.selection.design import linearise

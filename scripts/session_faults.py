@@ -53,9 +53,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from adis_gonio.cli import main as run_program
-from adis_gonio.session import load_session
-from adis_gonio.session.archive import ArchiveView
+from adis_gonio.faces.cli import main as run_program
+from adis_gonio.record.archive import ArchiveView
+from adis_gonio.record.loading import load_session
 from fakes import faulty_chip
 
 NO_FAULT = "none"

@@ -24,12 +24,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.errors import FitError
+from adis_gonio.base.errors import FitError
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.methods import METHODS, applicable_methods
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.session.plans import plan
-from adis_gonio.tracing import trace
+from adis_gonio.record.plans import plan
+from adis_gonio.tracing.trace import trace
 from information_bound import G_MG, Floats, angle_bound, planar_bound, planar_mg, shown_rad
 
 READING_MG = 0.2

@@ -1,7 +1,7 @@
 """The most that anybody could tell of the sessions of `slip_statistics`: one who knows how they are made.
 
-Nothing of `adis_gonio.slips` is in here. The oracle knows what the tool guesses: the shares of good and
-faulty sessions, the sizes of slips, the list of mistakes from which entries were drawn, the fixture's
+Nothing of `adis_gonio.fitting.slips` is in here. The oracle knows what the tool guesses: the shares of good
+and faulty sessions, the sizes of slips, the list of mistakes from which entries were drawn, the fixture's
 uncertainty, the variant's figures and the gyros'. It does not know what a session cannot: this part's own
 gains and biases, the angle of the part at the stage's zero, where the hand truly stood, and the plan. Of
 every fault that could have been made it works out the probability of all that was recorded, each part's
@@ -17,8 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.model.records import Floats, Session
-from adis_gonio.sensor.variants import VARIANTS
+from adis_gonio.base.arrays import Floats
+from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.model.records import Session
 
 GOOD = 5 / 7
 """Share of good sessions; the three faults have equal shares of the others."""

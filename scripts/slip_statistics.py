@@ -28,15 +28,16 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
+from adis_gonio.device.sensor.variants import GYRO_LSB_DPS
+from adis_gonio.fitting.slips import Diagnosis, PositionFinding
+from adis_gonio.fitting.slips.meant import may_have_been_meant
+from adis_gonio.fitting.slips.of_session import positions_of
 from adis_gonio.model.measurement import wrap_rad
-from adis_gonio.model.records import Dwell, Floats, Session
-from adis_gonio.sensor.variants import GYRO_LSB_DPS
+from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.filter import bartlett_sums
 from adis_gonio.sim.gyro_faults import realistic_gyros
-from adis_gonio.slips import Diagnosis, PositionFinding
-from adis_gonio.slips.meant import may_have_been_meant
-from adis_gonio.slips.of_session import positions_of
 from slip_oracle import Law, Mistakes, answer
 
 PERIOD_S = 1 / 819.2

@@ -25,11 +25,11 @@ from typing import Any
 import numpy as np
 
 import turned_parts
-from adis_gonio.model.records import Floats
-from adis_gonio.sensor.variants import GYRO_LSB_DPS
+from adis_gonio.base.arrays import Floats
+from adis_gonio.device.sensor.variants import GYRO_LSB_DPS
+from adis_gonio.live.smoothing import AngleSmoother, GyroKnowledge, Sensing
+from adis_gonio.live.smoothing.offline import smooth
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.smoothing import AngleSmoother, GyroKnowledge, Sensing
-from adis_gonio.smoothing.offline import smooth
 from turned_parts import FILTER_M, words
 
 LAGS_S = (0.0, 0.1, 0.25, 0.5, 1.0)

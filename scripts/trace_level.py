@@ -22,9 +22,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from adis_gonio.estimation import Fit, Readings
-from adis_gonio.estimation.terms import Term
-from adis_gonio.model.records import Floats
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation import Fit, Readings
+from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.selection.design import LinearProblem, linearise

@@ -66,7 +66,7 @@ class Loop:
 
 def run(case: str, seed: int) -> Loop:
     """Calibrate with the trace, in this process."""
-    from adis_gonio.cli import main as command
+    from adis_gonio.faces.cli import main as command
 
     options, effects = CASES[case]
     url = URL.format(seed=seed)

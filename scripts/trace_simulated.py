@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.estimation.intervals import wilson
+from adis_gonio.base.intervals import wilson
 
 CASES = {
     "tumble-3s": ("--plan", "tumble", "--dwell", "3"),
@@ -115,7 +115,7 @@ def drawn(count: int, index: int) -> tuple[tuple[str, str], ...]:
 
 def simulate(path: Path, case: str, seed: int, effects: Sequence[str], further: Sequence[str] = ()) -> None:
     """Write a session as the command line does, to a place where there is none."""
-    from adis_gonio.cli.simulate import command
+    from adis_gonio.faces.cli.simulate import command
 
     if path.exists():
         return

@@ -34,15 +34,15 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from adis_gonio.bus import BusUrl, SpiBus, SpiTiming, cp2130, mcp2210, serial, spidev
-from adis_gonio.errors import BusError, CannotOpenError
-from adis_gonio.sensor import Adis16354
+from adis_gonio.base.errors import BusError, CannotOpenError
+from adis_gonio.device.bus import BusUrl, SpiBus, SpiTiming, cp2130, mcp2210, serial, spidev
+from adis_gonio.device.sensor import Adis16354
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.sampling import OUTPUTS
-from adis_gonio.testing.clocks import VirtualClock
-from adis_gonio.testing.faults import Faults
-from adis_gonio.testing.firmware import SimulatedFirmware
-from adis_gonio.testing.pins import ChipPins
+from adis_gonio.sim.testing.clocks import VirtualClock
+from adis_gonio.sim.testing.faults import Faults
+from adis_gonio.sim.testing.firmware import SimulatedFirmware
+from adis_gonio.sim.testing.pins import ChipPins
 from fakes.cp2130_device import Cp2130Device
 from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
 from fakes.mcp2210_device import Mcp2210Device

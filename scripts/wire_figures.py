@@ -27,20 +27,20 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from adis_gonio.bus import BusUrl, SpiTiming
-from adis_gonio.bus.serial import open_from_url
-from adis_gonio.bus.serial.bus import SerialBus
-from adis_gonio.bus.serial.clocks import ClockMap
-from adis_gonio.bus.serial.ports import open_port
-from adis_gonio.bus.serial.stream import SerialStream
-from adis_gonio.bus.wire.protocol import CRC_SIZE, HEADER_SIZE, Scans
-from adis_gonio.sensor.decoding import decode_numbers
-from adis_gonio.sensor.registers import registers
-from adis_gonio.sensor.scanning import ScanLayout, StreamedScans
+from adis_gonio.device.bus import BusUrl, SpiTiming
+from adis_gonio.device.bus.serial import open_from_url
+from adis_gonio.device.bus.serial.bus import SerialBus
+from adis_gonio.device.bus.serial.clocks import ClockMap
+from adis_gonio.device.bus.serial.ports import open_port
+from adis_gonio.device.bus.serial.stream import SerialStream
+from adis_gonio.device.bus.wire.protocol import CRC_SIZE, HEADER_SIZE, Scans
+from adis_gonio.device.sensor.decoding import decode_numbers
+from adis_gonio.device.sensor.registers import registers
+from adis_gonio.device.sensor.scanning import ScanLayout, StreamedScans
 from adis_gonio.sim import SimulatedChip, World
-from adis_gonio.testing.clocks import VirtualClock
-from adis_gonio.testing.firmware import SimulatedFirmware
-from adis_gonio.testing.pins import ChipPins
+from adis_gonio.sim.testing.clocks import VirtualClock
+from adis_gonio.sim.testing.firmware import SimulatedFirmware
+from adis_gonio.sim.testing.pins import ChipPins
 from fakes.serial_port import FakePort
 
 NAMES = ("XGYRO_OUT", "YGYRO_OUT", "ZGYRO_OUT", "XACCL_OUT", "YACCL_OUT", "ZACCL_OUT", "XTEMP_OUT")
@@ -140,7 +140,7 @@ def host_cpu(packets: list[tuple[float, bytes]]) -> tuple[float, int, int]:
 
 
 def _unstuffed(data: bytes) -> bytes:
-    from adis_gonio.testing.firmware import unstuff
+    from adis_gonio.sim.testing.firmware import unstuff
 
     raw = unstuff(data.rstrip(b"\0"))
     assert raw is not None
@@ -156,9 +156,9 @@ class _Listener(SerialBus):
 
 
 def _listener(path: str) -> SerialBus:
-    from adis_gonio.bus.contract import SpiBus
-    from adis_gonio.bus.host import SAFE_TIMING, WALL
-    from adis_gonio.bus.serial.link import SerialLink
+    from adis_gonio.device.bus.contract import SpiBus
+    from adis_gonio.device.bus.host import SAFE_TIMING, WALL
+    from adis_gonio.device.bus.serial.link import SerialLink
 
     bus = _Listener.__new__(_Listener)
     SpiBus.__init__(bus, SAFE_TIMING)

@@ -18,11 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.errors import AdisGonioError
-from adis_gonio.sensor import Adis16354
-from adis_gonio.session import SessionRunner, Settings, plan
+from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
 from adis_gonio.sim import SimBus
-from adis_gonio.writeback import OffsetWriter, WriteSettings
 
 
 @dataclass

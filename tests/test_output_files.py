@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from adis_gonio.errors import OutputError, UsageError
-from adis_gonio.output import check_output, replacing
+from adis_gonio.base.errors import OutputError, UsageError
+from adis_gonio.base.output import check_output, replacing
 
 
 def content(folder: Path) -> dict[str, str]:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import adis_gonio
-from adis_gonio.errors import DataError, NotInstalledError, UsageError
-from adis_gonio.session import export_csv
+from adis_gonio.base.errors import DataError, NotInstalledError, UsageError
+from adis_gonio.record.export import export_csv
 from calibration.sessions import planar_session
 
 
@@ -88,7 +88,7 @@ def test_without_pandas_the_extra_is_named(session, result, monkeypatch):
 
 
 def test_a_trace_shows_itself_too():
-    from adis_gonio.estimation.values import Value
+    from adis_gonio.base.values import Value
     from adis_gonio.tracing import ErrorFigures, Finding, TraceResult
 
     figures = ErrorFigures(1.0, 1.0, 0.1, 1.0)

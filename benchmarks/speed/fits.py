@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from adis_gonio.estimation import Readings, from_means
 from adis_gonio.fitting import fit_readings
+from adis_gonio.fitting.estimation import Readings, from_means
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import axes_matrix
 from speed.tedaldi import calibrate as tedaldi

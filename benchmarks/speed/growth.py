@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.fitting import fit_readings
-from adis_gonio.session.segmentation import Piece, segment_pieces
+from adis_gonio.record.segmentation import Piece, segment_pieces
 from speed.fits import planar, spatial
 from speed.timing import Row, quartiles, require
 

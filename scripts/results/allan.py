@@ -12,7 +12,7 @@ import allan_statistics as allan
 from results.section import Effort, Section, svg, table
 
 if TYPE_CHECKING:
-    from adis_gonio.allan import AxisNoise
+    from adis_gonio.fitting.allan import AxisNoise
 
 SESSIONS = 120
 EXAMPLE = "all three"

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.report.svg import ROLES, Series, plot
+from adis_gonio.page.svg import ROLES, Series, plot
 from efficiency import (
     CASES,
     POSITIONS,

@@ -94,7 +94,7 @@ def _row(name: str, found: Mapping[str, Any]) -> str:
 
 def _figure(rows: Sequence[Mapping[str, Any]]) -> str:
     """Sorted errors of the angle by both ways."""
-    from adis_gonio.report.svg import Series, plot
+    from adis_gonio.page.svg import Series, plot
 
     good = [row for row in rows if "refused" not in row]
     share = (np.arange(len(good)) + 0.5) / len(good)

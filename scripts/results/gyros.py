@@ -74,7 +74,7 @@ def _percent(share: float) -> str:
 
 def _figure(rows: Sequence[Mapping[str, Any]]) -> str:
     """Sorted sizes of error and of u, in units of each session's bound."""
-    from adis_gonio.report.svg import Series, plot
+    from adis_gonio.page.svg import Series, plot
 
     good = [row for row in rows if "refused" not in row]
     least, off, u = (np.array([row[key] for row in good]).ravel() for key in ("bound", "off", "u"))

@@ -132,7 +132,7 @@ def _false(found: Mapping[str, Any]) -> list[list[str]]:
 
 def _figure(found: Mapping[str, Any]) -> str:
     """Skews' u with turns over that by gravity alone."""
-    from adis_gonio.report.svg import Series, plot
+    from adis_gonio.page.svg import Series, plot
 
     lines = []
     for part, way, role in [

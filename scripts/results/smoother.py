@@ -90,7 +90,7 @@ def _share(found: Mapping[str, Any]) -> str:
 
 def _figure(plain: Mapping[str, Any], known: Mapping[str, Any], ways: Sequence[str]) -> str:
     """Rms error in motion against the lag."""
-    from adis_gonio.report.svg import Series, plot
+    from adis_gonio.page.svg import Series, plot
 
     lags = [float(way) for way in ways]
     lines = [

@@ -8,39 +8,39 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from adis_gonio.base.version import __version__
 
 _HOMES = {
-    "open_bus": "adis_gonio.bus",
-    "open_sensor": "adis_gonio.sensor",
-    "Adis16354": "adis_gonio.sensor",
-    "load_session": "adis_gonio.session",
+    "open_bus": "adis_gonio.device.bus",
+    "open_sensor": "adis_gonio.device.sensor",
+    "Adis16354": "adis_gonio.device.sensor",
+    "load_session": "adis_gonio.record",
     "Session": "adis_gonio.model",
     "Dwell": "adis_gonio.model",
-    "fit": "adis_gonio.api",
+    "fit": "adis_gonio.faces.api",
     "FitResult": "adis_gonio.fitting",
-    "trace": "adis_gonio.api",
+    "trace": "adis_gonio.faces.api",
     "TraceResult": "adis_gonio.tracing",
-    "Calibration": "adis_gonio.calibration",
-    "GyroCalibration": "adis_gonio.calibration",
-    "AdisGonioError": "adis_gonio.errors",
+    "Calibration": "adis_gonio.tracing.loading",
+    "GyroCalibration": "adis_gonio.tracing.loading",
+    "AdisGonioError": "adis_gonio.base.errors",
 }
 
 __all__ = ["__version__", *sorted(_HOMES)]  # noqa: PLE0604 (all are strings)
 
 if TYPE_CHECKING:
-    from adis_gonio.api import fit as fit
-    from adis_gonio.api import trace as trace
-    from adis_gonio.bus import open_bus as open_bus
-    from adis_gonio.calibration import Calibration as Calibration
-    from adis_gonio.calibration import GyroCalibration as GyroCalibration
-    from adis_gonio.errors import AdisGonioError as AdisGonioError
+    from adis_gonio.base.errors import AdisGonioError as AdisGonioError
+    from adis_gonio.calibrate import Calibration as Calibration
+    from adis_gonio.calibrate import GyroCalibration as GyroCalibration
+    from adis_gonio.device.bus import open_bus as open_bus
+    from adis_gonio.device.sensor import Adis16354 as Adis16354
+    from adis_gonio.device.sensor import open_sensor as open_sensor
+    from adis_gonio.faces.api import fit as fit
+    from adis_gonio.faces.api import trace as trace
     from adis_gonio.fitting import FitResult as FitResult
     from adis_gonio.model import Dwell as Dwell
     from adis_gonio.model import Session as Session
-    from adis_gonio.sensor import Adis16354 as Adis16354
-    from adis_gonio.sensor import open_sensor as open_sensor
-    from adis_gonio.session import load_session as load_session
+    from adis_gonio.record.loading import load_session as load_session
     from adis_gonio.tracing import TraceResult as TraceResult
 
 

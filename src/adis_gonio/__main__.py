@@ -1,5 +1,5 @@
 """`python -m adis_gonio`."""
 
-from adis_gonio.cli import run
+from adis_gonio.faces.cli import run
 
 run()

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from adis_gonio.cli import main
+from adis_gonio.faces.cli import main
 from allan_statistics import CASES, Case, samples
 
 CASE = Case({"white": 0.05, "flicker": 0.02}, 1 << 14, 2)

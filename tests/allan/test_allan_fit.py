@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adis_gonio.allan import fit_allan
-from adis_gonio.errors import DataError, UsageError
+from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.fitting.allan import fit_allan
 from adis_gonio.model.records import Dwell, Session
 from allan_statistics import Case, noise, samples, session_of
 from recordings import recording

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import fft, integrate, optimize, stats
 
-from adis_gonio.allan.likelihood import Likelihood, profile
-from adis_gonio.allan.ordinates import ordinates
-from adis_gonio.allan.processes import KINDS, line, variances, variograms
-from adis_gonio.sensor.bartlett import bartlett
+from adis_gonio.device.sensor.bartlett import bartlett
+from adis_gonio.fitting.allan.likelihood import Likelihood, profile
+from adis_gonio.fitting.allan.ordinates import ordinates
+from adis_gonio.fitting.allan.processes import KINDS, line, variances, variograms
 
 PERIOD_S = 0.02
 NOTHING = np.zeros(0, np.intp)

@@ -11,14 +11,15 @@ import pytest
 
 import adis_gonio
 from adis_gonio import fit, trace
-from adis_gonio.answer import Answer
-from adis_gonio.cli import main
-from adis_gonio.errors import DataError, NotInstalledError, UsageError
-from adis_gonio.estimation.readings import Unit
-from adis_gonio.estimation.values import Value
+from adis_gonio.base.errors import DataError, NotInstalledError, UsageError
+from adis_gonio.base.values import Value
+from adis_gonio.faces.cli import main
+from adis_gonio.fitting.answer import Answer
+from adis_gonio.fitting.estimation.readings import Unit
+from adis_gonio.handover.report.page import build_page
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.report.page import build_page
-from adis_gonio.session.samples_csv import write_samples_csv
+from adis_gonio.record.samples_csv import write_samples_csv
+from adis_gonio.tracing.answer import TracedAnswer, answer_with_trace
 from adis_gonio.tracing.outcome.findings import in_units_of_file
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding
 from adis_gonio.tracing.outcome.shares import shares
@@ -137,7 +138,7 @@ def test_the_reference_temperature_is_stated(bent):
 
 def test_where_a_trace_ran_the_answer_has_its_effects_and_its_values(bent):
     _, fitted, result = bent
-    answer = Answer.of(fitted, result, own=False)
+    answer = answer_with_trace(fitted, result, own=False)
     assert answer.recommended.effects == ("quadratic",)  # biases are the method's own
     assert answer.values["delta_k"] == result.base["delta_k"]
     assert answer.scores["trace"].angle_rms_deg < 0.3 * answer.scores["ml"].angle_rms_deg
@@ -153,8 +154,8 @@ def test_where_a_trace_ran_the_answer_has_its_effects_and_its_values(bent):
 def test_a_trace_that_predicts_worse_is_not_the_answer(bent):
     _, fitted, result = bent
     poor = dataclasses.replace(result, fits=result.fits[:1])
-    answer = Answer.of(fitted, poor, own=False)
-    assert answer.traced is None
+    answer = answer_with_trace(fitted, poor, own=False)
+    assert not isinstance(answer, TracedAnswer)
     assert answer.recommended.effects == ()
 
 
@@ -162,7 +163,7 @@ def test_a_trace_that_finds_the_biases_alone_leaves_the_answer_of_the_fit(bent):
     _, fitted, result = bent
     only = dataclasses.replace(result, steps=tuple(s for s in result.steps if s.effect == "bias"))
     assert only.steps
-    answer, plain = Answer.of(fitted, only, own=False), Answer.of(fitted, own=False)
+    answer, plain = answer_with_trace(fitted, only, own=False), Answer.of(fitted, own=False)
     assert answer.values == plain.values
     assert answer.title == plain.title
     assert "the trace finds" in answer.why
@@ -181,7 +182,7 @@ def test_the_page_leads_with_the_answer_and_has_its_numbers(bent):
     headings = re.findall(r"<h2[^>]*>([^<]+)</h2>", page)
     assert headings[0] == "Answer"
     assert {"Uncertainty budget", "Methods on the same readings"} <= set(headings)
-    answer = Answer.of(fitted, result, own=False)
+    answer = answer_with_trace(fitted, result, own=False)
     for line in answer.lines:
         for cell in (line.value, line.u, line.expanded):
             assert cell in page

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.model.effects import Conditions, Enters, effect
-from adis_gonio.session import load_session
+from adis_gonio.record.loading import load_session
 from blind_residual import recordings
 from blind_residual.catalogue import NAMES, terms
 from blind_residual.causes import CAUSES, Planted

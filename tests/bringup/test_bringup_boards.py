@@ -2,9 +2,9 @@
 
 import pytest
 
-from adis_gonio.bringup import STEPS, Outcome, Permission, Verdict, bring_up
-from adis_gonio.bringup.limits import MOST_TESTS
-from adis_gonio.bringup.questions import QUESTIONS
+from adis_gonio.bench.bringup import STEPS, Outcome, Permission, Verdict, bring_up
+from adis_gonio.bench.bringup.limits import MOST_TESTS
+from adis_gonio.bench.bringup.questions import QUESTIONS
 from fakes.boards import FAULTY, SOUND, Board, sound
 
 ALL = Permission(writes=True, flash=True)

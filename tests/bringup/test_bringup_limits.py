@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adis_gonio.bringup.limits import FALSE_ALARM, MOST_TESTS, AlarmBudget, at_most
-from adis_gonio.bringup.noise import degrees_of_freedom, flicker, response, rounding, spectrum
-from adis_gonio.bringup.updates import nearest_code
-from adis_gonio.sensor.settings import sample_period_s
+from adis_gonio.bench.bringup.limits import FALSE_ALARM, MOST_TESTS, AlarmBudget, at_most
+from adis_gonio.bench.bringup.noise import degrees_of_freedom, flicker, response, rounding, spectrum
+from adis_gonio.bench.bringup.updates import nearest_code
+from adis_gonio.device.sensor.settings import sample_period_s
 from adis_gonio.sim.filter import bartlett_sums, history_rows, taps
 from adis_gonio.sim.noise import Flicker
 

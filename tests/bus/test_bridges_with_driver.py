@@ -6,16 +6,16 @@ import sys
 import numpy as np
 import pytest
 
-from adis_gonio.bus import BusUrl, cp2130, mcp2210, open_bus, serial, spidev
-from adis_gonio.errors import UsageError
-from adis_gonio.sensor.driver import Adis16354
-from adis_gonio.sensor.scanning import PolledScans, StreamedScans
+from adis_gonio.base.errors import UsageError
+from adis_gonio.device.bus import BusUrl, cp2130, mcp2210, open_bus, serial, spidev
+from adis_gonio.device.sensor.driver import Adis16354
+from adis_gonio.device.sensor.scanning import PolledScans, StreamedScans
 from adis_gonio.sim import SimulatedChip, World, rules
 from adis_gonio.sim.chip import State
-from adis_gonio.testing.board import SimulatedBoard
-from adis_gonio.testing.clocks import VirtualClock, WorkClock
-from adis_gonio.testing.firmware import SimulatedFirmware
-from adis_gonio.testing.pins import ChipPins
+from adis_gonio.sim.testing.board import SimulatedBoard
+from adis_gonio.sim.testing.clocks import VirtualClock, WorkClock
+from adis_gonio.sim.testing.firmware import SimulatedFirmware
+from adis_gonio.sim.testing.pins import ChipPins
 from fakes.cp2130_device import Cp2130Device
 from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
 from fakes.mcp2210_device import Mcp2210Device

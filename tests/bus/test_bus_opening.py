@@ -4,8 +4,8 @@ import importlib.metadata
 
 import pytest
 
-from adis_gonio.bus import BusUrl, SpiTiming, find_devices, open_bus
-from adis_gonio.errors import CapabilityError, NotInstalledError, UsageError
+from adis_gonio.base.errors import CapabilityError, NotInstalledError, UsageError
+from adis_gonio.device.bus import BusUrl, SpiTiming, find_devices, open_bus
 from fakes.buses import ConstantBus
 
 
@@ -37,7 +37,7 @@ def test_a_wrong_url_says_what_is_wrong_in_one_line(text, says):
 
 def test_a_bus_whose_library_is_missing_names_the_extra(monkeypatch):
     point = importlib.metadata.EntryPoint("hidden", "no_such_module_at_all:open", "adis_gonio.bus")
-    monkeypatch.setattr("adis_gonio.bus.opening.entry_points", lambda group: [point])
+    monkeypatch.setattr("adis_gonio.device.bus.opening.entry_points", lambda group: [point])
     with pytest.raises(NotInstalledError, match=r"pip install 'adis-gonio\[hidden\]'"):
         open_bus("hidden:")
     assert "no_such_module_at_all" in find_devices()[0].description
@@ -45,7 +45,7 @@ def test_a_bus_whose_library_is_missing_names_the_extra(monkeypatch):
 
 def test_another_package_adds_a_bus_by_an_entry_point(monkeypatch):
     point = importlib.metadata.EntryPoint("constant", "test_bus_opening:_open_constant", "adis_gonio.bus")
-    monkeypatch.setattr("adis_gonio.bus.opening.entry_points", lambda group: [point])
+    monkeypatch.setattr("adis_gonio.device.bus.opening.entry_points", lambda group: [point])
     with open_bus("constant:0x1234") as bus:
         assert bus.exchange([0x0200]) == [0x1234]
 

@@ -9,10 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adis_gonio.bus import BusUrl, Capability, SpiTiming
-from adis_gonio.bus.cp2130 import find_devices, open_from_url
-from adis_gonio.bus.cp2130 import requests as r
-from adis_gonio.errors import (
+from adis_gonio.base.errors import (
     BusError,
     BusTimeoutError,
     CannotOpenError,
@@ -20,11 +17,14 @@ from adis_gonio.errors import (
     ProtocolError,
     UsageError,
 )
+from adis_gonio.device.bus import BusUrl, Capability, SpiTiming
+from adis_gonio.device.bus.cp2130 import find_devices, open_from_url
+from adis_gonio.device.bus.cp2130 import requests as r
 from adis_gonio.sim import SimulatedChip, World
-from adis_gonio.testing.bus_contract import BusContract, Rig, WatchedChip
-from adis_gonio.testing.clocks import VirtualClock
-from adis_gonio.testing.faults import Faults
-from adis_gonio.testing.pins import ChipPins
+from adis_gonio.sim.testing.bus_contract import BusContract, Rig, WatchedChip
+from adis_gonio.sim.testing.clocks import VirtualClock
+from adis_gonio.sim.testing.faults import Faults
+from adis_gonio.sim.testing.pins import ChipPins
 from fakes.cp2130_device import OPEN_DRAIN, PUSH_PULL, READ_FIRST, Cp2130Device
 
 FakeUsbBackend = pytest.importorskip("fakes.cp2130_usb", reason="pyusb is not installed").FakeUsbBackend
@@ -214,7 +214,7 @@ def test_without_permission_the_message_carries_the_udev_rule(url):
 
 
 def test_without_libusb_the_extra_is_named(monkeypatch):
-    monkeypatch.setattr("adis_gonio.bus.cp2130._libusb", lambda: None)
+    monkeypatch.setattr("adis_gonio.device.bus.cp2130._libusb", lambda: None)
     with pytest.raises(NotInstalledError, match=r"adis-gonio\[usb\]"):
         find_devices()
 

@@ -7,11 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adis_gonio.bus import BusUrl, Capability, SpiTiming
-from adis_gonio.bus.mcp2210 import find_devices, open_from_url, writes
-from adis_gonio.bus.mcp2210 import reports as r
-from adis_gonio.bus.mcp2210.writes import TimedWrites
-from adis_gonio.errors import (
+from adis_gonio.base.errors import (
     BusError,
     BusTimeoutError,
     CannotOpenError,
@@ -19,11 +15,15 @@ from adis_gonio.errors import (
     ProtocolError,
     UsageError,
 )
+from adis_gonio.device.bus import BusUrl, Capability, SpiTiming
+from adis_gonio.device.bus.mcp2210 import find_devices, open_from_url, writes
+from adis_gonio.device.bus.mcp2210 import reports as r
+from adis_gonio.device.bus.mcp2210.writes import TimedWrites
 from adis_gonio.sim import SimulatedChip, World
-from adis_gonio.testing.bus_contract import BusContract, Rig, WatchedChip
-from adis_gonio.testing.clocks import VirtualClock
-from adis_gonio.testing.faults import Faults
-from adis_gonio.testing.pins import ChipPins
+from adis_gonio.sim.testing.bus_contract import BusContract, Rig, WatchedChip
+from adis_gonio.sim.testing.clocks import VirtualClock
+from adis_gonio.sim.testing.faults import Faults
+from adis_gonio.sim.testing.pins import ChipPins
 from fakes.mcp2210_device import Mcp2210Device
 from fakes.mcp2210_hid import FakeHid, HidBoard
 
@@ -203,7 +203,7 @@ def test_a_failed_opening_gives_the_board_back():
 
 def test_without_permission_the_message_carries_the_udev_rule(monkeypatch):
     bench = Bench()
-    monkeypatch.setattr("adis_gonio.bus.mcp2210.readable_and_writable", lambda path: False)
+    monkeypatch.setattr("adis_gonio.device.bus.mcp2210.readable_and_writable", lambda path: False)
     with pytest.raises(CannotOpenError, match=r'no permission.*devices --udev.*"04d8"') as caught:
         bench.open()
     assert "\n" not in str(caught.value)

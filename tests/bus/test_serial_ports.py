@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from adis_gonio.bus import BusUrl
-from adis_gonio.bus.serial import open_from_url, ports
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
+from adis_gonio.device.bus import BusUrl
+from adis_gonio.device.bus.serial import open_from_url, ports
 
 
 def row(device: str, product: str | None, number: str | None = None) -> SimpleNamespace:

@@ -3,7 +3,7 @@
 import select
 import socket
 
-from adis_gonio.bus.serial import ports
+from adis_gonio.device.bus.serial import ports
 
 
 def test_one_call_takes_all_that_has_arrived():

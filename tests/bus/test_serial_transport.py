@@ -11,13 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adis_gonio.bus import BusUrl, Capability, SpiTiming, open_bus
-from adis_gonio.bus.serial import find_devices, open_from_url, ports
-from adis_gonio.bus.serial.clocks import ClockMap
-from adis_gonio.bus.serial.link import SerialLink
-from adis_gonio.bus.wire import Packet, Receiver, encode, load_cobs
-from adis_gonio.bus.wire import protocol as wire
-from adis_gonio.errors import (
+from adis_gonio.base.errors import (
     BusError,
     BusTimeoutError,
     CannotOpenError,
@@ -25,17 +19,23 @@ from adis_gonio.errors import (
     ProtocolError,
     UsageError,
 )
-from adis_gonio.sensor import Adis16354
-from adis_gonio.sensor.decoding import ScanBlock
-from adis_gonio.sensor.registers import ND
+from adis_gonio.device.bus import BusUrl, Capability, SpiTiming, open_bus
+from adis_gonio.device.bus.serial import find_devices, open_from_url, ports
+from adis_gonio.device.bus.serial.clocks import ClockMap
+from adis_gonio.device.bus.serial.link import SerialLink
+from adis_gonio.device.bus.wire import Packet, Receiver, encode, load_cobs
+from adis_gonio.device.bus.wire import protocol as wire
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.device.sensor.decoding import ScanBlock
+from adis_gonio.device.sensor.registers import ND
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.sampling import OUTPUTS
-from adis_gonio.testing.board import SimulatedBoard
-from adis_gonio.testing.bus_contract import DATA_READY_ON, BusContract, Rig, WatchedChip
-from adis_gonio.testing.clocks import VirtualClock, WorkClock
-from adis_gonio.testing.faults import Faults
-from adis_gonio.testing.firmware import SimulatedFirmware
-from adis_gonio.testing.pins import ChipPins
+from adis_gonio.sim.testing.board import SimulatedBoard
+from adis_gonio.sim.testing.bus_contract import DATA_READY_ON, BusContract, Rig, WatchedChip
+from adis_gonio.sim.testing.clocks import VirtualClock, WorkClock
+from adis_gonio.sim.testing.faults import Faults
+from adis_gonio.sim.testing.firmware import SimulatedFirmware
+from adis_gonio.sim.testing.pins import ChipPins
 from fakes.boot_loader import BootingBoard, BootLoader
 from fakes.numbered_scans import Judge, NumberedChip, words_of
 from fakes.serial_port import FakePort

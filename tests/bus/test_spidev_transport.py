@@ -6,15 +6,15 @@ import sys
 
 import pytest
 
-from adis_gonio.bus import BusUrl, Capability, SpiTiming
-from adis_gonio.bus.spidev import find_devices, open_from_url
-from adis_gonio.bus.spidev import kernel as k
-from adis_gonio.errors import BusError, BusTimeoutError, CannotOpenError, ProtocolError, UsageError
+from adis_gonio.base.errors import BusError, BusTimeoutError, CannotOpenError, ProtocolError, UsageError
+from adis_gonio.device.bus import BusUrl, Capability, SpiTiming
+from adis_gonio.device.bus.spidev import find_devices, open_from_url
+from adis_gonio.device.bus.spidev import kernel as k
 from adis_gonio.sim import SimulatedChip, World
-from adis_gonio.testing.bus_contract import BusContract, Rig, WatchedChip, assert_timing
-from adis_gonio.testing.clocks import VirtualClock
-from adis_gonio.testing.faults import Faults
-from adis_gonio.testing.pins import ChipPins
+from adis_gonio.sim.testing.bus_contract import BusContract, Rig, WatchedChip, assert_timing
+from adis_gonio.sim.testing.clocks import VirtualClock
+from adis_gonio.sim.testing.faults import Faults
+from adis_gonio.sim.testing.pins import ChipPins
 from fakes.spidev_kernel import (
     CPHA,
     CS_HIGH,

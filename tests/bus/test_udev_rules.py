@@ -5,10 +5,10 @@ import re
 import pytest
 from click.testing import CliRunner
 
-from adis_gonio.bus.cp2130 import requests
-from adis_gonio.bus.mcp2210 import reports
-from adis_gonio.bus.udev import RULES_FILE, rule_for, rules
-from adis_gonio.cli.devices import command
+from adis_gonio.device.bus.cp2130 import requests
+from adis_gonio.device.bus.mcp2210 import reports
+from adis_gonio.device.bus.udev import RULES_FILE, rule_for, rules
+from adis_gonio.faces.cli.devices import command
 
 LINES = [line for line in rules().splitlines() if line and not line.startswith("#")]
 

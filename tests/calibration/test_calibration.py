@@ -10,12 +10,12 @@ import pytest
 
 import adis_gonio
 from adis_gonio import Calibration
-from adis_gonio.calibration import Coefficient, EffectTerm
-from adis_gonio.errors import FitError, UsageError
-from adis_gonio.estimation.readings import readings_of
+from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.calibrate import Coefficient, EffectTerm
+from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.methods import fit_readings
 from adis_gonio.model.effects import effect
-from adis_gonio.model.provenance import Covered, Provenance
+from adis_gonio.record.provenance import Covered, Provenance
 from calibration.sessions import (
     directions,
     planar_session,

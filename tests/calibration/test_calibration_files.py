@@ -13,12 +13,13 @@ import pytest
 
 import adis_gonio
 from adis_gonio import Calibration
-from adis_gonio.errors import DataError, UsageError
-from adis_gonio.session import export_csv, load_session
+from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.record.export import export_csv
+from adis_gonio.record.loading import load_session
 from calibration.sessions import planar_session, spatial_session
 
 SCHEMA = json.loads(
-    resources.files("adis_gonio.calibration").joinpath("schema/calibration-1.json").read_text("utf-8")
+    resources.files("adis_gonio.calibrate").joinpath("schema/calibration-1.json").read_text("utf-8")
 )
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import adis_gonio
-from adis_gonio.errors import FitError
-from adis_gonio.estimation.terms import Basis, NamedTerm, NamelessTerm
+from adis_gonio.base.errors import FitError
+from adis_gonio.fitting.estimation.terms import Basis, NamedTerm, NamelessTerm
 from adis_gonio.model.effects import effect
 from adis_gonio.tracing.outcome.result import Stopped
 from calibration.sessions import planar_session, plane_axes, read_mg, turn

@@ -12,17 +12,18 @@ import numpy as np
 import pytest
 
 from adis_gonio import Calibration
-from adis_gonio.calibration import GyroCalibration, load_calibration
-from adis_gonio.calibration.gyros import kind_of
-from adis_gonio.errors import DataError, FitError, UsageError
+from adis_gonio.base.errors import DataError, FitError, UsageError
+from adis_gonio.calibrate import GyroCalibration
+from adis_gonio.calibrate.gyro_calibration import kind_of
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.world import World
+from adis_gonio.tracing.loading import load_calibration
 from handover.calibrations import PLANE, SPACE, calibration
 from handover.gyros import EVERY, FULL, ZERO, Estimated, estimates, gyros, with_gyros
 
 LSB = 0.018315
 SCHEMA = json.loads(
-    resources.files("adis_gonio.calibration").joinpath("schema/calibration-1.json").read_text("utf-8")
+    resources.files("adis_gonio.calibrate").joinpath("schema/calibration-1.json").read_text("utf-8")
 )
 QUIET = {
     "noise_mg": 0.0, "bias_instability_mg": 0.0, "gyro_noise_dps": 0.0, "gyro_instability_dps": 0.0,

@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import pytest
 
-from adis_gonio.cli import main
-from adis_gonio.cli.angle import angle_text
-from adis_gonio.session.angle import LiveAngle
-from adis_gonio.session.smoothed import Smoothed
+from adis_gonio.faces.cli import main
+from adis_gonio.faces.cli.angle import angle_text
+from adis_gonio.live.angle import LiveAngle
+from adis_gonio.live.smoothed import Smoothed
 from programs import running
 
 URL = "sim:?seed=1"

@@ -7,10 +7,10 @@ import sys
 
 import pytest
 
-from adis_gonio.bringup import STEPS
-from adis_gonio.bringup.questions import QUESTIONS
-from adis_gonio.cli import main
-from adis_gonio.errors import NotInstalledError
+from adis_gonio.base.errors import NotInstalledError
+from adis_gonio.bench.bringup import STEPS
+from adis_gonio.bench.bringup.questions import QUESTIONS
+from adis_gonio.faces.cli import main
 from fakes.boards import FAULTY, SOUND
 
 SIM = "sim:?seed=1"
@@ -22,7 +22,7 @@ def board(monkeypatch):
 
     def put(made, seed=1):
         bus = made.open(seed)
-        monkeypatch.setattr("adis_gonio.bus.open_bus", lambda url: bus)
+        monkeypatch.setattr("adis_gonio.device.bus.open_bus", lambda url: bus)
         return bus
 
     return put
@@ -58,7 +58,7 @@ def test_without_the_plots_library_the_page_is_written_all_the_same(tmp_path, bo
     def missing(*what, **how):
         raise NotInstalledError("figures need a library")
 
-    monkeypatch.setattr("adis_gonio.bringup.page.plot", missing)
+    monkeypatch.setattr("adis_gonio.bench.bringup.page.plot", missing)
     board(SOUND)
     assert main(["bringup", "board:", "-o", str(tmp_path / "a.html")]) == 0
     assert "figures need a library" in (tmp_path / "a.html").read_text()
@@ -118,7 +118,7 @@ def test_a_ctrl_c_keeps_what_was_found(tmp_path, board, capsys):
 )
 def test_a_wrong_call_is_one_line_and_opens_nothing(arguments, says, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("adis_gonio.bus.open_bus", lambda url: pytest.fail("it was opened"))
+    monkeypatch.setattr("adis_gonio.device.bus.open_bus", lambda url: pytest.fail("it was opened"))
     assert main(["bringup", SIM, *arguments]) == 2
     error = capsys.readouterr().err
     assert says in error

@@ -11,12 +11,12 @@ import sys
 import numpy as np
 import pytest
 
-from adis_gonio.cli import main
-from adis_gonio.cli.bench.lines import Lines
-from adis_gonio.counting import counted
-from adis_gonio.session import load_session, plan
-from adis_gonio.session.guidance import PLANE, drawing, to_do
-from adis_gonio.session.plans import Position
+from adis_gonio.base.counting import counted
+from adis_gonio.bench.guidance import PLANE, drawing, to_do
+from adis_gonio.faces.cli import main
+from adis_gonio.faces.cli.bench.lines import Lines
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.plans import Position, plan
 from programs import running
 from session.hand_bench import HandBus
 
@@ -26,13 +26,13 @@ SIM = "sim:?seed=3"
 @pytest.fixture
 def bench(monkeypatch, tmp_path, capsys):
     """Run `calibrate` on a sensor that nothing moves, with typed lines; status, what was said, the file."""
-    from adis_gonio.bus import opening
+    from adis_gonio.device.bus import opening
 
     real = opening.open_bus
 
     def run(typed: str, *options: str, still: bool = False, url: str = SIM):
         if still:
-            from adis_gonio.sensor import driver
+            from adis_gonio.device.sensor import driver
 
             monkeypatch.setattr(driver, "open_bus", HandBus)
         else:

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from adis_gonio.cli import COMMANDS, main
-from adis_gonio.cli.characters import READABLE, readable
+from adis_gonio.faces.cli import COMMANDS, main
+from adis_gonio.faces.cli.characters import READABLE, readable
 
 SETS = {
     "cp1252": {"PYTHONIOENCODING": "cp1252"},

@@ -7,9 +7,9 @@ import json
 
 import pytest
 
-from adis_gonio.cli import main
-from adis_gonio.cli.closing import standing
-from adis_gonio.session import load_session
+from adis_gonio.faces.cli import main
+from adis_gonio.faces.cli.closing import standing
+from adis_gonio.record.loading import load_session
 
 URL = "sim:?seed=3&bias_instability_mg=0&fixture_sigma_deg=0.002&effects=quadratic:k2_x=3"
 SHORT = ["calibrate", URL, "--plan", "four-position", "--dwell", "2", "--trace"]

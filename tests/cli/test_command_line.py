@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from adis_gonio import load_session, open_sensor
-from adis_gonio.cli import COMMANDS, main
+from adis_gonio.faces.cli import COMMANDS, main
 
 SIM = "sim:?seed=1"
 
@@ -39,7 +39,7 @@ def failed(capsys, *arguments: str) -> tuple[int, str]:
 def test_help_answers_without_numpy_scipy_or_matplotlib():
     code = (
         "import sys; sys.argv = ['adis-gonio', '--help']\n"
-        "from adis_gonio.cli import main\n"
+        "from adis_gonio.faces.cli import main\n"
         "main()\n"
         "heavy = {'numpy', 'scipy', 'matplotlib', 'rich'} & set(sys.modules)\n"
         "print('heavy:', sorted(heavy), file=sys.stderr)"
@@ -171,7 +171,7 @@ def test_fit_leads_with_one_answer_and_gives_the_others_a_line_each(capsys, reco
 
 def test_fit_all_shows_every_method_and_nothing_is_wider_than_80_columns(capsys, recorded, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setattr("adis_gonio.cli.show.Console.is_terminal", True)
+    monkeypatch.setattr("adis_gonio.faces.cli.show.Console.is_terminal", True)
     assert main(["fit", str(recorded), "--all"]) == 0
     out = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
     assert max(len(line.rstrip()) for line in out.splitlines()) <= 80
@@ -324,7 +324,9 @@ def test_with_poll_data_ready_is_left_alone_by_stream_and_calibrate(capsys, tmp_
 
 
 def test_stream_says_once_and_in_the_file_that_rows_may_mix_updates(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr("adis_gonio.sensor.scanning.ALIGNABLE", 0.0)  # as over a bridge that is too slow
+    monkeypatch.setattr(
+        "adis_gonio.device.sensor.scanning.ALIGNABLE", 0.0
+    )  # as over a bridge that is too slow
     out = tmp_path / "slow.csv"
     assert main(["stream", f"{SIM}&stream=0", "--seconds", "0.5", "-o", str(out)]) == 0
     assert capsys.readouterr().err.count("may stem from two or more neighbouring updates") == 1

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from adis_gonio.bus import Device, opening
-from adis_gonio.cli import main
+from adis_gonio.device.bus import Device, opening
+from adis_gonio.faces.cli import main
 
 
 class Point:
@@ -51,7 +51,7 @@ def broken():
     [
         (broken, "RuntimeError: no such thing: as a bridge"),
         (lambda: None, "TypeError"),
-        (lambda: ["zap:1"], "no adis_gonio.bus.Device"),
+        (lambda: ["zap:1"], "no adis_gonio.device.bus.Device"),
         ("no function", "TypeError"),
     ],
 )

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from adis_gonio import Calibration, fit, load_session
-from adis_gonio.calibration import load_calibration
-from adis_gonio.cli import main, working
+from adis_gonio.faces.cli import main, working
+from adis_gonio.tracing.loading import load_calibration
 
 SCHEMA = json.loads(
-    resources.files("adis_gonio.calibration").joinpath("schema/calibration-1.json").read_text("utf-8")
+    resources.files("adis_gonio.calibrate").joinpath("schema/calibration-1.json").read_text("utf-8")
 )
 SIM = "sim:?seed=1"
 FIRST = {

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from adis_gonio.budget import Budget, current, told, within
-from adis_gonio.cli import main, working
-from adis_gonio.cli.interrupt import Insistent
-from adis_gonio.session import load_session
-from adis_gonio.session.view import ArchiveView
-from adis_gonio.tracing import trace
+from adis_gonio.base.budget import Budget, current, told, within
+from adis_gonio.faces.cli import main, working
+from adis_gonio.faces.cli.interrupt import Insistent
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.view import ArchiveView
+from adis_gonio.tracing.trace import trace
 
 TWO = (
     "# accel_unit: mg\n# reading_u_mg: 0.1\ntime_s,position,angle_deg,ax,ay\n0,0,0,999,3\n60,1,90,4,-1001\n"
@@ -178,7 +178,7 @@ def test_a_command_ends_with_130_though_its_first_ctrl_c_was_lost(
 
     monkeypatch.setattr("adis_gonio.tracing.trace", deaf)
     monkeypatch.setattr("adis_gonio.fitting.fit", deaf)
-    monkeypatch.setattr("adis_gonio.api.fit", deaf)
+    monkeypatch.setattr("adis_gonio.faces.api.fit", deaf)
     page = tmp_path / "page.html"
     assert main([command, str(two), *(["-o", str(page)] if command == "report" else [])]) == 130
     said = capsys.readouterr().err
@@ -231,7 +231,7 @@ def program(arguments, room=None):
     code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
     if room is not None:
         code += f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room})); "
-    code += "from adis_gonio.cli import main; sys.exit(main(sys.argv[1:]))"
+    code += "from adis_gonio.faces.cli import main; sys.exit(main(sys.argv[1:]))"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, "-c", code, *arguments]
     return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
@@ -254,7 +254,7 @@ def places(folder, session):
 @pytest.mark.parametrize("where", ["no folder", "a folder", "a file for a folder", "the input"])
 def test_an_output_that_cannot_be_is_refused_before_any_work(capsys, monkeypatch, two, tmp_path, where):
     output, status, says = places(tmp_path, two)[where]
-    monkeypatch.setattr("adis_gonio.session.load_session", lambda path: pytest.fail("it was read"))
+    monkeypatch.setattr("adis_gonio.record.loading.load_session", lambda path: pytest.fail("it was read"))
     assert main(["report", str(two), "-o", str(output)]) == status
     err = capsys.readouterr().err
     assert says in err
@@ -263,14 +263,16 @@ def test_an_output_that_cannot_be_is_refused_before_any_work(capsys, monkeypatch
 
 
 def test_a_board_is_not_touched_where_its_page_could_not_be_written(capsys, monkeypatch, tmp_path):
-    monkeypatch.setattr("adis_gonio.bus.open_bus", lambda url: pytest.fail("it was opened"))
+    monkeypatch.setattr("adis_gonio.device.bus.open_bus", lambda url: pytest.fail("it was opened"))
     assert main(["bringup", "sim:?seed=1", "-o", str(tmp_path / "none" / "a.html")]) == 1
     assert "there is no folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["a.session", "a.csv"])
 def test_no_simulation_begins_where_its_file_could_not_be_written(capsys, monkeypatch, tmp_path, name):
-    monkeypatch.setattr("adis_gonio.sensor.open_sensor", lambda *_, **__: pytest.fail("it was opened"))
+    monkeypatch.setattr(
+        "adis_gonio.device.sensor.open_sensor", lambda *_, **__: pytest.fail("it was opened")
+    )
     assert main(["simulate", "-o", str(tmp_path / "none" / name)]) == 1
     assert "there is no folder" in capsys.readouterr().err
 

@@ -5,9 +5,9 @@ import io
 import pytest
 from rich.console import Console
 
-from adis_gonio.cli.characters import readable
-from adis_gonio.cli.show import print_table
-from adis_gonio.memory import history_of, words
+from adis_gonio.faces.cli.characters import readable
+from adis_gonio.faces.cli.show import print_table
+from adis_gonio.fleet.memory import history_of, words
 from memory.made_up import made_up
 
 HEAD = ("serial", "plan", "ΔK", "Δφ / °", "effects", "file")

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from adis_gonio import load_session
-from adis_gonio.cli import main
+from adis_gonio.faces.cli import main
 from fakes import planar_session as planar
 
 

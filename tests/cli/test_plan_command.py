@@ -5,9 +5,9 @@ import json
 import pytest
 
 from adis_gonio import fit, load_session
-from adis_gonio.cli import main
-from adis_gonio.planning import Bench, predict, read_plan
-from adis_gonio.session.archive import ArchiveView
+from adis_gonio.faces.cli import main
+from adis_gonio.plan import Bench, predict, read_plan
+from adis_gonio.record.archive import ArchiveView
 
 
 @pytest.fixture(scope="module")

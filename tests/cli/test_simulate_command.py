@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from adis_gonio import load_session
-from adis_gonio.cli import main
+from adis_gonio.faces.cli import main
 from programs import running
 
 

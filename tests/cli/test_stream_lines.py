@@ -9,10 +9,10 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from adis_gonio.cli import main
-from adis_gonio.cli.columns import Columns
-from adis_gonio.cli.stream import _Show
-from adis_gonio.session.blocks import ValueBlock
+from adis_gonio.faces.cli import main
+from adis_gonio.faces.cli.columns import Columns
+from adis_gonio.faces.cli.stream import _Show
+from adis_gonio.record.blocks import ValueBlock
 
 NAMES = (
     "XACCL_OUT",

@@ -7,9 +7,8 @@ import pandas as pd
 import pytest
 
 from adis_gonio import fit, load_session
-from adis_gonio.cli import main
-from adis_gonio.session import plan
-from adis_gonio.session.plans import PLAN_NAMES
+from adis_gonio.faces.cli import main
+from adis_gonio.record.plans import PLAN_NAMES, plan
 from fakes import planar_session as planar
 
 
@@ -87,7 +86,7 @@ def test_keys_are_prefilled_and_those_left_empty_are_not_stated(tmp_path):
 
 
 def test_operator_serial_and_stage_come_back_and_are_written_again(tmp_path):
-    from adis_gonio.session import export_csv
+    from adis_gonio.record.export import export_csv
 
     path = made(tmp_path)
     keys, frame = parted(path)

@@ -1,7 +1,7 @@
 """The simulated bus keeps the contract of all buses."""
 
 from adis_gonio.sim import SimBus, SimulatedChip, World
-from adis_gonio.testing.bus_contract import BusContract, Rig, WatchedChip
+from adis_gonio.sim.testing.bus_contract import BusContract, Rig, WatchedChip
 
 SEED = 11
 

@@ -12,7 +12,7 @@ import pytest
 import adis_gonio
 
 ROOT = Path(__file__).resolve().parents[2]
-FRONT_ENDS = {"adis_gonio.cli", "adis_gonio.tui"}
+FRONT_ENDS = {"adis_gonio.faces"}
 """Packages with commands and screens, not with functions to call."""
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import adis_gonio
-from adis_gonio.cli import main
+from adis_gonio.faces.cli import main
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from adis_gonio.cli import main
-from adis_gonio.session import load_session
+from adis_gonio.faces.cli import main
+from adis_gonio.record.loading import load_session
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.gyro_faults import FIGURES, realistic_gyros, stream_of
 

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from adis_gonio.testing.plugin import OPTIONS
+from adis_gonio.sim.testing.plugin import OPTIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "test_double.md").read_text("utf-8")
@@ -20,7 +20,7 @@ def test_the_blocks_pass(tmp_path):
         (tmp_path / name).write_text(text, "utf-8")
     (tmp_path / "pytest.ini").write_text("[pytest]\naddopts = --strict-markers\nfilterwarnings = error\n")
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "adis_gonio.testing.plugin", "."],
+        [sys.executable, "-m", "pytest", "-q", "-p", "adis_gonio.sim.testing.plugin", "."],
         cwd=tmp_path,
         env={**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTHONPATH": str(ROOT / "src")},
         capture_output=True,

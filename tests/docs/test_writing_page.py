@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from adis_gonio.cli import main
+from adis_gonio.faces.cli import main
 
 PAGE = (Path(__file__).parents[2] / "docs" / "writing.md").read_text("utf-8")
 CONSOLE = re.search(r"```console\n(.*?)```", PAGE, re.S)[1]

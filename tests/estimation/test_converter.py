@@ -10,10 +10,10 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from adis_gonio import fit, trace
-from adis_gonio.errors import DataError
-from adis_gonio.estimation import converter as module
-from adis_gonio.estimation.converter import converter_of, steps_of
-from adis_gonio.estimation.readings import readings_of
+from adis_gonio.base.errors import DataError
+from adis_gonio.fitting.estimation import converter as module
+from adis_gonio.fitting.estimation.converter import converter_of, steps_of
+from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.model.records import Dwell, Session
 
 LSB_MG = 0.4672
@@ -125,8 +125,8 @@ def test_uncertainties_of_words_that_have_lost_bits_hold() -> None:
 
 @pytest.mark.parametrize("noise", [1.0, 3.0, 10.0])
 def test_the_step_of_a_healthy_sensor_is_no_finding(noise: float) -> None:
-    from adis_gonio.dwells import correlation_reach, samples_of
-    from adis_gonio.dwells.codes import quantization, saturation
+    from adis_gonio.tracing.within import correlation_reach, samples_of
+    from adis_gonio.tracing.within.codes import quantization, saturation
 
     for seed in range(60):
         whole = session(turn(np.random.default_rng(200 + seed), noise=noise))
@@ -219,8 +219,8 @@ def test_the_step_of_other_numbers_is_the_smallest_difference_but_for_rounding()
 
 @pytest.mark.parametrize("coarse", [0, 1])
 def test_a_step_is_the_finding_of_the_axis_whose_noise_does_not_hide_it(coarse: int) -> None:
-    from adis_gonio.dwells import correlation_reach, samples_of
-    from adis_gonio.dwells.codes import quantization
+    from adis_gonio.tracing.within import correlation_reach, samples_of
+    from adis_gonio.tracing.within.codes import quantization
 
     for seed in range(5):
         rng = np.random.default_rng(300 + seed)

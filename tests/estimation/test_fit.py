@@ -10,12 +10,12 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
-from adis_gonio.estimation.fit import Fit, Values, adequacy, foreseen
-from adis_gonio.estimation.readings import Readings, from_means
-from adis_gonio.estimation.terms import Basis, NamedTerm, NamelessTerm
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.fit import Fit, Values, adequacy, foreseen
+from adis_gonio.fitting.estimation.readings import Readings, from_means
+from adis_gonio.fitting.estimation.terms import Basis, NamedTerm, NamelessTerm
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.measurement import sensitivity
-from adis_gonio.model.records import Floats
 
 BASE = np.array([0.3, 1.02, 0.99, 0.01])
 G = 1000.0

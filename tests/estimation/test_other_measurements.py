@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.estimation import Fit, from_means
+from adis_gonio.fitting.estimation import Fit, from_means
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import BaseParameter, Measurement
-from adis_gonio.tracing import trace_readings
+from adis_gonio.tracing.trace import trace_readings
 
 
 @dataclass(frozen=True)

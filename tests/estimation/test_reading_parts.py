@@ -8,10 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.errors import DataError
-from adis_gonio.estimation import readings as module
-from adis_gonio.estimation.flicker import covariance_of_means
-from adis_gonio.estimation.readings import (
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import DataError
+from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.fitting.estimation import readings as module
+from adis_gonio.fitting.estimation.flicker import covariance_of_means
+from adis_gonio.fitting.estimation.readings import (
     Unit,
     flicker_parts,
     from_means,
@@ -21,8 +23,7 @@ from adis_gonio.estimation.readings import (
     reduced,
 )
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.records import Dwell, Floats, Session
-from adis_gonio.sensor.variants import VARIANTS
+from adis_gonio.model.records import Dwell, Session
 from estimation.turns import EIGHTHS, turn
 
 MPS2_PER_MG = 9.80665e-3

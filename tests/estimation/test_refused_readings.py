@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from adis_gonio.errors import DataError, FitError
-from adis_gonio.estimation.readings import from_means, mg_per_unit, quantized_means, readings_of, reduced
+from adis_gonio.base.errors import DataError, FitError
+from adis_gonio.fitting.estimation.readings import (
+    from_means,
+    mg_per_unit,
+    quantized_means,
+    readings_of,
+    reduced,
+)
 from adis_gonio.model.effects import Conditions
 from estimation.turns import turn
 

@@ -7,9 +7,10 @@ from itertools import groupby
 import numpy as np
 import pytest
 
-from adis_gonio.errors import DataError
-from adis_gonio.estimation.converter import Limit
-from adis_gonio.estimation.screening import (
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import DataError
+from adis_gonio.fitting.estimation.converter import Limit
+from adis_gonio.fitting.estimation.screening import (
     _at_limit,
     _positions,
     _same_everywhere,
@@ -18,7 +19,7 @@ from adis_gonio.estimation.screening import (
     longest_runs,
     refuse_dead_data,
 )
-from adis_gonio.model.records import Dwell, Floats, Session
+from adis_gonio.model.records import Dwell, Session
 
 
 def dwell(rows: Floats, k: int = 0, angle: float | None = None) -> Dwell:

@@ -8,9 +8,9 @@ from scipy.optimize import minimize
 from scipy.stats import bartlett
 from scipy.stats import f as fisher
 
-from adis_gonio.estimation import spectrum as module
-from adis_gonio.estimation.spectrum import noise_of_means
-from adis_gonio.model.records import Floats
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation import spectrum as module
+from adis_gonio.fitting.estimation.spectrum import noise_of_means
 
 X = (np.arange(32) + 0.5) / 32
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adis_gonio.estimation.terms import Basis, NamedTerm, NamelessTerm
+from adis_gonio.fitting.estimation.terms import Basis, NamedTerm, NamelessTerm
 from adis_gonio.model.effects import Conditions, effect
 
 IDEAL = np.array([[500.0, -800.0, 300.0], [-200.0, 900.0, 400.0], [1000.0, 100.0, -50.0]])

@@ -50,7 +50,7 @@ def site(tmp_path_factory):
 def test_the_wheel_has_the_test_double_and_no_tests(site):
     (wheel,) = site.parent.glob("adis_gonio-*.whl")
     names = zipfile.ZipFile(wheel).namelist()
-    assert "adis_gonio/testing/bus_contract.py" in names
+    assert "adis_gonio/sim/testing/bus_contract.py" in names
     assert not any(name.startswith(("tests/", "examples/")) for name in names)
 
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adis_gonio.bus import Capability, FrameBlock, FrameStream, Words
-from adis_gonio.errors import BusTimeoutError, UsageError
-from adis_gonio.sensor.registers import ACCEL_OUT, BY_NAME
-from adis_gonio.sensor.variants import variant
+from adis_gonio.base.errors import BusTimeoutError, UsageError
+from adis_gonio.device.bus import Capability, FrameBlock, FrameStream, Words
+from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
+from adis_gonio.device.sensor.variants import variant
 from adis_gonio.sim import SimBus, SimulatedChip, World, WorldSettings
 from adis_gonio.sim.inputs import Inputs
 from adis_gonio.sim.sampling import ACCEL_COLUMNS, SELF_TEST_ACCEL_MG, SignalChain

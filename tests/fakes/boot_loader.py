@@ -11,7 +11,7 @@ import math
 from collections import deque
 from collections.abc import Generator
 
-from adis_gonio.testing.firmware import SimulatedFirmware
+from adis_gonio.sim.testing.firmware import SimulatedFirmware
 
 BIT_S = 8 * 17 / 16e6
 """115 200 baud of a 16 MHz AVR: 117 647."""

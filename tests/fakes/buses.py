@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adis_gonio.bus import FrameStream, SpiBus, SpiTiming, Words
+from adis_gonio.device.bus import FrameStream, SpiBus, SpiTiming, Words
 
 SLOW = SpiTiming(250_000, 75.0, 160.0)
 

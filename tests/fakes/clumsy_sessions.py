@@ -10,12 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from adis_gonio import fit
-from adis_gonio.answer import Answer
-from adis_gonio.errors import AdisGonioError, BusError, UsageError
-from adis_gonio.sensor import Adis16354
-from adis_gonio.session import SessionRunner, Settings, load_session, plan
-from adis_gonio.session.archive import ArchiveView
-from adis_gonio.session.events import (
+from adis_gonio.base.errors import AdisGonioError, BusError, UsageError
+from adis_gonio.bench.events import (
     DwellDone,
     DwellInterrupted,
     DwellProgress,
@@ -28,6 +24,13 @@ from adis_gonio.session.events import (
     RepetitionOffered,
     Watching,
 )
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.fitting.answer import Answer
+from adis_gonio.record.archive import ArchiveView
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
 from fakes.clumsy import Manner, Person
 from fakes.hand_part import HandBus, HandPart
 

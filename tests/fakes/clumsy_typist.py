@@ -17,10 +17,9 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from adis_gonio.session import plan
-from adis_gonio.session.archive import ArchiveView
-from adis_gonio.session.guidance import to_do
-from adis_gonio.session.plans import Position, extension
+from adis_gonio.bench.guidance import to_do
+from adis_gonio.record.archive import ArchiveView
+from adis_gonio.record.plans import Position, extension, plan
 from fakes.clumsy import Manner, Person
 from fakes.clumsy_sessions import FIXTURE_DEG, MOST_RUNS, Outcome, Task, judge
 from fakes.hand_part import HandPart

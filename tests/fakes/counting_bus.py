@@ -1,6 +1,6 @@
 """A simulated bus that notes the write frames that reach the chip."""
 
-from adis_gonio.bus import Words
+from adis_gonio.device.bus import Words
 from adis_gonio.sim.bus import SimBus
 
 DATA_READY = 0xB400

@@ -8,7 +8,7 @@ import struct
 from collections import deque
 from dataclasses import dataclass, field
 
-from adis_gonio.testing.pins import ChipPins
+from adis_gonio.sim.testing.pins import ChipPins
 
 VENDOR_ID, PRODUCT_ID = 0x10C4, 0x87A0
 WRITE_FIRST, READ_FIRST = (0x01, 0x82), (0x02, 0x81)

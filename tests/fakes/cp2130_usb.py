@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import usb.backend
 import usb.core
 
-from adis_gonio.testing.faults import Faults
+from adis_gonio.sim.testing.faults import Faults
 from fakes.cp2130_device import (
     PACKET,
     PRODUCT_ID,

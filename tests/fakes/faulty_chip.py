@@ -22,8 +22,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from adis_gonio.bus.opening import BusUrl
-from adis_gonio.sensor.registers import ACCEL_OFF, BY_NAME
+from adis_gonio.device.bus.opening import BusUrl
+from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME
 from adis_gonio.sim.bus import SimBus, SimStage, SimStream
 from adis_gonio.sim.bus import open_from_url as open_simulated
 from adis_gonio.sim.rules import START_UP_S

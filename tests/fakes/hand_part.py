@@ -21,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.bus import FrameBlock, FrameStream
-from adis_gonio.bus.opening import BusUrl
-from adis_gonio.errors import BusTimeoutError
+from adis_gonio.base.errors import BusTimeoutError
+from adis_gonio.device.bus import FrameBlock, FrameStream
+from adis_gonio.device.bus.opening import BusUrl
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.sim import SimBus, World
 from adis_gonio.sim.inputs import Floats, Inputs

@@ -7,7 +7,7 @@ USB/IP. The chip hangs on `pins`; the device's settings decide what the wires do
 import struct
 from dataclasses import dataclass, field
 
-from adis_gonio.testing.pins import ChipPins
+from adis_gonio.sim.testing.pins import ChipPins
 
 VENDOR_ID, PRODUCT_ID = 0x04D8, 0x00DE
 REPORT = 64

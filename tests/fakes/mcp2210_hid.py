@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from adis_gonio.testing.faults import Faults
+from adis_gonio.sim.testing.faults import Faults
 from fakes.mcp2210_device import (
     BUSY,
     FINISHED,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from adis_gonio.sensor.decoding import ScanBlock
+from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.inputs import Inputs
 from adis_gonio.sim.sampling import OUTPUTS, SignalChain, Updates

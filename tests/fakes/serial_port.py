@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from adis_gonio.errors import CannotOpenError
-from adis_gonio.testing.faults import Faults, FaultyStream
-from adis_gonio.testing.firmware import SimulatedFirmware
+from adis_gonio.base.errors import CannotOpenError
+from adis_gonio.sim.testing.faults import Faults, FaultyStream
+from adis_gonio.sim.testing.firmware import SimulatedFirmware
 
 BUFFER = 65536
 

@@ -16,8 +16,8 @@ import os
 import struct
 from enum import Enum
 
-from adis_gonio.testing.faults import Faults
-from adis_gonio.testing.pins import ChipPins
+from adis_gonio.sim.testing.faults import Faults
+from adis_gonio.sim.testing.pins import ChipPins
 
 TRANSFER = struct.Struct("<QQIIHBBBBBB")
 MESSAGE = 0x40006B00

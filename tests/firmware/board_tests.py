@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adis_gonio.bus import Capability
-from adis_gonio.bus.serial import SerialBus
-from adis_gonio.bus.wire.protocol import (
+from adis_gonio.device.bus import Capability
+from adis_gonio.device.bus.serial import SerialBus
+from adis_gonio.device.bus.wire.protocol import (
     ConfigureReply,
     ConfigureRequest,
     ExchangeReply,
@@ -30,7 +30,7 @@ from adis_gonio.bus.wire.protocol import (
     StreamRequest,
     Trigger,
 )
-from adis_gonio.sensor import Adis16354
+from adis_gonio.device.sensor import Adis16354
 from firmware.client import Client
 
 READABLE = tuple(address << 8 for address in range(0x00, 0x3E, 2))

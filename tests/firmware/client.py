@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, TypeVar
 
-from adis_gonio.bus.wire import Body, Packet, Receiver, encode
-from adis_gonio.bus.wire.protocol import (
+from adis_gonio.device.bus.wire import Body, Packet, Receiver, encode
+from adis_gonio.device.bus.wire.protocol import (
     RETRY_MS,
     VERSION,
     Error,

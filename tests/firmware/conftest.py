@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from adis_gonio.bus.wire.protocol import BAUD
+from adis_gonio.device.bus.wire.protocol import BAUD
 from firmware import avr_build, host_core, pico_build
 from firmware.client import Client
 from firmware.host_core import HostCore

@@ -22,7 +22,7 @@ import tty
 from pathlib import Path
 from typing import Any, ClassVar
 
-from adis_gonio.sensor.registers import BY_NAME
+from adis_gonio.device.sensor.registers import BY_NAME
 from firmware.pico_build import RIG
 
 ANSWER_S = 300.0

@@ -19,8 +19,8 @@ import numpy as np
 import yasimavr.lib.core as core
 from yasimavr.device_library import load_device
 
-from adis_gonio.bus.wire.protocol import BAUD
-from adis_gonio.sensor.registers import BY_NAME
+from adis_gonio.device.bus.wire.protocol import BAUD
+from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.sim.chip import SimulatedChip, State
 from adis_gonio.sim.lines import levels
 from adis_gonio.sim.world import World

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.sensor import Adis16354
+from adis_gonio.device.sensor import Adis16354
 from firmware.board_tests import SEVEN, open_serial
 
 RATE = 819.2

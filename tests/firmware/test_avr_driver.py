@@ -6,17 +6,17 @@ import math
 
 import pytest
 
-from adis_gonio.errors import VariantError
+from adis_gonio.base.errors import VariantError
+from adis_gonio.bench.events import Finished, Problem
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import Adis16354
 from adis_gonio.fitting import fit
-from adis_gonio.sensor import Adis16354
-from adis_gonio.session.archive import read_session
-from adis_gonio.session.events import Finished, Problem
-from adis_gonio.session.plans import plan
-from adis_gonio.session.runner import SessionRunner
-from adis_gonio.session.settings import Settings
+from adis_gonio.record.archive import read_session
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
 from adis_gonio.sim import SimulatedChip, World, WorldSettings
-from adis_gonio.testing.bus_contract import BusContract, WatchedChip
-from adis_gonio.testing.bus_contract import Rig as ContractRig
+from adis_gonio.sim.testing.bus_contract import BusContract, WatchedChip
+from adis_gonio.sim.testing.bus_contract import Rig as ContractRig
 from firmware.board_tests import SEVEN, DriverTests, open_serial
 
 SEED = 11

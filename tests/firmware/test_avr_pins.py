@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from adis_gonio.bus.wire.protocol import (
+from adis_gonio.device.bus.wire.protocol import (
     ExchangeReply,
     ExchangeRequest,
     ResetReply,

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adis_gonio.bus.wire import Body, Packet, encode
-from adis_gonio.bus.wire.protocol import (
+from adis_gonio.device.bus.wire import Body, Packet, encode
+from adis_gonio.device.bus.wire.protocol import (
     DEFAULT_CLOCK_HZ,
     DEFAULT_PERIOD_US,
     DEFAULT_STALL_US,

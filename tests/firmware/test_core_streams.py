@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from adis_gonio.bus.wire.protocol import (
+from adis_gonio.device.bus.wire.protocol import (
     ConfigureReply,
     ConfigureRequest,
     ExchangeReply,

@@ -6,12 +6,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from adis_gonio.bus import BusUrl, find_devices
-from adis_gonio.bus.serial import SerialBus, open_from_url, ports
-from adis_gonio.errors import BusError, CannotOpenError, VariantError
-from adis_gonio.sensor import Adis16354
-from adis_gonio.testing.bus_contract import BusContract, WireFrame
-from adis_gonio.testing.bus_contract import Rig as ContractRig
+from adis_gonio.base.errors import BusError, CannotOpenError, VariantError
+from adis_gonio.device.bus import BusUrl, find_devices
+from adis_gonio.device.bus.serial import SerialBus, open_from_url, ports
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.sim.testing.bus_contract import BusContract, WireFrame
+from adis_gonio.sim.testing.bus_contract import Rig as ContractRig
 from firmware.board_tests import SEVEN, DriverTests, open_serial
 from firmware.pico_rig import PicoRig, PtyCable
 from firmware.soak import soak

@@ -13,9 +13,9 @@ import subprocess
 import numpy as np
 import pytest
 
-from adis_gonio.bus.wire import encode
-from adis_gonio.bus.wire.packets import Packet
-from adis_gonio.bus.wire.protocol import (
+from adis_gonio.device.bus.wire import encode
+from adis_gonio.device.bus.wire.packets import Packet
+from adis_gonio.device.bus.wire.protocol import (
     ExchangeReply,
     ExchangeRequest,
     FirmwareCapability,

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.estimation.readings import Readings, Unit, from_means
+from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
 from adis_gonio.fitting.outputs import estimates, left_to_the_stage, outputs_of, variances
 from adis_gonio.fitting.result import Estimate, FitResult
 from adis_gonio.fitting.sources import Source, Sources, dof_of

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.errors import FitError, SingularError
-from adis_gonio.estimation.readings import Readings, Unit, from_means
-from adis_gonio.estimation.shown import ShownAngle, gradient_of_base
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import FitError, SingularError
 from adis_gonio.fitting import closed_form as module
 from adis_gonio.fitting.closed_form import (
     as_printed,
@@ -21,10 +20,11 @@ from adis_gonio.fitting.closed_form import (
     rows_at,
     turn_parameters,
 )
+from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
+from adis_gonio.fitting.estimation.shown import ShownAngle, gradient_of_base
 from adis_gonio.fitting.methods import _applicable, _two, default_method, fit_readings
 from adis_gonio.fitting.noise import NoiseAssumptions
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.records import Floats
 
 G = 980.0
 ALPHA, K_X, K_Y, PHI = math.radians(20.0), 1.02, 0.99, math.radians(0.3)

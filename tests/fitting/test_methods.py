@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.errors import FitError, SingularError, UsageError
+from adis_gonio.base.errors import FitError, SingularError, UsageError
 from adis_gonio.fitting import METHODS, applicable_methods, fit
 from adis_gonio.model.measurement import axes_matrix
 from adis_gonio.model.records import Dwell, Session

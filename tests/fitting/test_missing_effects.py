@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from adis_gonio import fit, load_session
-from adis_gonio.answer import Answer
-from adis_gonio.cli import main
+from adis_gonio.faces.cli import main
+from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.likelihood import fit_ml
 
 HIDDEN = (

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from adis_gonio import fit
-from adis_gonio.errors import FitError
+from adis_gonio.base.errors import FitError
+from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting import monte_carlo as module
 from adis_gonio.fitting.monte_carlo import monte_carlo
 from adis_gonio.fitting.result import Estimate, FitResult
 from adis_gonio.fitting.sources import TEMPERATURE
-from adis_gonio.sensor.variants import VARIANTS
 from fitting.test_uncertainty import FOUR, turn
 
 SIGMA_DEG = 0.02

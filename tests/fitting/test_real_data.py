@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.errors import FitError
+from adis_gonio.base.errors import FitError
 from adis_gonio.fitting import fit
 from adis_gonio.model.measurement import sensitivity
-from adis_gonio.session.loading import load_session
+from adis_gonio.record.loading import load_session
 from recordings import recording
 
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from adis_gonio.errors import FitError
+from adis_gonio.base.errors import FitError
 from adis_gonio.fitting import fit, fit_readings
 from adis_gonio.fitting.scores import DwellPrediction, Score, _folds, predicted
 from adis_gonio.fitting.standing import recommend
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.session.loading import load_session
+from adis_gonio.record.loading import load_session
 from fitting.test_uncertainty import FOUR, NINE, turn
 
 TUMBLE = (*range(0, 360, 30), *range(330, -30, -30))

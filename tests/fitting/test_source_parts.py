@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from adis_gonio.estimation.links import Links
-from adis_gonio.estimation.readings import Readings, from_means
+from adis_gonio.base.arrays import Floats
+from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting import determination as seen
 from adis_gonio.fitting import linked
 from adis_gonio.fitting import sources as module
+from adis_gonio.fitting.estimation.links import Links
+from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.linked import LinkReport
 from adis_gonio.fitting.noise import NoiseAssumptions
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.records import Floats
-from adis_gonio.sensor.variants import VARIANTS
 
 RNG = np.random.default_rng(7)
 N = 4

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import plan_statistics as statistics
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
 from adis_gonio.fitting.methods import fit_readings
-from adis_gonio.planning import Bench
-from adis_gonio.planning.imagined import LARGEST_FIXTURE_DEG, imagined
-from adis_gonio.planning.prediction import reach_of
-from adis_gonio.session import plan
+from adis_gonio.plan import Bench
+from adis_gonio.plan.imagined import LARGEST_FIXTURE_DEG, imagined
+from adis_gonio.plan.prediction import reach_of
+from adis_gonio.record.plans import plan
 
 ALPHA = statistics.NAMES.index("alpha")
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from adis_gonio.cli import main
+from adis_gonio.faces.cli import main
 from fleet.sessions import write_fleet
 from fleet.test_fleet_command import FLEET, SOON_S, until
 from programs import running

@@ -13,11 +13,12 @@ from pathlib import Path
 import pytest
 
 from adis_gonio import __version__
-from adis_gonio.cli import main
+from adis_gonio.faces.cli import main
+from adis_gonio.fleet.memory.files import session_files
 from adis_gonio.fleet.run import files_of
 from adis_gonio.fleet.work import Options, digest_of_file, work
-from adis_gonio.memory.files import session_files
-from adis_gonio.session import export_csv, load_session
+from adis_gonio.record.export import export_csv
+from adis_gonio.record.loading import load_session
 from fleet.sessions import write_fleet
 from programs import running
 
@@ -174,7 +175,9 @@ def test_a_simulated_session_that_is_named_as_a_csv_in_capitals_is_one(tmp_path)
 def test_a_session_is_read_once_for_record_and_evidence(tmp_path, monkeypatch):
     (path,) = write_fleet(tmp_path / "fleet", 1, seed=9)
     read = []
-    monkeypatch.setattr("adis_gonio.session.load_session", lambda *a: read.append(a) or load_session(*a))
+    monkeypatch.setattr(
+        "adis_gonio.record.loading.load_session", lambda *a: read.append(a) or load_session(*a)
+    )
     document = work(path, digest_of_file(path), Options(trace=False, evidence=True).as_dict(), __version__)
     assert document["record"]["status"] == "ok"
     assert document["evidence"] is not None

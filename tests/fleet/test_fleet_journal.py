@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from adis_gonio import __version__
-from adis_gonio.errors import DataError, OutputError, SessionError
+from adis_gonio.base.errors import DataError, OutputError, SessionError
 from adis_gonio.fleet import Journal, Options, run_fleet, survey
 from adis_gonio.fleet.outputs import FleetResult
+from adis_gonio.fleet.population import SessionEvidence, evidence_of, trace_population
 from adis_gonio.fleet.work import work
-from adis_gonio.population import SessionEvidence, evidence_of, trace_population
-from adis_gonio.session import load_session
+from adis_gonio.record.loading import load_session
 from fleet.sessions import write_fleet, write_session
 
 FITS = Options(trace=False)

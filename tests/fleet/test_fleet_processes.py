@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from adis_gonio import __version__
-from adis_gonio.errors import FleetError
+from adis_gonio.base.errors import FleetError
 from adis_gonio.fleet import Journal, LocalPool, Options, run_fleet, survey
 from adis_gonio.fleet.outputs import FleetResult
 from adis_gonio.fleet.work import digest_of_file, work

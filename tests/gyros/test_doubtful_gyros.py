@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from adis_gonio import fit
-from adis_gonio.calibration import GyroCalibration
-from adis_gonio.calibration.gyro_building import estimates_of_gyro_fit
-from adis_gonio.cli import main
-from adis_gonio.counting import runs
-from adis_gonio.errors import DataError
+from adis_gonio.base.counting import runs
+from adis_gonio.base.errors import DataError
+from adis_gonio.base.showing import shown_unit, with_u
+from adis_gonio.calibrate import GyroCalibration
+from adis_gonio.faces.cli import main
+from adis_gonio.fitting.gyros.calibrations import estimates_of_gyro_fit
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.report import words
-from adis_gonio.session.export import write_csv
-from adis_gonio.showing import shown_unit, with_u
+from adis_gonio.record.export import write_csv
+from adis_gonio.tracing import summary as words
 from adis_gonio.tracing.outcome.result import ErrorFigures, Step, TraceResult
 
 

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.estimation.values import Value
-from adis_gonio.fitting.gyro import fit_gyro
-from adis_gonio.gyros import rate_intervals
-from adis_gonio.gyros.alignment import alignment, rotation_and_skews_deg
-from adis_gonio.gyros.integral import Integral, Path, Sampling, integral_over, integrate
-from adis_gonio.model.records import Dwell, Floats, Session
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.values import Value
+from adis_gonio.fitting.gyros import rate_intervals
+from adis_gonio.fitting.gyros.alignment import alignment, rotation_and_skews_deg
+from adis_gonio.fitting.gyros.fit import fit_gyro
+from adis_gonio.fitting.gyros.integral import Integral, Path, Sampling, integral_over, integrate
+from adis_gonio.model.records import Dwell, Session
 from adis_gonio.model.turns import Turn
 from adis_gonio.sim import World, WorldSettings
 from gyros.simulated import PERIOD_S, Recorder, planar
@@ -348,7 +349,7 @@ def test_dwells_alone_have_no_turns_and_a_free_turn_neither():
 
 
 def test_a_session_without_gyros_says_what_is_missing():
-    from adis_gonio.errors import DataError
+    from adis_gonio.base.errors import DataError
 
     dwell = Dwell(0, np.arange(4.0), np.ones((4, 2)))
     with pytest.raises(DataError, match="no dwell holds samples of the gyros"):

@@ -10,16 +10,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from adis_gonio.cli import app, main
-from adis_gonio.errors import UsageError
-from adis_gonio.fitting import fit
-from adis_gonio.fitting.gyro_gains import gains_of
-from adis_gonio.gyros import rate_intervals
-from adis_gonio.sensor import open_sensor
-from adis_gonio.sensor.settings import sample_period_s
-from adis_gonio.session import SessionRunner, Settings, load_session
-from adis_gonio.session.bench import SessionBench
-from adis_gonio.session.events import (
+from adis_gonio.base.errors import UsageError
+from adis_gonio.bench.bench import SessionBench
+from adis_gonio.bench.events import (
     ExtensionOffered,
     GuardRaised,
     Paused,
@@ -28,12 +21,21 @@ from adis_gonio.session.events import (
     TurnProgress,
     Watching,
 )
-from adis_gonio.session.guidance import to_do
-from adis_gonio.session.gyro_turns import GyroTurnsRunner, gyro_turns_plan
-from adis_gonio.session.plans import Plan, Position
-from adis_gonio.session.plans import plan as plan_by_name
-from adis_gonio.session.questions import KEPT_S
-from adis_gonio.session.view import ArchiveView
+from adis_gonio.bench.guidance import to_do
+from adis_gonio.bench.gyro_turns import GyroTurnsRunner, gyro_turns_plan
+from adis_gonio.bench.questions import KEPT_S
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import open_sensor
+from adis_gonio.device.sensor.settings import sample_period_s
+from adis_gonio.faces.cli import app, main
+from adis_gonio.fitting import fit
+from adis_gonio.fitting.gyros import rate_intervals
+from adis_gonio.fitting.gyros.gains import gains_of
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.plans import Plan, Position
+from adis_gonio.record.plans import plan as plan_by_name
+from adis_gonio.record.settings import Settings
+from adis_gonio.record.view import ArchiveView
 from session.hand_bench import Hand, hand_sensor
 
 URL = (
@@ -145,13 +147,13 @@ def test_it_is_fitted_again_from_its_file(recorded):
 
 
 def test_turns_are_read_when_asked_for_and_cost_a_fit_without_gyros_nothing(recorded, monkeypatch):
-    from adis_gonio.session import turns as reading
+    from adis_gonio.record import turns as reading
 
     asked = []
     real = reading.ArchivedTurns.__call__
     monkeypatch.setattr(reading.ArchivedTurns, "__call__", lambda self: asked.append(1) or real(self))
     session = load_session(recorded[0])
-    from adis_gonio.estimation.readings import readings_of
+    from adis_gonio.fitting.estimation.readings import readings_of
 
     readings_of(session)
     assert not asked

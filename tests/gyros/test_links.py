@@ -13,24 +13,25 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import adis_gonio
-from adis_gonio.answer import Answer
-from adis_gonio.calibration.gyros import GyroCalibration
-from adis_gonio.errors import FitError, UsageError
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.links import Band, LinkRows, Links
-from adis_gonio.estimation.readings import Readings, from_means, readings_of
-from adis_gonio.estimation.values import Value
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.base.values import Value
+from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting import fit
+from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.determination import covariance, determine, names_of, natural_units
-from adis_gonio.fitting.gyro import fit_gyro
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.links import Band, LinkRows, Links
+from adis_gonio.fitting.estimation.readings import Readings, from_means, readings_of
+from adis_gonio.fitting.gyros.attitude import PARAMETERS, AssumedGyros, attitude
+from adis_gonio.fitting.gyros.fit import fit_gyro
+from adis_gonio.fitting.gyros.prior import GyroPrior
 from adis_gonio.fitting.linked import _gyros_of, _Judged, linked_readings
 from adis_gonio.fitting.methods import fit_of, fit_readings
 from adis_gonio.fitting.sources import by_rotation_of, response_of
-from adis_gonio.gyros.attitude import PARAMETERS, AssumedGyros, attitude
-from adis_gonio.gyros.prior import GyroPrior
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import sensitivity
-from adis_gonio.model.records import Floats, Session
+from adis_gonio.model.records import Session
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.gyro_faults import realistic_gyros
 from gyros.simulated import Recorder

@@ -8,16 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.estimation import Fit
-from adis_gonio.estimation.terms import NamedTerm
+from adis_gonio.bench.gyro_turns import ALL_THERMOMETERS
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
-from adis_gonio.gyros import rate_intervals
-from adis_gonio.gyros.readings import readings_of_intervals
+from adis_gonio.fitting.estimation import Fit
+from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fitting.gyros import rate_intervals
+from adis_gonio.fitting.gyros.readings import readings_of_intervals
 from adis_gonio.model.effects import effect
-from adis_gonio.sensor import open_sensor
-from adis_gonio.session import SessionRunner, Settings, load_session, plan
-from adis_gonio.session.gyro_turns import ALL_THERMOMETERS
-from adis_gonio.session.view import ArchiveView
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
+from adis_gonio.record.view import ArchiveView
 
 PER_C = {"x": 0.05, "y": -0.04, "z": 0.03}
 URL = (

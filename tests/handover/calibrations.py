@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.calibration import Calibration, Coefficient, EffectTerm
+from adis_gonio.calibrate import Calibration, Coefficient, EffectTerm
 from adis_gonio.model.effects import effect
-from adis_gonio.model.provenance import Covered, Provenance
+from adis_gonio.record.provenance import Covered, Provenance
 
 PLANE = {
     "alpha": 31.25,

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.calibration import Calibration
-from adis_gonio.errors import FitError, UsageError
+from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.calibrate import Calibration
 from adis_gonio.handover.c_header import FIXED_UDEG, c_header
 from adis_gonio.handover.fixed import ONE, FixedPoint, atan2_udeg
 from adis_gonio.handover.polynomial import PARTS, polynomial_of

@@ -8,8 +8,8 @@ from datetime import date
 
 import pytest
 
-from adis_gonio.calibration import NotCorrected
-from adis_gonio.errors import FitError
+from adis_gonio.base.errors import FitError
+from adis_gonio.calibrate import NotCorrected
 from adis_gonio.handover.certificate import certificate_text
 from adis_gonio.model.effects import effect
 from adis_gonio.model.effects.registry import BUILT_IN
@@ -109,8 +109,8 @@ def test_without_noise_there_is_no_uncertainty():
 
 
 def test_every_unit_of_the_catalogue_has_one_of_si_or_is_refused():
-    from adis_gonio.calibration.building import CORRECTABLE
     from adis_gonio.handover.certificate import _UNITS
+    from adis_gonio.tracing.calibrations import CORRECTABLE
 
     units = {p.unit for name in CORRECTABLE for p in effect(name, **_most(name)).parameters}
     assert units <= set(_UNITS)

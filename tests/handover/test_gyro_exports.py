@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from adis_gonio import Calibration, load_session, open_sensor
-from adis_gonio.calibration import GyroCalibration
-from adis_gonio.cli import main
-from adis_gonio.errors import FitError
+from adis_gonio.base.errors import FitError
+from adis_gonio.calibrate import GyroCalibration
+from adis_gonio.faces.cli import main
 from adis_gonio.fitting import fit
 from adis_gonio.handover.c_header import c_header
 from adis_gonio.handover.certificate import _UNITS, certificate_text

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from adis_gonio import open_sensor
-from adis_gonio.cli import main
-from adis_gonio.errors import FitError
+from adis_gonio.base.errors import FitError
+from adis_gonio.faces.cli import main
 from adis_gonio.handover.offsets import offset_words, registers_text
 from handover.calibrations import PLANE, calibration
 

@@ -3,18 +3,18 @@
 import re
 from pathlib import Path
 
-from adis_gonio.counting import counted
+from adis_gonio.base.counting import counted
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "adis_gonio"
 RAW = re.compile(r"\{[^{}:]+\} (?:dwells|positions|samples|poses)\b")
 ALWAYS_MANY = {
     "tracing/validation/errors.py",  # nine dwells or more
-    "dwells/courses.py",  # a mean of several
-    "dwells/finding.py",  # asks for more than one itself
-    "dwells/sensitivity.py",  # limits of the program
-    "sensor/driver.py",
-    "session/plans.py",
-    "one_pose/series.py",
+    "tracing/within/courses.py",  # a mean of several
+    "tracing/within/finding.py",  # asks for more than one itself
+    "tracing/within/sensitivity.py",  # limits of the program
+    "device/sensor/driver.py",
+    "record/plans.py",
+    "tracing/one_pose/series.py",
 }
 
 

@@ -13,11 +13,11 @@ SOURCE = Path(__file__).parents[2] / "src" / "adis_gonio"
 
 HARMLESS = {
     "Answer": (
-        {"answer.answer", "bringup.result"},
+        {"fitting.answer", "bench.bringup.result"},
         "both are public names of their package: what a session says, what a board says of a question",
     ),
     "Summary": (
-        {"fleet.summary", "memory.summary"},
+        {"fleet.summary", "fleet.memory.summary"},
         "both are public names of their package: the figures of many sessions, of a run and of an index",
     ),
 }

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adis_gonio.errors import CannotOpenError
-from adis_gonio.iio.channels import BufferLayout, IioChannel, SampleFormat, wanted
+from adis_gonio.base.errors import CannotOpenError
+from adis_gonio.bench.iio.channels import BufferLayout, IioChannel, SampleFormat, wanted
 
 
 @pytest.mark.parametrize(

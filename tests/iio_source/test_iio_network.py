@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 from adis_gonio import fit, load_session, trace
-from adis_gonio.cli import main
-from adis_gonio.errors import BusError, CannotOpenError, SessionError, UsageError
-from adis_gonio.iio.network import NetworkDevice
-from adis_gonio.iio.source import NO_FAULTS
-from adis_gonio.session import SessionRunner, Settings, plan
-from adis_gonio.session.events import DwellDone, ExtensionOffered, Finished, PositionAsked
-from adis_gonio.session.source import open_source
+from adis_gonio.base.errors import BusError, CannotOpenError, SessionError, UsageError
+from adis_gonio.bench.events import DwellDone, ExtensionOffered, Finished, PositionAsked
+from adis_gonio.bench.iio.network import NetworkDevice
+from adis_gonio.bench.iio.source import NO_FAULTS
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.faces.cli import main
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import open_source
 from serve.raw_client import served
 
 QUICK = Settings(dwell_s=0.6, settle_s=0.0)
@@ -223,7 +225,9 @@ def test_a_server_that_answers_nonsense_is_a_typed_error(answers):
 
 
 def test_a_server_that_does_not_answer_is_a_time_out(monkeypatch):
-    monkeypatch.setattr("adis_gonio.iio.network.NetworkDevice.__init__.__defaults__", (0.3,), raising=False)
+    monkeypatch.setattr(
+        "adis_gonio.bench.iio.network.NetworkDevice.__init__.__defaults__", (0.3,), raising=False
+    )
     with bad_server(b"", hang=True) as port, pytest.raises(BusError, match="does not answer"):
         open_source(f"iio:ip:127.0.0.1:{port}/x")
 

@@ -44,7 +44,7 @@ def _cp2130(serial: str) -> Made:
 
 
 def _serial(serial: str) -> Made:
-    from adis_gonio.testing.firmware import SimulatedFirmware
+    from adis_gonio.sim.testing.firmware import SimulatedFirmware
     from kernel.firmware_model import FirmwareModel
 
     pins = _pins()
@@ -55,8 +55,8 @@ def _serial(serial: str) -> Made:
 def _pins() -> Any:
     """A simulated chip at rest; imported late, because the guest takes seconds for numpy."""
     from adis_gonio.sim import SimulatedChip, World
-    from adis_gonio.testing.clocks import DeviceClock
-    from adis_gonio.testing.pins import ChipPins
+    from adis_gonio.sim.testing.clocks import DeviceClock
+    from adis_gonio.sim.testing.pins import ChipPins
 
     world = World(seed=1)
     pins = ChipPins(SimulatedChip(world, world.variant, start_s=-0.5), DeviceClock())

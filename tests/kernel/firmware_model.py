@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from adis_gonio.testing.firmware import SimulatedFirmware
+from adis_gonio.sim.testing.firmware import SimulatedFirmware
 
 IDLE_S = 0.05
 

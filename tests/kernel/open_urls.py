@@ -8,8 +8,8 @@ from __future__ import annotations
 import json
 import sys
 
-from adis_gonio.bus import open_bus
-from adis_gonio.errors import AdisGonioError
+from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.device.bus import open_bus
 
 READ_SUPPLY = 0x0200
 

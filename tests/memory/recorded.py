@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from adis_gonio import open_sensor
-from adis_gonio.session import SessionRunner, Settings, plan
-from adis_gonio.session import runner as runner_module
+from adis_gonio.bench import runner as runner_module
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
 
 
 def recorded(
@@ -23,7 +25,7 @@ def recorded(
     dwell_s: float = 0.5,
 ) -> Path:
     """A session file; the wall clock is the one thing that is not simulated."""
-    monkeypatch.setattr("adis_gonio.session.archive.utc_now", lambda: when)
+    monkeypatch.setattr("adis_gonio.record.archive.utc_now", lambda: when)
     with open_sensor(url) as sensor:
         settings = Settings(dwell_s=dwell_s)
         world = sensor.bus.world.settings
@@ -44,6 +46,6 @@ def recorded(
 
 def run_through(runner: SessionRunner) -> None:
     """To the end, as the plain face does without anybody to ask."""
-    from adis_gonio.cli.bench.plain import PlainBench
+    from adis_gonio.faces.cli.bench.plain import PlainBench
 
     assert PlainBench(runner, auto=True).run()

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from made_up import made_up
 
-from adis_gonio.errors import UsageError
-from adis_gonio.memory import history_of, words
-from adis_gonio.memory.history import known_serial
+from adis_gonio.base.errors import UsageError
+from adis_gonio.fleet.memory import history_of, words
+from adis_gonio.fleet.memory.history import known_serial
 
 
 def years(count):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from made_up import made_up
 
-from adis_gonio.errors import UsageError
-from adis_gonio.memory import Rules, due_of, history_of
-from adis_gonio.memory.as_found import slopes_deg, worst_deg
+from adis_gonio.base.errors import UsageError
+from adis_gonio.fleet.memory import Rules, due_of, history_of
+from adis_gonio.fleet.memory.as_found import slopes_deg, worst_deg
 
 LIMIT = Rules(limit_deg=0.1, assumed=False, first_days=365.0)
 

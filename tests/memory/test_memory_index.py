@@ -10,10 +10,11 @@ import pytest
 from made_up import made_up
 from recorded import recorded
 
-from adis_gonio.errors import DataError
-from adis_gonio.memory import Index, record_of, summarised
-from adis_gonio.memory.index import NAME
-from adis_gonio.session import export_csv, load_session
+from adis_gonio.base.errors import DataError
+from adis_gonio.fleet.memory import Index, record_of, summarised
+from adis_gonio.fleet.memory.index import NAME
+from adis_gonio.record.export import export_csv
+from adis_gonio.record.loading import load_session
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +93,7 @@ def test_records_come_back_as_they_were(folder):
 
 
 def test_an_interruption_keeps_what_was_computed(folder, monkeypatch):
-    from adis_gonio.memory import index as module
+    from adis_gonio.fleet.memory import index as module
 
     real, calls = module.record_of, []
 
@@ -180,7 +181,7 @@ def test_two_programs_at_once_compute_one_index(folder):
 def test_a_trace_that_is_asked_for_later_is_made_once(folder, monkeypatch):
     from dataclasses import replace
 
-    from adis_gonio.memory import index as module
+    from adis_gonio.fleet.memory import index as module
 
     real, traced = module.record_of, []
 

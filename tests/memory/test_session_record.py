@@ -9,9 +9,11 @@ import pytest
 from recorded import recorded
 
 import adis_gonio
-from adis_gonio.answer import Answer
-from adis_gonio.memory import SessionRecord, record_of
-from adis_gonio.session import export_csv, load_session
+from adis_gonio.fitting.answer import Answer
+from adis_gonio.fleet.memory import SessionRecord, record_of
+from adis_gonio.record.export import export_csv
+from adis_gonio.record.loading import load_session
+from adis_gonio.tracing.answer import answer_with_trace
 
 
 @pytest.fixture
@@ -127,7 +129,7 @@ def test_a_trace_says_which_effects_and_the_answer_is_that_of_the_traced_model(t
         {key: found[key] for key in ("effect", "axes", "p_value", "parameters")}
         for found in trace.as_dict()["found"]
     ]
-    answer = Answer.of(adis_gonio.fit(path), trace, own=False)
+    answer = answer_with_trace(adis_gonio.fit(path), trace, own=False)
     assert record.model_effects == answer.recommended.effects
     assert record.values["delta_k"].as_dict() == answer.values["delta_k"].as_dict()
     assert math.isfinite(record.values["delta_phi"].U)

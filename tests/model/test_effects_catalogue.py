@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import effects_page
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
 from adis_gonio.model.effects import BUILT_IN, Conditions, Effect, Enters, Parameter, effect
 
 NAMES = [

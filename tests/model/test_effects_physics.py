@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
 from adis_gonio.model.effects import Conditions, Enters, effect
 from adis_gonio.model.effects.lag import lagged
 from adis_gonio.model.effects.stage import alike

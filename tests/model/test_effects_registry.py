@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from adis_gonio.errors import UsageError
-from adis_gonio.estimation.readings import from_means
+from adis_gonio.base.errors import UsageError
+from adis_gonio.fitting.estimation.readings import from_means
 from adis_gonio.model.effects import BUILT_IN, Conditions, Enters, catalogue, effect, parse_effect
 from adis_gonio.tracing.candidates.named import named_terms
 

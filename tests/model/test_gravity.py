@@ -2,7 +2,7 @@
 
 import pytest
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
 from adis_gonio.model.gravity import normal_gravity_mps2
 
 

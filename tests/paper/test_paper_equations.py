@@ -5,13 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from adis_gonio.estimation.readings import readings_of
+from adis_gonio.bench.events import DwellDone
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
-from adis_gonio.paper import TABLE, truth_of
-from adis_gonio.paper import sessions as through_chip
-from adis_gonio.paper.ambiguities import two_readings
-from adis_gonio.paper.comparison import errors_with_bias, printed_verdicts, spread_of
-from adis_gonio.paper.crossing import (
+from adis_gonio.fitting.estimation.readings import readings_of
+from adis_gonio.handover.paper import TABLE, truth_of
+from adis_gonio.handover.paper import sessions as through_chip
+from adis_gonio.handover.paper.ambiguities import two_readings
+from adis_gonio.handover.paper.comparison import errors_with_bias, printed_verdicts, spread_of
+from adis_gonio.handover.paper.crossing import (
     BIASES_MG,
     FIXTURES_DEG,
     MMPM_ANGLES_DEG,
@@ -23,11 +26,10 @@ from adis_gonio.paper.crossing import (
     estimates,
     points_to_check,
 )
-from adis_gonio.paper.crossing import readings as by_readings
-from adis_gonio.paper.sessions import MethodValues, Part, Results, measured, quantities
-from adis_gonio.sensor import open_sensor
-from adis_gonio.session import SessionRunner, Settings, plan
-from adis_gonio.session.events import DwellDone
+from adis_gonio.handover.paper.crossing import readings as by_readings
+from adis_gonio.handover.paper.sessions import MethodValues, Part, Results, measured, quantities
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
 from paper import by_hand
 
 
@@ -144,7 +146,7 @@ def test_readings_of_the_map_are_those_of_chip_and_driver_at_the_stages_true_ang
                 hidden_deg.append(world.stage.error_deg)
         alpha = math.radians(world.truth()["alpha"])
     assert np.std(hidden_deg) > 0.1
-    from adis_gonio.session import load_session
+    from adis_gonio.record.loading import load_session
 
     got = natural(load_session(tmp_path / "s.session"))
     bias = np.broadcast_to(np.array([-3.0e-3, -2.9e-3]), (1, 9, 2))
@@ -201,7 +203,7 @@ def test_equation_5_is_off_by_delta_phi_tan_alpha():
 
 
 def test_a_methods_refusal_is_kept_with_its_reason(monkeypatch):
-    from adis_gonio.errors import SingularError
+    from adis_gonio.base.errors import SingularError
 
     def refusing(session, method):
         raise SingularError(f"method {method} is singular here")

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from adis_gonio.errors import DataError, UsageError
-from adis_gonio.planning import plan_by, read_plan, write_plan
-from adis_gonio.planning.document import document_of, plan_from
-from adis_gonio.session.plans import PLAN_NAMES, Plan, Position, plan
+from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.plan import plan_by, read_plan, write_plan
+from adis_gonio.plan.document import document_of, plan_from
+from adis_gonio.record.plans import PLAN_NAMES, Plan, Position, plan
 
 PAGE = (Path(__file__).parents[2] / "docs" / "plans.md").read_text("utf-8")
 

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 import plan_statistics as statistics
-from adis_gonio.errors import UsageError
-from adis_gonio.estimation import readings_of
+from adis_gonio.base.errors import UsageError
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
-from adis_gonio.planning import Bench, best_plan, predict
-from adis_gonio.planning.imagined import imagined
-from adis_gonio.sensor import open_sensor
-from adis_gonio.session import SessionRunner, load_session, plan
-from adis_gonio.tracing import trace_readings
+from adis_gonio.fitting.estimation import readings_of
+from adis_gonio.plan import Bench, best_plan, predict
+from adis_gonio.plan.imagined import imagined
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.plans import plan
+from adis_gonio.tracing.trace import trace_readings
 
 
 def test_the_flicker_that_is_drawn_has_the_allan_deviation_it_is_asked_for():

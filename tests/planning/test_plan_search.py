@@ -6,14 +6,14 @@ import math
 import numpy as np
 import pytest
 
-from adis_gonio.errors import UsageError
-from adis_gonio.planning import Bench, best_plan, fewest, within
-from adis_gonio.planning.best import even, interleaved
-from adis_gonio.planning.candidates import candidates
-from adis_gonio.planning.imagined import LARGEST_FIXTURE_DEG, imagined
-from adis_gonio.planning.prediction import reach_of
-from adis_gonio.planning.search import search
-from adis_gonio.session.plans import plan
+from adis_gonio.base.errors import UsageError
+from adis_gonio.plan import Bench, best_plan, fewest, within
+from adis_gonio.plan.best import even, interleaved
+from adis_gonio.plan.candidates import candidates
+from adis_gonio.plan.imagined import LARGEST_FIXTURE_DEG, imagined
+from adis_gonio.plan.prediction import reach_of
+from adis_gonio.plan.search import search
+from adis_gonio.record.plans import plan
 
 QUIET = Bench(0.02, flicker_mg=0.0)
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.errors import DataError
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import readings_of
-from adis_gonio.estimation.terms import NamedTerm
+from adis_gonio.base.errors import DataError
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import readings_of
+from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fleet.population import SessionEvidence, evidence_of
 from adis_gonio.model.effects import effect
-from adis_gonio.population import SessionEvidence, evidence_of
 from population.units import evidence_with, session_with
 from tracing.named_truth import _term
 from tracing.plans import draw_bench

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad, quad
 
-from adis_gonio.errors import UsageError
-from adis_gonio.population import PopulationResult, trace_population
-from adis_gonio.population.mixture import Block, grid_of, log_factor, log_sum
-from adis_gonio.population.units import inflations
+from adis_gonio.base.errors import UsageError
+from adis_gonio.fleet.population import PopulationResult, trace_population
+from adis_gonio.fleet.population.mixture import Block, grid_of, log_factor, log_sum
+from adis_gonio.fleet.population.units import inflations
 from population.units import drawn, evidence_with
 from tracing.named_truth import _term
 

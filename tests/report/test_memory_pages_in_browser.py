@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio.estimation.values import Value
+from adis_gonio.base.values import Value
 from adis_gonio.fleet import summarise
+from adis_gonio.fleet.memory import SessionRecord, history_of
+from adis_gonio.fleet.memory.history_page import history_page
+from adis_gonio.fleet.memory.record import FoundEffect
 from adis_gonio.fleet.page import build_page
 from adis_gonio.fleet.run import Repeated
-from adis_gonio.memory import SessionRecord, history_of
-from adis_gonio.memory.record import FoundEffect
-from adis_gonio.report.history import history_page
 from fleet.sessions import quiet_rows, row
 from report.browser import Browser, browser, missing
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from adis_gonio import load_session
-from adis_gonio.report import words
-from adis_gonio.tracing import trace
+from adis_gonio.tracing import summary as words
+from adis_gonio.tracing.trace import trace
 
 HEADER = "# plane: none\n# accel_unit: mg\n# sensor: generic\n"
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 
 from adis_gonio import fit
-from adis_gonio.fitting.gyro import fit_gyro
-from adis_gonio.report.gyros import _by_gyro, _how_well, gyro_section
-from adis_gonio.report.numbers import number, uncertain
-from adis_gonio.report.page import build_page
-from adis_gonio.session import load_session
+from adis_gonio.base.numbers import number, uncertain
+from adis_gonio.fitting.gyros.fit import fit_gyro
+from adis_gonio.handover.report.gyros import _by_gyro, _how_well, gyro_section
+from adis_gonio.handover.report.page import build_page
+from adis_gonio.record.loading import load_session
 from recordings import recording
 
 

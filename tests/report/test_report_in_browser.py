@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from adis_gonio.cli import main
+from adis_gonio.faces.cli import main
 from recordings import recording
 from report.browser import Browser, browser, missing
 from report.rests import rests_csv

@@ -6,8 +6,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from adis_gonio.cli import main
-from adis_gonio.report.allan import noise_section
+from adis_gonio.faces.cli import main
+from adis_gonio.handover.report.allan import noise_section
 from allan_statistics import Case
 from report.rests import rests, rests_csv
 

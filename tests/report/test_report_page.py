@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from adis_gonio import fit, trace
-from adis_gonio.answer import Answer
+from adis_gonio.base.numbers import p_text, percent, uncertain, with_unit
+from adis_gonio.handover.report.page import build_page
+from adis_gonio.handover.report.views import views
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.report import Figure, Section, Series, Table, plot
-from adis_gonio.report.numbers import p_text, percent, uncertain, with_unit
-from adis_gonio.report.page import build_page
-from adis_gonio.report.views import views
-from adis_gonio.report.words import confounded, headline, how_sure, sight
+from adis_gonio.page.parts import Figure, Section, Table
+from adis_gonio.page.svg import Series, plot
+from adis_gonio.tracing.answer import answer_with_trace
+from adis_gonio.tracing.summary import confounded, headline, how_sure, sight
 
 
 def planar(k2_x=0.0, bias=(8.0, -5.0), eccentric=0.0, seed=1, check=False, title=""):
@@ -213,7 +214,7 @@ def test_the_page_says_who_measured_which_part_where_and_what_was_overridden():
 
 def test_the_answer_stands_first_in_large_numerals_with_what_covers_it(page, curved):
     session, result, _ = curved
-    values = Answer.of(fit(session, "ml"), result, own=False).values
+    values = answer_with_trace(fit(session, "ml"), result, own=False).values
     key = page[page.index('<dl class="key">') : page.index("</dl>")]
     assert page.index("<main>") < page.index('<dl class="key">') < page.index("<p>", page.index("<main>"))
     assert key.count("<dt>") == 3
@@ -267,7 +268,7 @@ def test_nothing_is_called_absent_that_cannot_be_told_from_others(curved):
 
 
 def test_nothing_is_called_absent_beside_an_inadequate_model(curved):
-    from adis_gonio.report.words import absent
+    from adis_gonio.tracing.summary import absent
 
     assert absent(curved[1]).startswith("not there")
     assert not absent(replace(curved[1], adequate=False)).startswith("not there")

@@ -55,7 +55,7 @@ class Board:
             self.close()
             raise
 
-    # -- the board's clock, as adis_gonio.bus.host.Clock ---------------------------------------------------
+    # -- the board's clock, as adis_gonio.device.bus.host.Clock ---
 
     def now_s(self) -> float:
         """Time of the simulated board in s; fails where it stands still, so that no wait is for ever."""

@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from adis_gonio.bus.serial import SerialBus
-from adis_gonio.bus.serial.link import HELLO_EVERY_S, SerialLink
-from adis_gonio.bus.wire import Packet, encode
-from adis_gonio.bus.wire import protocol as wire
-from adis_gonio.errors import BusTimeoutError
+from adis_gonio.base.errors import BusTimeoutError
+from adis_gonio.device.bus.serial import SerialBus
+from adis_gonio.device.bus.serial.link import HELLO_EVERY_S, SerialLink
+from adis_gonio.device.bus.wire import Packet, encode
+from adis_gonio.device.bus.wire import protocol as wire
 
 PS = 1_000_000_000_000
 """Picoseconds in a second."""

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.bus import SpiBus
-from adis_gonio.bus.opening import BusUrl
-from adis_gonio.bus.serial import open_from_url
-from adis_gonio.sensor import Adis16354
+from adis_gonio.device.bus import SpiBus
+from adis_gonio.device.bus.opening import BusUrl
+from adis_gonio.device.bus.serial import open_from_url
+from adis_gonio.device.sensor import Adis16354
 from rig_simavr.board import Board, violations
 
 SEVEN = ("XGYRO_OUT", "YGYRO_OUT", "ZGYRO_OUT", "XACCL_OUT", "YACCL_OUT", "ZACCL_OUT", "SUPPLY_OUT")

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adis_gonio.bus import SpiTiming
-from adis_gonio.errors import BusTimeoutError
-from adis_gonio.sensor import Adis16354
+from adis_gonio.base.errors import BusTimeoutError
+from adis_gonio.device.bus import SpiTiming
+from adis_gonio.device.sensor import Adis16354
 from rig_simavr.board import violations
 from rig_simavr.client import RATE_HZ, Streamed, open_board, stream
 

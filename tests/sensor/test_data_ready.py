@@ -7,20 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio.bus import BusUrl, FrameBlock, FrameStream, serial
-from adis_gonio.errors import ChipError
-from adis_gonio.sensor import Adis16354
-from adis_gonio.sensor.data_ready import MASK
-from adis_gonio.sensor.registers import ACCEL_OUT, ND
-from adis_gonio.sensor.scanning import JUDGED_SCANS, PolledScans, ScanLayout, StreamedScans
-from adis_gonio.session import Settings, plan
-from adis_gonio.session.archive import read_session
-from adis_gonio.session.events import Configured, Problem
-from adis_gonio.session.runner import SessionRunner
+from adis_gonio.base.errors import ChipError
+from adis_gonio.bench.events import Configured, Problem
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.bus import BusUrl, FrameBlock, FrameStream, serial
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.device.sensor.data_ready import MASK
+from adis_gonio.device.sensor.registers import ACCEL_OUT, ND
+from adis_gonio.device.sensor.scanning import JUDGED_SCANS, PolledScans, ScanLayout, StreamedScans
+from adis_gonio.record.archive import read_session
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
 from adis_gonio.sim import SimBus, SimulatedChip, World
-from adis_gonio.testing.clocks import VirtualClock
-from adis_gonio.testing.firmware import SimulatedFirmware
-from adis_gonio.testing.pins import ChipPins
+from adis_gonio.sim.testing.clocks import VirtualClock
+from adis_gonio.sim.testing.firmware import SimulatedFirmware
+from adis_gonio.sim.testing.pins import ChipPins
 from fakes.serial_port import FakePort
 
 SEED = 4
@@ -155,7 +156,7 @@ class Played(FrameStream):
 
 
 def layout(names=ACCEL_OUT) -> ScanLayout:
-    from adis_gonio.sensor.registers import registers
+    from adis_gonio.device.sensor.registers import registers
 
     return ScanLayout(registers(names), "adis16354", 300, 1e-3)
 

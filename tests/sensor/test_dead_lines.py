@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from adis_gonio import open_bus
-from adis_gonio.bus.opening import Device
-from adis_gonio.errors import (
+from adis_gonio.base.errors import (
     BusError,
     ChipError,
     ProtocolError,
@@ -14,9 +13,12 @@ from adis_gonio.errors import (
     VerifyError,
     one_line,
 )
-from adis_gonio.sensor import Adis16354
-from adis_gonio.sensor.scanning import LONGEST_EXCHANGE_S
-from adis_gonio.session import SessionRunner, Settings, plan
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.bus.opening import Device
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.device.sensor.scanning import LONGEST_EXCHANGE_S
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
 from fakes.buses import RecordingBus
 
 

@@ -9,8 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from adis_gonio import open_bus, open_sensor
-from adis_gonio.bus import Capability
-from adis_gonio.errors import (
+from adis_gonio.base.errors import (
     AdisGonioError,
     ChipError,
     SilentChipError,
@@ -18,9 +17,10 @@ from adis_gonio.errors import (
     VariantError,
     VerifyError,
 )
-from adis_gonio.sensor import DEFAULT_SCAN, Adis16354, Alarm
-from adis_gonio.sensor.frames import FAST, NORMAL
-from adis_gonio.sensor.registers import BY_NAME, REGISTERS
+from adis_gonio.device.bus import Capability
+from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354, Alarm
+from adis_gonio.device.sensor.frames import FAST, NORMAL
+from adis_gonio.device.sensor.registers import BY_NAME, REGISTERS
 from adis_gonio.sim import SimBus, SimulatedChip, World
 from adis_gonio.sim.chip import State
 from adis_gonio.sim.sampling import OUTPUTS, SignalChain
@@ -141,7 +141,7 @@ def test_the_variant_is_told_by_one_g_at_rest(real, opened):
 
 def test_a_failed_opening_closes_the_bus(monkeypatch):
     bus = ConstantBus(0)
-    monkeypatch.setattr("adis_gonio.sensor.driver.open_bus", lambda url: bus)
+    monkeypatch.setattr("adis_gonio.device.sensor.driver.open_bus", lambda url: bus)
     with pytest.raises(SilentChipError):
         open_sensor("constant:")
     assert bus.closed

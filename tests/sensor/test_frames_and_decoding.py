@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adis_gonio.errors import ChipError, UsageError
-from adis_gonio.sensor.decoding import ScanBlock, decode_numbers, join
-from adis_gonio.sensor.frames import FAST, NORMAL, read_frame, timing_for, write_frames
-from adis_gonio.sensor.registers import BY_NAME, REGISTERS
-from adis_gonio.sensor.settings import (
+from adis_gonio.base.errors import ChipError, UsageError
+from adis_gonio.device.sensor.decoding import ScanBlock, decode_numbers, join
+from adis_gonio.device.sensor.frames import FAST, NORMAL, read_frame, timing_for, write_frames
+from adis_gonio.device.sensor.registers import BY_NAME, REGISTERS
+from adis_gonio.device.sensor.settings import (
     Configuration,
     filter_settling_samples,
     sample_period_s,

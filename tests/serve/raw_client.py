@@ -4,8 +4,8 @@ import contextlib
 import socket
 import threading
 
-from adis_gonio.sensor import Adis16354, open_sensor
-from adis_gonio.serve import IioServer, ServeSettings
+from adis_gonio.device.sensor import Adis16354, open_sensor
+from adis_gonio.faces.serve import IioServer, ServeSettings
 
 WAIT_S = 300.0
 """A busy machine is slow; what hangs is seen all the same."""

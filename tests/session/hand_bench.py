@@ -6,10 +6,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from adis_gonio.bus import SpiBus, open_bus
-from adis_gonio.sensor import Adis16354
-from adis_gonio.session import SessionRunner, Settings, plan
-from adis_gonio.session.events import Event, ExtensionOffered, GuardRaised, PositionAsked, Watching
+from adis_gonio.bench.events import Event, ExtensionOffered, GuardRaised, PositionAsked, Watching
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.bus import SpiBus, open_bus
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
 
 QUICK = Settings(dwell_s=0.5, settle_s=0.1)
 

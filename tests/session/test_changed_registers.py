@@ -3,16 +3,16 @@
 import pytest
 
 from adis_gonio import fit, load_session, open_bus
-from adis_gonio.cli import main
-from adis_gonio.errors import ChipError, SessionError
-from adis_gonio.sensor import Adis16354
-from adis_gonio.sensor.registers import BY_NAME
-from adis_gonio.session.archive import ArchiveView
-from adis_gonio.session.events import DwellDone, DwellProgress
-from adis_gonio.session.plans import plan
-from adis_gonio.session.runner import SessionRunner
-from adis_gonio.session.settings import Settings
-from adis_gonio.session.source import MARK
+from adis_gonio.base.errors import ChipError, SessionError
+from adis_gonio.bench.events import DwellDone, DwellProgress
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.device.sensor.registers import BY_NAME
+from adis_gonio.faces.cli import main
+from adis_gonio.record.archive import ArchiveView
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import MARK
 
 POLLED = "sim:?seed=3&stream=0"
 SHORT = Settings(dwell_s=1.0, settle_s=0.1)
@@ -149,7 +149,7 @@ def test_a_data_line_stuck_at_ones_is_not_taken_for_a_self_test(tmp_path, monkey
 def test_fit_of_an_archive_whose_registers_changed_says_so(tmp_path, monkeypatch, capsys):
     """An older program compared nothing; its archive holds the registers before and after."""
     path = tmp_path / "q.session"
-    monkeypatch.setattr("adis_gonio.session.bench.SessionBench.settings_lost", lambda bench: "")
+    monkeypatch.setattr("adis_gonio.bench.bench.SessionBench.settings_lost", lambda bench: "")
     run(path, restart, DwellDone, 40)
     (doubt,) = load_session(path).facts["doubts"]
     assert "XACCL_OFF 40 → 0" in doubt["message"]

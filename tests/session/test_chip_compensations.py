@@ -2,12 +2,14 @@
 
 import pytest
 
-from adis_gonio.cli.bench.words import configured
-from adis_gonio.report.sections import _facts
-from adis_gonio.sensor import open_sensor
-from adis_gonio.session import SessionRunner, Settings, load_session
-from adis_gonio.session.events import Configured
-from adis_gonio.session.plans import plan
+from adis_gonio.bench.events import Configured
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import open_sensor
+from adis_gonio.faces.cli.bench.words import configured
+from adis_gonio.handover.report.sections import _facts
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
 
 SAID = {
     "linear_g": "gyros for linear acceleration (MSC_CTRL[7])",

@@ -58,9 +58,10 @@ def test_a_perfect_operator_is_asked_nothing_beside_the_plan(tmp_path):
 
 def test_the_rig_sees_scans_that_an_archive_does_not_hold(tmp_path):
     """The judge can fail: words that no archive has are called lost."""
-    from adis_gonio.sensor import Adis16354
-    from adis_gonio.session import SessionRunner, plan
-    from adis_gonio.session.events import ExtensionOffered, PositionAsked
+    from adis_gonio.bench.events import ExtensionOffered, PositionAsked
+    from adis_gonio.bench.runner import SessionRunner
+    from adis_gonio.device.sensor import Adis16354
+    from adis_gonio.record.plans import plan
     from fakes.hand_part import HandPart
     from session.hand_bench import QUICK
 

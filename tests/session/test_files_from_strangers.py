@@ -19,15 +19,15 @@ import pytest
 from forging import DEEP, HUGE, exchanged_in, forge, put
 
 import adis_gonio
-from adis_gonio.calibration import load_calibration
-from adis_gonio.errors import AdisGonioError, DataError
-from adis_gonio.planning.document import document_of, read_plan
-from adis_gonio.session import database
-from adis_gonio.session.archive import ArchiveView
-from adis_gonio.session.export import session_dict, write_csv
-from adis_gonio.session.loading import load_session
-from adis_gonio.session.plans import plan
-from adis_gonio.session.samples_csv import read_samples_csv
+from adis_gonio.base.errors import AdisGonioError, DataError
+from adis_gonio.plan.document import document_of, read_plan
+from adis_gonio.record import database
+from adis_gonio.record.archive import ArchiveView
+from adis_gonio.record.export import session_dict, write_csv
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.plans import plan
+from adis_gonio.record.samples_csv import read_samples_csv
+from adis_gonio.tracing.loading import load_calibration
 
 LONGEST_S = 60
 MEMORY_BYTES = 1_500_000_000

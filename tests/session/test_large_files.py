@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import large_file
-from adis_gonio.budget import Budget, within
-from adis_gonio.estimation import spectrum
+from adis_gonio.base.budget import Budget, within
 from adis_gonio.fitting import fit
-from adis_gonio.session.loading import load_session
+from adis_gonio.fitting.estimation import spectrum
+from adis_gonio.record.loading import load_session
 from programs import running
 
 ROOT = Path(__file__).parents[2]

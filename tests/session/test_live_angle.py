@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from adis_gonio.calibration import Calibration, load_calibration
-from adis_gonio.errors import UsageError
-from adis_gonio.sensor import open_sensor
-from adis_gonio.sensor.registers import ACCEL_OUT
-from adis_gonio.sensor.settings import Configuration
-from adis_gonio.session.angle import (
+from adis_gonio.base.errors import UsageError
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.calibrate import Calibration
+from adis_gonio.device.sensor import open_sensor
+from adis_gonio.device.sensor.registers import ACCEL_OUT
+from adis_gonio.device.sensor.settings import Configuration
+from adis_gonio.live.angle import (
     AngleMeter,
     LiveAngle,
     LiveSource,
@@ -20,10 +21,10 @@ from adis_gonio.session.angle import (
     raw_angle_deg,
     wrapped_deg,
 )
-from adis_gonio.session.blocks import ValueBlock
-from adis_gonio.session.plans import plan
-from adis_gonio.session.runner import SessionRunner
-from adis_gonio.session.settings import Settings
+from adis_gonio.record.blocks import ValueBlock
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
+from adis_gonio.tracing.loading import load_calibration
 
 PERFECT = "delta_k=0&delta_phi_deg=0&bias_x_mg=0&bias_y_mg=0&fixture_sigma_deg=0"
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.errors import DataError, UsageError
+from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.fitting import fit
 from adis_gonio.model.gravity import checked_gravity_mps2
-from adis_gonio.session.loading import load_session
-from adis_gonio.session.overrides import Overrides
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.overrides import Overrides
 from fakes import planar_session as planar
 
 

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from adis_gonio.errors import DataError
-from adis_gonio.session.loading import load_session
-from adis_gonio.session.overrides import Overrides
+from adis_gonio.base.errors import DataError
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.overrides import Overrides
 
 FRAME = pd.DataFrame(
     {

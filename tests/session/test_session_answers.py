@@ -7,12 +7,9 @@ import threading
 import numpy as np
 import pytest
 
-from adis_gonio.errors import UsageError
-from adis_gonio.sensor import open_sensor
-from adis_gonio.session import SessionRunner, Settings, plan, read_session
-from adis_gonio.session.answers import Reply
-from adis_gonio.session.archive import ArchiveView
-from adis_gonio.session.events import (
+from adis_gonio.base.errors import UsageError
+from adis_gonio.bench.answers import Reply
+from adis_gonio.bench.events import (
     DwellInterrupted,
     DwellProgress,
     Event,
@@ -27,6 +24,11 @@ from adis_gonio.session.events import (
     Watching,
     Withdrawn,
 )
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import open_sensor
+from adis_gonio.record.archive import ArchiveView, read_session
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
 from session.hand_bench import QUICK
 
 URL = "sim:?seed=3"

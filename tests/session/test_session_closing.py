@@ -13,12 +13,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from adis_gonio.model.records import Session
-from adis_gonio.sensor import open_sensor
-from adis_gonio.session.archive import ArchiveView, read_session
-from adis_gonio.session.bench import SessionBench
-from adis_gonio.session.closing import AT_ONCE, Advice, TraceAdvisor
-from adis_gonio.session.events import (
+from adis_gonio.bench.bench import SessionBench
+from adis_gonio.bench.closing import AT_ONCE, Advice, TraceAdvisor
+from adis_gonio.bench.events import (
     Advised,
     DwellDone,
     Event,
@@ -27,9 +24,12 @@ from adis_gonio.session.events import (
     PositionAsked,
     Waiting,
 )
-from adis_gonio.session.plans import Plan, Position, plan
-from adis_gonio.session.runner import SessionRunner
-from adis_gonio.session.settings import Settings
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import open_sensor
+from adis_gonio.model.records import Session
+from adis_gonio.record.archive import ArchiveView, read_session
+from adis_gonio.record.plans import Plan, Position, plan
+from adis_gonio.record.settings import Settings
 from adis_gonio.tracing.outcome.result import NextDwell
 
 SHORT = Settings(dwell_s=1.0, settle_s=0.1)

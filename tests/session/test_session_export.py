@@ -6,18 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio.errors import SessionError
-from adis_gonio.sensor import open_sensor
-from adis_gonio.sensor.scanning import PolledScans
-from adis_gonio.session import (
-    SessionRunner,
-    Settings,
-    export_csv,
-    export_json,
-    load_session,
-    plan,
-)
-from adis_gonio.session.recorder import SamplesRecorder
+from adis_gonio.base.errors import SessionError
+from adis_gonio.bench.recorder import SamplesRecorder
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import open_sensor
+from adis_gonio.device.sensor.scanning import PolledScans
+from adis_gonio.record.export import export_csv, export_json
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +104,8 @@ def test_the_package_itself_imports_without_scipy():
     import sys
 
     code = (
-        "import sys, adis_gonio.session as s; s.SessionRunner; s.read_session; s.plan; s.events; "
+        "import sys, adis_gonio.record as r, adis_gonio.bench as b; "
+        "b.SessionRunner; r.read_session; r.plan; import adis_gonio.bench.events; "
         "print('scipy' in sys.modules)"
     )
     result = subprocess.run(

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from adis_gonio.bench.events import DwellDone, Problem
+from adis_gonio.bench.guards import GUARD_KINDS
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import open_sensor
 from adis_gonio.model.effects import catalogue
-from adis_gonio.sensor import open_sensor
-from adis_gonio.session import SessionRunner, plan
-from adis_gonio.session.events import DwellDone, Problem
-from adis_gonio.session.expectation import FALSE_ALARM, Expectation, PriorKnowledge
-from adis_gonio.session.guards import GUARD_KINDS
+from adis_gonio.record.expectation import FALSE_ALARM, Expectation, PriorKnowledge
+from adis_gonio.record.plans import plan
 from session.hand_bench import QUICK
 
 

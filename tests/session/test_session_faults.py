@@ -9,13 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio.sensor import Adis16354, open_sensor
-from adis_gonio.sensor.decoding import ScanBlock
-from adis_gonio.sensor.registers import ACCEL_OUT, EA, ND
-from adis_gonio.session import export_csv, load_session, plan
-from adis_gonio.session.answers import Reply
-from adis_gonio.session.archive import ArchiveView, read_session
-from adis_gonio.session.events import (
+from adis_gonio.bench.answers import Reply
+from adis_gonio.bench.events import (
     DwellDone,
     DwellProgress,
     Event,
@@ -28,10 +23,16 @@ from adis_gonio.session.events import (
     StageMoved,
     Withdrawn,
 )
-from adis_gonio.session.export import session_dict
-from adis_gonio.session.faults import alarms_of
-from adis_gonio.session.runner import SessionRunner
-from adis_gonio.session.settings import Settings
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import Adis16354, open_sensor
+from adis_gonio.device.sensor.decoding import ScanBlock
+from adis_gonio.device.sensor.registers import ACCEL_OUT, EA, ND
+from adis_gonio.record.archive import ArchiveView, read_session
+from adis_gonio.record.export import export_csv, session_dict
+from adis_gonio.record.faults import alarms_of
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
 from adis_gonio.sim import World
 from session.hand_bench import Hand, hand_sensor
 

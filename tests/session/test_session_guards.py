@@ -7,11 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.fitting import fit
-from adis_gonio.sensor import open_sensor
-from adis_gonio.session import SessionRunner, Settings, plan, read_session
-from adis_gonio.session.archive import ArchiveView
-from adis_gonio.session.events import (
+from adis_gonio.bench.events import (
     DwellDone,
     DwellInterrupted,
     DwellProgress,
@@ -24,7 +20,13 @@ from adis_gonio.session.events import (
     Watching,
     Withdrawn,
 )
-from adis_gonio.session.guards import judge_pose
+from adis_gonio.bench.guards import judge_pose
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import open_sensor
+from adis_gonio.fitting import fit
+from adis_gonio.record.archive import ArchiveView, read_session
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
 from session.hand_bench import QUICK, Hand, by_hand, hand_sensor
 
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from adis_gonio.errors import UsageError
-from adis_gonio.session.plans import PLAN_NAMES, Plan, Position, blindness, extension, plan
+from adis_gonio.base.errors import UsageError
+from adis_gonio.record.plans import PLAN_NAMES, Plan, Position, blindness, extension, plan
 
 
 def angles(made: Plan, use: str = "fit") -> list[float | None]:

@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.sensor.decoding import ScanBlock
-from adis_gonio.sensor.registers import ACCEL_OUT
-from adis_gonio.session.plans import Position
-from adis_gonio.session.recording import Recording
+from adis_gonio.bench.recording import Recording
+from adis_gonio.device.sensor.decoding import ScanBlock
+from adis_gonio.device.sensor.registers import ACCEL_OUT
+from adis_gonio.record.plans import Position
 
 PERIOD = 0.01
 

@@ -7,14 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio.errors import BusTimeoutError, SessionError, UsageError
-from adis_gonio.sensor import Adis16354, open_sensor
-from adis_gonio.sensor.decoding import ScanBlock, join
-from adis_gonio.sensor.registers import EA
-from adis_gonio.sensor.scanning import ScanStream
-from adis_gonio.session.archive import Archive, ArchiveView, read_session
-from adis_gonio.session.bench import SessionBench
-from adis_gonio.session.events import (
+from adis_gonio.base.errors import BusTimeoutError, SessionError, UsageError
+from adis_gonio.bench.bench import SessionBench
+from adis_gonio.bench.events import (
     Configured,
     DwellDone,
     DwellInterrupted,
@@ -30,9 +25,14 @@ from adis_gonio.session.events import (
     Started,
     Watching,
 )
-from adis_gonio.session.plans import Plan, plan
-from adis_gonio.session.runner import SessionRunner
-from adis_gonio.session.settings import Settings
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import Adis16354, open_sensor
+from adis_gonio.device.sensor.decoding import ScanBlock, join
+from adis_gonio.device.sensor.registers import EA
+from adis_gonio.device.sensor.scanning import ScanStream
+from adis_gonio.record.archive import Archive, ArchiveView, read_session
+from adis_gonio.record.plans import Plan, plan
+from adis_gonio.record.settings import Settings
 from session.hand_bench import HandBus
 
 URL = "sim:?seed=3"

@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
-from adis_gonio.errors import SessionError, UsageError
-from adis_gonio.sensor import open_sensor
-from adis_gonio.session import SessionRunner, Settings, plan
-from adis_gonio.session.archive import Archive, Attempt, Header
-from adis_gonio.session.blocks import ValueBlock, count_alarms, cut, join, session_columns
-from adis_gonio.session.events import DwellDone, Problem
-from adis_gonio.session.faults import problems
-from adis_gonio.session.plans import Position
-from adis_gonio.session.source import ChipSource, has_frames, open_source
+from adis_gonio.base.errors import SessionError, UsageError
+from adis_gonio.bench.dwelling import problems
+from adis_gonio.bench.events import DwellDone, Problem
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import open_sensor
+from adis_gonio.record.archive import Archive, Attempt, Header
+from adis_gonio.record.blocks import ValueBlock, count_alarms, cut, join, session_columns
+from adis_gonio.record.plans import Position, plan
+from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import ChipSource, has_frames, open_source
 
 SHORT = Settings(dwell_s=0.5)
 URL = "sim:?seed=3"

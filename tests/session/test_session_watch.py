@@ -3,15 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adis_gonio.errors import SessionError
-from adis_gonio.sensor.bartlett import white_gain
-from adis_gonio.sensor.settings import Configuration
-from adis_gonio.session.stillness import StillnessLimits
-from adis_gonio.session.watch import (
-    NoiseMeter,
-    StillnessWatch,
-    window_samples,
-)
+from adis_gonio.base.errors import SessionError
+from adis_gonio.device.sensor.bartlett import white_gain
+from adis_gonio.device.sensor.settings import Configuration
+from adis_gonio.record.stillness import StillnessLimits
+from adis_gonio.record.watch import NoiseMeter, StillnessWatch, window_samples
 
 WINDOW = 200
 LIMITS = StillnessLimits(WINDOW, np.full(3, 0.5), np.full(3, 6.0))

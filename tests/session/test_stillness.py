@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from adis_gonio.errors import DataError
-from adis_gonio.session.segmentation import segment, segment_with_notes
-from adis_gonio.session.stillness import StillnessLimits, limits_from_noise
+from adis_gonio.base.errors import DataError
+from adis_gonio.record.segmentation import segment, segment_with_notes
+from adis_gonio.record.stillness import StillnessLimits, limits_from_noise
 
 RATE = 100.0
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adis_gonio.session import segmentation
-from adis_gonio.session.quantiles import Quantiles
-from adis_gonio.session.segmentation import Piece, segment_pieces, segment_with_notes
+from adis_gonio.record import segmentation
+from adis_gonio.record.quantiles import Quantiles
+from adis_gonio.record.segmentation import Piece, segment_pieces, segment_with_notes
 
 RATE = 100.0
 STEP_S = 40.0

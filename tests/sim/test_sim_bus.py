@@ -5,9 +5,10 @@ import time
 import numpy as np
 import pytest
 
-from adis_gonio.bus import Capability, SpiTiming, find_devices, open_bus
-from adis_gonio.errors import BusClosedError, BusTimeoutError, UsageError
-from adis_gonio.sim import SAFE_TIMING, SimBus, WorldSettings
+from adis_gonio.base.errors import BusClosedError, BusTimeoutError, UsageError
+from adis_gonio.device.bus import Capability, SpiTiming, find_devices, open_bus
+from adis_gonio.device.bus.host import SAFE_TIMING
+from adis_gonio.sim import SimBus, WorldSettings
 from sim.chip_rig import signed
 
 FAST = SpiTiming(1e6, 9.0, 40.0)

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from adis_gonio import open_sensor
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
 
 
 def url(path, seed=3):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
 from adis_gonio.sim import SimulatedChip
 from sim.chip_rig import Host, Quiet, rd, signed, wr
 

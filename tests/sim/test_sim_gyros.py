@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
 from adis_gonio.model.effects import parse_effect
-from adis_gonio.sensor import Adis16354
-from adis_gonio.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
 from adis_gonio.sim import SimBus, World, WorldSettings
 from adis_gonio.sim.gyro_faults import FIGURES, realistic_gyros, stream_of
-from adis_gonio.testing import open_simulated
+from adis_gonio.sim.testing import open_simulated
 
 SCAN = (*GYRO_OUT, *ACCEL_OUT, *TEMP_OUT)
 FACES = [sign * row for row in np.eye(3) for sign in (1, -1)]

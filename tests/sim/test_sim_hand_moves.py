@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
 from adis_gonio.sim import SimBus, Stage, World, WorldSettings
 from adis_gonio.sim.hand_moves import HandMove
 

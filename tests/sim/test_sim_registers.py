@@ -2,7 +2,7 @@
 
 import pytest
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
 from sim.chip_rig import Host, rd, wr
 
 # address: (default, bits that a write changes, bits with a flash copy); written down a second time here,

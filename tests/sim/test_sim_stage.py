@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
 from adis_gonio.sim import Stage, WorldSettings
 
 PERFECT = {"fixture_sigma_deg": 0.0, "vibration_mg": 0.0}

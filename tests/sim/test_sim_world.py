@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
 from adis_gonio.model.effects.base import Effect, Enters, Parameter
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.gyro_settings import GyroSettings

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from adis_gonio.fitting.slips import Angles, Increments
 from adis_gonio.model.effects import Conditions
-from adis_gonio.slips import Angles, Increments
 
 
 def angles(

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adis_gonio.session.expectation import PriorKnowledge
-from adis_gonio.session.guards import Guard
-from adis_gonio.session.three_angles import Stand, diagnosed, with_three_angles
-from adis_gonio.session.turning import GyroIntegral
+from adis_gonio.bench.guards import Guard
+from adis_gonio.bench.three_angles import Stand, diagnosed, with_three_angles
+from adis_gonio.bench.turning import GyroIntegral
+from adis_gonio.record.expectation import PriorKnowledge
 
 SPREAD = PriorKnowledge(bias_mg=10.0, reading_mg=0.5, fixture_deg=0.05)
 OFF = Guard("wrong_angle", "off", {"off_deg": 1.0}, spoils=True)

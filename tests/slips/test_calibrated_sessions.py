@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from adis_gonio.cli import main
+from adis_gonio.faces.cli import main
 
 SLIP_DEG, FROM = 4.0, 3
 REALISTIC = "sim:?seed=5&gyros=realistic&delta_k=0.012&delta_phi_deg=0.2"

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from adis_gonio import load_session, trace
-from adis_gonio.cli import main
-from adis_gonio.errors import FitError, UsageError
-from adis_gonio.estimation.readings import readings_of
+from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.faces.cli import main
 from adis_gonio.fitting import fit
-from adis_gonio.session.overrides import AngleChange, Overrides
-from adis_gonio.slips.of_session import angles_of, in_context, positions_of
+from adis_gonio.fitting.estimation.readings import readings_of
+from adis_gonio.fitting.slips.of_session import angles_of, in_context, positions_of
+from adis_gonio.record.overrides import AngleChange, Overrides
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.positions import as_the_angles_leave, as_the_part_stood
 from fakes import planar_session as planar
@@ -204,7 +204,7 @@ def test_a_good_file_says_nothing_of_positions(tmp_path, capsys):
 
 
 def test_the_report_shows_the_three_angles(file):
-    from adis_gonio.report.page import build_page
+    from adis_gonio.handover.report.page import build_page
 
     session = load_session(file)
     page = build_page(session, [fit(session)], "not traced here")

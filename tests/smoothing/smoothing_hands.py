@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.smoothing import AngleSmoother, Sensing, SmoothedAngle
+from adis_gonio.live.smoothing import AngleSmoother, Sensing, SmoothedAngle
 
 NOISE_MG, GYRO_NOISE_DPS = 4.7, 0.6
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from smoothing_hands import GYRO_NOISE_DPS, NOISE_MG
 
-from adis_gonio.smoothing import AngleSmoother, Sensing, drift
+from adis_gonio.live.smoothing import AngleSmoother, Sensing, drift
 
 RATE_HZ, COUNT = 50.0, 120
 FLOOR_MG = 0.1

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from adis_gonio.errors import BusTimeoutError, ProtocolError, UsageError
+from adis_gonio.base.errors import BusTimeoutError, ProtocolError, UsageError
 from adis_gonio.sim import SimBus, SimulatedChip, World
-from adis_gonio.testing import BusContract, BusFaults, FaultyBus, Rig, WatchedChip
+from adis_gonio.sim.testing import BusContract, BusFaults, FaultyBus, Rig, WatchedChip
 
 SEED = 11
 PRODUCT = np.full(20_000, 0x3800, np.uint16)

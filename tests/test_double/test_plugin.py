@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from adis_gonio import testing
+from adis_gonio.sim import testing
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -18,7 +18,7 @@ def run(folder: Path, text: str, *arguments: str) -> subprocess.CompletedProcess
     (folder / "test_it.py").write_text(text)
     (folder / "pytest.ini").write_text("[pytest]\naddopts = --strict-markers\n")
     return subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "adis_gonio.testing.plugin", *arguments],
+        [sys.executable, "-m", "pytest", "-q", "-p", "adis_gonio.sim.testing.plugin", *arguments],
         cwd=folder,
         env={
             **os.environ,
@@ -40,7 +40,8 @@ def test_pytest_without_a_use_imports_neither_numpy_nor_the_driver(tmp_path):
         "    heavy = [m for m in sys.modules if m.split('.')[0] in ('numpy', 'scipy', 'rich', 'click')]\n"
         "    own = sorted(m for m in sys.modules if m.startswith('adis_gonio'))\n"
         "    assert heavy == []\n"
-        "    assert own == ['adis_gonio', 'adis_gonio.testing', 'adis_gonio.testing.plugin']\n",
+        "    names = 'base base.lazy_names base.version sim sim.testing sim.testing.plugin'.split()\n"
+        "    assert own == ['adis_gonio', *(f'adis_gonio.{name}' for name in names)]\n",
     )
     assert done.returncode == 0, done.stdout
 
@@ -48,7 +49,7 @@ def test_pytest_without_a_use_imports_neither_numpy_nor_the_driver(tmp_path):
 def test_the_package_without_pytest_has_its_doubles_all_the_same():
     code = (
         "import sys; sys.modules['pytest'] = None\n"
-        "from adis_gonio.testing import BusFaults, FaultyBus, Faults, open_board, open_simulated\n"
+        "from adis_gonio.sim.testing import BusFaults, FaultyBus, Faults, open_board, open_simulated\n"
         "open_simulated().close()"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=600)
@@ -56,7 +57,7 @@ def test_the_package_without_pytest_has_its_doubles_all_the_same():
 
 def test_the_wheel_names_the_plugin():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    assert project["entry-points"]["pytest11"] == {"adis-gonio": "adis_gonio.testing.plugin"}
+    assert project["entry-points"]["pytest11"] == {"adis-gonio": "adis_gonio.sim.testing.plugin"}
     assert not any("pytest" in need for need in project["dependencies"])
 
 

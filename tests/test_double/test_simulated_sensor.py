@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from adis_gonio.errors import AdisGonioError
-from adis_gonio.testing import BusFaults, open_simulated
+from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.sim.testing import BusFaults, open_simulated
 
 STEADY = "&".join(f"bias_tempco_{axis}_mg_per_c=0&scale_tempco_{axis}_ppm_per_c=0" for axis in "xyz")
 QUIET = f"noise_mg=0&bias_instability_mg=0&fixture_sigma_deg=0&{STEADY}"
@@ -81,7 +81,9 @@ class TestMarks:
 
 def test_a_calibration_session_runs_on_it(simulated_sensor, tmp_path):
     from adis_gonio import fit, load_session
-    from adis_gonio.session import SessionRunner, Settings, plan
+    from adis_gonio.bench.runner import SessionRunner
+    from adis_gonio.record.plans import plan
+    from adis_gonio.record.settings import Settings
 
     path = tmp_path / "s.session"
     runner = SessionRunner.begin(

@@ -320,7 +320,7 @@ class Verdict:
 
 def answer_of(blind: Blind) -> dict[str, Any]:
     """The product's answer as its JSON says it."""
-    from adis_gonio.tracing import trace
+    from adis_gonio.tracing.trace import trace
 
     result: dict[str, Any] = json.loads(json.dumps(trace(blind.session, part="gyro").as_dict()))
     return result

@@ -10,9 +10,10 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.parse import quote
 
-from adis_gonio.planning.document import plan_by
-from adis_gonio.sensor import open_sensor
-from adis_gonio.session import SessionRunner, Settings
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import open_sensor
+from adis_gonio.plan.document import plan_by
+from adis_gonio.record.settings import Settings
 
 
 class _Unattended(SessionRunner):

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.estimation.readings import Readings, from_means
-from adis_gonio.estimation.terms import Basis, NamelessTerm, Term
+from adis_gonio.fitting.estimation.readings import Readings, from_means
+from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Term
 from adis_gonio.model.effects import Conditions, Enters
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.selection.design import LinearProblem

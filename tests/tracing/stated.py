@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from adis_gonio.dwells import Samples, density_of, look_within, search_within
-from adis_gonio.dwells.courses import grid
-from adis_gonio.model.records import Floats
+from adis_gonio.base.arrays import Floats
+from adis_gonio.tracing.within import Samples, density_of, look_within, search_within
+from adis_gonio.tracing.within.courses import grid
 from tracing.dwell_samples import Added, draw
 
 SORTS = {

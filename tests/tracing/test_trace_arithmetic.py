@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from adis_gonio.estimation.fit import Fit
+from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.tracing.candidates import shapes
 from adis_gonio.tracing.outcome.between import Mixture
 from adis_gonio.tracing.outcome.shares import shares

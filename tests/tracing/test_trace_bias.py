@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import adis_gonio
-from adis_gonio.estimation.terms import NamedTerm
+from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import effect
 from adis_gonio.tracing.outcome.clock import bias_at_middle
 from adis_gonio.tracing.outcome.findings import finding_of, told_from_zero

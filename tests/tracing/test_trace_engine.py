@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from adis_gonio.errors import FitError
-from adis_gonio.estimation.fit import Fit, adequacy, amplitude_spreads
-from adis_gonio.estimation.readings import Readings
+from adis_gonio.base.errors import FitError
+from adis_gonio.fitting.estimation.fit import Fit, adequacy, amplitude_spreads
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.model.effects import Conditions, effect
-from adis_gonio.tracing import trace_readings
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.result import TraceResult
 from adis_gonio.tracing.selection.design import Products, amplitudes, linearise, orthonormal, span
 from adis_gonio.tracing.selection.search import price, search
 from adis_gonio.tracing.selection.select import select
+from adis_gonio.tracing.trace import trace_readings
 from tracing.small_problems import function, observations
 
 QUADRATIC = (effect("quadratic", ("x",)), {"k2_x": 1.2})

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adis_gonio.budget import Budget, within
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import Readings, from_means
+from adis_gonio.base.budget import Budget, within
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.rates import MeanRate
 from adis_gonio.tracing.outcome.result import ErrorFigures

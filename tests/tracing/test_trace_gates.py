@@ -8,8 +8,8 @@ import pytest
 from scipy.stats import norm
 
 from adis_gonio import trace
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import Readings, readings_of
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.between import effects

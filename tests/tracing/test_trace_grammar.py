@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from numpy.polynomial import Legendre
 
-from adis_gonio.estimation.readings import Readings, from_means
-from adis_gonio.estimation.terms import NamelessTerm
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.readings import Readings, from_means
+from adis_gonio.fitting.estimation.terms import NamelessTerm
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.rates import MeanRate
-from adis_gonio.model.records import Floats
 from adis_gonio.tracing.candidates.grammar import _knots, nameless_terms
 
 N = 30

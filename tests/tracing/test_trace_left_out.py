@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from adis_gonio import load_session, trace
-from adis_gonio.estimation.readings import readings_of
-from adis_gonio.estimation.terms import Basis, NamelessTerm
+from adis_gonio.fitting.estimation.readings import readings_of
+from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.selection.select import select

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.advice.proposals import _apart, _information, _Predicted
-from adis_gonio.advice.words import duration, place, sentences
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.tracing import trace
+from adis_gonio.tracing.advice.proposals import _apart, _information, _Predicted
+from adis_gonio.tracing.advice.words import duration, place, sentences
 from adis_gonio.tracing.outcome.result import NextDwell
+from adis_gonio.tracing.trace import trace
 
 RNG = np.random.default_rng(11)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from adis_gonio import load_session, trace
-from adis_gonio.cli import main
-from adis_gonio.one_pose import series
+from adis_gonio.faces.cli import main
+from adis_gonio.tracing.one_pose import series
 from recordings import recording
 
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import Readings, from_means
-from adis_gonio.estimation.terms import Term
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings, from_means
+from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.model.effects import Conditions
 from adis_gonio.tracing.selection import scatter
 from adis_gonio.tracing.selection.scatter import Scatter, with_scatter

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from adis_gonio import load_session, trace
-from adis_gonio.estimation.readings import readings_of
-from adis_gonio.model.records import Floats
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.naming import judge

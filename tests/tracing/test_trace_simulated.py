@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from adis_gonio import load_session, trace
-from adis_gonio.cli import main
+from adis_gonio.faces.cli import main
 from tracing.recorded import record
 
 SLOWER = {"smpl_prd": 7}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adis_gonio import trace
-from adis_gonio.errors import AdisGonioError
+from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.model.records import Dwell, Session
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])

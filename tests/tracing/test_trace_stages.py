@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adis_gonio.budget import Budget, within
-from adis_gonio.errors import FitError, UsageError
-from adis_gonio.estimation.readings import Readings, Unit, in_mg
-from adis_gonio.estimation.terms import Term
-from adis_gonio.estimation.values import Value
+from adis_gonio.base.budget import Budget, within
+from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.base.values import Value
+from adis_gonio.fitting.estimation.readings import Readings, Unit, in_mg
+from adis_gonio.fitting.estimation.terms import Term
+from adis_gonio.fitting.slips import Diagnosis
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.slips import Diagnosis
 from adis_gonio.tracing.outcome.naming import Names
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, Stopped, TraceResult
 from adis_gonio.tracing.outcome.sets import CredibleSet
@@ -84,7 +84,7 @@ class Told:
             "undecided": lambda _: could,
         }.items():
             self.monkeypatch.setattr(stages, name, stage)
-        self.monkeypatch.setattr("adis_gonio.advice.words.advise", advise)
+        self.monkeypatch.setattr("adis_gonio.tracing.advice.words.advise", advise)
         return trace_readings(data, 2)
 
 
@@ -438,11 +438,12 @@ class TestSessions:
             stages, "trace_readings", lambda *_: saying("readings", replace(given(), stopped=stopped))
         )
         monkeypatch.setattr(
-            "adis_gonio.dwells.second_pass.with_second_pass",
+            "adis_gonio.tracing.within.second_pass.with_second_pass",
             lambda session, data, result: saying("samples", result),
         )
         monkeypatch.setattr(
-            "adis_gonio.one_pose.series.trace_series", lambda session, most: saying("series", given())
+            "adis_gonio.tracing.one_pose.series.trace_series",
+            lambda session, most: saying("series", given()),
         )
         return trace(session, part=part, **others), asked
 

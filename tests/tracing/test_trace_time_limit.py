@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from adis_gonio import trace
-from adis_gonio.budget import Budget, attempt, check, current, spent, within
-from adis_gonio.cli import main
-from adis_gonio.errors import UsageError
+from adis_gonio.base.budget import Budget, attempt, check, current, spent, within
+from adis_gonio.base.errors import UsageError
+from adis_gonio.faces.cli import main
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.report import words
+from adis_gonio.tracing import summary as words
 from adis_gonio.tracing.outcome.result import TraceResult
 from adis_gonio.tracing.trace import UNCHECKED
 

@@ -10,8 +10,8 @@ import threading
 import time
 from pathlib import Path
 
-from adis_gonio.bus.opening import BusUrl
-from adis_gonio.errors import BusTimeoutError
+from adis_gonio.base.errors import BusTimeoutError
+from adis_gonio.device.bus.opening import BusUrl
 from adis_gonio.sim import SimBus, World
 from adis_gonio.sim.settings import WorldSettings
 

@@ -11,9 +11,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from adis_gonio.errors import UsageError
-from adis_gonio.session import events
-from adis_gonio.tui.bench import BenchApp
+from adis_gonio.base.errors import UsageError
+from adis_gonio.bench import events
+from adis_gonio.faces.tui.bench import BenchApp
 
 RESUME = "adis-gonio calibrate 'serial:' --resume -o today.session"
 

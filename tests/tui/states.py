@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from adis_gonio.session import events
-from adis_gonio.session.gyro_turns import gyro_turns_plan
-from adis_gonio.session.plans import blindness, extension, plan
+from adis_gonio.bench import events
+from adis_gonio.bench.gyro_turns import gyro_turns_plan
+from adis_gonio.record.plans import blindness, extension, plan
 
 PLAN = plan("tumble", 6)
 LIMIT = (7.9, 7.9, 7.9)

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import pytest
 
-from adis_gonio.sensor import Adis16354
-from adis_gonio.session import SessionRunner, plan
-from adis_gonio.session.events import PositionAsked
-from adis_gonio.session.plans import Position
-from adis_gonio.tui import words
-from adis_gonio.tui.state import BenchState
+from adis_gonio.bench.events import PositionAsked
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.faces.tui import words
+from adis_gonio.faces.tui.state import BenchState
+from adis_gonio.record.plans import Position, plan
 from session.hand_bench import QUICK, Hand, HandBus
 
 ARROWS = {"▶▶": 1, "◀◀": -1}

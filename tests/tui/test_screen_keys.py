@@ -10,13 +10,13 @@ pytest.importorskip("textual", reason="the extra 'bench' is not installed")
 
 from textual.geometry import Size
 
-from adis_gonio.cli import face as choosing
-from adis_gonio.cli.bench import lines
-from adis_gonio.errors import BusTimeoutError, SessionError
-from adis_gonio.session import events
-from adis_gonio.tui import bench, words
-from adis_gonio.tui.face import ScreenFace
-from adis_gonio.tui.state import BenchState, Mark
+from adis_gonio.base.errors import BusTimeoutError, SessionError
+from adis_gonio.bench import events
+from adis_gonio.faces.cli import face as choosing
+from adis_gonio.faces.cli.bench import lines
+from adis_gonio.faces.tui import bench, words
+from adis_gonio.faces.tui.face import ScreenFace
+from adis_gonio.faces.tui.state import BenchState, Mark
 from tui.screens import RESUME, PlayedRunner, shown
 from tui.states import DWELL, EXTENSION, OPEN, REVERSED, STATES, THREE, TWO, asked, done, look, started
 
@@ -258,8 +258,8 @@ class Headless(bench.BenchApp):
 
 @pytest.fixture
 def headless(monkeypatch):
-    monkeypatch.setattr("adis_gonio.tui.face.BenchApp", Headless)
-    monkeypatch.setattr("adis_gonio.tui.face.remember", lambda state: None)
+    monkeypatch.setattr("adis_gonio.faces.tui.face.BenchApp", Headless)
+    monkeypatch.setattr("adis_gonio.faces.tui.face.remember", lambda state: None)
 
 
 @pytest.mark.usefixtures("headless")

@@ -9,11 +9,12 @@ import pytest
 
 pytest.importorskip("textual", reason="the extra 'bench' is not installed")
 
-from adis_gonio.sensor import open_sensor
-from adis_gonio.session import Settings, events
-from adis_gonio.session.gyro_turns import GyroTurnsRunner, gyro_turns_plan
-from adis_gonio.tui import whole_turns, words
-from adis_gonio.tui.state import BenchState, Mark
+from adis_gonio.bench import events
+from adis_gonio.bench.gyro_turns import GyroTurnsRunner, gyro_turns_plan
+from adis_gonio.device.sensor import open_sensor
+from adis_gonio.faces.tui import whole_turns, words
+from adis_gonio.faces.tui.state import BenchState, Mark
+from adis_gonio.record.settings import Settings
 from tui.screens import shown
 from tui.states import LAID, NOT_WHOLE, look, turning
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from adis_gonio import load_session, trace
-from adis_gonio.cli import main
-from adis_gonio.errors import DataError
-from adis_gonio.twin import compare, simulate_like
+from adis_gonio.base.errors import DataError
+from adis_gonio.faces.cli import main
+from adis_gonio.handover.twin import compare, simulate_like
 from recordings import recording
 
 

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.calibration import GyroCalibration
-from adis_gonio.calibration.with_gyros import gyros_as_recorded
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import readings_of
-from adis_gonio.estimation.terms import NamedTerm
+from adis_gonio.calibrate import GyroCalibration
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import readings_of
+from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.handover.twin import gyro_settings, simulate_like
 from adis_gonio.model.effects import effect
-from adis_gonio.session import load_session
+from adis_gonio.record.loading import load_session
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.world import World
-from adis_gonio.twin import gyro_settings, simulate_like
+from adis_gonio.tracing.calibrations import gyros_as_recorded
 from handover.gyros import FULL, estimates
 from writeback.gyro_rig import FAULTS
 from writeback.rig import new_bus, record

@@ -3,7 +3,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-GENERATED = ("firmware_proto/core/gonio_protocol.h", "src/adis_gonio/bus/wire/protocol.py")
+GENERATED = ("firmware_proto/core/gonio_protocol.h", "src/adis_gonio/device/bus/wire/protocol.py")
 CRC_TABLE = "firmware_proto/core/gonio_crc_table.h"
 
 

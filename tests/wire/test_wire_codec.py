@@ -10,10 +10,10 @@ from crccheck.crc import Crc32
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from adis_gonio.bus.wire import Body, Packet, Receiver, crc32, encode, load_cobs
-from adis_gonio.bus.wire import protocol as wire
-from adis_gonio.errors import NotInstalledError, ProtocolError
-from adis_gonio.testing.firmware import stuff, unstuff
+from adis_gonio.base.errors import NotInstalledError, ProtocolError
+from adis_gonio.device.bus.wire import Body, Packet, Receiver, crc32, encode, load_cobs
+from adis_gonio.device.bus.wire import protocol as wire
+from adis_gonio.sim.testing.firmware import stuff, unstuff
 
 VECTORS = Path(__file__).parents[2] / "firmware_proto" / "vectors.txt"
 BYTES = st.binary(max_size=700) | st.lists(st.sampled_from([0, 1, 254, 255]), max_size=700).map(bytes)

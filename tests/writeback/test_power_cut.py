@@ -11,10 +11,10 @@ from collections import Counter
 
 import pytest
 
-from adis_gonio.errors import AdisGonioError
-from adis_gonio.sensor import Adis16354
-from adis_gonio.session.archive import Archive
-from adis_gonio.writeback import OffsetWriter, WriteSettings
+from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.record.archive import Archive
 from writeback.rig import flash, new_bus, numbers
 
 SAVE = WriteSettings(save=True, dwell_s=0.05)

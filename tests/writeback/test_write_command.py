@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from adis_gonio.cli import main
+from adis_gonio.faces.cli import main
 from writeback.rig import flash, new_bus, numbers
 
 URL = "sim:?seed=3"
@@ -18,13 +18,13 @@ def bus(monkeypatch):
     """The part behind the URL, which lives on when a command closes its bus."""
     part = new_bus(3)
     monkeypatch.setattr(part, "_close", lambda: setattr(part, "_closed", False))
-    monkeypatch.setattr("adis_gonio.sensor.driver.open_bus", lambda url: part)
+    monkeypatch.setattr("adis_gonio.device.sensor.driver.open_bus", lambda url: part)
     return part
 
 
 def answering(monkeypatch, text):
     monkeypatch.setattr("sys.stdin", io.StringIO(text))
-    monkeypatch.setattr("adis_gonio.cli.write.at_a_terminal", lambda: True)
+    monkeypatch.setattr("adis_gonio.faces.cli.write.at_a_terminal", lambda: True)
 
 
 def test_yes_writes_saves_and_says_what_the_sensor_holds(bus, path, capsys):
@@ -94,7 +94,7 @@ def test_json_of_a_write_and_status_and_undo(bus, path, capsys):
 
 
 def test_a_half_write_is_exit_1_in_status_and_offers_to_finish_or_set_back(bus, path, capsys, monkeypatch):
-    from adis_gonio.sensor import Adis16354
+    from adis_gonio.device.sensor import Adis16354
 
     assert main(["write", str(path), URL, "--yes", *QUICK]) == 0
     Adis16354(bus).write("YACCL_OFF", 0)

@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 
 from adis_gonio import load_session
-from adis_gonio.calibration.with_gyros import gyro_calibration_of
-from adis_gonio.cli import main
-from adis_gonio.errors import AdisGonioError, SessionError, UsageError, VerifyError
-from adis_gonio.sensor import Adis16354
-from adis_gonio.writeback import (
+from adis_gonio.base.errors import AdisGonioError, SessionError, UsageError, VerifyError
+from adis_gonio.bench.writeback import (
     OffsetWriter,
     WriteSettings,
     gyro_offsets_in_force,
     gyro_offsets_recorded,
 )
-from adis_gonio.writeback.journal import operations, remarks_on
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.faces.cli import main
+from adis_gonio.record.write_journal import operations, remarks_on
+from adis_gonio.tracing.calibrations import gyro_calibration_of
 from writeback.gyro_rig import FAULTS, GYROS, LSB, gyro_flash, gyro_numbers, known_gyros
 from writeback.rig import OFFSETS, flash, new_bus, numbers, record
 
@@ -391,7 +391,7 @@ def bus(monkeypatch):
     """The part behind the URL, which lives on when a command closes its bus."""
     own = part()
     monkeypatch.setattr(own, "_close", lambda: setattr(own, "_closed", False))
-    monkeypatch.setattr("adis_gonio.sensor.driver.open_bus", lambda url: own)
+    monkeypatch.setattr("adis_gonio.device.sensor.driver.open_bus", lambda url: own)
     return own
 
 
@@ -417,7 +417,7 @@ def test_the_command_shows_the_plan_in_dps_writes_and_undoes(bus, path, capsys):
 
 def test_the_command_says_what_an_autonull_costs_before_it_asks(bus, path, capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("\n"))
-    monkeypatch.setattr("adis_gonio.cli.write.at_a_terminal", lambda: True)
+    monkeypatch.setattr("adis_gonio.faces.cli.write.at_a_terminal", lambda: True)
     assert main(["write", str(path), URL, *QUICK, "--autonull", "quick"]) == 0
     err = capsys.readouterr().err
     assert err.index("ENDURANCE goes up by one") < err.index("Let the chip null")

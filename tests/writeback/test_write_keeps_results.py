@@ -9,11 +9,8 @@ import numpy as np
 import pytest
 
 from adis_gonio import Adis16354, load_session, open_bus
-from adis_gonio.calibration.loading import load_calibration
-from adis_gonio.calibration.with_gyros import gyro_calibration_of
-from adis_gonio.cli import main
-from adis_gonio.errors import DataError, FitError
-from adis_gonio.writeback import (
+from adis_gonio.base.errors import DataError, FitError
+from adis_gonio.bench.writeback import (
     OffsetWriter,
     WriteSettings,
     gyro_offsets_in_force,
@@ -21,7 +18,10 @@ from adis_gonio.writeback import (
     offsets_in_force,
     offsets_recorded,
 )
-from adis_gonio.writeback.journal import operations_of
+from adis_gonio.faces.cli import main
+from adis_gonio.record.write_journal import operations_of
+from adis_gonio.tracing.calibrations import gyro_calibration_of
+from adis_gonio.tracing.loading import load_calibration
 
 URL = "sim:?seed=1"
 PLANS = ("two-position", "four-position", "mmpm", "tumble", "poses", "free-turn", "gyro-turns")

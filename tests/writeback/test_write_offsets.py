@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from adis_gonio import fit, load_session
-from adis_gonio.calibration import Calibration
-from adis_gonio.errors import (
+from adis_gonio.base.errors import (
     AdisGonioError,
     ChipError,
     FitError,
@@ -17,8 +16,7 @@ from adis_gonio.errors import (
     UsageError,
     VerifyError,
 )
-from adis_gonio.sensor import Adis16354
-from adis_gonio.writeback import (
+from adis_gonio.bench.writeback import (
     OffsetWriter,
     WriteSettings,
     bias_left_mg,
@@ -26,7 +24,9 @@ from adis_gonio.writeback import (
     offsets_recorded,
     plan_offsets,
 )
-from adis_gonio.writeback.journal import operations, remarks_on
+from adis_gonio.calibrate import Calibration
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.record.write_journal import operations, remarks_on
 from fakes.boards import Board
 from writeback.rig import OFFSETS, flash, new_bus, numbers, record
 
@@ -303,7 +303,7 @@ def test_a_part_whose_register_has_another_lsb_is_set_back(path):
     made = OffsetWriter(Adis16354(bus), path, WriteSettings(dwell_s=0.5, save=True))
     made._angle_deg = made._part._angle_deg = None  # a board of this fake has no stage that moves it
     plan = made._part.plan(dict.fromkeys(("XACCL_OFF", "YACCL_OFF", "ZACCL_OFF"), 0))
-    from adis_gonio.writeback.rest import measure
+    from adis_gonio.bench.writeback.rest import measure
 
     made._plan, made._before = plan, measure(made.sensor, 0.5, 60.0)
     with pytest.raises(VerifyError, match=r"not what was planned.*holds the old offsets") as caught:
@@ -532,7 +532,7 @@ def test_calibrating_again_finds_the_bias_that_the_first_session_says_is_left(pa
 
 
 def test_a_resumed_session_refuses_a_part_with_other_offsets(path):
-    from adis_gonio.session import SessionRunner
+    from adis_gonio.bench.runner import SessionRunner
 
     bus = new_bus(3)
     wrote(bus, path)
@@ -541,8 +541,10 @@ def test_a_resumed_session_refuses_a_part_with_other_offsets(path):
 
 
 def test_an_unfinished_session_goes_on_as_if_nothing_had_been_once_it_is_undone(tmp_path):
-    from adis_gonio.session import SessionRunner, Settings, plan
-    from adis_gonio.session.events import DwellDone
+    from adis_gonio.bench.events import DwellDone
+    from adis_gonio.bench.runner import SessionRunner
+    from adis_gonio.record.plans import plan
+    from adis_gonio.record.settings import Settings
 
     whole = record(tmp_path / "whole.session", new_bus(3))
     path = tmp_path / "part.session"

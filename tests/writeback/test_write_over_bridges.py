@@ -2,10 +2,12 @@
 
 import pytest
 
-from adis_gonio.sensor import Adis16354
-from adis_gonio.session import SessionRunner, Settings, plan
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.record.plans import plan
+from adis_gonio.record.settings import Settings
 from adis_gonio.sim.chip import State
-from adis_gonio.writeback import OffsetWriter, WriteSettings
 from bus.test_bridges_with_driver import BRIDGES, SEED, make
 from writeback.rig import flash, new_bus, numbers
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from adis_gonio import open_sensor
-from adis_gonio.bus import SpiTiming, open_bus
-from adis_gonio.errors import CannotOpenError, ProtocolError, UsageError
+from adis_gonio.base.errors import CannotOpenError, ProtocolError, UsageError
+from adis_gonio.device.bus import SpiTiming, open_bus
 from adis_gonio.sim import SimBus, SimulatedChip, World
 from adis_gonio.testing import BusContract, Rig, WatchedChip
 

@@ -18,18 +18,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.errors import FitError, SingularError
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import NamedTerm
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import FitError, SingularError
+from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fitting.likelihood import angle_errors
 from adis_gonio.fitting.noise import NoiseAssumptions, settle
 from adis_gonio.fitting.outputs import estimates, left_to_the_stage, outputs_of, variances
 from adis_gonio.fitting.result import FitResult, Origin
 from adis_gonio.fitting.sources import Sources, Unseen, sources_of
 from adis_gonio.model.effects import effect
-from adis_gonio.model.records import Floats
-from adis_gonio.sensor.variants import VARIANTS
 
 ALPHA, SCALE_X, SCALE_Y, DELTA_PHI, BIAS_X, BIAS_Y = range(6)
 """Parameters in the order of `determination.names_of`, in natural units: a bias in local gravity."""

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import NamedTerm
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import AXES, effect
 from adis_gonio.model.measurement import SENSOR_SPREAD
-from adis_gonio.model.records import Floats
 
 LIMIT = 0.1
 """Largest standard uncertainty of a gain (of 1) and a bias (of local gravity) that counts as determined. At

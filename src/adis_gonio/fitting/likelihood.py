@@ -6,10 +6,9 @@ import math
 
 import numpy as np
 
-from adis_gonio.counting import counted
-from adis_gonio.errors import SingularError
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import Readings
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.counting import counted
+from adis_gonio.base.errors import SingularError
 from adis_gonio.fitting.determination import (
     Determination,
     covariance,
@@ -18,12 +17,13 @@ from adis_gonio.fitting.determination import (
     natural_units,
     shift_by_held,
 )
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.noise import Settled, settle
 from adis_gonio.fitting.outputs import Output, estimates, left_to_the_stage, outputs_of, variances
 from adis_gonio.fitting.result import FitResult, Origin
 from adis_gonio.fitting.sources import Sources, Unseen, by_rotation_of, response_of, sources_of
 from adis_gonio.model.measurement import PlanarTurn, wrap_rad
-from adis_gonio.model.records import Floats
 
 
 def fit_ml(readings: Readings) -> FitResult:

@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.counting import counted
-from adis_gonio.errors import UsageError
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.links import Links
-from adis_gonio.estimation.readings import Readings
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.counting import counted
+from adis_gonio.base.errors import UsageError
+from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.determination import (
     Determination,
     covariance,
@@ -27,14 +26,16 @@ from adis_gonio.fitting.determination import (
     is_determined,
     shift_by_held,
 )
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.links import Links
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.noise import settle
-from adis_gonio.model.records import Floats, Session
-from adis_gonio.sensor.variants import VARIANTS
+from adis_gonio.model.records import Session
 
 if TYPE_CHECKING:
-    from adis_gonio.calibration.gyros import GyroCalibration
-    from adis_gonio.gyros.links import GyroLinks
-    from adis_gonio.gyros.prior import GyroPrior
+    from adis_gonio.calibrate.gyro_calibration import GyroCalibration
+    from adis_gonio.fitting.gyros.links import GyroLinks
+    from adis_gonio.fitting.gyros.prior import GyroPrior
 
 Refused = tuple[int, int, str]
 LEAST_POSES = 3
@@ -143,8 +144,8 @@ def _linked(
         if gyros is not None:
             raise UsageError("a calibration of gyros serves poses in space; this session has a plane")
         return readings, None
-    from adis_gonio.gyros.links import gyro_links
-    from adis_gonio.gyros.prior import GyroPrior
+    from adis_gonio.fitting.gyros.links import gyro_links
+    from adis_gonio.fitting.gyros.prior import GyroPrior
 
     prior = GyroPrior.of_sheet(session.sensor)
     found = gyro_links(session, prior if gyros is None else prior.calibrated(gyros))

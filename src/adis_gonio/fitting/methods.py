@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adis_gonio.budget import current
-from adis_gonio.errors import FitError, SingularError, UsageError
-from adis_gonio.estimation.readings import Readings, readings_of
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.budget import current
+from adis_gonio.base.errors import FitError, SingularError, UsageError
 from adis_gonio.fitting.closed_form import (
     FOUR,
     LEAST_MMPM,
@@ -21,21 +21,22 @@ from adis_gonio.fitting.closed_form import (
     fit_positions,
     rows_at,
 )
+from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.likelihood import fit_ml
 from adis_gonio.fitting.linked import linked_readings
 from adis_gonio.fitting.result import FitResult
-from adis_gonio.model.provenance import provenance_of
-from adis_gonio.model.records import Floats, Session
-from adis_gonio.slips.of_session import in_context, positions_of
+from adis_gonio.fitting.slips.of_session import in_context, positions_of
+from adis_gonio.model.records import Session
+from adis_gonio.record.provenance import provenance_of
 
 if TYPE_CHECKING:
-    from adis_gonio.calibration.gyros import GyroCalibration
+    from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
 METHODS = ("paper", "two-position", "four-position", "mmpm", "ml")
 """Names of the methods."""
 
 FREE_TURN = "free-turn"
-"""The method of a continuous recording (`adis_gonio.free_turn`), which has no positions."""
+"""The method of a continuous recording (`adis_gonio.fitting.free_turn`), which has no positions."""
 
 _TWO_REVERSED = (0, 270)
 """The two positions where the stage turned the other way than declared."""
@@ -70,7 +71,7 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
     if method is not None and method not in (*METHODS, FREE_TURN):
         raise UsageError(f"no method is called '{method}'; known: {', '.join((*METHODS, FREE_TURN))}")
     if method == FREE_TURN or (session.free_turn and method is None):
-        from adis_gonio.free_turn import fit_free_turn
+        from adis_gonio.fitting.free_turn import fit_free_turn
 
         return fit_free_turn(session)
     if session.free_turn and not session.dwells:

@@ -17,10 +17,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.terms import NamedTerm
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import AXES, Enters, catalogue
-from adis_gonio.model.records import Floats
 
 _DESCRIBED = 1e-6
 """Relative size of a column's remainder below which it is a combination of the parameters' columns."""

@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.errors import FitError
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.intervals import COVERED
-from adis_gonio.estimation.readings import Readings
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import FitError
+from adis_gonio.base.intervals import COVERED
 from adis_gonio.fitting.closed_form import model_without
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.outputs import outputs_of
 from adis_gonio.fitting.result import Estimate, FitResult, Origin
 from adis_gonio.fitting.sources import MODEL, TEMPERATURE, Source, repeatability_of
-from adis_gonio.model.records import Floats
 
 WITHIN = 0.01
 """Relative difference of two uncertainties that counts as none."""

@@ -18,9 +18,9 @@ from functools import cache
 
 import numpy as np
 
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import Readings
 from adis_gonio.fitting.determination import Determination, determine, information
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
 
 _EXCESS = 1e-3
 _LEAST_SCALE = 1e-5

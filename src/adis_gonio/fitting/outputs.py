@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.estimation.readings import Readings
+from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.determination import LIMIT, names_of
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.result import Estimate
 from adis_gonio.fitting.sources import Sources
 from adis_gonio.model.effects import AXES
-from adis_gonio.model.records import MG_PER_MPS2, Floats
+from adis_gonio.model.records import MG_PER_MPS2
 
 
 @dataclass(frozen=True)

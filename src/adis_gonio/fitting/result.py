@@ -9,29 +9,29 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adis_gonio.counting import counted
-from adis_gonio.estimation.intervals import factor_over
-from adis_gonio.estimation.values import Value
-from adis_gonio.model.provenance import Provenance
-from adis_gonio.model.records import Floats
-from adis_gonio.showing import html_table, parameter_frame, with_u
-from adis_gonio.slips.finding import listed
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.counting import counted
+from adis_gonio.base.intervals import factor_over
+from adis_gonio.base.showing import html_table, parameter_frame, with_u
+from adis_gonio.base.values import Value
+from adis_gonio.fitting.slips.finding import listed
+from adis_gonio.record.provenance import Provenance
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from adis_gonio.calibration import Calibration
-    from adis_gonio.estimation.fit import Fit
-    from adis_gonio.estimation.readings import Readings
-    from adis_gonio.estimation.shown import ShownAngle
+    from adis_gonio.calibrate import Calibration
     from adis_gonio.fitting.determination import Determination
+    from adis_gonio.fitting.estimation.fit import Fit
+    from adis_gonio.fitting.estimation.readings import Readings
+    from adis_gonio.fitting.estimation.shown import ShownAngle
     from adis_gonio.fitting.linked import LinkReport
     from adis_gonio.fitting.noise import NoiseAssumptions
     from adis_gonio.fitting.outputs import Output
+    from adis_gonio.fitting.slips import PositionFinding
     from adis_gonio.fitting.sources import Sources
     from adis_gonio.fitting.standing import Standing
     from adis_gonio.fitting.uncertainty_budget import BudgetRow
-    from adis_gonio.slips import PositionFinding
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class FitResult:
     session_notes : tuple of str
         What the reader of the file had to tell, and what is wrong with positions; the first of `warnings`.
     position_findings : tuple of PositionFinding
-        Positions that are not where they were declared (`adis_gonio.slips`).
+        Positions that are not where they were declared (`adis_gonio.fitting.slips`).
     links : LinkReport or None
         What turns between poses in space gave; None where there are none.
     """
@@ -184,7 +184,7 @@ class FitResult:
         FitError
             The session does not determine what an angle needs.
         """
-        from adis_gonio.calibration.building import calibration_of_fit
+        from adis_gonio.fitting.calibrations import calibration_of_fit
 
         return calibration_of_fit(self)
 
@@ -223,8 +223,8 @@ class FitResult:
     @cached_property
     def _around(self) -> ShownAngle | None:
         """The angle shown after calibration; None where the session leaves part of it undetermined."""
-        from adis_gonio.estimation.shown import ShownAngle
         from adis_gonio.fitting.determination import is_determined
+        from adis_gonio.fitting.estimation.shown import ShownAngle
 
         assert self.origin is not None
         shown, found = ShownAngle.around(self.origin.fit), self.origin.determination
@@ -262,7 +262,7 @@ class FitResult:
 
     def summary(self) -> str:
         """The headline in a few lines of plain text, as the command `fit` shows it."""
-        from adis_gonio.answer import Answer
+        from adis_gonio.fitting.answer import Answer
 
         return Answer.of(self).text()
 

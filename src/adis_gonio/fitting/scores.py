@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.errors import FitError
-from adis_gonio.estimation.fit import Fit, Values
-from adis_gonio.estimation.readings import Readings
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import FitError
 from adis_gonio.fitting.closed_form import model_without
 from adis_gonio.fitting.determination import Determination
+from adis_gonio.fitting.estimation.fit import Fit, Values
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.result import FitResult
 from adis_gonio.model.measurement import PlanarTurn, wrap_rad
-from adis_gonio.model.records import Floats
 
 MOST_FOLDS = 40
 """Dwells are left out one by one up to so many; beyond, every so many-th together."""

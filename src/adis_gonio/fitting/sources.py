@@ -16,13 +16,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.intervals import effective_dof
-from adis_gonio.estimation.readings import Readings
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.intervals import effective_dof
+from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.missing_effects import missing_effects
 from adis_gonio.fitting.noise import NoiseAssumptions
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Floats
-from adis_gonio.sensor.variants import VARIANTS
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 Kind = Literal["A", "B"]
 

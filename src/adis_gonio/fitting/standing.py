@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.counting import counted
-from adis_gonio.errors import FitError
-from adis_gonio.estimation.readings import Readings
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.counting import counted
+from adis_gonio.base.errors import FitError
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.methods import applicable_to, default_method, fit_of
 from adis_gonio.fitting.result import FitResult
 from adis_gonio.fitting.scores import DwellPrediction, Score, predictions, scores_of
-from adis_gonio.model.records import Floats
 
 BEYOND = 3.0
 """Standard errors of the paired difference of squared errors beyond which one method predicts better."""

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from adis_gonio.estimation.values import finite_or_none
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.values import finite_or_none
 from adis_gonio.fitting.sources import Sources, dof_of
-from adis_gonio.model.records import Floats
 
 ROUNDING = 1e-10
 """Share of u below which a contribution is what a computation rounds."""

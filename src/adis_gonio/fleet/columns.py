@@ -11,8 +11,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.memory.record import COLUMNS as QUANTITIES
-from adis_gonio.memory.record import SessionRecord
+from adis_gonio.fleet.memory.record import COLUMNS as QUANTITIES
+from adis_gonio.fleet.memory.record import SessionRecord
 
 Kind = Literal["text", "number", "integer", "flag", "names"]
 Row = Mapping[str, Any]

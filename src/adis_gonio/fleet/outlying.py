@@ -19,8 +19,8 @@ from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri, stdtr
 from scipy.stats import hypergeom, rankdata
 
-from adis_gonio.estimation.robust import MAD_TO_SD, robust_sd
-from adis_gonio.model.records import Floats
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.robust import MAD_TO_SD, robust_sd
 
 LEVEL = 0.01
 """Probability that a fleet without any outlying unit, stage or operator names one."""

@@ -9,17 +9,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adis_gonio import __version__
-from adis_gonio.errors import AdisGonioError, UsageError
+from adis_gonio.base.errors import AdisGonioError, UsageError
+from adis_gonio.base.jsonable import finite
+from adis_gonio.base.output import check_output, replacing
+from adis_gonio.base.version import __version__
 from adis_gonio.fleet.columns import rows_of
 from adis_gonio.fleet.run import Fleet
 from adis_gonio.fleet.summary import Summary, summarise
 from adis_gonio.fleet.work import Options
-from adis_gonio.jsonable import finite
-from adis_gonio.output import check_output, replacing
 
 if TYPE_CHECKING:
-    from adis_gonio.population import PopulationResult
+    from adis_gonio.fleet.population import PopulationResult
 
 ENDINGS = (".parquet", ".json", ".html")
 
@@ -46,7 +46,7 @@ class FleetResult:
         """What the sessions have in common; why nothing can be said of it; None where it was not asked."""
         if not self.options.evidence:
             return None
-        from adis_gonio.population import SessionEvidence, trace_population
+        from adis_gonio.fleet.population import SessionEvidence, trace_population
 
         told = [document["evidence"] for document in self.fleet.documents]
         try:
@@ -123,6 +123,6 @@ def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:
 
             require_pyarrow()
         elif path.suffix.lower() == ".html":
-            from adis_gonio.report.svg import require_matplotlib
+            from adis_gonio.page.svg import require_matplotlib
 
             require_matplotlib()

@@ -6,17 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adis_gonio import __version__
-from adis_gonio.answer.wording import NAMES
-from adis_gonio.counting import counted
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.counting import counted
+from adis_gonio.base.numbers import percent, with_unit
+from adis_gonio.base.version import __version__
+from adis_gonio.base.wording import NAMES
 from adis_gonio.fleet import words
 from adis_gonio.fleet.run import Repeated
 from adis_gonio.fleet.summary import GROUPS, Outlying, QuantitySummary, Summary
-from adis_gonio.model.records import Floats
-from adis_gonio.report.numbers import percent, with_unit
-from adis_gonio.report.parts import Figure, KeyFigure, Section, Table
-from adis_gonio.report.render import render
-from adis_gonio.report.svg import Series, plot
+from adis_gonio.page.parts import Figure, KeyFigure, Section, Table
+from adis_gonio.page.render import render
+from adis_gonio.page.svg import Series, plot
 
 _MOST_BINS = 40
 _MOST_GROUPS = 12

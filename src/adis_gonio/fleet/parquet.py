@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from adis_gonio.errors import DataError, NotInstalledError
+from adis_gonio.base.errors import DataError, NotInstalledError
 from adis_gonio.fleet.columns import COLUMNS, Row
 
 

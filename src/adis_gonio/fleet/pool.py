@@ -22,9 +22,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
-import adis_gonio
-from adis_gonio.counting import counted
-from adis_gonio.errors import FleetError
+from adis_gonio.base.counting import counted
+from adis_gonio.base.errors import FleetError
+from adis_gonio.base.version import __version__
 from adis_gonio.fleet.work import Document, Job, Options, lost
 
 COMMAND = (sys.executable, "-P", "-m", "adis_gonio.fleet.worker")
@@ -209,7 +209,7 @@ class _Worker:
 
     def ask(self, job: Job, options: Options) -> Document | None:
         """Document of a job; None where the process ended."""
-        asked = {"options": options.as_dict(), "version": adis_gonio.__version__, **asdict(job)}
+        asked = {"options": options.as_dict(), "version": __version__, **asdict(job)}
         pipe = self._process.stdin
         try:
             if pipe is not None:
@@ -248,7 +248,7 @@ class _Worker:
 
 def _environment() -> dict[str, str]:
     """That of a worker: this package before others, and one thread a process, since each has a core."""
-    home = str(Path(adis_gonio.__file__).parents[1])
+    home = str(Path(__file__).parents[2])
     paths = [home, *filter(None, [os.environ.get("PYTHONPATH")])]
     return {**dict.fromkeys(_ONE_THREAD, "1"), **os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 

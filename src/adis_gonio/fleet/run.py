@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from adis_gonio.counting import counted
-from adis_gonio.errors import UsageError
+from adis_gonio.base.counting import counted
+from adis_gonio.base.errors import UsageError
+from adis_gonio.base.output import ends_in
 from adis_gonio.fleet.journal import Journal
+from adis_gonio.fleet.memory.files import ENDINGS
 from adis_gonio.fleet.work import Document, Job, Options, digest_of_file, lost
-from adis_gonio.memory.files import ENDINGS
-from adis_gonio.output import ends_in
 
 _WRITTEN = ("when", "serial", "operator", "stage", "plan")
 

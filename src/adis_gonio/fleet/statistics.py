@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.estimation.robust import robust_sd
-from adis_gonio.estimation.values import finite_or_none
-from adis_gonio.model.records import Floats
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.values import finite_or_none
+from adis_gonio.fitting.estimation.robust import robust_sd
 
 PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 LEAST = 3

@@ -12,9 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio import __version__
-from adis_gonio.estimation.intervals import wilson
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.intervals import wilson
+from adis_gonio.base.version import __version__
 from adis_gonio.fleet.columns import Row, Table, table_of, unit_of
+from adis_gonio.fleet.memory.record import COLUMNS as QUANTITIES
 from adis_gonio.fleet.outlying import (
     LEVEL,
     Codes,
@@ -26,8 +28,6 @@ from adis_gonio.fleet.outlying import (
     outlying,
 )
 from adis_gonio.fleet.statistics import Beyond, Distribution, Repeats, beyond, repeats
-from adis_gonio.memory.record import COLUMNS as QUANTITIES
-from adis_gonio.model.records import Floats
 
 FORMAT = "adis-gonio fleet summary 1"
 KINDS = ("unit", "stage", "operator")

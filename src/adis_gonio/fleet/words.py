@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from adis_gonio.answer.wording import NAMES
-from adis_gonio.counting import counted
+from adis_gonio.base.counting import counted
+from adis_gonio.base.numbers import number, p_text, percent, with_unit
+from adis_gonio.base.wording import NAMES
 from adis_gonio.fleet.outlying import FEWEST, FEWEST_UNITS, LEVEL
 from adis_gonio.fleet.statistics import Beyond
 from adis_gonio.fleet.summary import Outlying, QuantitySummary, Summary
-from adis_gonio.report.numbers import number, p_text, percent, with_unit
 
 PARAMETER_HEAD = [
     "quantity", "unit", "sessions", "median", "5 %", "95 %", "mean", "robust sd", "median u", "sd beyond u",

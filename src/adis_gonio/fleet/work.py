@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adis_gonio import __version__
+from adis_gonio.base.version import __version__
 
 if TYPE_CHECKING:
     from adis_gonio.model.records import Session
@@ -28,7 +28,7 @@ class Options:
     trace : bool
         Trace the residual too: seconds a session, where a fit takes tenths.
     evidence : bool
-        Compute what `adis_gonio.population` needs of it.
+        Compute what `adis_gonio.fleet.population` needs of it.
     """
 
     trace: bool = True
@@ -66,7 +66,7 @@ def digest_of_file(path: str | Path) -> str:
 
 def lost(path: str, reason: str) -> Document:
     """What stands for a session that nobody could work on: a failed row, and not the last word."""
-    from adis_gonio.memory.record import SessionRecord
+    from adis_gonio.fleet.memory.record import SessionRecord
 
     record = SessionRecord(path, status="failed", reason=f"{path}: {reason}")
     return {"record": record.as_dict(), "evidence": None, "final": False}
@@ -92,7 +92,7 @@ def work(path: str, digest: str, options: Mapping[str, bool], version: str) -> D
         return lost(path, f"cannot be read where the worker is: {error.strerror or error}")
     if own != digest:
         return lost(path, "is not the same file where the worker is, or was changed meanwhile")
-    from adis_gonio.memory.record import record_and_session
+    from adis_gonio.fleet.memory.record import record_and_session
 
     record, session = record_and_session(path, trace=options["trace"])
     asked = options["evidence"] and record.status == "ok"
@@ -102,8 +102,8 @@ def work(path: str, digest: str, options: Mapping[str, bool], version: str) -> D
 
 def _evidence(session: Session) -> Document | None:
     """What a population needs of a session; None where it has nothing to say there, as one pose has not."""
-    from adis_gonio.errors import AdisGonioError
-    from adis_gonio.population import evidence_of
+    from adis_gonio.base.errors import AdisGonioError
+    from adis_gonio.fleet.population import evidence_of
 
     try:
         return evidence_of(session).as_dict()

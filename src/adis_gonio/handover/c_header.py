@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.calibration.calibration import Calibration
-from adis_gonio.calibration.document import derived_delta_k, json_text
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
+from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.document import derived_delta_k, json_text
 from adis_gonio.handover.c_rates import of_gyros, rate_remarks, rate_rows, rates_content
 from adis_gonio.handover.fixed import (
     CORDIC_UDEG,

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.calibration.calibration import Calibration
-from adis_gonio.calibration.gyros import GYRO_OFFSET_DPS, GyroCalibration
+from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
 from adis_gonio.handover.fixed import FixedPoint, Q
 from adis_gonio.handover.literals import comment, factor_text, shift_text, single, whole
 from adis_gonio.handover.polynomial import PARTS

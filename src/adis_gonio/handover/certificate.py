@@ -13,12 +13,12 @@ from datetime import date
 
 import numpy as np
 
-from adis_gonio.calibration.calibration import Calibration, Coefficient
-from adis_gonio.calibration.document import derived_delta_k
-from adis_gonio.calibration.gyros import GyroCalibration, kind_of
-from adis_gonio.errors import FitError, one_line
+from adis_gonio.base.errors import FitError, one_line
+from adis_gonio.calibrate.calibration import Calibration, Coefficient
+from adis_gonio.calibrate.document import derived_delta_k
+from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
+from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
-from adis_gonio.sensor.variants import VARIANTS
 
 VERSION = "3.2.1"
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"

@@ -8,17 +8,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from adis_gonio.calibration.calibration import Calibration
-from adis_gonio.calibration.document import json_text
-from adis_gonio.calibration.loading import calibration_in, load_gyro_calibration
-from adis_gonio.calibration.with_gyros import gyro_calibration_of, gyros_alone, with_gyros
-from adis_gonio.errors import DataError, FitError, UsageError
+from adis_gonio.base.errors import DataError, FitError, UsageError
+from adis_gonio.base.jsonable import finite
+from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.document import json_text
+from adis_gonio.calibrate.files import calibration_in
 from adis_gonio.handover.c_header import DEFAULT_NAME
-from adis_gonio.jsonable import finite
 from adis_gonio.model.records import Session
-from adis_gonio.session import load_session
-from adis_gonio.session.export import session_dict
-from adis_gonio.session.overrides import Overrides
+from adis_gonio.record.export import session_dict
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.overrides import Overrides
+from adis_gonio.tracing.calibrations import gyro_calibration_of, gyros_alone, with_gyros
+from adis_gonio.tracing.loading import load_gyro_calibration
 
 ENDINGS = {
     ".h": "c-header",
@@ -130,7 +131,7 @@ class ExportSource:
 
     def _result(self, session: Session) -> Any:
         if self.traced:
-            from adis_gonio.tracing import trace
+            from adis_gonio.tracing.trace import trace
 
             return trace(session)
         from adis_gonio.fitting import fit
@@ -174,7 +175,7 @@ def _certificate(calibration: Calibration, name: str) -> str:
 
 
 def _csv(session: Session, path: Path) -> None:
-    from adis_gonio.session.export import write_csv
+    from adis_gonio.record.export import write_csv
 
     write_csv(session, path)
 

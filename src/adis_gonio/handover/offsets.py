@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from adis_gonio.calibration.calibration import Calibration
-from adis_gonio.calibration.gyros import GYRO_OFFSET_DPS, GyroCalibration
-from adis_gonio.calibration.loading import load_calibration, load_gyro_calibration
-from adis_gonio.errors import AdisGonioError, DataError, FitError
+from adis_gonio.base.errors import AdisGonioError, DataError, FitError
+from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
+from adis_gonio.device.sensor.registers import register
+from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.model.effects import AXES
-from adis_gonio.sensor.registers import register
-from adis_gonio.sensor.variants import VARIANTS
+from adis_gonio.tracing.loading import load_calibration, load_gyro_calibration
 
 
 @dataclass(frozen=True)

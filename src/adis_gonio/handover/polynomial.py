@@ -18,14 +18,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.calibration.calibration import Calibration, EffectTerm
-from adis_gonio.errors import FitError
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import FitError
+from adis_gonio.calibrate.calibration import Calibration, EffectTerm
+from adis_gonio.device.sensor.registers import Kind
+from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.effects.families import CrossEffect
-from adis_gonio.model.records import MG_PER_G, Floats
-from adis_gonio.sensor.registers import Kind
-from adis_gonio.sensor.variants import VARIANTS
+from adis_gonio.model.records import MG_PER_G
 
 PARTS = 256
 """Whole numbers to a step."""

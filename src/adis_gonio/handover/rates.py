@@ -19,9 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adis_gonio.calibration.calibration import Calibration
-from adis_gonio.calibration.gyros import GYRO_OFFSET_DPS, GyroCalibration, kind_of
-from adis_gonio.errors import FitError
+from adis_gonio.base.errors import FitError
+from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration, kind_of
 from adis_gonio.handover.fixed import ONE, FixedPoint, Q, Scaled, Whole, _clamped, _condition, _shifted
 from adis_gonio.handover.polynomial import PARTS, RANGE_G, SPAN_C, SPAN_V, Polynomial, polynomial_of
 from adis_gonio.model.effects import AXES

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
 
 # WGS 84 (NGA.STND.0036): gravity at the equator, Somigliana's constant, first eccentricity squared,
 # semi-major axis, flattening, and m = ω²a²b/GM.

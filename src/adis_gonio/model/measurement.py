@@ -31,8 +31,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.errors import UsageError
-from adis_gonio.model.records import MG_PER_G, Floats
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import UsageError
+from adis_gonio.model.records import MG_PER_G
 
 if TYPE_CHECKING:
     from adis_gonio.model.effects.base import Conditions

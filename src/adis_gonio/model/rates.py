@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.model.measurement import BaseParameter, Measurement
-from adis_gonio.model.records import Floats
 
 if TYPE_CHECKING:
     from adis_gonio.model.effects.base import Conditions

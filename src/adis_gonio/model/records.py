@@ -1,7 +1,7 @@
 """What was measured, as plain data: samples, dwells, sessions. No files, no devices.
 
 A *dwell* is the scans taken while the part is still in one *position*; a *session* is all dwells with
-what surrounded them. Files become sessions in `adis_gonio.session`; fits read them in
+what surrounded them. Files become sessions in `adis_gonio.record`; fits read them in
 `adis_gonio.fitting`.
 """
 
@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.counting import counted
-from adis_gonio.errors import one_line
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.counting import counted
+from adis_gonio.base.errors import one_line
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from adis_gonio.model.turns import Turn
 
-Floats = NDArray[np.float64]
 Plane = Literal["xy", "none"]
 Use = Literal["fit", "check"]
 AccelUnit = Literal["lsb", "mg", "g", "mps2", "counts"]
@@ -182,7 +182,7 @@ class Session:
 
     def to_pandas(self) -> pd.DataFrame:
         """Samples as a data frame with the columns of the samples CSV (extra: pandas)."""
-        from adis_gonio.showing import frame
+        from adis_gonio.base.showing import frame
 
         columns: dict[str, list[Any]] = {}
         for dwell in self.sampled:

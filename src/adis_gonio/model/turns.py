@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from adis_gonio.counting import counted
+from adis_gonio.base.counting import counted
 
 if TYPE_CHECKING:
-    from adis_gonio.model.records import Dwell, Floats
+    from adis_gonio.base.arrays import Floats
+    from adis_gonio.model.records import Dwell
 
 
 @dataclass(frozen=True)

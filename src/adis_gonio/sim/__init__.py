@@ -1,15 +1,25 @@
 """The simulated sensor: a chip at frame level (`chip`), the world around it (`world`), the bus (`bus`)."""
 
-from adis_gonio.bus.host import SAFE_TIMING
-from adis_gonio.sim.bus import SimBus, SimStage, open_from_url
-from adis_gonio.sim.chip import SimulatedChip, State
-from adis_gonio.sim.inputs import Inputs, Surroundings
-from adis_gonio.sim.settings import WorldSettings
-from adis_gonio.sim.stage import Stage
-from adis_gonio.sim.world import World
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from adis_gonio.base.lazy_names import lazily
+
+_HOMES = {
+    "Inputs": "inputs",
+    "SimBus": "bus",
+    "SimStage": "bus",
+    "SimulatedChip": "chip",
+    "Stage": "stage",
+    "State": "chip",
+    "Surroundings": "inputs",
+    "World": "world",
+    "WorldSettings": "settings",
+    "open_from_url": "bus",
+}
 
 __all__ = [
-    "SAFE_TIMING",
     "Inputs",
     "SimBus",
     "SimStage",
@@ -21,3 +31,17 @@ __all__ = [
     "WorldSettings",
     "open_from_url",
 ]
+
+if TYPE_CHECKING:
+    from adis_gonio.sim.bus import SimBus as SimBus
+    from adis_gonio.sim.bus import SimStage as SimStage
+    from adis_gonio.sim.bus import open_from_url as open_from_url
+    from adis_gonio.sim.chip import SimulatedChip as SimulatedChip
+    from adis_gonio.sim.chip import State as State
+    from adis_gonio.sim.inputs import Inputs as Inputs
+    from adis_gonio.sim.inputs import Surroundings as Surroundings
+    from adis_gonio.sim.settings import WorldSettings as WorldSettings
+    from adis_gonio.sim.stage import Stage as Stage
+    from adis_gonio.sim.world import World as World
+
+__getattr__ = lazily(__name__, _HOMES)

@@ -1,4 +1,4 @@
-"""The simulated bus: a chip in a world behind the contract of `adis_gonio.bus`.
+"""The simulated bus: a chip in a world behind the contract of `adis_gonio.device.bus`.
 
 Time is virtual: an exchange takes as long as its frames would, `sleep_s` and moves of the stage only set
 the clock forward, so an hour's session runs in seconds. With `realtime` the clock is the wall's.
@@ -20,7 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.bus.contract import (
+from adis_gonio.base.errors import BusClosedError, BusTimeoutError, CapabilityError, UsageError
+from adis_gonio.device.bus.contract import (
     FRAME_BITS,
     Capability,
     FrameBlock,
@@ -29,13 +30,12 @@ from adis_gonio.bus.contract import (
     SpiTiming,
     Words,
 )
-from adis_gonio.bus.host import SAFE_TIMING
-from adis_gonio.bus.opening import BusUrl, Device
-from adis_gonio.errors import BusClosedError, BusTimeoutError, CapabilityError, UsageError
+from adis_gonio.device.bus.host import SAFE_TIMING
+from adis_gonio.device.bus.opening import BusUrl, Device
+from adis_gonio.device.sensor.registers import WRITE
+from adis_gonio.device.sensor.variants import Variant
 from adis_gonio.model.effects.base import Effect
 from adis_gonio.model.effects.registry import parse_effect
-from adis_gonio.sensor.registers import WRITE
-from adis_gonio.sensor.variants import Variant
 from adis_gonio.sim.chip import SimulatedChip
 from adis_gonio.sim.flash import FlashFile
 from adis_gonio.sim.gyro_faults import realistic_gyros, stream_of

@@ -3,7 +3,7 @@
 `SimulatedChip.frame` sees what the pins would see: when chip select falls, how fast the clock runs, how
 many bits there are. Whatever lies between two frames happens inside: internal updates, flash updates,
 self-tests, sleep. The chip knows neither bus nor driver; its registers are those of
-`adis_gonio.sensor.registers`.
+`adis_gonio.device.sensor.registers`.
 
 Choices where the real behaviour is not known
 ---------------------------------------------
@@ -45,9 +45,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.errors import UsageError
-from adis_gonio.sensor.registers import BY_NAME, EA, GYRO_OFF, ND
-from adis_gonio.sensor.variants import Variant, variant
+from adis_gonio.base.errors import UsageError
+from adis_gonio.device.sensor.registers import BY_NAME, EA, GYRO_OFF, ND
+from adis_gonio.device.sensor.variants import Variant, variant
 from adis_gonio.sim import rules
 from adis_gonio.sim.electronics import IDEAL, BringsElectronics, Electronics
 from adis_gonio.sim.inputs import Floats, Surroundings

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from adis_gonio.errors import UsageError
-from adis_gonio.output import replacing
+from adis_gonio.base.errors import UsageError
+from adis_gonio.base.output import replacing
 from adis_gonio.sim.memory import ENDURANCE_WRAP
 
 

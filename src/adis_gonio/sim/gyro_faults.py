@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
+from adis_gonio.device.sensor.registers import Confidence
 from adis_gonio.model.effects.base import AXES
-from adis_gonio.sensor.registers import Confidence
 
 _OTHERS = tuple(a + b for a, b in itertools.permutations(AXES, 2))
 _ALL = tuple(a + b for a, b in itertools.product(AXES, repeat=2))

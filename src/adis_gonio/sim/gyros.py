@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
+from adis_gonio.device.sensor.variants import Performance
 from adis_gonio.model.effects.base import AXES
-from adis_gonio.sensor.variants import Performance
 from adis_gonio.sim.electronics import Electronics
 from adis_gonio.sim.inputs import Floats
 from adis_gonio.sim.noise import RateWalk

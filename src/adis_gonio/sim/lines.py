@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from adis_gonio.sensor.registers import BY_NAME
+from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.sim.memory import Memory
 from adis_gonio.sim.sampling import ALARM_BITS
 

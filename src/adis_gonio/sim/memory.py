@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from adis_gonio.errors import UsageError
-from adis_gonio.sensor.registers import (
+from adis_gonio.base.errors import UsageError
+from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
     BY_ADDRESS,
     BY_NAME,

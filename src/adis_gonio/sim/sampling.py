@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, REGISTERS, Register
-from adis_gonio.sensor.variants import LEAST_M, RANGE_CODE, Variant
+from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, REGISTERS, Register
+from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE, Variant
 from adis_gonio.sim.electronics import IDEAL, Electronics
 from adis_gonio.sim.filter import MOST_M, bartlett_sums, history_rows, taps
 from adis_gonio.sim.inputs import Floats, Inputs

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Self
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.sim import gyro_settings
 from adis_gonio.sim.gyro_settings import GyroSettings

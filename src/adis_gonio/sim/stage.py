@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.errors import UsageError
 from adis_gonio.sim.hand import HandTurn
 from adis_gonio.sim.hand_moves import HandMove
 from adis_gonio.sim.inputs import Floats

@@ -25,10 +25,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from adis_gonio.device.sensor.variants import Variant, variant
 from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters
 from adis_gonio.model.measurement import FreeAttitude, sensitivity
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
-from adis_gonio.sensor.variants import Variant, variant
 from adis_gonio.sim.dies import Dies
 from adis_gonio.sim.electronics import Electronics
 from adis_gonio.sim.gyros import PAIRS, REFERENCE_C, Felt, GyroTriad

@@ -9,18 +9,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from adis_gonio.budget import attempt, current, spent, within
-from adis_gonio.counting import counted
-from adis_gonio.errors import FitError, UsageError
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.parts import ACCELEROMETER, known_part, readings_of_part
-from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import Term
-from adis_gonio.estimation.values import Detectable
-from adis_gonio.model.provenance import provenance_of
+from adis_gonio.base.budget import attempt, current, spent, within
+from adis_gonio.base.counting import counted
+from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.base.values import Detectable
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.parts import ACCELEROMETER, known_part, readings_of_part
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import Term
+from adis_gonio.fitting.slips import Diagnosis
+from adis_gonio.fitting.slips.of_session import in_context, positions_of
 from adis_gonio.model.records import Session
-from adis_gonio.slips import Diagnosis
-from adis_gonio.slips.of_session import in_context, positions_of
+from adis_gonio.record.provenance import provenance_of
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.clock import bias_at_middle
@@ -68,7 +68,7 @@ def trace(
     ----------
     session : Session
         Planar (declared angles) or in space (`plane` none); one dwell with temperature is traced sample by
-        sample (`adis_gonio.one_pose`).
+        sample (`adis_gonio.tracing.one_pose`).
     max_effects : int
         Most terms that the model may take on.
     time_limit : float, optional
@@ -80,7 +80,7 @@ def trace(
     Raises
     ------
     DataError
-        As `adis_gonio.estimation.readings_of`.
+        As `adis_gonio.fitting.estimation.readings_of`.
     FitError
         Fewer readings than base parameters.
     UsageError
@@ -106,10 +106,10 @@ def trace(
 def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
     own = part == ACCELEROMETER  # samples within dwells are looked at for these alone
     if own and len([dwell for dwell in session.dwells if len(dwell)]) == 1:
-        from adis_gonio.one_pose.series import trace_series
+        from adis_gonio.tracing.one_pose.series import trace_series
 
         return _stamped(trace_series(session, max_effects), checked=True)
-    from adis_gonio.dwells.second_pass import with_second_pass
+    from adis_gonio.tracing.within.second_pass import with_second_pass
 
     positions = positions_of(session) if own else Diagnosis()
     data = as_the_part_stood(readings_of_part(session, part), positions)
@@ -140,7 +140,7 @@ def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | 
     positions : Diagnosis, optional
         What is known of the positions before: effects of one dwell that cannot be, sizes of gross slips.
     """
-    from adis_gonio.advice.words import advise  # next door, and it looks in here
+    from adis_gonio.tracing.advice.words import advise  # next door, and it looks in here
 
     training, checking = data.training, data.checking
     _enough(training)

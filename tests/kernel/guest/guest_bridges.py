@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import pytest
 
-from adis_gonio.bus import Capability, SpiBus, open_bus
-from adis_gonio.errors import BusError, BusTimeoutError, CannotOpenError, UsageError
-from adis_gonio.sensor import open_sensor
+from adis_gonio.base.errors import BusError, BusTimeoutError, CannotOpenError, UsageError
+from adis_gonio.device.bus import Capability, SpiBus, open_bus
+from adis_gonio.device.sensor import open_sensor
 from kernel.bench import Bench
 
 READ_SUPPLY, SUPPLY_5_V = 0x0200, 2730

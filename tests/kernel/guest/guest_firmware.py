@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from adis_gonio.sensor import open_sensor
-from adis_gonio.sensor.registers import ND
+from adis_gonio.device.sensor import open_sensor
+from adis_gonio.device.sensor.registers import ND
 
 URL = "serial:?serial_number=FW1"
 SCANS = 400

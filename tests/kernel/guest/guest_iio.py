@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from adis_gonio.cli import app
-from adis_gonio.errors import CannotOpenError, ProtocolError
-from adis_gonio.session import load_session
-from adis_gonio.session.source import open_source
+from adis_gonio.base.errors import CannotOpenError, ProtocolError
+from adis_gonio.faces.cli import app
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.source import open_source
 from kernel.hid_accelerometer import INTERVAL_MS, MG_PER_LSB, NAME, HidAccelerometer
 
 DEVICES = Path("/sys/bus/iio/devices")

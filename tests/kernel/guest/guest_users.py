@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from adis_gonio.cli import app
+from adis_gonio.faces.cli import app
 from kernel.bench import Bench, node, reload_rules, settle
 
 BENCH_USER = 4242

@@ -12,8 +12,8 @@ import socket
 
 import numpy as np
 
-from adis_gonio.bus import BusUrl, Device, SpiBus, SpiTiming, Words
-from adis_gonio.errors import BusTimeoutError, CannotOpenError, ProtocolError, UsageError
+from adis_gonio.base.errors import BusTimeoutError, CannotOpenError, ProtocolError, UsageError
+from adis_gonio.device.bus import BusUrl, Device, SpiBus, SpiTiming, Words
 
 SAFE = SpiTiming(250e3, 75.0, 160.0)
 MOST_FRAMES = 1000

@@ -32,9 +32,9 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import UsageError
 from adis_gonio.model.effects.lag import lagged
-from adis_gonio.model.records import Floats
 
 AXES = ("x", "y", "z")
 COVARIATES = (

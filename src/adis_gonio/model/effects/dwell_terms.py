@@ -8,9 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.model.effects.base import Conditions, Effect, Enters, Parameter
 from adis_gonio.model.effects.families import AxisEffect, CourseEffect, LinearAxisEffect, by_letters
-from adis_gonio.model.records import Floats
 
 
 @dataclass(frozen=True)

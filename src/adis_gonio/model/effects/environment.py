@@ -12,11 +12,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import UsageError
 from adis_gonio.model.effects.base import Conditions, Effect, Parameter
 from adis_gonio.model.effects.families import CourseEffect, CrossEffect, LinearAxisEffect
 from adis_gonio.model.effects.lag import lagged
-from adis_gonio.model.records import Floats
 
 REFERENCE_C = 25.0
 """Temperature at which the terms in temperature are zero: zero of the chip's temperature words."""

@@ -15,8 +15,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters, Parameter
-from adis_gonio.model.records import Floats
 
 
 def by_letters(prototypes: Sequence[Parameter], letters: Sequence[str]) -> tuple[Parameter, ...]:

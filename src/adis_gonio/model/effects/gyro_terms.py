@@ -12,12 +12,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import UsageError
 from adis_gonio.model.effects.base import AXES, Conditions, Effect, Parameter
 from adis_gonio.model.effects.dwell_terms import OutlierDwell
 from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V, BiasTemperature
 from adis_gonio.model.effects.families import AxisEffect, CourseEffect, LinearAxisEffect, by_letters
-from adis_gonio.model.records import Floats
 
 GYRO = ("gyro",)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.errors import UsageError
-from adis_gonio.model.records import Floats
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import UsageError
 
 
 def _scan(factor: Floats, term: Floats) -> Floats:

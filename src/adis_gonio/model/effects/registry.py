@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import UsageError
 from adis_gonio.model.effects import dwell_terms, environment, gyro_terms, sensor_terms, stage
 from adis_gonio.model.effects.base import AXES, COVARIATES, Effect, did_you_mean
-from adis_gonio.model.records import Floats
 
 ENTRY_POINT_GROUP = "adis_gonio.effects"
 

@@ -11,9 +11,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.model.effects.base import Conditions, Effect, Parameter
 from adis_gonio.model.effects.families import CrossEffect, LinearAxisEffect
-from adis_gonio.model.records import MG_PER_G, Floats
+from adis_gonio.model.records import MG_PER_G
 
 
 class Bias(LinearAxisEffect):

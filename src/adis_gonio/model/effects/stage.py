@@ -15,7 +15,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.errors import UsageError
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import UsageError
 from adis_gonio.model.effects.base import Conditions, Effect, Parameter
 from adis_gonio.model.effects.families import (
     AxisEffect,
@@ -23,7 +24,7 @@ from adis_gonio.model.effects.families import (
     StageEffect,
     by_letters,
 )
-from adis_gonio.model.records import MG_PER_G, Floats
+from adis_gonio.model.records import MG_PER_G
 
 LEAST_CYCLES = 3
 """Fewest cycles a turn of `stage_periodic`: one and two have names of their own."""

@@ -21,12 +21,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import Basis, NamelessTerm, Where
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Where
 from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.effects.lag import lagged
-from adis_gonio.model.records import Floats
 from adis_gonio.tracing.candidates import shapes
 from adis_gonio.tracing.thresholds import limits
 

@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import Basis, NamelessTerm, Where
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Where
 from adis_gonio.model.effects import AXES, Conditions
-from adis_gonio.model.records import Floats
 from adis_gonio.tracing.thresholds import limits
 
 LENGTHS = (0.1, 0.18, 0.32, 0.56, 1.0)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from adis_gonio.model.records import Floats
+from adis_gonio.base.arrays import Floats
 
 Shape = Callable[[Floats], Floats]
 

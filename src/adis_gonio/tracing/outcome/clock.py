@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.terms import NamedTerm, Term
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.model.effects import AXES, Conditions
-from adis_gonio.model.records import Floats
 from adis_gonio.tracing.outcome.result import Finding
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.unnamed.averaging import AveragedTerm

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.estimation.terms import NamedTerm
-from adis_gonio.estimation.values import Detectable
+from adis_gonio.base.values import Detectable
+from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import catalogue
 from adis_gonio.tracing.selection.design import LinearProblem, span
 from adis_gonio.tracing.selection.search import Model, Search

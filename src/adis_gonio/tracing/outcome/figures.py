@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import AXES, Conditions
-from adis_gonio.model.records import Floats
 from adis_gonio.tracing.outcome.result import TraceResult
 from adis_gonio.tracing.validation.leaving_out import leave
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.intervals import NORMAL_95
-from adis_gonio.estimation.readings import Unit
-from adis_gonio.estimation.terms import NamedTerm, NamelessTerm
-from adis_gonio.estimation.values import Value
+from adis_gonio.base.intervals import NORMAL_95
+from adis_gonio.base.values import Value
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Unit
+from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm
 from adis_gonio.fitting.outputs import outputs_of
 from adis_gonio.model.effects import AXES, effect
 from adis_gonio.tracing.outcome.between import bases, effects

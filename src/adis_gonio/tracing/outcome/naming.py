@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from adis_gonio.estimation.terms import NamelessTerm, Term
+from adis_gonio.fitting.estimation.terms import NamelessTerm, Term
 from adis_gonio.tracing.selection.posterior import skeleton
 from adis_gonio.tracing.selection.search import Model
 from adis_gonio.tracing.selection.select import Selection

@@ -15,9 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import NamedTerm
-from adis_gonio.slips import Diagnosis, PositionFinding
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fitting.slips import Diagnosis, PositionFinding
 from adis_gonio.tracing.outcome.result import TraceResult
 
 _MOVED = frozenset({"mistyped", "misset", "swapped"})

@@ -6,22 +6,22 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
-from adis_gonio.budget import Budget
-from adis_gonio.dwells.finding import WithinFinding
-from adis_gonio.errors import FitError
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.parts import ACCELEROMETER, GYRO
-from adis_gonio.estimation.values import Detectable, Value, finite_or_none
+from adis_gonio.base.budget import Budget
+from adis_gonio.base.errors import FitError
+from adis_gonio.base.showing import html_table, lines_of, parameter_frame
+from adis_gonio.base.values import Detectable, Value, finite_or_none
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.parts import ACCELEROMETER, GYRO
+from adis_gonio.fitting.slips.finding import PositionFinding, listed
 from adis_gonio.model.effects.environment import REFERENCE_C
-from adis_gonio.model.provenance import Provenance
-from adis_gonio.showing import html_table, lines_of, parameter_frame
-from adis_gonio.slips.finding import PositionFinding, listed
+from adis_gonio.record.provenance import Provenance
 from adis_gonio.tracing.outcome.sets import CredibleSet
+from adis_gonio.tracing.within.finding import WithinFinding
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from adis_gonio.calibration import Calibration, GyroCalibration
+    from adis_gonio.calibrate import Calibration, GyroCalibration
 
 
 @dataclass(frozen=True)
@@ -324,7 +324,7 @@ class TraceResult:
     overrides : mapping
         What was stated otherwise than in the session's file, old and new (`session.overrides`).
     position_findings : tuple of PositionFinding
-        Positions that are not where they were declared (`adis_gonio.slips`).
+        Positions that are not where they were declared (`adis_gonio.fitting.slips`).
     """
 
     adequate: bool
@@ -383,12 +383,12 @@ class TraceResult:
             A write of offsets to the sensor was interrupted.
         """
         if self.part == GYRO:
-            from adis_gonio.calibration.with_gyros import calibration_of_gyro_trace
+            from adis_gonio.tracing.calibrations import calibration_of_gyro_trace
 
             return calibration_of_gyro_trace(self)
         if self.part != ACCELEROMETER:
             raise FitError(f"no calibration is made of a trace of the part {self.part}")
-        from adis_gonio.calibration.building import calibration_of_trace
+        from adis_gonio.tracing.calibrations import calibration_of_trace
 
         return calibration_of_trace(self)
 
@@ -419,7 +419,7 @@ class TraceResult:
 
     def summary(self) -> str:
         """What was found and what it brings, as `trace` begins, and the parameters of the effects."""
-        from adis_gonio.report import words
+        from adis_gonio.tracing import summary as words
 
         return "\n".join([words.headline(self), words.gains(self), *lines_of(self._of_effects)])
 

@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.estimation.terms import Term
-from adis_gonio.model.records import Floats
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.tracing.outcome.naming import related, unknown_of
 from adis_gonio.tracing.selection.design import LinearProblem, span
 from adis_gonio.tracing.selection.search import Model

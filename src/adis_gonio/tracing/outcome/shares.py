@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from adis_gonio.estimation.fit import Fit
+from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.model.effects import catalogue
 from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, Unnamed
 

@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.estimation.fit import Fit, amplitude_spreads
-from adis_gonio.estimation.terms import ROUNDING, Term
-from adis_gonio.model.records import Floats
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.fit import Fit, amplitude_spreads
+from adis_gonio.fitting.estimation.terms import ROUNDING, Term
 from adis_gonio.tracing.thresholds import limits
 
 _RANK = 1e-7

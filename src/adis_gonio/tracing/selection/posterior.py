@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.estimation.terms import Term
+from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.tracing.selection.design import span
 from adis_gonio.tracing.selection.search import Model, Search
 from adis_gonio.tracing.thresholds import limits

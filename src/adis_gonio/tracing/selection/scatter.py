@@ -22,10 +22,10 @@ from typing import Literal
 
 import numpy as np
 
-from adis_gonio.budget import check
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import Term
+from adis_gonio.base.budget import check
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.tracing.candidates.processes import evidence, processes
 from adis_gonio.tracing.selection.design import orthonormal
 from adis_gonio.tracing.selection.select import Selection, select

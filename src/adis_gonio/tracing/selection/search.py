@@ -20,9 +20,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.budget import spent
-from adis_gonio.estimation.terms import NamedTerm, Term
-from adis_gonio.model.records import Floats
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.budget import spent
+from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.tracing.selection.design import LinearProblem, Products
 from adis_gonio.tracing.thresholds import limits
 

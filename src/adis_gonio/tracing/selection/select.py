@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adis_gonio.budget import spent
-from adis_gonio.estimation.fit import Fit, adequacy
-from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import NamedTerm, NamelessTerm, Term
+from adis_gonio.base.budget import spent
+from adis_gonio.fitting.estimation.fit import Fit, adequacy
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, linearise, span
 from adis_gonio.tracing.selection.posterior import ModelPosterior, weigh
 from adis_gonio.tracing.selection.search import Search, search

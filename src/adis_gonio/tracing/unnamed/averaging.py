@@ -14,10 +14,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adis_gonio.estimation.fit import Fit, nameless_spread
-from adis_gonio.estimation.terms import Basis, NamelessTerm, Term, Where
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.fit import Fit, nameless_spread
+from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Term, Where
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.records import Floats
 from adis_gonio.tracing.candidates.processes import Process, evidence, processes
 from adis_gonio.tracing.selection.design import orthonormal
 from adis_gonio.tracing.selection.select import Selection

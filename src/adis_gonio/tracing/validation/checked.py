@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from adis_gonio.estimation.fit import Fit, adequacy
-from adis_gonio.estimation.readings import Readings
-from adis_gonio.model.records import Floats
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.fit import Fit, adequacy
+from adis_gonio.fitting.estimation.readings import Readings
 
 
 def unexpected(fit: Fit, others: Readings, inflation: float = 1.0) -> float:

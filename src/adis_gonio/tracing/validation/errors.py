@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import Term
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.model.effects import AXES
-from adis_gonio.model.records import Floats
 from adis_gonio.tracing.outcome.result import ErrorFigures
 from adis_gonio.tracing.selection.design import span
 from adis_gonio.tracing.selection.select import Selection, select

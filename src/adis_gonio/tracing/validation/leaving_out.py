@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.budget import check, told
-from adis_gonio.estimation.fit import Fit, foreseen
-from adis_gonio.estimation.readings import Readings
-from adis_gonio.estimation.terms import Term
-from adis_gonio.model.records import Floats
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.budget import check, told
+from adis_gonio.fitting.estimation.fit import Fit, foreseen
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.tracing.thresholds import limits
 
 BY_AXIS = "body axes"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from adis_gonio.estimation.fit import Fit
-from adis_gonio.estimation.terms import Term
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.tracing.outcome.naming import Names
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.thresholds import limits

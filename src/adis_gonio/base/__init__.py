@@ -1,0 +1,1 @@
+"""Foundations: errors, numbers with units and uncertainty, output files, JSON, a budget of time."""

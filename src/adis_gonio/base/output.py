@@ -1,0 +1,112 @@
+"""Files that are made: written beside and renamed, so that a failure leaves the old file or none."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from itertools import count
+from pathlib import Path
+
+from adis_gonio.base.errors import OutputError, UsageError
+
+
+def ends_in(path: str | Path, *endings: str) -> bool:
+    """True where a file's name has one of these endings, in capitals or not."""
+    return Path(path).name.lower().endswith(endings)
+
+
+def check_output(path: str | Path, *, force: bool = False) -> Path:
+    """Refuse before the work what could only fail after it.
+
+    Parameters
+    ----------
+    force : bool
+        True where a file that is there may be replaced.
+
+    Raises
+    ------
+    UsageError
+        The file exists and `force` is not set, or the path is a folder.
+    OutputError
+        Its folder is not there or cannot be written to.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise UsageError(f"{path}: is a folder; name a file in it")
+    if path.is_file() and not force:
+        raise UsageError(f"{path}: exists already; choose another name, or --force to replace it")
+    folder = path.resolve().parent
+    if not folder.is_dir():
+        raise OutputError(f"{path}: cannot be written: there is no folder {folder}")
+    if not os.access(folder, os.W_OK | os.X_OK) and not _special(path):
+        raise OutputError(f"{path}: cannot be written: no permission to write to {folder}")
+    return path
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """Path beside `path` to write to; it takes the place of `path` when the block ends well.
+
+    After an exception of any kind (a full disk, Ctrl-C) it is removed and `path` is what it was before.
+    It has the same ending, so that a writer which goes by that does the same. Through a symbolic link the
+    file behind it is replaced; what is no regular file (`/dev/stdout`, a pipe) is written to as it is.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    path = Path(path)
+    if _special(path):
+        yield path
+        return
+    target = path.resolve()
+    try:
+        beside = _created_beside(target)
+    except OSError as error:
+        raise _unwritten(path, error) from error
+    try:
+        yield beside
+        _flushed(beside)
+        beside.replace(target)
+    except OSError as error:
+        if not _about(error, beside, target):
+            raise
+        raise _unwritten(path, error) from error
+    finally:
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
+
+
+def _special(path: Path) -> bool:
+    return path.exists() and not path.is_file() and not path.is_dir()
+
+
+def _created_beside(target: Path) -> Path:
+    """A new empty file with the permissions of the file that it will replace, else those of any new one."""
+    for number in count():
+        beside = target.with_name(f".{os.getpid()}-{number}.part-{target.name}")
+        try:
+            os.close(os.open(beside, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        except FileExistsError:
+            continue
+        if target.is_file():
+            beside.chmod(target.stat().st_mode & 0o777)
+        return beside
+    raise AssertionError("unreachable")
+
+
+def _flushed(path: Path) -> None:
+    """Have the content on the disk before the name: a power cut then leaves the old file or the new one."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
+def _unwritten(path: Path, error: OSError) -> OutputError:
+    return OutputError(f"{path}: cannot be written: {error.strerror or error}")
+
+
+def _about(error: OSError, beside: Path, target: Path) -> bool:
+    """True for an error of this file, False for one of another that the block opened."""
+    return error.filename is None or Path(os.fsdecode(error.filename)) in (beside, target)

@@ -1,0 +1,17 @@
+"""Bring-up of a new board: what to check once, in order, and what it says about the register table."""
+
+from adis_gonio.bench.bringup.result import Answer, Bringup, Measured, Outcome, Row, StepResult, Verdict
+from adis_gonio.bench.bringup.run import STEPS, Permission, bring_up
+
+__all__ = [
+    "STEPS",
+    "Answer",
+    "Bringup",
+    "Measured",
+    "Outcome",
+    "Permission",
+    "Row",
+    "StepResult",
+    "Verdict",
+    "bring_up",
+]

@@ -1,0 +1,214 @@
+"""What a bring-up says: figures, verdicts, answers, and the document that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+FORMAT = "adis-gonio bringup 1"
+
+
+class Verdict(StrEnum):
+    """What a step found."""
+
+    OK = "ok"
+    FAULT = "fault"
+    """The board does what no sound board does."""
+    DIFFERS = "differs"
+    """The board works and contradicts a row of the table: the table or the part is other than thought."""
+    NOT_MEASURED = "not measured"
+
+
+class Outcome(StrEnum):
+    """What was found about a row of the table."""
+
+    CONFIRMS = "confirms"
+    CONTRADICTS = "contradicts"
+    MEASURED = "measured"
+    """The table has no value: here is one."""
+    NOT_MEASURED = "not measured"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A figure with its standard uncertainty.
+
+    Attributes
+    ----------
+    u : float or None
+        None where the figure is a count or a setting.
+    expected : float or None
+        What table or configuration say.
+    """
+
+    name: str
+    value: float
+    unit: str = "1"
+    u: float | None = None
+    expected: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "name": self.name,
+            "value": self.value,
+            "u": self.u,
+            "unit": self.unit,
+            "expected": self.expected,
+        }
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was measured of one question about the part; `text` is one sentence."""
+
+    outcome: Outcome
+    text: str
+    figures: tuple[Measured, ...] = ()
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A series to draw: x and y with their labels, and what is expected where there is such."""
+
+    name: str
+    x_label: str
+    y_label: str
+    x: Sequence[float]
+    y: Mapping[str, Sequence[float]]
+    caption: str
+    log: bool = False
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """Result of a step: a verdict, one sentence that says it, figures, answers to open questions."""
+
+    verdict: Verdict
+    text: str
+    figures: tuple[Measured, ...] = ()
+    answers: Mapping[str, Answer] = field(default_factory=dict)
+    curves: tuple[Curve, ...] = ()
+
+
+@dataclass(frozen=True)
+class Row:
+    """A step with its result, as it stands in the document."""
+
+    name: str
+    does: str
+    effect: str
+    result: StepResult
+
+
+@dataclass(frozen=True)
+class Bringup:
+    """The whole bring-up.
+
+    Attributes
+    ----------
+    rows : tuple of Row
+        One a step, in order.
+    answers : mapping of str to Answer
+        One for each question of `adis_gonio.bench.bringup.questions`.
+    undone : str
+        What became of the registers that were written.
+    undone_ok : bool
+        True where every register was read back as it was found.
+    stopped : bool
+        True where the operator ended it early.
+    """
+
+    url: str
+    variant: str
+    begun_utc: str
+    software: str
+    bridge: Mapping[str, Any]
+    registers: Mapping[str, int]
+    rows: tuple[Row, ...]
+    answers: Mapping[str, Answer]
+    undone: str
+    undone_ok: bool
+    comparisons: int
+    false_alarm: float
+    stopped: bool = False
+
+    def row(self, name: str) -> StepResult:
+        """Result of a step by its name."""
+        return next(row.result for row in self.rows if row.name == name)
+
+    @property
+    def accused(self) -> tuple[str, ...]:
+        """Names of the steps that found a fault or a difference."""
+        return tuple(
+            row.name for row in self.rows if row.result.verdict in (Verdict.FAULT, Verdict.DIFFERS)
+        )
+
+    @property
+    def sound(self) -> bool:
+        """True where no step found a fault and everything was undone."""
+        return self.undone_ok and all(row.result.verdict is not Verdict.FAULT for row in self.rows)
+
+    @property
+    def simulated(self) -> bool:
+        """True for a simulated sensor."""
+        return self.url.startswith("sim:")
+
+    @property
+    def headline(self) -> str:
+        """The whole in one sentence."""
+        faults = [row.name for row in self.rows if row.result.verdict is Verdict.FAULT]
+        differs = [row.name for row in self.rows if row.result.verdict is Verdict.DIFFERS]
+        left = sum(row.result.verdict is Verdict.NOT_MEASURED for row in self.rows)
+        parts = [f"fault: {', '.join(faults)}" if faults else "no fault was found"]
+        if differs:
+            parts.append(f"differs from the table: {', '.join(differs)}")
+        if left:
+            parts.append(f"{left} of {len(self.rows)} steps were not measured")
+        if not self.undone_ok:
+            parts.append(self.undone)
+        text = "; ".join(parts)
+        return text[0].upper() + text[1:] + "."
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON document."""
+        from adis_gonio.bench.bringup.questions import QUESTIONS
+
+        return {
+            "format": FORMAT,
+            "software": self.software,
+            "begun_utc": self.begun_utc,
+            "url": self.url,
+            "simulated": self.simulated,
+            "variant": self.variant,
+            "bridge": dict(self.bridge),
+            "registers": dict(self.registers),
+            "sound": self.sound,
+            "accused": self.accused,
+            "headline": self.headline,
+            "stopped": self.stopped,
+            "undone": {"verified": self.undone_ok, "text": self.undone},
+            "false_alarm": {"board": self.false_alarm, "comparisons": self.comparisons},
+            "steps": [
+                {
+                    "name": row.name,
+                    "does": row.does,
+                    "effect": row.effect,
+                    "verdict": row.result.verdict,
+                    "text": row.result.text,
+                    "figures": [figure.as_dict() for figure in row.result.figures],
+                }
+                for row in self.rows
+            ],
+            "answers": [
+                question.as_dict()
+                | {
+                    "outcome": self.answers[question.name].outcome,
+                    "text": self.answers[question.name].text,
+                    "measured": [figure.as_dict() for figure in self.answers[question.name].figures],
+                }
+                for question in QUESTIONS
+            ],
+        }

@@ -1,0 +1,291 @@
+"""One dwell, from going to its place until it is complete, given up or left."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.counting import counted
+from adis_gonio.base.errors import AdisGonioError, SessionError
+from adis_gonio.bench.bench import SessionBench
+from adis_gonio.bench.events import DwellDone, DwellInterrupted, Event, Problem, StageMoved
+from adis_gonio.bench.guarding import Guarding
+from adis_gonio.bench.guards import Guard, drift_guard, shock_guard, stuck_guard
+from adis_gonio.bench.knowledge import Knowledge
+from adis_gonio.bench.ledger import Ledger
+from adis_gonio.bench.live import vector
+from adis_gonio.bench.questions import Questions
+from adis_gonio.bench.recording import Recording
+from adis_gonio.device.sensor.decoding import ScanBlock
+from adis_gonio.device.sensor.settings import Status
+from adis_gonio.record.archive import utc_now
+from adis_gonio.record.blocks import Block, count_alarms
+from adis_gonio.record.faults import SUPPLY_LIMITS_V, WITHOUT_NEWS, alarms_of
+from adis_gonio.record.watch import Look
+
+MOST_RESTARTS = 5
+"""Interruptions of one dwell after which somebody has to look."""
+
+WINDOWS_TO_STILLNESS = 4
+"""Windows that the watch needs before it can say anything; waited for besides the time-out."""
+
+WARMING_S = 600.0
+"""Wait for another temperature, where the program sets it."""
+
+BROKEN_STREAM = "the stream of scans ended"
+
+
+class TakesDwells(Protocol):
+    """Whoever records what a session wants of a place."""
+
+    def take(self, place: int) -> Iterator[Event]:
+        """Record it, into the archive and the ledger."""
+
+
+@dataclass(frozen=True)
+class _Broken:
+    """Why a dwell was broken off, and what has to be asked about it."""
+
+    reason: str
+    guard: Guard | None = None
+
+
+class Dwelling:
+    """Makes dwells, one after another."""
+
+    def __init__(
+        self, bench: SessionBench, ledger: Ledger, knowledge: Knowledge, questions: Questions
+    ) -> None:
+        self._bench = bench
+        self._ledger = ledger
+        self._knowledge = knowledge
+        self._questions = questions
+        self._guarding = Guarding(ledger, knowledge, questions)
+
+    def take(self, place: int) -> Iterator[Event]:
+        """Make the dwell of a place; it is begun anew where it is disturbed.
+
+        Raises
+        ------
+        SessionError
+            No dwell is possible, and nobody is there to ask.
+        """
+        recording = self._new_recording(place)
+        self._guarding.begin()
+        if not (yield from self._go_to(recording)):
+            return
+        restarts, rested_mg = 0, None
+        while (broken := (yield from self._record_or_keep(recording, rested_mg))) is not None:
+            yield self._interrupted(recording, broken.reason)
+            if self._questions.interrupted:
+                return
+            guard, restarts = broken.guard, restarts + 1
+            rested_mg = recording.rested_mg if rested_mg is None else rested_mg
+            if guard is None and (recording.timed_out or restarts == MOST_RESTARTS):
+                self._bench.close_stream()
+                guard = self._gave_up(recording, broken.reason, restarts)
+                if guard is None:
+                    message = f"{recording.position}: {broken.reason}; no dwell was possible"
+                    yield self._ledger.problem(Problem("stillness", message, place))
+                    return
+            if guard is not None:
+                if not (yield from self._guarding.ask(guard, place)):
+                    return
+                restarts, rested_mg = 0, None
+            recording = self._new_recording(place)
+        yield from self._complete(recording)
+
+    def _gave_up(self, recording: Recording, reason: str, restarts: int) -> Guard | None:
+        """What to ask after so many disturbances; None where the part never came to rest.
+
+        Raises
+        ------
+        SessionError
+            Nobody is there to ask.
+        """
+        if self._questions.auto:
+            raise SessionError(
+                f"{recording.position}: {reason}; no dwell was possible;"
+                " find what moves the part and resume the session"
+            )
+        return None if recording.timed_out else shock_guard(reason, restarts)
+
+    def _go_to(self, recording: Recording) -> Generator[Event, None, bool]:
+        """Bring about what the position asks for, as far as the program can; False where it was stopped."""
+        place, position, bench = recording.place, recording.position, self._bench
+        if bench.sets_conditions and bench.wants_conditions(position):
+            wanted = {"temperature_c": position.temperature_c, "supply_v": position.supply_v}
+            # The record's time is the one at which the change begins: nothing may come between.
+            self._ledger.note("conditions", wanted)
+            bench.set_conditions(**wanted)
+            if position.temperature_c is not None and (yield from self._questions.wait(place, WARMING_S)):
+                return False
+        move = bench.move_to(position)
+        if move is not None:
+            recording.moves.append(move)
+            yield StageMoved(position)
+        if (yield from self._questions.wait(place, position.wait_s)):
+            # An attempt without scans keeps the move, which a resumed simulation has to live through.
+            yield self._interrupted(recording, self._questions.why_interrupted)
+            return False
+        return True
+
+    def _new_recording(self, place: int) -> Recording:
+        bench = self._bench
+        return Recording(
+            place,
+            self._ledger.plan.positions[place],
+            utc_now(),
+            bench.now_s,
+            bench.settings.dwell_s,
+            bench.settle_s,
+            bench.period_s,
+            self._questions.take_seen(),
+        )
+
+    def _record_or_keep(
+        self, recording: Recording, rested_mg: Floats | None
+    ) -> Generator[Event, None, _Broken | None]:
+        """Record; where that breaks off with an error, keep what there is."""
+        try:
+            return (yield from self._record(recording, rested_mg))
+        except BaseException as error:
+            self._interrupted(recording, why_broken_off(error))
+            raise
+
+    def _record(
+        self, recording: Recording, rested_mg: Floats | None
+    ) -> Generator[Event, None, _Broken | None]:
+        """Wait for stillness, then record; return None when complete, else what interrupted it."""
+        bench, questions, knowledge = self._bench, self._questions, self._knowledge
+        watch = knowledge.watch()
+        patience_s = bench.settings.still_timeout_s + WINDOWS_TO_STILLNESS * bench.window * bench.period_s
+        look: Look | None = None
+        for block in bench.scans():
+            recording.add(block)
+            knowledge.see(block)
+            for look in watch.feed(block.accel_mg):
+                disturbed = self._disturbance(recording, look)
+                if disturbed is not None:
+                    return disturbed
+            if recording.try_begin() and look is not None:
+                watch.anchor(recording.begin)
+                guard = yield from self._guarding.settled(recording, look.mean_mg, rested_mg)
+                if guard is not None:
+                    return _Broken(guard.message, guard)
+            if questions.interrupted:
+                return _Broken(questions.why_interrupted)
+            yield from questions.remarks(recording.place)
+            if look is None:
+                continue
+            if recording.complete(look.end):
+                return None
+            yield knowledge.view.dwell(recording, look.mean_mg, look.spread_mg, bench.settings.dwell_s)
+            if not recording.begun and recording.waited_s > patience_s:
+                recording.timed_out = True
+                return _Broken(f"not still within {recording.waited_s:.0f} s ({recording.why_moving})")
+        return _Broken(BROKEN_STREAM)
+
+    def _disturbance(self, recording: Recording, look: Look) -> _Broken | None:
+        """Tell the recording what was seen of the part; return what disturbed a dwell that had begun."""
+        auto = self._questions.auto
+        if look.state == "stuck":
+            if auto:
+                raise SessionError(look.why)
+            return _Broken(look.why, stuck_guard(look.why))
+        if look.state == "still":
+            recording.still(look.end)
+        elif recording.begun:
+            moved_on = look.shifted and not auto and not self._guarding.kept("drift")
+            return _Broken(look.why, drift_guard(look.why) if moved_on else None)
+        else:
+            recording.moving(look.why)
+        return None
+
+    def _interrupted(self, recording: Recording, reason: str) -> DwellInterrupted:
+        attempt = recording.attempt("interrupted", self._bench.now_s, reason)
+        number = self._ledger.archive.add_attempt(attempt)
+        return DwellInterrupted(recording.place, recording.position, number, recording.samples, reason)
+
+    def _complete(self, recording: Recording) -> Iterator[Event]:
+        bench, ledger = self._bench, self._ledger
+        bench.close_stream()
+        ledger.scanning(bench.scanning)
+        status = bench.source.status()
+        lost = bench.settings_lost()
+        bench.checkpoint()
+        if lost:
+            yield self._interrupted(recording, lost)
+            raise SessionError(f"{recording.position}: {lost}")
+        attempt = recording.attempt("complete", bench.now_s, status=None if status is None else status.word)
+        number = ledger.archive.add_attempt(attempt)
+        place, scans = recording.place, recording.scans()
+        ledger.faulty.discard(place)
+        alarms = count_alarms(scans)
+        if attempt.status or alarms:
+            ledger.faulty.add(place)
+        doubted = self._guarding.complete(number)
+        ledger.count(place, number)
+        self._knowledge.learn(place, recording.position, scans, doubted=doubted)
+        self._note_turn(number)
+        mean = vector(scans.accel_mg.mean(axis=0))
+        yield DwellDone(place, recording.position, number, len(scans), scans.lost, mean, alarms)
+        found = problems(place, scans, status)
+        for problem in found:
+            yield ledger.problem(problem)
+        yield from self._guarding.within(recording, scans, found)
+        running = self._knowledge.running()
+        if running is not None and ledger.done.get(place) == number:
+            yield running
+
+    def _note_turn(self, number: int) -> None:
+        """Keep the gyros' integral since the dwell before: samples of the time of a question are not."""
+        judge, done = self._knowledge.judge, self._ledger.done
+        watched = None if judge is None else judge.last_turn()
+        if watched is not None and watched[0] in done:
+            since, turn = watched
+            angle = [float(angle) for angle in turn.angle_deg]
+            kept = {"attempt": number, "since": done[since], "angle_deg": angle, "u_deg": turn.zero_u_deg}
+            self._ledger.note("turned", kept)
+
+
+def why_broken_off(error: BaseException) -> str:
+    """Reason of an attempt that an error ended."""
+    return str(error) if isinstance(error, AdisGonioError) else "the program ended"
+
+
+__all__ = ["BROKEN_STREAM", "Dwelling", "TakesDwells", "why_broken_off"]
+
+
+def problems(place: int, scans: Block, status: Status | None) -> list[Problem]:
+    """What the operator should know of a dwell; STATUS is None where the sensor has none."""
+    messages = () if status is None else status.messages
+    found = [Problem("status", f"STATUS: {message}", place) for message in messages]
+    alarms = alarms_of(scans)
+    if alarms is not None:
+        why = "" if messages else "; it has passed: over-range or the supply, whose bits fall by themselves"
+        found.append(Problem("alarm", f"{alarms}{why}", place))
+    if isinstance(scans, ScanBlock) and "SUPPLY_OUT" in scans.registers:
+        supply = scans.supply_v
+        low, high = SUPPLY_LIMITS_V
+        if supply.min() < low or supply.max() > high:
+            found.append(
+                Problem(
+                    "supply",
+                    f"the supply was between {supply.min():.3f} and {supply.max():.3f} V;"
+                    f" the part needs {low} to {high} V",
+                    place,
+                )
+            )
+    if scans.lost:
+        share = 100.0 * scans.lost / (len(scans) + scans.lost)
+        found.append(
+            Problem("lost", f"{counted(scans.lost, 'scan')} ({share:.2g} %) lost on the bus", place)
+        )
+    if scans.dropped:
+        share = 100.0 * scans.dropped / (len(scans) + scans.dropped)
+        text = f"{counted(scans.dropped, 'scan')} ({share:.2g} %) left out: {WITHOUT_NEWS}"
+        found.append(Problem("dropped", text, place))
+    return found

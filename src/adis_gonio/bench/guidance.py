@@ -1,0 +1,145 @@
+"""What an operator is told: which way is positive, which axis points where, and what to do next.
+
+The conventions are those of the plane (U_x = G cos(α − θ), U_y = G sin(α − θ + Δφ)) and of the part's
+arrows: an axis reads +1 g where its drawn arrow points down (lying level with Z up, Z reads −1 g).
+"""
+
+from __future__ import annotations
+
+from adis_gonio.bench.guards import angle_between_deg
+from adis_gonio.record.plans import Plan, Position
+
+PLANE = (
+    "Start, 0°, seen with the Z arrow towards you:       At +90°:",
+    "",
+    "        +--------+                                      Y",
+    "        | part   |---> Y                                ^",
+    "        |   (.)Z |                                 +----|---+",
+    "        +---|----+                                 | (.)Z   |---> X",
+    "            v                                      | part   |",
+    "            X                                      +--------+",
+    "",
+    "  X arrow down (reads +1 g), Y level (0).          X level (0), Y arrow up (reads -1 g).",
+    "  Z is the axis of rotation and lies level: it reads about 0 throughout.",
+    "  Positive is counter-clockwise, seen with Z towards you: after +90° X points where Y did.",
+)
+SPACE = (
+    "An axis reads + where its arrow points down, - where it points up, about 0 where it lies level.",
+    "Lying flat with Z up:",
+    "",
+    "           Z  (reads -1 g)",
+    "           ^",
+    "        +--|--+",
+    "        |part |---> X  (0)",
+    "        +-----+",
+    "       /",
+    "      Y  (0)",
+)
+
+
+def turn_to_do(turns: int) -> str:
+    """What to do for a free turn of so many full turns, in one line."""
+    if turns > 1:
+        ways = f"{turns} times all around in the time, on and on, or forth and back where a cable wants it"
+    else:
+        ways = "once all around"
+    return (
+        f"lay the part at rest; press Enter, leave it alone for 3 s, turn it slowly {ways}"
+        " (stops to change your grip do no harm) and let it rest again"
+    )
+
+
+def whole_turns_to_do(turned_deg: float, fastest_dps: float) -> str:
+    """What to do for whole turns on a table, in one line."""
+    turns = round(abs(turned_deg) / 360)
+    times = "once" if turns == 1 else f"{turns} times"
+    way = "counter-clockwise" if turned_deg > 0 else "clockwise"
+    return (
+        f"leave the part at the mark; 1 s after Enter turn it {times} {way}, seen from above, flat on the"
+        f" table and back to the mark, at {fastest_dps:.0f} °/s at most ({360 / fastest_dps:.0f} s a turn;"
+        " stops to change your grip do no harm), and let it rest: get ready"
+    )
+
+
+def face(position: Position | None) -> str:
+    """Which arrow points up or down, such as `X arrow up`; empty where no direction is asked for."""
+    if position is None or position.direction is None:
+        return ""
+    along, axis = max(zip(position.direction, "XYZ", strict=True), key=lambda pair: abs(pair[0]))
+    return f"{axis} arrow {'up' if along < 0 else 'down'}"
+
+
+def drawing(plan: Plan) -> tuple[str, ...]:
+    """How to hold the part at the first position, as lines of text (ASCII but for the degree sign)."""
+    return SPACE if plan.plane == "none" else PLANE
+
+
+def to_do(
+    position: Position,
+    before: Position | None = None,
+    *,
+    reverse: bool = False,
+    fastest_dps: float = 180.0,
+    table: bool = False,
+) -> str:
+    """What to do next, in one line such as `turn the part +90° (counter-clockwise) to 90°`.
+
+    Parameters
+    ----------
+    before : Position or None
+        Where the part is.
+    reverse : bool
+        True in a session that is taken as turned the other way.
+    fastest_dps : float
+        Of whole turns.
+    table : bool
+        The part lies on a table, against a mark.
+    """
+    first = []
+    if position.temperature_c is not None:
+        first.append(f"bring the part to {position.temperature_c:.0f} °C")
+    if position.supply_v is not None:
+        first.append(f"set the supply to {position.supply_v:.2f} V")
+    if position.turned_deg is not None:
+        return whole_turns_to_do(position.turned_deg, fastest_dps)
+    here = (
+        _hold(position, table=table)
+        if position.angle_deg is None
+        else _turn(position, before, reverse=reverse)
+    )
+    return ", ".join([*first, here])
+
+
+def _turn(position: Position, before: Position | None, *, reverse: bool) -> str:
+    if before is None or before.angle_deg is None:
+        return f"turn the part to {position}"
+    by = (position.angle_deg or 0.0) - before.angle_deg
+    if by == 0:
+        if before.approach != position.approach:
+            return f"turn the part past it and back to {position}"
+        return f"leave the part at {position}"
+    way = "counter-clockwise" if (by > 0) is not reverse else "clockwise"
+    return f"turn the part {by:+g}° ({way}) to {position}"
+
+
+def _hold(position: Position, *, table: bool) -> str:
+    if position.direction is None:
+        return f"hold the part in {position}"
+    arrows = []
+    for axis, part in zip("XYZ", position.direction, strict=True):
+        if abs(part) > _MUCH:
+            tilt = angle_between_deg(position.direction, [part if axis == name else 0.0 for name in "XYZ"])
+            way = "down" if part > 0 else "up"
+            arrows.append(f"{axis} arrow {way}" + (f" ({tilt:.0f}° off)" if tilt >= _ROUND_DEG else ""))
+    if table:
+        return f"lay the part flat on the table, against the mark, with its {', '.join(arrows)}"
+    check = " (check)" if position.use == "check" else ""
+    return f"hold the part with its {', '.join(arrows)}, still, near enough{check}"
+
+
+_MUCH = 0.3
+_ROUND_DEG = 10.0
+"""Nearer to the vertical than this an arrow just points up or down."""
+
+
+__all__ = ["drawing", "face", "to_do", "turn_to_do"]

@@ -1,0 +1,304 @@
+"""The live session as a state machine without a screen.
+
+A front end iterates over `run()`, which yields typed events (see `events`) and asks by events too:
+
+    runner = SessionRunner.begin(sensor, "a.session", plan("four-position"))
+    for event in runner.run():
+        if isinstance(event, PositionAsked):
+            input(f"Turn the part to {event.position} and press Enter")
+            runner.confirm()
+
+A question stands until it is answered. Taking the next event without an answer makes the runner look at
+the sensor once and yield `Watching`: a plain front end prompts and answers before it goes on, a full
+screen goes on and answers from its key handler, in another thread if it likes. `stop()` is heard at any
+time. With `auto` the runner answers for itself, which needs a stage that the program can move.
+
+A simulated sensor's time is virtual and its world depends on nothing but the seed, the time and the moves
+of the stage. A resumed session brings a new world to the point where the last complete dwell ended, by the
+archived moves at their archived times, and goes on from there as if nothing had happened: the result is
+the same to the last bit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+from adis_gonio.base.errors import AdisGonioError, UsageError
+from adis_gonio.bench.answers import Operator, Reply
+from adis_gonio.bench.bench import SessionBench
+from adis_gonio.bench.closing import Advisor
+from adis_gonio.bench.dwelling import Dwelling, TakesDwells
+from adis_gonio.bench.events import Configured, Event, Finished, Started
+from adis_gonio.bench.knowledge import Knowledge
+from adis_gonio.bench.ledger import Ledger
+from adis_gonio.bench.noise_at_rest import measure_noise
+from adis_gonio.bench.questions import Questions
+from adis_gonio.bench.visiting import Visiting
+from adis_gonio.device.sensor.driver import Adis16354
+from adis_gonio.model.gravity import checked_gravity_mps2
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+from adis_gonio.record.archive import Archive, Header
+from adis_gonio.record.plans import GYRO_TURNS, Plan
+from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import SampleSource
+
+SHARE_OF_RANGE = 0.6
+"""Of the gyros' range: a hand that takes new grips is much faster than its mean in between."""
+
+
+class SessionRunner(Operator):
+    """Runs a session; made by `begin` or `resume`.
+
+    Answers may be given from another thread than the one that iterates over `run()`.
+    """
+
+    def __init__(
+        self,
+        bench: SessionBench,
+        archive: Archive,
+        *,
+        auto: bool,
+        extend: bool,
+        resumed: bool,
+        advisor: Advisor | None = None,
+    ) -> None:
+        super().__init__()
+        self._bench = bench
+        self._archive = archive
+        self._resumed = resumed
+        self._ran = False
+        self._ledger = Ledger(archive, lambda: bench.now_s)
+        self._knowledge = Knowledge(bench, self._ledger, judging=self.judges_places)
+        self._questions = Questions(self._inbox, bench, self._ledger, self._knowledge, auto=auto)
+        self._visiting = Visiting(
+            bench,
+            self._ledger,
+            self._knowledge,
+            self._questions,
+            self._new_dwelling(),
+            extend=extend,
+            advisor=advisor,
+        )
+
+    @classmethod
+    def begin(
+        cls,
+        sensor: Adis16354 | SampleSource,
+        path: str | Path,
+        plan: Plan,
+        settings: Settings | None = None,
+        *,
+        auto: bool = False,
+        extend: bool = False,
+        gravity_mps2: float = STANDARD_GRAVITY_MPS2,
+        fixture_sigma_deg: float | None = None,
+        title: str = "",
+        note: str = "",
+        operator: str = "",
+        serial: str = "",
+        stage: str = "",
+        advisor: Advisor | None = None,
+    ) -> SessionRunner:
+        """Begin a new session in a new file.
+
+        Parameters
+        ----------
+        sensor : Adis16354 or SampleSource
+            Open; stays open afterwards.
+        path : path
+            File to make; an existing session is never overwritten.
+        auto : bool
+            Answer all questions; needs a stage that the program can move.
+        extend : bool
+            With `auto`: accept the extension of the plan that a two-position session offers.
+        gravity_mps2 : float
+            Local gravity in m/s².
+        fixture_sigma_deg : float or None
+            Standard uncertainty of a declared angle in degrees; None where it is not stated.
+        title, note, operator, serial, stage : str
+            What the operator wants to keep with it: who measures, the part's serial number, the stage.
+        advisor : Advisor or None
+            Asked for further positions when the plan is done, until it has none.
+
+        Raises
+        ------
+        UsageError
+            `auto` without a stage, or gravity or fixture out of range.
+        SessionError
+            The file exists, or cannot be made.
+        """
+        checked_gravity_mps2(gravity_mps2, anywhere=True)
+        if fixture_sigma_deg is not None and not fixture_sigma_deg >= 0:
+            raise UsageError(f"fixture_sigma_deg is {fixture_sigma_deg}: take 0° or more")
+        settings = settings or Settings()
+        bench = SessionBench(sensor, settings)
+        source = bench.source
+        if auto:
+            bench.require_auto(plan)
+        stated = math.inf if plan.plane == "none" else fixture_sigma_deg
+        header = Header(
+            url=source.url,
+            variant=source.part.name,
+            plan=plan,
+            settings={k: v for k, v in settings.as_dict().items() if k in source.kept},
+            gravity_mps2=gravity_mps2,
+            fixture_sigma_deg=fixture_sigma_deg if plan.name == GYRO_TURNS else stated,
+            title=title,
+            note=note,
+            operator=operator.strip(),
+            serial=serial.strip(),
+            stage=stage.strip(),
+            simulated=bench.simulated,
+        )
+        archive = Archive.create(path, header)
+        return cls(bench, archive, auto=auto, extend=extend, resumed=False, advisor=advisor)
+
+    @classmethod
+    def resume(
+        cls,
+        sensor: Adis16354 | SampleSource,
+        path: str | Path,
+        *,
+        auto: bool = False,
+        extend: bool = False,
+        advisor: Advisor | None = None,
+    ) -> SessionRunner:
+        """Go on with the positions of a session that are not done yet, with the settings that it has.
+
+        These may be positions that an advisor asked for; a new advisor is asked when they are done.
+
+        Raises
+        ------
+        UsageError
+            `auto` without a stage.
+        DataError
+            Not a session file, damaged, truncated or newer than this program.
+        SessionError
+            The file cannot be written, or the sensor is not the one that the session began with.
+        """
+        archive = Archive.open_existing(path)
+        try:
+            bench = SessionBench(sensor, Settings.from_dict(archive.header().settings))
+            if auto:
+                bench.require_auto(archive.plan())
+            bench.require_same_sensor(archive)
+            return cls(bench, archive, auto=auto, extend=extend, resumed=True, advisor=advisor)
+        except BaseException:
+            archive.close()
+            raise
+
+    @property
+    def reversed(self) -> bool:
+        """True where the session is taken as turned the other way."""
+        return self._knowledge.reversed
+
+    @property
+    def one_recording(self) -> bool:
+        """True where the session is one continuous recording and visits no positions."""
+        return False
+
+    @property
+    def on_screen(self) -> bool:
+        """True where the bench screen shows such a session; else plain prompts do."""
+        return not self.one_recording
+
+    @property
+    def fastest_dps(self) -> float:
+        """Mean rate at which the part may be turned for its gyros; known once it is configured."""
+        return SHARE_OF_RANGE * float(self._bench.configuration.as_dict().get("gyro_range_dps") or 300.0)
+
+    @property
+    def judges_places(self) -> bool:
+        """True where each place is judged by gravity."""
+        return not self.one_recording
+
+    @property
+    def virtual_time(self) -> bool:
+        """True where the sensor's time stands still while nobody takes the next event."""
+        return self._bench.virtual_time
+
+    def _new_dwelling(self) -> TakesDwells:
+        """Who records each place."""
+        return Dwelling(self._bench, self._ledger, self._knowledge, self._questions)
+
+    def run(self) -> Iterator[Event]:
+        """Run the session to its end; can be used once.
+
+        Yields
+        ------
+        Event
+            The last one is `Finished`, and by then the file is closed.
+
+        Raises
+        ------
+        SessionError
+            The sensor is stuck, does not come to rest (`auto`), or the archive cannot be written.
+        BusError, ChipError
+            As the sensor raises them. Whatever was complete before is in the archive.
+        """
+        if self._ran:
+            raise UsageError("a runner runs once; resume the session with a new one")
+        self._ran = True
+        try:
+            yield from self._prepare()
+            yield from self._visiting.run()
+            finished = self._finish()
+        except BaseException:
+            with contextlib.suppress(AdisGonioError):  # the first error counts; the bus may be gone
+                self._bench.close()
+            raise
+        finally:
+            self._archive.close()
+        yield finished
+
+    def _prepare(self) -> Iterator[Event]:
+        bench, archive, ledger = self._bench, self._archive, self._ledger
+        began_s = bench.now_s
+        yield Started(
+            str(archive.path),
+            bench.source.url,
+            ledger.header.variant,
+            ledger.plan,
+            self._resumed,
+            len(ledger.done),
+        )
+        before, after = bench.configure()
+        bench.require_same_settings(archive, after)
+        last = max(ledger.done.values(), default=0)
+        archive.begin_run(began_s, bench.clock_offset(archive, began_s), last)
+        configuration = bench.configuration.as_dict()
+        ledger.note("registers-before", before)
+        ledger.note("configuration", configuration)
+        ledger.note("registers-configured", after)
+        ledger.note("truth", bench.truth())
+        yield Configured(configuration, bench.changes(before, after), bench.why_polled)
+        noise = archive.last("noise")
+        if noise is None:
+            noise = yield from measure_noise(bench, ledger, self._knowledge, self._questions)
+        elif bench.virtual_time:
+            bench.bring_world_to(archive, last)
+        elif bench.simulated:
+            bench.take_up(archive, last)
+        if noise is not None:
+            yield self._knowledge.take_noise(noise)
+
+    def _finish(self) -> Finished:
+        bench, ledger = self._bench, self._ledger
+        complete = ledger.next_place is None
+        for _ in self._questions.remarks(None):
+            pass
+        bench.close()  # what was changed for the scans alone is set back first
+        ledger.note("registers-after", bench.source.registers())
+        ledger.note(
+            "truth", bench.truth(self._archive.dwells(), ledger.recorded_s or bench.settings.dwell_s)
+        )
+        ledger.note("finished", {"complete": complete})
+        return Finished(
+            str(self._archive.path), complete, len(ledger.done), len(ledger.skipped), len(ledger.plan)
+        )
+
+
+__all__ = ["Reply", "SessionRunner"]

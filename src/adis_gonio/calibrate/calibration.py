@@ -1,0 +1,534 @@
+"""`Calibration`: parameters of a fit or a trace, and what they make of a reading.
+
+In the one convention of `model.measurement` a reading is U = diag(K) D g + b + Σ effects(diag(K) D g); here
+it is solved for g. Effects are small against the reading, so that the fixed point of
+a ← U − b − Σ effects(a) is found in a few passes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.base.showing import html_table, parameter_frame, with_u
+from adis_gonio.calibrate.checks import checked_condition, checked_readings
+from adis_gonio.model.effects import AXES, Conditions, Effect
+from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, wrap_rad
+from adis_gonio.model.records import MG_PER_MPS2
+from adis_gonio.record.provenance import Provenance
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from adis_gonio.calibrate.gyro_calibration import GyroCalibration
+
+STEP = 0.01
+"""Of the central difference along each axis of the covariance, in standard uncertainties."""
+_PASSES = 60
+_SETTLED_MG = 1e-9
+
+TurnPlane = Literal["xy", "xz", "yz"]
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A parameter: value, standard uncertainty (None: not known) and unit.
+
+    Attributes
+    ----------
+    dof : float or None
+        Effective degrees of freedom of u, where the result states them.
+    """
+
+    name: str
+    value: float
+    u: float | None
+    unit: str
+    dof: float | None = None
+
+
+@dataclass(frozen=True)
+class EffectTerm:
+    """An effect of the catalogue that is corrected.
+
+    Attributes
+    ----------
+    effect : Effect
+    parameters : tuple of str
+        Names of its values among the calibration's parameters, in the effect's order.
+    """
+
+    effect: Effect
+    parameters: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class NotCorrected:
+    """What the model holds and a goniometer at work cannot correct, with the reason."""
+
+    effect: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class AngleReading:
+    """Angles (n,) in degrees, −180 to 180, and their standard uncertainties (n,), NaN where not known.
+
+    One reading (axes,) gives arrays without an axis, which are as good as numbers.
+    """
+
+    angle_deg: Floats
+    u_deg: Floats
+
+    def __repr__(self) -> str:
+        u_deg = np.atleast_1d(self.u_deg)
+        known = u_deg[np.isfinite(u_deg)]
+        told = f"{known.max():.4f}°" if known.size else "unknown"
+        if np.ndim(self.angle_deg) == 0:
+            return f"AngleReading({float(self.angle_deg):.4f}°, u {told})"
+        n = len(self.angle_deg)
+        return f"AngleReading({n} angle{'s' if n != 1 else ''}, u up to {told})"
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What turns readings of a sensor into gravity and angle.
+
+    Attributes
+    ----------
+    method : str
+        A method of `fit`, or `trace`.
+    provenance : Provenance
+        Sensor, plane, gravity and whatever is known of the session.
+    parameters : tuple of Coefficient
+        Base parameters (gains, misalignment or skews, biases), in the plane the start angle `alpha` where
+        it is known, then the values of the effects.
+    covariance : (p, p) float or None
+        In the order and units of `parameters`; None where no noise is known.
+    effects : tuple of EffectTerm
+        Effects of a trace that are functions of the reading, the temperature or the supply.
+    not_corrected : tuple of NotCorrected
+        Effects that belong to the bench, or that no single reading shows.
+    assumed : tuple of str
+        Parameters that the session did not determine and that stand at their nominal values.
+    counts_per_mg : tuple of float or None
+        Of each axis, rough, where readings are in counts; None where they are in mg.
+    gyro : GyroCalibration or None
+        Of the gyros, where the session calibrates them.
+    """
+
+    method: str
+    provenance: Provenance
+    parameters: tuple[Coefficient, ...]
+    covariance: Floats | None
+    effects: tuple[EffectTerm, ...] = ()
+    not_corrected: tuple[NotCorrected, ...] = ()
+    assumed: tuple[str, ...] = ()
+    counts_per_mg: tuple[float, ...] | None = None
+    gyro: GyroCalibration | None = None
+    of_session: ClassVar[Callable[[str | Path], Calibration] | None] = None
+    """Reads a file that may be a session; set by `adis_gonio.tracing.loading`."""
+
+    # -- what it is --------------------------------------------------------------------------------
+
+    @property
+    def planar(self) -> bool:
+        """True for a turn in the plane of x and y, False for any attitude in space."""
+        return self.provenance.plane == "xy"
+
+    @property
+    def axes(self) -> int:
+        """Axes of a reading that are used: 2 in the plane, 3 in space."""
+        return 2 if self.planar else 3
+
+    @property
+    def unit(self) -> str:
+        """Unit of the readings that it takes: mg, or counts."""
+        return "counts" if self.provenance.counts else "mg"
+
+    @property
+    def gravity_mg(self) -> float:
+        """Local gravity of the session in mg."""
+        return self.provenance.gravity_mps2 * MG_PER_MPS2
+
+    def __getitem__(self, name: str) -> Coefficient:
+        """Parameter by name; `KeyError` without it."""
+        for one in self.parameters:
+            if one.name == name:
+                return one
+        raise KeyError(name)
+
+    def __contains__(self, name: object) -> bool:
+        return any(one.name == name for one in self.parameters)
+
+    @property
+    def values(self) -> Floats:
+        """Values (p,) of the parameters."""
+        return np.array([one.value for one in self.parameters])
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Calibration) and self.as_dict() == other.as_dict()
+
+    def __hash__(self) -> int:
+        return hash((self.method, self.provenance, self.parameters))
+
+    def __repr__(self) -> str:
+        where = "in the plane xy" if self.planar else "in space"
+        beside = "".join(f" + {term.effect.name}" for term in self.effects)
+        return f"Calibration({self.provenance.sensor} {where}, {self.method}{beside}, {self._lead()})"
+
+    def _lead(self) -> str:
+        from adis_gonio.calibrate.document import derived_delta_k
+
+        ratio = derived_delta_k(self)
+        first = [self[name] for name in ("delta_phi", "skew_xy") if name in self]
+        return ", ".join(_shown(one) for one in ([ratio, *first] if ratio else first))
+
+    def summary(self) -> str:
+        """What it holds in lines of text: origin, parameters with u, effects, and what it does not do."""
+        from adis_gonio.calibrate.document import summary_of
+
+        return summary_of(self)
+
+    def _repr_html_(self) -> str:
+        return html_table(repr(self), self.as_dict()["parameters"].items())
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Parameters by name as a data frame with the columns value, u and unit (extra: pandas)."""
+        return parameter_frame(self.as_dict()["parameters"].items())
+
+    # -- files -------------------------------------------------------------------------------------
+
+    @classmethod
+    def load(cls, path: str | Path) -> Calibration:
+        """Calibration of a JSON file (`save`, `adis-gonio export`), or of a session, which is fitted.
+
+        Raises
+        ------
+        DataError
+            The file is neither, is damaged, or is of a newer version.
+        FitError
+            The session does not determine a calibration.
+        """
+        if cls.of_session is not None:
+            return cls.of_session(path)
+        from adis_gonio.calibrate.files import calibration_in
+
+        made = calibration_in(path)
+        if made is None:
+            raise DataError(f"{path}: is no calibration; fit a session by adis_gonio.fit")
+        return made
+
+    def save(self, path: str | Path, *, force: bool = False) -> None:
+        """Write it as JSON (`schema/calibration-1.json`), bit-exact.
+
+        Raises
+        ------
+        UsageError
+            The file exists and `force` is not set.
+        OutputError
+            The file cannot be written.
+        """
+        from adis_gonio.calibrate.document import save_document
+
+        save_document(self.as_dict(), path, force=force)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON document."""
+        from adis_gonio.calibrate.document import document_of
+
+        return document_of(self)
+
+    # -- use ---------------------------------------------------------------------------------------
+
+    def apply(
+        self, accel: ArrayLike, temperature_c: ArrayLike | None = None, *, supply_v: ArrayLike | None = None
+    ) -> Floats:
+        """Gravity in the sensor's orthogonal frame, in units of local gravity.
+
+        X of the frame is the sensor's X axis, Y lies in the plane of its X and Y.
+
+        Parameters
+        ----------
+        accel : (n, 2), (n, 3), (2,) or (3,) float
+            Readings in `unit`, mg as `ScanBlock.accel_mg` gives them; in the plane z takes no part.
+        temperature_c, supply_v : (n,) float or float, optional
+            For effects that follow them; without them the session's mean, which holds near it only.
+
+        Returns
+        -------
+        (n, axes) or (axes,) float
+            NaN where a reading lies so far out that the model has no inverse.
+
+        Raises
+        ------
+        UsageError
+            Wrong shape, another unit, NaN or infinity.
+        """
+        readings, single = checked_readings(accel, self)
+        gravity = self._gravity(
+            self.values, readings, self._conditions(len(readings), temperature_c, supply_v)
+        )
+        return gravity[0] if single else gravity
+
+    def readings_of(
+        self, gravity: ArrayLike, temperature_c: float | None = None, *, supply_v: float | None = None
+    ) -> Floats:
+        """Readings (n, axes) in `unit` of gravity (n, axes) in units of local gravity: `apply` undone."""
+        gravity = np.asarray(gravity, dtype=float)
+        base, bias = self.natural(self.values)
+        matrix = self.measurement.calibrated(base, np.eye(self.axes))
+        ideal = np.asarray(gravity @ np.linalg.inv(matrix))
+        conditions = self._conditions(len(gravity), temperature_c, supply_v)
+        effects = [e.reading(own, ideal, conditions) for e, own in self._terms(self.values)]
+        return np.asarray((ideal + bias + sum(effects, np.zeros(ideal.shape))) * self.per_mg)
+
+    def angle(
+        self,
+        accel: ArrayLike,
+        temperature_c: ArrayLike | None = None,
+        *,
+        supply_v: ArrayLike | None = None,
+        reading_u: float | Sequence[float] | None = None,
+        plane: TurnPlane | None = None,
+    ) -> AngleReading:
+        """Angle ψ at which gravity stands from the first axis of the plane towards the second.
+
+        A stage that is turned by θ in the sense of equation (6) lessens it: ψ = α − θ, see `stage_angle`.
+
+        Parameters
+        ----------
+        accel, temperature_c, supply_v
+            As in `apply`.
+        reading_u : float or sequence of float, optional
+            Standard uncertainty of a reading on every axis, or axis by axis, in `unit`; by default only
+            the uncertainty of the calibration is stated.
+        plane : {"xy", "xz", "yz"}, optional
+            Needed for a calibration in space, which has no plane of its own.
+
+        Raises
+        ------
+        UsageError
+            As `apply`; no plane, or another than the calibrated one; an uncertainty that is negative.
+        """
+        i, j = self._plane(plane)
+
+        def shown(values: Floats, readings: Floats, conditions: Conditions) -> Floats:
+            gravity = self._gravity(values, readings, conditions)
+            return np.asarray(np.arctan2(gravity[:, j], gravity[:, i]))
+
+        return self._with_u(shown, accel, temperature_c, supply_v, reading_u)
+
+    def stage_angle(
+        self,
+        accel: ArrayLike,
+        temperature_c: ArrayLike | None = None,
+        *,
+        supply_v: ArrayLike | None = None,
+        reading_u: float | Sequence[float] | None = None,
+    ) -> AngleReading:
+        """Angle θ = α − ψ of the session's stage, as its positions were declared, with u.
+
+        Raises
+        ------
+        UsageError
+            As `angle`; the calibration has no start angle.
+        """
+        if "alpha" not in self:
+            raise UsageError("this calibration has no start angle alpha: only .angle() can be given")
+        k = [one.name for one in self.parameters].index("alpha")
+
+        def shown(values: Floats, readings: Floats, conditions: Conditions) -> Floats:
+            gravity = self._gravity(values, readings, conditions)
+            return np.asarray(np.radians(values[k]) - np.arctan2(gravity[:, 1], gravity[:, 0]))
+
+        return self._with_u(shown, accel, temperature_c, supply_v, reading_u)
+
+    def with_offsets(self, offsets_lsb: Sequence[int]) -> Calibration:
+        """Return the calibration for a part whose offset registers hold other numbers.
+
+        The part adds XACCL_OFF … to its outputs, so a bias that the chip corrects now is not corrected
+        again. An axis without a bias among the parameters gets one that is the difference of the offsets,
+        without an uncertainty.
+
+        Raises
+        ------
+        UsageError
+            The session does not say what the registers held, or the part has none.
+        """
+        from adis_gonio.device.sensor.variants import VARIANTS
+
+        then = self.provenance.offsets_lsb
+        if then is None or self.provenance.sensor not in VARIANTS or self.provenance.counts:
+            raise UsageError(
+                "the session does not say which offsets stood in the chip while it was recorded"
+            )
+        if len(offsets_lsb) != 3:
+            raise UsageError(f"offsets are three numbers (x, y, z), not {len(offsets_lsb)}")
+        lsb_mg = VARIANTS[self.provenance.sensor].accel_mg_per_lsb
+        now = tuple(int(number) for number in offsets_lsb)
+        added = {f"bias_{axis}": (now[k] - then[k]) * lsb_mg for k, axis in enumerate(AXES)}
+        moved = tuple(replace(one, value=one.value + added.get(one.name, 0.0)) for one in self.parameters)
+        names = [f"bias_{axis}" for axis in AXES[: self.axes]]
+        new = tuple(Coefficient(n, added[n], None, "mg") for n in names if added[n] and n not in self)
+        covariance = self.covariance
+        if covariance is not None:
+            covariance = np.pad(covariance, (0, len(new)))
+        where = replace(self.provenance, offsets_lsb=(now[0], now[1], now[2]), written_lsb=None)
+        # The gyros feel what the accelerometers read, which the chip has moved.
+        moved_g = (np.array(now) - np.array(then)) * lsb_mg / 1000
+        gyro = None if self.gyro is None else self.gyro.with_force_moved(moved_g)
+        return replace(self, parameters=moved + new, covariance=covariance, provenance=where, gyro=gyro)
+
+    def for_registers(
+        self, offsets_lsb: Sequence[int] | None, gyro_offsets_lsb: Sequence[int] | None
+    ) -> Calibration:
+        """Return the calibration for readings taken while the offset registers held these numbers.
+
+        Parameters
+        ----------
+        offsets_lsb, gyro_offsets_lsb : three int or None
+            XACCL_OFF … and XGYRO_OFF …, in LSB. If they are None, or if the calibration does not know its
+            own, that part is returned unchanged.
+        """
+        moved = self
+        if offsets_lsb is not None and self.provenance.offsets_lsb is not None:
+            moved = moved.with_offsets(offsets_lsb)
+        gyro = moved.gyro
+        if gyro is not None and gyro.offsets_lsb is not None and gyro_offsets_lsb is not None:
+            moved = replace(moved, gyro=gyro.with_offsets(gyro_offsets_lsb))
+        return moved
+
+    # -- how ---------------------------------------------------------------------------------------
+
+    @property
+    def measurement(self) -> Measurement:
+        """The base model."""
+        return PlanarTurn(self.gravity_mg) if self.planar else FreeAttitude(self.gravity_mg)
+
+    @property
+    def per_mg(self) -> Floats:
+        """Unit of a reading per mg (axes,)."""
+        return np.ones(self.axes) if self.counts_per_mg is None else np.array(self.counts_per_mg)
+
+    def natural(self, values: Floats) -> tuple[Floats, Floats]:
+        """Base parameters in natural units, and biases (axes,) in mg, of parameters (p,) as stated."""
+        at = {one.name: k for k, one in enumerate(self.parameters)}
+        per_mg = self.per_mg
+        base = self.measurement.nominal
+        for k, parameter in enumerate(self.measurement.parameters):
+            if parameter.name not in at:
+                continue
+            base[k] = values[at[parameter.name]] / parameter.per_natural
+            if self.provenance.counts and parameter.name.startswith("scale"):
+                base[k] /= per_mg[AXES.index(parameter.name[-1])] * MG_PER_MPS2
+        names = [f"bias_{axis}" for axis in AXES[: self.axes]]
+        return base, np.array([values[at[n]] if n in at else 0.0 for n in names]) / per_mg
+
+    def _gravity(self, values: Floats, readings: Floats, conditions: Conditions) -> Floats:
+        base, bias = self.natural(values)
+        free = readings / self.per_mg - bias
+        ideal = free
+        terms = self._terms(values)
+        if terms:
+            with np.errstate(over="ignore", invalid="ignore"):
+                ideal = _solved(free, terms, conditions)
+        return self.measurement.calibrated(base, ideal)
+
+    def _terms(self, values: Floats) -> list[tuple[Effect, Floats]]:
+        names = [one.name for one in self.parameters]
+        return [(t.effect, values[[names.index(n) for n in t.parameters]]) for t in self.effects]
+
+    def _conditions(
+        self, n: int, temperature_c: ArrayLike | None, supply_v: ArrayLike | None
+    ) -> Conditions:
+        needs = {name for term in self.effects for name in term.effect.needs}
+        where = self.provenance
+        return Conditions(
+            time_s=np.zeros(n),
+            temperature_c=checked_condition("temperature_c", temperature_c, n, where.temperature_c, needs),
+            supply_v=checked_condition("supply_v", supply_v, n, where.supply_v, needs),
+        )
+
+    def _plane(self, plane: str | None) -> tuple[int, int]:
+        planes = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+        if plane is None:
+            if not self.planar:
+                raise UsageError(
+                    "this calibration is one in space: name the angle's plane, plane='xy', 'xz' or 'yz'"
+                )
+            plane = "xy"
+        if plane not in planes or (self.planar and plane != "xy"):
+            known = "xy" if self.planar else "xy, xz, yz"
+            raise UsageError(f"no angle in plane '{plane}' from this calibration; it has {known}")
+        return planes[plane]
+
+    def _with_u(
+        self,
+        shown: Any,
+        accel: ArrayLike,
+        temperature_c: ArrayLike | None,
+        supply_v: ArrayLike | None,
+        reading_u: float | Sequence[float] | None,
+    ) -> AngleReading:
+        readings, single = checked_readings(accel, self)
+        conditions = self._conditions(len(readings), temperature_c, supply_v)
+        values = self.values
+        angle = shown(values, readings, conditions)
+        variance = np.full(len(readings), np.nan)
+        if self.covariance is not None:
+            variance = np.zeros(len(readings))
+            for direction in _directions(self.covariance):
+                up = shown(values + STEP * direction, readings, conditions)
+                down = shown(values - STEP * direction, readings, conditions)
+                variance += (wrap_rad(up - down) / (2 * STEP)) ** 2
+        if reading_u is not None:
+            for axis, u in enumerate(self._reading_u(reading_u)):
+                step = np.zeros(self.axes)
+                step[axis] = max(STEP * u, 1e-6)
+                change = shown(values, readings + step, conditions) - shown(
+                    values, readings - step, conditions
+                )
+                variance += (wrap_rad(change) / (2 * step[axis]) * u) ** 2
+        angle_deg, u_deg = np.degrees(wrap_rad(angle)), np.degrees(np.sqrt(variance))
+        return AngleReading(angle_deg[0], u_deg[0]) if single else AngleReading(angle_deg, u_deg)
+
+    def _reading_u(self, reading_u: float | Sequence[float]) -> Floats:
+        u = np.asarray(reading_u, dtype=float)
+        if u.shape not in ((), (self.axes,)) or not np.isfinite(u).all() or (u < 0).any():
+            raise UsageError(
+                f"reading_u is one number, or {self.axes}, none of them negative; not {reading_u}"
+            )
+        return np.broadcast_to(u, (self.axes,))
+
+
+def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Conditions) -> Floats:
+    """Ideal readings a (n, axes), a + Σ effects(a) = `free`; NaN where the iteration does not settle."""
+    ideal = free
+    for _ in range(_PASSES):
+        new = free - sum((e.reading(own, ideal, conditions) for e, own in terms), np.zeros(free.shape))
+        moving = np.asarray(~(np.abs(new - ideal) <= _SETTLED_MG).all(axis=1))
+        ideal = new
+        if not moving.any():
+            return ideal
+    ideal[moving] = np.nan
+    return ideal
+
+
+def _directions(covariance: Floats) -> Floats:
+    """Principal axes (k, p) of a covariance, each as long as its standard uncertainty."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    unit = np.where(scale > 0, scale, 1.0)
+    sizes, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
+    return np.asarray((vectors * np.sqrt(np.maximum(sizes, 0.0))).T * unit)
+
+
+def _shown(one: Coefficient) -> str:
+    return f"{one.name} {with_u(one.value, one.u, one.unit)}"

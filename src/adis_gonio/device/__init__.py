@@ -1,0 +1,1 @@
+"""The sensor as hardware: SPI buses by URL, the register table and the driver."""

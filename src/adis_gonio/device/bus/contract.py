@@ -1,0 +1,294 @@
+"""The contract of a bus that carries 16-bit SPI frames, in prose first.
+
+Unit of work
+    A *batch of frames*. A frame is one 16-bit word, shifted MSB first in SPI mode 3 (CPOL 1, CPHA 1)
+    while chip select is low for exactly 16 clocks. Each frame of a batch has a chip-select period of
+    its own; a batch is never one long transfer and never a byte string.
+Replies
+    `exchange(frames)` returns one reply a frame: the 16 bits shifted *out* during that frame. The bus
+    knows nothing of pipelining, of registers or of units: those are the sensor's.
+Who waits
+    The bus. Between frames it keeps chip select high for at least `SpiTiming.stall_us`, starts frames
+    at least `period_us` apart and never clocks faster than `clock_hz`; that holds between the last
+    frame of one batch and the first of the next too. Slower is always allowed.
+Timing is configuration
+    `configure(timing)` sets it once and returns what the bus will do; calls carry no delays. A bus
+    that cannot keep a timing, such as a clock below its slowest, raises `UsageError` and leaves the old
+    one in force.
+Bit 14
+    is zero in every frame of this family. A batch with a frame outside 0…0xFFFF or with bit 14 set is
+    refused whole (`UsageError`) before anything is sent.
+Errors
+    A failed exchange raises one typed error (see `adis_gonio.base.errors`) within the bus's time-out and
+    leaves the bus usable. No reply of a failed batch is returned. The bus never repeats a frame on its
+    own unless it is certain that the first try did not reach the chip.
+Threads
+    A bus may be shared by threads: batches are atomic and do not interleave.
+Closing
+    `close()` may be called twice. Any other use after it raises `BusClosedError`.
+Time
+    `now_s()` is the bus's own monotonic clock and `sleep_s()` waits on it. A simulated bus has a
+    virtual clock: waiting costs nothing, and drivers must wait by the bus, never by `time.sleep`.
+Optional capabilities
+    are a set; a driver asks `Capability.STREAM in bus.capabilities` and can live without any of them.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.errors import BusClosedError, CapabilityError, ProtocolError, UsageError
+
+Words = NDArray[np.uint16]
+
+FRAME_BITS = 16
+RESERVED_BIT = 1 << 14
+
+
+class Capability(StrEnum):
+    """What a bus may offer besides `exchange`."""
+
+    STREAM = "stream"
+    """Runs a list of read frames by itself at each data-ready edge and delivers blocks."""
+    HARD_RESET = "hard-reset"
+    """Can pull the chip's RST line."""
+    EVENT_COUNTER = "event-counter"
+    """Counts data-ready edges in hardware, so that lost samples can be proved."""
+
+
+@dataclass(frozen=True)
+class SpiTiming:
+    """Timing that a bus keeps: the clock is a ceiling, stall and period are floors."""
+
+    clock_hz: float
+    stall_us: float
+    period_us: float
+
+    def __post_init__(self) -> None:
+        if not (self.clock_hz > 0 and self.stall_us >= 0 and self.period_us >= 0):
+            raise UsageError(f"timing {self} is not possible: clock > 0, stall and period >= 0")
+
+    @property
+    def frame_s(self) -> float:
+        """Time from one frame's start to the next one's, in s."""
+        return max(FRAME_BITS / self.clock_hz + self.stall_us * 1e-6, self.period_us * 1e-6)
+
+
+@dataclass(frozen=True)
+class FrameBlock:
+    """Scans delivered by a streaming bus.
+
+    Attributes
+    ----------
+    words : (n, k) uint16
+        Reply that belongs to each of the k frames of the list, for n scans (pipelining undone).
+    time_s : (n,) float
+        Time of each scan's trigger on the bus's clock.
+    lost : int
+        Triggers between the previous block and the end of this one that gave no scan.
+    """
+
+    words: Words
+    time_s: NDArray[np.float64]
+    lost: int = 0
+
+
+class SpiBus(ABC):
+    """Base of every bus: checks, locking and closing live here, one file a bridge adds the rest.
+
+    A subclass implements `_exchange`, `_configure` and `_close`, sets `url`, and overrides
+    `capabilities` with the methods of the capabilities that it has. See the module's text for what it
+    promises; `adis_gonio.testing.BusContract` is the test class that proves it.
+    """
+
+    url: str = ""
+    capabilities: frozenset[Capability] = frozenset()
+    edge_rises: bool = False
+    """Which edge of data-ready starts a scan of a stream: the rising one, or else the falling one."""
+    unbroken_frames: int | None = None
+    """Frames of a batch that follow each other without a pause; None where any number does."""
+
+    def __init__(self, timing: SpiTiming) -> None:
+        self._timing = timing
+        self._closed = False
+        self._lock = threading.RLock()
+
+    # -- what users call ------------------------------------------------------------------------
+
+    @property
+    def timing(self) -> SpiTiming:
+        """Timing in force."""
+        return self._timing
+
+    @property
+    def closed(self) -> bool:
+        """True once `close` was called."""
+        return self._closed
+
+    def configure(self, timing: SpiTiming) -> SpiTiming:
+        """Set the timing; return what the bus will do (never faster than asked)."""
+        with self._lock:
+            self._require_open()
+            self._timing = self._configure(timing)
+            return self._timing
+
+    def exchange(self, frames: Sequence[int]) -> list[int]:
+        """Send a batch of frames, return one 16-bit reply a frame.
+
+        Raises
+        ------
+        UsageError
+            A frame is not a 16-bit word or has bit 14 set; nothing was sent.
+        BusError
+            The batch failed; no reply is returned, the bus stays usable.
+        """
+        return [int(reply) for reply in self.exchange_array(_as_words(frames))]
+
+    def exchange_array(self, frames: Words) -> Words:
+        """`exchange` for (n,) uint16 arrays, which is what drivers use for long batches."""
+        if frames.dtype != np.uint16 or frames.ndim != 1:
+            raise UsageError("frames must be a one-dimensional array of uint16")
+        reserved = np.flatnonzero(frames & RESERVED_BIT)
+        if reserved.size:
+            k = int(reserved[0])
+            raise UsageError(f"frame {k} is 0x{int(frames[k]):04X}: bit 14 must be 0")
+        with self._lock:
+            self._require_open()
+            if not frames.size:
+                return np.empty(0, np.uint16)
+            return self._checked(self._exchange(frames), frames.size)
+
+    def _checked(self, replies: Words, count: int) -> Words:
+        """Return the replies; raise `ProtocolError` unless they are `count` words of 16 bits."""
+        if isinstance(replies, np.ndarray) and replies.dtype == np.uint16 and replies.shape == (count,):
+            return replies
+        try:
+            there: NDArray[Any] = np.asarray(replies)
+        except ValueError:  # values of different shapes
+            there = np.empty(0)
+        whole = there.shape == (count,) and there.dtype.kind in "iu"
+        if not whole or not ((there >= 0) & (there <= 0xFFFF)).all():
+            raise ProtocolError(
+                f"{self.url or type(self).__name__}: the bus answered {count} frames with"
+                f" {there.size} values, not with {count} words of 16 bits"
+            )
+        return there.astype(np.uint16)
+
+    def close(self) -> None:
+        """Give the device back. A second call does nothing."""
+        with self._lock:
+            if not self._closed:
+                self._closed = True
+                self._close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    # -- time -----------------------------------------------------------------------------------
+
+    def now_s(self) -> float:
+        """Monotonic time of this bus in s."""
+        return time.monotonic()
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait on this bus's clock."""
+        time.sleep(seconds)
+
+    # -- optional capabilities --------------------------------------------------------------------
+
+    def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
+        """Start `Capability.STREAM`: run the read frames once at each data-ready edge."""
+        raise self._lacks(Capability.STREAM)
+
+    def hard_reset(self) -> None:
+        """Pull the RST line (`Capability.HARD_RESET`); the caller waits for the start-up."""
+        raise self._lacks(Capability.HARD_RESET)
+
+    def read_event_counter(self) -> int:
+        """Data-ready edges since the last call (`Capability.EVENT_COUNTER`)."""
+        raise self._lacks(Capability.EVENT_COUNTER)
+
+    def count_events(self) -> tuple[int, float]:
+        """`read_event_counter`, and when that was in s, for a rate.
+
+        The time is on the clock of whoever counts, where the bridge has one, else on the host's, which
+        does not know how long the answer was under way: only differences of it mean something.
+        """
+        return self.read_event_counter(), self.now_s()
+
+    # -- what a bridge implements -----------------------------------------------------------------
+
+    @abstractmethod
+    def _exchange(self, frames: Words) -> Words:
+        """Send at least one valid frame; called with the lock held and the bus open."""
+
+    @abstractmethod
+    def _configure(self, timing: SpiTiming) -> SpiTiming:
+        """Apply a timing and return the one achieved."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Release the device; called once."""
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise BusClosedError(f"{self.url or type(self).__name__}: the bus is closed")
+
+    def _lacks(self, capability: Capability) -> CapabilityError:
+        return CapabilityError(f"{self.url or type(self).__name__} has no capability '{capability}'")
+
+
+class FrameStream(ABC):
+    """A running stream: an iterator of `FrameBlock` that stops when closed.
+
+    While it runs the bus belongs to it: `exchange` raises `UsageError` until `close`.
+    """
+
+    @abstractmethod
+    def __next__(self) -> FrameBlock:
+        """Next block; raises `BusError` on failure, `StopIteration` after `close`."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Stop; may be called twice."""
+
+    def __iter__(self) -> Iterator[FrameBlock]:
+        return self
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _as_words(frames: Sequence[int]) -> Words:
+    for k, frame in enumerate(frames):
+        if isinstance(frame, bool) or not isinstance(frame, int | np.integer):
+            raise UsageError(f"frame {k} is {frame!r}: frames are integers of 16 bits")
+        if not 0 <= frame <= 0xFFFF:
+            raise UsageError(f"frame {k} is {frame}: frames are integers from 0 to 65535")
+    return np.array(frames, dtype=np.uint16)

@@ -1,0 +1,173 @@
+"""What all bridges on the host need: a clock, the pace of frames, options of URLs, words for failures."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from adis_gonio.base.errors import CannotOpenError, UsageError
+from adis_gonio.device.bus.contract import FRAME_BITS, SpiTiming
+from adis_gonio.device.bus.opening import BusUrl, Device
+from adis_gonio.device.bus.udev import rule_for
+
+SAFE_TIMING = SpiTiming(clock_hz=250e3, stall_us=75.0, period_us=160.0)
+"""Slow enough for both of the chip's modes; every bus starts with it."""
+
+RESET_PULSE_S = 0.001
+"""How long RST is held low; the chip needs microseconds, a bridge's pin may take a USB frame."""
+
+
+class Clock(Protocol):
+    """The bus's clock; tests put a virtual one in its place."""
+
+    def now_s(self) -> float:
+        """Monotonic time in s."""
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait at least so long."""
+
+
+class WallClock:
+    """The machine's monotonic clock."""
+
+    def now_s(self) -> float:
+        """Monotonic time in s."""
+        return time.monotonic()
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait at least so long."""
+        time.sleep(seconds)
+
+
+WALL = WallClock()
+
+
+class Pace:
+    """When the next frame may start, where the host itself keeps stall and period.
+
+    The host knows when it heard that a frame was over, which is later than the rise of chip select; from
+    there both limits are counted, so that they hold whatever the bridge's latency is.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._over_s = self._start_s = clock.now_s()
+
+    def wait(self, timing: SpiTiming) -> None:
+        """Wait until a frame may start."""
+        due = max(self._over_s + timing.stall_us * 1e-6, self._start_s + timing.period_us * 1e-6)
+        while (left := due - self._clock.now_s()) > 0:
+            self._clock.sleep_s(left)
+
+    def done(self, timing: SpiTiming) -> None:
+        """A frame is known to be over now."""
+        self._over_s = self._clock.now_s()
+        self._start_s = self._over_s - FRAME_BITS / timing.clock_hz
+
+
+class UrlOptions:
+    """Options of a URL, taken one by one; what is left over is an error that names what exists."""
+
+    def __init__(self, url: BusUrl, names: Sequence[str]) -> None:
+        self._url = url
+        for name in url.options:
+            if name not in names:
+                raise UsageError(f"'{url.text}': no option '{name}'; there is {', '.join(names)}")
+
+    def text(self, name: str, default: str = "") -> str:
+        """An option as it stands."""
+        return self._url.options.get(name, default)
+
+    def number(self, name: str, default: int, low: int, high: int) -> int:
+        """A whole number within limits."""
+        found = self.number_or_none(name, low, high)
+        return default if found is None else found
+
+    def number_or_none(self, name: str, low: int, high: int) -> int | None:
+        """A whole number within limits; None where it was not given."""
+        text = self._url.options.get(name)
+        if text is None:
+            return None
+        if not text.isascii() or not text.isdigit() or not low <= int(text) <= high:
+            raise UsageError(f"'{self._url.text}': {name} is a whole number from {low} to {high}")
+        return int(text)
+
+    def switch(self, name: str, *, default: bool = False) -> bool:
+        """0 or 1."""
+        return bool(self.number(name, int(default), 0, 1))
+
+    def one_of(self, name: str, choices: Sequence[str]) -> str:
+        """One of some words; the first is the default."""
+        word = self.text(name, choices[0])
+        if word not in choices:
+            raise UsageError(f"'{self._url.text}': {name} is one of {', '.join(choices)}")
+        return word
+
+
+def no_permission(url: str, what: str, rule: str) -> CannotOpenError:
+    """Permission is missing; the message carries the udev rule that gives it (see `bus.udev`)."""
+    return CannotOpenError(
+        f"{url}: no permission for {what}: run 'adis-gonio devices --udev | sudo tee"
+        f" /etc/udev/rules.d/70-adis-gonio.rules', then 'sudo udevadm control --reload' and plug it in"
+        f" again (rule: {rule_for(rule)})"
+    )
+
+
+def busy(url: str, what: str) -> CannotOpenError:
+    """Another program has the device."""
+    return CannotOpenError(f"{url}: {what} is busy: close the other program that uses it")
+
+
+def gone(url: str) -> CannotOpenError:
+    """The device was unplugged."""
+    return CannotOpenError(f"{url}: the device is gone: plug it in and open the bus again")
+
+
+def missing(url: str, what: str, others: Sequence[Device] = ()) -> CannotOpenError:
+    """The device is not connected; the message lists what is."""
+    there = f"connected: {', '.join(d.url for d in others)}" if others else "see 'adis-gonio devices'"
+    return CannotOpenError(f"{url}: no {what} is connected; {there}")
+
+
+def several(url: str, devices: Sequence[Device]) -> UsageError:
+    """More than one device fits: the first one found is never taken."""
+    return UsageError(f"{url}: {len(devices)} devices fit; choose {' or '.join(d.url for d in devices)}")
+
+
+@contextlib.contextmanager
+def claimed(path: str, url: str) -> Iterator[None]:
+    """Hold a device file for this process alone, as long as the block lasts.
+
+    Nodes such as /dev/hidraw0 can be opened many times, and answers would go to whoever reads first.
+    The lock is advisory: it keeps two programs of this package apart. Where the file or the system has
+    no locks it does nothing.
+
+    Raises
+    ------
+    CannotOpenError
+        Another holder has it.
+    """
+    try:
+        import fcntl
+
+        handle = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+    except (ImportError, OSError):
+        yield
+        return
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise busy(url, path) from None
+        yield
+    finally:
+        os.close(handle)
+
+
+def readable_and_writable(path: str) -> bool:
+    """True unless the file is there and may not be used."""
+    return not Path(path).exists() or os.access(path, os.R_OK | os.W_OK)

@@ -1,0 +1,156 @@
+"""Opening a bus by URL: `scheme:place?option=value`."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, entry_points
+from urllib.parse import parse_qsl
+
+from adis_gonio.base.errors import BusError, NotInstalledError, UsageError, one_line
+from adis_gonio.device.bus.contract import SpiBus
+
+ENTRY_POINT_GROUP = "adis_gonio.bus"
+SOURCE_GROUP = "adis_gonio.source"
+"""Entry points of what gives samples and no frames (see `adis_gonio.record.source`)."""
+
+
+@dataclass(frozen=True)
+class BusUrl:
+    """A bus URL, taken apart.
+
+    Attributes
+    ----------
+    scheme : str
+        Which kind of bridge: `sim`, `serial`, …
+    place : str
+        Which one of that kind: a port, a serial number; may be empty.
+    options : mapping of str to str
+        What stood behind the question mark.
+    """
+
+    text: str
+    scheme: str
+    place: str = ""
+    options: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def parse(cls, text: str) -> BusUrl:
+        """Take a URL apart; `UsageError` says what is wrong with it."""
+        scheme, colon, rest = text.partition(":")
+        if not colon or not scheme:
+            raise UsageError(f"'{text}' is no bus URL: write scheme:place, such as sim:?seed=1")
+        place, _, query = rest.partition("?")
+        try:
+            pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
+        except ValueError:
+            raise UsageError(f"'{text}': options are written ?name=value&name=value") from None
+        options: dict[str, str] = {}
+        for name, value in pairs:
+            if name in options:
+                raise UsageError(f"'{text}': option '{name}' stands twice")
+            options[name] = value
+        return cls(text, scheme.lower(), place, options)
+
+
+Opener = Callable[[BusUrl], SpiBus]
+
+
+def bus_schemes() -> tuple[str, ...]:
+    """Schemes that installed packages offer (entry points of group `adis_gonio.bus`)."""
+    return tuple(sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)}))
+
+
+def open_bus(url: str) -> SpiBus:
+    """Open a bus by URL; use it as a context manager.
+
+    Parameters
+    ----------
+    url : str
+        For instance `sim:?seed=1`. `bus_schemes()` lists the schemes that are installed.
+
+    Raises
+    ------
+    UsageError
+        The URL is malformed, its scheme or an option unknown.
+    NotInstalledError
+        The bridge needs an extra that is not installed; the message names it.
+    CannotOpenError
+        The device is missing, busy or not permitted.
+    """
+    parsed = BusUrl.parse(url)
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        if point.name == parsed.scheme:
+            try:
+                opener: Opener = point.load()
+            except ImportError as error:
+                raise NotInstalledError(
+                    f"'{url}': the bus '{parsed.scheme}' needs {error.name or error}:"
+                    f" pip install 'adis-gonio[{parsed.scheme}]'"
+                ) from error
+            return opener(parsed)
+    sources = {point.name for point in entry_points(group=SOURCE_GROUP)}
+    if parsed.scheme in sources:
+        raise UsageError(
+            f"'{url}': gives samples, but carries no frames to a chip: stream and calibrate take it"
+        )
+    known = sorted({*bus_schemes(), *sources})
+    near = difflib.get_close_matches(parsed.scheme, known, n=1)
+    hint = f"did you mean '{near[0]}:'?" if near else f"known: {', '.join(known) or 'none'}"
+    raise UsageError(f"'{url}': no bus is called '{parsed.scheme}'; {hint}")
+
+
+DEVICE_GROUP = "adis_gonio.devices"
+
+
+@dataclass(frozen=True)
+class Device:
+    """A device that could be opened: its URL and its description, each one printable line."""
+
+    url: str
+    description: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "url", one_line(self.url))
+        object.__setattr__(self, "description", one_line(self.description))
+
+    def as_dict(self) -> dict[str, str]:
+        """JSON form."""
+        return {"url": self.url, "description": self.description}
+
+
+def find_devices() -> list[Device]:
+    """Devices of every installed bus (entry points of group `adis_gonio.devices`), one row each.
+
+    A bus whose library is not installed is listed with the extra that it needs, and one whose finder
+    fails with the function that did: one package's mistake does not hide what the others have found.
+    """
+    devices: list[Device] = []
+    for point in sorted(entry_points(group=DEVICE_GROUP), key=lambda point: point.name):
+        try:
+            devices += _found(point)
+        except ImportError as error:
+            need = f"not usable: {error.name or error} is missing; pip install 'adis-gonio[{point.name}]'"
+            devices.append(Device(f"{point.name}:", need))
+        except (BusError, NotInstalledError) as error:
+            devices.append(Device(f"{point.name}:", f"not usable: {error}"))
+        except Exception as error:  # whatever a package of somebody else's may raise
+            devices.append(Device(f"{point.name}:", f"not usable: {_blamed(point, error)}"))
+    return devices
+
+
+def _found(point: EntryPoint) -> list[Device]:
+    finder: Callable[[], list[Device]] = point.load()
+    devices = list(finder())
+    for device in devices:
+        if not isinstance(device, Device):
+            raise TypeError(f"it returned {device!r}, which is no adis_gonio.device.bus.Device")
+    return devices
+
+
+def _blamed(point: EntryPoint, error: Exception) -> str:
+    """Whose function failed and how, in one line."""
+    package = f" of package '{point.dist.name}'" if point.dist is not None else ""
+    what = " ".join(str(error).split())
+    return f"{point.value}{package} failed: {type(error).__name__}{': ' if what else ''}{what}"

@@ -1,0 +1,306 @@
+"""Requests and replies over a serial port: ids, retries, resynchronisation (firmware_proto/PROTOCOL.md).
+
+A request is repeated with its own id until it is answered or its tries are used up; the firmware executes
+an id once, so that repeating is safe for writes too. What arrives with another id is late and thrown away.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+from adis_gonio.base.errors import BusTimeoutError, ProtocolError
+from adis_gonio.device.bus.host import Clock
+from adis_gonio.device.bus.wire import Body, Packet, Receiver, encode
+from adis_gonio.device.bus.wire import protocol as wire
+
+RETRY_S = wire.RETRY_MS / 1000
+TRIES = 5
+"""Times that a request is sent before the firmware is called silent."""
+HELLO_EVERY_S = 0.3
+
+# Opening a port resets many boards. Their boot loader then listens at another baud rate (Optiboot: 115 200)
+# and takes what it hears for commands, that to erase a page among them. It leaves at once, though, where
+# the second byte of a command is no blank, and zeros at our rate can never look like the command to erase:
+# that has bits which are set side by side, zeros are high for a stop bit of 2 us in 20.
+ZEROS = bytes(1)
+"""An empty packet for the firmware; for a loader a byte that is no command, and the next one no blank after
+it: two of them make it leave. Without gaps between them a run of zeros keeps some loaders in step."""
+ZEROS_EVERY_S = 0.02
+ZEROS_FIRST_S = 0.24
+"""A loader listens 70 ms after the reset, 90 at most (start-up 65 ms, B)."""
+ZEROS_AGAIN_S = 0.06
+LEAVE_S = 0.16
+"""Silence after the zeros: a loader needs 16 ms to leave (its watchdog), and a start-up follows."""
+EARLY_HELLOS = 2
+"""Hellos before a loader's own time is over: the first for boards that did not reset, the second for
+loaders that blink before they listen (Optiboot: 0.4 s), by which the first is lost."""
+LOADER_S = 2.0
+"""Longest wait of a boot loader; most wait a second. One that does not heed zeros hears nothing more until
+then."""
+
+B = TypeVar("B", bound=Body)
+
+
+class Port(Protocol):
+    """A serial port as the link needs it; failures are typed errors already."""
+
+    def receive(self, wait_s: float, /) -> bytes:
+        """Whatever has arrived; waits for the first byte for at most `wait_s`."""
+
+    def send(self, data: bytes, /) -> None:
+        """Send all bytes."""
+
+    def close(self) -> None:
+        """Give the port back."""
+
+
+class RefusedError(Exception):
+    """The firmware refused a request: that copy of it executed nothing.
+
+    Attributes
+    ----------
+    code : int
+        Of `wire.Refusal`.
+    once : bool
+        The request had been sent a single time, so no earlier copy can have been executed either.
+    """
+
+    def __init__(self, request: str, error: wire.Error, *, once: bool) -> None:
+        try:
+            text = wire.REFUSAL_TEXT[wire.Refusal(error.code)]
+        except ValueError:
+            text = f"code {error.code}"
+        super().__init__(f"the firmware refused {request}: {text} ({error.detail})")
+        self.code = error.code
+        self.once = once
+
+
+@dataclass
+class LinkCounts:
+    """What went on besides the work."""
+
+    requests: int = 0
+    retries: int = 0
+    late: int = 0
+
+
+@dataclass(frozen=True)
+class _Answer(Generic[B]):
+    """A reply or a refusal, with how often the request was sent by then."""
+
+    body: B | wire.Error
+    sent: int
+
+
+class SerialLink:
+    """The host's side of the protocol.
+
+    Parameters
+    ----------
+    port : Port
+        Open.
+    url : str
+        For messages.
+    clock : Clock
+        Time for waits.
+    tries : int
+        Times that a request is sent.
+    dice : random.Random
+        Draws nonces and the first id.
+
+    Attributes
+    ----------
+    scans : deque of (Packet, float)
+        Packets of streams with their times of arrival, in order.
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        *,
+        url: str,
+        clock: Clock,
+        tries: int = TRIES,
+        dice: random.Random | None = None,
+    ) -> None:
+        self.port = port
+        self.url = url
+        self.counts = LinkCounts()
+        self.receiver = Receiver()
+        self.scans: deque[tuple[Packet, float]] = deque()
+        self._clock = clock
+        self._tries = tries
+        self._dice = dice or random.Random()
+        # Ids never start anew on this port, so that a straggler of an old session is behind in any new.
+        self._id = self._dice.randrange(1 << 16)
+        self._replies: deque[Packet] = deque()
+
+    # -- requests ---------------------------------------------------------------------------------------
+
+    def hello(self, wait_s: float) -> wire.HelloReply:
+        """Open a session; repeats for so long, since a board may still boot.
+
+        Zeros go before each hello, so that a boot loader which listens leaves instead of reading it.
+
+        Raises
+        ------
+        BusTimeoutError
+            No firmware answered.
+        ProtocolError
+            It speaks another version.
+        """
+        nonce = self._dice.randrange(1 << 32)
+        packet = self._packet(wire.HelloRequest(wire.VERSION, nonce))
+        end_s = self._clock.now_s() + wait_s
+        bad = self.receiver.counts.bad
+        quiet_s = end_s - max(wait_s - LOADER_S, HELLO_EVERY_S)
+
+        def again(sent: int) -> bool:
+            if sent and self._clock.now_s() >= end_s:
+                return False
+            if sent == EARLY_HELLOS:
+                self._listen(quiet_s - self._clock.now_s())
+            self._send_zeros(ZEROS_AGAIN_S if sent else ZEROS_FIRST_S)
+            return True
+
+        answer = self._converse(packet, wire.HelloReply, HELLO_EVERY_S, again, nonce=nonce)
+        if answer is not None:
+            if isinstance(answer.body, wire.HelloReply):
+                if answer.body.protocol != wire.VERSION:
+                    raise self._other_version(answer.body.protocol)
+                return answer.body
+            if answer.body.code == wire.Refusal.PROTOCOL_VERSION:
+                raise self._other_version(answer.body.detail)
+            raise ProtocolError(f"{self.url}: {RefusedError('hello', answer.body, once=True)}")
+        noise = ", only noise (another baud rate?)" if self.receiver.counts.bad > bad else ""
+        raise BusTimeoutError(
+            f"{self.url}: no adis-gonio firmware answers within {wait_s:g} s{noise}; is it flashed, and is"
+            " this its port (docs/hardware.md)?"
+        )
+
+    def request(self, body: Body, reply: type[B], runs_s: float = 0.0) -> B:
+        """Send a request and return its reply.
+
+        Parameters
+        ----------
+        runs_s : float
+            Time that the firmware needs to execute it.
+
+        Raises
+        ------
+        RefusedError
+            The firmware said no.
+        BusTimeoutError
+            No answer to any try.
+        """
+        packet = self._packet(body)
+        self.counts.requests += 1
+        answer = self._converse(
+            packet,
+            reply,
+            RETRY_S + 1.1 * runs_s,
+            lambda sent: sent < self._tries,
+        )
+        if answer is not None:
+            if isinstance(answer.body, wire.Error):
+                raise RefusedError(type(body).__name__, answer.body, once=answer.sent == 1)
+            return answer.body
+        raise BusTimeoutError(
+            f"{self.url}: no answer from the firmware to {self._tries} tries of {type(body).__name__}"
+        )
+
+    @property
+    def last_id(self) -> int:
+        """Id of the last request."""
+        return self._id
+
+    def pump(self, wait_s: float) -> bool:
+        """Take in what arrives; False where nothing did in time."""
+        data = self.port.receive(wait_s)
+        if not data:
+            return False
+        arrival_s = self._clock.now_s()
+        for packet in self.receiver.feed(data):
+            if packet.type == wire.PacketType.SCANS:
+                self.scans.append((packet, arrival_s))
+            else:
+                self._replies.append(packet)
+        return True
+
+    def _listen(self, wait_s: float) -> None:
+        """Take in what arrives, and send nothing."""
+        end_s = self._clock.now_s() + wait_s
+        while (left := end_s - self._clock.now_s()) > 0:
+            self.pump(left)
+
+    def _send_zeros(self, length_s: float) -> None:
+        end_s = self._clock.now_s() + length_s
+        while self._clock.now_s() < end_s:
+            self.port.send(ZEROS)
+            self._listen(ZEROS_EVERY_S)
+        self._listen(LEAVE_S)
+
+    # -- packets ----------------------------------------------------------------------------------------
+
+    def _packet(self, body: Body) -> bytes:
+        self._id = (self._id + 1) & 0xFFFF
+        return encode(Packet.of(body, self._id))
+
+    def _converse(
+        self,
+        packet: bytes,
+        reply: type[B],
+        wait_s: float,
+        again: Callable[[int], bool],
+        *,
+        nonce: int | None = None,
+    ) -> _Answer[B] | None:
+        """Send a request until it is answered; `again` says by the copies sent whether one more may go."""
+        sent = 0
+        while again(sent):
+            self.port.send(packet)
+            sent += 1
+            body = self._await(reply, wait_s, nonce)
+            if body is not None:
+                return _Answer(body, sent)
+            self.counts.retries += 1
+        return None
+
+    def _await(self, reply: type[B], wait_s: float, nonce: int | None) -> B | wire.Error | None:
+        end_s = self._clock.now_s() + wait_s
+        while True:
+            while self._replies:
+                answer = self._judge(self._replies.popleft(), reply)
+                if isinstance(answer, wire.HelloReply) and answer.nonce != nonce:
+                    answer = None
+                if answer is not None:
+                    return answer
+                self.counts.late += 1
+            left = end_s - self._clock.now_s()
+            if left <= 0:
+                return None
+            self.pump(left)
+
+    def _judge(self, packet: Packet, reply: type[B]) -> B | wire.Error | None:
+        """The reply in a packet; None where it is another's or unsound."""
+        if packet.id != self._id:
+            return None
+        try:
+            if packet.type == reply.TYPE:
+                return reply.unpack(packet.body)
+            if packet.type == wire.PacketType.ERROR:
+                error = wire.Error.unpack(packet.body)
+                return error if error.request | wire.REPLY_BIT == reply.TYPE else None
+        except ProtocolError:
+            pass
+        return None
+
+    def _other_version(self, version: int) -> ProtocolError:
+        return ProtocolError(
+            f"{self.url}: the firmware speaks protocol version {version}, this package {wire.VERSION}:"
+            " flash the firmware of this release (docs/hardware.md)"
+        )

@@ -1,0 +1,70 @@
+"""Base of the packet bodies that `adis_gonio.device.bus.wire.protocol` describes."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, fields
+from typing import ClassVar, Self
+
+import numpy as np
+
+from adis_gonio.base.errors import ProtocolError
+
+
+@dataclass(frozen=True)
+class Body:
+    """A packet's body: fixed fields, then perhaps a tail of words or of text.
+
+    Attributes
+    ----------
+    TYPE : int
+        Type of the packets that carry it.
+    LAYOUT : struct.Struct
+        The fixed fields, little endian.
+    COUNTS : tuple of int
+        Elements of each fixed field; more than one is a tuple.
+    TAIL : str
+        `words`, `text` or nothing.
+    """
+
+    TYPE: ClassVar[int]
+    LAYOUT: ClassVar[struct.Struct]
+    COUNTS: ClassVar[tuple[int, ...]]
+    TAIL: ClassVar[str]
+
+    def pack(self) -> bytes:
+        """Bytes of the body."""
+        values = [getattr(self, field.name) for field in fields(self)]
+        tail = b""
+        if self.TAIL == "words":
+            tail = np.asarray(values.pop(), "<u2").tobytes()
+        elif self.TAIL == "text":
+            tail = str(values.pop()).encode("ascii")
+        flat: list[int] = []
+        for value in values:
+            flat.extend(value if isinstance(value, tuple) else (value,))
+        return self.LAYOUT.pack(*flat) + tail
+
+    @classmethod
+    def unpack(cls, data: bytes) -> Self:
+        """Take a body apart.
+
+        Raises
+        ------
+        ProtocolError
+            Its length does not fit.
+        """
+        size = cls.LAYOUT.size
+        tail = data[size:]
+        if len(data) < size or (tail and not cls.TAIL) or (cls.TAIL == "words" and len(tail) % 2):
+            raise ProtocolError(f"the firmware's packet {cls.__name__} has {len(data)} bytes, not {size}")
+        flat = list(cls.LAYOUT.unpack_from(data))
+        values: list[object] = []
+        for count in cls.COUNTS:
+            taken, flat = flat[:count], flat[count:]
+            values.append(taken[0] if count == 1 else tuple(taken))
+        if cls.TAIL == "words":
+            values.append(np.frombuffer(tail, "<u2").astype(np.uint16))
+        elif cls.TAIL == "text":
+            values.append(tail.decode("ascii", "replace"))
+        return cls(*values)

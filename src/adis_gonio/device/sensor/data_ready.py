@@ -1,0 +1,195 @@
+"""The chip's data-ready line: lent to a stream or a session, and checked before it is believed.
+
+An input that nothing drives, or that something else drives, may show edges too. The line is therefore used
+only where the bridge counts about one edge an update, and where no update falls into the scans that start
+at the edge; where no edge comes at all, as without the wire, scans are polled.
+
+ND of a scan's own words does not show an update that falls into it: every register has one update between
+two reads, wherever in the scan it comes. A trial therefore reads the scan's first register once more at its
+end. At an edge that leads the update the first read finds new data and the last one none; where the update
+comes within the scan it is the other way round.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from adis_gonio.base.errors import AdisGonioError, ChipError, VerifyError
+from adis_gonio.device.bus import Capability, SpiBus
+from adis_gonio.device.sensor.frames import read_frames, write_frames
+from adis_gonio.device.sensor.registers import BY_NAME, ND, Register
+
+if TYPE_CHECKING:
+    from adis_gonio.device.sensor.driver import Adis16354
+
+USED_BY = frozenset({Capability.STREAM, Capability.EVENT_COUNTER})
+"""Capabilities that need data-ready."""
+
+UpdateEdge = Literal["first", "last"]
+
+UPDATE_EDGE: UpdateEdge = "first"
+"""Edge of the pulse that leads the update: from there on the outputs are new. That the pulse tells of new
+data is A (MSC_CTRL[2]); that its beginning does and not its end is inferred, neither sheet nor code says so
+(C). `leads` checks it, and `DataReadyLoan` takes the other edge where the declared one proves wrong."""
+
+_PERIODS = 2.5
+"""Updates for which edges are counted at least: two of them fall into it."""
+_COUNT_S = 0.1
+"""Time for which edges are counted at least."""
+_RATE_TOLERANCE = 0.25
+"""Relative difference between edges and updates up to which the rates agree. The chip's clock is off by
+some percent, and a bridge without a clock of its own is timed by the host."""
+_EDGES_TOLERANCE = 1.5
+"""Edges that may be too many or too few at the two ends of the count."""
+_TRIAL_SCANS = (4, 32)
+"""Least and most scans that are tried for ND."""
+_LEADS_SHARE = 0.9
+"""Share of trial scans without an update in them from which on their edge leads it; true ones have all."""
+_MOST_BEFORE = 30
+"""Registers of a trial before its last; a bridge's list holds 32."""
+
+_ROW = BY_NAME["MSC_CTRL"]
+_POLARITY = _ROW.field("polarity").mask
+MASK = _ROW.field("data_ready").mask | _POLARITY | _ROW.field("line").mask
+"""Bits of MSC_CTRL that belong to data-ready."""
+
+
+def arrives(bus: SpiBus, period_s: float) -> bool:
+    """Whether the bridge sees a data-ready edge at each update, or cannot tell; False where it sees none.
+
+    Takes 0.1 s or 2.5 updates of `period_s`, whichever is longer.
+
+    Raises
+    ------
+    ChipError
+        Edges come, but not at the rate of the updates: they are not the chip's.
+    """
+    if Capability.EVENT_COUNTER not in bus.capabilities:
+        return True
+    _, begin_s = bus.count_events()
+    bus.sleep_s(max(_PERIODS * period_s, _COUNT_S))
+    edges, end_s = bus.count_events()
+    expected = (end_s - begin_s) / period_s
+    if edges and abs(edges - expected) > _EDGES_TOLERANCE + _RATE_TOLERANCE * expected:
+        raise ChipError(
+            f"{bus.url}: {edges / (end_s - begin_s):.4g} edges a second on the data-ready line, but the"
+            f" sensor samples {1 / period_s:.4g} times a second: wire the line to DIO1 and to nothing else,"
+            " or hold it high where there is no wire (docs/hardware.md)"
+        )
+    return edges > 0
+
+
+def leads(bus: SpiBus, table: Sequence[Register], period_s: float) -> bool:
+    """Whether no update falls into scans of these registers that start at the data-ready edge.
+
+    Takes 0.1 s or 4 updates, whichever is longer.
+    """
+    least, most = _TRIAL_SCANS
+    scans = min(max(least, math.ceil(_COUNT_S / period_s)), most)
+    first = next(k for k, row in enumerate(table) if row.flags)
+    # A list too long for the bridge is refused here as it would be in the stream.
+    rows = table if len(table) > _MOST_BEFORE + 1 else [*table[first:], table[first]]
+    frames = [int(frame) for frame in read_frames(rows)]
+    with contextlib.closing(bus.stream(frames, block_scans=scans)) as stream:
+        new = (next(stream).words[1:, [0, -1]] & ND).astype(bool)  # before the first scan nobody had read
+    takes_s = len(frames) * bus.timing.frame_s
+    within = new[:, 1] if takes_s < period_s else np.zeros(len(new), bool)
+    return bool((new[:, 0] & ~within).mean() >= _LEADS_SHARE)
+
+
+def refusal(bus: SpiBus) -> ChipError:
+    """Error of edges into whose scans updates fall."""
+    return ChipError(
+        f"{bus.url}: the sensor's updates fall into scans that start at the data-ready edges (bit ND of a"
+        " register read twice): the edges are not the updates', or MSC_CTRL[1] selects the wrong end of the"
+        " pulse; check the line's wire (docs/hardware.md)"
+    )
+
+
+class DataReadyLoan:
+    """Data-ready on DIO1, where the bridges' wiring has it, until what stood there is set back.
+
+    The polarity is taken so that the edge which the bus waits for leads the update. Only the low byte
+    of MSC_CTRL is written, and of that only the three bits of data-ready change.
+
+    Parameters
+    ----------
+    sensor : Adis16354
+        Whose line it is.
+    table : sequence of Register
+        What the scans will hold.
+    edge : {"first", "last"}
+        Edge of the pulse that should lead the update.
+
+    Attributes
+    ----------
+    edge : {"first", "last"}
+        The one that does.
+    wired : bool
+        False where no edge arrives; what stood in MSC_CTRL is then set back already.
+
+    Raises
+    ------
+    VerifyError
+        What was read back differs.
+    ChipError
+        Edges arrive, but they are not the chip's updates. MSC_CTRL is set back.
+    """
+
+    def __init__(
+        self, sensor: Adis16354, table: Sequence[Register], period_s: float, edge: UpdateEdge = UPDATE_EDGE
+    ) -> None:
+        self._sensor = sensor
+        self.edge = edge
+        self._before = sensor.read(_ROW) & MASK
+        self._ours = self._before
+        try:
+            self._enable()
+            self.wired = arrives(sensor.bus, period_s)
+            if self.wired:
+                self._find_edge(table, period_s)
+            else:
+                self.give_back()
+        except BaseException:
+            with contextlib.suppress(AdisGonioError):  # the first error counts
+                self.give_back()
+            raise
+
+    def give_back(self) -> None:
+        """Set the bits back, unless somebody else has changed them meanwhile; may be called twice."""
+        if self._ours != self._before and self._sensor.read(_ROW) & MASK == self._ours:
+            self._set(self._before)
+        self._ours = self._before
+
+    def _find_edge(self, table: Sequence[Register], period_s: float) -> None:
+        """Take the edge that leads the update; the declared one where it does."""
+        if Capability.STREAM not in self._sensor.bus.capabilities:
+            return  # nothing starts at an edge
+        for _ in range(2):
+            if leads(self._sensor.bus, table, period_s):
+                return
+            self.edge = "last" if self.edge == "first" else "first"
+            self._enable()
+        raise refusal(self._sensor.bus)
+
+    def _enable(self) -> None:
+        ours = _ROW.field("data_ready").mask
+        # A pulse that is high begins with a rising edge and ends with a falling one.
+        if self._sensor.bus.edge_rises == (self.edge == "first"):
+            ours |= _POLARITY
+        if ours != self._ours:
+            self._set(ours)
+            self._ours = ours
+
+    def _set(self, bits: int) -> None:
+        sensor = self._sensor
+        word = sensor.read(_ROW) & ~MASK | bits
+        sensor.bus.exchange_array(write_frames(_ROW, word & _ROW.write_mask, byte_mask=0x00FF))
+        back = sensor.read(_ROW)
+        if (back ^ word) & 0x00FF & _ROW.write_mask:
+            raise VerifyError(f"MSC_CTRL: wrote 0x{word & 0xFF:02X}, read back 0x{back & 0xFF:02X}")

@@ -1,0 +1,759 @@
+"""The driver: registers, configuration, scans and commands of an ADIS16354 over any bus.
+
+Rules that it keeps
+    * A frame with the write bit leaves only from a method that was asked to write; `stream` may enable
+      data-ready while it runs, and its argument `leave_registers` forbids it.
+    * Every write is read back, and a flash update is proved by the endurance counter.
+    * The bus's clock follows SMPL_PRD, and is slow whenever the mode is not known.
+    * After a reset, restore, self-test or flash update nothing is sent until the part has recovered.
+    * Nothing is taken for data that does not say so: silence, a wrong variant and STATUS are errors.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from adis_gonio.base.errors import (
+    ChipError,
+    SilentChipError,
+    StatusError,
+    UsageError,
+    VariantError,
+    VerifyError,
+)
+from adis_gonio.device.bus import Capability, SpiBus, open_bus
+from adis_gonio.device.sensor.data_ready import (
+    UPDATE_EDGE,
+    USED_BY,
+    DataReadyLoan,
+    UpdateEdge,
+    arrives,
+    leads,
+    refusal,
+)
+from adis_gonio.device.sensor.decoding import ScanBlock, join, scales
+from adis_gonio.device.sensor.frames import IDLE, NORMAL, read_frames, timing_for, write_frames
+from adis_gonio.device.sensor.registers import (
+    ACCEL_OFF,
+    ACCEL_OUT,
+    BY_NAME,
+    GYRO_OFF,
+    GYRO_OUT,
+    REGISTERS,
+    Register,
+    register,
+    registers,
+)
+from adis_gonio.device.sensor.scanning import (
+    LONGEST_EXCHANGE_S,
+    PolledScans,
+    ScanLayout,
+    ScanStream,
+    StreamedScans,
+)
+from adis_gonio.device.sensor.settings import (
+    ALARM_SOURCES,
+    Alarm,
+    Configuration,
+    ManualSelfTest,
+    Offsets,
+    SelfTest,
+    Status,
+    sens_avg_word,
+    smpl_prd_for,
+)
+from adis_gonio.device.sensor.variants import VARIANTS, Variant, variant
+
+DEFAULT_SCAN = (*ACCEL_OUT, *GYRO_OUT, "XTEMP_OUT", "SUPPLY_OUT")
+"""What a scan holds unless told: accelerometers, gyros, one temperature, supply."""
+
+START_UP_S = 0.3
+"""Silence after power-on and reset; 150 ms typical (DS, B), a reset's recovery is not given."""
+FLASH_UPDATE_S = 0.15
+"""Silence after a flush to flash; about 100 ms (DS, A)."""
+SELF_TEST_S = 0.06
+"""Silence after starting the self-test; 35 ms (DS, A)."""
+PRECISION_AUTONULL_S = 35.0
+"""Wait for the precision autonull; about 30 s (DS, B)."""
+WAKE_S = 0.005
+"""Recovery from sleep; 3 ms (DS, B)."""
+FLASH_LIFE = 10_000
+"""Flash writes that the part is made for (DS, A)."""
+ENDURANCE_WRAP = 32_768
+
+MOST_READINGS = 4
+"""Readings of a register among which two in a row have to agree."""
+
+_STUCK_WORDS = frozenset({0x0000, 0xFFFF})
+"""Replies of a line that is stuck at one level."""
+
+PLAUSIBLE = 0.15
+"""Relative distance of |a| at rest from 1 g up to which a variant is believed: ±2 % of scale and a bias
+of tens of mg fit in, the next variant is 5.4 times away."""
+CHECK_SCANS = 32
+MANUAL_SCANS = 64
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A register's number with its meaning."""
+
+    register: Register
+    number: int
+    value: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.value:.6g} {self.unit}" if self.unit else f"{self.number}"
+
+
+def open_sensor(url: str, *, variant: str = "adis16354", check: bool = True) -> Adis16354:
+    """Open the sensor behind a bus URL; use it as a context manager.
+
+    Parameters
+    ----------
+    url : str
+        Such as `sim:?seed=1` (see `open_bus`).
+    variant : str
+        `adis16354`, `adis16350` or `adis16355`.
+    check : bool
+        Prove on opening that something answers and that the acceleration at rest is 1 g for this variant:
+        no identification register exists, so this is the only check there is.
+
+    Raises
+    ------
+    UsageError, NotInstalledError, CannotOpenError
+        As `open_bus`.
+    SilentChipError, VariantError
+        The check failed.
+    """
+    bus = open_bus(url)
+    try:
+        return Adis16354(bus, variant, check=check)
+    except BaseException:
+        bus.close()
+        raise
+
+
+class Adis16354:
+    """An ADIS16354 (or ADIS16350/16355) on a bus.
+
+    Parameters
+    ----------
+    bus : SpiBus
+        Belongs to the sensor from now on: `close` closes it.
+    variant : str or Variant
+        Which part of the family.
+    check : bool
+        See `open_sensor`.
+    update_edge : {"first", "last"}
+        Edge of the data-ready pulse that is taken for the update's (see `data_ready.UPDATE_EDGE`).
+    """
+
+    def __init__(
+        self,
+        bus: SpiBus,
+        variant_: str | Variant = "adis16354",
+        *,
+        check: bool = True,
+        update_edge: UpdateEdge = UPDATE_EDGE,
+    ) -> None:
+        self.bus = bus
+        self.update_edge: UpdateEdge = update_edge
+        self.variant: Variant = variant(variant_)
+        self._gyro_range: int | None = None
+        bus.sleep_s(START_UP_S)
+        bus.configure(NORMAL)
+        if check:
+            self._check_answers()
+        self._follow()
+        if check:
+            self._check_variant()
+
+    # -- life -------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Close the bus; may be called twice."""
+        self.bus.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    # -- registers --------------------------------------------------------------------------------
+
+    def read_words(self, names: Sequence[str | Register]) -> list[int]:
+        """Words as they come, flags included; k registers in k + 1 frames."""
+        frames = np.append(read_frames(registers(names)), np.uint16(IDLE))
+        return [int(word) for word in self.bus.exchange_array(frames)[1:]]
+
+    def read(self, name: str | Register) -> int:
+        """Number in a register: flags and unused bits masked off, sign extended."""
+        row = register(name)
+        return row.number(self.read_words([row])[0])
+
+    def read_all(self) -> dict[str, int]:
+        """Numbers of all readable registers in order of address. Reading STATUS clears it."""
+        rows = [row for row in REGISTERS if row.readable]
+        return {row.name: row.number(word) for row, word in zip(rows, self.read_words(rows), strict=True)}
+
+    def quantity(self, name: str | Register) -> Quantity:
+        """Number of a register with value and unit."""
+        row = register(name)
+        number = self.read(row)
+        lsb, zero, units = scales([row], self.variant, self._gyro_range)
+        return Quantity(row, number, float(zero[0] + lsb[0] * number), units[0])
+
+    def write(self, name: str | Register, number: int) -> None:
+        """Write a register and read it back.
+
+        Parameters
+        ----------
+        number : int
+            Signed where the register is.
+
+        Raises
+        ------
+        UsageError
+            The register is read-only, is COMMAND (use the methods), or cannot hold the number.
+        VerifyError
+            What was read back differs.
+        """
+        row = register(name)
+        if not row.readable:
+            raise UsageError(f"{row.name} starts actions: use reset(), save_to_flash() and their like")
+        if row.name == "SLP_CNT":
+            raise UsageError("SLP_CNT puts the part to sleep: use sleep(seconds)")
+        if row.name == "SENS_AVG":
+            self._check_sens_avg(number)
+        if row.name == "SMPL_PRD":
+            if number & 0xFF == 0:
+                raise UsageError("SMPL_PRD 0 is not allowed: 1 is the least (819.2 samples a second)")
+            self.bus.configure(NORMAL)  # safe in both modes while the mode changes
+        self._write_verified(row, row.word(number))
+        if row.name in ("SMPL_PRD", "SENS_AVG"):
+            self._follow()
+
+    def write_fields(self, name: str | Register, **fields: int) -> None:
+        """Change fields of a register and leave its other bits as they are."""
+        row = register(name)
+        word = self.read(row) & row.write_mask
+        for field_name, value in fields.items():
+            field = row.field(field_name)
+            if not 0 <= value <= field.mask >> field.low:
+                raise UsageError(
+                    f"{row.name}.{field_name} holds 0 to {field.mask >> field.low}, not {value}"
+                )
+            word = word & ~field.mask | value << field.low
+        self.write(row, word)
+
+    # -- configuration ----------------------------------------------------------------------------
+
+    def configuration(self) -> Configuration:
+        """Read how the sensor measures now.
+
+        Raises
+        ------
+        SilentChipError
+            As `read_checked`: no period or length is taken from a line that is stuck.
+        """
+        smpl_prd, sens_avg, msc_ctrl = self.read_checked(["SMPL_PRD", "SENS_AVG", "MSC_CTRL"])
+        return Configuration.from_words(smpl_prd, sens_avg, msc_ctrl)
+
+    def read_checked(self, names: Sequence[str | Register]) -> list[int]:
+        """Return words that two successive readings agree on, with SENS_AVG before and behind them.
+
+        SENS_AVG is never 0x0000 or 0xFFFF (its range code is 4, 2 or 1), so these replies come from a stuck
+        line. For registers whose value a program relies on, such as SMPL_PRD and ENDURANCE.
+
+        Raises
+        ------
+        SilentChipError
+            SENS_AVG reads zeros or ones.
+        VerifyError
+            The readings differ each time.
+        """
+        rows = [BY_NAME["SENS_AVG"], *registers(names), BY_NAME["SENS_AVG"]]
+        before: list[int] = []
+        for _ in range(MOST_READINGS):
+            words = self.read_words(rows)
+            stuck = _STUCK_WORDS.intersection((words[0], words[-1]))
+            if words == before and not stuck:
+                return words[1:-1]
+            before = words
+        if stuck:
+            level, side = ("zeros", "low") if 0 in stuck else ("ones", "high")
+            raise SilentChipError(
+                f"{self.bus.url}: nothing answers, replies are {level}: the data line (MISO) is stuck"
+                f" {side}; check supply, chip select and wires"
+            )
+        raise VerifyError(
+            f"{self.bus.url}: the registers read differently each time; check supply and wires"
+        )
+
+    def endurance(self) -> int:
+        """Return ENDURANCE, the count of flash updates (0 to 32767). Errors as `read_checked`."""
+        return BY_NAME["ENDURANCE"].number(self.read_checked(["ENDURANCE"])[0])
+
+    def configure(
+        self,
+        *,
+        sample_rate_hz: float | None = None,
+        smpl_prd: int | None = None,
+        filter_m: int | None = None,
+        gyro_range_dps: int | None = None,
+        data_ready: bool | None = None,
+        linear_g: bool | None = None,
+        origin: bool | None = None,
+    ) -> Configuration:
+        """Change what is named, leave the rest, and wait until the filter has settled.
+
+        Parameters
+        ----------
+        sample_rate_hz : float
+            0.413 to 819.2; the nearest possible rate is taken. Or `smpl_prd`, the register's number.
+        filter_m : int
+            0 to 6: two boxcars of 2^M taps.
+        gyro_range_dps : int
+            300, 150 (needs M >= 2) or 75 (needs M >= 4).
+        data_ready, linear_g, origin : bool
+            MSC_CTRL[2], [7], [6].
+
+        Raises
+        ------
+        UsageError
+            A value that the part does not have, or both rate and `smpl_prd`.
+        VerifyError
+            What was read back differs.
+        """
+        if sample_rate_hz is not None:
+            if smpl_prd is not None:
+                raise UsageError("give sample_rate_hz or smpl_prd, not both")
+            smpl_prd = smpl_prd_for(sample_rate_hz)
+        if filter_m is not None or gyro_range_dps is not None:
+            now = self.configuration()
+            dps = gyro_range_dps if gyro_range_dps is not None else now.gyro_range_dps
+            taps = filter_m if filter_m is not None else now.filter_m
+            self.write("SENS_AVG", sens_avg_word(dps if dps is not None else 300, taps))
+        if smpl_prd is not None:
+            self.write("SMPL_PRD", smpl_prd)
+        flags = {"data_ready": data_ready, "linear_g": linear_g, "origin": origin}
+        wanted = {name: int(value) for name, value in flags.items() if value is not None}
+        if wanted:
+            self.write_fields("MSC_CTRL", **wanted)
+        done = self.configuration()
+        self.bus.sleep_s(done.settling_s)
+        return done
+
+    # -- scans ------------------------------------------------------------------------------------
+
+    def stream(
+        self,
+        names: Sequence[str | Register] = DEFAULT_SCAN,
+        *,
+        block_scans: int = 256,
+        leave_registers: bool = False,
+        data_ready: bool | None = None,
+    ) -> ScanStream:
+        """Fresh scans, one after another, by the best that the bus can do (see `sensor.scanning`).
+
+        The bus streams by itself at each data-ready edge where it can; else scans are polled, and what was
+        missed is counted by the bus's event counter where it has one, else by time.
+
+        Where the bus can use data-ready and MSC_CTRL does not enable it, it is enabled on DIO1 and set back
+        when the stream is closed; where no edge arrives then, as without the wire, scans are polled.
+
+        Parameters
+        ----------
+        leave_registers : bool
+            Write nothing: data-ready is used only where it is enabled already.
+        data_ready : bool or None
+            True uses data-ready as it is, without a look whether edges arrive (a `DataReadyLoan` has
+            looked); False polls. Neither writes a register.
+
+        Raises
+        ------
+        UsageError
+            No output register among the names, or no room for a scan in a block.
+        BusError
+            The bus failed.
+        ChipError
+            Edges arrive on the data-ready line that are not the chip's updates.
+        """
+        table = registers(names)
+        if not any(row.flags for row in table):
+            raise UsageError(
+                "a scan needs an output register (XACCL_OUT and its like): they tell what is new"
+            )
+        if block_scans < 1:
+            raise UsageError(f"block_scans is {block_scans}: take 1 or more")
+        configuration = self.configuration()
+        period_s = configuration.sample_period_s
+        usable = bool(USED_BY & self.bus.capabilities)
+        looks = data_ready is None and usable and (configuration.data_ready or not leave_registers)
+        ready, at_end = bool(data_ready), contextlib.ExitStack()
+        with contextlib.ExitStack() as failed:
+            if looks and leave_registers:
+                ready = arrives(self.bus, period_s)
+                streams = ready and Capability.STREAM in self.bus.capabilities
+                if streams and not leads(self.bus, table, period_s):
+                    raise refusal(self.bus)
+            elif looks:
+                loan = DataReadyLoan(self, table, period_s, self.update_edge)
+                failed.callback(loan.give_back)
+                at_end.callback(loan.give_back)
+                ready = loan.wired
+            layout = ScanLayout(table, self.variant.name, self._gyro_range, period_s, at_end.close)
+            if ready and Capability.STREAM in self.bus.capabilities:
+                frames = [int(frame) for frame in read_frames(table)]
+                scans = max(1, min(block_scans, int(LONGEST_EXCHANGE_S / period_s)))
+                source = self.bus.stream(frames, block_scans=scans)
+                stream: ScanStream = StreamedScans(source, layout)
+            else:
+                counts = ready and Capability.EVENT_COUNTER in self.bus.capabilities
+                stream = PolledScans(self.bus, layout, block_scans, counts_edges=counts)
+                if looks and not ready:
+                    stream.how = f"no data-ready edge arrives: {stream.how}"
+            failed.pop_all()
+        return stream
+
+    def lend_data_ready(self, names: Sequence[str | Register] = DEFAULT_SCAN) -> DataReadyLoan | None:
+        """Enable data-ready for streams of these registers until the loan is given back.
+
+        None where the bus cannot use it. Errors as `DataReadyLoan`.
+        """
+        if not USED_BY & self.bus.capabilities:
+            return None
+        period_s = self.configuration().sample_period_s
+        return DataReadyLoan(self, registers(names), period_s, self.update_edge)
+
+    def read_scans(
+        self,
+        count: int,
+        names: Sequence[str | Register] = DEFAULT_SCAN,
+        *,
+        data_ready: bool | None = None,
+    ) -> ScanBlock:
+        """`count` fresh scans in one block; writes no register. `data_ready` as in `stream`."""
+        if count < 1:
+            raise UsageError(f"count is {count}: take 1 or more")
+        blocks: list[ScanBlock] = []
+        have = 0
+        size = min(count, 256)
+        with self.stream(names, block_scans=size, leave_registers=True, data_ready=data_ready) as stream:
+            for block in stream:
+                blocks.append(block)
+                have += len(block)
+                if have >= count:
+                    break
+        return join(blocks).first(count)
+
+    def scan(self, names: Sequence[str | Register] = DEFAULT_SCAN) -> dict[str, float]:
+        """One fresh scan as values by register name, in mg, °/s, °C and V."""
+        block = self.read_scans(1, names)
+        return dict(zip(block.registers, (float(value) for value in block.values()[0]), strict=True))
+
+    # -- health -----------------------------------------------------------------------------------
+
+    def status(self) -> Status:
+        """Read STATUS, which clears it; a condition that stands comes back with the next update."""
+        return Status(self.read("STATUS"))
+
+    def self_test(self) -> SelfTest:
+        """Run the internal self-test (35 ms, outputs unavailable meanwhile) and read its outcome.
+
+        Raises
+        ------
+        ChipError
+            The self-test did not end.
+        """
+        row = BY_NAME["MSC_CTRL"]
+        busy = row.field("self_test").mask
+        # The high byte alone: the low byte holds settings that a self-test has no business with.
+        self.bus.exchange_array(write_frames(row, busy, byte_mask=0xFF00))
+        self.bus.sleep_s(SELF_TEST_S)
+        if self.read(row) & busy:
+            raise ChipError("the self-test did not end in 60 ms: reset the part and check its supply")
+        return SelfTest(self.status())
+
+    def manual_self_test(self) -> ManualSelfTest:
+        """Apply the self-test's stimulus by hand, of either sign, and measure what it moves.
+
+        The part must be at rest. MSC_CTRL is set back at the end, however it ends.
+
+        Raises
+        ------
+        VerifyError
+            What was read back differs.
+        """
+        means, noise = {}, np.zeros(6)
+        settling_s = self.configuration().settling_s
+        try:
+            for name, positive, negative in (("rest", 0, 0), ("positive", 1, 0), ("negative", 0, 1)):
+                self.write_fields("MSC_CTRL", positive=positive, negative=negative)
+                self.bus.sleep_s(2 * settling_s)
+                values = self.read_scans(MANUAL_SCANS, (*ACCEL_OUT, *GYRO_OUT), data_ready=False).values()
+                means[name] = values.mean(axis=0)
+                if name == "rest":
+                    noise = values.std(axis=0, ddof=1)
+        finally:
+            self.write_fields("MSC_CTRL", positive=0, negative=0)
+            self.bus.sleep_s(2 * settling_s)
+        up, down = means["positive"] - means["rest"], means["negative"] - means["rest"]
+        parts = [values[k : k + 3] for k in (0, 3) for values in (up, down)] + [noise[:3], noise[3:]]
+        x = [(float(part[0]), float(part[1]), float(part[2])) for part in parts]
+        return ManualSelfTest(*x)
+
+    # -- offsets and flash --------------------------------------------------------------------------
+
+    def offsets(self) -> Offsets:
+        """The six offset registers in units."""
+        rows = registers([*GYRO_OFF, *ACCEL_OFF])
+        numbers = [row.number(word) for row, word in zip(rows, self.read_words(rows), strict=True)]
+        lsb, _, _ = scales(rows, self.variant, self._gyro_range)
+        values = [float(value) for value in lsb * numbers]
+        return Offsets((values[0], values[1], values[2]), (values[3], values[4], values[5]))
+
+    def write_offsets(
+        self, *, accel_mg: Sequence[float] | None = None, gyro_dps: Sequence[float] | None = None
+    ) -> Offsets:
+        """Write offsets (x, y, z), which the part adds to its outputs; volatile until `save_to_flash`.
+
+        Returns what stands afterwards: the values asked for, rounded to an LSB.
+
+        Raises
+        ------
+        UsageError
+            Not three values, or one that the register cannot hold; nothing was written.
+        VerifyError
+            What was read back differs.
+        """
+        writes: list[tuple[Register, int]] = []
+        for names, values, what in ((ACCEL_OFF, accel_mg, "accel_mg"), (GYRO_OFF, gyro_dps, "gyro_dps")):
+            if values is None:
+                continue
+            if len(values) != 3 or not np.all(np.isfinite(values)):
+                raise UsageError(f"{what} takes three finite values (x, y, z), not {list(values)}")
+            rows = registers(names)
+            lsb, _, units = scales(rows, self.variant, self._gyro_range)
+            for row, value, size, unit in zip(rows, values, lsb, units, strict=True):
+                number = round(value / size)
+                low, high = row.range
+                if not low <= number <= high:
+                    raise UsageError(
+                        f"{row.name} holds {low * size:.4g} to {high * size:.4g} {unit}, not {value:.4g}"
+                    )
+                writes.append((row, number))
+        for row, number in writes:
+            self.write(row, number)
+        return self.offsets()
+
+    def save_to_flash(self, *, force: bool = False) -> int:
+        """Save the registers that have a flash copy; return ENDURANCE afterwards.
+
+        Raises
+        ------
+        ChipError
+            The flash is worn (10 000 writes) and `force` is not set; nothing was written.
+        VerifyError
+            The endurance counter did not go up by one.
+        StatusError
+            STATUS reports a failed flash update.
+        """
+        self._require_flash_life(force)
+        return self._flash_command("flash_update", FLASH_UPDATE_S, "the flash update")
+
+    def autonull(self, *, force: bool = False) -> Offsets:
+        """Null the gyros by their present output; the part must not turn. Ends in a flash update.
+
+        The duration is not given by the maker; the wait covers the filter and the flash update.
+        """
+        self._require_flash_life(force)
+        wait = self.configuration().settling_s + START_UP_S + FLASH_UPDATE_S
+        self._flash_command("autonull", wait, "the autonull")
+        return self.offsets()
+
+    def precision_autonull(self, *, force: bool = False) -> Offsets:
+        """Null the gyros over about 30 s without motion. Ends in a flash update; only a reset stops it."""
+        self._require_flash_life(force)
+        self._flash_command("precision_autonull", PRECISION_AUTONULL_S, "the precision autonull")
+        return self.offsets()
+
+    def restore_factory(self, *, force: bool = False) -> Offsets:
+        """Zero the six offsets. Ends in a flash update by itself.
+
+        Raises
+        ------
+        VerifyError
+            An offset is not zero afterwards, or the endurance counter did not go up.
+        """
+        self._require_flash_life(force)
+        self._flash_command("restore", START_UP_S, "the factory restore")
+        left = self.offsets()
+        if any((*left.gyro_dps, *left.accel_mg)):
+            raise VerifyError(f"after the factory restore offsets are not zero: {left}")
+        return left
+
+    def reset(self) -> None:
+        """Software reset: volatile settings are lost, the flash copies return."""
+        self._command("reset")
+        self.bus.configure(NORMAL)
+        self.bus.sleep_s(START_UP_S)
+        self._follow()
+
+    # -- alarms, output, sleep ----------------------------------------------------------------------
+
+    def set_alarm(self, number: int, alarm: Alarm) -> None:
+        """Set alarm 1 or 2; it shows in STATUS and in EA (DS tables of ALM_*, B).
+
+        Raises
+        ------
+        UsageError
+            No such alarm or source, or a threshold outside the source's range; or of a change that is less
+            than half an LSB a sample, which the register cannot hold.
+        """
+        if number not in (1, 2):
+            raise UsageError(f"alarm {number} does not exist: 1 or 2")
+        source = register(alarm.source)
+        if source.name not in ALARM_SOURCES:
+            raise UsageError(f"{source.name} cannot raise an alarm: {', '.join(ALARM_SOURCES)}")
+        if not 0 <= alarm.rate_samples <= 255:
+            raise UsageError(f"rate_samples is {alarm.rate_samples}: 0 (level) to 255")
+        lsb, zero, unit = scales([source], self.variant, self._gyro_range)
+        level = alarm.threshold if alarm.rate_samples else alarm.threshold - zero[0]
+        threshold = round(float(level / lsb[0]))
+        low, high = source.range
+        if not low <= threshold <= high:
+            raise UsageError(
+                f"threshold {alarm.threshold:g} {unit[0]} is outside the range of {source.name}"
+            )
+        if alarm.rate_samples and alarm.threshold and not threshold:
+            raise UsageError(
+                f"threshold {alarm.threshold:g} {unit[0]} a sample is too small for {source.name}:"
+                f" the least is {lsb[0]:.4g} {unit[0]} a sample, whatever rate_samples is"
+            )
+        self.write(f"ALM_MAG{number}", int(alarm.above) << 15 | threshold & source.data_mask)
+        self.write(f"ALM_SMPL{number}", alarm.rate_samples)
+        fields = {
+            f"source{number}": ALARM_SOURCES[source.name],
+            f"rate{number}": int(alarm.rate_samples > 0),
+            "filtered": int(alarm.filtered),
+        }
+        self.write_fields("ALM_CTRL", **fields)
+
+    def clear_alarm(self, number: int) -> None:
+        """Switch alarm 1 or 2 off."""
+        if number not in (1, 2):
+            raise UsageError(f"alarm {number} does not exist: 1 or 2")
+        self.write_fields("ALM_CTRL", **{f"source{number}": 0, f"rate{number}": 0})
+
+    def write_dac(self, volts: float) -> None:
+        """Set the auxiliary output, 0 to 2.5 V."""
+        row = BY_NAME["AUX_DAC"]
+        lsb, _, _ = scales([row], self.variant, self._gyro_range)
+        if not 0 <= volts <= 2.5:
+            raise UsageError(f"the auxiliary output gives 0 to 2.5 V, not {volts:g}")
+        self.write(row, round(float(volts / lsb[0])))
+        self._command("latch_dac")
+
+    def sleep(self, seconds: float) -> None:
+        """Put the part to sleep for 0.5 to 127.5 s; any frame wakes it, so send none meanwhile."""
+        halves = round(seconds * 2)
+        if not 1 <= halves <= 255:
+            raise UsageError(f"the part sleeps 0.5 to 127.5 s, not {seconds:g}")
+        # Not read back: the read would wake it.
+        self.bus.exchange_array(write_frames(BY_NAME["SLP_CNT"], halves))
+
+    def wake(self) -> None:
+        """Wake the part with a pulse of chip select and wait for its recovery."""
+        self.bus.exchange_array(np.array([IDLE], np.uint16))
+        self.bus.sleep_s(WAKE_S)
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _write_verified(self, row: Register, word: int) -> None:
+        self.bus.exchange_array(write_frames(row, word))
+        back = self.read_words([row])[0]
+        if (back ^ word) & row.write_mask:
+            raise VerifyError(f"{row.name}: wrote 0x{word:04X}, read back 0x{back & row.data_mask:04X}")
+
+    def _command(self, field: str) -> None:
+        row = BY_NAME["COMMAND"]
+        self.bus.exchange_array(write_frames(row, row.field(field).mask, byte_mask=0x00FF))
+
+    def _flash_command(self, field: str, wait_s: float, what: str) -> int:
+        before = self.endurance()
+        self._command(field)
+        self.bus.sleep_s(wait_s)
+        after = self.endurance()
+        if after != (before + 1) % ENDURANCE_WRAP:
+            raise VerifyError(
+                f"{what} was not done: ENDURANCE was {before} and is {after} (expected one more);"
+                " check the supply and try again"
+            )
+        status = self.status()
+        if status.flags["flash"]:
+            raise StatusError(f"STATUS after {what}: {status}")
+        return after
+
+    def _require_flash_life(self, force: bool) -> None:
+        written = self.endurance()
+        if written >= FLASH_LIFE and not force:
+            raise ChipError(
+                f"ENDURANCE is {written}: the flash is made for {FLASH_LIFE} writes; force it if you must"
+            )
+
+    def _follow(self) -> None:
+        """Let the bus's clock and the gyros' scale follow the registers."""
+        now = self.configuration()
+        self._gyro_range = now.gyro_range_dps
+        self.bus.configure(timing_for(now.smpl_prd))
+
+    def _check_sens_avg(self, number: int) -> None:
+        row = BY_NAME["SENS_AVG"]
+        asked = Configuration.from_words(0, number, 0)
+        if asked.gyro_range_dps is None:
+            raise UsageError(f"SENS_AVG range code {row.field('range').of(number)} is none of 4, 2, 1")
+        sens_avg_word(asked.gyro_range_dps, asked.filter_m)
+
+    def _check_answers(self) -> None:
+        names = ["SMPL_PRD", "SENS_AVG", "SUPPLY_OUT", "XTEMP_OUT"]
+        words = set(self.read_words(names))
+        for word, level in ((0x0000, "zeros"), (0xFFFF, "ones")):
+            if words == {word}:
+                raise SilentChipError(
+                    f"{self.bus.url}: nothing answers, all replies are {level};"
+                    " check supply, chip select and the data line"
+                )
+
+    def _check_variant(self) -> None:
+        # Polled: a line that is wrong must not keep the sensor from being opened.
+        block = self.read_scans(CHECK_SCANS, ACCEL_OUT, data_ready=False)
+        norm_lsb = float(np.median(np.linalg.norm(block.numbers(), axis=1)))
+        if abs(norm_lsb / self.variant.one_g_lsb - 1) <= PLAUSIBLE:
+            return
+        fits = [v.name for v in VARIANTS.values() if abs(norm_lsb / v.one_g_lsb - 1) <= PLAUSIBLE]
+        if fits:
+            raise VariantError(
+                f"|a| at rest is {norm_lsb:.0f} LSB, so this is an {' or '.join(f.upper() for f in fits)},"
+                f" not an {self.variant.name.upper()} ({self.variant.one_g_lsb:.0f}): open it as variant"
+                f" '{fits[0]}'"
+            )
+        raise VariantError(
+            f"|a| is {norm_lsb / self.variant.one_g_lsb:.2f} g for an {self.variant.name.upper()}"
+            f" ({norm_lsb:.0f} LSB, no known variant): keep the part still while opening, or open it"
+            " without the check"
+        )

@@ -1,0 +1,347 @@
+"""Scans one after another, by the best that the bus can do.
+
+Two ways, behind one iterator of `ScanBlock`:
+
+* the bus streams by itself at each data-ready edge (`Capability.STREAM`, and data-ready enabled);
+* polling: the list of reads runs again and again, and the chip's ND bit says which words are new. What
+  was missed follows from the time between the scans; where the bus counts data-ready edges, they hold the
+  count to the chip's own clock, which may differ from the nominal rate.
+
+Polling without tearing. An update may fall between two reads of one pass, so that the pass mixes two
+updates. Each *column*, however, tells by ND whether an update came since it was read last: ND is set by an
+update and cleared by the read of that very register. Where as many reads in a row as there are columns find
+no news, the latest fresh words of all columns therefore belong to one update, whatever pauses lay between
+the reads before. That is a row; fresh words that are followed by others before such a silence are not
+used, and what was missed follows from the time. A bus that needs more than half a period for a pass cannot
+do this: there each pass is a scan.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.errors import AdisGonioError, ChipError, ProtocolError, SilentChipError
+from adis_gonio.device.bus import FrameStream, SpiBus, Words
+from adis_gonio.device.sensor.decoding import Floats, ScanBlock
+from adis_gonio.device.sensor.frames import IDLE, read_frames
+from adis_gonio.device.sensor.registers import ND, Register
+
+SILENT_PERIODS = 20
+"""Updates in a row that may fail to appear before the chip is called silent."""
+
+ALIGNABLE = 0.45
+"""Longest pass, in periods of the update, that leaves a silence between two updates: as many reads without
+news as a pass has, behind as many with news, and a tenth to spare."""
+
+LONGEST_EXCHANGE_S = 1.0
+"""Time that one exchange may take: a slow sample rate means more exchanges, and a stop is heard soon."""
+
+LEAST_PASSES = 4
+"""Passes in a batch, and those that are kept for the next one: an update and its silence take three."""
+
+
+JUDGED_SCANS = 32
+FRESH_SHARE = 0.75
+"""Latest scans of a stream at data-ready edges, and the share of them that must hold new data."""
+
+COUNTER_SLACK = 2.0
+"""Updates by which edges and scans may disagree: some lie between a scan and the counter's reading."""
+
+
+@dataclass(frozen=True)
+class ScanLayout:
+    """What a scan holds, and what is to be done when the stream ends.
+
+    Attributes
+    ----------
+    table : registers of a scan
+    variant, gyro_range_dps
+        What the words have to be read with.
+    period_s : float
+        Time between two updates of the chip.
+    at_end : callable
+        Called once, when the stream has stopped.
+    """
+
+    table: Sequence[Register]
+    variant: str
+    gyro_range_dps: int | None
+    period_s: float
+    at_end: Callable[[], object] = lambda: None
+
+
+class ScanStream(ABC):
+    """An iterator of `ScanBlock` that stops cleanly when closed; use it as a context manager.
+
+    Attributes
+    ----------
+    how : str
+        How the scans are got, in words.
+    """
+
+    how: str = ""
+
+    @property
+    def caveat(self) -> str:
+        """What has to be known of the rows, in words; empty where nothing has."""
+        return ""
+
+    def __init__(self, layout: ScanLayout) -> None:
+        self._layout = layout
+        self._names = tuple(row.name for row in layout.table)
+        self._period_s = layout.period_s
+        self._closed = False
+        self._last_s: float | None = None
+
+    def __iter__(self) -> Iterator[ScanBlock]:
+        return self
+
+    def __next__(self) -> ScanBlock:
+        """Next block of fresh scans; raises `BusError` or `SilentChipError`."""
+        if self._closed:
+            raise StopIteration
+        return self._next()
+
+    def close(self) -> None:
+        """Stop, and set back what was changed for the stream; may be called twice.
+
+        Raises
+        ------
+        BusError, VerifyError
+            The bus failed, so that data-ready may still be enabled.
+        """
+        if not self._closed:
+            self._closed = True
+            try:
+                self._stop()
+            finally:
+                self._layout.at_end()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        # The first error counts: where the bus is gone, setting back fails as well.
+        with contextlib.nullcontext() if error is None else contextlib.suppress(AdisGonioError):
+            self.close()
+
+    @abstractmethod
+    def _next(self) -> ScanBlock: ...
+
+    def _stop(self) -> None:  # noqa: B027 - most streams have nothing to stop
+        """End what runs on the bus."""
+
+    def _block(
+        self, words: Words, time_s: Floats, lost: int, missed: NDArray[np.int64] | None = None
+    ) -> ScanBlock:
+        layout = self._layout
+        return ScanBlock(self._names, words, time_s, lost, layout.variant, layout.gyro_range_dps, missed)
+
+
+class StreamedScans(ScanStream):
+    """Scans that the bus runs by itself at each data-ready edge."""
+
+    how = "the bridge reads each sample at its data-ready edge"
+
+    def __init__(self, stream: FrameStream, layout: ScanLayout) -> None:
+        super().__init__(layout)
+        self._stream = stream
+        self._flags = np.array([row.flags for row in layout.table])
+        self._judged: NDArray[np.bool_] = np.empty(0, bool)
+
+    def _next(self) -> ScanBlock:
+        block = next(self._stream)
+        if block.words.shape != (len(block.time_s), len(self._names)):
+            raise ProtocolError(
+                f"the bus streams blocks of shape {block.words.shape}: {len(block.time_s)} times and"
+                f" {len(self._names)} registers were expected"
+            )
+        # A scan with a word without ND repeats an older one, at least in part: its edge was no update's.
+        new: NDArray[np.bool_] = np.all(block.words[:, self._flags] & ND, axis=1)
+        dropped = len(new) - int(new.sum())
+        self._judged = np.append(self._judged, new)[-JUDGED_SCANS:]
+        if len(self._judged) == JUDGED_SCANS and self._judged.mean() < FRESH_SHARE:
+            old = int(JUDGED_SCANS - self._judged.sum())
+            raise ChipError(
+                f"{old} of {JUDGED_SCANS} scans at data-ready edges found no new data (ND) in a register:"
+                " the edges are not the chip's updates; check the line's wire and MSC_CTRL[2:0]"
+                " (docs/hardware.md)"
+            )
+        return replace(self._block(block.words[new], block.time_s[new], block.lost), dropped=dropped)
+
+    def _stop(self) -> None:
+        self._stream.close()
+
+
+class PolledScans(ScanStream):
+    """Scans found by polling and ND; see the module's text."""
+
+    def __init__(
+        self,
+        bus: SpiBus,
+        layout: ScanLayout,
+        block_scans: int,
+        *,
+        counts_edges: bool = False,
+    ) -> None:
+        super().__init__(layout)
+        self.how = "polling; missed samples are counted by " + (
+            "the bridge's counter of data-ready edges" if counts_edges else "time"
+        )
+        self._bus = bus
+        self._frames = read_frames(layout.table)
+        self._flags = np.array([row.flags for row in layout.table])
+        self._pass_s = len(self._frames) * bus.timing.frame_s
+        self._block_scans = block_scans
+        self._may_mix = self._late = False
+        self._open = (np.empty((0, len(self._frames)), np.uint16), np.empty((0, len(self._frames))))
+        self._missed = 0.0
+        self._in_bursts = bus.unbroken_frames is not None
+        self._polled_s = -np.inf
+        self._way_s = self._ask_s = np.inf
+        self._probed = False
+        self._edges: int | None = 0 if counts_edges else None
+        self._accounted = 0
+        self._ahead: float | None = None
+        if counts_edges:
+            bus.read_event_counter()
+
+    def _next(self) -> ScanBlock:
+        waited_from = self._bus.now_s()
+        while True:
+            words, times = self._poll()
+            if self._pass_s < ALIGNABLE * self._period_s:
+                block = self._match(words, times)
+            else:
+                self._may_mix = True
+                fresh = (words[:, int(np.argmax(self._flags))] & ND).astype(bool)
+                block = self._counted(words[fresh], times[fresh, 0])
+            if len(block):
+                self._accounted += len(block) + block.lost
+                self._heed_counter()
+                return block
+            if self._bus.now_s() - waited_from > SILENT_PERIODS * self._period_s + 1.0:
+                raise SilentChipError(
+                    "no new data from the sensor: it sleeps, restarts or is not connected"
+                    " (bit ND never came in any output register)"
+                )
+
+    @property
+    def caveat(self) -> str:
+        """That a row may hold words of two updates, once passes were too slow to tell them apart."""
+        if not self._may_mix:
+            return ""
+        return (
+            "scans were polled, too slowly to tell the sensor's updates apart: the words of a row may stem"
+            " from two or more neighbouring updates"
+        )
+
+    def _heed_counter(self) -> None:
+        """Let the next block mend what time has counted too few or too many by the edges."""
+        if self._edges is None or self._last_s is None:
+            return
+        begin_s = self._bus.now_s()
+        self._edges += self._bus.read_event_counter()
+        end_s = self._bus.now_s()
+        # As late as it may have been read, where the request was repeated: see `_poll`.
+        self._ask_s = min(self._ask_s, end_s - begin_s)
+        counted_s = end_s - self._ask_s / 2
+        since = (counted_s - self._last_s) / self._period_s
+        ahead = self._edges - since - self._accounted - self._missed
+        if self._ahead is None:
+            self._ahead = ahead  # edges before the first scan
+        elif abs(ahead - self._ahead) > COUNTER_SLACK:
+            self._missed += ahead - self._ahead
+
+    def _poll(self) -> tuple[Words, Floats]:
+        """Words and their times, both (passes, k)."""
+        # The reply to the last frame of a pass comes with the first of the next, so passes need no idle
+        # frame between them, only one at the very end.
+        scan_s = max(self._period_s, self._pass_s)
+        passes = max(LEAST_PASSES, int(np.ceil(self._block_scans * scan_s / self._pass_s)))
+        if not self._probed:  # a bridge may be far slower than its timing: look before a long batch
+            passes, self._probed = LEAST_PASSES, True
+        # A pass may take seconds on a slow bridge; no exchange of several passes lasts longer than this.
+        passes = min(passes, max(1, int(LONGEST_EXCHANGE_S / self._pass_s)))
+        if self._bus.unbroken_frames is not None:
+            # One burst a batch: the board keeps the timing within one only.
+            passes = min(passes, max(1, (self._bus.unbroken_frames - 1) // len(self._frames)))
+        frames = np.append(np.tile(self._frames, passes), np.uint16(IDLE))
+        before, self._open = self._open, (self._open[0][:0], self._open[1][:0])
+        begin_s = self._bus.now_s()
+        replies = self._bus.exchange_array(frames)  # replies that are lost take ND of their words with them
+        self._open = before
+        end_s = self._bus.now_s()
+        took_s = end_s - begin_s
+        if self._in_bursts:  # the board keeps the timing; when in the exchange the frames ran is not known
+            took_s = min(took_s, frames.size * self._bus.timing.frame_s)
+        else:
+            self._pass_s = took_s / passes  # what the bus really took
+        # The least time that a frame spends on its way; what a repeated request adds does not tell when the
+        # frames ran. As early as they may have: so nothing is counted as lost before it was.
+        self._way_s = min(self._way_s, (end_s - begin_s - took_s) / frames.size)
+        # In bursts counts are right on the average only, and a late time does no harm.
+        self._late = not self._in_bursts and begin_s + self._pass_s - self._polled_s > self._period_s
+        self._polled_s = end_s
+        times = begin_s + self._way_s * frames.size / 2 + took_s * np.arange(frames.size) / frames.size
+        shape = (passes, len(self._frames))
+        return replies[1:].reshape(shape), times[:-1].reshape(shape)
+
+    def _match(self, words: Words, times: Floats) -> ScanBlock:
+        """Rows of one update each: the latest fresh words before as many reads without news as columns."""
+        held = len(self._open[0])
+        words, times = np.concatenate([self._open[0], words]), np.concatenate([self._open[1], times])
+        news = (words & ND).astype(bool)[:, self._flags]
+        width = news.shape[1]
+        at = np.flatnonzero(news)  # reads in their order
+        ends = np.flatnonzero(np.diff(at, append=news.size) > width)
+        # The latest fresh pass of each column up to each read with news, -1 before the first one.
+        latest = np.full((at.size, width), -1)
+        latest[np.arange(at.size), at % width] = at // width
+        latest = np.maximum.accumulate(latest, axis=0)[ends]
+        begins = np.append(0, ends[:-1] + 1)[: ends.size]
+        rows = latest[(latest >= (at[begins] // width)[:, np.newaxis]).all(axis=1)]
+        left = at[ends[-1] + 1 :] if ends.size else at
+        cut = max(left[0] // width, len(words) - LEAST_PASSES) if left.size else len(words)
+        self._open = (words[cut:], times[cut:])
+        if self._late:  # the first update was read late: by its time nothing can be counted
+            rows = rows[rows.min(axis=1, initial=len(words)) > held]
+        passes = np.empty((len(rows), len(self._frames)), np.int64)
+        passes[:, self._flags] = rows
+        passes[:, ~self._flags] = rows[:, :1]  # a register without ND goes with the first that has it
+        columns = np.arange(len(self._frames))
+        return self._counted(words[passes, columns], times[passes, columns][:, 0])
+
+    def _counted(self, words: Words, time_s: Floats) -> ScanBlock:
+        """Block with the updates that were missed, which the gaps in time tell."""
+        if not len(time_s):
+            return self._block(words, time_s, 0)
+        before = time_s[0] - self._period_s if self._last_s is None else self._last_s
+        self._last_s = float(time_s[-1])
+        gaps = np.diff(time_s, prepend=before) / self._period_s
+        poll = self._pass_s / self._period_s
+        if poll < ALIGNABLE and not self._in_bursts:  # known to less than half a period: the count is exact
+            missed = np.rint(gaps) - 1
+        elif poll < 1 and not self._in_bursts:  # only a lower bound is sure
+            missed = np.floor(gaps - poll)
+        else:  # right on the average
+            missed = gaps - 1
+        # In bursts the times jitter: what one gap has too much another has too little.
+        total = self._missed + np.cumsum(missed if self._in_bursts else np.maximum(missed, 0))
+        whole = np.floor(np.maximum.accumulate(np.maximum(total, 0))).astype(np.int64)
+        self._missed = float(total[-1] - whole[-1])
+        counts = np.diff(whole, prepend=0)
+        return self._block(words, time_s, int(whole[-1]), counts)

@@ -1,0 +1,308 @@
+"""What the control registers mean, as data: configuration, offsets, alarms, status."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from adis_gonio.base.errors import UsageError
+from adis_gonio.device.sensor.registers import BY_NAME
+from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE
+
+FAST_BASE_S = 0.61035e-3
+SLOW_BASE_S = 18.921e-3
+"""Time bases of SMPL_PRD (DS, A)."""
+
+ANALOG_POLE_HZ = 350.0
+"""-3 dB of the analog front end (DS, A)."""
+
+_RANGE_OF_CODE = {code: dps for dps, code in RANGE_CODE.items()}
+
+
+def sample_period_s(smpl_prd: int) -> float:
+    """Period of the internal update in s: base * (N + 1) (DS, A)."""
+    base = SLOW_BASE_S if smpl_prd & 0x80 else FAST_BASE_S
+    return base * ((smpl_prd & 0x7F) + 1)
+
+
+def smpl_prd_for(sample_rate_hz: float) -> int:
+    """SMPL_PRD whose rate is nearest to the one asked for.
+
+    Raises
+    ------
+    UsageError
+        The rate is outside 0.413 to 819.2 samples a second.
+    """
+    choices = [n for n in range(256) if n & 0x7F or n & 0x80]
+    least, most = 1 / sample_period_s(0xFF), 1 / sample_period_s(0x01)
+    if not 0.99 * least <= sample_rate_hz <= 1.01 * most:
+        raise UsageError(f"sample_rate_hz is {sample_rate_hz:g}: choose {least:.3f} to {most:.1f}")
+    return min(choices, key=lambda n: abs(1 / sample_period_s(n) - sample_rate_hz))
+
+
+def filter_settling_samples(filter_m: int) -> int:
+    """Samples until two boxcars of 2^M taps have settled: 2 * 2^M - 1 (DS, A)."""
+    return int(2 * 2**filter_m - 1)
+
+
+def low_pass_3db_hz(filter_m: int, sample_rate_hz: float) -> float:
+    """Frequency in Hz at which the filter has halved the power (the table's column -3 dB; DS, A).
+
+    Two boxcars of N = 2^M taps pass (sin(N x) / (N sin x))² of an amplitude, with x = π f / rate. Without
+    them (M = 0) the analog pole is what is left.
+    """
+    if filter_m == 0:
+        return ANALOG_POLE_HZ
+    n = 2**filter_m
+    low, high = 0.0, math.pi / n  # the first zero
+    for _ in range(60):
+        x = (low + high) / 2
+        if (math.sin(n * x) / (n * math.sin(x))) ** 2 > math.sqrt(0.5):
+            low = x
+        else:
+            high = x
+    return sample_rate_hz * low / math.pi
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """How the sensor measures, as its registers say.
+
+    Attributes
+    ----------
+    smpl_prd : int
+        SMPL_PRD[7:0].
+    filter_m : int
+        M of the Bartlett filter: two boxcars of 2^M taps.
+    gyro_range_dps : int or None
+        300, 150 or 75 °/s; None where SENS_AVG holds a code that is not defined.
+    data_ready : bool
+        Data-ready pulses on a DIO line.
+    linear_g, origin : bool
+        MSC_CTRL[7], MSC_CTRL[6].
+    """
+
+    smpl_prd: int
+    filter_m: int
+    gyro_range_dps: int | None
+    data_ready: bool
+    linear_g: bool
+    origin: bool
+
+    @classmethod
+    def from_words(cls, smpl_prd: int, sens_avg: int, msc_ctrl: int) -> Configuration:
+        """Read the three registers' numbers."""
+        sens, misc = BY_NAME["SENS_AVG"], BY_NAME["MSC_CTRL"]
+        return cls(
+            smpl_prd & 0xFF,
+            sens.field("m").of(sens_avg),
+            _RANGE_OF_CODE.get(sens.field("range").of(sens_avg)),
+            bool(misc.field("data_ready").of(msc_ctrl)),
+            bool(misc.field("linear_g").of(msc_ctrl)),
+            bool(misc.field("origin").of(msc_ctrl)),
+        )
+
+    @property
+    def sample_period_s(self) -> float:
+        """Period of the internal update in s."""
+        return sample_period_s(self.smpl_prd)
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Internal updates a second."""
+        return 1.0 / self.sample_period_s
+
+    @property
+    def settling_s(self) -> float:
+        """Time in s until the filter has forgotten what was before."""
+        return filter_settling_samples(self.filter_m) * self.sample_period_s
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return asdict(self) | {"sample_rate_hz": self.sample_rate_hz}
+
+
+def compensations(configuration: Mapping[str, Any]) -> tuple[str, ...]:
+    """What the chip takes off its own readings, in words.
+
+    Parameters
+    ----------
+    configuration : mapping
+        JSON form of a `Configuration`, or of something else that measures; nothing is known then.
+    """
+    known = {
+        "linear_g": "gyros for linear acceleration (MSC_CTRL[7])",
+        "origin": "accelerometers for their places (MSC_CTRL[6])",
+    }
+    return tuple(words for name, words in known.items() if configuration.get(name))
+
+
+def sens_avg_word(gyro_range_dps: int, filter_m: int) -> int:
+    """Word of SENS_AVG.
+
+    Raises
+    ------
+    UsageError
+        No such range or filter, or a range that needs more filtering: ±150 °/s needs M >= 2, ±75 °/s
+        M >= 4 (DS, A).
+    """
+    if gyro_range_dps not in RANGE_CODE:
+        raise UsageError(f"gyro_range_dps is {gyro_range_dps}: choose 300, 150 or 75")
+    if not 0 <= filter_m <= 6:
+        raise UsageError(f"filter_m is {filter_m}: choose 0 to 6")
+    if filter_m < LEAST_M[gyro_range_dps]:
+        raise UsageError(
+            f"gyro range ±{gyro_range_dps} °/s needs filter_m >= {LEAST_M[gyro_range_dps]}, not {filter_m}"
+        )
+    return RANGE_CODE[gyro_range_dps] << 8 | filter_m
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """The six offset registers in units; each is added to its output.
+
+    The LSB of the accelerometers' offsets on the ADIS16354 has confidence C: check it once on hardware.
+    """
+
+    gyro_dps: tuple[float, float, float]
+    accel_mg: tuple[float, float, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Status:
+    """STATUS as it was read (which cleared it)."""
+
+    word: int
+
+    @property
+    def flags(self) -> Mapping[str, bool]:
+        """Every bit by its name in the register table."""
+        return {field.name: bool(field.of(self.word)) for field in BY_NAME["STATUS"].fields}
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """What stands, in words."""
+        return tuple(field.meaning for field in BY_NAME["STATUS"].fields if field.of(self.word))
+
+    def __str__(self) -> str:
+        return "; ".join(self.messages) or "no fault, no alarm"
+
+
+@dataclass(frozen=True)
+class SelfTest:
+    """Outcome of the internal self-test: STATUS[5] and [15:10]."""
+
+    status: Status
+
+    @property
+    def passed(self) -> bool:
+        """True where neither the error bit nor a sensor's bit stands."""
+        return not self.failures
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What failed, in words."""
+        return tuple(
+            field.meaning
+            for field in BY_NAME["STATUS"].fields
+            if field.name.endswith("self_test") and field.of(self.status.word)
+        )
+
+
+@dataclass(frozen=True)
+class ManualSelfTest:
+    """What the manual self-test moved: change of the mean output under the stimulus of either sign.
+
+    The gyros answer to both signs, the accelerometers to the positive one alone (DS p. 19, B). How far is
+    not given, so only whether and which way is judged.
+
+    Attributes
+    ----------
+    accel_positive_mg, accel_negative_mg : tuple of 3 float
+    gyro_positive_dps, gyro_negative_dps : tuple of 3 float
+    accel_noise_mg, gyro_noise_dps : tuple of 3 float
+        Standard deviation of a sample at rest; a sensor has moved where its mean did by four of them.
+    """
+
+    accel_positive_mg: tuple[float, float, float]
+    accel_negative_mg: tuple[float, float, float]
+    gyro_positive_dps: tuple[float, float, float]
+    gyro_negative_dps: tuple[float, float, float]
+    accel_noise_mg: tuple[float, float, float]
+    gyro_noise_dps: tuple[float, float, float]
+
+    @property
+    def passed(self) -> bool:
+        """True where every sensor answers as the data sheet says."""
+        return not self.failures
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What did not, in words."""
+        found = []
+        for k, axis in enumerate("XYZ"):
+            most = 4 * self.accel_noise_mg[k]
+            if abs(self.accel_positive_mg[k]) <= most:
+                found.append(f"accelerometer {axis} does not answer to the positive stimulus")
+            if abs(self.accel_negative_mg[k]) > most:
+                found.append(f"accelerometer {axis} moves under the negative stimulus")
+        for k, axis in enumerate("XYZ"):
+            most = 4 * self.gyro_noise_dps[k]
+            up, down = self.gyro_positive_dps[k], self.gyro_negative_dps[k]
+            for value, sign in ((up, "positive"), (down, "negative")):
+                if abs(value) <= most:
+                    found.append(f"gyro {axis} does not answer to the {sign} stimulus")
+            if min(abs(up), abs(down)) > most and up * down > 0:
+                found.append(f"gyro {axis} moves the same way under both stimuli")
+        return tuple(found)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return asdict(self) | {"passed": self.passed, "failures": list(self.failures)}
+
+
+ALARM_SOURCES: dict[str, int] = {
+    name: code
+    for code, name in enumerate(
+        (
+            "SUPPLY_OUT",
+            "XGYRO_OUT", "YGYRO_OUT", "ZGYRO_OUT",
+            "XACCL_OUT", "YACCL_OUT", "ZACCL_OUT",
+            "XTEMP_OUT", "YTEMP_OUT", "ZTEMP_OUT",
+            "AUX_ADC",
+        ),
+        start=1,
+    )
+}  # fmt: skip
+"""Code of ALM_CTRL by the register that an alarm watches (DS, B)."""
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """One of the two alarms, in units of its source.
+
+    Attributes
+    ----------
+    source : str
+        Register that is watched, such as `XACCL_OUT`.
+    threshold : float
+        In mg, °/s, °C or V; with `rate_samples` that much a sample.
+    above : bool
+        True alarms above the threshold, False below.
+    rate_samples : int
+        0 compares the value; 1 to 255 compares its mean change a sample over so many samples (DS p. 20, B).
+    filtered : bool
+        Compare filtered data; ALM_CTRL[4], shared by both alarms.
+    """
+
+    source: str
+    threshold: float
+    above: bool = True
+    rate_samples: int = 0
+    filtered: bool = False

@@ -1,0 +1,132 @@
+"""The variants table: all that differs between the parts of the family is one row here."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from adis_gonio.base.errors import UsageError
+from adis_gonio.device.sensor.registers import Kind
+
+GyroRange = Literal[300, 150, 75]
+
+GYRO_LSB_DPS: dict[int, float] = {300: 0.07326, 150: 0.03663, 75: 0.018315}
+"""°/s per LSB by range in °/s (DS, A)."""
+
+RANGE_CODE: dict[int, int] = {300: 4, 150: 2, 75: 1}
+"""SENS_AVG[10:8] by range in °/s (DS, A)."""
+
+LEAST_M: dict[int, int] = {300: 0, 150: 2, 75: 4}
+"""Least filter setting M that a range allows (DS, A)."""
+
+
+@dataclass(frozen=True)
+class Performance:
+    """Figures the simulator starts from; all D on the ADIS16354: estimates, never the maker's.
+
+    Attributes
+    ----------
+    noise_mg, bias_instability_mg, initial_bias_mg : float
+        rms without filter, Allan floor, standard deviation of the bias, in mg.
+    noise_density_pole_hz : float
+        Pole of the analog front end in Hz.
+    scale_error_typical : float
+        Standard deviation of a sensitivity's relative error.
+    non_orthogonality_deg : float
+        Limit of the angle between axes, in degrees.
+    bias_tempco_mg_per_c, scale_tempco_ppm_per_c : float
+        Temperature coefficients.
+    gyro_noise_dps : float
+        rms in °/s.
+    gyro_g_sensitivity_dps_per_g, gyro_supply_sensitivity_dps_per_v : float
+        What acceleration and supply add to a gyro.
+    gyro_instability_dps : float
+        Allan floor in °/s.
+    """
+
+    noise_mg: float
+    bias_instability_mg: float
+    initial_bias_mg: float
+    noise_density_pole_hz: float
+    scale_error_typical: float
+    non_orthogonality_deg: float
+    bias_tempco_mg_per_c: float
+    scale_tempco_ppm_per_c: float
+    gyro_noise_dps: float = 0.6
+    gyro_g_sensitivity_dps_per_g: float = 0.05
+    gyro_supply_sensitivity_dps_per_v: float = 0.25
+    gyro_instability_dps: float = 0.015
+
+    @property
+    def skew_u_rad(self) -> float:
+        """Standard uncertainty in rad of an angle between axes that nobody has measured: uniform."""
+        return math.radians(self.non_orthogonality_deg) / math.sqrt(3)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A part of the family."""
+
+    name: str
+    accel_mg_per_lsb: float
+    accel_range_g: float
+    source: str
+    confidence: str
+    performance: Performance
+
+    @property
+    def one_g_lsb(self) -> float:
+        """LSB of an accelerometer per standard g."""
+        return 1000.0 / self.accel_mg_per_lsb
+
+    def lsb(self, kind: Kind, gyro_range_dps: int = 300) -> tuple[float, float, str]:
+        """Size of an LSB, value at zero and unit of a kind of register.
+
+        The value in the unit is `zero + lsb * number`.
+        """
+        if kind is Kind.GYRO:
+            return GYRO_LSB_DPS[gyro_range_dps], 0.0, "°/s"
+        if kind in (Kind.ACCEL, Kind.ACCEL_OFFSET):
+            return self.accel_mg_per_lsb, 0.0, "mg"
+        return _LSB[kind]
+
+
+_LSB: dict[Kind, tuple[float, float, str]] = {
+    Kind.GYRO_OFFSET: (0.018315, 0.0, "°/s"),
+    Kind.TEMPERATURE: (0.1453, 25.0, "°C"),
+    Kind.SUPPLY: (1.8315e-3, 0.0, "V"),
+    Kind.AUX_ADC: (0.6105e-3, 0.0, "V"),
+    Kind.AUX_DAC: (2.5 / 4095, 0.0, "V"),
+    Kind.COUNT: (1.0, 0.0, ""),
+    Kind.FIELDS: (1.0, 0.0, ""),
+}
+
+VARIANTS: dict[str, Variant] = {
+    variant.name: variant
+    for variant in (
+        Variant(
+            "adis16354", 0.4672, 1.7, "three independent public code bases", "A",
+            Performance(4.7, 0.1, 10.0, 350.0, 0.001, 0.25, 0.5, 40.0),
+        ),
+        Variant(
+            "adis16350", 2.522, 10.0, "DS", "A",
+            Performance(35.0, 0.7, 40.0, 350.0, 0.01, 0.25, 4.0, 100.0),
+        ),
+        Variant(
+            "adis16355", 2.522, 10.0, "DS", "A",
+            Performance(35.0, 0.7, 40.0, 350.0, 0.01, 0.25, 0.5, 40.0),
+        ),
+    )
+}  # fmt: skip
+
+
+def variant(name: str | Variant) -> Variant:
+    """Row by name (`adis16354`, also `16354`); `UsageError` lists the known ones."""
+    if isinstance(name, Variant):
+        return name
+    key = name.strip().lower()
+    found = VARIANTS.get(key) or VARIANTS.get(f"adis{key}")
+    if found is None:
+        raise UsageError(f"no variant is called '{name}'; known: {', '.join(VARIANTS)}")
+    return found

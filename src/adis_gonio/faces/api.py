@@ -1,0 +1,137 @@
+"""`adis_gonio.fit` and `adis_gonio.trace`: as in their packages, of any part, and of a path too."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+from adis_gonio.base.errors import UsageError
+from adis_gonio.fitting import FitResult
+from adis_gonio.fitting import fit as _fit
+from adis_gonio.fitting.estimation.parts import ACCELEROMETER, GYRO, known_part
+from adis_gonio.fitting.gyros.fit import METHOD as GYRO_METHOD
+from adis_gonio.fitting.gyros.fit import GyroFit, fit_gyro
+from adis_gonio.model import Session
+from adis_gonio.record.loading import load_session
+from adis_gonio.tracing import TraceResult
+from adis_gonio.tracing.trace import trace as _trace
+
+if TYPE_CHECKING:
+    from adis_gonio.calibrate import Calibration
+    from adis_gonio.calibrate.gyro_calibration import GyroCalibration
+
+
+@overload
+def fit(
+    session: Session | str | PathLike[str],
+    method: str | None = None,
+    part: Literal["accelerometer"] = "accelerometer",
+    *,
+    gyros: GyroCalibration | str | PathLike[str] | None = None,
+) -> FitResult: ...
+
+
+@overload
+def fit(
+    session: Session | str | PathLike[str],
+    method: str | None = None,
+    *,
+    part: Literal["gyro"],
+    accelerometers: Calibration | None = None,
+) -> GyroFit: ...
+
+
+@overload
+def fit(
+    session: Session | str | PathLike[str],
+    method: str | None = None,
+    *,
+    part: str,
+    accelerometers: Calibration | None = None,
+    gyros: GyroCalibration | str | PathLike[str] | None = None,
+) -> FitResult | GyroFit: ...
+
+
+def fit(
+    session: Session | str | PathLike[str],
+    method: str | None = None,
+    part: str = ACCELEROMETER,
+    *,
+    accelerometers: Calibration | None = None,
+    gyros: GyroCalibration | str | PathLike[str] | None = None,
+) -> FitResult | GyroFit:
+    """`adis_gonio.fitting.fit` of a session, or of a file that holds one.
+
+    Parameters
+    ----------
+    part : {"accelerometer", "gyro"}
+        Part of the sensor; gyros have one method, `gyro`.
+    accelerometers : Calibration, optional
+        With gyros: of the same part's accelerometers, for the directions of axes (`fit_gyro`).
+    gyros : GyroCalibration or path, optional
+        Of the same part's gyros, made of another session, or a file that `load_gyro_calibration` reads: for
+        poses in space between which the part was turned.
+
+    Raises
+    ------
+    UsageError
+        Neither a session nor a path; no such method, or part; a calibration of another part, or gyros that
+        the session cannot use.
+    DataError, FitError, SingularError
+        As `adis_gonio.fitting.fit`.
+    """
+    if known_part(part) != GYRO:
+        if accelerometers is not None:
+            raise UsageError("a calibration of the accelerometers goes with part='gyro'")
+        given = session_of(session, "fit")
+        return _fit(given, method=method, gyros=_gyros_beside(given, gyros))
+    if gyros is not None:
+        raise UsageError("a calibration of gyros serves a fit of the accelerometers; part is gyro")
+    if method not in (None, GYRO_METHOD):
+        raise UsageError(f"gyros have no method '{method}'; theirs is {GYRO_METHOD}")
+    return fit_gyro(session_of(session, "fit"), accelerometers)
+
+
+def trace(
+    session: Session | str | PathLike[str],
+    max_effects: int = 6,
+    time_limit: float | None = None,
+    part: str = "accelerometer",
+) -> TraceResult:
+    """`adis_gonio.tracing.trace` of a session, or of a file that holds one.
+
+    Raises
+    ------
+    UsageError
+        Neither a session nor a path; a time limit that is not positive.
+    DataError, FitError
+        As `adis_gonio.tracing.trace`.
+    """
+    return _trace(session_of(session, "trace"), max_effects, time_limit, part)
+
+
+def _gyros_beside(
+    session: Session, given: GyroCalibration | str | PathLike[str] | None
+) -> GyroCalibration | None:
+    """Gyros of the session's part, read where a path is given; not those of the session itself."""
+    if not isinstance(given, str | PathLike):
+        return given
+    from adis_gonio.record.provenance import provenance_of
+    from adis_gonio.tracing.loading import load_gyro_calibration
+
+    if session.source and Path(given).resolve() == Path(session.source).resolve():
+        raise UsageError(
+            f"{given}: its gyros are calibrated by the turns that they shall serve for; give another"
+            " session"
+        )
+    return load_gyro_calibration(Path(given), provenance_of(session))
+
+
+def session_of(given: Any, what: str) -> Session:
+    """The session itself, or that of a file; `UsageError` for anything else."""
+    if isinstance(given, Session):
+        return given
+    if isinstance(given, str | PathLike):
+        return load_session(Path(given))
+    raise UsageError(f"{what} takes a Session or the path of a file, not {type(given).__name__}")

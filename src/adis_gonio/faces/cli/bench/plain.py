@@ -1,0 +1,393 @@
+"""The bench in plain lines: prompts and progress on standard error, answers from standard input."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from adis_gonio.base.counting import counted
+from adis_gonio.faces.cli.bench.lines import Lines
+from adis_gonio.faces.cli.bench.words import (
+    advised,
+    configured,
+    dwell_done,
+    dwell_shown,
+    extension_offered,
+    time_left,
+    turn_done,
+    turn_shown,
+    turned,
+    watched,
+)
+from adis_gonio.faces.cli.show import WIDTH, console
+
+if TYPE_CHECKING:
+    from adis_gonio.bench.events import (
+        Event,
+        ExtensionOffered,
+        GuardRaised,
+        PositionAsked,
+        RepetitionOffered,
+        Started,
+    )
+    from adis_gonio.bench.runner import SessionRunner
+    from adis_gonio.record.plans import Position
+
+_KEYS = {"retake": "r", "keep": "k", "skip": "s", "reverse": "v"}
+
+
+@dataclass
+class _Question:
+    """What stands open: its line, what each key does, and what the end of the input does."""
+
+    text: str
+    keys: dict[str, Callable[[], None]]
+    at_end: Callable[[], None]
+    takes_notes: bool
+
+
+class PlainBench:
+    """Plain prompts and progress for a session."""
+
+    def __init__(self, runner: SessionRunner, *, auto: bool) -> None:
+        self._runner = runner
+        self._auto = auto
+        self._lines = Lines()
+        self._question: _Question | None = None
+        self._asking = False
+        self._here: Position | None = None  # where the part lies; unknown once a dwell was broken off
+        self._drawn = False
+        self._screen = console(stderr=True)
+
+    def run(self) -> bool:
+        """Run the session; return True where it is complete."""
+        from rich.progress import BarColumn, Progress, TextColumn
+
+        complete = False
+        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"))
+        with (
+            self._interruptible(),
+            Progress(*columns, console=self._screen, transient=True) as self._progress,
+        ):
+            self._task = self._progress.add_task("", total=None, note="", visible=False)
+            for event in self._runner.run():
+                complete = self._handle(event) or complete
+        return complete
+
+    @contextmanager
+    def _interruptible(self) -> Iterator[None]:
+        """Let the first Ctrl-C end the session in order, so that nothing recorded is lost."""
+
+        def interrupt(number: int, frame: Any) -> None:
+            self._runner.stop()
+            if self._asking:
+                raise KeyboardInterrupt
+
+        before = signal.signal(signal.SIGINT, interrupt)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+    def _handle(self, event: Event) -> bool:
+        """Show one event, answer it where it is a question; True where the session is complete."""
+        from adis_gonio.bench import events
+
+        match event:
+            case events.Watching():
+                if self._question is not None:
+                    self._listen(wait=False)
+                else:
+                    self._show(*watched(event))
+            case events.DwellProgress():
+                self._show(*dwell_shown("dwell", event.elapsed_s, event.length_s))
+            case events.TurnProgress():
+                self._show(*turn_shown(event))
+            case events.Waiting():
+                self._show(*dwell_shown("waiting", event.elapsed_s, event.length_s))
+            case events.Advising():
+                if not self._screen.is_terminal:
+                    self._say(f"tracing {counted(event.dwells, 'dwell')} …")
+                self._show("tracing", counted(event.dwells, "dwell"), None, None)
+            case events.Finished():
+                if not event.complete:
+                    done = f"{event.done} of {event.total}"
+                    self._say(f"  not complete: {done}; go on with --resume", "yellow")
+                return event.complete
+            case _:
+                self._ask(event)
+                self._tell(event)
+        return False
+
+    # -- questions --------------------------------------------------------------------------------
+
+    def _ask(self, event: Event) -> None:
+        """Put a question to the operator, where the event is one."""
+        from adis_gonio.bench import events
+
+        match event:
+            case events.PositionAsked() if not self._auto:
+                self._ask_position(event)
+            case events.GuardRaised():
+                self._ask_guard(event)
+            case events.RepetitionOffered():
+                self._offer_repetition(event)
+            case events.ExtensionOffered():
+                self._offer(event)
+            case events.Paused():
+                text = "paused: nothing is measured; Enter goes on, q ends"
+                self._put(
+                    text, {"": self._runner.unpause, "q": self._end}, self._end, notes=True, wait=True
+                )
+            case _:
+                pass
+
+    def _ask_position(self, event: PositionAsked) -> None:
+        from adis_gonio.bench.guidance import drawing, to_do, turn_to_do
+        from adis_gonio.record.plans import GYRO_TURNS
+
+        if not self._drawn:
+            self._drawn = True
+            for line in drawing(self._plan):
+                self._say(f"    {line}")
+        runner = self._runner
+        keys: dict[str, Callable[[], None]] = {"": runner.confirm, "s": runner.skip}
+        if event.can_repeat:
+            keys |= {"r": runner.repeat, "u": runner.undo}
+        keys |= {"p": runner.pause, "q": self._end}
+        todo = to_do(
+            event.position,
+            self._here,
+            reverse=runner.reversed,
+            fastest_dps=runner.fastest_dps,
+            table=self._plan.name == GYRO_TURNS,
+        )
+        if runner.one_recording:
+            todo = turn_to_do(max(self._plan.turns, 1))
+        left = time_left(event.time_left_s)
+        others = ", ".join(f"{key} {_MEANING[key]}" for key in keys if key) + ", n note"
+        text = f"{event.number} of {event.total}{left}: {todo} and press Enter ({others})"
+        self._put(text, keys, self._no_more_input, notes=True)
+
+    def _ask_guard(self, event: GuardRaised) -> None:
+        self._hide()
+        self._say(f"  {event.message}", "bold yellow")
+        keys: dict[str, Callable[[], None]] = {"": self._answering(event.default)}
+        keys |= {_KEYS[name]: self._answering(name) for name in event.answers}
+        keys |= {"p": self._runner.pause, "q": self._end}
+        meaning = _GUARD_MEANING
+        if event.position.turned_deg is not None:
+            meaning = meaning | _WHOLE_TURN_MEANING
+        others = ", ".join(f"{key} {meaning[key]}" for key in keys if key) + ", n note"
+        default = meaning[_KEYS[event.default]]
+        self._put(f"  Enter: {default} ({others})", keys, self._no_more_input, notes=True)
+
+    def _answering(self, name: str) -> Callable[[], None]:
+        return lambda: self._runner.answer(name)
+
+    def _offer_repetition(self, event: RepetitionOffered) -> None:
+        where = ", ".join(str(position) for position in event.positions)
+        if self._auto:
+            self._say(f"  kept with an error or alarm in them: {where}", "yellow")
+            return
+        keys = {"": self._runner.accept, "n": self._runner.decline, "q": self._end}
+        text = f"an error or alarm stood at {where}: repeat? (Enter yes, n no: keep as it is, q end)"
+        self._put(text, keys, self._no_more_input)
+
+    def _offer(self, event: ExtensionOffered) -> None:
+        lines, text = extension_offered(event)
+        for line, style in lines:
+            self._say_wrapped(line, style)
+        if not self._auto:
+            keys = {"": self._runner.accept, "n": self._runner.decline, "q": self._runner.decline}
+            self._put(text, keys, self._runner.decline)
+
+    def _put(
+        self,
+        text: str,
+        keys: dict[str, Callable[[], None]],
+        at_end: Callable[[], None],
+        *,
+        notes: bool = False,
+        wait: bool = False,
+    ) -> None:
+        """Let a question stand; where the sensor's time waits with the operator, until it is answered."""
+        self._progress.update(self._task, visible=False)
+        self._progress.stop()
+        self._question = _Question(text, keys, at_end, notes)
+        self._prompt()
+        while self._question is not None and (wait or self._runner.virtual_time):
+            self._listen(wait=True)
+
+    def _prompt(self) -> None:
+        if self._question is not None:
+            print(f"{self._question.text}: ", end="", file=sys.stderr, flush=True)  # noqa: T201
+
+    def _listen(self, *, wait: bool) -> None:
+        """Take a line, where there is one, as the answer to the question that stands."""
+        question, self._asking = self._question, wait
+        if question is None:
+            return
+        try:
+            line = self._lines.next(wait=wait)
+        except EOFError:
+            self._close(question.at_end)
+            return
+        except KeyboardInterrupt:
+            self._close(self._end)
+            return
+        finally:
+            self._asking = False
+        if line is not None:
+            self._take(question, line)
+
+    def _take(self, question: _Question, line: str) -> None:
+        """Do what a line says; where it says nothing known, ask again."""
+        key, _, rest = line.partition(" ")
+        action = question.keys.get(key.lower()) if not rest else None
+        if action is not None:
+            self._close(action)
+        elif question.takes_notes and key.lower() == "n":
+            self._take_note(rest)
+        else:
+            known = ", ".join(key for key in question.keys if key)
+            self._say(f"  '{line}' is no answer: press Enter, or one of {known}")
+            self._prompt()
+
+    def _take_note(self, text: str) -> None:
+        if not text:
+            print("  note: ", end="", file=sys.stderr, flush=True)  # noqa: T201
+            try:
+                text = self._lines.next(wait=True) or ""
+            except EOFError:
+                text = ""
+        self._runner.note(text)
+        self._say("  noted" if text else "  nothing noted")
+        self._prompt()
+
+    def _close(self, action: Callable[[], None]) -> None:
+        self._question = None
+        self._progress.start()
+        action()
+
+    def _end(self) -> None:
+        self._runner.stop()
+
+    def _no_more_input(self) -> None:
+        self._say("\nno more input: the session ends here, go on with --resume", "yellow")
+        self._runner.stop()
+
+    # -- lines that stay --------------------------------------------------------------------------
+
+    def _tell(self, event: Event) -> None:
+        """Say what has happened, in lines that stay."""
+        from adis_gonio.bench import events
+
+        match event:
+            case events.Started():
+                self._started(event)
+            case events.Configured():
+                self._say_all(configured(event))
+            case events.NoiseMeasured():
+                noise = ", ".join(f"{value:.2f}" for value in event.noise_mg)
+                self._say(f"  noise at rest {noise} mg (x, y, z)")
+            case events.TurnMeasured() if not self._auto:
+                self._say(turned(event))
+            case events.DwellDone():
+                self._here = event.position
+                self._hide()
+                self._say(dwell_done(event))
+            case events.Running() if not self._auto:
+                self._say_running(event)
+            case events.DwellInterrupted():
+                where, self._here = event.position, None
+                self._say(f"  dwell at {where} interrupted: {event.reason} (samples kept)", "yellow")
+            case _:
+                self._tell_rest(event)
+
+    def _tell_rest(self, event: Event) -> None:
+        from adis_gonio.bench import events
+
+        match event:
+            case events.Problem():
+                self._say(f"  {event.message}", "yellow")
+            case events.TurnDone():
+                self._hide()
+                self._say(turn_done(event))
+            case events.Withdrawn():
+                self._say(f"  the dwell at {event.position} is withdrawn (samples kept)", "yellow")
+            case events.Advised():
+                self._hide()
+                self._say("")
+                for line, style in advised(event):
+                    self._say_wrapped(line, style)
+            case _:
+                pass
+
+    def _started(self, event: Started) -> None:
+        self._plan = event.plan
+        what = "resumed" if event.resumed else "begun"
+        shape = counted(len(event.plan), "position")
+        self._say(f"{event.plan.name} {what}, {shape}, {event.variant} on {event.url}")
+        if event.resumed:
+            self._say(f"  {event.done} of them done")
+
+    def _say_running(self, event: Any) -> None:
+        from adis_gonio.faces.cli.show import with_uncertainty
+
+        shown = []
+        for name in ("delta_k", "delta_phi"):
+            entry = event.parameters.get(name)
+            if entry is not None:
+                unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
+                shown.append(f"{name} {with_uncertainty(entry['value'], entry['u'])}{unit}")
+        if shown:
+            self._say(f"  so far: {', '.join(shown)}")
+
+    def _say(self, text: str, style: str | None = None) -> None:
+        self._screen.print(text, style=style, markup=False)
+
+    def _say_all(self, lines: list[str]) -> None:
+        for line in lines:
+            self._say(line)
+
+    def _say_wrapped(self, text: str, style: str = "") -> None:
+        """Text of several lines, indented by two."""
+        from rich.padding import Padding
+        from rich.text import Text
+
+        width = min(self._screen.width, WIDTH)
+        self._screen.print(Padding(Text(text, style=style), (0, 0, 0, 2)), width=width)
+
+    # -- the line that moves ----------------------------------------------------------------------
+
+    def _show(self, what: str, note: str, done: float | None, total: float | None) -> None:
+        self._progress.update(
+            self._task,
+            description=f"  {what:<9}",
+            note=note,
+            completed=done or 0,
+            total=total,
+            visible=True,
+        )
+
+    def _hide(self) -> None:
+        """Take the bar away at once, not at its next refresh."""
+        self._progress.update(self._task, visible=False)
+        self._progress.refresh()
+
+
+_MEANING = {"s": "skip", "r": "repeat the last", "u": "undo the last", "p": "pause", "q": "end"}
+_WHOLE_TURN_MEANING = {"r": "turn again", "v": "take it so, and turn the next one the other way"}
+_GUARD_MEANING = {
+    "r": "take the position again",
+    "k": "keep it as it is",
+    "s": "skip",
+    "v": "take the whole session as reversed",
+    "p": "pause",
+    "q": "end",
+}

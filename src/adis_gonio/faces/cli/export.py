@@ -1,0 +1,97 @@
+"""`adis-gonio export`."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from adis_gonio.base.errors import UsageError
+from adis_gonio.faces.cli.overrides import override_options
+from adis_gonio.faces.cli.working import working
+
+if TYPE_CHECKING:
+    from adis_gonio.handover.exporting import ExportSource
+    from adis_gonio.record.overrides import Overrides
+
+STANDARD_OUTPUT = "-"
+
+
+@click.command("export")
+@click.argument("session", type=click.Path(path_type=Path))
+@click.option(
+    "--format",
+    "kind",
+    type=click.Choice(["c-header", "json", "csv", "parquet", "dcc", "registers"]),
+    help="By default the ending of the file says it.",
+)
+@click.option("-o", "--output", help="File to make; - is standard output.")
+@click.option("--method", help="Method of the coefficients; the best one unless told.")
+@click.option("--trace", "traced", is_flag=True, help="Coefficients of the traced model.")
+@click.option("--samples", is_flag=True, help="JSON: every sample too.")
+@click.option("--name", help="C header: what every name in it begins with.  [default: adis_gonio]")
+@click.option(
+    "--gyros",
+    type=click.Path(path_type=Path),
+    help="Gyros of another session of this part (plan gyro-turns), or of a calibration file.",
+)
+@click.option("--force", is_flag=True, help="Replace a file that exists.")
+@override_options
+def command(
+    *,
+    session: Path,
+    kind: str | None,
+    output: str | None,
+    method: str | None,
+    traced: bool,
+    samples: bool,
+    name: str | None,
+    gyros: Path | None,
+    force: bool,
+    overrides: Overrides,
+) -> None:
+    r"""Hand a session's coefficients or data over to other programs.
+
+    \b
+    c-header   .h              gravity and angle in C, fixed point and float
+    json       .json           a calibration file, the fit or trace, what is known of the session
+    csv        .csv .csv.gz    samples, as adis-gonio fit reads them back
+    parquet    .parquet        samples (extra: parquet)
+    dcc        .xml            digital calibration certificate
+    registers  .txt            offsets, as adis-gonio registers takes them
+
+    SESSION may be a calibration file for c-header, dcc and registers.
+    """
+    from adis_gonio.base.output import check_output, replacing
+    from adis_gonio.handover.exporting import OF_SAMPLES, ExportSource, format_of
+
+    if kind is None and output in (None, STANDARD_OUTPUT):
+        raise UsageError("what shall be made? Give -o FILE with an ending such as .h or .json, or --format")
+    kind = kind or format_of(str(output))
+    named = {} if name is None else {"name": name}
+    source = ExportSource(session, method, traced, samples, **named, overrides=overrides, gyros=gyros)
+    source.check(kind)
+    if output is None and kind in OF_SAMPLES:
+        raise UsageError(f"--format {kind} needs -o FILE; -o - is standard output")
+    checked = None if output in (None, STANDARD_OUTPUT) else check_output(Path(str(output)), force=force)
+    with working(f"tracing {session.name}") if traced else nullcontext():
+        if checked is None:
+            _to_standard_output(source, kind)
+            return
+        with replacing(checked) as beside:
+            source.write(kind, beside)
+
+
+def _to_standard_output(source: ExportSource, kind: str) -> None:
+    """Whole or not at all: what fails half-way has said nothing."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "export"
+        source.write(kind, path)
+        with path.open("rb") as file:
+            shutil.copyfileobj(file, sys.stdout.buffer)
+        sys.stdout.flush()

@@ -1,0 +1,103 @@
+"""`adis-gonio report`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from adis_gonio.base.counting import counted
+from adis_gonio.faces.cli.overrides import load, override_options
+from adis_gonio.faces.cli.working import working
+
+if TYPE_CHECKING:
+    from adis_gonio.model import Session
+    from adis_gonio.page.parts import Section
+    from adis_gonio.record.overrides import Overrides
+    from adis_gonio.tracing import TraceResult
+
+
+@click.command("report")
+@click.argument("session", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Where to write the page; a page that is there is replaced.",
+)
+@click.option(
+    "--time-limit",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="End the trace after so long with the best model so far.",
+)
+@override_options
+def command(*, session: Path, output: Path, time_limit: float | None, overrides: Overrides) -> None:
+    """Write the calibration report: one HTML page that needs nothing else.
+
+    The page holds the results of every method that the session supports, the trace with a figure for each
+    step, what could not be seen, what to measure next, and the data. It is made from the session's file
+    alone, so that an older page of the same name is replaced.
+    """
+    from adis_gonio.base.errors import UsageError
+    from adis_gonio.base.output import check_output, replacing
+    from adis_gonio.page.svg import require_matplotlib
+
+    if output.exists() and session.exists() and output.samefile(session):
+        raise UsageError(f"{output}: is the session itself; name another file for the page")
+    check_output(output, force=True)
+    require_matplotlib()
+    loaded = load(session, overrides)
+    what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
+    with working(f"report of {what} of {session.name}"):
+        page = _page(loaded, time_limit)
+    with replacing(output) as beside:
+        beside.write_text(page, encoding="utf-8")
+    click.echo(f"{output}: {len(page.encode()) // 1024 + 1} kB", err=True)
+
+
+def _page(session: Session, time_limit: float | None) -> str:
+    """Every result on one page."""
+    from adis_gonio.base.budget import current, told
+    from adis_gonio.base.errors import AdisGonioError
+    from adis_gonio.fitting import applicable_methods, fit
+    from adis_gonio.handover.report.allan import noise_section
+    from adis_gonio.handover.report.gyros import gyro_section
+    from adis_gonio.handover.report.page import build_page
+    from adis_gonio.handover.report.views import views
+    from adis_gonio.tracing.trace import trace
+
+    tell = current().tell
+    tell("every method")
+    fits, failures = [], {}
+    for method in told(applicable_methods(session)):
+        try:
+            fits.append(fit(session, method=method))
+        except AdisGonioError as error:
+            failures[method] = str(error)
+    made = (gyro_section(session), noise_section(session))
+    gyros = [section for section in made if section is not None]
+    try:
+        traced = trace(session, time_limit=time_limit)
+        drawn = views(session, traced)
+    except AdisGonioError as error:
+        return build_page(session, fits, str(error), sections=gyros, failures=failures)
+    tell("its digital twin")
+    twin = _twin(session, traced)
+    tell("its figures")
+    return build_page(session, fits, traced, drawn, sections=[*gyros, *twin], failures=failures)
+
+
+def _twin(session: Session, traced: TraceResult) -> list[Section]:
+    """The twin's section, where the session can have one."""
+    from adis_gonio.base.errors import AdisGonioError
+    from adis_gonio.handover.report.twin import twin_section
+    from adis_gonio.page.parts import Section
+
+    try:
+        section = twin_section(session, traced)
+    except AdisGonioError as error:
+        return [Section("The digital twin against the measured data", words=(f"There is none: {error}.",))]
+    return [] if section is None else [section]

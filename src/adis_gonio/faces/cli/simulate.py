@@ -1,0 +1,189 @@
+"""`adis-gonio simulate`: a session from the simulated sensor, recorded like a real one."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import click
+import numpy as np
+
+from adis_gonio.base.counting import counted
+from adis_gonio.base.errors import DataError, SessionError, UsageError
+from adis_gonio.base.output import ends_in
+from adis_gonio.faces.cli.working import working
+
+
+@click.command("simulate")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True,
+    help="File to make: .csv or .csv.gz for samples without the truth, else a session file with it.",
+)  # fmt: skip
+@click.option(
+    "--plan",
+    "plan_name",
+    default="four-position",
+    show_default=True,
+    help="A plan by name, or a plan file.",
+)
+@click.option("--positions", type=int, help="Number of angles, where the plan leaves a choice.")
+@click.option(
+    "--check", type=int, default=0, show_default=True, help="Extra positions kept out of the fit."
+)
+@click.option(
+    "--order", type=click.Choice(["plan", "reverse", "shuffled"]), default="plan", show_default=True,
+    help="Order in which the positions are visited.",
+)  # fmt: skip
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of all that is random.")
+@click.option("--variant", default="adis16354", show_default=True)
+@click.option(
+    "--effect", "effects", multiple=True, metavar="NAME[:PARAMETER=VALUE,…]",
+    help="An effect of the catalogue, such as quadratic:k2_x=2.5; may be repeated (--list-effects).",
+)  # fmt: skip
+@click.option(
+    "--set", "settings", multiple=True, metavar="NAME=VALUE",
+    help="A setting of the world, such as delta_k=0.01; may be repeated (--list-settings).",
+)  # fmt: skip
+@click.option(
+    "--dwell", "dwell_s", type=float, default=10.0, show_default=True, help="Length of a dwell in s."
+)
+@click.option("--rate", "rate_hz", type=float, help="Samples a second, 0.413 to 819.2 (default).")
+@click.option(
+    "--filter", "filter_m", type=int, default=2, show_default=True, help="Filter: 2^M taps twice."
+)
+@click.option("--title", default="", help="Title to keep with the session.")
+@click.option(
+    "--like", type=click.Path(path_type=Path), metavar="SESSION",
+    help="Be the digital twin of a session: its traced model, noise, positions and times; to .csv[.gz].",
+)  # fmt: skip
+@click.option(
+    "--list-effects",
+    is_flag=True,
+    expose_value=False,
+    is_eager=True,
+    callback=lambda c, p, v: _effects(c, v),
+)
+@click.option(
+    "--list-settings",
+    is_flag=True,
+    expose_value=False,
+    is_eager=True,
+    callback=lambda c, p, v: _settings(c, v),
+)
+def command(*, output: Path, **options: Any) -> None:
+    """Record a session from the simulated sensor, with hidden parameters and effects by name.
+
+    The session is measured through the driver, frame by frame, as a real one would be.
+    """
+    from adis_gonio.base.output import check_output
+    from adis_gonio.bench.runner import SessionRunner
+    from adis_gonio.device.sensor import open_sensor
+    from adis_gonio.device.sensor.settings import smpl_prd_for
+    from adis_gonio.faces.cli.bench.plain import PlainBench
+    from adis_gonio.plan.document import plan_by
+    from adis_gonio.record.export import export_csv
+    from adis_gonio.record.loading import load_session
+    from adis_gonio.record.settings import Settings
+    from adis_gonio.record.view import ArchiveView
+
+    if output.exists():
+        raise SessionError(f"{output}: exists already; choose another name")
+    check_output(output)
+    if options["like"] is not None:
+        _twin(options["like"], output, options["seed"])
+        return
+    rate = options["rate_hz"]
+    settings = Settings(
+        dwell_s=options["dwell_s"],
+        smpl_prd=1 if rate is None else smpl_prd_for(rate),
+        filter_m=options["filter_m"],
+    )
+    positions = plan_by(options["plan_name"], options["positions"], options["check"])
+    positions = positions.ordered(options["order"], np.random.default_rng(options["seed"]))
+    as_csv = ends_in(output, ".csv", ".csv.gz")
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        open_sensor(_url(**options), variant=options["variant"]) as sensor,
+    ):
+        archive = Path(folder) / "simulated.session" if as_csv else output
+        world = sensor.bus.world  # type: ignore[attr-defined]  # the simulator's bus has one
+        runner = SessionRunner.begin(
+            sensor,
+            archive,
+            positions,
+            settings,
+            auto=True,
+            gravity_mps2=world.settings.gravity_mps2,
+            fixture_sigma_deg=world.settings.fixture_sigma_deg,
+            title=options["title"],
+        )
+        complete = PlainBench(runner, auto=True).run()
+        with ArchiveView(archive) as view:
+            done = len(view.dwells())
+        if as_csv and done:
+            export_csv(load_session(archive), output)
+    if not complete:  # nothing but Ctrl-C ends a simulation early
+        click.echo(f"{output}: {done} of {counted(len(positions), 'dwell')}", err=True)
+        raise KeyboardInterrupt
+    click.echo(f"{output}: {counted(done, 'dwell')}", err=True)
+
+
+def _twin(path: Path, output: Path, seed: int) -> None:
+    """Write the twin of a session."""
+    from adis_gonio.base.budget import current
+    from adis_gonio.handover.twin import simulate_like
+    from adis_gonio.record.export import export_csv
+    from adis_gonio.record.loading import load_session
+    from adis_gonio.record.overrides import as_it_is
+    from adis_gonio.tracing.trace import trace
+
+    if not ends_in(output, ".csv", ".csv.gz"):
+        raise UsageError(f"{output}: --like writes a samples CSV; name it .csv or .csv.gz")
+    with working(f"reading {path.name}"):
+        try:
+            session = load_session(path)
+        except DataError as error:
+            raise DataError(as_it_is(str(error))) from None
+    with working(f"twin of {counted(len(session.dwells), 'dwell')} of {path.name}"):
+        traced = trace(session)
+        if not traced.fits:
+            raise DataError(f"{path}: one pose has no model of positions to simulate")
+        current().tell("simulating")
+        twin = simulate_like(session, traced.fits[-1], seed=seed)
+    export_csv(twin, output)
+    click.echo(f"{output}: {counted(len(session.dwells), 'dwell')} like those of {path}", err=True)
+
+
+def _url(*, seed: int, variant: str, effects: tuple[str, ...], settings: tuple[str, ...], **_: Any) -> str:
+    pairs = [("seed", str(seed)), ("variant", variant)]
+    if effects:
+        pairs.append(("effects", ";".join(effects)))
+    for text in settings:
+        name, equals, value = text.partition("=")
+        if not equals or not name or not value:
+            raise UsageError(f"--set {text}: write NAME=VALUE, such as delta_k=0.01")
+        pairs.append((name, value))
+    return "sim:?" + "&".join(f"{name}={quote(value, safe=':=,;.')}" for name, value in pairs)
+
+
+def _effects(context: click.Context, wanted: bool) -> None:
+    if wanted:
+        from adis_gonio.model.effects import catalogue
+
+        for name, effect in catalogue().items():
+            click.echo(f"{name:<24}{effect.cause}")
+        context.exit()
+
+
+def _settings(context: click.Context, wanted: bool) -> None:
+    if wanted:
+        from dataclasses import fields
+
+        from adis_gonio.sim.settings import WorldSettings
+
+        for entry in fields(WorldSettings):
+            default = "drawn from the seed" if entry.default is None else entry.default
+            click.echo(f"{entry.name:<32}{default}")
+        context.exit()

@@ -1,0 +1,238 @@
+"""Links: what is known of the rotation of the part between two poses, as rows of a `Fit` in space.
+
+A pose in space leaves one equation: its attitude u is unknown. Where the rotation Φ from one pose to
+another is known but for a small error ε (`gyros.links`), u' = exp(ε×) Φ u gives two more. With P(u) two
+directions across u and ũ the attitudes that fit the readings best at some parameters, a link's rows are
+
+    y = P(ũ')ᵀ (ũ' − Φ ũ) = T' e' − F T e + K ε,    F = P(ũ')ᵀ Φ P(ũ),    K = −P(ũ')ᵀ [Φ ũ]×,
+
+e the noise of both readings and T = (tᵀ C⁻¹ t)⁻¹ tᵀ C⁻¹ what it moves ũ by (t the tangent). T e does not
+correlate with the norm of its own reading, so that links stand beside the rows that a fit has without them.
+
+ε is the sum of what is the link's own (noise, zero rate; neighbours share a dwell) and of what the gyros'
+gains, directions and g-sensitivities do to all links, modes of unit variance: a prior, estimated along.
+Covariance of all link rows without the modes is block-tridiagonal, its Cholesky factor a band: cost is
+linear in the number of dwells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.model.measurement import across
+
+
+@dataclass(frozen=True)
+class Links:
+    """Rotations between readings, linearised where the gyros' parameters are taken to be.
+
+    Attributes
+    ----------
+    before, after : (m,) int
+        Rows of the readings, `after` increasing.
+    rotation : (m, 3, 3) float
+        Φ: components in the part after the turn, from those before.
+    offset_rad : (m, 3) float
+        Mean of ε: where the prior of the gyros is not where Φ was computed.
+    own_rad2 : (m, 3, 3) float
+        Covariance of what is the link's own in ε.
+    next_rad2 : (m, 3, 3) float
+        Covariance of that with the next link's, which begins where this one ends.
+    modes_rad : (m, 3, q) float
+        What each of q independent modes of unit variance adds to ε.
+    """
+
+    before: NDArray[np.intp]
+    after: NDArray[np.intp]
+    rotation: Floats
+    offset_rad: Floats
+    own_rad2: Floats
+    next_rad2: Floats
+    modes_rad: Floats
+
+    def __len__(self) -> int:
+        return len(self.before)
+
+    @cached_property
+    def joined(self) -> NDArray[np.bool_]:
+        """Links (m − 1,) that end in the dwell in which the next one begins."""
+        return np.asarray(self.after[:-1] == self.before[1:])
+
+    def only(self, links: NDArray[np.bool_] | NDArray[np.intp]) -> Links:
+        """Some of the links, in their order."""
+        index = np.arange(len(self))[links]
+        return Links(
+            self.before[index], self.after[index], self.rotation[index], self.offset_rad[index],
+            self.own_rad2[index], self.next_rad2[index], self.modes_rad[index],
+        )  # fmt: skip
+
+    def rows(self, kept: NDArray[np.intp]) -> Links | None:
+        """Links between the readings that are kept, by their numbers then; None where there are none."""
+        place = np.full(max(int(self.after.max()), int(kept.max(initial=0))) + 1, -1, dtype=np.intp)
+        place[kept] = np.arange(len(kept))
+        before, after = place[self.before], place[self.after]
+        whole = (before >= 0) & (after >= 0)
+        if not whole.any():
+            return None
+        return replace(self.only(whole), before=before[whole], after=after[whole])
+
+    def moved(self, by_rad: Floats) -> Links:
+        """The same with ε moved by (m, 3)."""
+        return replace(self, offset_rad=self.offset_rad + by_rad)
+
+    def drawn(self, rng: np.random.Generator) -> Links:
+        """The same with ε moved by its distribution."""
+        own = self._own.lower_times(rng.standard_normal(3 * len(self))).reshape(-1, 3)
+        return self.moved(own + self.modes_rad @ rng.standard_normal(self.modes_rad.shape[2]))
+
+    @cached_property
+    def _own(self) -> Band:
+        return Band.of(self.own_rad2, self.next_rad2[:-1] * self.joined[:, None, None])
+
+    def own_product(self, columns: Floats) -> Floats:
+        """Own covariance times columns (m, 3, d)."""
+        product: Floats = self.own_rad2 @ columns
+        shared = self.next_rad2[:-1] * self.joined[:, None, None]
+        product[:-1] += shared @ columns[1:]
+        product[1:] += shared.transpose(0, 2, 1) @ columns[:-1]
+        return product
+
+
+@dataclass(frozen=True)
+class LinkRows:
+    """Rows of links at attitudes.
+
+    Attributes
+    ----------
+    links : Links
+    estimator : (n, 2, axes) float
+        T of each reading, rad per mg.
+    misclosure : (m, 2) float
+        y less what the mean of ε explains.
+    carried : (m, 2, 2) float
+        F.
+    turned : (m, 2, 3) float
+        K.
+    band : Band
+        Cholesky factor of the rows' covariance without modes.
+    """
+
+    links: Links
+    estimator: Floats
+    misclosure: Floats
+    carried: Floats
+    turned: Floats
+    band: Band
+
+    @classmethod
+    def at(cls, links: Links, attitude: Floats, tangent: Floats, root: Floats) -> LinkRows:
+        """Rows at attitudes (n, 3).
+
+        Parameters
+        ----------
+        tangent : (n, axes, 2) float
+            ∂reading/∂attitude along `across(attitude)`.
+        root : (n, axes, axes) float
+            Inverse Cholesky factor of the covariance of the readings.
+        """
+        before, after = links.before, links.after
+        whitened = root @ tangent
+        gram = whitened.transpose(0, 2, 1) @ whitened
+        trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
+        spread = np.linalg.inv(gram + (1e-12 * trace + 1e-300) * np.eye(2))
+        estimator = spread @ whitened.transpose(0, 2, 1) @ root
+        directions = across(attitude)
+        there = directions[after].transpose(0, 2, 1)
+        came = (links.rotation @ attitude[before][:, :, None])[:, :, 0]
+        carried = there @ links.rotation @ directions[before]
+        turned = -there @ _crossing(came)
+        misclosure = (there @ (attitude[after] - came)[:, :, None])[:, :, 0]
+        misclosure = misclosure - (turned @ links.offset_rad[:, :, None])[:, :, 0]
+        own = spread[after] + carried @ spread[before] @ carried.transpose(0, 2, 1)
+        own = own + turned @ links.own_rad2 @ turned.transpose(0, 2, 1)
+        shared = turned[:-1] @ links.next_rad2[:-1] @ turned[1:].transpose(0, 2, 1)
+        shared = shared - spread[after[:-1]] @ carried[1:].transpose(0, 2, 1)
+        band = Band.of(own, shared * links.joined[:, None, None])
+        return cls(links, estimator, misclosure, carried, turned, band)
+
+    def white(self, columns: Floats) -> Floats:
+        """Rows (2 m, d), whitened, of what stands in readings (n, axes, d)."""
+        moved = self.estimator @ columns
+        rows = moved[self.links.after] - self.carried @ moved[self.links.before]
+        return self.band.solved(rows.reshape(-1, columns.shape[2]))
+
+    @property
+    def residual(self) -> Floats:
+        """Whitened misclosures (2 m,)."""
+        return self.band.solved(self.misclosure.reshape(-1, 1))[:, 0]
+
+    @property
+    def modes(self) -> Floats:
+        """Whitened rows (2 m, q) of the modes."""
+        rows = self.turned @ self.links.modes_rad
+        return self.band.solved(rows.reshape(-1, rows.shape[2]))
+
+    def by_reading(self, slope: Floats) -> Floats:
+        """Transpose of `white`: (d, n, axes) of `slope` (2 m, d)."""
+        rows = self.band.solved(slope, transposed=True).reshape(len(self.links), 2, -1)
+        moved = np.zeros((len(self.estimator), 2, slope.shape[1]))
+        np.add.at(moved, self.links.after, rows)
+        np.add.at(moved, self.links.before, -self.carried.transpose(0, 2, 1) @ rows)
+        return np.asarray(np.einsum("nkd,nka->dna", moved, self.estimator))
+
+    def by_rotation(self, slope: Floats) -> Floats:
+        """∂(slopeᵀ · whitened rows)/∂ε, (m, 3, d) of `slope` (2 m, d)."""
+        rows = self.band.solved(slope, transposed=True).reshape(len(self.links), 2, -1)
+        return np.asarray(self.turned.transpose(0, 2, 1) @ rows)
+
+
+@dataclass(frozen=True)
+class Band:
+    """Cholesky factor of a block-tridiagonal covariance, as a lower band (`scipy.linalg`)."""
+
+    lower: Floats
+
+    @classmethod
+    def of(cls, own: Floats, shared: Floats) -> Band:
+        """From the blocks (m, d, d) on the diagonal and those (m − 1, d, d) to the right of them."""
+        from scipy.linalg import cholesky_banded
+
+        m, d = own.shape[:2]
+        band = np.zeros((2 * d, m, d))
+        for i in range(d):
+            for j in range(i + 1):
+                band[i - j, :, j] = own[:, i, j]
+            for j in range(d):
+                band[d + j - i, :-1, i] = shared[:, i, j]
+        return cls(np.asarray(cholesky_banded(band.reshape(2 * d, -1), lower=True)))
+
+    def solved(self, columns: Floats, *, transposed: bool = False) -> Floats:
+        """L⁻¹ times columns (k, d), or L⁻ᵀ."""
+        from scipy.linalg import solve_banded
+
+        width = len(self.lower) - 1
+        if not transposed:
+            return np.asarray(solve_banded((width, 0), self.lower, columns))
+        upper = np.zeros_like(self.lower)
+        for k in range(width + 1):
+            upper[width - k, k:] = self.lower[k, : self.lower.shape[1] - k]
+        return np.asarray(solve_banded((0, width), upper, columns))
+
+    def lower_times(self, column: Floats) -> Floats:
+        """L times a column (k,)."""
+        product = self.lower[0] * column
+        for k in range(1, len(self.lower)):
+            product[k:] += self.lower[k, : len(column) - k] * column[: len(column) - k]
+        return np.asarray(product)
+
+
+def _crossing(vectors: Floats) -> Floats:
+    """Matrices (n, 3, 3) that take x to vector × x."""
+    x, y, z = vectors.T
+    zero = np.zeros(len(vectors))
+    return np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)

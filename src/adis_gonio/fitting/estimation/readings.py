@@ -1,0 +1,695 @@
+"""Readings: a mean with its covariance, degrees of freedom and conditions, in its measurement's unit.
+
+The covariance of a reading has three parts.
+
+* *Noise that averaging lowers*: spectral density at zero of the dwell's own samples, divided by their
+  number (`estimation.spectrum`). Dwells whose densities are consistent share one (Bartlett's test at
+  0.1 %), which gives short dwells the degrees of freedom of all; where they are not, each keeps its own.
+* *Quantization*: with noise of σ before a converter of step q the mean is off by up to
+  (q/π)·exp(−2π²σ²/q²); its variance over all places between two codes is
+  q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², which is q²/12 without noise and nothing at σ > q/2, where the noise
+  dithers and quantization has become part of it.
+* *Bias instability* (1/f noise), which averaging does not lower: from the dwells' lowest frequencies where
+  they show it; else the variant's figure (an estimate: confidence D), but no more than the dwells allow;
+  zero for a sensor without a figure. An Allan deviation s makes the means of N dwells scatter with
+  s²·N ln N / (2 (N − 1) ln 2) (Barnes 1969).
+
+Neighbouring dwells share 1/f noise; what they share is kept as modes (`Readings.slow`), one of them the
+constant by which a session differs from one that is measured another day.
+
+A dwell of one sample is a reading that somebody averaged: `Session.reading_u_mg` is its whole uncertainty.
+Without that it is unknown (`Readings.known`), and a fit estimates it from its residual.
+
+Readings in `counts` have neither a known zero nor a known gain: an ellipse or ellipsoid through them gives
+both roughly (`Unit`), so that everything after runs on readings that are nearly in mg.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.budget import current
+from adis_gonio.base.errors import DataError, FitError
+from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.fitting.estimation.conic import conic_through
+from adis_gonio.fitting.estimation.converter import Converter, converter_of, steps_of
+from adis_gonio.fitting.estimation.flicker import covariance_of_means, modes, scatter_of_means, spans
+from adis_gonio.fitting.estimation.links import Links
+from adis_gonio.fitting.estimation.screening import limits_in_words, refuse_dead_data
+from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means
+from adis_gonio.model.effects import Conditions
+from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, gains_and_skews
+from adis_gonio.model.records import ACCEL_UNITS, MG_PER_MPS2, Dwell, Session
+
+MOST_SHARED = 2000
+"""Dwells up to which 1/f noise that they share counts between them: beyond, its covariance is too large to
+keep, and of so many readings little is left of it."""
+HISTORY_POINTS = 2000
+LEAST_TURNING, LEAST_TURN, LEAST_AREA = 4, 0.3, 0.5
+"""Positions, least singular value of their cosines, sines and ones, and area (1 of a good sensor) from
+which the sense of rotation is beyond doubt."""
+OFF_UNIT = 2.0
+"""Factor from 1 g beyond which still readings are in another unit: no sensor's gain is so far off."""
+UNEQUAL = 0.5
+"""Relative distance of a reading's length from the median of all, that no bias explains."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Where mg lie in the unit of the file's axes.
+
+    Attributes
+    ----------
+    name : str
+        `mg` or `dps` (any unit of known size), or `counts`.
+    zero, per_mg : (axes,) float
+        File's value at zero, and counts per mg; both rough for counts, 0 and 1 for mg.
+    scale : float
+        By which the file's values are multiplied first: mg per unit where that is known, else 1.
+    """
+
+    name: str
+    zero: Floats
+    per_mg: Floats
+    scale: float = 1.0
+
+    def mg(self, values: Floats) -> Floats:
+        """Values (n, axes or more) of the file in mg, (n, axes)."""
+        return np.asarray((values[:, : len(self.zero)] * self.scale - self.zero) / self.per_mg)
+
+    @property
+    def known(self) -> bool:
+        """False for counts, where the zero of an axis is part of the unit."""
+        return self.name != "counts"
+
+
+def in_mg(axes: int, scale: float = 1.0) -> Unit:
+    """Unit of readings whose scale and zero are known."""
+    return Unit("mg", np.zeros(axes), np.ones(axes), scale)
+
+
+@dataclass(frozen=True)
+class Readings:
+    """One row a dwell.
+
+    Attributes
+    ----------
+    mean : (n, axes) float
+        Mean of each dwell; two columns in a planar session, three in space.
+    own_covariance : (n, axes, axes) float
+        Covariance of the means in mg² without what dwells share; where `known` is False a placeholder of
+        1 mg on each axis.
+    dof : (n,) float
+        Degrees of freedom of that covariance; inf where it was stated.
+    known : (n,) bool
+        False where nothing states the uncertainty.
+    angle_rad : (n,) float
+        Declared angle θ; NaN where unknown.
+    conditions : Conditions
+        What surrounded each reading.
+    gravity_mg : float
+        Local gravity.
+    fixture_rad : float
+        Standard uncertainty of a declared angle; inf where attitudes are free, 0 where it is not stated.
+    fixture_stated : bool
+    check : (n,) bool
+        Dwells that take no part in choosing or fitting.
+    position, samples : (n,) int
+        Numbers of the dwells in the file, and samples of each.
+    unit : Unit
+        Of the file.
+    slow : (n, axes, k) float or None
+        What each of k independent modes of unit variance adds to the readings: the noise that dwells share
+        (1/f noise). Modes of different axes are independent. None where there is none.
+    quantization, flicker : (n, axes) float or None
+        Parts of `own_covariance` that quantization and 1/f noise have; None where there is none.
+    flicker_shown : bool
+        True where the dwells show the 1/f noise, False where it is the variant's figure.
+    pooled : bool
+        True where the dwells' noise is one estimate, so that `dof` counts once and not for each.
+    sensor : str
+        Variant by name, for what its figures say that a session cannot show.
+    notes : tuple of str
+        What has to be said about the noise.
+    fitted : (p,) bool or None
+        Base parameters that are fitted; None: those that these dwells show. Folds have the session's.
+    measurement : Measurement or None
+        What the readings are of; None: a turn in the plane, or poses in space, by their axes.
+    converter : Converter or None
+        What all samples show of it, those of dwells at a limit among them; None without samples.
+    links : Links or None
+        Rotations of the part between poses, by its gyros; None where none is used.
+    """
+
+    mean: Floats
+    own_covariance: Floats
+    dof: Floats
+    known: NDArray[np.bool_]
+    angle_rad: Floats
+    conditions: Conditions
+    gravity_mg: float
+    fixture_rad: float
+    fixture_stated: bool
+    check: NDArray[np.bool_]
+    position: NDArray[np.intp]
+    samples: NDArray[np.intp]
+    unit: Unit
+    slow: Floats | None = None
+    quantization: Floats | None = None
+    flicker: Floats | None = None
+    flicker_shown: bool = False
+    pooled: bool = True
+    sensor: str = "generic"
+    notes: tuple[str, ...] = ()
+    fitted: NDArray[np.bool_] | None = None
+    measurement: Measurement | None = None
+    converter: Converter | None = None
+    links: Links | None = None
+
+    def __len__(self) -> int:
+        return len(self.mean)
+
+    @property
+    def axes(self) -> int:
+        """Axes of a reading: 2 in the plane, 3 in space."""
+        return int(self.mean.shape[1])
+
+    @property
+    def planar(self) -> bool:
+        """True where the plane of rotation is known."""
+        return isinstance(self.model, PlanarTurn)
+
+    @cached_property
+    def model(self) -> Measurement:
+        """What the readings are of."""
+        if self.measurement is not None:
+            return self.measurement
+        return PlanarTurn(self.gravity_mg) if self.axes == 2 else FreeAttitude(self.gravity_mg)
+
+    @property
+    def noise_known(self) -> bool:
+        """True where every reading has an uncertainty."""
+        return bool(self.known.all())
+
+    @property
+    def variance_of_mean(self) -> Floats:
+        """Variance (n,) of a reading, the mean over its axes, in unit of readings squared."""
+        mean: Floats = np.trace(self.covariance, axis1=1, axis2=2) / self.axes
+        return mean
+
+    @property
+    def noise_dof(self) -> float:
+        """Degrees of freedom of the noise of all readings together.
+
+        Dwells that share one noise (`pooled`) have its degrees of freedom each; those of dwells that have
+        noise of their own add up.
+        """
+        finite = self.dof[np.isfinite(self.dof)]
+        if not finite.size:
+            return math.inf
+        return float(finite.max() if self.pooled else finite.sum())
+
+    @cached_property
+    def fixture(self) -> Floats:
+        """Standard uncertainty (n,) of each declared angle in rad; inf where none is declared."""
+        declared = np.isfinite(self.angle_rad) if self.planar else np.zeros(len(self), dtype=bool)
+        return np.where(declared, self.fixture_rad, np.inf)
+
+    @cached_property
+    def fixture_precision(self) -> Floats:
+        """Precision (n,) with which a declared angle is known, in rad⁻²; 0 where it is certain or free."""
+        certain = self.fixture == 0
+        return np.where(certain, 0.0, 1 / np.where(certain, 1.0, self.fixture) ** 2)
+
+    @cached_property
+    def turn_rad(self) -> Floats:
+        """−θ (n,); 0 where no angle is declared."""
+        return np.where(np.isfinite(self.angle_rad), -self.angle_rad, 0.0)
+
+    @property
+    def free(self) -> bool:
+        """True where attitudes are unknown and no declared angle carries information."""
+        return self.model.freedom > 0 and bool(np.isinf(self.fixture).all())
+
+    @property
+    def equations_each(self) -> int:
+        """Equations that a reading gives: one where its attitude is free, else one an axis."""
+        return 1 if self.free else self.axes
+
+    @property
+    def by_axis(self) -> bool:
+        """False where only the length of a reading carries information."""
+        return self.model.freedom < 2
+
+    @cached_property
+    def visible(self) -> NDArray[np.bool_]:
+        """Base parameters (p,) that are fitted; the others stay at their nominal values."""
+        if self.fitted is not None:
+            return self.fitted
+        return self.model.visible(self.mean, np.isfinite(self.fixture))
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance of the means (n, axes, axes) in mg², what dwells share among it."""
+        if self.slow is None:
+            return self.own_covariance
+        shared: Floats = (self.slow**2).sum(axis=2)[:, :, None] * np.eye(self.axes)
+        return self.own_covariance + shared
+
+    @cached_property
+    def root(self) -> Floats:
+        """Inverse Cholesky factor (n, axes, axes) of `covariance`, in 1/mg."""
+        return _inverse_root(self.covariance)
+
+    @cached_property
+    def own_root(self) -> Floats:
+        """Inverse Cholesky factor (n, axes, axes) of `own_covariance`, in 1/mg."""
+        return _inverse_root(self.own_covariance)
+
+    def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Readings:
+        """Some of the dwells."""
+        by_dwell = [
+            "mean", "own_covariance", "dof", "known", "angle_rad", "check", "position", "samples",
+        ]  # fmt: skip
+        parts = ("slow", "quantization", "flicker")
+        by_dwell += [name for name in parts if getattr(self, name) is not None]
+        return replace(
+            self,
+            conditions=self.conditions.rows(index),
+            links=None if self.links is None else self.links.rows(np.arange(len(self))[index]),
+            **{name: getattr(self, name)[index] for name in by_dwell},
+        )
+
+    @cached_property
+    def training(self) -> Readings:
+        """Dwells that may be fitted, with the base parameters that they show settled for all folds.
+
+        Raises
+        ------
+        FitError
+            Every dwell is for checking.
+        """
+        if self.check.all():
+            raise FitError("every dwell is for checking: there is none to fit")
+        rows = self.rows(~self.check)
+        return replace(rows, fitted=rows.visible)
+
+    @property
+    def checking(self) -> Readings | None:
+        """Dwells that take no part; None without any."""
+        return self.rows(self.check) if self.check.any() else None
+
+
+def _inverse_root(covariance: Floats) -> Floats:
+    root: Floats = np.linalg.inv(np.linalg.cholesky(covariance))
+    return root
+
+
+def from_means(
+    mean: Floats,
+    covariance: Floats,
+    conditions: Conditions,
+    *,
+    gravity_mg: float = 1000.0,
+    fixture_rad: float = 0.0,
+    **others: object,
+) -> Readings:
+    """Readings that somebody else reduced: means (n, axes) in mg with their covariance in mg²."""
+    n, axes = mean.shape
+    angle = conditions.angle_rad
+    made = Readings(
+        mean=mean,
+        own_covariance=covariance,
+        dof=np.full(n, np.inf),
+        known=np.ones(n, dtype=bool),
+        angle_rad=np.full(n, np.nan) if angle is None else angle,
+        conditions=conditions,
+        gravity_mg=gravity_mg,
+        fixture_rad=fixture_rad,
+        fixture_stated=True,
+        check=np.zeros(n, dtype=bool),
+        position=np.arange(n, dtype=np.intp),
+        samples=np.ones(n, dtype=np.intp),
+        unit=in_mg(axes),
+    )
+    unknown = set(others) - {field.name for field in fields(Readings)}
+    if unknown:
+        raise TypeError(f"readings have no {', '.join(sorted(unknown))}")
+    return replace(made, **others)  # type: ignore[arg-type]
+
+
+def _refuse_other_units(session: Session, readings: Readings) -> None:
+    """Raise `DataError` where readings of still poses are nowhere near 1 g: another unit, or no gravity.
+
+    Parameters
+    ----------
+    readings : Readings
+        Of this session.
+    """
+    if not readings.unit.known:
+        return
+    lengths = np.linalg.norm(readings.mean, axis=1) / session.gravity_mg
+    length = float(np.median(lengths))
+    if 1 / OFF_UNIT < length < OFF_UNIT:
+        odd = readings.position[np.abs(lengths / length - 1) > UNEQUAL].tolist()
+        if odd and session.accel_unit != "counts":
+            which = f"position{'s' if len(odd) > 1 else ''} {', '.join(map(str, odd[:8]))}"
+            raise DataError(
+                f"{session.source or 'session'}: readings of {which} are not 1 g long as the others: an "
+                "axis is dead or saturated, or the part was not at rest; leave such dwells out"
+            )
+        return
+    also = "; a plane that is turned has to be vertical" if session.plane == "xy" and length < 1 else ""
+    raise DataError(
+        f"{session.source or 'session'}: readings are {length:.3g} g long where 1 g acts: accel_unit "
+        f"{session.accel_unit} cannot be right (lsb goes by the sensor, {session.sensor}); state the unit "
+        f"of the file, or counts where it is not known{_as_another(session, length)}{also}"
+    )
+
+
+def _as_another(session: Session, length: float) -> str:
+    """The units in which readings `length` g long would be 1 g long, and how to say so."""
+    own = mg_per_unit(session)
+    fits = [
+        unit
+        for unit in ACCEL_UNITS
+        if unit != "counts"
+        and (unit != "lsb" or session.sensor in VARIANTS)
+        and 1 / OFF_UNIT < length * mg_per_unit(replace(session, accel_unit=unit)) / own < OFF_UNIT
+    ]
+    if not fits:
+        return ""
+    return (
+        f"; {' or '.join(fits)} would fit: add a line '# accel_unit: {fits[0]}', or give --unit {fits[0]}"
+    )
+
+
+def _refuse_reversed(session: Session, readings: Readings) -> None:
+    """Raise `DataError` where the readings turn the other way than the declared angles.
+
+    X follows cos(α − θ) and Y sin(α − θ): with x_c, x_s, y_c, y_s their first harmonics, the sense of
+    rotation is the sign of x_s y_c − x_c y_s, which neither gains nor a misalignment below 90° change.
+    """
+    rows = np.isfinite(readings.angle_rad)
+    if session.plane != "xy" or readings.free or not readings.unit.known or readings.axes != 2:
+        return
+    theta = readings.angle_rad[rows]
+    design = np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))])
+    if len(theta) < LEAST_TURNING or np.linalg.svd(design, compute_uv=False)[-1] < LEAST_TURN:
+        return
+    (x_c, x_s, _), (y_c, y_s, _) = np.linalg.lstsq(design, readings.mean[rows], rcond=None)[0].T
+    area = (x_s * y_c - x_c * y_s) / session.gravity_mg**2
+    if area > -LEAST_AREA:
+        return
+    if "reverse" in session.facts.get("overrides", {}):
+        raise DataError(
+            f"{session.source or 'session'}: reversed, the readings turn the other way than the angles, as "
+            "declared they agree: leave --reverse out"
+        )
+    raise DataError(
+        f"{session.source or 'session'}: the readings turn the other way than the declared angles: change "
+        "the sign of angle_deg (--reverse), or of an axis, so that Y reads at 90° minus what X reads at 0°"
+    )
+
+
+def readings_of(session: Session) -> Readings:
+    """Readings of all dwells, `check` dwells among them; reduced once a session and kept with it.
+
+    Raises
+    ------
+    DataError
+        All-zero or stuck data, no usable dwell, readings that are not finite or nowhere near 1 g, angles
+        that turn the other way.
+    """
+    kept: Readings | None = vars(session).get("_readings")  # the session is frozen: it cannot go stale
+    if kept is None:
+        current().tell("noise of the readings")
+        kept = reduced(session)
+        _refuse_other_units(session, kept)
+        _refuse_reversed(session, kept)
+        vars(session)["_readings"] = kept
+    return kept
+
+
+def reduced(session: Session) -> Readings:
+    """Readings of all dwells, whatever length they have; see `readings_of`."""
+    source = session.source or "session"
+    axes = 2 if session.plane == "xy" else 3
+    dwells, converter, notes = _usable(session, axes)
+    scale = mg_per_unit(session)
+    n = len(dwells)
+    mean = np.array([d.accel[0, :axes] if len(d) == 1 else d.accel[:, :axes].mean(axis=0) for d in dwells])
+    mean = mean * scale
+    if not np.isfinite(mean).all():
+        bad = int(np.flatnonzero(~np.isfinite(mean).all(axis=1))[0])
+        raise DataError(f"{source}: position {dwells[bad].position} holds NaN or infinity")
+    samples = np.array([len(d) for d in dwells], dtype=np.intp)
+    unit = (
+        in_mg(axes, scale) if session.accel_unit != "counts" else _unit_of_counts(mean, session.gravity_mg)
+    )
+    mean, mg = (mean - unit.zero) / unit.per_mg, scale / unit.per_mg
+
+    covariance = np.broadcast_to(np.eye(axes), (n, axes, axes)).copy()
+    dof = np.full(n, np.inf)
+    known = np.zeros(n, dtype=np.bool_)
+    slow: Floats | None = None
+    parts: dict[str, Any] = {}
+    lone = (samples == 1) | _without_noise(session, dwells, axes)
+    single = np.flatnonzero(lone)
+    if single.size:
+        covariance[single] *= (1.0 if session.reading_u_mg is None else session.reading_u_mg) ** 2
+        known[single] = session.reading_u_mg is not None
+    many = np.flatnonzero(~lone)
+    if many.size:
+        rows = [dwells[k].accel[:, :axes] for k in many.tolist()]
+        noise = noise_of_means(rows, mg)
+        # A dwell at a limit has steps that are none of the converter's: without such, all are looked at.
+        steps = steps_of(rows) if converter.spoiled else converter.steps
+        quantum = mg * (np.maximum(steps, 1.0) if session.accel_unit == "lsb" else steps)
+        flicker = _flicker(session, noise)
+        own, slow = _of_flicker([dwells[k] for k in many.tolist()], flicker, many, n)
+        rounding, level = np.zeros((n, axes)), np.zeros((n, axes))
+        rounding[many], level[many] = left_by_quantization(rows, mg, quantum), own
+        covariance[many] = noise.covariance + (rounding + level)[many, :, None] * np.eye(axes)
+        parts = {
+            "quantization": rounding,
+            "flicker": level,
+            "flicker_shown": bool((noise.flicker > 0).any()),
+            "pooled": noise.pooled,
+        }
+        dof[many] = noise.dof
+        known[many] = True
+        if noise.too_short:
+            notes.append(
+                "within the dwells the noise still rises towards the lowest frequencies (a long filter, "
+                "drift or 1/f noise): the uncertainty of a reading is itself uncertain, dwell longer"
+            )
+    sigma = session.fixture_sigma_deg
+    angle = np.radians([np.nan if d.angle_deg is None else d.angle_deg for d in dwells])
+    return Readings(
+        mean=mean,
+        own_covariance=covariance,
+        dof=dof,
+        known=known,
+        angle_rad=angle,
+        conditions=_conditions(dwells, angle, mean, unit, scale, axes),
+        gravity_mg=session.gravity_mg,
+        fixture_rad=0.0 if sigma is None else math.radians(sigma),
+        fixture_stated=sigma is not None,
+        check=np.array([dwell.use == "check" for dwell in dwells]),
+        position=np.array([d.position for d in dwells], dtype=np.intp),
+        samples=samples,
+        unit=unit,
+        slow=slow,
+        sensor=session.sensor,
+        notes=tuple(notes),
+        converter=converter,
+        **parts,
+    )
+
+
+def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
+    """True where no sample of an axis differs from its dwell's others: averages, written repeatedly."""
+    if session.accel_unit == "lsb":  # a converter's step may hide the noise
+        return False
+    ranges = [np.ptp(dwell.accel[:, :axes], axis=0) > 0 for dwell in dwells]
+    return not bool(np.any(ranges, axis=0).all())
+
+
+def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[str]]:
+    """Dwells whose mean is a reading, the converter by all dwells, and what is to be said of the others."""
+    source = session.source or "session"
+    dwells = [dwell for dwell in session.dwells if len(dwell)]
+    if not dwells:
+        raise DataError(f"{source}: no dwell to fit; every dwell is empty or for checking")
+    if dwells[0].accel.shape[1] < axes:
+        raise DataError(f"{source}: plane none needs three axes, there are two")
+    converter = converter_of([replace(dwell, accel=dwell.accel[:, :axes]) for dwell in dwells])
+    limits = converter.limits
+    refuse_dead_data(session, limits, None if session.accel_unit == "counts" else mg_per_unit(session))
+    if len(dwells) > 1:  # of one pose there is nothing else to look at
+        dwells = [dwell for dwell in dwells if dwell.position not in converter.spoiled]
+    if not dwells:
+        raise DataError(f"{source}: every dwell stands at a limit of the range; record with a wider one")
+    return dwells, converter, limits_in_words(limits, session.accel_unit)
+
+
+def _of_flicker(
+    dwells: Sequence[Dwell], flicker: Floats, many: NDArray[np.intp], n: int
+) -> tuple[Floats, Floats | None]:
+    """1/f noise of dwells: variances of each dwell's own (m, axes), and modes (n, axes, k) that they share.
+
+    Both hold what a bias would be found otherwise by in a session twice as long (`covariance_of_means`).
+    """
+    begin, end = (np.zeros(len(dwells)),) * 2
+    if _keeps_modes(len(dwells), flicker):
+        begin, end = spans([dwell.time_s for dwell in dwells])
+    own, shared = flicker_parts(begin, end, flicker)
+    if shared is None:
+        return own, None
+    slow = np.zeros((n, *shared.shape[1:]))
+    slow[many] = shared
+    return own, slow
+
+
+def _keeps_modes(dwells: int, flicker: Floats) -> bool:
+    return 2 <= dwells <= MOST_SHARED and bool(flicker.any())
+
+
+def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floats, Floats | None]:
+    """1/f noise of dwells that begin and end at (m,) s: variances of each's own, and the modes they share.
+
+    Parameters
+    ----------
+    flicker : (axes,) float
+        Allan variance in mg².
+
+    Returns
+    -------
+    (m, axes) float in mg², and (m, axes, k) float in mg or None; see `_of_flicker`.
+    """
+    m, axes = len(begin_s), len(flicker)
+    if not _keeps_modes(m, flicker):
+        return np.tile(flicker * scatter_of_means(m), (m, 1)), None
+    factor, left = modes(covariance_of_means(begin_s, end_s))
+    k = factor.shape[1]
+    slow = np.zeros((m, axes, axes * k))
+    for axis in range(axes):
+        slow[:, axis, axis * k : (axis + 1) * k] = np.sqrt(flicker[axis]) * factor
+    return left[:, None] * flicker, slow[:, :, (slow != 0).any(axis=(0, 1))]
+
+
+def _unit_of_counts(mean: Floats, gravity_mg: float) -> Unit:
+    """Zero and counts per mg of each axis by the ellipse or ellipsoid through the readings."""
+    if float(np.ptp(mean, axis=0).max()) <= 0:
+        raise FitError(
+            "readings in counts are all alike; their scale cannot be found: measure more positions"
+        )
+    centre, matrix = conic_through(mean)
+    gains, _ = gains_and_skews(np.asarray(np.linalg.inv(matrix), dtype=np.float64))
+    return Unit("counts", centre, gains / gravity_mg)
+
+
+def _conditions(
+    dwells: list[Dwell], angle: Floats, mean: Floats, unit: Unit, scale: float, axes: int
+) -> Conditions:
+    start = float(dwells[0].time_s[0])
+    declared = angle if np.isfinite(angle).all() else None
+    approach = np.array([float(dwell.approach) for dwell in dwells])
+    temperature = _means([dwell.temperature_c for dwell in dwells])
+    many = all(len(dwell) > 1 for dwell in dwells)
+    variance = None
+    if many and unit.known:
+        variance = np.array([dwell.accel[:, :axes].var(axis=0) for dwell in dwells]) * scale**2
+    return Conditions(
+        time_s=np.array([float(dwell.time_s.mean()) for dwell in dwells]) - start,
+        angle_rad=declared,
+        order=np.arange(len(dwells), dtype=float),
+        approach=approach if approach.any() else None,
+        previous_angle_rad=None if declared is None else np.concatenate([declared[:1], declared[:-1]]),
+        temperature_c=temperature,
+        supply_v=_means([dwell.supply_v for dwell in dwells]),
+        temperature_history=None if temperature is None else _history(dwells, start),
+        load_history=_loads(dwells, mean, start),
+        variance_mg2=variance,
+    )
+
+
+def _means(series: list[Floats | None]) -> Floats | None:
+    means = [float(np.mean(s)) for s in series if s is not None]
+    if len(means) != len(series) or not np.isfinite(means).all():
+        return None
+    return np.array(means)
+
+
+def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
+    """Temperature of the whole session in at most `HISTORY_POINTS` means of neighbours."""
+    time = np.concatenate([dwell.time_s for dwell in dwells]) - start
+    temperature = np.concatenate([d.temperature_c for d in dwells if d.temperature_c is not None])
+    if (np.diff(time) <= 0).any():
+        return None
+    if len(time) > HISTORY_POINTS:
+        cuts = np.linspace(0, len(time), HISTORY_POINTS, endpoint=False).astype(np.intp)
+        counts = np.diff(np.append(cuts, len(time)))
+        time = np.add.reduceat(time, cuts) / counts
+        temperature = np.add.reduceat(temperature, cuts) / counts
+    return time, temperature
+
+
+def _loads(dwells: list[Dwell], mean: Floats, start: float) -> tuple[Floats, Floats] | None:
+    """What the axes read in mg from the first to the last sample of each dwell, linear while it moves."""
+    ends = np.array([dwell.time_s[[0, -1]] for dwell in dwells]) - start
+    kept = np.column_stack([np.ones(len(dwells), dtype=bool), ends[:, 1] > ends[:, 0]])
+    times, loads = ends[kept], np.repeat(mean, kept.sum(axis=1), axis=0)
+    return (times, loads) if (np.diff(times) > 0).all() else None
+
+
+def mg_per_unit(session: Session) -> float:
+    """Size in mg of one of the accelerometers' numbers; 1 for counts, which have none.
+
+    Raises
+    ------
+    DataError
+        LSB of a sensor whose LSB is not known.
+    """
+    if session.accel_unit == "lsb":
+        if session.sensor not in VARIANTS:
+            raise DataError(
+                f"{session.source or 'session'}: the LSB of sensor '{session.sensor}' is not known"
+            )
+        return VARIANTS[session.sensor].accel_mg_per_lsb
+    return {"mg": 1.0, "g": 1000.0, "mps2": MG_PER_MPS2, "counts": 1.0}[session.accel_unit]
+
+
+def left_by_quantization(rows: Sequence[Floats], mg: Floats, quantum: Floats) -> Floats:
+    """Variance (dwells, axes) in mg² that a converter's step leaves on the means of samples × `mg`."""
+    return quantized_means(np.array([r.var(axis=0) for r in rows]) * mg**2, quantum)
+
+
+def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
+    """The same of samples with this variance (dwells, axes), the rounding among it, in steps (axes,)."""
+    step = np.where(quantum_mg > 0, quantum_mg, 1.0)
+    sigma2 = np.maximum(variance_mg2 - quantum_mg**2 / 12, 0.0) / step**2
+    if float(sigma2.min(initial=np.inf)) > 1.0:
+        return np.zeros_like(variance_mg2)
+    k = np.arange(1, 200)
+    series = np.exp(-4 * math.pi**2 * k**2 * np.minimum(sigma2, 1.0)[..., None]) / k**2
+    return np.asarray(quantum_mg**2 / (2 * math.pi**2) * series.sum(axis=-1))
+
+
+def _flicker(session: Session, noise: MeanNoise) -> Floats:
+    """Allan variance (axes,) of the 1/f noise in mg²."""
+    variant = VARIANTS.get(session.sensor)
+    stated = 0.0 if variant is None else variant.performance.bias_instability_mg**2
+    if session.accel_unit == "counts":
+        stated = 0.0
+    shown = noise.flicker > 0
+    return np.where(shown, noise.flicker, np.minimum(stated, noise.flicker_limit))

@@ -1,0 +1,508 @@
+"""Noise of a dwell's mean from the dwells' own correlation: the spectral density at frequency zero.
+
+The mean of n samples has the variance S(0)/n, with S the (two-sided, per sample) spectral density. σ²/n is
+wrong as soon as neighbours are correlated, and the chip's Bartlett filter correlates up to 127 of them.
+Batch means need batches long against the correlation and leave few degrees of freedom; here the
+periodograms of all dwells are pooled and their logarithm is fitted near zero by a polynomial in f²
+(Heidelberger and Welch 1981, there a quadratic; here the Whittle likelihood: each ordinate is exponentially
+distributed about S). How far from zero the fit may reach and how many terms it needs is judged by the data:
+of all bands (halved from the Nyquist frequency down) and orders for which one or two further terms bring no
+gain (likelihood ratio, 25 %), the one with the smallest variance at zero wins. White noise thus uses the
+whole band, which is the textbook σ²/n with all its degrees of freedom, filtered noise only the flat foot.
+
+1/f noise would be followed by the polynomial of a narrow band, and taken for noise that averaging lowers:
+a polynomial plus h/f is fitted as well, and stands for the band where it does better than one or two
+further terms. What rises towards zero faster than the polynomial is looked for in the three lowest
+ordinates of every dwell: their excess, read as 1/f noise, gives a floor that averaging does not lower.
+Where 1/f noise is so strong that the fit itself has followed it down to the lowest ordinates (their slope
+is that of a power and not of a filter), all of them is read as 1/f noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.arrays import Floats
+
+_CELLS = 32
+_LOWEST = 3
+_ALONE = 64
+"""Lowest ordinates that are kept one by one: those that are looked at by themselves, and more."""
+_AT_ONCE = 1 << 17
+"""Samples whose spectrum is computed at a time."""
+_LEAST_WEIGHT = 6.0
+_GAINS = (1.323, 2.773)
+"""Upper 25 % quantiles of χ² with one and two degrees of freedom: in doubt the narrower band."""
+_CHOICE_COST = 0.5
+"""Share of the degrees of freedom that is left where the data had to choose band and order (simulated with
+the chip's filter: 0.45 to 0.7)."""
+_SLOPE = 32
+_FLICKER_POWER = (-1.5, -0.6)
+_CLEARLY = 2.0
+"""Gain in −2 log likelihood at which the power of f counts as the better one. Simulated, 32 ordinates: 1/f
+noise gains 3 or more; the chip's filter loses, or has a power of −2 in dwells shorter than its window."""
+_NOT_QUITE = 0.05
+"""Share of what h/f explains that further terms may explain beside it: no real noise is 1/f throughout."""
+_LEAST_CYCLES = 3.5
+"""Cycles a dwell at the frequency where the density has fallen to 1/e; simulated with the chip's filter, 3
+give two thirds of the true variance and 6 all of it."""
+_ALLAN_OF_FLICKER = 4 * math.log(2)
+"""Allan variance of noise with S(f) = h/f, two-sided, in units of h."""
+
+
+@dataclass(frozen=True)
+class MeanNoise:
+    """Noise of the means of d dwells.
+
+    Attributes
+    ----------
+    covariance : (d, axes, axes) float
+        Covariance of each mean from noise that averaging lowers, squared unit of the samples.
+    dof : (d,) float
+        Degrees of freedom of that covariance, common to its axes.
+    pooled : bool
+        True where all dwells share one spectral density.
+    flicker : (axes,) float
+        Allan variance of 1/f noise that the dwells show, zero where they show none.
+    flicker_limit : (axes,) float
+        Upper limit (95 %) of the same.
+    too_short : bool
+        True where dwells are too short to tell their correlation from a drift.
+    """
+
+    covariance: Floats
+    dof: Floats
+    pooled: bool
+    flicker: Floats
+    flicker_limit: Floats
+    too_short: bool
+
+
+@dataclass(frozen=True)
+class _Ordinates:
+    """Periodograms of the dwells of one length.
+
+    The lowest ordinates stand by themselves. The higher ones of a long dwell are joined into bins that no
+    band and no cell of `_cells` divides, so that sums over bands and cells are what they were.
+    """
+
+    dwell: NDArray[np.intp]
+    n: int
+    frequency: Floats
+    """Lowest frequency of each bin (k,)."""
+    weight: Floats
+    by_frequency: Floats
+    """Sum of weight times frequency (k,)."""
+    by_period: Floats
+    """Sum of weight over frequency (k,)."""
+    cross: Floats
+    """(d, k, axes, axes): real part of the cross-periodograms, weighted means of the bins."""
+
+
+@dataclass(frozen=True)
+class _Foot:
+    """Shape of the density near zero, relative to its mean over the band."""
+
+    band: float
+    log_zero: float
+    log_zero_variance: float
+    total_weight: float
+    coefficients: Floats
+    beside_flicker: bool = False
+
+    @property
+    def is_white(self) -> bool:
+        return self.band == 0.5 and len(self.coefficients) == 1 and not self.beside_flicker
+
+    @property
+    def corner(self) -> float:
+        """Frequency where the density has fallen to 1/e of that at zero; the band's edge if nowhere."""
+        x = np.linspace(0.0, 1.0, 65)
+        fallen = np.flatnonzero(self.log_shape(x) < -1)
+        return self.band * (float(x[fallen[0]]) if fallen.size else 1.0)
+
+    def log_shape(self, x: Floats) -> Floats:
+        """Logarithm of the density at x = f/band relative to that at zero."""
+        return _basis(x, len(self.coefficients) - 1) @ self.coefficients - self.log_zero
+
+
+def noise_of_means(samples: Sequence[Floats], scale: Floats | float = 1.0) -> MeanNoise:
+    """Noise of the mean of each dwell.
+
+    Parameters
+    ----------
+    samples : d arrays (n, axes)
+        Samples of each dwell, n at least 2; any unit.
+    scale : float or (axes,) float
+        By which they are multiplied.
+    """
+    groups = _periodograms(samples, scale)
+    foot = _choose_foot(groups)
+    d, axes = len(samples), samples[0].shape[1]
+    level = np.zeros((d, axes, axes))
+    weight = np.zeros(d)
+    n = np.array([len(rows) for rows in samples], dtype=float)
+    for group in groups:
+        w = group.weight * (group.frequency <= foot.band)
+        weight[group.dwell] = w.sum()
+        level[group.dwell] = np.einsum("k,dkab->dab", w, group.cross) / max(w.sum(), 1e-300)
+    usable = weight > 0
+    pooled_level = np.einsum("d,dab->ab", weight, level) / weight.sum()
+    pooled = _homogeneous(level, weight)
+    shape_variance = max(foot.log_zero_variance - 1 / foot.total_weight, 0.0)
+    kept = 1.0 if foot.is_white else _CHOICE_COST
+    if pooled:
+        level = np.broadcast_to(pooled_level, level.shape)
+        dof = np.full(d, 2 * kept / (1 / weight.sum() + shape_variance))
+    else:
+        level = np.where(usable[:, None, None], level, pooled_level)
+        dof = 2 * kept / (1 / np.where(usable, weight, weight.sum()) + shape_variance)
+    density = _without_chance_correlation(level, dof) * math.exp(foot.log_zero)
+    flicker, limit = _flicker(groups, density, foot, float(dof[0] if pooled else dof.sum()), n)
+    unresolved = bool(np.median(n) * foot.corner < _LEAST_CYCLES and not foot.is_white)
+    if np.median(n) * foot.band <= 2 * _SLOPE and not foot.is_white and _rises_like_flicker(groups):
+        flicker = limit = np.maximum(flicker, _all_flicker(groups))
+    return MeanNoise(
+        covariance=density / n[:, None, None],
+        dof=dof,
+        pooled=pooled,
+        flicker=flicker,
+        flicker_limit=limit,
+        too_short=unresolved,
+    )
+
+
+def _periodograms(samples: Sequence[Floats], scale: Floats | float) -> list[_Ordinates]:
+    lengths = np.array([len(rows) for rows in samples])
+    axes = samples[0].shape[1]
+    groups = []
+    for n in np.unique(lengths).tolist():
+        dwell = np.flatnonzero(lengths == n)
+        frequency = np.arange(1, n // 2 + 1) / n
+        weight = np.ones(len(frequency))
+        if n % 2 == 0:
+            weight[-1] = 0.5
+        starts = _bins(frequency)
+        total = np.add.reduceat(weight, starts)
+        cross = np.empty((len(dwell), len(starts), axes, axes))
+        step = max(1, _AT_ONCE // n)
+        for at in range(0, len(dwell), step):
+            rows = np.stack([samples[k] for k in dwell[at : at + step].tolist()]) * scale
+            rows -= rows.mean(axis=1, keepdims=True)
+            lines = np.fft.rfft(rows, axis=1)[:, 1:]
+            for a in range(axes):
+                for b in range(a, axes):
+                    power = (lines[:, :, a] * lines[:, :, b].conj()).real / n * weight
+                    mean = np.add.reduceat(power, starts, axis=1) / total
+                    cross[at : at + step, :, a, b] = cross[at : at + step, :, b, a] = mean
+        by_frequency = np.add.reduceat(weight * frequency, starts)
+        by_period = np.add.reduceat(weight / frequency, starts)
+        groups.append(_Ordinates(dwell, n, frequency[starts], total, by_frequency, by_period, cross))
+    return groups
+
+
+def _bins(frequency: Floats) -> NDArray[np.intp]:
+    """First ordinate of each bin.
+
+    Bands end at 0.5/2^j and have `_CELLS` cells each: an octave below the end of a band has half of them, a
+    band twice as wide has cells twice as wide. Only what lies on a band's end has a bin of its own.
+    """
+    mantissa, octave = np.frexp(2 * frequency)
+    cell = np.where(mantissa == 0.5, -1, np.floor(mantissa * _CELLS).astype(int))
+    new = (np.diff(octave, prepend=octave[0] - 1) != 0) | (np.diff(cell, prepend=-2) != 0)
+    new[:_ALONE] = True
+    return np.flatnonzero(new)
+
+
+def _basis(x: Floats, order: int) -> Floats:
+    """Legendre polynomials of 2x² − 1, (n, order + 1)."""
+    return np.asarray(np.polynomial.legendre.legvander(2 * x * x - 1, order), dtype=np.float64)
+
+
+def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floats, float]:
+    """Coefficients, their covariance and −2 log likelihood of a log-linear density; Fisher scoring."""
+    inverse = np.asarray(np.linalg.pinv(design.T @ (weight[:, None] * design)), dtype=np.float64)
+    beta = np.zeros(design.shape[1])
+    beta[0] = math.log(max(float(np.average(mean, weights=weight)), 1e-300))
+    for _ in range(50):
+        step = inverse @ (design.T @ (weight * (mean * np.exp(-design @ beta) - 1)))
+        step /= max(1.0, float(np.abs(design @ step).max()) / 2)
+        beta = beta + step
+        if np.abs(step).max() < 1e-5:
+            break
+    eta = design @ beta
+    return beta, inverse, 2 * float(weight @ (eta + mean * np.exp(-eta)))
+
+
+def _whittle_with_flicker(
+    design: Floats, inverse_x: Floats, weight: Floats, mean: Floats
+) -> tuple[Floats, Floats, float]:
+    """As `_whittle` for exp(polynomial) + h/x; h is left out of what is returned, not of the covariance."""
+    terms = design.shape[1]
+    beta = np.zeros(terms + 1)
+    high = inverse_x <= np.median(inverse_x)
+    level = max(float(np.average(mean[high], weights=weight[high])), 1e-300)
+    beta[0] = math.log(level)
+    first = int(inverse_x.argmax())
+    beta[-1] = math.log(max(float(mean[first] - level), 1e-3 * level) / float(inverse_x[first]))
+    inverse = np.eye(terms + 1)
+    for _ in range(50):
+        smooth = np.exp(np.clip(design @ beta[:-1], -60, 60))
+        rising = math.exp(min(max(float(beta[-1]), -60.0), 60.0)) * inverse_x
+        expected = smooth + rising
+        slope = np.column_stack([design * smooth[:, None], rising]) / expected[:, None]
+        inverse = np.asarray(np.linalg.pinv(slope.T @ (weight[:, None] * slope)), dtype=np.float64)
+        step = inverse @ (slope.T @ (weight * (mean / expected - 1)))
+        step /= max(1.0, float(np.abs(step).max()))
+        beta = beta + step
+        if np.abs(step).max() < 1e-5:
+            break
+    expected = (
+        np.exp(np.clip(design @ beta[:-1], -60, 60)) + math.exp(min(float(beta[-1]), 60.0)) * inverse_x
+    )
+    deviance = 2 * float(weight @ (np.log(expected) + mean / expected))
+    return beta[:-1], inverse[:-1, :-1], deviance
+
+
+def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
+    """True where the lowest ordinates follow a power of f near −1 better than the foot of a filter does."""
+    lowest = _lowest(groups)
+    if lowest is None:
+        return False
+    k, total, mean = lowest
+    one = np.ones(_SLOPE)
+    power, _, by_power = _whittle(np.stack([one, np.log(k)], axis=1), total, mean)
+    low, high = _FLICKER_POWER
+    return bool(low < power[1] < high and by_power < _by_filter(k, total, mean) - _CLEARLY)
+
+
+def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
+    """True where the lowest ordinates follow white noise plus h/f better than the foot of a filter does.
+
+    Over a wide band the fall of a long filter looks like h/f beside a polynomial; here it is flat.
+    """
+    lowest = _lowest(groups)
+    if lowest is None:
+        return False
+    k, total, mean = lowest
+    _, _, by_flicker = _whittle_with_flicker(np.ones((_SLOPE, 1)), _SLOPE / k, total, mean)
+    return by_flicker < _by_filter(k, total, mean) - _CLEARLY
+
+
+def _by_filter(k: Floats, total: Floats, mean: Floats) -> float:
+    """−2 log likelihood of the foot of a filter over the lowest ordinates."""
+    x2 = (k / _SLOPE) ** 2
+    return _whittle(np.stack([np.ones(_SLOPE), x2, x2**2], axis=1), total, mean)[2]
+
+
+def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
+    """Numbers, weights and pooled means of the lowest ordinates; None where no dwell has so many."""
+    groups = [group for group in groups if len(group.weight) > _SLOPE]
+    if not groups:
+        return None
+    total, moment = np.zeros(_SLOPE), np.zeros(_SLOPE)
+    for group in groups:
+        auto = np.diagonal(group.cross[:, :_SLOPE], axis1=2, axis2=3)
+        own = auto.mean(axis=1, keepdims=True)
+        total += len(group.dwell) * auto.shape[2]
+        moment += np.where(own > 0, auto / np.where(own > 0, own, 1.0), 0.0).sum(axis=(0, 2))
+    return np.arange(1.0, _SLOPE + 1), total, np.maximum(moment / total, 1e-12)
+
+
+def _choose_foot(groups: list[_Ordinates]) -> _Foot:
+    """Foot of the least variance at zero; bands are halved as long as they may hold a better one."""
+    best: _Foot | None = None
+    flicker = _flicker_at_foot(groups)
+    band = 0.5
+    while (cells := _cells(groups, band)) is not None:
+        x, weight, mean, inverse_x = cells
+        total = float(weight.sum())
+        if best is not None and (total < _LEAST_WEIGHT or 1 / total > best.log_zero_variance):
+            break
+        feet = [_polynomial_foot(band, x, weight, mean)]
+        if flicker:
+            feet.append(_foot_beside_flicker(band, x, weight, mean, inverse_x))
+        for foot in feet:
+            if foot is not None and (best is None or foot.log_zero_variance < best.log_zero_variance):
+                best = foot
+        if total < _LEAST_WEIGHT:
+            return best or _Foot(band, 0.0, 1 / total, total, np.zeros(1))
+        band /= 2
+    if best is None:  # the narrowest band holds no ordinate at all: take the whole one as flat
+        total = sum(float(group.weight.sum()) * len(group.dwell) for group in groups)
+        best = _Foot(0.5, 0.0, 1 / total, total, np.zeros(1))
+    return best
+
+
+def _polynomial_foot(band: float, x: Floats, weight: Floats, mean: Floats) -> _Foot | None:
+    """Polynomial of the least order that one or two terms more do not clearly better, or None."""
+    fits: list[tuple[Floats, Floats, float]] = []
+    for order in range(min(3, len(x))):
+        for p in range(len(fits), min(order + 3, len(x))):
+            fits.append(_whittle(_basis(x, p), weight, mean))
+        beta, covariance, deviance = fits[order]
+        richer = fits[order + 1 : order + 3]
+        if not any(deviance - fit[2] > gain for fit, gain in zip(richer, _GAINS, strict=False)):
+            return _foot(band, beta, covariance, weight)
+    return None
+
+
+def _foot_beside_flicker(
+    band: float, x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
+) -> _Foot | None:
+    beside = _beside_flicker(x, weight, mean, inverse_x)
+    return None if beside is None else _foot(band, *beside, weight, beside_flicker=True)
+
+
+def _foot(
+    band: float, beta: Floats, covariance: Floats, weight: Floats, *, beside_flicker: bool = False
+) -> _Foot:
+    at_zero = _basis(np.zeros(1), len(beta) - 1)[0]
+    variance = float(at_zero @ covariance @ at_zero)
+    return _Foot(band, float(at_zero @ beta), variance, float(weight.sum()), beta, beside_flicker)
+
+
+def _beside_flicker(
+    x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
+) -> tuple[Floats, Floats] | None:
+    """Polynomial beside 1/f noise and its covariance, where that does better than one or two terms more."""
+    for order in range(min(3, len(x) - 2)):
+        one, two = (_whittle(_basis(x, order + k), weight, mean)[2] for k in (1, 2))
+        beta, covariance, deviance = _whittle_with_flicker(_basis(x, order), inverse_x, weight, mean)
+        better = min(one, two) - deviance
+        if better < _CLEARLY:
+            continue
+        richer = (
+            _whittle_with_flicker(_basis(x, order + k), inverse_x, weight, mean)[2]
+            for k in (1, 2)
+            if order + k < len(x) - 1
+        )
+        allowed = (max(gain, _NOT_QUITE * better) for gain in _GAINS)
+        if not any(deviance - other > most for other, most in zip(richer, allowed, strict=False)):
+            return beta, covariance
+    return None
+
+
+def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Floats, Floats] | None:
+    """Pooled ordinates below `band`, each dwell and axis relative to its own mean there.
+
+    Returns x = f/band, weight, mean and mean of 1/x of the cells that hold anything.
+    """
+    total, moment, first = np.zeros(_CELLS), np.zeros(_CELLS), np.zeros(_CELLS)
+    inverse = np.zeros(_CELLS)
+    for group in groups:
+        inside = group.frequency <= band
+        if not inside.any():
+            continue
+        f, w = group.frequency[inside], group.weight[inside]
+        auto = np.diagonal(group.cross[:, inside], axis1=2, axis2=3)
+        own = np.einsum("k,dka->da", w, auto) / w.sum()
+        alive = own > 0
+        relative = np.where(alive[:, None, :], auto / np.where(alive, own, 1.0)[:, None, :], 0.0)
+        cell = np.minimum((f / band * _CELLS).astype(int), _CELLS - 1)
+        count = float(alive.sum())
+        total += np.bincount(cell, w * count, _CELLS)
+        moment += np.bincount(cell, w * relative.sum(axis=(0, 2)), _CELLS)
+        first += np.bincount(cell, count / band * group.by_frequency[inside], _CELLS)
+        inverse += np.bincount(cell, count * band * group.by_period[inside], _CELLS)
+    held = total > 0
+    if not held.any():
+        return None
+    return (
+        first[held] / total[held],
+        total[held],
+        np.maximum(moment[held] / total[held], 1e-12),
+        inverse[held] / total[held],
+    )
+
+
+def _homogeneous(level: Floats, weight: Floats) -> bool:
+    """True where the dwells' levels are consistent with one (Bartlett's test for each axis, 0.1 %)."""
+    use = weight > 0
+    if use.sum() < 2:
+        return True
+    from scipy.special import chdtrc
+
+    half = weight[use]
+    groups = int(use.sum())
+    correction = 1 + (np.sum(1 / (2 * half)) - 1 / (2 * half.sum())) / (3 * (groups - 1))
+    for axis in range(level.shape[1]):
+        own = np.maximum(level[use, axis, axis], 1e-300)
+        common = half @ own / half.sum()
+        statistic = 2 * (half.sum() * math.log(common) - half @ np.log(own)) / correction
+        if chdtrc(groups - 1, max(statistic, 0.0)) < 1e-3 / level.shape[1]:
+            return False
+    return True
+
+
+def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:
+    """Set correlations between axes to zero where chance explains them (three standard errors)."""
+    deviation = np.sqrt(np.maximum(np.diagonal(level, axis1=1, axis2=2), 1e-300))
+    correlation = level / (deviation[:, :, None] * deviation[:, None, :])
+    keep = np.abs(correlation) > 3 / np.sqrt(dof)[:, None, None]
+    keep |= np.eye(level.shape[1], dtype=bool)
+    # An indefinite matrix is worse than a lost correlation; 0.95 keeps its inverse tame.
+    limited = np.clip(correlation, -0.95, 0.95) + 0.05 * np.eye(level.shape[1])
+    return np.where(keep, limited, 0.0) * deviation[:, :, None] * deviation[:, None, :]
+
+
+def _all_flicker(groups: list[_Ordinates]) -> Floats:
+    """Allan variance (axes,) of 1/f noise that makes up the whole of the lowest ordinates.
+
+    The sensor's own is one in all dwells, so that a dwell counts as much less as it is louder.
+    """
+    axes = groups[0].cross.shape[-1]
+    moment, total = np.zeros(axes), np.zeros(axes)
+    k = np.arange(1, _LOWEST + 1)
+    for group in groups:
+        if len(group.weight) <= _LOWEST:
+            continue
+        auto = np.diagonal(group.cross[:, :_SLOPE], axis1=2, axis2=3)
+        # By ordinates that are not averaged: a low one would otherwise count more for being low.
+        quiet = _reciprocal(auto[:, _LOWEST:].mean(axis=1))
+        moment += (quiet * np.einsum("k,dka->da", k / group.n, auto[:, :_LOWEST])).sum(axis=0) / len(k)
+        total += quiet.sum(axis=0)
+    return np.asarray(_ALLAN_OF_FLICKER * moment / np.maximum(total, 1e-300))
+
+
+def _reciprocal(level: Floats) -> Floats:
+    """1/level of dwells (d, …, axes); 0 where there is none but rounding beside others."""
+    least = np.maximum(1e-9 * level.max(axis=tuple(range(level.ndim - 1))), 1e-300)
+    return np.where(level > least, 1 / np.maximum(level, least), 0.0)
+
+
+def _flicker(
+    groups: list[_Ordinates], density: Floats, foot: _Foot, dof: float, n: Floats
+) -> tuple[Floats, Floats]:
+    """Allan variance of 1/f noise (axes,) from the lowest ordinates, and its upper limit."""
+    from scipy.special import fdtri
+
+    axes = density.shape[1]
+    excess, weight, spread = np.zeros(axes), 0.0, np.zeros(axes)
+    ordinates = 0.0
+    for group in groups:
+        lowest = np.arange(min(_LOWEST, len(group.weight)))
+        k = lowest + 1.0
+        shape = np.exp(foot.log_shape(np.minimum(group.frequency[lowest] / foot.band, 1.0)))
+        expected = np.diagonal(density[group.dwell], axis1=1, axis2=2)[:, None, :] * shape[None, :, None]
+        auto = np.diagonal(group.cross[:, lowest], axis1=2, axis2=3)
+        w = group.weight[lowest]
+        # A dwell without any noise beside noisy ones says nothing; its rounding must not be a ratio.
+        each = _reciprocal(expected)
+        excess += np.einsum("k,dka->a", w, np.where(each > 0, auto * each, 1) - 1)
+        weight += len(group.dwell) * float(w @ (1 / k))
+        ordinates += len(group.dwell) * float(w.sum())
+    relative = excess / weight
+    spread = np.sqrt(ordinates * (1 + ordinates * 2 / dof)) / weight
+    threshold = float(fdtri(2 * ordinates, max(dof, 1.0), 0.99))
+    shown = 1 + excess / ordinates > threshold
+    # One in all dwells, in loud ones a small part of what they show.
+    quiet = _reciprocal(np.diagonal(density, axis1=1, axis2=2) / n[:, None])
+    per_mean = _ALLAN_OF_FLICKER * (quiet > 0).sum(axis=0) / np.maximum(quiet.sum(axis=0), 1e-300)
+    flicker = np.where(shown, np.maximum(relative, 0.0), 0.0) * per_mean
+    return flicker, np.maximum(relative + 1.645 * spread, 0.0) * per_mean

@@ -1,0 +1,177 @@
+"""Gravity in the dwells by the accelerometers as the session calibrates them: the reference of a turn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.fitting.estimation.readings import Readings, mg_per_unit, readings_of
+from adis_gonio.fitting.gyros.axes import BIASES, SKEWS, Axes, Prior, source_of_calibration
+from adis_gonio.model.records import Session
+
+if TYPE_CHECKING:
+    from adis_gonio.calibrate import Calibration
+
+Source = tuple[Mapping[str, float], Sequence[str], "Floats | None"]
+
+CONSISTENT = 4.0
+"""Standard uncertainties within which a declared turn and gravity's may be averaged."""
+_NOT_CALIBRATED = (
+    "the accelerometers' biases are not determined: u of the directions of axes holds what they may be;"
+    " rest each arrow up and down"
+)
+_NOT_SQUARE = (
+    "the angles between the accelerometers are not determined: u of the directions of axes holds what they"
+    " may be; rest the part with gravity shared between two axes"
+)
+UNKNOWN_SKEW_DEG = 0.25
+UNKNOWN_BIAS_MG = 50.0
+"""Of a part that nobody has measured: the one real ADIS16350 showed +57, −21, +46 mg. The figure of 10 mg
+that simulated parts have by default is an estimate, and no limit."""
+UNKNOWN_ACCEL_GAIN = 0.02
+
+
+@dataclass(frozen=True)
+class Triad:
+    """The accelerometers as far as they are calibrated.
+
+    Attributes
+    ----------
+    direction : callable
+        (3,) readings in g → direction of gravity (3,) in the accelerometers' frame, any length.
+    u_rad : float
+        Standard uncertainty of such a direction, each way across it.
+    psi_deg : mapping or None
+        On a stage: angle ψ of gravity in each dwell and its standard uncertainty, by position.
+    gravity : mapping
+        In space: direction of gravity (3,) in each dwell, by position.
+    notes : tuple of str
+        What is to be said of it.
+    modes : callable or None
+        (3,) readings in g → changes (3, k) of the unit direction, one standard uncertainty each, that are
+        the same for all turns of the session.
+    """
+
+    direction: Callable[[Floats], Floats]
+    u_rad: float
+    psi_deg: dict[int, tuple[float, float]] | None
+    gravity: dict[int, Floats]
+    notes: tuple[str, ...] = ()
+    modes: Callable[[Floats], Floats] | None = None
+
+
+def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
+    """The accelerometers of a session by its own fit, as read where there can be none.
+
+    Parameters
+    ----------
+    calibration : Calibration, optional
+        Of the same part's accelerometers: what the session does not determine itself is taken from there.
+    """
+    given: list[Source] = []
+    if calibration is not None:
+        names = [one.name for one in calibration.parameters]
+        given.append(source_of_calibration(names, calibration.values, calibration.covariance))
+    try:
+        readings = readings_of(session)
+    except AdisGonioError:
+        return _as_read(session, *given)
+    try:
+        from adis_gonio.fitting import fit
+        from adis_gonio.fitting.calibrations import calibration_as_recorded
+        from adis_gonio.fitting.methods import fit_of
+
+        # In space by gravity alone: the turns are what these gyros are to be calibrated by.
+        result = fit(session, method="ml") if readings.planar else fit_of(readings, "ml")
+    except AdisGonioError:
+        return _as_read(session, *given)
+    u_mg = np.sqrt(np.diagonal(readings.covariance, axis1=1, axis2=2).mean(axis=0))
+    held = any(name.startswith("bias") for name in result.undetermined)
+    g = session.gravity_mg
+    if readings.planar:
+        try:
+            calibration = calibration_as_recorded(result)
+        except AdisGonioError:
+            return _as_read(session)
+        shown = calibration.angle(readings.mean, reading_u=list(u_mg))
+        unseen = math.degrees(UNKNOWN_BIAS_MG / g) if held else 0.0
+        u = np.hypot(np.asarray(shown.u_deg), unseen)
+        psi = _with_declared(readings, np.asarray(shown.angle_deg), u)
+        notes = (
+            ("the accelerometers' biases are not determined: u of the turns holds what they may be",)
+            if held
+            else ()
+        )
+        rough = _as_read(session, *given)
+        return Triad(rough.direction, rough.u_rad, psi, rough.gravity, notes, rough.modes)
+    found = {one.name: one.value for one in result.parameters}
+    own = (found, [one.name for one in result.parameters], result.covariance)
+    return _spatial(session, Axes.of(_prior(session), own, *given), readings)
+
+
+def _spatial(session: Session, axes: Axes, readings: Readings | None) -> Triad:
+    """In space, by the nine as far as they are known."""
+    noise = 0.0
+    if readings is not None:
+        noise = float(np.sqrt(np.diagonal(readings.covariance, axis1=1, axis2=2).mean(axis=0)).max())
+    told: tuple[str, ...] = ()
+    if not axes.knows(BIASES):
+        told = (_NOT_CALIBRATED,)
+    elif not axes.knows(SKEWS):
+        told = (_NOT_SQUARE,)
+    u_rad = math.hypot(noise / session.gravity_mg, axes.u_rad())
+    gravity = {
+        position: axes.direction(force) for position, force in _forces(session).items() if len(force) == 3
+    }
+    return Triad(axes.direction, u_rad, None, gravity, told, axes.modes)
+
+
+def _with_declared(readings: Readings, psi: Floats, u: Floats) -> dict[int, tuple[float, float]]:
+    """ψ of each dwell; where declared angles agree with it they count by the fixture's uncertainty.
+
+    Both are angles of the same stage: ψ + θ is α, alike for all dwells but for their errors.
+    """
+    sigma = math.degrees(readings.fixture_rad)
+    theta = np.degrees(readings.angle_rad)
+    shown = dict(zip(readings.position.tolist(), zip(psi.tolist(), u.tolist(), strict=True), strict=True))
+    if not readings.fixture_stated or not 0 < sigma < math.inf or not np.isfinite(theta).all():
+        return shown
+    turn = np.angle(np.exp(1j * np.radians(psi + theta)))
+    alpha = float(np.degrees(np.angle(np.exp(1j * turn).mean())))
+    off = (psi + theta - alpha + 180.0) % 360.0 - 180.0
+    agrees = np.abs(off) < CONSISTENT * np.hypot(u, sigma)
+    weight = np.where(agrees, u**2 / (u**2 + sigma**2), 0.0)
+    better = psi - weight * off
+    better_u = np.where(agrees, u * sigma / np.hypot(u, sigma), u)
+    return dict(
+        zip(readings.position.tolist(), zip(better.tolist(), better_u.tolist(), strict=True), strict=True)
+    )
+
+
+def _as_read(session: Session, *given: Source) -> Triad:
+    """The accelerometers without a fit of the session; u is what a part's biases and axes may be."""
+    return _spatial(session, Axes.of(_prior(session), *given), None)
+
+
+def _forces(session: Session) -> dict[int, Floats]:
+    """What the accelerometers read in g, by position; nothing of counts."""
+    if session.accel_unit == "counts":
+        return {}
+    per_g = 1e-3 * mg_per_unit(session)
+    return {dwell.position: per_g * dwell.accel.mean(axis=0) for dwell in session.dwells}
+
+
+def _prior(session: Session) -> Prior:
+    """Of what nobody has measured: gains, skews (uniform within the sheet's limit), biases."""
+    variant = VARIANTS.get(session.sensor)
+    if variant is None:
+        return Prior(UNKNOWN_ACCEL_GAIN, math.radians(UNKNOWN_SKEW_DEG) / math.sqrt(3), UNKNOWN_BIAS_MG)
+    figures = variant.performance
+    return Prior(figures.scale_error_typical, figures.skew_u_rad, UNKNOWN_BIAS_MG)

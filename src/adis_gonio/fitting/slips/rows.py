@@ -1,0 +1,311 @@
+"""The three angles as one linear model: gravity's and the gyro's rows against the declared angles.
+
+With ψ = α − φ the angle of gravity to X and φ = θ + e where the part stands (θ declared, e its error),
+around a calibration of the session's own that is near the truth:
+
+* *angle* of a reading: y = (ψ by the reading) + θ = α − e + (∂ψ/∂calibration) δ + noise
+* *length* of a reading: (|reading| − model)/G = (∂/∂calibration) δ + noise; no declared angle is in it
+* *gyro*: γ − Δθ = Δe + s·γ + g-sensitivity·∫force + noise
+
+δ are gains, misalignment, biases and whatever else of the catalogue's effects may be in the readings, each
+with its prior; s and the g-sensitivity are the gyro's. Effects that turn the part act on e.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.slips.angles import Angles
+from adis_gonio.fitting.slips.halts import Halts
+from adis_gonio.model.effects import Conditions, Enters, catalogue
+from adis_gonio.model.measurement import PlanarTurn, wrap_rad
+
+GAIN = 0.02
+"""Standard deviation of a gain (CHIP, B: ±2 %)."""
+SKEW_RAD = math.radians(0.75)
+"""Of the misalignment (CHIP, B: ±0.25° and ±0.5°)."""
+GYRO_GAIN = 0.01
+"""Of a gyro's gain (D: the sheets at hand have none)."""
+GYRO_FORCE_RAD = math.radians(0.1)
+"""Of a gyro's g-sensitivity in rad/s/g: twice the sheet's 0.05 °/s/g (CHIP, B)."""
+TYPICAL = 3.0
+"""Standard deviation of an effect that may be there, in the magnitudes that the catalogue calls typical."""
+BASE = 5
+"""Parameters of the calibration itself: gains, misalignment, biases."""
+NOT_BESIDE = frozenset(
+    {"bias", "scale", "misalignment", "gravity", "position_slip", "outlier_dwell", "stage_periodic"}
+)
+"""Effects that are the calibration itself, or what is looked for here."""
+ROUNDS = 4
+TURNED_AWAY = 4.0
+"""Lengths beyond so many robust standard deviations hardly count in the first calibration."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of the linear model: n angles, n lengths, then the g turns that were watched.
+
+    Attributes
+    ----------
+    seen_rad : (n,) float
+        y of each dwell, within ±π.
+    length : (n,) float
+    gyro_rad : (g,) float
+        γ of each turn.
+    turn : (g,) int
+        Dwell in which each turn ends.
+    design : (2n + g, p) float
+        Columns: α, the calibration, effects, the gyro's.
+    prior_sd, prior_mean : (p,) float
+        Of δ about the calibration at which the rows were made.
+    effect : (p,) bool
+        Columns of effects, whose size is a guess.
+    stands : (2n + g, n) float
+        ∂row/∂e.
+    noise : (2n + g, 2n + g) float
+    reading : (2n + g, 2) float
+        ∂row/∂reading of its dwell on each axis, per G.
+    course : (n,) float
+        Time of each dwell as a share of the session.
+    declared_rad : (n,) float
+        θ; of a dwell without one what gravity shows.
+    declared : (n,) bool
+    halts : mapping of int to Halts
+        Rests on the way to a dwell, where they are known.
+    """
+
+    seen_rad: Floats
+    length: Floats
+    gyro_rad: Floats
+    turn: NDArray[np.intp]
+    design: Floats
+    prior_sd: Floats
+    prior_mean: Floats
+    effect: NDArray[np.bool_]
+    stands: Floats
+    noise: Floats
+    reading: Floats
+    course: Floats
+    declared_rad: Floats
+    declared: NDArray[np.bool_]
+    halts: Mapping[int, Halts]
+
+    def __len__(self) -> int:
+        return len(self.declared)
+
+    def without_gyro(self) -> Rows:
+        """The same without turns."""
+        n = 2 * len(self)
+        return replace(
+            self, gyro_rad=self.gyro_rad[:0], turn=self.turn[:0], design=self.design[:n],
+            stands=self.stands[:n], noise=self.noise[:n, :n], reading=self.reading[:n], halts={},
+        )  # fmt: skip
+
+    def observed(self, error_rad: Floats, zero_rad: float) -> Floats:
+        """What is left (m,) of the rows if the part stands at θ + `error_rad` (n,) and α is `zero_rad`."""
+        angle = wrap_rad(self.seen_rad + error_rad - zero_rad)
+        asked = (self.declared_rad + error_rad)[self.turn] - (self.declared_rad + error_rad)[self.turn - 1]
+        return np.concatenate([angle, self.length, wrap_rad(self.gyro_rad - asked)])
+
+
+def common_zero(angle_rad: Floats) -> float:
+    """The angle from which most others are least away (a median on the circle); 0 of none."""
+    if not len(angle_rad):
+        return 0.0
+    apart = np.abs(wrap_rad(angle_rad[:, None] - angle_rad[None, :])).sum(axis=0)
+    return float(angle_rad[int(np.argmin(apart))])
+
+
+@dataclass(frozen=True)
+class BelievedParameters:
+    """Gains, misalignment and biases (5,) as they are believed: K_x, K_y, Δφ in rad, b_x and b_y in mg."""
+
+    values: Floats
+
+    @classmethod
+    def nominal(cls) -> BelievedParameters:
+        """Of a perfect part."""
+        return cls(np.array([1.0, 1.0, 0.0, 0.0, 0.0]))
+
+    def moved(self, step: Floats) -> BelievedParameters:
+        """After a step (5,)."""
+        return BelievedParameters(self.values + step)
+
+
+@dataclass(frozen=True)
+class _Local:
+    """A reading model near the readings: directions along and across the circle."""
+
+    psi_rad: Floats
+    along: Floats
+    across: Floats
+    left_mg: Floats
+    base: Floats
+    ideal_mg: Floats
+
+
+def _local(angles: Angles, calibration: BelievedParameters) -> _Local:
+    model = PlanarTurn(angles.gravity_mg)
+    base = np.concatenate([[0.0], calibration.values[:3]])
+    psi = model.angle_rad(base, angles.reading_mg - calibration.values[3:])
+    zero = np.zeros(len(angles))
+    ideal = model.ideal(base, psi, zero)
+    tangent = model.tangent(base, psi, zero)[:, :, 0]
+    square = (tangent**2).sum(axis=1, keepdims=True)
+    across = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1) / np.sqrt(square) / angles.gravity_mg
+    columns = np.concatenate(
+        [model.columns(base, psi, zero)[:, :, 1:], np.tile(np.eye(2), (len(angles), 1, 1))], axis=2
+    )
+    left = angles.reading_mg - ideal - calibration.values[3:]
+    return _Local(psi, tangent / square, across, left, columns, ideal)
+
+
+def _base_sd(angles: Angles) -> Floats:
+    return np.array([GAIN, GAIN, SKEW_RAD, angles.bias_mg, angles.bias_mg])
+
+
+def calibrated_by_length(angles: Angles) -> BelievedParameters:
+    """A first calibration, by the lengths of the readings alone: no declared angle can spoil it."""
+    calibration = BelievedParameters.nominal()
+    sd, n = _base_sd(angles), len(angles)
+    for _ in range(ROUNDS):
+        near = _local(angles, calibration)
+        design = np.einsum("ni,nij->nj", near.across, near.base)
+        left = (near.across * near.left_mg).sum(axis=1)
+        noise = np.einsum("ni,nij,nj->n", near.across, angles.covariance_mg2, near.across)
+        spread = max(float(np.median(np.abs(left))) / 0.6745, 1e-4)
+        # A reading that a push has lengthened counts little.
+        weight = 1 / ((noise + 1e-4**2) * (1 + (left / (TURNED_AWAY * spread)) ** 2))
+        prior = BelievedParameters.nominal().values - calibration.values
+        precision = np.diag(sd**-2) + (design * weight[:, None]).T @ design
+        step = np.linalg.solve(precision, prior / sd**2 + design.T @ (weight * left))
+        calibration = calibration.moved(step)
+        if n < 2:
+            break
+    return calibration
+
+
+def _course(time_s: Floats) -> Floats:
+    gone = time_s - time_s.min()
+    return np.asarray(gone / max(float(gone.max()), 1e-300))
+
+
+def rows_at(angles: Angles, calibration: BelievedParameters) -> Rows:
+    """The linear model about a calibration."""
+    near, n = _local(angles, calibration), len(angles)
+    seen_by = near.psi_rad + (near.along * near.left_mg).sum(axis=1)
+    declared = np.isfinite(angles.declared_rad)
+    given = np.where(declared, angles.declared_rad, 0.0)
+    zero = common_zero(wrap_rad(seen_by + given)[declared])
+    theta = np.where(declared, given, zero - seen_by)
+    added, turned, sizes = _beside(replace(angles, declared_rad=theta), near)
+    reading = np.concatenate([near.base, added], axis=2)
+    by_angle = np.einsum("ni,nij->nj", near.along, reading)
+    by_length = np.einsum("ni,nij->nj", near.across, reading)
+    turn, gyro, gyro_u, force = _turns(angles)
+    g, still = len(turn), np.zeros((n, turned.shape[1]))
+    steps = np.zeros((g, n))
+    steps[np.arange(g), turn], steps[np.arange(g), turn - 1] = 1.0, -1.0
+    calibrating = np.zeros((g, reading.shape[2]))
+    design = np.block(
+        [
+            [np.ones((n, 1)), by_angle, turned, np.zeros((n, 3))],
+            [np.zeros((n, 1)), by_length, still, np.zeros((n, 3))],
+            [np.zeros((g, 1)), calibrating, -steps @ turned, gyro[:, None], force],
+        ]
+    )
+    sd = np.concatenate([[np.pi], _base_sd(angles), sizes, [GYRO_GAIN, GYRO_FORCE_RAD, GYRO_FORCE_RAD]])
+    mean = np.zeros(len(sd))
+    mean[1 : 1 + BASE] = BelievedParameters.nominal().values - calibration.values
+    effect = np.zeros(len(sd), dtype=np.bool_)
+    effect[1 + BASE : -3] = True
+    both = np.stack([near.along, near.across], axis=1)
+    pairs = np.einsum("nai,nij,nbj->nab", both, angles.covariance_mg2, both)
+    noise = np.zeros((2 * n + g, 2 * n + g))
+    own = np.arange(n)
+    for a in range(2):
+        for b in range(2):
+            noise[own + a * n, own + b * n] = pairs[:, a, b]
+    noise[2 * n + np.arange(g), 2 * n + np.arange(g)] = gyro_u**2
+    return Rows(
+        wrap_rad(seen_by + theta),
+        (near.across * near.left_mg).sum(axis=1),
+        gyro,
+        turn,
+        design,
+        sd,
+        mean,
+        effect,
+        np.concatenate([-np.eye(n), np.zeros((n, n)), steps]),
+        noise,
+        np.concatenate([near.along * angles.gravity_mg, near.across * angles.gravity_mg, np.zeros((g, 2))]),
+        _course(angles.conditions.time_s),
+        theta,
+        declared,
+        {}
+        if angles.turns is None
+        else {k: h for k, h in enumerate(angles.turns.halts, 1) if h is not None},
+    )
+
+
+def _turns(angles: Angles) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
+    """Dwells in which watched turns end, with angle, u and force."""
+    if angles.turns is None:
+        return np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0), np.zeros((0, 2))
+    watched = np.flatnonzero(np.isfinite(angles.turns.angle_rad))
+    return (
+        watched + 1,
+        angles.turns.angle_rad[watched],
+        angles.turns.u_rad[watched],
+        angles.turns.force_gs[watched],
+    )
+
+
+def _halts(angles: Angles) -> dict[int, Halts]:
+    known = () if angles.turns is None else angles.turns.halts
+    return {dwell: halts for dwell, halts in enumerate(known, 1) if halts is not None}
+
+
+def _beside(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
+    """Effects of the catalogue: columns on readings (n, 2, q) in mg and on ψ (n, r), sizes (q + r,)."""
+    conditions = _by_gravity(angles.conditions, near, angles)
+    added: list[Floats] = []
+    turned: list[Floats] = []
+    sizes: dict[bool, list[float]] = {False: [], True: []}
+    for name, kind in catalogue(PlanarTurn.part).items():
+        if name in NOT_BESIDE or kind.enters is Enters.SAMPLES or kind.within_dwell:
+            continue
+        if conditions.lacks(kind.needs):
+            continue
+        effect = kind(("x", "y")) if kind.by_axis else kind()
+        values = np.array([p.typical if p.shape else 0.0 for p in effect.parameters])
+        slopes = effect.derivative(values, near.ideal_mg, conditions)
+        attitude = effect.enters is Enters.ATTITUDE
+        for k, parameter in enumerate(effect.parameters):
+            if parameter.shape or not np.isfinite(slopes[..., k]).all():
+                continue
+            (turned if attitude else added).append(slopes[..., k])
+            sizes[attitude].append(TYPICAL * parameter.typical)
+    n = len(angles)
+    return (
+        np.stack(added, axis=2) if added else np.zeros((n, 2, 0)),
+        np.stack(turned, axis=1) if turned else np.zeros((n, 0)),
+        np.array([*sizes[False], *sizes[True]]),
+    )
+
+
+def _by_gravity(conditions: Conditions, near: _Local, angles: Angles) -> Conditions:
+    """Conditions at the angles that gravity shows: a declared one may be what is wrong."""
+    zero = common_zero(wrap_rad(near.psi_rad + angles.declared_rad))
+    stands = zero - near.psi_rad
+    before = np.concatenate([stands[:1], stands[:-1]])
+    return replace(conditions, angle_rad=stands, previous_angle_rad=before)
+
+
+__all__ = ["BASE", "BelievedParameters", "Rows", "calibrated_by_length", "common_zero", "rows_at"]

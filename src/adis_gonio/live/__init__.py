@@ -1,0 +1,1 @@
+"""The angle while the part moves: smoothing and live readings."""

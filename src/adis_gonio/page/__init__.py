@@ -1,0 +1,1 @@
+"""Building blocks of an HTML page: sections, tables, figures in SVG."""

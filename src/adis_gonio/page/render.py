@@ -1,0 +1,78 @@
+"""Sections into one self-contained HTML document."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from adis_gonio.base.numbers import SPACE
+from adis_gonio.page.parts import Section
+
+
+def render(
+    kind: str,
+    title: str,
+    *,
+    shape: str,
+    simulated: bool,
+    begun: str,
+    software: str,
+    sections: Sequence[Section],
+    closing: str,
+) -> str:
+    """A page of a kind (`Calibration report`) that loads nothing; every text is escaped.
+
+    Parameters
+    ----------
+    shape : str
+        What it is about, in the line below the title.
+    begun : str
+        ISO time in UTC, or nothing.
+    closing : str
+        Last sentence of the page.
+    """
+    environment = Environment(
+        loader=PackageLoader("adis_gonio.page", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    # Figures are the package's own drawings, whose texts are escaped already.
+    environment.filters |= {"drawing": Markup, "number_kept": _number_kept, "unit_kept": _unit_kept}
+    return environment.get_template("page.html").render(
+        kind=kind,
+        title=title,
+        shape=shape,
+        simulated=simulated,
+        begun=begun,
+        software=software,
+        sections=[section for section in sections if _filled(section)],
+        closing=closing,
+    )
+
+
+def _filled(section: Section) -> bool:
+    return any(
+        (
+            section.key,
+            section.words,
+            section.points,
+            section.figures,
+            section.tables,
+            section.notes,
+            section.parts,
+        )
+    )
+
+
+def _number_kept(cell: str) -> str:
+    """A number's text, which a narrow column may break before its uncertainty only."""
+    return cell.replace(" ", SPACE).replace(f"{SPACE}±", " ±")
+
+
+def _unit_kept(head: str) -> str:
+    """A column's head, never broken between slash and unit."""
+    return head.replace(" / ", f" /{SPACE}")

@@ -1,0 +1,274 @@
+"""Line and point plots as inline SVG, drawn by matplotlib.
+
+Every series has a shape or a dash of its own besides its colour, so that a page printed in black and white
+stays readable. Colours are CSS variables with a fallback: a page's style sheet adapts them to light and
+dark, and an SVG that stands alone is drawn on a transparent ground by the fallback. Text stays text. The
+same data give the same bytes, whatever the user's matplotlibrc says.
+
+Matplotlib is the extra `report`, imported when the first plot is drawn.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adis_gonio.base.errors import NotInstalledError
+from adis_gonio.base.numbers import number
+from adis_gonio.page.inline import inline_svg
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+Style = Literal["points", "line", "steps"]
+Role = Literal["before", "after", "third", "fourth", "model"]
+Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
+ROLES: tuple[Role, ...] = ("before", "after", "third", "fourth")
+_GROUND = "#fefefe"
+_COLOURS: dict[Role, str] = {
+    "before": "#b8500c",
+    "after": "#0b5cad",
+    "third": "#2d7a2d",
+    "fourth": "#8a3ffc",
+    "model": "#6b6b6b",
+}
+_LINES: dict[Role, dict[str, Any]] = {
+    "before": {"linestyle": (0, (3.5, 1.7)), "linewidth": 1.8},
+    "after": {"linestyle": "-", "linewidth": 1.8},
+    "third": {"linestyle": (0, (1.1, 1.7)), "linewidth": 1.8},
+    "fourth": {"linestyle": (0, (5, 1.7, 1.1, 1.7)), "linewidth": 1.8},
+    "model": {"linestyle": (0, (3.5, 2.7)), "linewidth": 1.1},
+}
+_MARKERS: dict[Role, dict[str, Any]] = {
+    "before": {"marker": "o", "markersize": 7.2, "markerfacecolor": _GROUND, "markeredgewidth": 1.5},
+    "after": {"marker": "o", "markersize": 6.4, "markeredgewidth": 0},
+    "third": {"marker": "s", "markersize": 6.0, "markeredgewidth": 0},
+    "fourth": {"marker": "^", "markersize": 7.5, "markeredgewidth": 0},
+    "model": {"marker": "o", "markersize": 4.0, "markeredgewidth": 0},
+}
+_MOST_MARKERS = 400
+"""Up to so many points have markers with error bars; more are dots."""
+_MOST_POINTS = 2000
+_CHARACTER = 6.9
+"""Mean width of a character at the size of the labels, in units of the drawing."""
+_SETTINGS: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "adis-gonio",
+    "text.parse_math": False,
+    "path.simplify": False,
+    "font.size": 12,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-5, 6),
+    "axes.xmargin": 0.06,
+    "axes.ymargin": 0.06,
+}
+
+
+@dataclass(frozen=True)
+class Series:
+    """Points or a line.
+
+    Attributes
+    ----------
+    x, y : (n,) float
+        Points that are not finite (or not positive on a logarithmic axis) are left out.
+    label : str
+        For the legend; without it the series is not in the legend.
+    error : (n,) float, optional
+        Half length of the error bars, in the unit of y.
+    role : str, optional
+        `before` (hollow circle), `after` (disc), `third` (square), `fourth` (triangle) or `model` (thin
+        dashed line); by default in this order.
+    style : {"points", "line", "steps"}
+    """
+
+    x: ArrayLike
+    y: ArrayLike
+    label: str = ""
+    error: ArrayLike | None = None
+    role: Role | None = None
+    style: Style = "points"
+
+
+def require_matplotlib() -> None:
+    """Check that plots can be drawn, before work is spent on what they shall show.
+
+    Raises
+    ------
+    NotInstalledError
+        Matplotlib cannot be imported.
+    """
+    try:
+        importlib.import_module("matplotlib.figure")
+    except ImportError as error:
+        raise NotInstalledError(
+            f"the figures of a report need {error.name or error}: pip install 'adis-gonio[report]'"
+        ) from error
+
+
+def plot(
+    series: Sequence[Series],
+    x_label: str,
+    y_label: str,
+    *,
+    title: str,
+    description: str = "",
+    x_log: bool = False,
+    y_log: bool = False,
+    x_ticks: Mapping[float, str] | None = None,
+    x_range: tuple[float, float] | None = None,
+    zero: bool = False,
+    width: int = 400,
+    height: int = 265,
+) -> str:
+    """Plot as one `<svg>` element.
+
+    Parameters
+    ----------
+    series : sequence of Series
+    x_label, y_label : str
+        With the unit, such as `residual of x / mg`.
+    title, description : str
+        What a screen reader says; they are not drawn (a page has captions).
+    x_log, y_log : bool
+        Logarithmic axes.
+    x_ticks : mapping of float to str, optional
+        Ticks by hand, such as `{-1: "from above", 1: "from below"}`.
+    x_range : (float, float), optional
+        Limits; by default from the data. Points outside are left out.
+    zero : bool
+        Draw the line y = 0 and let the axis hold it.
+    width, height : int
+        Size of the drawing; it scales with its place in the page.
+
+    Returns
+    -------
+    str
+        Safe to put into a page: all text is escaped, every id begins with a hash of the content.
+
+    Raises
+    ------
+    NotInstalledError
+        Matplotlib is not installed.
+    """
+    require_matplotlib()
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    drawing = io.StringIO()
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_SETTINGS)
+        figure = Figure(figsize=(width / 72, height / 72), layout="constrained")
+        axes = figure.add_subplot()
+        axes.set(xscale="log" if x_log else "linear", yscale="log" if y_log else "linear")
+        axes.set(xlabel=x_label, ylabel=y_label)
+        if zero and not y_log:
+            axes.axhline(0, color="black", alpha=0.55, linewidth=1, clip_on=False)
+        lines = [
+            _draw(axes, one, _clean(one, x_log, y_log, x_range), one.role or ROLES[k % len(ROLES)])
+            for k, one in enumerate(series)
+        ]
+        _scale(axes, x_range, x_ticks)
+        _legend(figure, [line for one, line in zip(series, lines, strict=True) if one.label], width)
+        axes.grid(color="black", alpha=0.14, linewidth=1, clip_on=False)
+        axes.spines[["left", "bottom"]].set(alpha=0.7, linewidth=1)
+        axes.tick_params(length=0, pad=6)
+        figure.savefig(drawing, format="svg", transparent=True, metadata={"Date": None})
+    colours = {colour: f"var(--{role}, {colour})" for role, colour in _COLOURS.items()}
+    colours |= {"#000000": "currentColor", _GROUND: "var(--ground, none)"}
+    return inline_svg(drawing.getvalue(), colours, title=title, description=description)
+
+
+def _clean(one: Series, x_log: bool, y_log: bool, x_range: tuple[float, float] | None) -> Points:
+    """x, y and error (n,) of the points that can be drawn."""
+    x, y = np.asarray(one.x, dtype=float).ravel(), np.asarray(one.y, dtype=float).ravel()
+    error = np.zeros(len(y)) if one.error is None else np.asarray(one.error, dtype=float).ravel()
+    low, high = x_range or (-math.inf, math.inf)
+    keep = np.isfinite(x) & np.isfinite(y) & (x >= low) & (x <= high)
+    keep &= ((x > 0) | (not x_log)) & ((y > 0) | (not y_log))
+    index = np.flatnonzero(keep)
+    if len(index) > _MOST_POINTS:
+        index = index[np.linspace(0, len(index) - 1, _MOST_POINTS).astype(np.intp)]
+    return x[index], y[index], np.where(np.isfinite(error), error, 0.0)[index]
+
+
+def _draw(axes: Axes, one: Series, points: Points, role: Role) -> Line2D:
+    """Draw a series; the line that stands for it in the legend."""
+    x, y, error = points
+    alike: dict[str, Any] = {"color": _COLOURS[role], "clip_on": False}
+    if one.style != "points":
+        stepped = "steps-post" if one.style == "steps" else "default"
+        return axes.plot(x, y, label=one.label, drawstyle=stepped, **_LINES[role], **alike)[0]
+    marked: dict[str, Any] = {"label": one.label, "linestyle": "none", **_MARKERS[role], **alike}
+    if len(x) > _MOST_MARKERS:
+        # Strokes without length in one path: a third of the bytes of as many markers.
+        dots: dict[str, Any] = {"alpha": 0.55, "linewidth": 2, "solid_capstyle": "round"}
+        axes.plot(*_upright(x, y, y), **dots, **alike)
+        return axes.plot([], [], **marked)[0]
+    bars = error > 0
+    low, high = (y - error)[bars], (y + error)[bars]
+    if axes.get_yscale() == "log":
+        low = np.maximum(low, y[bars] / 10)
+    axes.plot(*_upright(x[bars], low, high), linewidth=1.2, solid_capstyle="butt", **alike)
+    return axes.plot(x, y, **marked)[0]
+
+
+def _upright(
+    x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Upright strokes at x from `low` to `high`, all (n,), as one line with gaps, (3n,)."""
+    gap = np.full(len(x), np.nan)
+    return np.stack([x, x, gap], axis=1).ravel(), np.stack([low, high, gap], axis=1).ravel()
+
+
+def _scale(axes: Axes, x_range: tuple[float, float] | None, x_ticks: Mapping[float, str] | None) -> None:
+    """Limits and ticks of both axes."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullLocator
+
+    if x_range is not None:
+        axes.set_xlim(*x_range)
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = axis.get_view_interval()
+        if axis.get_scale() == "log":
+            if high < 10 * low:
+                middle = math.sqrt(low * high)
+                axis.set_view_interval(middle / 3.2, middle * 3.2)
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 300 * low else (1,), numticks=8))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: number(value, 1)))
+            axis.set_minor_locator(NullLocator())
+        elif 300 <= high - low <= 800:
+            # A turn in degrees reads best in parts of a right angle.
+            axis.set_major_locator(MultipleLocator(60 if high - low < 450 else 90))
+        else:
+            axis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10], min_n_ticks=4))
+    if x_ticks is not None:
+        axes.set_xticks(list(x_ticks), list(x_ticks.values()))
+
+
+def _legend(figure: Figure, lines: Sequence[Line2D], width: int) -> None:
+    """A legend above the axes, in as many columns as there is room for."""
+    if lines:
+        column = 34 + _CHARACTER * max(len(str(line.get_label())) for line in lines)
+        figure.legend(
+            handles=list(lines),
+            loc="outside upper left",
+            ncols=max(1, min(len(lines), int(width // column))),
+            frameon=False,
+            borderpad=0,
+            handlelength=1.6,
+            handletextpad=0.5,
+            columnspacing=1.2,
+        )

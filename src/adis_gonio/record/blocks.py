@@ -1,0 +1,176 @@
+"""Samples one after another, of the chip as words or of any other sensor as values.
+
+A session takes either: both have `time_s`, `lost`, `dropped`, `alarm` (None where the sensor tells of
+none), `registers` (names of the columns), `units`, `values()`, `accel_mg`, `first`, and this module's
+functions. The chip's are `ScanBlock`; `ValueBlock` is what a source gives that knows its values in units
+and nothing of the chip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import UsageError
+from adis_gonio.device.sensor import decoding
+from adis_gonio.device.sensor.decoding import ScanBlock
+from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
+
+GENERIC = "generic"
+"""Name of a sensor of which nothing is known but its samples."""
+
+UNITS = dict.fromkeys(("ax", "ay", "az"), "mg") | dict.fromkeys(("gx", "gy", "gz"), "°/s")
+UNITS |= {"temp_c": "°C", "supply_v": "V"}
+"""Columns of a `ValueBlock` with their units."""
+
+
+@dataclass(frozen=True)
+class ValueBlock:
+    """Samples in units.
+
+    Attributes
+    ----------
+    registers : tuple of str
+        Names of the k columns, of `UNITS`; ax, ay and az are the least.
+    data : (n, k) float64
+        In the units of `UNITS`.
+    time_s : (n,) float64
+        Time of each sample on the source's clock, in s.
+    lost : int
+        Samples that were missed since the block before, as far as the source can tell.
+    """
+
+    registers: tuple[str, ...]
+    data: Floats
+    time_s: Floats
+    lost: int = 0
+
+    variant = GENERIC
+    gyro_range_dps = None
+    dropped = 0
+    alarm = None
+    """No word of a sample says that an error or alarm stood."""
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each column."""
+        return tuple(UNITS[name] for name in self.registers)
+
+    def values(self) -> Floats:
+        """Values (n, k)."""
+        return self.data
+
+    @property
+    def accel_mg(self) -> Floats:
+        """Acceleration (n, 3) in mg."""
+        return self.columns("ax", "ay", "az")
+
+    def columns(self, *names: str) -> Floats:
+        """Some columns (n, …)."""
+        return self.data[:, [self.registers.index(name) for name in names]]
+
+    def first(self, count: int) -> ValueBlock:
+        """The first samples of the block."""
+        return replace(self, data=self.data[:count], time_s=self.time_s[:count])
+
+
+Block = ScanBlock | ValueBlock
+
+
+def join(blocks: Sequence[Block]) -> Block:
+    """One block of several that hold the same and follow one another."""
+    values = [block for block in blocks if isinstance(block, ValueBlock)]
+    if not values:
+        return decoding.join([block for block in blocks if isinstance(block, ScanBlock)])
+    return ValueBlock(
+        values[0].registers,
+        np.concatenate([block.data for block in values]),
+        np.concatenate([block.time_s for block in values]),
+        sum(block.lost for block in values),
+    )
+
+
+def cut(block: Block, low: int, high: int, *, counted: bool) -> Block:
+    """Samples low to high (exclusive) of a block; what was lost or dropped goes with them where counted."""
+    rows = slice(low, high)
+    lost = block.lost if counted else 0
+    if isinstance(block, ValueBlock):
+        return replace(block, data=block.data[rows], time_s=block.time_s[rows], lost=lost)
+    dropped = block.dropped if counted else 0
+    words, time_s = block.words[rows], block.time_s[rows]
+    return replace(block, words=words, time_s=time_s, lost=lost, missed=None, dropped=dropped)
+
+
+def count_alarms(block: Block) -> int:
+    """Samples in which an error or alarm stood; 0 where the sensor tells of none."""
+    return 0 if block.alarm is None else int(block.alarm.sum())
+
+
+def to_bytes(block: Block) -> bytes:
+    """What the archive keeps: the chip's words (uint16) or values (float64), little-endian."""
+    if isinstance(block, ValueBlock):
+        return block.data.astype("<f8").tobytes()
+    return block.words.astype("<u2").tobytes()
+
+
+def from_bytes(
+    content: bytes,
+    time_s: Floats,
+    lost: int,
+    *,
+    registers: tuple[str, ...],
+    variant: str,
+    gyro_range_dps: int | None,
+) -> Block:
+    """Block of what the archive kept."""
+    shape = (len(time_s), len(registers))
+    if variant == GENERIC:
+        data = np.frombuffer(content, "<f8").astype(np.float64).reshape(shape)
+        return ValueBlock(registers, data, time_s, lost)
+    words = np.frombuffer(content, "<u2").astype(np.uint16).reshape(shape)
+    return ScanBlock(registers, words, time_s, lost, variant, gyro_range_dps)
+
+
+_OF_REGISTER = {
+    **{name: f"a{axis}" for name, axis in zip(ACCEL_OUT, "xyz", strict=True)},
+    **{name: f"g{axis}" for name, axis in zip(GYRO_OUT, "xyz", strict=True)},
+}
+
+
+def die_temperatures(block: Block) -> Floats | None:
+    """Temperatures (n, 3) of the three gyros' dies in °C; None unless all three were scanned."""
+    if isinstance(block, ValueBlock) or not all(name in block.registers for name in TEMP_OUT):
+        return None
+    return block.select(TEMP_OUT).values()
+
+
+def session_columns(block: Block) -> dict[str, Floats]:
+    """Samples (n,) by column of a session: accelerations in LSB of the chip, else in mg.
+
+    Columns that the block does not hold are left out, and gyros whose range is not known.
+
+    Raises
+    ------
+    UsageError
+        An accelerometer is missing.
+    """
+    if isinstance(block, ValueBlock):
+        return {name: block.data[:, k] for k, name in enumerate(block.registers)}
+    missing = [name for name in ACCEL_OUT if name not in block.registers]
+    if missing:
+        raise UsageError(f"a recording needs the accelerometers; the scan lacks {', '.join(missing)}")
+    numbers = block.select(ACCEL_OUT).numbers().astype(np.float64)
+    columns = {_OF_REGISTER[name]: numbers[:, k] for k, name in enumerate(ACCEL_OUT)}
+    if all(name in block.registers for name in GYRO_OUT) and block.gyro_range_dps:
+        columns |= {_OF_REGISTER[name]: block.column(name) for name in GYRO_OUT}
+    if any(name in block.registers for name in TEMP_OUT):
+        columns["temp_c"] = block.temperature_c
+    if "SUPPLY_OUT" in block.registers:
+        columns["supply_v"] = block.supply_v
+    return columns

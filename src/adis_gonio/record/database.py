@@ -1,0 +1,354 @@
+"""The archive's tables, and how an SQLite file is recognised as one of this program's.
+
+| table | a row is |
+|---|---|
+| `meta` | a fact that stands from the beginning: URL, variant, settings, versions (JSON) |
+| `runs` | one opening of the session by a program: the first, and one each time it is resumed |
+| `records` | something that happened: registers read, a configuration, a plan, a problem, the end (JSON) |
+| `attempts` | one try at a dwell, complete or interrupted, with its times and what interrupted it |
+| `blocks` | scans of an attempt: words (uint16), of a generic sensor values (float64); times (float64) |
+| `moves` | a move of the stage by the program, at its time on the bus's clock |
+
+Every table refuses UPDATE and DELETE: what was written stays. Every row ends with a checksum of the others.
+A file with other tables, or with views, triggers or indexes of its own, is refused before anything in it is
+run; statements have a limit of steps and rows a limit of length. `row_schema` declares every value.
+Numbers in blobs are little-endian. Times called `bus_s` are on the clock of the bus of that run, in s;
+adding the run's `clock_offset_s` makes them seconds since the session began. `continues` is the attempt
+after which a resumed run goes on, 0 for the beginning: a simulated world is brought back to that point.
+
+Durability: a rollback journal (`journal_mode=DELETE`), so that there is one file and nothing beside it
+between commits, and `synchronous=EXTRA`, which besides the file syncs the directory once the journal is
+gone: a commit that was announced survives a power cut. A journal that a killed program left is rolled
+back by whoever opens the file next.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from urllib.parse import quote
+
+from adis_gonio.base.errors import DataError, SessionError, one_line
+
+APPLICATION_ID = 0x4144474F
+"""`ADGO` in the file's header; `file` and SQLite see whose it is."""
+
+SCHEMA_VERSION = 1
+
+TABLES = ("meta", "runs", "records", "attempts", "blocks", "moves")
+
+_CREATE = """
+CREATE TABLE meta (
+    key   TEXT PRIMARY KEY,
+    value TEXT NOT NULL,
+    crc32 INTEGER NOT NULL
+);
+CREATE TABLE runs (
+    run            INTEGER PRIMARY KEY,
+    started_utc    TEXT NOT NULL,
+    bus_s          REAL NOT NULL,
+    clock_offset_s REAL NOT NULL,
+    continues      INTEGER NOT NULL,
+    software       TEXT NOT NULL,
+    crc32          INTEGER NOT NULL
+);
+CREATE TABLE records (
+    record INTEGER PRIMARY KEY,
+    run    INTEGER NOT NULL REFERENCES runs,
+    utc    TEXT NOT NULL,
+    bus_s  REAL NOT NULL,
+    kind   TEXT NOT NULL,
+    value  TEXT NOT NULL,
+    crc32  INTEGER NOT NULL
+);
+CREATE TABLE attempts (
+    attempt        INTEGER PRIMARY KEY,
+    run            INTEGER NOT NULL REFERENCES runs,
+    place          INTEGER NOT NULL,
+    angle_deg      REAL,
+    approach       INTEGER NOT NULL,
+    use            TEXT NOT NULL CHECK (use IN ('fit', 'check')),
+    outcome        TEXT NOT NULL CHECK (outcome IN ('complete', 'interrupted')),
+    reason         TEXT NOT NULL,
+    started_utc    TEXT NOT NULL,
+    started_bus_s  REAL NOT NULL,
+    ended_bus_s    REAL NOT NULL,
+    registers      TEXT NOT NULL,
+    variant        TEXT NOT NULL,
+    gyro_range_dps INTEGER,
+    status         INTEGER,
+    blocks         INTEGER NOT NULL,
+    crc32          INTEGER NOT NULL
+);
+CREATE TABLE blocks (
+    attempt  INTEGER NOT NULL REFERENCES attempts,
+    sequence INTEGER NOT NULL,
+    phase    TEXT NOT NULL CHECK (phase IN ('before', 'dwell', 'after')),
+    scans    INTEGER NOT NULL,
+    lost     INTEGER NOT NULL,
+    words    BLOB NOT NULL,
+    time_s   BLOB NOT NULL,
+    crc32    INTEGER NOT NULL,
+    PRIMARY KEY (attempt, sequence)
+);
+CREATE TABLE moves (
+    move      INTEGER PRIMARY KEY,
+    attempt   INTEGER NOT NULL REFERENCES attempts,
+    bus_s     REAL NOT NULL,
+    angle_deg REAL,
+    approach  INTEGER NOT NULL,
+    direction TEXT NOT NULL,
+    crc32     INTEGER NOT NULL
+);
+"""
+
+
+def statements() -> list[str]:
+    """SQL that makes an empty archive, one statement each, to be run in one transaction."""
+    create = [part.strip() for part in _CREATE.split(";") if part.strip()]
+    guards = [
+        f"CREATE TRIGGER {table}_no_{verb.lower()} BEFORE {verb} ON {table}"
+        f" BEGIN SELECT RAISE(ABORT, 'a session file is append-only'); END"
+        for table in TABLES
+        for verb in ("UPDATE", "DELETE")
+    ]
+    return [
+        *create,
+        *guards,
+        f"PRAGMA application_id = {APPLICATION_ID}",
+        f"PRAGMA user_version = {SCHEMA_VERSION}",
+    ]
+
+
+MOST_STEPS = 100_000_000
+"""Instructions of SQLite's machine after which a statement is stopped; a session of a day takes 10⁶."""
+LONGEST_ROW_BYTES = 64_000_000
+
+WAIT_S = 30.0
+"""How long a reader waits for a commit, and a writer for readers, in s."""
+
+LONGEST_TEXT = 100
+
+_MAGIC = b"SQLite format 3\x00"
+
+
+def is_archive(path: Path) -> bool:
+    """True where the file begins as a session file does (SQLite with this program's mark)."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(72)
+    except OSError:
+        return False
+    return head[:16] == _MAGIC and int.from_bytes(head[68:72], "big") == APPLICATION_ID
+
+
+def connect(path: Path, *, write: bool) -> sqlite3.Connection:
+    """Open an existing session file.
+
+    Raises
+    ------
+    DataError
+        Not a session file, damaged, truncated or newer than this program.
+    SessionError
+        It cannot be opened here (permissions, busy), or holds no session yet.
+    """
+    _check_file(path)
+    connection = _open(path, "rw" if write else "ro")
+    try:
+        with explained(path):
+            try:
+                _check_content(path, connection)
+            except sqlite3.OperationalError:
+                if write:
+                    raise
+                # A killed writer left a journal, which only a writer can roll back.
+                connection.close()
+                connection = _open(path, "rw")
+                _check_content(path, connection)
+            if write:
+                make_durable(connection)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def create(path: Path) -> sqlite3.Connection:
+    """Open a new, empty file for a session; the caller runs `statements()` in its first transaction.
+
+    Raises
+    ------
+    SessionError
+        The file exists already, or cannot be made here.
+    """
+    try:
+        path.touch(exist_ok=False)
+    except FileExistsError:
+        if not path.is_file() or path.stat().st_size > 0 or _journal(path).exists():
+            raise SessionError(
+                f"{path}: exists already; resume it or choose another file (nothing was changed)"
+            ) from None
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be made: {error.strerror}") from None
+    connection = _open(path, "rw")
+    try:
+        with explained(path):
+            make_durable(connection)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def make_durable(connection: sqlite3.Connection) -> None:
+    """Set what a writer needs: see the module's text on durability."""
+    connection.execute("PRAGMA journal_mode = DELETE")
+    connection.execute("PRAGMA synchronous = EXTRA")
+    connection.execute("PRAGMA foreign_keys = ON")
+
+
+@contextmanager
+def explained(path: Path) -> Iterator[None]:
+    """Turn SQLite's errors into one line that names the file."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise _explain(path, error) from error
+    except UnicodeDecodeError as error:
+        raise damaged(path, "text that is none") from error
+
+
+def damaged(path: Path, what: str) -> DataError:
+    """Error of a file whose content cannot be right."""
+    return DataError(f"{path}: is damaged ({what}); restore it from a copy (it was left as it is)")
+
+
+def _truncated(path: Path) -> DataError | None:
+    """Error of a file that is shorter than its own header says; None where it is not."""
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            head = file.read(32)
+    except OSError:
+        return None
+    page_bytes = int.from_bytes(head[16:18], "big")
+    whole = int.from_bytes(head[28:32], "big") * (65536 if page_bytes == 1 else page_bytes)
+    if len(head) == 32 and size >= whole:
+        return None
+    of = f", {size} of {whole} bytes" if len(head) == 32 else ""
+    return DataError(f"{path}: is truncated{of}; restore it from a copy (it was left as it is)")
+
+
+def _excerpt(text: str) -> str:
+    """First printable line's worth of a text, since SQLite quotes SQL and bytes of pages."""
+    line = one_line(text)
+    return line if len(line) <= LONGEST_TEXT else f"{line[:LONGEST_TEXT]}…"
+
+
+def _explain(path: Path, error: sqlite3.Error) -> DataError | SessionError:
+    text = _excerpt(str(error))
+    name = getattr(error, "sqlite_errorname", "")
+    if name.startswith("SQLITE_NOTADB"):
+        return DataError(f"{path}: is no session file")
+    if name.startswith(("SQLITE_INTERRUPT", "SQLITE_TOOBIG")):
+        return damaged(path, f"it cannot be read within bounds: {text}")
+    if name.startswith("SQLITE_CORRUPT") or text.startswith(("no such table", "no such column")):
+        return _truncated(path) or damaged(path, text)
+    if name.startswith("SQLITE_FULL"):
+        return SessionError(
+            f"{path}: the disk is full; make room and resume, all completed dwells are kept"
+        )
+    if name.startswith("SQLITE_READONLY"):
+        return SessionError(f"{path}: cannot be written ({text}); copy it to a place that you may write")
+    if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+        return SessionError(f"{path}: another program has kept it locked for {WAIT_S:g} s; try again")
+    if name.startswith("SQLITE_IOERR"):
+        return SessionError(f"{path}: the disk failed ({text}); all completed dwells are kept")
+    return SessionError(f"{path}: {text}")
+
+
+def _journal(path: Path) -> Path:
+    return path.with_name(path.name + "-journal")
+
+
+def _open(path: Path, mode: str) -> sqlite3.Connection:
+    with explained(path):
+        connection = sqlite3.connect(
+            f"file:{quote(str(path.absolute()))}?mode={mode}",
+            uri=True,
+            timeout=WAIT_S,
+            isolation_level=None,
+            check_same_thread=False,
+            cached_statements=0,  # a statement kept for another run would go on counting its steps
+        )
+        connection.set_progress_handler(lambda: 1, MOST_STEPS)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST_ROW_BYTES)
+        connection.execute("PRAGMA trusted_schema = OFF")
+        return connection
+
+
+def _check_file(path: Path) -> None:
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+    except FileNotFoundError:
+        raise DataError(f"{path}: there is no such file") from None
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be read: {error.strerror}") from None
+    if head and head != _MAGIC[: len(head)]:
+        raise DataError(f"{path}: is no session file")
+    truncated = _truncated(path) if head and len(head) < len(_MAGIC) else None
+    if truncated is not None:
+        raise truncated
+
+
+def _check_content(path: Path, connection: sqlite3.Connection) -> None:
+    (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()  # rolls back, too
+    (application,) = connection.execute("PRAGMA application_id").fetchone()
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    if not tables and not application:
+        raise SessionError(
+            f"{path}: holds no session yet, it was interrupted at its very beginning; begin anew"
+        )
+    if application != APPLICATION_ID:
+        raise DataError(f"{path}: is an SQLite file, but no session file")
+    if version > SCHEMA_VERSION:
+        raise DataError(
+            f"{path}: has schema {version}, this program reads up to {SCHEMA_VERSION}; update adis-gonio"
+        )
+    _refuse_other_objects(path, connection)
+    # A damaged tree could hide rows without any error, hence the walk through all pages.
+    (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+    if found != "ok":
+        raise damaged(path, _excerpt(str(found)))
+
+
+def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
+    """Refuse a file whose tables are not exactly those of `statements`, or that holds anything else.
+
+    A view in the place of a table may run without end; a trigger, an index or another table would run the
+    expressions of whoever made the file. A guard against UPDATE or DELETE may be missing.
+    """
+    with closing(sqlite3.connect(":memory:")) as model:
+        for statement in statements():
+            model.execute(statement)
+        wanted = _objects(model)
+    found = _objects(connection)
+    strange = sorted(name for name, made in found.items() if wanted.get(name) != made)
+    if strange:
+        raise damaged(path, f"'{_excerpt(strange[0])}' is no {_kind(wanted, strange[0])} of a session file")
+    missing = [table for table in TABLES if table not in found]
+    if missing:
+        raise damaged(path, f"no such table: {missing[0]}")
+
+
+def _objects(connection: sqlite3.Connection) -> dict[str, tuple[str, str]]:
+    """Kind and SQL of what a database holds, by name; without SQLite's own."""
+    query = "SELECT name, type, sql FROM sqlite_master WHERE name NOT LIKE 'sqlite\\_%' ESCAPE '\\'"
+    return {str(name): (str(kind), str(sql)) for name, kind, sql in connection.execute(query)}
+
+
+def _kind(wanted: dict[str, tuple[str, str]], name: str) -> str:
+    return wanted[name][0] if name in wanted else "part"

@@ -1,0 +1,175 @@
+"""Which angle gravity should show at a position, and how far off a sane part may be.
+
+The angle of a reading is φ = atan2(U_y, U_x) = α − θ + what gains, misalignment and biases do to it. None
+of these is known when a session begins, but each has a spread by the part's data sheet. They are carried
+as a linear Gaussian model, dwell by dwell: the first positions allow what the spread allows, later ones
+what the fixture allows, because the dwells before have shown the rest.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.record.watch import SHIFT_MG
+
+FALSE_ALARM = 1e-4
+"""Probability that one position of a sane part is questioned: one position in a hundred tumbles of 100."""
+K = NormalDist().inv_cdf(1 - FALSE_ALARM / 2)
+
+GAIN_LIMIT = 0.02
+"""Sensitivity ±2 % (CHIP, B: the sibling's sheet); as a rectangular distribution."""
+ANGLE_LIMIT_DEG = 0.25 + 0.5
+"""Non-orthogonality ±0.25° and axis to frame ±0.5° (CHIP, B)."""
+UNMODELLED_MG = SHIFT_MG / math.sqrt(3)
+"""What effects that this model lacks may do to a reading: as much as the watch leaves in a dwell."""
+UNSTATED_FIXTURE_DEG = 0.5
+"""Where nobody states the fixture's uncertainty: half a division of a scale in degrees."""
+_RECTANGULAR = 1 / math.sqrt(3)
+
+
+@dataclass(frozen=True)
+class PriorKnowledge:
+    """What is known of a part and its fixture before they are measured.
+
+    Attributes
+    ----------
+    bias_mg : float
+        Standard deviation of a bias.
+    reading_mg : float
+        Standard uncertainty of a look at the sensor.
+    fixture_deg : float or None
+        Standard uncertainty of a stage angle; None where it is not stated.
+    gravity_mg : float
+        Local gravity.
+    """
+
+    bias_mg: float
+    reading_mg: float
+    fixture_deg: float | None
+    gravity_mg: float = 1000.0
+
+
+@dataclass(frozen=True)
+class Off:
+    """How far a reading is from what is expected.
+
+    Attributes
+    ----------
+    off_deg : float
+        Angle by gravity minus the angle asked for, within ±180°, as the stage counts.
+    limit_deg : float
+        What a sane part in this fixture stays within.
+    """
+
+    off_deg: float
+    limit_deg: float
+
+    @property
+    def allowed(self) -> bool:
+        """True where it can be right."""
+        return abs(self.off_deg) <= self.limit_deg
+
+
+class Expectation:
+    """Sequential model of a turn in the plane: start angle, two gains, Δφ, two biases.
+
+    Parameters
+    ----------
+    spread : PriorKnowledge
+    sense : {1, -1}
+        -1 where the stage counts against the convention.
+    """
+
+    def __init__(self, spread: PriorKnowledge, sense: int = 1) -> None:
+        self.sense = sense
+        gravity = spread.gravity_mg
+        gain, bias = GAIN_LIMIT * _RECTANGULAR, spread.bias_mg / gravity
+        skew = math.radians(ANGLE_LIMIT_DEG) * _RECTANGULAR
+        fixture = UNSTATED_FIXTURE_DEG if spread.fixture_deg is None else spread.fixture_deg
+        self._reading = math.hypot(spread.reading_mg, UNMODELLED_MG) / gravity
+        self._angle = math.hypot(self._reading, math.radians(fixture))
+        self._information = np.diag([0.0, gain**-2, gain**-2, skew**-2, bias**-2, bias**-2])
+        self._weighted = np.zeros(6)
+        self._gravity = gravity
+        self._start_rad: float | None = None
+
+    @property
+    def begun(self) -> bool:
+        """True once a dwell has been added: before that there is no start angle."""
+        return self._start_rad is not None
+
+    def add(self, accel_mg: Floats, angle_deg: float) -> None:
+        """Learn from a dwell with mean `accel_mg` (2 or more,) at a stage angle."""
+        phi, log_norm = self._polar(accel_mg)
+        seen = phi + self.sense * math.radians(angle_deg)
+        if self._start_rad is None:
+            self._start_rad = seen
+        rest = _wrapped(seen - self._start_rad)
+        for row, value, u in (
+            (_angle_row(phi), rest, self._angle),
+            (_norm_row(phi), log_norm, self._reading),
+        ):
+            self._information += np.outer(row, row) / u**2
+            self._weighted += row * value / u**2
+
+    def off(self, accel_mg: Floats, angle_deg: float) -> Off:
+        """How far a reading is from a stage angle; nothing can be said before the first dwell."""
+        if self._start_rad is None:
+            return Off(0.0, math.inf)
+        phi, _ = self._polar(accel_mg)
+        covariance = np.linalg.inv(self._information)
+        mean = covariance @ self._weighted
+        expected = self._start_rad + mean[0] - self.sense * math.radians(angle_deg)
+        row = _angle_row(expected)
+        residual = _wrapped(phi - expected - float(row[1:] @ mean[1:]))
+        limit = K * math.sqrt(float(row @ covariance @ row) + self._angle**2)
+        return Off(-self.sense * math.degrees(residual), math.degrees(limit))
+
+    def angle_deg(self, accel_mg: Floats) -> float:
+        """Stage angle by gravity, corrected by what is known so far, within ±180°."""
+        phi, _ = self._polar(accel_mg)
+        if self._start_rad is None:
+            return -self.sense * math.degrees(phi)
+        mean = np.linalg.solve(self._information, self._weighted)
+        rest = self._start_rad + float(_angle_row(phi) @ mean)
+        return self.sense * math.degrees(_wrapped(rest - phi))
+
+    def _polar(self, accel_mg: Floats) -> tuple[float, float]:
+        x, y = float(accel_mg[0]), float(accel_mg[1])
+        return math.atan2(y, x), math.log(max(math.hypot(x, y), 1.0) / self._gravity)
+
+
+def turned_deg(before_mg: Floats, now_mg: Floats, sense: int = 1) -> float:
+    """Turn of the stage by gravity between two readings, within ±180°."""
+    before = math.atan2(float(before_mg[1]), float(before_mg[0]))
+    now = math.atan2(float(now_mg[1]), float(now_mg[0]))
+    return -sense * math.degrees(_wrapped(now - before))
+
+
+def wrapped_deg(angle_deg: float) -> float:
+    """The same direction within −180° (inclusive) and 180°."""
+    return (angle_deg + 180.0) % 360.0 - 180.0
+
+
+def _wrapped(angle_rad: float) -> float:
+    return (angle_rad + math.pi) % (2 * math.pi) - math.pi
+
+
+def _angle_row(psi: float) -> Floats:
+    """∂φ by start angle, gains of X and Y, Δφ, biases of X and Y in units of G."""
+    c, s = math.cos(psi), math.sin(psi)
+    return np.array([1.0, -s * c, s * c, c * c, -s, c])
+
+
+def _norm_row(psi: float) -> Floats:
+    """∂ ln |U| by the same."""
+    c, s = math.cos(psi), math.sin(psi)
+    return np.array([0.0, c * c, s * s, s * c, c, s])
+
+
+__all__ = ["Expectation", "Off", "PriorKnowledge", "turned_deg", "wrapped_deg"]

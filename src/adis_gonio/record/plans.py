@@ -1,0 +1,362 @@
+"""Plans: which positions a session visits, in which order, and what each is for.
+
+| plan | positions | why |
+|---|---|---|
+| `two-position` | 0°, 90° | the seed paper's; sees ΔK and Δφ, cannot see a bias |
+| `four-position` | 0°, 90°, 180°, 270° | opposite positions cancel a bias |
+| `mmpm` | nine, every 40° | all six planar parameters with the most information that nine can give |
+| `tumble` | n up and the same n back (12) | the way back shows backlash, hysteresis and drift |
+| `poses` | n free attitudes in space (14) | bias, scale and skew of all three axes; needs no stage |
+
+Why 40° for the nine: readings of a turn are a first-order trigonometric regression, for which equally
+spaced angles over the full circle are D-optimal, and the information of all six planar parameters (start
+angle, two gains, Δφ, two biases) is then the same whatever the start angle. Nine angles that close the
+circle at 45° spend one on a repetition, a quarter turn is worse by orders of magnitude (the test computes
+the determinants), and an odd number keeps the residual's harmonics apart up to the fourth
+(n harmonics need 2n + 1 positions).
+"""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from adis_gonio.base.counting import counted
+from adis_gonio.base.errors import UsageError
+from adis_gonio.model.records import Plane, Use
+
+Approach = Literal[-1, 0, 1]
+Order = Literal["plan", "reverse", "shuffled"]
+
+MOST_POSITIONS = 3600
+GYRO_TURNS = "gyro-turns"
+"""Name of the plan of whole turns on a table (`gyro_turns`)."""
+DEFAULT_PLAN = "two-position"
+
+
+@dataclass(frozen=True)
+class Position:
+    """One place to visit.
+
+    Attributes
+    ----------
+    angle_deg : float or None
+        Angle to declare, positive for the rotation of the paper's equation 6; None for a free attitude.
+    approach : {1, -1, 0}
+        Direction of travel in which the angle is reached; 0 for a free attitude.
+    use : {"fit", "check"}
+        `check` positions are kept out of every fit.
+    direction : tuple of 3 float or None
+        For a free attitude: what an ideal sensor would read there, in units of G. Only a suggestion, which
+        a stage that turns in space can follow; a fit never sees it.
+    wait_s : float
+        How long to wait there, beside what stillness takes.
+    temperature_c, supply_v : float or None
+        Temperature of the part and supply to bring about first; None as they are. A fit takes what was
+        measured, never this.
+    turned_deg : float or None
+        How far the part is turned on the way here, by a mark or a stop, about the vertical, positive
+        counter-clockwise seen from above; None where it is brought here in any way.
+    """
+
+    angle_deg: float | None
+    approach: Approach = 1
+    use: Use = "fit"
+    direction: tuple[float, float, float] | None = None
+    wait_s: float = 0.0
+    temperature_c: float | None = None
+    supply_v: float | None = None
+    turned_deg: float | None = None
+
+    def __str__(self) -> str:
+        if self.turned_deg is not None:
+            way = "counter-clockwise" if self.turned_deg > 0 else "clockwise"
+            return f"{counted(round(abs(self.turned_deg) / 360), 'turn')} {way}"
+        place = "a new attitude" if self.angle_deg is None else f"{self.angle_deg:g}°"
+        way = {1: "", 0: "", -1: " from above"}[self.approach]
+        return f"{place}{way}{' (check)' if self.use == 'check' else ''}"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Positions in the order in which they are visited.
+
+    Attributes
+    ----------
+    plane : {"xy", "none"}
+        Plane of rotation, or none for attitudes anywhere in space.
+    turns : int
+        Full turns of a continuous recording; 0 where the positions are what is visited.
+    """
+
+    name: str
+    positions: tuple[Position, ...]
+    plane: Plane = "xy"
+    turns: int = 0
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form; `turns` where there are any."""
+        return {
+            "name": self.name,
+            "plane": self.plane,
+            "positions": [_entry(position) for position in self.positions],
+        } | ({"turns": self.turns} if self.turns else {})
+
+    def ordered(self, order: Order, rng: np.random.Generator) -> Plan:
+        """The same positions in another order, with the directions of approach that it leads to.
+
+        Parameters
+        ----------
+        order : {"plan", "reverse", "shuffled"}
+            A shuffled order separates what depends on time from what depends on the angle.
+        rng : numpy.random.Generator
+            Draws the shuffled order.
+        """
+        if order == "plan":
+            return self
+        places = list(range(len(self)))[::-1]
+        if order == "shuffled":
+            places = [int(place) for place in rng.permutation(len(self))]
+        chosen = [self.positions[place] for place in places]
+        travelled = [chosen[0]]
+        for before, here in itertools.pairwise(chosen):
+            if here.angle_deg is None or before.angle_deg is None:
+                travelled.append(here)
+            elif here.angle_deg == before.angle_deg:
+                travelled.append(replace(here, approach=travelled[-1].approach))
+            else:
+                travelled.append(replace(here, approach=1 if here.angle_deg > before.angle_deg else -1))
+        return replace(self, positions=tuple(travelled))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Plan:
+        """Plan from its JSON form."""
+        positions = tuple(_position(entry) for entry in data["positions"])
+        return cls(data["name"], positions, data["plane"], data.get("turns", 0))
+
+
+def _entry(position: Position) -> dict[str, Any]:
+    """JSON form; `turned_deg` where something is declared of the way."""
+    entry = asdict(position)
+    if position.turned_deg is None:
+        del entry["turned_deg"]
+    return entry
+
+
+def _position(entry: Mapping[str, Any]) -> Position:
+    direction = entry["direction"]
+    return Position(**{**entry, "direction": None if direction is None else tuple(direction)})
+
+
+@dataclass(frozen=True)
+class _Kind:
+    default: int
+    least: int
+    fixed: bool = False
+
+
+_KINDS: dict[str, _Kind] = {
+    "two-position": _Kind(2, 2, fixed=True),
+    "four-position": _Kind(4, 4, fixed=True),
+    "mmpm": _Kind(9, 9),
+    "tumble": _Kind(12, 3),
+    "poses": _Kind(14, 9),
+}
+
+PLAN_NAMES: tuple[str, ...] = tuple(_KINDS)
+"""Names that `plan` takes."""
+
+
+def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0) -> Plan:
+    """Plan by name.
+
+    Parameters
+    ----------
+    name : str
+        One of `PLAN_NAMES`.
+    positions : int or None
+        Number of angles (`tumble` visits each twice); None for the plan's own. The two- and the
+        four-position plan have no choice.
+    check : int
+        How many `check` positions to put between the others, spread over the session so that they are
+        not all at its end, where a drift would make them extrapolations.
+
+    Raises
+    ------
+    UsageError
+        No such plan, or a number that it does not allow.
+    """
+    kind = _KINDS.get(name)
+    if name == "free-turn":
+        raise UsageError("a free turn has no positions: calibrate URL --plan free-turn records it")
+    if name == GYRO_TURNS:
+        raise UsageError("gyro turns have no positions: calibrate URL --plan gyro-turns --turns N")
+    if kind is None:
+        near = difflib.get_close_matches(name, _KINDS, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(_KINDS)}"
+        raise UsageError(f"no plan is called '{name}'; {hint}")
+    count = kind.default if positions is None else positions
+    if kind.fixed and count != kind.default:
+        raise UsageError(
+            f"plan '{name}' has {counted(kind.default, 'position')}, not {count}; mmpm and tumble take any"
+        )
+    if not kind.least <= count <= MOST_POSITIONS:
+        raise UsageError(f"plan '{name}' takes {kind.least} to {MOST_POSITIONS} positions, not {count}")
+    _refuse_checks(check)
+    if name == "poses":
+        uses: list[Use] = ["fit"] * count
+        for place in _spread(check, count):
+            uses.insert(place, "check")
+        places = zip(uses, _sphere(len(uses)), strict=True)
+        return Plan(name, tuple(Position(None, 0, use, vector) for use, vector in places), "none")
+    return Plan(name, _with_checks(_angles(name, count), check))
+
+
+def with_checks(made: Plan, check: int) -> Plan:
+    """A plan in the plane with so many more `check` positions between the others; see `plan`."""
+    _refuse_checks(check)
+    return replace(made, positions=_with_checks(list(made.positions), check)) if check else made
+
+
+def _refuse_checks(check: int) -> None:
+    if not 0 <= check <= MOST_POSITIONS:
+        raise UsageError(f"a plan takes 0 to {MOST_POSITIONS} check positions, not {check}")
+
+
+def _angles(name: str, count: int) -> list[Position]:
+    if name == "two-position":
+        return [Position(0.0), Position(90.0)]
+    up = [Position(360.0 * k / count) for k in range(count)]
+    if name == "tumble":
+        return up + [replace(position, approach=-1) for position in reversed(up)]
+    return up
+
+
+def _sphere(count: int) -> list[tuple[float, float, float]]:
+    """Directions spread evenly over the sphere: a spiral that turns by the golden angle each step."""
+    golden = math.pi * (3.0 - math.sqrt(5.0))
+    vectors = []
+    for k in range(count):
+        z = 1.0 - (2 * k + 1) / count
+        radius = math.sqrt(1.0 - z * z)
+        vectors.append((radius * math.cos(golden * k), radius * math.sin(golden * k), z))
+    return vectors
+
+
+def _spread(checks: int, count: int) -> list[int]:
+    """Indices at which to insert, last first, so that the earlier ones stay valid."""
+    return sorted((math.ceil((k + 1) * count / (checks + 1)) for k in range(checks)), reverse=True)
+
+
+def _with_checks(fit: list[Position], check: int) -> tuple[Position, ...]:
+    """Put check positions evenly into the gaps between neighbours, in the gap's direction of travel."""
+    gaps = [
+        k for k, (here, there) in enumerate(itertools.pairwise(fit)) if here.angle_deg != there.angle_deg
+    ]
+    inserted = [0] * len(fit)
+    for k in range(check):
+        # Middles of equal parts of the row of gaps: 1 check goes to the middle gap, 2 to the quarters.
+        inserted[gaps[int((k + 0.5) * len(gaps) / check)]] += 1
+    result: list[Position] = []
+    for k, position in enumerate(fit):
+        result.append(position)
+        for j in range(inserted[k]):
+            here, there = fit[k].angle_deg or 0.0, fit[k + 1].angle_deg or 0.0
+            angle = here + (there - here) * (j + 1) / (inserted[k] + 1)
+            result.append(Position(angle, 1 if there > here else -1, "check"))
+    return tuple(result)
+
+
+@dataclass(frozen=True)
+class Blindness:
+    """What a plan cannot see, in numbers.
+
+    Attributes
+    ----------
+    bias_mg : float
+        Standard uncertainty of an unseen bias on each axis, in mg.
+    delta_k_u, delta_phi_u_deg : float
+        What that does to ΔK (unit 1) and to Δφ (degrees).
+    message : str
+        The same in one sentence, with what to do.
+    """
+
+    bias_mg: float
+    delta_k_u: float
+    delta_phi_u_deg: float
+    message: str
+
+
+def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindness | None:
+    """Say what two positions cannot see; None for a plan that sees a bias.
+
+    In the closed form of the two positions a bias b_x turns the vector (U_x1, U_x2) by
+    b_x (cos α - sin α)/G and lengthens it by b_x (cos α + sin α)/G; b_y does the same with the two
+    factors exchanged. For equal, independent biases of standard deviation b the squares add up to 2
+    whatever α is: u(Δφ) = √2 b/G rad and u(ΔK) = √2 b/G.
+
+    Parameters
+    ----------
+    bias_mg : float
+        Standard deviation of the bias that an axis may have, in mg.
+    gravity_mg : float
+        Local gravity in mg.
+    """
+    angles = [position.angle_deg for position in plan.positions if position.use == "fit"]
+    if any(angle is None for angle in angles) or _sees_bias([angle or 0.0 for angle in angles]):
+        return None
+    relative = math.sqrt(2.0) * bias_mg / gravity_mg
+    degrees = math.degrees(relative)
+    return Blindness(
+        bias_mg,
+        relative,
+        degrees,
+        f"{counted(len(angles), 'position')} cannot see a bias: {bias_mg:g} mg on each axis would put"
+        f" {degrees:.2f}° into delta_phi and {relative:.4f} into delta_k; the opposite positions cancel it",
+    )
+
+
+def _sees_bias(angles_deg: Sequence[float]) -> bool:
+    """True where the mean direction of an axis is told from its bias: at least three separate angles."""
+    return len({round(angle % 360.0, 6) for angle in angles_deg}) >= 3
+
+
+def attitude(direction: Sequence[float]) -> str:
+    """Attitude in words, such as `one that reads +x −z`: axes that read much of gravity, with signs."""
+    axes = [f"{'+' if part > 0 else '−'}{'xyz'[k]}" for k, part in enumerate(direction) if abs(part) > 0.3]
+    return f"one that reads {' '.join(axes)}"
+
+
+def extended(plan: Plan, positions: Sequence[Position]) -> Plan:
+    """The same plan with further positions at its end."""
+    return replace(plan, positions=(*plan.positions, *positions))
+
+
+def extension(plan: Plan, done: int) -> Plan | None:
+    """Plan that goes on where a finished one stops being able to see, or None.
+
+    Parameters
+    ----------
+    plan : Plan
+        Plan in force.
+    done : int
+        How many of its positions are done.
+
+    Returns
+    -------
+    Plan or None
+        For a completed two-position plan the four-position plan that begins with the positions already
+        visited; None for any other plan or while positions are missing.
+    """
+    if plan.name != "two-position" or done < len(plan):
+        return None
+    return Plan("four-position", (*plan.positions, Position(180.0), Position(270.0)), plan.plane)

@@ -1,0 +1,162 @@
+"""Where a calibration comes from: what a fit keeps of its session beside the parameters."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.device.sensor.registers import ACCEL_OFF, GYRO_OFF
+from adis_gonio.model.records import Plane, Session
+
+
+@dataclass(frozen=True)
+class Covered:
+    """Mean and range of a condition over the dwells of a session."""
+
+    mean: float
+    low: float
+    high: float
+
+    def as_dict(self) -> dict[str, float]:
+        """`{"mean", "low", "high"}`."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What is known of the session behind a result.
+
+    Attributes
+    ----------
+    sensor : str
+        Variant, as in `Session`.
+    plane : {"xy", "none"}
+    gravity_mps2 : float
+    counts : bool
+        True where readings are in counts of unknown scale, False where they are mg.
+    title, serial, operator, stage : str
+        Free text; empty where nobody gave it.
+    source : str
+        Name of the file, without its folder.
+    sha256 : str
+        Of the dwells' data, whatever file they are in.
+    recorded_utc : str
+        When the session began (ISO 8601); empty where the file does not say.
+    software : str
+        Program that made the result.
+    temperature_c, supply_v : Covered or None
+        Over all samples; None where not recorded.
+    offsets_lsb : tuple of int or None
+        Numbers in XACCL_OFF, YACCL_OFF, ZACCL_OFF while it was recorded; None where the file does not say.
+    written_lsb : tuple of int or None
+        Numbers that were written there since; None where nothing was.
+    write_open : bool
+        True where a write was interrupted, so that only the sensor can tell.
+    gyro_offsets_lsb, gyro_written_lsb, gyro_write_open
+        The same of XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF.
+    """
+
+    sensor: str
+    plane: Plane
+    gravity_mps2: float
+    counts: bool = False
+    title: str = ""
+    serial: str = ""
+    operator: str = ""
+    stage: str = ""
+    source: str = ""
+    sha256: str = ""
+    recorded_utc: str = ""
+    software: str = ""
+    temperature_c: Covered | None = None
+    supply_v: Covered | None = None
+    offsets_lsb: tuple[int, int, int] | None = None
+    written_lsb: tuple[int, int, int] | None = None
+    write_open: bool = False
+    gyro_offsets_lsb: tuple[int, int, int] | None = None
+    gyro_written_lsb: tuple[int, int, int] | None = None
+    gyro_write_open: bool = False
+
+
+def provenance_of(session: Session) -> Provenance:
+    """What a result keeps of its session; worked out once and kept with it."""
+    kept: Provenance | None = vars(session).get("_provenance")  # the session is frozen: it cannot go stale
+    if kept is None:
+        from adis_gonio.base.version import __version__
+
+        kept = Provenance(
+            sensor=session.sensor,
+            plane=session.plane,
+            gravity_mps2=session.gravity_mps2,
+            counts=session.accel_unit == "counts",
+            title=session.title,
+            serial=getattr(session, "serial", "") or "",
+            operator=getattr(session, "operator", "") or "",
+            stage=getattr(session, "stage", "") or "",
+            source=PurePath(session.source).name,
+            sha256=digest_of(session),
+            recorded_utc=str(session.facts.get("started_utc") or ""),
+            temperature_c=_covered([dwell.temperature_c for dwell in session.dwells]),
+            supply_v=_covered([dwell.supply_v for dwell in session.dwells]),
+            software=f"adis-gonio {__version__}",
+            offsets_lsb=_offsets(session.facts, ACCEL_OFF),
+            **_written(session, ACCEL_OFF),
+            gyro_offsets_lsb=_offsets(session.facts, GYRO_OFF),
+            **{f"gyro_{name}": value for name, value in _written(session, GYRO_OFF).items()},
+        )
+        vars(session)["_provenance"] = kept
+    return kept
+
+
+def digest_of(session: Session) -> str:
+    """SHA-256 over sensor, unit, plane and every dwell's angle, use and samples, as hexadecimal digits.
+
+    It is that of the data: the same for an archive and for the CSV exported from it.
+    """
+    digest = hashlib.sha256(f"{session.sensor} {session.accel_unit} {session.plane}".encode())
+    for dwell in session.dwells:
+        digest.update(f"{dwell.angle_deg!r} {dwell.approach} {dwell.use} {len(dwell)}".encode())
+        for series in (dwell.time_s, dwell.accel, dwell.temperature_c, dwell.supply_v):
+            if series is not None:
+                digest.update(np.ascontiguousarray(series, dtype="<f8").data)
+    return digest.hexdigest()
+
+
+def _covered(series: list[Floats | None]) -> Covered | None:
+    rows = [one for one in series if one is not None and len(one)]
+    if not rows or len(rows) != len(series):
+        return None
+    means = [float(one.mean()) for one in rows]
+    low, high = min(float(one.min()) for one in rows), max(float(one.max()) for one in rows)
+    return Covered(float(np.mean(means)), low, high) if np.isfinite([*means, low, high]).all() else None
+
+
+def _written(session: Session, registers: tuple[str, ...]) -> dict[str, Any]:
+    held = _offsets(session.facts, registers)
+    if held is None or not session.facts.get("offset_writes"):
+        return {}
+    from adis_gonio.record.write_journal import operations_of
+
+    known = operations_of(session, registers)
+    if not known:
+        return {}
+    last = known[-1]
+    if last.open:
+        return {"write_open": True}
+    pairs = zip(registers, held, strict=True)
+    return {"written_lsb": tuple(last.target.get(name, number) for name, number in pairs)}
+
+
+def _offsets(facts: Mapping[str, Any], registers: tuple[str, ...]) -> tuple[int, int, int] | None:
+    held = ((facts.get("registers") or {}).get("configured")) or {}
+    numbers = [held.get(name) for name in registers]
+    if any(not isinstance(number, int) for number in numbers):
+        return None
+    x, y, z = (int(number) for number in numbers if number is not None)
+    return x, y, z

@@ -1,0 +1,251 @@
+"""A session file as a `Session` for the fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from adis_gonio.base.counting import counted
+from adis_gonio.base.errors import DataError
+from adis_gonio.device.sensor.registers import changed_settings
+from adis_gonio.model.records import Dwell, Session
+from adis_gonio.record.blocks import GENERIC, Block, die_temperatures, join, session_columns
+from adis_gonio.record.faults import WITHOUT_NEWS, Alarms, alarms_of
+from adis_gonio.record.plans import Plan
+from adis_gonio.record.rows import JsonDict, StoredAttempt
+from adis_gonio.record.turn_pieces import FREE_TURN, recording_of
+from adis_gonio.record.turns import ArchivedTurns
+from adis_gonio.record.view import ArchiveView
+
+
+def read_session(path: str | Path) -> Session:
+    """Read a session file: its complete dwells, in the order in which they were recorded.
+
+    A session may be read while another program records it. Samples are in LSB (of a generic sensor in mg)
+    and °/s, times in seconds since the session began. `facts` holds `configuration`, `registers` (before,
+    configured, after), `plan`, `settings`, `url`, `note`, `runs`, `dwells` (times, lost and dropped scans,
+    STATUS and alarms of each), `reversed` (True where the stage's angles were taken with the other sign),
+    `doubts` (why the result cannot be right: what was kept against a guard), `remarks` (the operator's),
+    `scanning` (how scans were got), `problems`, `advised` (what an advisor asked for, round by round),
+    `turned` (the gyros' integrals between dwells, as the bench had them),
+    `offset_writes` (what `adis_gonio.bench.writeback` has written to the sensor since, step by step),
+    `complete`, and for simulated sessions alone `truth`, which no fit may use.
+
+    Raises
+    ------
+    DataError
+        The file is missing, of another kind, damaged, truncated or newer than this program, or has no
+        complete dwell.
+    SessionError
+        It cannot be read here, or holds no session yet.
+    """
+    with ArchiveView(path) as view, view.snapshot():
+        header, plan, stored = view.header(), view.plan(), view.dwells()
+        pending, skipped = view.pending(), view.skipped()
+        if plan.name == FREE_TURN:
+            return _free_turn(path, view)
+        if not stored:
+            raise DataError(f"{path}: no dwell is complete yet; resume the session")
+        dropped = {r.value["attempt"]: r.value["scans"] for r in view.records("dropped")}
+        joined = [join(view.blocks(attempt, "dwell")) for attempt in stored]
+        facts: JsonDict = {
+            "url": header.url,
+            "note": header.note,
+            "simulated": header.simulated,
+            "software": header.software,
+            "started_utc": header.created_utc,
+            "settings": dict(header.settings),
+            "plan": plan.as_dict(),
+            "configuration": view.last("configuration"),
+            "registers": {
+                when: view.last(f"registers-{when}") for when in ("before", "configured", "after")
+            },
+            "runs": view.runs(),
+            "problems": [record.value for record in view.records("problem")],
+            "advised": [record.value for record in view.records("advised")],
+            "turned": [record.value for record in view.records("turned")],
+            "reversed": bool(view.last("reversed")),
+            "doubts": view.doubts() + _changed_registers(view),
+            "remarks": [record.value for record in view.records("remark")],
+            "complete": not pending,
+            "skipped": sorted(skipped),
+            "scanning": view.last("scanning"),
+            "offset_writes": view.offset_writes(),
+            "dwells": [
+                _facts_of(a, scans, dropped.get(a.number, 0))
+                for a, scans in zip(stored, joined, strict=True)
+            ],
+        }
+        truth = view.last("truth")
+    if header.simulated and truth is not None:
+        facts["truth"] = truth
+    sign = -1 if facts["reversed"] else 1
+    dwells = tuple(_dwell(k, *pair, sign) for k, pair in enumerate(zip(stored, joined, strict=True)))
+    return Session(
+        dwells,
+        sensor=header.variant,
+        accel_unit="mg" if header.variant == GENERIC else "lsb",
+        gravity_mps2=header.gravity_mps2,
+        fixture_sigma_deg=header.fixture_sigma_deg,
+        plane=plan.plane,
+        title=header.title,
+        operator=header.operator,
+        serial=header.serial,
+        stage=header.stage,
+        source=str(path),
+        notes=(*_notes(plan, pending, skipped, facts), *_of_writes(facts)),
+        facts=facts,
+        turns_from=ArchivedTurns(Path(path).absolute(), tuple(attempt.number for attempt in stored)),
+    )
+
+
+def _free_turn(path: str | Path, view: ArchiveView) -> Session:
+    """One continuous turn; what a broken one has is taken, and said."""
+    header = view.header()
+    recording, reason = recording_of(view)
+    if recording is None:
+        raise DataError(f"{path}: holds no turn yet; resume the session")
+    lost = sum(block.lost for a in view.attempts() for block in view.blocks(a))
+    facts: JsonDict = {
+        "url": header.url,
+        "note": header.note,
+        "simulated": header.simulated,
+        "software": header.software,
+        "started_utc": header.created_utc,
+        "settings": dict(header.settings),
+        "plan": view.plan().as_dict(),
+        "configuration": view.last("configuration"),
+        "registers": {when: view.last(f"registers-{when}") for when in ("before", "configured", "after")},
+        "runs": view.runs(),
+        "problems": [record.value for record in view.records("problem")],
+        "advised": [],
+        "reversed": False,
+        "doubts": _changed_registers(view),
+        "remarks": [record.value for record in view.records("remark")],
+        "complete": not reason,
+        "skipped": [],
+        "scanning": view.last("scanning"),
+        "offset_writes": view.offset_writes(),
+        "dwells": [],
+        "broken_off": reason,
+    }
+    truth = view.last("truth")
+    if header.simulated and truth is not None:
+        facts["truth"] = truth
+    length_s = float(recording.time_s[-1] - recording.time_s[0])
+    notes = [doubt["message"] for doubt in facts["doubts"]]
+    if reason:
+        notes.append(
+            f"the turn was broken off after {length_s:.0f} s: {reason}; --resume records a new one"
+        )
+    if lost:
+        notes.append(f"{counted(lost, 'scan')} lost on the bus during the turn")
+    return Session(
+        (),
+        sensor=header.variant,
+        accel_unit="mg" if header.variant == GENERIC else "lsb",
+        gravity_mps2=header.gravity_mps2,
+        fixture_sigma_deg=header.fixture_sigma_deg,
+        title=header.title,
+        operator=header.operator,
+        serial=header.serial,
+        stage=header.stage,
+        source=str(path),
+        notes=(*notes, *_of_writes(facts)),
+        recording=recording,
+        free_turn=True,
+        facts=facts,
+    )
+
+
+def _of_writes(facts: JsonDict) -> tuple[str, ...]:
+    """What a write-back to the sensor means for the results; nothing where there was none."""
+    recorded = facts["registers"]["configured"]
+    if not facts["offset_writes"] or not recorded:
+        return ()
+    from adis_gonio.record.write_journal import operations, remarks_on
+
+    return remarks_on(operations(facts["offset_writes"]), recorded)
+
+
+def _dwell(number: int, attempt: StoredAttempt, scans: Block, sign: int) -> Dwell:
+    columns = session_columns(scans)
+    return Dwell(
+        number,
+        scans.time_s + attempt.offset_s,
+        np.column_stack([columns[name] for name in ("ax", "ay", "az")]),
+        angle_deg=None if attempt.position.angle_deg is None else sign * attempt.position.angle_deg,
+        approach=sign * attempt.position.approach,
+        use=attempt.position.use,
+        gyro=np.column_stack([columns[name] for name in ("gx", "gy", "gz")]) if "gx" in columns else None,
+        temperature_c=columns.get("temp_c"),
+        supply_v=columns.get("supply_v"),
+        temperatures_c=die_temperatures(scans),
+    )
+
+
+def _facts_of(attempt: StoredAttempt, scans: Block, dropped: int) -> JsonDict:
+    alarms = alarms_of(scans)
+    return {
+        "place": attempt.place,
+        "attempt": attempt.number,
+        "run": attempt.run,
+        "started_utc": attempt.started_utc,
+        "samples": len(scans),
+        "lost": scans.lost,
+        "dropped": dropped,
+        "status": attempt.status,
+        "alarms": None if alarms is None else alarms.as_dict(),
+    }
+
+
+def _changed_registers(view: ArchiveView) -> list[JsonDict]:
+    """Return the doubt about a session whose registers were not the same at its end as at its beginning."""
+    then, now = view.last("registers-configured"), view.last("registers-after")
+    changed = changed_settings(then or {}, now or {})
+    if not changed:
+        return []
+    told = ", ".join(f"{name} {before} → {after}" for name, (before, after) in changed.items())
+    message = (
+        f"the sensor's settings changed while the session was recorded ({told}): it restarted, or somebody"
+        " wrote to it, and dwells from before and after do not agree"
+    )
+    return [{"attempt": None, "kind": "registers", "message": message}]
+
+
+def _doubtful(plan: Plan, doubt: JsonDict) -> str:
+    if doubt["kind"] == "registers":
+        return str(doubt["message"])
+    if doubt["attempt"] is None:
+        where = plan.positions[doubt["place"]]
+        return f"{where} contradicted dwells before it and was skipped: {doubt['message']}"
+    return f"attempt {doubt['attempt']} was kept: {doubt['message']}"
+
+
+def _notes(plan: Plan, pending: Sequence[int], skipped: set[int], facts: JsonDict) -> tuple[str, ...]:
+    notes, dwells = [], facts["dwells"]
+    if pending:
+        notes.append(
+            f"unfinished session: {len(dwells)} of {counted(len(plan), 'position')} of plan"
+            f" '{plan.name}' done"
+        )
+    if facts["reversed"]:
+        notes.append("turned the other way: every angle of the plan was taken with the other sign")
+    notes += [_doubtful(plan, doubt) for doubt in facts["doubts"]]
+    if skipped:
+        notes.append(f"skipped: {', '.join(str(plan.positions[place]) for place in sorted(skipped))}")
+    lost = sum(dwell["lost"] for dwell in dwells)
+    if lost:
+        notes.append(f"{counted(lost, 'scan')} lost on the bus within the dwells")
+    dropped = sum(dwell["dropped"] for dwell in dwells)
+    if dropped:
+        notes.append(f"{counted(dropped, 'scan')} within the dwells left out: {WITHOUT_NEWS}")
+    if facts["scanning"] and facts["scanning"]["caveat"]:
+        notes.append(facts["scanning"]["caveat"])
+    for number, dwell in enumerate(dwells):
+        if dwell["alarms"] is not None:
+            where = plan.positions[dwell["place"]]
+            notes.append(f"dwell {number} ({where}): {Alarms(**dwell['alarms'])}")
+    return tuple(notes)

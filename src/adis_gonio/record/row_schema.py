@@ -1,0 +1,299 @@
+"""Declared type and range of everything in a session file: columns, facts of `meta`, values of records.
+
+A checksum shows damage, but not a value that somebody wrote with a checksum that fits. `checked_row` is
+the door: nothing of a session file goes on without it. Kinds of records that are not listed are read by
+no program, and their values may be anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from adis_gonio.base.jsonable import json_value
+from adis_gonio.base.shapes import (
+    Shape,
+    ShapeError,
+    anything,
+    blob,
+    choice,
+    fields,
+    list_of,
+    mapping_of,
+    moment,
+    nullable,
+    number,
+    text,
+    truth_value,
+    whole,
+)
+from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
+from adis_gonio.device.sensor.variants import GYRO_LSB_DPS, VARIANTS
+from adis_gonio.record.blocks import GENERIC, UNITS
+from adis_gonio.record.plans import MOST_POSITIONS
+
+LARGEST_S = 1e10
+"""Three hundred years: clocks that count from 1970 are far below it."""
+LARGEST_VALUE = 1e9
+"""Of a sample or a parameter in its unit."""
+_MOST = 10**9
+"""Rows and counts."""
+
+_COUNT = whole(0, _MOST)
+_TIME = number(-LARGEST_S, LARGEST_S)
+_LENGTH = number(0.0, LARGEST_S)
+_ANGLE = number(-1e6, 1e6)
+_VALUE = number(-LARGEST_VALUE, LARGEST_VALUE)
+_APPROACH = choice(-1, 0, 1)
+_USE = choice("fit", "check")
+_VECTOR = list_of(number(-1e6, 1e6), 3, 3)
+_TEXTS = list_of(text, 0, 10_000)
+_TEMPERATURE, _SUPPLY = nullable(number(-273.15, 1000.0)), nullable(number(0.0, 100.0))
+_REGISTER_NUMBERS = mapping_of(whole(-0x8000, 0xFFFF))
+_OFFSETS = fields({}, {name: whole(*BY_NAME[name].range) for name in (*ACCEL_OFF, *GYRO_OFF)})
+_SCAN = list_of(choice(*BY_NAME, *UNITS), 0, len(BY_NAME))
+_RANGE = nullable(choice(*GYRO_LSB_DPS))
+_NUMBERING = {"smpl_prd": whole(0, 0xFF), "filter_m": whole(0, 6)}
+
+_POSITION = fields(
+    {"angle_deg": nullable(_ANGLE), "approach": _APPROACH, "use": _USE, "direction": nullable(_VECTOR)},
+    {
+        "wait_s": _LENGTH,
+        "temperature_c": _TEMPERATURE,
+        "supply_v": _SUPPLY,
+        "turned_deg": nullable(_ANGLE),
+    },
+)
+_PLAN = fields(
+    {
+        "name": text,
+        "plane": choice("xy", "none"),
+        "positions": list_of(_POSITION, 1, 10 * MOST_POSITIONS),
+    },
+    {"turns": whole(0, 10_000)},
+)
+_SETTINGS = fields(
+    {},
+    {
+        "dwell_s": _LENGTH,
+        "settle_s": _LENGTH,
+        "still_timeout_s": _LENGTH,
+        **_NUMBERING,
+        "gyro_range_dps": _RANGE,
+        "data_ready": nullable(truth_value),
+        "registers": _SCAN,
+        "turns": truth_value,
+    },
+    others=anything,
+)
+
+
+def _fixture(value: Any) -> None:
+    if value != "free":
+        nullable(number(0.0, 1e6))(value)
+
+
+META = fields(
+    {
+        "url": text,
+        "variant": choice(*VARIANTS, GENERIC),
+        "plan": _PLAN,
+        "settings": _SETTINGS,
+        "gravity_mps2": number(1e-6, 1e6),
+        "fixture_sigma_deg": _fixture,
+    },
+    {
+        "simulated": truth_value,
+        "created_utc": moment,
+        **dict.fromkeys(("title", "note", "operator", "serial", "stage", "software"), text),
+    },
+)
+"""Facts of the table `meta` by key: the fields of `Header`."""
+
+_DOUBT = {"kind": text, "message": text}
+_SUMMARY = fields(
+    {
+        "dwells": _COUNT,
+        "adequate": truth_value,
+        "tested": truth_value,
+        "found": _TEXTS,
+        "uncertain": _TEXTS,
+        "confounded": list_of(list_of(text, 1, 10_000), 0, 10_000),
+        "error": fields(
+            dict.fromkeys(
+                ("residual_rms_mg", "heldout_rms_mg", "angle_rms_deg", "chi2_per_dof"), nullable(_VALUE)
+            ),
+            others=anything,
+        ),
+    },
+    others=anything,
+)
+
+
+def _summary(value: Any) -> None:
+    """Nothing, or where a session stood in the advisor's eyes."""
+    if value not in (None, {}):
+        _SUMMARY(value)
+
+
+RECORDS: Mapping[str, Shape] = {
+    "plan": _PLAN,
+    **dict.fromkeys(("registers-before", "registers-configured", "registers-after"), _REGISTER_NUMBERS),
+    "configuration": fields(
+        {},
+        {
+            **_NUMBERING,
+            "gyro_range_dps": _RANGE,
+            "sample_rate_hz": number(1e-6, 1e9),
+            **dict.fromkeys(("data_ready", "linear_g", "origin"), truth_value),
+        },
+        others=anything,
+    ),
+    "truth": mapping_of(_VALUE),
+    "noise": list_of(number(0.0, LARGEST_VALUE), 3, 3),
+    "scanning": fields({"how": text, "caveat": text}, others=anything),
+    "problem": fields({}, others=anything),
+    "advised": fields(
+        {"planned": _COUNT, "ended": text, "summary": _summary},
+        {"round": _COUNT, "positions": _COUNT, "reasons": _TEXTS},
+        others=anything,
+    ),
+    "turned": fields({"attempt": _COUNT, "since": _COUNT, "angle_deg": _VECTOR, "u_deg": _ANGLE}),
+    "reversed": truth_value,
+    "skipped": _COUNT,
+    "withdrawn": _COUNT,
+    "kept": list_of(_COUNT, 0, _MOST),
+    "dropped": fields({"attempt": _COUNT, "scans": _COUNT}),
+    "doubt": fields({"attempt": _COUNT, **_DOUBT}),
+    "contradiction": fields({"place": _COUNT, "dwells": list_of(_COUNT, 0, _MOST), **_DOUBT}),
+    "conditions": fields({"temperature_c": _TEMPERATURE, "supply_v": _SUPPLY}),
+    "offsets": fields(
+        {
+            "number": _COUNT,
+            "step": choice("planned", "written", "verified", "saving", "saved", "done", "set-back"),
+        },
+        {
+            "op": choice("write", "undo", "autonull"),
+            **dict.fromkeys(("old", "new", "found", "beside"), _OFFSETS),
+            "save": truth_value,
+            **dict.fromkeys(("endurance", "endurance_after"), nullable(_COUNT)),
+        },
+        others=anything,
+    ),
+}
+"""Values of records by kind."""
+
+
+def _aim(value: Any) -> None:
+    """Nothing, a direction in space, or a turn."""
+    if isinstance(value, dict):
+        fields({"turned_deg": _ANGLE})(value)
+    else:
+        nullable(_VECTOR)(value)
+
+
+@dataclass(frozen=True)
+class _Column:
+    name: str
+    shape: Shape
+    json: bool = False
+
+
+_RUN, _ATTEMPT = whole(1, _MOST), whole(1, _MOST)
+_COLUMNS: Mapping[str, tuple[_Column, ...]] = {
+    "meta": (_Column("key", text), _Column("value", anything, json=True)),
+    "runs": (
+        _Column("run", _RUN),
+        _Column("started_utc", text),
+        _Column("bus_s", _TIME),
+        _Column("clock_offset_s", _TIME),
+        _Column("continues", _COUNT),
+        _Column("software", text),
+    ),
+    "records": (
+        _Column("record", whole(1, _MOST)),
+        _Column("run", _RUN),
+        _Column("utc", text),
+        _Column("bus_s", _TIME),
+        _Column("kind", text),
+        _Column("value", anything, json=True),
+    ),
+    "attempts": (
+        _Column("attempt", _ATTEMPT),
+        _Column("run", _RUN),
+        _Column("place", _COUNT),
+        _Column("angle_deg", nullable(_ANGLE)),
+        _Column("approach", _APPROACH),
+        _Column("use", _USE),
+        _Column("outcome", choice("complete", "interrupted")),
+        _Column("reason", text),
+        _Column("started_utc", text),
+        _Column("started_bus_s", _TIME),
+        _Column("ended_bus_s", _TIME),
+        _Column("registers", _SCAN, json=True),
+        _Column("variant", choice("", *VARIANTS, GENERIC)),
+        _Column("gyro_range_dps", _RANGE),
+        _Column("status", nullable(whole(0, 0xFFFF))),
+        _Column("blocks", _COUNT),
+    ),
+    "blocks": (
+        _Column("attempt", _ATTEMPT),
+        _Column("sequence", _COUNT),
+        _Column("phase", choice("before", "dwell", "after")),
+        _Column("scans", _COUNT),
+        _Column("lost", _COUNT),
+        _Column("words", blob),
+        _Column("time_s", blob),
+    ),
+    "moves": (
+        _Column("move", whole(1, _MOST)),
+        _Column("attempt", _ATTEMPT),
+        _Column("bus_s", _TIME),
+        _Column("angle_deg", nullable(_ANGLE)),
+        _Column("approach", _APPROACH),
+        _Column("direction", _aim, json=True),
+    ),
+}
+
+
+def checked_row(table: str, row: Sequence[Any]) -> tuple[Any, ...]:
+    """Values of a row, without its checksum; JSON texts become values.
+
+    Raises
+    ------
+    ShapeError
+        A value has another type or lies outside its range; the message begins with the column.
+    """
+    return tuple(_checked(column, value) for column, value in zip(_COLUMNS[table], row, strict=True))
+
+
+def checked_value(name: str, shape: Shape, value: Any) -> Any:
+    """A value, if it has its shape.
+
+    Raises
+    ------
+    ShapeError
+        It has not; the message begins with the name.
+    """
+    try:
+        shape(value)
+    except ShapeError as error:
+        raise ShapeError(f"{name}{error}") from None
+    return value
+
+
+def _checked(column: _Column, value: Any) -> Any:
+    if column.json:
+        checked_value(column.name, text_of_json, value)
+        try:
+            value = json_value(value)
+        except ValueError as error:
+            raise ShapeError(f"{column.name}: {error}") from None
+    return checked_value(column.name, column.shape, value)
+
+
+def text_of_json(value: Any) -> None:
+    """Text, however long: a plan of many positions is one."""
+    if not isinstance(value, str):
+        raise ShapeError(" is no text")

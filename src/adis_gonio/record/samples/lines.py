@@ -1,0 +1,173 @@
+"""A file's bytes as numbered lines of text, a chunk at a time: gzip, encodings, line ends.
+
+Text is UTF-8, with or without a byte order mark, or UTF-16, as Excel's "Unicode text" has it. A byte that
+is no UTF-8 is read as Windows-1252, where the degree sign and the superscript two of older programs stand:
+digits are the same in both.
+"""
+
+from __future__ import annotations
+
+import codecs
+import gzip
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, cast
+
+from adis_gonio.base.errors import DataError
+
+CHUNK = 1 << 20
+"""Bytes that are read at a time: what stands in memory as text is some twenty times that."""
+
+_FOREIGN = {
+    b"PK\x03\x04": "an Excel or LibreOffice workbook (or a zip): save the sheet as CSV",
+    b"\xd0\xcf\x11\xe0": "an old Excel workbook: save the sheet as CSV",
+    b"PAR1": "a Parquet file: write it as CSV",
+    b"\x89HDF": "an HDF5 file: write it as CSV",
+    b"%PDF": "a PDF file: take the file that it was printed from",
+}
+_HTML = (b"<!doctype html", b"<html", b"<head", b"<body")
+LONGEST_LINE = 1 << 16
+"""Characters: rows have hundreds; a file without line ends would fill the memory."""
+MOST_GROWTH, SMALL = 200, 1 << 24
+"""Unpacked bytes for each byte of a gzip file, and unpacked bytes that are always allowed.
+
+Samples pack to a tenth or a thirtieth of their size, equal rows to a thousandth.
+"""
+_REPLACEMENT = "�"
+
+
+def _as_windows_1252(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeDecodeError):
+        raise error
+    rest = error.object[error.start : error.end]
+    return rest.decode("cp1252", errors="replace"), error.end
+
+
+codecs.register_error("adis_gonio.windows-1252", _as_windows_1252)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Neighbouring lines.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first line, counted from 1.
+    lines : list of str
+        Without their ends.
+    share : float
+        Part of the file that has been read, 0 to 1.
+    last : bool
+    cut : bool
+        True in the last chunk where the last line has no end.
+    """
+
+    first: int
+    lines: list[str]
+    share: float
+    last: bool = False
+    cut: bool = False
+
+
+def chunks_of(path: Path) -> Iterator[Chunk]:
+    """Lines of a file, chunk by chunk.
+
+    Raises
+    ------
+    DataError
+        Not readable, damaged gzip, empty, binary or another kind of file.
+    """
+    first, carry = 1, ""
+    for text, share in _texts(path):
+        # A carriage return at the end may be one half of a line's end.
+        text = carry + text
+        held = len(text) - len(text.rstrip("\r"))
+        *lines, carry = _plain_ends(text[: len(text) - held]).split("\n")
+        carry += "\r" * held
+        _refuse_long(path, first, [*lines, carry])
+        if lines:
+            yield Chunk(first, lines, share)
+            first += len(lines)
+    *lines, rest = _plain_ends(carry).split("\n")
+    _refuse_long(path, first, [*lines, rest])
+    yield Chunk(first, [*lines, rest] if rest else lines, 1.0, last=True, cut=bool(rest))
+
+
+def _refuse_long(path: Path, first: int, lines: list[str]) -> None:
+    if max(map(len, lines)) > LONGEST_LINE:
+        row = first + next(k for k, line in enumerate(lines) if len(line) > LONGEST_LINE)
+        raise DataError(
+            f"{path.name}, row {row}: has more than {LONGEST_LINE} characters; not a samples CSV"
+        )
+
+
+def _plain_ends(text: str) -> str:
+    if "\r" not in text:
+        return text
+    # Text that was opened twice for translation ends its lines with two carriage returns.
+    return text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _texts(path: Path) -> Iterator[tuple[str, float]]:
+    try:
+        with path.open("rb") as raw:
+            size = max(path.stat().st_size, 1)
+            zipped = raw.read(2) == b"\x1f\x8b"
+            raw.seek(0)
+            yield from _decoded(
+                path, cast("IO[bytes]", gzip.GzipFile(fileobj=raw)) if zipped else raw, raw, size
+            )
+    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+        raise DataError(f"{path.name}: damaged or truncated gzip file ({error}); copy it again") from error
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _decoded(path: Path, file: IO[bytes], raw: IO[bytes], size: int) -> Iterator[tuple[str, float]]:
+    data = file.read(CHUNK)
+    for magic, kind in _FOREIGN.items():
+        if data.startswith(magic):
+            raise DataError(f"{path.name}: not a samples CSV: it is {kind}")
+    if data.lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(_HTML):
+        raise DataError(
+            f"{path.name}: not a samples CSV: it is an HTML page; download the file itself, not the page "
+            "that shows it"
+        )
+    decoder = codecs.getincrementaldecoder(_encoding(data))("adis_gonio.windows-1252")
+    blank, unpacked = True, 0
+    while data:
+        unpacked += len(data)
+        if unpacked > MOST_GROWTH * raw.tell() + SMALL:
+            raise DataError(
+                f"{path.name}: not a samples CSV: it unpacks to more than {MOST_GROWTH} times its size, as "
+                "equal rows do; unpack it first if these are samples"
+            )
+        text = decoder.decode(data)
+        _refuse_binary(path, text)
+        blank = blank and not text.strip()
+        yield text, min(raw.tell() / size, 1.0)
+        data = file.read(CHUNK)
+    yield decoder.decode(b"", final=True), 1.0
+    if blank:
+        raise DataError(f"{path.name}: the file is empty")
+
+
+def _encoding(head: bytes) -> str:
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    # ASCII as UTF-16 without a mark: every second byte is zero.
+    for place, name in ((1, "utf-16-le"), (0, "utf-16-be")):
+        if len(head) >= 4 and not any(head[place:200:2]) and all(head[1 - place : 200 : 2]):
+            return name
+    return "utf-8-sig"
+
+
+def _refuse_binary(path: Path, text: str) -> None:
+    if "\x00" in text or _REPLACEMENT in text:
+        raise DataError(
+            f"{path.name}: not a samples CSV: it holds binary data; give a .csv, a .csv.gz or a file "
+            "written by calibrate or simulate"
+        )

@@ -1,0 +1,514 @@
+"""The rows of a file as arrays, chunk by chunk, so that memory holds the numbers and little else.
+
+A chunk is converted in bulk; only where that fails are its rows walked one by one, so that what may be left
+out is left out (comments, rows of empty cells at the end, a last row that was cut) and everything else is
+named with its row. Columns that hold one value a dwell are kept as runs of equal text.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.budget import current
+from adis_gonio.base.errors import DataError
+from adis_gonio.record.samples.dialect import SPACE, Dialect, marks_in, proof_of
+from adis_gonio.record.samples.header import Head, delimiter_in_words, head_of
+from adis_gonio.record.samples.lines import Chunk, chunks_of
+from adis_gonio.record.samples.names import AXES, GYROS, SAME, scale_of
+
+SERIES = ("time_s", *AXES, *GYROS, "temp_c", "supply_v")
+"""Columns with a number in every row."""
+RUNS = ("position", "angle_deg", "approach", "use")
+"""Columns with one value a dwell."""
+_WALL_CLOCK = re.compile(
+    r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?\s*(Z|[+-]\d\d(:?\d\d)?)?", re.ASCII
+)
+"""ISO 8601 with date and time, as loggers write it; with Z or an offset, or in one zone without."""
+_LATEST = 1e20
+"""Largest time: in ns since 1970 it has 2e18."""
+_LARGEST = 1e10
+"""Largest other number: a count of 32 bits is smaller, and its fourth power is far from overflow."""
+_GROWTH, _LEAST = 1.125, 1 << 15
+_SLOWEST_S = 2.0
+"""Step between rows from which a time without a unit may as well be in ms."""
+
+
+@dataclass(frozen=True)
+class SamplesTable:
+    """A file in numbers, in the units of the format.
+
+    Attributes
+    ----------
+    head : Head
+    dialect : Dialect
+    time_s : (n,) float
+    accel : (n, 2) or (n, 3) float
+    gyro : (n, 3) float or None
+    temperature_c, supply_v : (n,) float or None
+    runs : dict of str to list of (int, str)
+        Rows at which a text begins that lasts until the next one.
+    lines : list of (int, int)
+        Rows from which on the number of the line is known, and that number.
+    notes : tuple of str
+    """
+
+    head: Head
+    dialect: Dialect
+    time_s: Floats
+    accel: Floats
+    gyro: Floats | None
+    temperature_c: Floats | None
+    supply_v: Floats | None
+    runs: dict[str, list[tuple[int, str]]]
+    lines: list[tuple[int, int]]
+    notes: tuple[str, ...]
+
+    @property
+    def path(self) -> Path:
+        """Where it came from."""
+        return self.head.path
+
+    def line_of(self, row: int) -> int:
+        """Number of the line, counted from 1, that holds a row."""
+        at, line = self.lines[bisect_right(self.lines, (row, 1 << 62)) - 1]
+        return line + row - at
+
+    def fail(self, row: int, message: str) -> DataError:
+        """Error that names the line of a row."""
+        return DataError(f"{self.path.name}, row {self.line_of(row)}: {message}")
+
+    def number(self, name: str, text: str) -> float:
+        """Number of a cell of a column that holds one value a dwell, in the format's unit."""
+        multiply, divide, add = scale_of(name, self.head.columns[name].unit) or SAME
+        return self.dialect.number(text) * multiply / divide + add
+
+    def texts(self, name: str, rows: slice) -> Iterator[tuple[int, str]]:
+        """Each text of such a column within rows, with the row where it begins there."""
+        runs = self.runs[name]
+        at = bisect_right(runs, rows.start, key=lambda run: run[0]) - 1
+        while at < len(runs) and runs[at][0] < rows.stop:
+            yield max(runs[at][0], rows.start), runs[at][1]
+            at += 1
+
+
+class _Growing:
+    """An array (n,) or (n, width) that grows at its end; the system moves it without a copy."""
+
+    def __init__(self, width: int = 0) -> None:
+        self._tail = (width,) if width else ()
+        self._array = np.empty((0, *self._tail))
+        self._n = 0
+
+    def extend(self, columns: list[Floats]) -> None:
+        """Add rows, given as their columns."""
+        n = self._n + len(columns[0])
+        if n > len(self._array):
+            self._resize(max(n, int(_GROWTH * len(self._array)) + _LEAST))
+        for k, column in enumerate(columns):
+            self._array[(slice(self._n, n), k) if self._tail else slice(self._n, n)] = column
+        self._n = n
+
+    def done(self) -> Floats:
+        """The array, no longer than it has to be."""
+        self._resize(self._n)
+        return self._array
+
+    def _resize(self, n: int) -> None:
+        self._array.resize((n, *self._tail), refcheck=False)
+
+
+class _BadCellError(ValueError):
+    """Row within the chunk and what is wrong there."""
+
+    def __init__(self, row: int, message: str) -> None:
+        super().__init__(message)
+        self.row = row
+
+
+class _Reader:
+    """Rows of one file on their way into arrays."""
+
+    def __init__(self, head: Head, dialect: Dialect) -> None:
+        self.head, self.dialect = head, dialect
+        self.series = [name for name in SERIES if name in head.columns]
+        self.texts = [name for name in RUNS if name in head.columns]
+        self.place = {name: head.columns[name].place for name in (*self.series, *self.texts)}
+        axes = sum(name in AXES for name in self.series)
+        self.time, self.accel = _Growing(), _Growing(axes)
+        self.gyro = _Growing(3) if GYROS[0] in self.place else None
+        self.others = {name: _Growing() for name in ("temp_c", "supply_v") if name in self.place}
+        self.runs: dict[str, list[tuple[int, str]]] = {name: [] for name in self.texts}
+        self.lines: list[tuple[int, int]] = []
+        self.notes: list[str] = []
+        self.n, self.latest_s = 0, -math.inf
+        self._began: datetime | None = None
+        """Time of the first row, if the file has times of the wall clock."""
+        self._repeated, self._first_repeated = 0, 0
+        self._joined = ""
+        """Note on marks between thousands, once there are any."""
+        self._waiting: tuple[int, str, str] | None = None
+        """Line that may only stand at the end: number, what is wrong with it elsewhere, note at the end."""
+
+    def fail(self, line: int, message: str) -> DataError:
+        return DataError(f"{self.head.path.name}, row {line}: {message}")
+
+    def take(self, chunk: Chunk) -> None:
+        """Add a chunk."""
+        if self._waiting is None:
+            cells = self._regular(chunk)
+            if cells is not None:
+                try:
+                    columns = {name: self._numbers(name, cells[self.place[name]]) for name in self.series}
+                except ValueError:
+                    pass  # whatever it is, the rows one by one will tell
+                else:
+                    self._add([(0, chunk.first)], cells, columns)
+                    return
+        self._walk(chunk)
+
+    def _regular(self, chunk: Chunk) -> list[list[str]] | None:
+        """Columns of a chunk whose rows are all alike and have neither quotes nor comments; else None."""
+        delimiter, lines = self.dialect.delimiter, chunk.lines
+        if delimiter == SPACE or not lines or chunk.cut:
+            return None
+        more = lines[0].count(delimiter)
+        if more < self.head.width - 1 or any(line.count(delimiter) != more for line in lines):
+            return None
+        text = delimiter.join(lines)
+        if '"' in text or "#" in text or "−" in text:
+            return None
+        cells = text.split(delimiter)
+        columns = [cells[k :: more + 1] for k in range(more + 1)]
+        if any(any(column) for column in columns[self.head.width :]):
+            return None
+        return columns
+
+    def _numbers(self, name: str, cells: list[str]) -> Floats:
+        """Numbers of a column's cells, all of them plain.
+
+        Raises
+        ------
+        ValueError
+            One is not.
+        """
+        if name == "time_s" and (self._began or (not self.n and _WALL_CLOCK.fullmatch(cells[0].strip()))):
+            return np.array([self._since_beginning(cell) for cell in cells])
+        text = "\n".join(cells)
+        if self.dialect.decimal == ",":
+            if "." in text:
+                raise ValueError
+            cells = text.replace(",", ".").split("\n")
+        values = np.fromiter(map(float, cells), dtype=np.float64, count=len(cells))
+        if "_" in text or not (np.abs(values) <= _largest(name)).all():
+            raise ValueError
+        return values
+
+    def _since_beginning(self, cell: str) -> float:
+        """Time of a cell in s since the first row's.
+
+        Raises
+        ------
+        ValueError
+            No date with a time, or an offset from UTC in some rows only.
+        """
+        text = cell.strip()
+        if not _WALL_CLOCK.fullmatch(text):
+            raise ValueError(text)
+        at = datetime.fromisoformat(text.replace(" +", "+").replace(" -", "-").replace(" Z", "Z"))
+        if self._began is None:
+            self._began = at
+        if (at.tzinfo is None) != (self._began.tzinfo is None):
+            raise ValueError(text)
+        return (at - self._began).total_seconds()
+
+    def _walk(self, chunk: Chunk) -> None:
+        """Add a chunk row by row."""
+        kept: list[list[str]] = []
+        numbers: list[int] = []
+        for number, line in enumerate(chunk.lines, chunk.first):
+            if line.startswith(("#", '"#')):
+                continue
+            cells = self._cells(number, line)
+            if cells is not None:
+                kept.append(cells)
+                numbers.append(number)
+        if not kept:
+            return
+        if chunk.cut and numbers[-1] == chunk.first + len(chunk.lines) - 1 and not self._whole(kept[-1]):
+            self.notes.append(_cut(numbers.pop()))
+            kept.pop()
+            if not kept:
+                return
+        columns = [list(column) for column in zip(*kept, strict=True)]
+        try:
+            values = {
+                name: self._numbers_one_by_one(name, columns[self.place[name]]) for name in self.series
+            }
+        except _BadCellError as error:
+            raise self.fail(numbers[error.row], str(error)) from None
+        jumps = [k for k, (a, b) in enumerate(pairwise(numbers), 1) if b != a + 1]
+        self._add([(k, numbers[k]) for k in (0, *jumps)], columns, values)
+
+    def _cells(self, number: int, line: str) -> list[str] | None:
+        """Cells of a row, as many as the header has; None for one that may stand at the end."""
+        width = self.head.width
+        try:
+            cells = self.dialect.cells(line)
+        except ValueError as error:
+            cells = []
+            wrong = (f"{error}", _cut(number))
+        else:
+            there = f"{len(cells)} values where the header has {width}"
+            wrong = (there, _cut(number))
+            if not any(cell.strip() for cell in cells):
+                wrong = ("empty row", "")
+                cells = []
+            elif len(cells) > width and any(cells[width:]):
+                raise self.fail(number, there + self._hint(len(cells)))
+        if self._waiting is not None and (wrong[1] or cells):
+            raise self.fail(self._waiting[0], self._waiting[1])
+        if len(cells) < width:
+            if self._waiting is None:
+                self._waiting = (number, *wrong)
+            return None
+        return cells[:width]
+
+    def _hint(self, cells: int) -> str:
+        if self.dialect.delimiter == "," and cells > self.head.width + 1:
+            return "; if its numbers have decimal commas, save the file with semicolons between the cells"
+        return f" (cells are separated by {delimiter_in_words(self.dialect)}s)"
+
+    def _whole(self, cells: list[str]) -> bool:
+        try:
+            for name in self.series:
+                self._one(name, cells[self.place[name]])
+        except ValueError:
+            return False
+        return True
+
+    def _one(self, name: str, cell: str) -> float:
+        value = self.dialect.number(cell)
+        if not abs(value) <= _largest(name):
+            raise ValueError(cell)
+        if not self._joined and ("." if self.dialect.decimal == "," else ",") in cell:
+            self._joined = f"marks between thousands were left out, as in '{cell.strip()}' = {value:.12g}"
+        return value
+
+    def _numbers_one_by_one(self, name: str, cells: list[str]) -> Floats:
+        try:
+            return self._numbers(name, cells)
+        except ValueError:
+            values = np.empty(len(cells))
+        for row, cell in enumerate(cells):
+            try:
+                clock = name == "time_s" and self._began is not None
+                values[row] = self._since_beginning(cell) if clock else self._one(name, cell)
+            except ValueError:
+                what = self._what(name, cell.strip())
+                if name == "time_s" and self._began is not None:
+                    what = f"'{cell.strip()}' is not a time like '{self._began.isoformat(' ')}' before it"
+                raise _BadCellError(row, f"column '{name}': {what}") from None
+        return values
+
+    def _what(self, name: str, cell: str) -> str:
+        """What is wrong with a cell that should be a number."""
+        if not cell:
+            return "empty"
+        try:
+            value = float(cell)
+        except ValueError:
+            value = 0.0
+        if not math.isfinite(value):
+            return f"{cell} is not a finite number; leave such rows out"
+        if abs(value) > _largest(name):
+            return f"{cell} is too large for a measurement; leave such rows out"
+        own, other = ("comma", ".") if self.dialect.decimal == "," else ("point", ",")
+        try:
+            self.dialect.with_decimal(other, proved=True).number(cell)
+        except ValueError:
+            return f"'{cell}' is not a number"
+        return f"'{cell}' is not a number in a file with decimal {own}s"
+
+    def _add(self, lines: list[tuple[int, int]], cells: list[list[str]], values: dict[str, Floats]) -> None:
+        """Add rows: lines on which they stand, texts by place, numbers by name."""
+        for row, line in lines:
+            if not self.lines or self._next_line(self.n + row) != line:
+                self.lines.append((self.n + row, line))
+        for name, series in values.items():
+            scaled = name not in (*AXES, *GYROS) and not (name == "time_s" and self._began)
+            scale = scale_of(name, self.head.columns[name].unit) if scaled else SAME
+            if scale not in (SAME, None):
+                values[name] = series * scale[0] / scale[1] + scale[2]
+        time = values["time_s"]
+        self._refuse_backwards(time)
+        self.time.extend([time])
+        self.accel.extend([values[name] for name in AXES if name in values])
+        if self.gyro is not None:
+            self.gyro.extend([values[name] for name in GYROS])
+        for name, growing in self.others.items():
+            growing.extend([values[name]])
+        for name, runs in self.runs.items():
+            column = cells[self.place[name]]
+            if not runs or runs[-1][1] != column[0]:
+                runs.append((self.n, column[0]))
+            runs.extend((self.n + k, b) for k, (a, b) in enumerate(pairwise(column), 1) if a != b)
+        self.n += len(time)
+        self.latest_s = float(time[-1])
+
+    def _next_line(self, row: int) -> int:
+        at, line = self.lines[-1]
+        return line + row - at
+
+    def _refuse_backwards(self, time: Floats) -> None:
+        before = np.concatenate([[self.latest_s], time[:-1]])
+        same = np.flatnonzero(time == before)
+        if same.size and not self._repeated:
+            self._first_repeated = self._next_line(self.n + int(same[0]))
+        self._repeated += same.size
+        backwards = np.flatnonzero(time < before)
+        if backwards.size:
+            k = int(backwards[0])
+            row = self.n + k
+            raise self.fail(
+                self._next_line(row), f"time_s goes back from {before[k]:g} to {time[k]:g}; sort by time"
+            )
+
+    def done(self) -> SamplesTable:
+        """The table, when all chunks have been taken."""
+        if self._waiting is not None and self._waiting[2]:
+            self.notes.append(self._waiting[2])
+        if not self.n:
+            raise DataError(
+                f"{self.head.path.name}: the header in row {self.head.line} is followed by no sample"
+            )
+        self.notes += [self._joined] if self._joined else []
+        if self._began is not None:
+            self.notes.append(f"time_s is counted from {self._began.isoformat(' ')}")
+        if self._repeated:
+            of = f"{self._repeated} of {self.n} rows have the time of the row before"
+            self.notes.append(f"{of}, first in row {self._first_repeated}: a coarse clock, or rows twice")
+        others = {name: growing.done() for name, growing in self.others.items()}
+        table = SamplesTable(
+            head=self.head,
+            dialect=self.dialect,
+            time_s=self.time.done(),
+            accel=self.accel.done(),
+            gyro=None if self.gyro is None else self.gyro.done(),
+            temperature_c=others.get("temp_c"),
+            supply_v=others.get("supply_v"),
+            runs=self.runs,
+            lines=self.lines,
+            notes=(*self.head.keys.notes, *self.head.notes, *self.notes),
+        )
+        if self._began is None:
+            _refuse_unclear_time(table)
+        return table
+
+
+def table_of(path: Path, wanted: dict[str, str]) -> SamplesTable:
+    """Read a file; `wanted` names columns as in `head_of`.
+
+    Raises
+    ------
+    DataError
+        As `read_samples_csv`.
+    UsageError
+        As `head_of`.
+    """
+    head = head_of(path, wanted)
+    reader = _Reader(head, _decided(head))
+    tell: Callable[[str], Any] = current().tell
+    for chunk in _rows_of(head):
+        tell(f"{chunk.share:.0%}")
+        reader.take(chunk)
+    return reader.done()
+
+
+def _cut(number: int) -> str:
+    return f"row {number} is the last one and was cut short: it was ignored"
+
+
+def _rows_of(head: Head) -> Iterator[Chunk]:
+    """Chunks of the file without its head."""
+    for chunk in chunks_of(head.path):
+        skip = max(head.line + 1 - chunk.first, 0)
+        lines = chunk.lines[skip:] if skip else chunk.lines
+        if lines:
+            yield Chunk(chunk.first + skip, lines, chunk.share, chunk.last, chunk.cut)
+
+
+def _decided(head: Head) -> Dialect:
+    """The dialect with the decimal mark that the file states or its numbers prove."""
+    stated = head.keys.values.get("decimal")
+    if stated is not None:
+        return head.dialect.with_decimal(stated, proved=True)
+    undecided: tuple[int, str] | None = None
+    for chunk in _rows_of(head):
+        if head.dialect.delimiter == "," and not any('"' in line for line in chunk.lines):
+            if undecided is None:
+                return head.dialect.with_decimal(".", proved=False)
+            continue
+        proof, seen = _proof_in(head, chunk)
+        if proof:
+            return head.dialect.with_decimal(proof, proved=True)
+        undecided = undecided or seen
+    if undecided is None:
+        return head.dialect.with_decimal(".", proved=False)
+    line, cell = undecided
+    bare, as_fraction = cell.replace(".", "").replace(",", ""), cell.replace(",", ".")
+    raise DataError(
+        f"{head.path.name}, row {line}: '{cell}' may be {as_fraction} or {bare}, and no number of the file "
+        "decides it; put a line '# decimal: comma' or '# decimal: point' at the top"
+    )
+
+
+def _proof_in(head: Head, chunk: Chunk) -> tuple[str, tuple[int, str] | None]:
+    """Mark that a chunk's numbers prove (empty: none), and line and text of the first undecided one."""
+    places = [column.place for name, column in head.columns.items() if name not in ("approach", "use")]
+    undecided: tuple[int, str] | None = None
+    for number, line in enumerate(chunk.lines, chunk.first):
+        if ("." not in line and "," not in line) or line.startswith(("#", '"#')):
+            continue
+        try:
+            cells = head.dialect.cells(line)
+        except ValueError:
+            continue
+        own = [cells[k] for k in places if k < len(cells)]
+        proof = proof_of(own)
+        if proof is not None:
+            return proof[0], None
+        if undecided is None:
+            marked = [
+                cell.strip() for cell in own if marks_in([cell]) and not _WALL_CLOCK.fullmatch(cell.strip())
+            ]
+            undecided = (number, marked[0]) if marked else None
+    return "", undecided
+
+
+def _refuse_unclear_time(table: SamplesTable) -> None:
+    """Refuse a time without a unit whose rows are far apart: it may be in milliseconds."""
+    column = table.head.columns["time_s"]
+    if column.plain or column.unit or len(table.time_s) < 2:
+        return
+    step = float(np.median(np.diff(table.time_s[: 1 << 16])))
+    if step >= _SLOWEST_S:
+        raise DataError(
+            f"{table.path.name}, row {table.head.line}: column '{column.text}' states no unit and its rows "
+            f"are {step:g} apart: call it time_s or time_ms, or say --columns time_ms={column.text}"
+        )
+
+
+def _largest(name: str) -> float:
+    """Return the largest number that a cell of a column may hold."""
+    return _LATEST if name == "time_s" else _LARGEST

@@ -1,0 +1,507 @@
+"""Dwells of a continuous recording: where the sensor stood still, however long the recording is.
+
+A window of samples is still where the standard deviation of every axis lies between the limits of
+`adis_gonio.record.stillness`; the noise of an axis is that of its quietest stretches (median of all
+windows whose deviation is less than twice the lowest twentieth).
+
+Gyros see a slow turn that the accelerations hide, but a part held by hand wobbles far above their noise
+without harm; so their limit is ten times their median where the accelerations are still.
+
+Every run of still windows is trimmed at both ends, where the hand is still near, and kept if it lasts. A
+run within which the mean moves on (a slip, or a slow turn) is split there.
+
+The recording is read several times from its beginning, a block at a time: its extent, its noise, the gyros'
+noise, its dwells. Memory holds one block and what was found, not the samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.counting import counted
+from adis_gonio.base.errors import DataError
+from adis_gonio.model.records import Dwell
+from adis_gonio.record.quantiles import Quantiles
+from adis_gonio.record.stillness import UPPER, StillnessLimits, limits_from_noise
+
+WINDOW_S = 0.5
+TRIM_S = 0.25
+LEAST_S = 1.0
+
+_GYRO_UPPER = 10.0
+_OFTEN = 0.25
+"""Share of windows with a constant word above which this is the converter's step and not a fault."""
+_LEAST_WINDOW = 8
+_BLOCK = 1 << 16
+"""Rows that are worked on at a time."""
+_FIRST = 20_000
+"""Rows at the beginning that tell the converter's step."""
+
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Neighbouring samples of a recording.
+
+    Attributes
+    ----------
+    time_s : (n,) float
+        Time of each sample, increasing.
+    accel : (n, axes) float
+        Accelerometer samples, any unit.
+    gyro : (n, 3) float or None
+        Gyro samples, any unit, in all pieces or in none.
+    """
+
+    time_s: Floats
+    accel: Floats
+    gyro: Floats | None = None
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def rows(self, rows: slice) -> Piece:
+        """Some of the samples."""
+        gyro = None if self.gyro is None else self.gyro[rows]
+        return Piece(self.time_s[rows], self.accel[rows], gyro)
+
+
+Reading = Callable[[], Iterable[Piece]]
+"""Reads a recording from its beginning; called once a pass, each time with the same samples."""
+
+
+def segment(time_s: Floats, accel: Floats, gyro: Floats | None = None) -> list[slice]:
+    """Dwells of a continuous recording in memory.
+
+    Parameters
+    ----------
+    time_s : (n,) float
+        Time of each sample, increasing.
+    accel : (n, axes) float
+        Accelerometer samples, any unit.
+    gyro : (n, 3) float, optional
+        Gyro samples, any unit; windows in which they turn are not still.
+
+    Returns
+    -------
+    list of slice
+        Rows of each dwell, in order; empty where the sensor never rests.
+
+    Raises
+    ------
+    DataError
+        If the samples never change (stuck data).
+    """
+    return segment_with_notes(time_s, accel, gyro)[0]
+
+
+def segment_with_notes(
+    time_s: Floats, accel: Floats, gyro: Floats | None = None
+) -> tuple[list[slice], list[str]]:
+    """Same as `segment`, with lines on what was found."""
+    whole = Piece(time_s, accel, gyro)
+    return segment_pieces(lambda: (whole,))
+
+
+def segment_pieces(read: Reading) -> tuple[list[slice], list[str]]:
+    """Same of a recording that need not fit into memory; how it is cut into pieces changes nothing.
+
+    Parameters
+    ----------
+    read : callable
+        Returns the recording's pieces in order, anew at each of up to four calls.
+    """
+    extent = _Extent()
+    for piece in _blocks(read()):
+        extent.take(piece)
+    n = extent.rows
+    if n < 2 * _LEAST_WINDOW or not extent.steps.positive:
+        return [], [f"{counted(n, 'sample')}: too few for a continuous recording"]
+    period = extent.steps.quantile(0.5)
+    sizes = _Sizes.of(period)
+    if n < sizes.least:
+        return [], [
+            f"the recording lasts {n * period:.2g} s; a dwell needs at least {sizes.least * period:.2g} s"
+        ]
+    extent.accel.refuse_constant()
+    noise, limits = _limits(read, extent.accel, sizes.window)
+    turn = _turn_limits(read, extent, limits)
+    cutter = _Cutter(sizes, limits, extent, turn)
+    for start, piece in _overlapping(read, 2 * sizes.window - 1):
+        cutter.take(start, piece)
+    slices = cutter.done()
+    scatter = ", ".join(f"{value:.3g}" for value in noise)
+    notes = [
+        f"{counted(len(slices), 'dwell')} found by stillness (window {sizes.window * period:.3g} s, noise"
+        f" of the accelerations {scatter} in the file's unit, limit four times that)"
+    ]
+    if cutter.stuck:
+        rows = ", ".join(f"{a:.4g} s to {b:.4g} s" for a, b in cutter.stuck[:4])
+        notes.append(f"stuck data left out: an axis shows less than a tenth of its noise at {rows}")
+    return slices, notes
+
+
+# Reading ------------------------------------------------------------------------------------------------
+
+
+def _blocks(pieces: Iterable[Piece]) -> Iterator[Piece]:
+    """The same samples in blocks of `_BLOCK` rows, the last one shorter."""
+    waiting: list[Piece] = []
+    held = 0
+    for piece in pieces:
+        start = 0
+        while held + len(piece) - start >= _BLOCK:
+            stop = start + _BLOCK - held
+            yield _joined([*waiting, piece.rows(slice(start, stop))])
+            waiting, held, start = [], 0, stop
+        if start < len(piece):
+            waiting.append(piece.rows(slice(start, None)))
+            held += len(piece) - start
+    if waiting:
+        yield _joined(waiting)
+
+
+def _joined(pieces: list[Piece]) -> Piece:
+    if len(pieces) == 1:
+        return pieces[0]
+    gyros = [piece.gyro for piece in pieces if piece.gyro is not None]
+    return Piece(
+        np.concatenate([piece.time_s for piece in pieces]),
+        np.concatenate([piece.accel for piece in pieces]),
+        np.concatenate(gyros) if gyros else None,
+    )
+
+
+def _overlapping(read: Reading, overlap: int) -> Iterator[tuple[int, Piece]]:
+    """Blocks that begin with the last `overlap` rows before them, each with the number of its first row."""
+    before: Piece | None = None
+    row = 0
+    for block in _blocks(read()):
+        whole = block if before is None else _joined([before, block])
+        row += len(block)
+        yield row - len(whole), whole
+        before = whole.rows(slice(max(len(whole) - overlap, 0), None))
+
+
+# What a pass finds --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    """Lengths in samples: of a window, of what is trimmed at an end, of the shortest dwell."""
+
+    window: int
+    trim: int
+    least: int
+
+    @classmethod
+    def of(cls, period_s: float) -> _Sizes:
+        window = max(_LEAST_WINDOW, round(WINDOW_S / period_s))
+        return cls(window, max(1, round(TRIM_S / period_s)), max(2 * window, round(LEAST_S / period_s)))
+
+
+class _Range:
+    """Smallest and largest sample of each axis, their mean, and the first rows."""
+
+    def __init__(self) -> None:
+        self._rows = 0
+        self._first: list[Floats] = []
+        self._sum: Floats = np.zeros(0)
+        self.low: Floats = np.zeros(0)
+        self.high: Floats = np.zeros(0)
+
+    def take(self, samples: Floats) -> None:
+        low, high, total = samples.min(axis=0), samples.max(axis=0), samples.sum(axis=0)
+        if not self._rows:
+            self.low, self.high, self._sum = low, high, total
+        else:
+            self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)
+            self._sum = self._sum + total
+        if self._rows < _FIRST:
+            self._first.append(samples[: _FIRST - self._rows].copy())
+        self._rows += len(samples)
+
+    @property
+    def axes(self) -> int:
+        return len(self.low)
+
+    @property
+    def middle(self) -> Floats:
+        mean: Floats = self._sum / self._rows
+        return mean
+
+    @property
+    def rounding(self) -> Floats:
+        """Variance (axes,) below which a window is constant: what rounding of the running sums leaves."""
+        least: Floats = 1e-12 * np.maximum(self.high - self.middle, self.middle - self.low) ** 2
+        return least
+
+    @property
+    def quantum(self) -> Floats:
+        """The converter's step (axes,), 0 where the first rows do not change."""
+        steps = np.zeros(self.axes)
+        largest = np.maximum(np.abs(self.low), np.abs(self.high))
+        first = np.concatenate(self._first)
+        for axis in range(self.axes):
+            gaps = np.diff(np.unique(first[:, axis]))
+            gaps = gaps[gaps > 1e-9 * max(1.0, float(largest[axis]))]
+            steps[axis] = gaps.min() if gaps.size else 0.0
+        return steps
+
+    def refuse_constant(self) -> None:
+        if not self.low.any() and not self.high.any():
+            raise DataError(
+                "all-zero accelerations in the whole recording; check wiring and supply, record again"
+            )
+        if (self.low == self.high).all():
+            raise DataError(
+                "stuck data: the accelerations never change in the whole recording; record again"
+            )
+
+
+@dataclass
+class _Extent:
+    """First pass: how long the recording is, and between what its samples lie."""
+
+    rows: int = 0
+    steps: Quantiles = field(default_factory=Quantiles)
+    accel: _Range = field(default_factory=_Range)
+    gyro: _Range | None = None
+    _latest_s: float = np.nan
+
+    def take(self, piece: Piece) -> None:
+        steps = np.diff(piece.time_s, prepend=self._latest_s)
+        self.steps.feed(steps[steps > 0])
+        self._latest_s = float(piece.time_s[-1])
+        self.rows += len(piece)
+        self.accel.take(piece.accel)
+        if piece.gyro is not None:
+            self.gyro = self.gyro or _Range()
+            self.gyro.take(piece.gyro)
+
+
+def _deviation(samples: Floats, window: int, middle: float, rounding: float) -> Floats:
+    """Standard deviation (n − window + 1,) of samples (n,) in every window."""
+    if len(samples) < window:
+        return np.zeros(0)
+    part = samples - middle
+    first = np.concatenate([[0.0], np.cumsum(part)])
+    second = np.concatenate([[0.0], np.cumsum(part**2)])
+    mean = (first[window:] - first[:-window]) / window
+    variance = (second[window:] - second[:-window]) / window - mean**2
+    variance[variance < rounding] = 0.0
+    deviation: Floats = np.sqrt(variance)
+    return deviation
+
+
+def _deviations(samples: Floats, window: int, extent: _Range) -> Iterator[Floats]:
+    """The same of samples (n, axes), axis by axis."""
+    for axis in range(extent.axes):
+        middle, rounding = float(extent.middle[axis]), float(extent.rounding[axis])
+        yield _deviation(samples[:, axis], window, middle, rounding)
+
+
+def _limits(read: Reading, extent: _Range, window: int) -> tuple[Floats, StillnessLimits]:
+    """Second pass: noise (axes,) of the accelerations, and the limits that follow from it."""
+    spreads = [Quantiles() for _ in range(extent.axes)]
+    for _, piece in _overlapping(read, window - 1):
+        for spread, deviation in zip(spreads, _deviations(piece.accel, window, extent), strict=True):
+            spread.feed(deviation)
+    noise = np.array([_own_noise(spread) for spread in spreads])
+    return noise, limits_from_noise(noise, window, extent.quantum)
+
+
+def _own_noise(spread: Quantiles) -> float:
+    """Noise of an axis: typical deviation of its quiet windows; zero where words often repeat."""
+    alive = spread.positive
+    if not alive or alive < (1 - _OFTEN) * (alive + spread.zeros):
+        return 0.0
+    return spread.quantile(0.5, below=2 * spread.quantile(0.05))
+
+
+def _turn_limits(read: Reading, extent: _Extent, limits: StillnessLimits) -> Floats:
+    """Third pass: deviation (3,) of each gyro above which it turns; empty without gyros."""
+    if extent.gyro is None:
+        return np.zeros(0)
+    window = limits.window_samples
+    usual = [Quantiles() for _ in range(extent.gyro.axes)]
+    for _, piece in _overlapping(read, window - 1):
+        high, low = _outside(piece.accel, extent.accel, limits)
+        still = ~high & ~low
+        gyro = np.zeros((0, 3)) if piece.gyro is None else piece.gyro
+        for spread, deviation in zip(usual, _deviations(gyro, window, extent.gyro), strict=True):
+            spread.feed(deviation[still])
+    if not usual[0].positive + usual[0].zeros:
+        return np.full(extent.gyro.axes, np.inf)
+    median = np.array([spread.quantile(0.5, with_zeros=True) for spread in usual])
+    upper: Floats = np.maximum(_GYRO_UPPER * median, UPPER * extent.gyro.quantum / np.sqrt(12))
+    return upper
+
+
+def _outside(accel: Floats, extent: _Range, limits: StillnessLimits) -> tuple[Flags, Flags]:
+    """Windows (w,) in which an axis moves, and in which one shows less than a living sensor would."""
+    windows = max(len(accel) - limits.window_samples + 1, 0)
+    high, low = np.zeros((2, windows), dtype=np.bool_)
+    for axis, deviation in enumerate(_deviations(accel, limits.window_samples, extent)):
+        high |= deviation > limits.upper[axis]
+        low |= deviation < limits.lower[axis]
+    return high, low
+
+
+class _Cutter:
+    """Last pass: runs of still windows, trimmed, and split where the mean steps."""
+
+    def __init__(self, sizes: _Sizes, limits: StillnessLimits, extent: _Extent, turn: Floats) -> None:
+        self._sizes = sizes
+        self._limits = limits
+        self._extent = extent
+        self._turn = turn
+        # An axis that never changes has no limit and no step either.
+        self._unit = np.maximum(limits.upper / UPPER, 1e-300)
+        self._still = _Runs()
+        self._flat = _Runs()
+        self._windows = 0
+        self._open_s = 0.0
+        self._steps: list[tuple[NDArray[np.int64], Floats]] = []
+        self._found: list[slice] = []
+        self.stuck: list[tuple[float, float]] = []
+        self._latest: tuple[int, Floats] = (0, np.zeros(0))
+
+    def take(self, start: int, piece: Piece) -> None:
+        """Take a block that begins at row `start`, 2 windows − 1 rows before the end of the last one."""
+        window = self._sizes.window
+        if len(piece) < window:
+            return
+        high, low = _outside(piece.accel, self._extent.accel, self._limits)
+        if piece.gyro is not None and self._extent.gyro is not None:
+            for limit, deviation in zip(
+                self._turn, _deviations(piece.gyro, window, self._extent.gyro), strict=True
+            ):
+                high |= deviation > limit
+        still = ~high & ~low
+        self._look_for_steps(start, piece.accel, still)
+        new = self._windows - start
+        self._windows = start + len(still)
+        self._latest = (start, piece.time_s)
+        for first, last in self._flat.feed(low[new:]):
+            self._note_stuck(first, last)
+        for first, last in self._still.feed(still[new:]):
+            self._close(first, last)
+        opened = self._flat.open
+        if opened is not None and opened >= start:
+            self._open_s = float(piece.time_s[opened - start])
+
+    def done(self) -> list[slice]:
+        """Rows of all dwells, when all blocks have been taken."""
+        for first, last in self._flat.end():
+            self._note_stuck(first, last)
+        for first, last in self._still.end():
+            self._close(first, last)
+        return self._found
+
+    def _note_stuck(self, first: int, last: int) -> None:
+        start, time_s = self._latest
+        began = float(time_s[first - start]) if first >= start else self._open_s
+        self.stuck.append((began, float(time_s[last + self._sizes.window - 1 - start])))
+
+    def _look_for_steps(self, start: int, accel: Floats, still: Flags) -> None:
+        """Rows at which the means of the windows before and after differ by more than the noise."""
+        window = self._sizes.window
+        if len(still) <= window or not still.any():
+            return
+        jump = np.zeros(len(still) - window)
+        for axis in range(accel.shape[1]):
+            sums = np.concatenate([[0.0], np.cumsum(accel[:, axis] - self._extent.accel.middle[axis])])
+            means = (sums[window:] - sums[:-window]) / window
+            np.maximum(jump, np.abs(means[window:] - means[:-window]) / self._unit[axis], out=jump)
+        rows = np.flatnonzero((jump > UPPER) & still[window:] & still[:-window])
+        # A pair of windows lies in one block only: the overlap is a row shorter.
+        if rows.size:
+            self._steps.append((start + rows, jump[rows]))
+
+    def _close(self, first: int, last: int) -> None:
+        """A run of still windows has ended: keep its rows, in parts."""
+        sizes = self._sizes
+        start, stop = first + sizes.trim, last + sizes.window - sizes.trim
+        cuts = self._cuts(start, stop) if stop - start >= 2 * sizes.least else []
+        edges = [start, *cuts, stop]
+        self._found += [slice(a, b) for a, b in pairwise(edges) if b - a >= sizes.least]
+        self._steps = [(rows, jump) for rows, jump in self._steps if rows[-1] > last]
+
+    def _cuts(self, start: int, stop: int) -> list[int]:
+        """Rows at which a dwell is split: the largest step first, none within a window of another."""
+        window = self._sizes.window
+        if not self._steps:
+            return []
+        rows = np.concatenate([rows for rows, _ in self._steps])
+        jump = np.concatenate([jump for _, jump in self._steps])
+        inside = (rows >= start) & (rows + 2 * window <= stop)
+        rows, jump = rows[inside], jump[inside]
+        cuts = []
+        while rows.size:
+            k = int(rows[jump.argmax()])
+            cuts.append(k + window)
+            far = (rows < k - window) | (rows >= k + window)
+            rows, jump = rows[far], jump[far]
+        return sorted(cuts)
+
+
+class _Runs:
+    """Runs of true flags, fed in pieces, each told as (first, last) when it has ended."""
+
+    def __init__(self) -> None:
+        self._fed = 0
+        self.open: int | None = None
+
+    def feed(self, flags: Flags) -> list[tuple[int, int]]:
+        edges = np.diff(flags.astype(np.int8), prepend=np.int8(self.open is not None))
+        found = []
+        for k in np.flatnonzero(edges).tolist():
+            if edges[k] > 0:
+                self.open = self._fed + k
+            elif self.open is not None:
+                found.append((self.open, self._fed + k - 1))
+                self.open = None
+        self._fed += len(flags)
+        return found
+
+    def end(self) -> list[tuple[int, int]]:
+        """The run that stands at the end, if one does."""
+        return [] if self.open is None else [(self.open, self._fed - 1)]
+
+
+_HALF_TURN = math.pi
+_MOST_REST = 0.5
+"""Part of the time at rest beyond which a recording is a row of positions."""
+_OUT_OF_PLANE = 0.25
+"""Z and the change of the length of X and Y, over that length, beyond which no plane was kept."""
+
+
+def shows_a_free_turn(recording: Dwell, dwells: Sequence[slice]) -> bool:
+    """True where a continuous recording with gyros is one turn in the plane of X and Y.
+
+    It turns half around or more, and for more than half of its time.
+
+    Parameters
+    ----------
+    dwells : sequence of slice
+        Rests that were found in it; a hand that takes a new grip leaves some too.
+    """
+    rest = sum(rows.stop - rows.start for rows in dwells)
+    if recording.gyro is None or rest > _MOST_REST * len(recording) or len(recording) < 2 * _LEAST_WINDOW:
+        return False
+    blocks = np.array_split(recording.accel, max(len(recording) // 64, 8))
+    x, y, *z = np.array([block.mean(axis=0) for block in blocks]).T
+    length = np.hypot(x, y)
+    typical = float(np.median(length))
+    odd = max(float(np.ptp(length)) / 2, *(float(np.abs(other).max()) for other in z), 0.0)
+    turned = float(np.ptp(np.unwrap(np.arctan2(y, x))))
+    return turned >= _HALF_TURN and odd < _OUT_OF_PLANE * typical

@@ -1,0 +1,110 @@
+"""How a session measures: dwell length, settling, and the sensor's configuration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from adis_gonio.base.errors import UsageError
+from adis_gonio.device.sensor.driver import DEFAULT_SCAN
+from adis_gonio.device.sensor.registers import ACCEL_OUT
+from adis_gonio.device.sensor.settings import sample_period_s, sens_avg_word
+
+LEAST_SAMPLES = 16
+"""A dwell of fewer samples tells too little about its own noise."""
+
+TURN_S = 10.0
+"""Estimate of a turn by hand, until one has been timed."""
+
+
+def expected_each_s(settle_s: float, dwell_s: float) -> float:
+    """Time in s that a position is expected to take: the turn, the settling and the dwell."""
+    return TURN_S + settle_s + dwell_s
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of a session, kept in its archive and used again when it is resumed.
+
+    Attributes
+    ----------
+    dwell_s : float
+        Length of a dwell in s.
+    settle_s : float
+        Wait between stillness and the dwell in s; the filter's settling time is the least.
+    still_timeout_s : float
+        How long to wait for stillness in s before asking again (or giving up, without an operator).
+    smpl_prd : int
+        SMPL_PRD; 1 is the fastest, 819.2 samples a second.
+    filter_m : int
+        M of the Bartlett filter.
+    gyro_range_dps : int
+        300, 150 or 75.
+    data_ready : bool or None
+        Data-ready pulses for the time of the session; None uses them where the bus can and the line is
+        wired, True insists on it, False polls.
+    registers : tuple of str
+        What a scan holds; the three accelerometer outputs are the least.
+    turns : bool
+        Keep what is scanned between the dwells too: the last minutes before each one.
+
+    Raises
+    ------
+    UsageError
+        A value that the sensor does not have, or a dwell too short for its rate.
+    """
+
+    dwell_s: float = 10.0
+    settle_s: float = 0.5
+    still_timeout_s: float = 60.0
+    smpl_prd: int = 1
+    filter_m: int = 2
+    gyro_range_dps: int = 300
+    data_ready: bool | None = None
+    registers: tuple[str, ...] = DEFAULT_SCAN
+    turns: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("dwell_s", "still_timeout_s"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise UsageError(f"{name} is {value}: take a time above 0 s")
+        if not (math.isfinite(self.settle_s) and self.settle_s >= 0):
+            raise UsageError(f"settle_s is {self.settle_s}: take 0 s or more")
+        missing = [name for name in ACCEL_OUT if name not in self.registers]
+        sens_avg_word(self.gyro_range_dps, self.filter_m)
+        if not 1 <= self.smpl_prd <= 0xFF:
+            raise UsageError(f"smpl_prd is {self.smpl_prd}: take 1 (819.2 samples a second) to 255")
+        period_s = sample_period_s(self.smpl_prd)
+        if self.dwell_s < LEAST_SAMPLES * period_s:
+            raise UsageError(
+                f"dwell_s is {self.dwell_s:g}: at {1 / period_s:.4g} samples a second"
+                f" take {LEAST_SAMPLES * period_s:.3g} s or more"
+            )
+        if missing:
+            raise UsageError(f"a session needs {', '.join(ACCEL_OUT)}; the scan lacks {', '.join(missing)}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form; `turns` where they are kept."""
+        made = asdict(self) | {"registers": list(self.registers)}
+        if not self.turns:
+            del made["turns"]
+        return made
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Settings:
+        """Settings from their JSON form; those that are not there have their defaults.
+
+        Raises
+        ------
+        UsageError
+            A value as above, or a setting that this program does not know.
+        """
+        unknown = sorted(data.keys() - cls.__dataclass_fields__.keys())
+        if unknown:
+            raise UsageError(
+                f"the session has a setting {unknown[0]!r:.40}: update adis-gonio to resume it"
+            )
+        return cls(**{**data, "registers": tuple(data.get("registers", DEFAULT_SCAN))})

@@ -1,0 +1,375 @@
+"""Where a session's samples come from: the chip behind its driver, or any other sensor.
+
+`SampleSource` is all that a session knows of its sensor. `ChipSource` is the driver as one; a package adds
+others by an entry point in the group `adis_gonio.source`: scheme = "module:opener".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from adis_gonio.base.errors import ChipError, SessionError, UsageError
+from adis_gonio.device.bus.opening import SOURCE_GROUP, BusUrl
+from adis_gonio.device.sensor.bartlett import white_gain
+from adis_gonio.device.sensor.data_ready import MASK as DATA_READY_BITS
+from adis_gonio.device.sensor.data_ready import DataReadyLoan
+from adis_gonio.device.sensor.driver import Adis16354, open_sensor
+from adis_gonio.device.sensor.registers import BY_NAME, READING_BITS, REGISTERS
+from adis_gonio.device.sensor.settings import Configuration, Status
+from adis_gonio.record.blocks import Block
+from adis_gonio.record.settings import Settings
+
+
+class Measuring(Protocol):
+    """How a sensor measures."""
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Samples a second."""
+
+    @property
+    def sample_period_s(self) -> float:
+        """Time between two of them."""
+
+    @property
+    def settling_s(self) -> float:
+        """Time until a filter has forgotten what was before; 0 where none is known."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+
+
+class SampleStream(Protocol):
+    """Blocks of samples until it is closed; a context manager.
+
+    Attributes
+    ----------
+    how : str
+        How the samples are got, in words.
+    """
+
+    how: str
+
+    @property
+    def caveat(self) -> str:
+        """What has to be known of the samples, in words; empty where nothing has."""
+
+    def __iter__(self) -> Iterator[Block]:
+        """Itself."""
+
+    def __next__(self) -> Block:
+        """Next block; raises `BusError` where the sensor fails."""
+
+    def close(self) -> None:
+        """Stop, and set back what was changed for the stream; may be called twice."""
+
+    def __enter__(self) -> Self:
+        """Itself."""
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close."""
+
+
+@dataclass(frozen=True)
+class KnownPart:
+    """What is known of a sensor before it is measured.
+
+    Attributes
+    ----------
+    name : str
+        The archive's `variant`: a part of the family, or `generic`.
+    initial_bias_mg : float
+        Typical bias of an axis.
+    step_mg : float
+        Step of the converter; 0 where it is not known.
+    """
+
+    name: str
+    initial_bias_mg: float
+    step_mg: float
+
+
+class SampleSource(Protocol):
+    """A sensor as a session sees it. Errors are those of `adis_gonio.base.errors`.
+
+    Attributes
+    ----------
+    url : str
+        What it was opened by.
+    part : KnownPart
+    stage, world : object or None
+        What moves it and what is hidden, where these are simulated (see `bench.MovableStage`,
+        `bench.SimulatedWorld`).
+    kept : tuple of str
+        The settings of `Settings` that mean something to it; the archive keeps these.
+    why_polled : str
+        Why samples are polled where data-ready could start them; else empty. Known after `configure`.
+    """
+
+    url: str
+    part: KnownPart
+    stage: Any
+    world: Any
+    kept: tuple[str, ...]
+    why_polled: str
+
+    def now_s(self) -> float:
+        """The sensor's own monotonic clock, on which its samples' times are."""
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait on that clock."""
+
+    def configure(self, settings: Settings) -> Measuring:
+        """Let it measure as the settings say, as far as it can, and say how it does.
+
+        What is borrowed for the samples' time alone (data-ready) stands until `give_back`.
+        """
+
+    def give_back(self) -> None:
+        """Set back what `configure` and `mark_restart` borrowed; may be called twice."""
+
+    def mark_restart(self) -> None:
+        """Write a number that a restart loses into a register that nothing uses, if there is one."""
+
+    def settings_held(self) -> dict[str, int]:
+        """Return the settings that shift or scale a sample, and the mark; empty without registers."""
+
+    def registers(self) -> dict[str, int]:
+        """All that can be read of its state; empty where there are no registers."""
+
+    def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
+        """What must be the same when a session goes on, out of registers and configuration then."""
+
+    def expected_noise_mg(self, measuring: Measuring) -> float:
+        """Estimate of a sample's noise at rest; ten times that is motion."""
+
+    def samples(self, settings: Settings, block_samples: int) -> SampleStream:
+        """Samples from now on, with nothing changed at the sensor that `configure` has set."""
+
+    def status(self) -> Status | None:
+        """Faults that the sensor reports, which clears them; None where it reports none."""
+
+    def close(self) -> None:
+        """Forget the sensor; may be called twice."""
+
+    def __enter__(self) -> Self:
+        """Itself."""
+
+    def __exit__(self, *error: object) -> None:
+        """Close."""
+
+
+MARK = 0x2A5A
+"""Number in the level of an unused alarm while a session runs: after a restart its flash copy is there."""
+
+HOLDING_SETTINGS = tuple(
+    row.name
+    for row in REGISTERS
+    if row.readable and row.writable and row.name not in ("GPIO_CTRL", "SLP_CNT")
+)
+"""Control registers that hold settings; the two left out hold levels of lines and a count that runs."""
+
+
+class ChipSource:
+    """The driver as a source of samples."""
+
+    kept = tuple(Settings.__dataclass_fields__)
+
+    def __init__(self, sensor: Adis16354) -> None:
+        self.sensor = sensor
+        self.url = sensor.bus.url
+        variant = sensor.variant
+        self.part = KnownPart(variant.name, variant.performance.initial_bias_mg, variant.accel_mg_per_lsb)
+        self.stage: Any = getattr(sensor.bus, "stage", None)
+        self.world: Any = getattr(sensor.bus, "world", None)
+        self.why_polled = ""
+        self._loan: DataReadyLoan | None = None
+        self._marked: tuple[str, int] | None = None
+
+    def now_s(self) -> float:
+        """Clock of the bus."""
+        return self.sensor.bus.now_s()
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait on the bus's clock."""
+        self.sensor.bus.sleep_s(seconds)
+
+    def configure(self, settings: Settings) -> Configuration:
+        """Set the chip up, and borrow data-ready where it is wired unless the settings forbid it.
+
+        Raises
+        ------
+        SessionError
+            The settings insist on data-ready, and it cannot be used.
+        ChipError
+            The manual self-test is on, or the chip lost its settings meanwhile.
+        """
+        self._forget_old_mark()
+        asked = (settings.smpl_prd, settings.filter_m, settings.gyro_range_dps)
+        self.sensor.configure(smpl_prd=asked[0], filter_m=asked[1], gyro_range_dps=asked[2])
+        self._borrow_data_ready(settings)
+        self._refuse_self_test()
+        now = self.sensor.configuration()
+        if (now.smpl_prd, now.filter_m, now.gyro_range_dps) != asked:
+            self.give_back()
+            raise ChipError(
+                f"{self.url}: SMPL_PRD or SENS_AVG changed while the session began: the sensor restarted,"
+                " or somebody wrote to it; check the supply and go on with --resume"
+            )
+        return now
+
+    def _refuse_self_test(self) -> None:
+        """Raise `ChipError` while the stimulus of the manual self-test shifts every reading."""
+        control = BY_NAME["MSC_CTRL"]
+        stimulus = control.field("positive").mask | control.field("negative").mask
+        word = self.sensor.read(control)
+        if word & stimulus and not word & ~control.write_mask:  # other bits: the line gives no replies
+            self.give_back()
+            word = self.sensor.read(control) & ~stimulus
+            raise ChipError(
+                f"{self.url}: the manual self-test (MSC_CTRL[9:8]) is on and shifts every reading;"
+                f" end it with 'adis-gonio registers URL MSC_CTRL=0x{word:X}'"
+            )
+
+    def _borrow_data_ready(self, settings: Settings) -> None:
+        self.give_back()
+        self.why_polled = ""
+        if settings.data_ready is False:
+            self.why_polled = "data-ready is switched off for this session"
+            return
+        loan = self.sensor.lend_data_ready(settings.registers)
+        if loan is None:
+            self.why_polled = "this bus cannot use data-ready"
+        elif not loan.wired:
+            self.why_polled = "no data-ready edge arrives: is DIO1 wired to the bridge?"
+        else:
+            self._loan = loan
+        if self.why_polled and settings.data_ready:
+            raise SessionError(f"{self.url}: {self.why_polled} (the session asks for it)")
+
+    def give_back(self) -> None:
+        """Set data-ready and the alarm's level back; may be called twice."""
+        loan, self._loan = self._loan, None
+        marked, self._marked = self._marked, None
+        try:
+            if loan is not None:
+                loan.give_back()
+        finally:
+            if marked is not None and self.sensor.read(marked[0]) == MARK:
+                self.sensor.write(*marked)
+
+    def mark_restart(self) -> None:
+        """Write `MARK` into the level of an alarm that is off; without one a restart may not show.
+
+        The offsets and the rate may be the same before and after a restart, because nobody changed what
+        the flash holds. ALM_MAG1 and ALM_MAG2 do nothing while their source in ALM_CTRL is 0 (DS, B).
+        """
+        control = BY_NAME["ALM_CTRL"]
+        word = self.sensor.read_words([control])[0]
+        for number in (2, 1):
+            if not word & control.field(f"source{number}").mask:
+                name = f"ALM_MAG{number}"
+                before = self.sensor.read(name)
+                self.sensor.write(name, MARK)
+                self._marked = (name, before)
+                return
+
+    def _forget_old_mark(self) -> None:
+        """Clear the mark of a session whose program was killed."""
+        for name in ("ALM_MAG1", "ALM_MAG2"):
+            if self.sensor.read(name) == MARK:
+                self.sensor.write(name, 0)
+
+    def settings_held(self) -> dict[str, int]:
+        """Bits of `READING_BITS` in their registers, and the alarm's level that holds the mark."""
+        names = [*READING_BITS, *([self._marked[0]] if self._marked else [])]
+        words = self.sensor.read_words(names)
+        numbers = {name: BY_NAME[name].number(word) for name, word in zip(names, words, strict=True)}
+        return {name: number & READING_BITS.get(name, -1) for name, number in numbers.items()}
+
+    def registers(self) -> dict[str, int]:
+        """All readable registers."""
+        return self.sensor.read_all()
+
+    def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
+        """The control registers that hold settings; without data-ready, whose wire may be there or not."""
+        held = {name: registers.get(name) for name in HOLDING_SETTINGS}
+        if held["MSC_CTRL"] is not None:
+            held["MSC_CTRL"] &= ~DATA_READY_BITS
+        return held
+
+    def expected_noise_mg(self, measuring: Measuring) -> float:
+        """The variant's estimate behind the filter that is set."""
+        filter_m = measuring.filter_m if isinstance(measuring, Configuration) else 0
+        return self.sensor.variant.performance.noise_mg * white_gain(filter_m)
+
+    def samples(self, settings: Settings, block_samples: int) -> SampleStream:
+        """Scans of the registers that the settings name."""
+        # The session has set the registers, and they stay as the archive says.
+        return self.sensor.stream(
+            settings.registers,
+            block_scans=block_samples,
+            leave_registers=True,
+            data_ready=self._loan is not None,
+        )
+
+    def status(self) -> Status:
+        """STATUS."""
+        return self.sensor.status()
+
+    def close(self) -> None:
+        """Close the sensor."""
+        self.sensor.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def as_source(sensor: Adis16354 | SampleSource) -> SampleSource:
+    """A source of what may be the chip's driver."""
+    return ChipSource(sensor) if isinstance(sensor, Adis16354) else sensor
+
+
+def has_frames(url: str) -> bool:
+    """False where a URL names a source of samples without a chip's frames behind it."""
+    return BusUrl.parse(url).scheme not in {point.name for point in entry_points(group=SOURCE_GROUP)}
+
+
+def open_source(url: str, *, variant: str = "adis16354", check: bool = True) -> SampleSource:
+    """Open a source of samples by URL: a bus with the chip behind it, or another sensor (`iio:`).
+
+    Parameters
+    ----------
+    variant, check
+        As `open_sensor`; they mean the chip only.
+
+    Raises
+    ------
+    UsageError, CannotOpenError
+        As `open_bus`.
+    """
+    parsed = BusUrl.parse(url)
+    for point in entry_points(group=SOURCE_GROUP):
+        if point.name == parsed.scheme:
+            source: SampleSource = point.load()(parsed)
+            return source
+    return ChipSource(open_sensor(url, variant=variant, check=check))
+
+
+def refuse_chip_options(url: str, given: Mapping[str, object]) -> None:
+    """Raise `UsageError` where options for the chip come with a URL that has none behind it."""
+    names = [name for name, value in given.items() if value]
+    if names and not has_frames(url):
+        raise UsageError(f"{', '.join(names)}: for the ADIS16354 only; set up {url} by its own means")

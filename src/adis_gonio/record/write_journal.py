@@ -1,0 +1,339 @@
+"""The journal of writes in a session's archive, and what it says of a sensor that is looked at again.
+
+Every step is a record of kind `offsets`, written **before** what it announces (`planned`, `saving`) or
+**after** what it reports (`written`, `verified`, `saved`, `done`, `set-back`). A power cut therefore finds
+the journal at most one step behind the sensor, and registers, ENDURANCE and journal together tell where it
+was:
+
+| registers | after |
+|---|---|
+| old | a cut before anything was saved (the part takes its flash copies at power-on), or an undo |
+| new | a write; in flash where ENDURANCE went up by one since `saving` |
+| half | the program ended between two bytes or two registers while the power stayed |
+| other | somebody else wrote them, or it is another part |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any, Literal
+
+from adis_gonio.device.sensor.driver import ENDURANCE_WRAP
+from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
+from adis_gonio.model.records import Session
+
+Numbers = Mapping[str, int]
+"""Offset registers by name, signed, in LSB."""
+
+KIND = "offsets"
+"""Kind of the archive's records that are the journal."""
+
+INTERRUPTED = (
+    "a write of offsets was interrupted, so what the sensor holds is not known; run `adis-gonio write` "
+    "with --status, then finish it or --undo"
+)
+
+Op = Literal["write", "undo", "autonull"]
+
+
+class WriteStep(StrEnum):
+    """Steps of an operation, in their order; `DONE` and `SET_BACK` end it."""
+
+    PLANNED = "planned"
+    WRITTEN = "written"
+    VERIFIED = "verified"
+    SAVING = "saving"
+    SAVED = "saved"
+    DONE = "done"
+    SET_BACK = "set-back"
+
+
+AFTER: dict[WriteStep | None, tuple[WriteStep, ...]] = {
+    None: (WriteStep.PLANNED,),
+    WriteStep.PLANNED: (WriteStep.WRITTEN, WriteStep.SAVING, WriteStep.SET_BACK),
+    WriteStep.WRITTEN: (WriteStep.VERIFIED, WriteStep.SAVING, WriteStep.DONE, WriteStep.SET_BACK),
+    WriteStep.VERIFIED: (WriteStep.SAVING, WriteStep.SAVED, WriteStep.DONE, WriteStep.SET_BACK),
+    WriteStep.SAVING: (WriteStep.SAVED, WriteStep.SET_BACK),
+    WriteStep.SAVED: (WriteStep.DONE,),
+    WriteStep.DONE: (),
+    WriteStep.SET_BACK: (),
+}
+"""Which steps may follow which; what is in flash already is `saved` without `saving`. An autonull is
+`saving` from the start, since the part saves it by itself, and `saved` says what it found."""
+
+
+@dataclass(frozen=True)
+class Operation:
+    """One write or undo as the journal tells it.
+
+    Attributes
+    ----------
+    number : int
+        From 1.
+    op : {"write", "undo", "autonull"}
+    old, new : dict of str to int
+        Numbers before the write and those that it writes; an undo has those of the write that it undoes, an
+        autonull the old ones until it is `saved`.
+    found : dict of str to int
+        Numbers at its start, or the old ones where these were neither old nor new; a write that breaks off
+        goes back to them.
+    save : bool
+        Flash was asked for.
+    steps : tuple of WriteStep
+        What was recorded.
+    endurance : int or None
+        ENDURANCE when saving began.
+    endurance_after : int or None
+        ENDURANCE when it had ended.
+    utc : str
+        Time of the last record.
+    beside : dict of str to int
+        Numbers in the other part's offset registers when saving began: the flash takes them too.
+    """
+
+    number: int
+    op: Op
+    old: dict[str, int]
+    new: dict[str, int]
+    found: dict[str, int]
+    save: bool
+    steps: tuple[WriteStep, ...]
+    endurance: int | None = None
+    endurance_after: int | None = None
+    utc: str = ""
+    beside: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def open(self) -> bool:
+        """True where it was not brought to its end."""
+        return self.steps[-1] not in (WriteStep.DONE, WriteStep.SET_BACK)
+
+    def concerns(self, names: Sequence[str]) -> bool:
+        """True where it is about registers of these names."""
+        return any(name in names for name in self.old)
+
+    @property
+    def target_of_saving(self) -> dict[str, int]:
+        """Numbers that its flash update puts there."""
+        return self.old if self.op == "undo" else self.new
+
+    @property
+    def saved(self) -> bool:
+        """True where the flash was written and the journal knows it."""
+        return WriteStep.SAVED in self.steps
+
+    @property
+    def target(self) -> dict[str, int]:
+        """Numbers that stand after it."""
+        if self.steps[-1] is WriteStep.SET_BACK:
+            return self.found
+        return self.old if self.op == "undo" else self.new
+
+
+def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
+    """Operations out of the journal's records, in order (`Session.facts["offset_writes"]`)."""
+    found: dict[int, Operation] = {}
+    for entry in entries:
+        number, step = int(entry["number"]), WriteStep(entry["step"])
+        before = found.get(number)
+        found[number] = Operation(
+            number,
+            before.op if before else entry["op"],
+            before.old if before else dict(entry["old"]),
+            dict(entry["new"]) if "new" in entry else before.new if before else {},
+            before.found if before else dict(entry["found"]),
+            before.save if before else bool(entry["save"]),
+            (*(before.steps if before else ()), step),
+            entry.get("endurance", before.endurance if before else None),
+            entry.get("endurance_after", before.endurance_after if before else None),
+            str(entry.get("utc", "")),
+            dict(entry["beside"]) if "beside" in entry else before.beside if before else {},
+        )
+    return tuple(found.values())
+
+
+def operations_of(session: Session, names: Sequence[str] = ACCEL_OFF) -> tuple[Operation, ...]:
+    """Operations on these registers that a session's archive knows; none where it is no archive."""
+    known = operations(session.facts.get("offset_writes") or ())
+    return tuple(operation for operation in known if operation.concerns(names))
+
+
+def remarks_on(known: Sequence[Operation], recorded: Numbers) -> tuple[str, ...]:
+    """What a session's results have to say of its writes: a line a part, or none where nothing stands."""
+    own = [tuple(one for one in known if one.concerns(names)) for names in (ACCEL_OFF, GYRO_OFF)]
+    said = (*_remarks(own[0], recorded, "biases"), *_remarks(own[1], recorded, "zero rates"))
+    return tuple(dict.fromkeys(said))
+
+
+def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[str, ...]:
+    if not known:
+        return ()
+    if known[-1].open:
+        return (INTERRUPTED,)
+    now = {name: number for name, number in known[-1].target.items() if number != recorded.get(name)}
+    if not now:
+        return ()
+    told = ", ".join(f"{name} {recorded.get(name, 'unknown')} → {number}" for name, number in now.items())
+    flash = "saved to flash" if known[-1].saved else "not saved to flash"
+    return (
+        f"offsets were written to the sensor since ({told}; {flash}): {what} here are those of the "
+        "recording, exported coefficients hold with the offsets written",
+    )
+
+
+def to_undo(known: Sequence[Operation]) -> Operation | None:
+    """The write that an undo takes back: the last one that is not taken back already."""
+    for operation in reversed(known):
+        if operation.op != "undo" and operation.steps[-1] is not WriteStep.SET_BACK:
+            return operation
+        if operation.op == "undo" and not operation.open:
+            return None
+    return None
+
+
+RegisterState = Literal["old", "new", "half", "other"]
+
+
+@dataclass(frozen=True)
+class HeldOffsets:
+    """What the sensor holds, in the words of the journal.
+
+    Attributes
+    ----------
+    registers : {"untouched", "old", "new", "half", "other"}
+        `untouched` where the journal knows no write.
+    saved : bool or None
+        True where the flash holds what the registers hold, as far as the journal knows; None not known.
+    open : bool
+        An operation was not brought to its end.
+    axes : dict of str to str
+        State of each register.
+    operation : Operation or None
+        The last one.
+    text : str
+        All of it in a line.
+    """
+
+    registers: str
+    saved: bool | None
+    open: bool
+    axes: dict[str, RegisterState]
+    operation: Operation | None
+    text: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        last = self.operation
+        return {
+            "registers": self.registers,
+            "saved": self.saved,
+            "open": self.open,
+            "axes": dict(self.axes),
+            "operation": None if last is None else {"number": last.number, "op": last.op, "utc": last.utc},
+            "text": self.text,
+        }
+
+
+def standing_of(
+    known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation] = ()
+) -> HeldOffsets:
+    """What a sensor with these numbers and this ENDURANCE holds.
+
+    Parameters
+    ----------
+    known, others : sequence of Operation
+        Those on these registers, and those on the other part's, whose flash updates take these along.
+    """
+    if not known:
+        return HeldOffsets(
+            "untouched", None, False, {}, None, "this session has written nothing to the sensor"
+        )
+    last = known[-1]
+    if last.op == "autonull" and not last.saved:
+        last = replace(last, new={name: now[name] for name in last.old})  # whatever the part found
+        known = (*known[:-1], last)
+    axes = {name: _state(name, now[name], last.old[name], last.new[name]) for name in last.new}
+    registers = _together(now, last, axes)
+    flash = _in_flash(known, now, endurance, others)
+    saved = None if flash is None else all(flash.get(name) == now[name] for name in last.new)
+    if registers == "old" and flash == {}:
+        saved = None  # they were found there, in flash or not
+    return HeldOffsets(registers, saved, last.open, axes, last, _words(registers, flash, axes, last))
+
+
+def flash_untouched(
+    known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation] = ()
+) -> bool:
+    """True where the flash certainly holds what it held before the first write."""
+    return not known or _in_flash(known, now, endurance, others) in ({}, known[-1].old)
+
+
+def _together(now: Numbers, last: Operation, axes: Mapping[str, RegisterState]) -> RegisterState:
+    """One state for all registers; what an operation leaves as it was is both old and new."""
+    both: list[tuple[RegisterState, Numbers]] = [("new", last.new), ("old", last.old)]
+    written = last.op == "write" or (last.op == "autonull" and last.saved)
+    for state, numbers in both if written else reversed(both):
+        if all(now[name] == number for name, number in numbers.items()):
+            return state
+    return "other" if "other" in axes.values() else "half"
+
+
+def _state(name: str, now: int, old: int, new: int) -> RegisterState:
+    if now in (old, new):
+        return "new" if now == new else "old"
+    row = BY_NAME[name]
+    # A register is written low byte first: a program that ends between the two leaves one of each.
+    halves = {row.word(a) & 0x00FF | row.word(b) & 0xFF00 for a, b in ((old, new), (new, old))}
+    return "half" if row.word(now) in halves else "other"
+
+
+def _in_flash(
+    known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation]
+) -> dict[str, int] | None:
+    """Numbers that were put into flash; {} none, so that what was there is there still; None not known."""
+    flash: dict[str, int] | None = {}
+    names = tuple(known[-1].old)
+    for operation in sorted((*known, *others), key=lambda one: one.number):
+        own = operation in known
+        asked = operation.target_of_saving if own else {name: operation.beside.get(name) for name in names}
+        certain = None if None in asked.values() else {name: int(n or 0) for name, n in asked.items()}
+        if operation.saved:
+            flash = certain
+        elif WriteStep.SAVING in operation.steps and operation.endurance is not None:
+            written = (endurance - operation.endurance) % ENDURANCE_WRAP
+            if operation is known[-1] and written == 1 and all(now[k] == asked[k] for k in asked):
+                flash = certain
+            elif written:
+                # A supply that dipped just before the flash was written may have put the others there.
+                flash = None
+    return flash
+
+
+def _words(
+    registers: str, flash: dict[str, int] | None, axes: Mapping[str, RegisterState], last: Operation
+) -> str:
+    begun = f"; the {last.op} broke off after '{last.steps[-1]}'" if last.open else ""
+    if registers in ("new", "old"):
+        return f"the sensor holds the {registers} offsets{_flash(registers, flash, last)}{begun}"
+    each = ", ".join(f"{name} {state}" for name, state in axes.items())
+    if registers == "half":
+        return f"the sensor holds half of it ({each}){begun}: write again to finish, --undo to set back"
+    return f"the sensor holds neither the old nor the new offsets ({each}): changed since, or another part"
+
+
+def _flash(registers: str, flash: dict[str, int] | None, last: Operation) -> str:
+    """What is known of the flash, as a part of a sentence."""
+    held, other = (last.new, last.old) if registers == "new" else (last.old, last.new)
+    if flash is None:
+        return ", and whether these or the others are in flash is not known"
+    if flash == held:
+        return ", saved to flash"
+    if flash == other:
+        return ", the others are in flash: they come back with the next power-on"
+    if registers == "new":
+        return ", not saved: they are lost with the power"
+    if not last.open and last.target == last.new:
+        return ": the new ones were not saved, and the power was off since"
+    return ""

@@ -1,0 +1,345 @@
+"""A board with the project's firmware and a chip, behind a serial port that any program can open.
+
+The board speaks the wire protocol of `firmware_proto/PROTOCOL.md` on a pseudo-terminal or a TCP port of
+this machine, so that a host program in any language takes it for the real one. It lives in real time.
+
+What is not simulated
+    The modem lines (a pty and a socket have none: nothing resets the board by opening it), the baud rate
+    (bytes leave at that of `SimulatedFirmware`, whatever the host sets), USB.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import threading
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from types import TracebackType
+from typing import Literal, Protocol, Self, get_args
+
+from adis_gonio.base.errors import CannotOpenError, UsageError
+from adis_gonio.sim.chip import SimulatedChip
+from adis_gonio.sim.testing.clocks import WorkClock
+from adis_gonio.sim.testing.faults import Faults, FaultyStream
+from adis_gonio.sim.testing.firmware import SimulatedFirmware
+from adis_gonio.sim.testing.pins import ChipPins
+from adis_gonio.sim.testing.simulated import DEFAULT_URL, simulated_bus
+from adis_gonio.sim.world import World
+
+Transport = Literal["pty", "tcp"]
+
+_BUFFER = 65536
+_LONGEST_WAIT_S = 0.05
+_END_S = 60.0
+_UNREAD = 1 << 20
+"""Bytes that wait for a host which does not read; more than that are lost, as in an adapter."""
+
+
+class SimulatedBoard:
+    """The firmware behind a pty or a TCP port, at work in a thread; use it as a context manager.
+
+    Parameters
+    ----------
+    firmware : SimulatedFirmware
+        On a `WorkClock`. `open_board` makes one from a URL.
+    faults : Faults
+        Of the line: `drop`, `duplicate`, `flip`, `delay`, `chunk` and `hang`.
+    transport : {"pty", "tcp"}
+        A pseudo-terminal needs POSIX.
+    world : World
+        Of the chip, where a test wants to move it.
+
+    Attributes
+    ----------
+    path : str
+        What a program opens: a device such as `/dev/pts/3`, or `socket://127.0.0.1:41234`, as pyserial
+        has it.
+    host, port : str, int
+        The same for plain sockets; of a pty there is none, and they are empty.
+    stage : BoardStage
+        Moves the part.
+
+    Raises
+    ------
+    UsageError
+        No such transport.
+    CannotOpenError
+        The machine gives no pseudo-terminal, or no port.
+    """
+
+    def __init__(
+        self,
+        firmware: SimulatedFirmware,
+        faults: Faults | None = None,
+        *,
+        transport: Transport = "pty",
+        world: World | None = None,
+    ) -> None:
+        if transport not in get_args(Transport):
+            raise UsageError(f"no transport '{transport}': {' or '.join(get_args(Transport))}")
+        if not isinstance(firmware.pins.clock, WorkClock):
+            raise UsageError("a board lives in real time: give its firmware a WorkClock")
+        self.firmware = firmware
+        self.faults = faults or Faults()
+        self._world = world
+        self._clock = firmware.pins.clock
+        try:
+            self._line: _Line = _Pty() if transport == "pty" else _Tcp()
+        except (OSError, ImportError) as error:
+            raise CannotOpenError(
+                f"no {transport} on this machine for a simulated board: {error}"
+            ) from None
+        self.path, self.host, self.port = self._line.path, self._line.host, self._line.port
+        self.lock = threading.Lock()
+        self.stage = BoardStage(self)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._pump, name="simulated board", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """Bus URL that opens it with this package: `open_sensor(board.url)`."""
+        return f"serial:{self.path}"
+
+    @property
+    def chip(self) -> SimulatedChip:
+        """The chip on the board."""
+        return self.firmware.pins.chip
+
+    @property
+    def world(self) -> World:
+        """What is around the chip."""
+        if self._world is None:
+            raise UsageError("this board was made without its world; open_board brings one")
+        return self._world
+
+    def truth(self) -> dict[str, float]:
+        """Hidden parameters by the names that a fit uses; units as `World.truth`."""
+        with self.lock:
+            return self.world.truth()
+
+    def now_s(self) -> float:
+        """The board's time in s; the chip has not lived beyond it. Hold `lock` where it matters."""
+        return max(self._clock.now_s(), self.chip.time_s)
+
+    def unplug(self) -> None:
+        """The port goes away; may be called twice."""
+        self._stop.set()
+        self._thread.join(_END_S)
+        self._line.close()
+
+    close = unplug
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.unplug()
+
+    # -- the thread ----------------------------------------------------------------------------------
+
+    def _pump(self) -> None:
+        there, back = FaultyStream(self.faults), FaultyStream(self.faults)
+        unread = bytearray()
+        while not self._stop.is_set():
+            there.faults = back.faults = self.faults
+            try:
+                data = self._line.receive(self._wait_s(there, back), writes=bool(unread))
+                if data:
+                    there.put(data, self._clock.wall_s())
+                with self.lock:
+                    self._work(there, back)
+                unread += back.take(self._clock.wall_s(), _BUFFER)
+                del unread[:-_UNREAD]
+                del unread[: self._line.send(bytes(unread))]
+            except OSError:
+                return
+
+    def _wait_s(self, there: FaultyStream, back: FaultyStream) -> float:
+        now = self._clock.wall_s()
+        times = [t for t in (there.next_s(), back.next_s(), self.firmware.next_event_s()) if t is not None]
+        return min([_LONGEST_WAIT_S, *(max(0.0, t - now) for t in times)])
+
+    def _work(self, there: FaultyStream, back: FaultyStream) -> None:
+        """Let the firmware catch up with the clock."""
+        now, firmware = self._clock.wall_s(), self.firmware
+        firmware.run(now)
+        data = there.take(now, _BUFFER)
+        if data and not self.faults.hangs(now):
+            firmware.feed(data)
+        elif firmware.next_event_s() is None:
+            firmware.pins.data_ready_edges()  # so that a request never finds a chip far behind
+        while firmware.out:
+            ready_s, packet = firmware.out.popleft()
+            back.put(packet, max(ready_s, now))
+
+
+class BoardStage:
+    """The stage under a board: a move takes its time on the wall's clock, and the call ends with it."""
+
+    def __init__(self, board: SimulatedBoard) -> None:
+        self._board = board
+
+    @property
+    def angle_deg(self) -> float:
+        """Declared angle; nan where the attitude was given in space."""
+        return self._board.world.stage.angle_deg
+
+    def move_to(self, angle_deg: float, approach: int = 0) -> None:
+        """Turn to a declared angle in degrees, arriving from below (+1), above (-1) or the short way."""
+        board = self._board
+        with board.lock:
+            end_s = board.world.stage.move_to(board.now_s(), angle_deg, approach)
+        self._wait_until(end_s)
+
+    def orient(self, vector: Sequence[float]) -> None:
+        """Turn until an ideal sensor reads along a vector (3,); level with Z up is (0, 0, -1)."""
+        import numpy as np
+
+        board = self._board
+        with board.lock:
+            end_s = board.world.stage.orient(board.now_s(), np.asarray(vector, np.float64))
+        self._wait_until(end_s)
+
+    def _wait_until(self, end_s: float) -> None:
+        clock = self._board._clock
+        while (left := end_s - clock.wall_s()) > 0:
+            clock.sleep_s(left)
+
+
+def open_board(
+    url: str = DEFAULT_URL,
+    *,
+    transport: Transport | None = None,
+    line_faults: Faults | None = None,
+    boot_s: float = 0.0,
+) -> SimulatedBoard:
+    """A board with a chip in the world that a URL of the simulator describes.
+
+    Parameters
+    ----------
+    url : str
+        Such as `sim:?seed=3&delta_k=0.01&move_speed_dps=360`; the same URL gives `open_simulated` a part
+        with the same hidden parameters.
+    transport : {"pty", "tcp"}
+        By default a pseudo-terminal where there are some.
+    line_faults : Faults
+        See `SimulatedBoard`; the board takes a copy with fresh dice: a mark may stand over many tests.
+    boot_s : float
+        Silence at first, as of a board that boots.
+
+    Raises
+    ------
+    UsageError, CannotOpenError
+        As `simulated_bus` and `SimulatedBoard`.
+    """
+    bus = simulated_bus(url)
+    firmware = SimulatedFirmware(ChipPins(bus.chip, WorkClock()), boot_s=boot_s)
+    if line_faults is not None:
+        line_faults = replace(line_faults, seen=Counter())
+    if transport is None:
+        transport = "pty" if hasattr(os, "openpty") else "tcp"
+    return SimulatedBoard(firmware, line_faults, transport=transport, world=bus.world)
+
+
+class _Line(Protocol):
+    """The board's end of a line; `OSError` where it is gone for good."""
+
+    path: str
+    host: str
+    port: int
+
+    def receive(self, wait_s: float, *, writes: bool) -> bytes:
+        """What has arrived; waits for something, or with `writes` for room, for so long at most."""
+
+    def send(self, data: bytes) -> int:
+        """Send what there is room for; return how many bytes were."""
+
+    def close(self) -> None:
+        """Give it back; may be called twice."""
+
+
+class _Pty:
+    """The upper end of a pseudo-terminal."""
+
+    host, port = "", 0
+
+    def __init__(self) -> None:
+        import tty
+
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+
+    def receive(self, wait_s: float, *, writes: bool) -> bytes:
+        ready = select.select([self._master], [self._master] if writes else [], [], wait_s)
+        return os.read(self._master, 4096) if ready[0] else b""
+
+    def send(self, data: bytes) -> int:
+        if not data:
+            return 0
+        try:
+            return os.write(self._master, data[:4096])
+        except BlockingIOError:
+            return 0
+
+    def close(self) -> None:
+        for end in (self._slave, self._master):
+            with contextlib.suppress(OSError):
+                os.close(end)
+        self._slave = self._master = -1
+
+
+class _Tcp:
+    """A port of this machine; one host at a time, and the next when that has gone."""
+
+    def __init__(self) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.host, self.port = self._listener.getsockname()[:2]
+        self.path = f"socket://{self.host}:{self.port}"
+        self._client: socket.socket | None = None
+
+    def receive(self, wait_s: float, *, writes: bool) -> bytes:
+        asked = self._client or self._listener
+        readable, _, _ = select.select([asked], [asked] if writes and self._client else [], [], wait_s)
+        if not readable:
+            return b""
+        if self._client is None:
+            self._client, _ = self._listener.accept()
+            self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._client.setblocking(False)
+            return b""
+        try:
+            data = self._client.recv(4096)
+        except OSError:
+            data = b""
+        if not data:
+            self._hang_up()
+        return data
+
+    def send(self, data: bytes) -> int:
+        if self._client is None:
+            return len(data)  # nobody is there to hear it
+        try:
+            return self._client.send(data) if data else 0
+        except BlockingIOError:
+            return 0
+        except OSError:
+            self._hang_up()
+            return len(data)
+
+    def close(self) -> None:
+        self._hang_up()
+        self._listener.close()
+
+    def _hang_up(self) -> None:
+        if self._client is not None:
+            self._client.close()
+            self._client = None

@@ -1,0 +1,81 @@
+"""The pytest plugin: fixtures `simulated_sensor` and `simulated_board`, set up by the mark `adis_gonio`.
+
+    @pytest.mark.adis_gonio(url="sim:?seed=3&delta_k=0.01")
+    def test_it(simulated_sensor): ...
+
+A mark nearer to the test overrides one of its class or module, name by name. Without a use nothing but this
+module is imported.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from adis_gonio.sim.testing.board import SimulatedBoard
+    from adis_gonio.sim.testing.simulated import SimulatedSensor
+
+MARK = "adis_gonio"
+OPTIONS = {
+    "url": "of the simulator, such as sim:?seed=3&delta_k=0.01",
+    "check": "prove on opening that |a| is 1 g",
+    "bus_faults": "BusFaults of the sensor's frames",
+    "line_faults": "Faults of the board's serial line",
+    "transport": "of the board: pty or tcp",
+    "boot_s": "silence of the board at first",
+}
+"""What the mark takes."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Make the mark known."""
+    config.addinivalue_line(
+        "markers", f"{MARK}({', '.join(OPTIONS)}): how a simulated sensor or board of adis-gonio is made"
+    )
+
+
+@pytest.fixture
+def simulated_sensor(request: pytest.FixtureRequest) -> Iterator[SimulatedSensor]:
+    """An open driver over a simulated chip, with `stage`, `world`, `truth()` and `faulty`; virtual time."""
+    from adis_gonio.sim.testing.simulated import open_simulated
+
+    with _made(open_simulated, request, ("url", "check", "bus_faults")) as sensor:
+        yield sensor
+
+
+@pytest.fixture
+def simulated_board(request: pytest.FixtureRequest) -> Iterator[SimulatedBoard]:
+    """A board with the project's firmware behind a serial port, `path` or `host` and `port`; real time."""
+    from adis_gonio.sim.testing.board import open_board
+
+    with _made(open_board, request, ("url", "line_faults", "transport", "boot_s")) as board:
+        yield board
+
+
+def _made(make: Any, request: pytest.FixtureRequest, names: tuple[str, ...]) -> Any:
+    """What `make` returns for the marks of a test; a mistake in them fails the test in one line."""
+    from adis_gonio.base.errors import AdisGonioError
+
+    options = _options(request)
+    try:
+        return make(**{name: options[name] for name in names if name in options})
+    except AdisGonioError as error:
+        pytest.fail(f"{MARK}: {error}", pytrace=False)
+
+
+def _options(request: pytest.FixtureRequest) -> dict[str, Any]:
+    options: dict[str, Any] = {}
+    for mark in reversed(list(request.node.iter_markers(MARK))):
+        if mark.args:
+            pytest.fail(f"@pytest.mark.{MARK} takes names, such as url='sim:?seed=3'", pytrace=False)
+        for name in mark.kwargs:
+            if name not in OPTIONS:
+                near = difflib.get_close_matches(name, OPTIONS, n=1)
+                hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(OPTIONS)}"
+                pytest.fail(f"@pytest.mark.{MARK} has no '{name}'; {hint}", pytrace=False)
+        options |= mark.kwargs
+    return options

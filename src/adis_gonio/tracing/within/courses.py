@@ -1,0 +1,317 @@
+"""Courses that all dwells share: a slope, or settling after each move.
+
+Each dwell is projected on the course (a line; exponentials of time constants from a few samples to half a
+dwell), and the amplitudes are tested against their own scatter from dwell to dwell (t): whatever slow noise
+there is within a dwell, it is independent between dwells, so that no model of it is needed. The amplitude
+is the same in all dwells, or proportional to the change of the axis' own reading in the move before it.
+Time counts from the first sample of the dwell: the file does not say when the move ended.
+
+The time constant is then fitted, and standard uncertainties are those of a least-squares fit whose
+residuals are correlated within dwells (sandwich, one cluster a dwell).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, stats
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.values import Value
+from adis_gonio.model.records import MG_PER_G
+from adis_gonio.tracing.within.finding import LEVEL, Place, View, WithinFinding, corrected, number, with_u
+from adis_gonio.tracing.within.samples import Samples
+
+Usable = NDArray[np.bool_]
+
+LEAST_DWELLS = 4
+LEAST_SAMPLES = 6
+_TAUS = 12
+_LONGEST = 0.5
+"""Longest time constant in lengths of a dwell: slower ones are a line."""
+_BENT = 9.0
+"""Gain, in units of the noise, from which a course is settling and no line."""
+_POINTS = 120
+_ROUNDING_MG = 1e-9
+"""Least scatter of a projection: a word that stands still projects on its rounding, alike in all dwells."""
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A course (tau none: a line) on one axis, and what its amplitude is proportional to."""
+
+    axis: int
+    tau: float | None
+    by_move: bool
+    p_value: float
+    explained: float
+    """Sum of squares that it takes, in mg²."""
+    noise: float
+    """Variance of a dwell's projection on the course, in mg²."""
+
+
+def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Samples]:
+    """Courses that the dwells share, and the samples without them."""
+    found: list[WithinFinding] = []
+    while len(found) < most:
+        usable = samples.counts >= LEAST_SAMPLES
+        if usable.sum() < LEAST_DWELLS:
+            break
+        best = _best(samples, usable)
+        if best is None:
+            break
+        finding, samples = _fitted(samples, usable, best)
+        found.append(finding)
+    return found, samples
+
+
+def _regressors(samples: Samples) -> Floats:
+    """What amplitudes may be proportional to (2, d, axes): one; the change of the own reading in g."""
+    change = np.diff(samples.reading, axis=0, prepend=samples.reading[:1]) / MG_PER_G
+    return np.stack([np.ones_like(change), change])
+
+
+def grid(samples: Samples, usable: Usable) -> list[float | None]:
+    """Time constants in s that are tried; None is a line."""
+    lengths = [float(samples.elapsed_s(k)[-1]) for k in np.flatnonzero(usable).tolist()]
+    longest = float(np.median(lengths))
+    shortest = 3 * samples.period_s
+    if not 0 < shortest < _LONGEST * longest:
+        return [None]
+    return [None, *np.geomspace(shortest, _LONGEST * longest, _TAUS).tolist()]
+
+
+def _course(elapsed_s: Floats, tau: float | None) -> Floats:
+    """Course (n,): elapsed time in s, or an exponential."""
+    return elapsed_s if tau is None else np.exp(-elapsed_s / tau)
+
+
+def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Floats, Floats]:
+    """Amplitudes of each dwell times the norm of the course (d, axes), and that norm (d,)."""
+    z, norm = np.zeros((len(samples), samples.axes)), np.zeros(len(samples))
+    for k in np.flatnonzero(usable).tolist():
+        course = _course(samples.elapsed_s(k), tau)
+        course = course - course.mean()
+        norm[k] = np.sqrt(course @ course)
+        if norm[k] > 0:
+            z[k] = course @ samples.values[k] / norm[k]
+    return z, norm
+
+
+def _best(samples: Samples, usable: Usable) -> _Candidate | None:
+    """The course that explains most of those that are significant."""
+    taus = grid(samples, usable)
+    kinds = _regressors(samples)
+    tests = len(taus) * 2 * samples.axes
+    best: _Candidate | None = None
+    line: _Candidate | None = None
+    for tau in taus:
+        z, norm = projections(samples, usable, tau)
+        for by_move in (False, True):
+            g = norm[:, None] * kinds[int(by_move)]
+            energy = (g**2).sum(axis=0)
+            alive = energy > 1e-12 * float((norm**2).sum())
+            slope = np.where(alive, (g * z).sum(axis=0) / np.where(alive, energy, 1.0), 0.0)
+            dof = int(usable.sum()) - 1
+            # Dwells in which the regressor is zero have a scatter but no say.
+            residual = np.maximum(((z - g * slope)[usable] ** 2).sum(axis=0) / dof, _ROUNDING_MG**2)
+            t = slope * np.sqrt(energy / residual)
+            for axis in range(samples.axes):
+                if not alive[axis]:
+                    continue
+                p = corrected(2 * float(stats.t.sf(abs(t[axis]), dof)), tests)
+                explained = float(slope[axis] ** 2 * energy[axis])
+                if p >= LEVEL:
+                    continue
+                own = _Candidate(axis, tau, by_move, p, explained, float(residual[axis]))
+                if best is None or explained > best.explained:
+                    best = own
+                if tau is None and (line is None or explained > line.explained):
+                    line = own
+    # An exponential has a shape to choose: where it explains hardly more than a line, a line it is.
+    if best is not None and line is not None and best.explained - line.explained < _BENT * best.noise:
+        return line
+    return best
+
+
+def _fitted(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinFinding, Samples]:
+    weight = _regressors(samples)[int(best.by_move)]
+    dwells = np.flatnonzero(usable).tolist()
+    times = {k: samples.elapsed_s(k) for k in dwells}
+    centred = {k: samples.values[k] - samples.values[k].mean(axis=0) for k in dwells}
+    axes = _axes_with(samples, usable, best)
+
+    def amplitudes(tau: float | None) -> tuple[Floats, float]:
+        z, norm = projections(samples, usable, tau)
+        g = norm[:, None] * weight
+        energy = np.maximum((g**2).sum(axis=0), 1e-300)
+        slope = (g * z).sum(axis=0) / energy
+        return slope, float((slope[axes] ** 2 * energy[axes]).sum())
+
+    tau = best.tau
+    if tau is not None:
+        length = float(np.median([times[k][-1] for k in dwells]))
+        search = optimize.minimize_scalar(
+            lambda log_tau: -amplitudes(float(np.exp(log_tau)))[1],
+            bounds=(np.log(samples.period_s), np.log(3 * length)),
+            method="bounded",
+            options={"xatol": 1e-4},
+        )
+        tau = float(np.exp(search.x))
+    slope, _ = amplitudes(tau)
+    shape = 0 if tau is None else 1
+    size = len(axes) + shape
+    normal, meat = np.zeros((size, size)), np.zeros((size, size))
+    values = list(samples.values)
+    shifts = np.zeros((len(samples), samples.axes))
+    for k in dwells:
+        course = _course(times[k], tau)
+        shifts[k] = slope * weight[k] * (course.mean() if tau is not None else 0.0)
+        offset = course - course.mean()
+        jacobian = np.zeros((len(course), len(axes), size))
+        for j, axis in enumerate(axes):
+            jacobian[:, j, j] = offset * weight[k, axis]
+            if tau is not None:
+                bend = course * times[k] / tau**2
+                jacobian[:, j, -1] = slope[axis] * weight[k, axis] * (bend - bend.mean())
+        residual = centred[k][:, axes] - offset[:, None] * (slope * weight[k])[axes]
+        score = np.einsum("naj,na->j", jacobian, residual)
+        normal += np.einsum("naj,nai->ji", jacobian, jacobian)
+        meat += np.outer(score, score)
+        taken = np.zeros(samples.axes)
+        taken[axes] = (slope * weight[k])[axes]
+        values[k] = values[k] - offset[:, None] * taken
+    inverse = np.linalg.pinv(normal)
+    d = len(dwells)
+    covariance = inverse @ meat @ inverse * d / max(d - size, 1)
+    u = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    finding = _finding(samples, best, tau, slope, u, axes, dwells, shifts, weight)
+    return finding, samples.with_values(values)
+
+
+def _axes_with(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
+    """Axes that share the course: the first one, and those on which it is significant by itself."""
+    z, norm = projections(samples, usable, best.tau)
+    g = norm[:, None] * _regressors(samples)[int(best.by_move)]
+    energy = np.maximum((g**2).sum(axis=0), 1e-300)
+    slope = (g * z).sum(axis=0) / energy
+    dof = int(usable.sum()) - 1
+    residual = ((z - g * slope)[usable] ** 2).sum(axis=0) / dof
+    p = 2 * stats.t.sf(np.abs(slope) * np.sqrt(energy / np.maximum(residual, 1e-300)), dof)
+    return [axis for axis in range(samples.axes) if axis == best.axis or p[axis] < LEVEL / samples.axes]
+
+
+def _finding(
+    samples: Samples,
+    best: _Candidate,
+    tau: float | None,
+    slope: Floats,
+    u: Floats,
+    axes: list[int],
+    dwells: list[int],
+    shifts: Floats,
+    weight: Floats,
+) -> WithinFinding:
+    letters = tuple(samples.letters[axis] for axis in axes)
+    stem = "drift" if tau is None else "settling"
+    unit = "mg/s" if tau is None else "mg"
+    if best.by_move:
+        stem, unit = f"{stem}_per_g", unit.replace("mg", "mg/g", 1)
+    parameters = {
+        f"{stem}_{letter}": Value(float(slope[axis]), float(u[j]), unit)
+        for j, (axis, letter) in enumerate(zip(axes, letters, strict=True))
+    }
+    sizes = ", ".join(f"{letter} {with_u(parameters[f'{stem}_{letter}'])}" for letter in letters)
+    by = ", in proportion to the change of the axis' own reading before" if best.by_move else ""
+    positions = tuple(int(samples.position[k]) for k in dwells)
+    advice = ""
+    places: tuple[Place, ...] = ()
+    if tau is None:
+        sentence = f"within the dwells the samples drift in common: {sizes}{by}"
+        advice = (
+            "let the sensor warm up longer, or keep the temperature steadier: the samples drift while the "
+            "part stands still"
+        )
+    else:
+        parameters["tau"] = Value(tau, float(u[-1]), "s")
+        largest = float(np.abs(slope[axes] * weight[dwells][:, axes]).max())
+        shift = float(np.abs(shifts[:, axes]).max())
+        needed = _wait(samples, largest, tau)
+        sentence = (
+            f"each dwell settles: {sizes} at its first sample, time constant "
+            f"{with_u(parameters['tau'])}{by}; it moves the means by up to {number(shift, 2)} mg"
+        )
+        if needed > 0:
+            advice = (
+                f"wait {number(needed, 2)} s longer after each move before recording: the dwells settle"
+            )
+        places = tuple(
+            Place(
+                int(samples.position[k]),
+                samples.letters[axis],
+                float(samples.time_s[k][0]),
+                Value(float(slope[axis] * weight[k, axis]), None, "mg"),
+                float(shifts[k, axis]),
+            )
+            for k in dwells
+            for axis in axes
+            if best.by_move
+        )
+    return WithinFinding(
+        kind="drift" if tau is None else "settling",
+        effect=None if tau is None or best.by_move else "settling",
+        axes=letters,
+        positions=positions,
+        parameters=parameters,
+        p_value=best.p_value,
+        sentence=sentence,
+        places=places,
+        advice=advice,
+        view=_view(samples, best, tau, float(slope[best.axis]), weight[:, best.axis], dwells),
+    )
+
+
+def _wait(samples: Samples, amplitude: float, tau: float) -> float:
+    """Time in s after which settling moves a mean by less than a third of its noise (white, n samples)."""
+    sizes = []
+    for k in range(len(samples)):
+        n = len(samples.values[k])
+        noise = float(np.min(samples.values[k].std(axis=0))) / np.sqrt(n)
+        length = float(samples.elapsed_s(k)[-1])
+        sizes.append(amplitude * tau / max(length, tau) / max(noise / 3, 1e-12))
+    excess = float(np.median(sizes))
+    return tau * float(np.log(excess)) if excess > 1 else 0.0
+
+
+def _view(
+    samples: Samples, best: _Candidate, tau: float | None, slope: float, weight: Floats, dwells: list[int]
+) -> View:
+    """Mean course of the dwells, each counted by its weight, in at most `_POINTS` means of neighbours."""
+    length = min(len(samples.values[k]) for k in dwells)
+    norm = float((weight[dwells] ** 2).sum())
+    mean = sum(
+        weight[k] * (samples.values[k][:length, best.axis] - samples.values[k][:, best.axis].mean())
+        for k in dwells
+    ) / max(norm, 1e-300)
+    first = max(dwells, key=lambda k: len(samples.values[k]) == length)
+    time = samples.elapsed_s(first)[:length]
+    cuts = np.unique(np.linspace(0, length, min(length, _POINTS), endpoint=False).astype(np.intp))
+    counts = np.diff(np.append(cuts, length))
+    x = np.add.reduceat(time, cuts) / counts
+    y = np.add.reduceat(np.asarray(mean, dtype=np.float64), cuts) / counts
+    whole = _course(samples.elapsed_s(first), tau)
+    model = slope * (_course(x, tau) - whole.mean())
+    letter = samples.letters[best.axis]
+    unit = "mg/g" if best.by_move else "mg"
+    return View(
+        x,
+        y,
+        x,
+        model,
+        "time since the first sample / s",
+        f"{letter} about its mean / {unit}",
+        f"Mean course of {letter} over {len(dwells)} dwells, with what was fitted.",
+        points=True,
+    )

@@ -1,0 +1,382 @@
+"""What happens in single dwells: a step at a moment, a slope, a transient.
+
+At each of several scales (from a few samples to half a dwell) means of neighbouring stretches are
+subtracted (Haar's wavelet at every place). For stationary noise of any spectrum, 1/f noise among them, such
+differences of one scale are of one normal distribution, and their own scatter over all places and dwells is
+the measure for the largest: no model of the noise is needed. Where a scale has many independent places the
+scatter is taken from the median absolute deviation; at the longest scales, which a dwell holds once or
+twice, from the other dwells but those that are far off themselves: few degrees of freedom, little power.
+
+A dwell that stands out is then described by the form that leaves least: a step, a line, an exponential.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from scipy import stats
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.values import Value
+from adis_gonio.fitting.estimation.robust import MAD_TO_SD
+from adis_gonio.tracing.within.finding import (
+    LEVEL,
+    Place,
+    View,
+    WithinFinding,
+    corrected,
+    number,
+    positions_text,
+    with_u,
+)
+from adis_gonio.tracing.within.samples import Samples, deviation
+
+_SHORTEST = 8
+_LEAST_SAMPLES = 6
+_MANY = 300
+"""Independent places from which the median absolute deviation is the scale."""
+_RARE, _FEW = 1e-3, 0.15
+_LEAST_DWELLS = 6
+_EFFICIENCY = 0.37
+"""Of the median absolute deviation, against a standard deviation."""
+_LIVELY = 0.6
+_TAUS = 8
+_CLEAR = 4.0
+"""Standard uncertainties by which a form has to stand out to describe a dwell."""
+_POINTS = 300
+
+
+@dataclass(frozen=True)
+class _Scale:
+    """Differences of neighbouring means over stretches of one length (or one share of the dwell)."""
+
+    differences: list[Floats]
+    """Of each dwell (m, axes), in units of what white noise of the dwell's scatter would give."""
+    places: list[Floats]
+    """First sample of the later stretch (m,)."""
+    independent: Floats
+    """Independent places of each dwell (d,)."""
+
+
+_Form = Literal["step", "drift", "settling", "disturbance"]
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What the scales showed: where each dwell and axis differs most, and the noise at every scale."""
+
+    place: Floats
+    stretch: Floats
+    difference_mg: Floats
+    """All (d, axes): first sample of the later stretch, length of the stretches, their difference."""
+    noise: list[tuple[Floats, Floats]]
+    """Of each scale: length of the stretches (d,), standard deviation (d, axes) in units of `unit`."""
+    unit: Floats
+
+    def u_mg(self, dwell: int, axis: int, stretch: float) -> float:
+        """Standard uncertainty of a difference of two means over stretches of some length."""
+        best = min(self.noise, key=lambda one: abs(np.log(max(one[0][dwell], 1e-9) / stretch)))
+        return float(best[1][dwell, axis] * np.sqrt(2 / max(best[0][dwell], 1.0)) * self.unit[dwell, axis])
+
+
+def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFinding]:
+    """Steps, slopes and transients of single dwells.
+
+    Parameters
+    ----------
+    samples : Samples
+        Without what all dwells share.
+    unlike : list of int
+        Axes whose scatter differs between dwells: there each dwell is measured by its own.
+    reach : int
+        Samples over which neighbours are correlated.
+    """
+    unit = np.ones((len(samples), samples.axes))
+    for axis in unlike:
+        unit[:, axis] = [max(float(rows[:, axis].std()), 1e-12) for rows in samples.values]
+    scales = _scales(samples, unit, max(_SHORTEST, 2 * reach))
+    tests = sum(sum(len(own) for own in scale.differences) for scale in scales) * samples.axes
+    p = np.ones((len(samples), samples.axes))
+    look = _Look(np.zeros_like(p), np.ones_like(p), np.zeros_like(p), [], unit)
+    # Noise below the converter's step: a mean may be off by half of one.
+    spread = np.array([rows.std(axis=0) for rows in samples.values])
+    coarse = np.where(spread < _LIVELY * samples.quantum, 0.5 * samples.quantum / unit, 0.0)
+    for scale in scales:
+        _judge(scale, coarse, tests, p, look)
+    flagged = np.argwhere(p < LEVEL)
+    described = [_describe(samples, int(k), int(axis), look) for k, axis in flagged]
+    found = []
+    for kind in get_args(_Form):
+        chosen = [
+            (k, axis, place, model)
+            for (k, axis), (own, place, model) in zip(flagged.tolist(), described, strict=True)
+            if own == kind
+        ]
+        if chosen:
+            least = min(float(p[k, axis]) for k, axis, _, _ in chosen)
+            found.append(_finding(samples, kind, chosen, least))
+    return found
+
+
+def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
+    counts = samples.counts
+    sums = [
+        np.concatenate(
+            [np.zeros((1, samples.axes)), np.cumsum((rows - rows.mean(axis=0)) / unit[k], axis=0)]
+        )
+        for k, rows in enumerate(samples.values)
+    ]
+    longest = int(counts.max())
+    lengths: list[int | None] = []
+    length = reach
+    while 3 * length <= longest:
+        lengths.append(length)
+        length *= 2
+    lengths.append(None)
+    scales = []
+    for chosen in lengths:
+        differences, places = [], []
+        independent = np.zeros(len(samples))
+        for k, total in enumerate(sums):
+            n = int(counts[k])
+            own = n // 2 if chosen is None else chosen
+            if n < _LEAST_SAMPLES or 2 * own > n:
+                differences.append(np.zeros((0, samples.axes)))
+                places.append(np.zeros(0))
+                continue
+            middle = np.arange(own, n - own + 1, max(1, own // 4))
+            before = total[middle] - total[middle - own]
+            after = total[middle + own] - total[middle]
+            differences.append((after - before) / np.sqrt(2 * own))
+            places.append(middle.astype(float))
+            independent[k] = max(1.0, n / (2 * own))
+        if independent.sum() > 2:
+            scales.append(_Scale(differences, places, independent))
+    return scales
+
+
+def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) -> None:
+    """Lower the p-values (d, axes) by those of one scale."""
+    noise = np.zeros_like(p)
+    look.noise.append((np.array([float(own[0]) if len(own) else 0.0 for own in scale.places]), noise))
+    every = np.concatenate(scale.differences)
+    stretch = np.array([float(own[0]) if len(own) else 1.0 for own in scale.places])
+    for axis in range(p.shape[1]):
+        squares = np.array(
+            [(own[:, axis] ** 2).mean() if len(own) else np.nan for own in scale.differences]
+        )
+        weight = _independent(scale.independent, squares)
+        total = float(weight.sum())
+        largest = np.array([np.abs(own[:, axis]).max(initial=0.0) for own in scale.differences])
+        largest = np.maximum(largest - coarse[:, axis] * np.sqrt(stretch / 2), 0.0)
+        if total >= _MANY:
+            spread = MAD_TO_SD * float(np.median(np.abs(every[:, axis])))
+            own_p = np.asarray(stats.t.sf(largest / max(spread, 1e-12), _EFFICIENCY * total))
+            spreads = np.full(len(largest), spread)
+        else:
+            known, weight = _without_outliers(np.nan_to_num(squares), weight)
+            total = float(weight.sum())
+            others = (weight @ known - weight * known) / np.maximum(total - weight, 1e-12)
+            spreads = np.sqrt(np.maximum(others, 1e-24))
+            own_p = np.asarray(stats.t.sf(largest / spreads, np.maximum(total - weight, 1e-12)))
+        noise[:, axis] = spreads
+        for k in np.flatnonzero(largest > 0).tolist():
+            value = corrected(2 * float(own_p[k]), tests)
+            if value < p[k, axis]:
+                p[k, axis] = value
+                at = int(np.abs(scale.differences[k][:, axis]).argmax())
+                look.place[k, axis] = scale.places[k][at]
+                look.stretch[k, axis] = stretch[k]
+                height = scale.differences[k][at, axis] * np.sqrt(2 / stretch[k])
+                look.difference_mg[k, axis] = height * look.unit[k, axis]
+
+
+def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Mean squares and weights with those dwells weighted 0 that are far above most of the others.
+
+    A coarse converter leaves many dwells without any difference, so that the upper quartile is the measure;
+    where more than a few are far, none is.
+    """
+    use = weight > 0
+    if use.sum() < _LEAST_DWELLS:
+        return squares, weight
+    dof = float(np.median(weight[use]))
+    upper = float(np.quantile(squares[use], 0.75)) / float(stats.chi2.ppf(0.75, dof))
+    far = use & (squares > upper * float(stats.chi2.isf(_RARE, dof)))
+    if far.sum() > _FEW * use.sum():
+        return squares, weight
+    return squares, np.where(far, 0.0, weight)
+
+
+def _independent(nominal: Floats, squares: Floats) -> Floats:
+    """Independent places of each dwell (d,): no more than the scatter of the dwells' mean squares allows.
+
+    A filter longer than the stretches makes neighbouring places alike. The median absolute deviation of the
+    mean squares is used, so that the few dwells that are looked for do not count.
+    """
+    use = np.isfinite(squares) & (nominal > 0)
+    if use.sum() < _LEAST_DWELLS:
+        return nominal
+    logs = np.log(np.maximum(squares[use], 1e-300))
+    spread = float(deviation(logs))
+    # The logarithm of a mean of ν squares has the variance 2/ν.
+    each = max(2 / max(spread, 1e-6) ** 2, 1.0)
+    return np.where(use, np.minimum(nominal, each), 0.0)
+
+
+def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, Place, Floats]:
+    """The form that describes a dwell best, and its course (n,) about the dwell's mean.
+
+    A form that does not stand out of the noise of its own scale describes nothing: what was seen is then a
+    disturbance of the length at which it was seen.
+    """
+    rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
+    elapsed = samples.elapsed_s(k)
+    n = len(rows)
+    position, letter = int(samples.position[k]), samples.letters[axis]
+    # A step: the sum of squares falls by n1 n2/n times the squared difference of the means.
+    total = np.cumsum(rows)[:-1]
+    first = np.arange(1, n)
+    gain = total**2 * n / (first * (n - first))
+    inner = slice(2, max(n - 3, 3))
+    cut = int(np.argmax(gain[inner])) + inner.start
+    fitted: dict[_Form, tuple[float, Floats, Place]] = {}
+    height = float(rows[cut + 1 :].mean() - rows[: cut + 1].mean())
+    model = np.where(np.arange(n) > cut, height, 0.0)
+    model = model - model.mean()
+    smaller = min(cut + 1, n - cut - 1) / n
+    fitted["step"] = (
+        float(gain[cut]),
+        model,
+        Place(
+            position,
+            letter,
+            float(samples.time_s[k][cut + 1]),
+            Value(height, look.u_mg(k, axis, min(cut + 1, n - cut - 1)), "mg"),
+            height * smaller * (1 if cut + 1 >= n - cut - 1 else -1),
+        ),
+    )
+    line = elapsed - elapsed.mean()
+    energy = max(float(line @ line), 1e-300)
+    slope = float(line @ rows) / energy
+    length = max(float(elapsed[-1]), 1e-12)
+    fitted["drift"] = (
+        slope**2 * energy,
+        slope * line,
+        # Half-means of a line are half its span apart.
+        Place(
+            position,
+            letter,
+            None,
+            Value(slope, 2 * look.u_mg(k, axis, n / 2) / length, "mg/s"),
+            slope * length / 2,
+        ),
+    )
+    best: tuple[float, float, float, Floats, float] | None = None
+    for tau in (
+        np.geomspace(3 * samples.period_s, length / 3, _TAUS) if length > 9 * samples.period_s else ()
+    ):
+        course = np.exp(-elapsed / tau)
+        centred = course - course.mean()
+        own = max(float(centred @ centred), 1e-300)
+        amplitude = float(centred @ rows) / own
+        if best is None or amplitude**2 * own > best[0]:
+            best = (amplitude**2 * own, amplitude, float(course.mean()), centred, float(tau))
+    if best is not None:
+        explained, amplitude, mean, centred, tau = best
+        decay = min(tau / samples.period_s, n / 2)
+        fitted["settling"] = (
+            explained,
+            amplitude * centred,
+            Place(
+                position,
+                letter,
+                float(samples.time_s[k][0]),
+                Value(amplitude, look.u_mg(k, axis, decay), "mg"),
+                amplitude * mean,
+            ),
+        )
+    kind = max(fitted, key=lambda name: fitted[name][0])
+    _, course, place = fitted[kind]
+    size = place.value
+    if size is not None and size.u is not None and abs(size.value) > _CLEAR * size.u:
+        return kind, place, course
+    stretch, at = float(look.stretch[k, axis]), int(look.place[k, axis])
+    height = float(look.difference_mg[k, axis])
+    course = np.zeros(n)
+    course[at : at + int(stretch)] = height
+    shown = Value(height, look.u_mg(k, axis, stretch), "mg")
+    shift = height * stretch / n
+    return "disturbance", Place(position, letter, float(samples.time_s[k][at]), shown, shift), course
+
+
+_WORDS: dict[_Form, tuple[str, str, str]] = {
+    "step": ("the reading steps within", "height", "something moved (the part, its mount, the stage)"),
+    "drift": (
+        "the samples drift within",
+        "slope",
+        "the part or the stage creeps, or its temperature moves",
+    ),
+    "disturbance": (
+        "the samples are disturbed for a moment in",
+        "height",
+        "something was touched or shook",
+    ),
+    "settling": (
+        "the samples settle within",
+        "settling",
+        "the dwell began too early, or something was touched",
+    ),
+}
+
+
+def _finding(
+    samples: Samples, kind: _Form, chosen: list[tuple[int, int, Place, Floats]], p_value: float
+) -> WithinFinding:
+    words, name, cause = _WORDS[kind]
+    places = tuple(place for _, _, place, _ in chosen)
+    k, axis, worst, model = max(chosen, key=lambda one: abs(one[2].shift_mg or 0.0))
+    positions = tuple(dict.fromkeys(place.position for place in places))
+    assert worst.value is not None
+    when = "" if worst.time_s is None or kind == "settling" else f" at {worst.time_s:.1f} s"
+    where = positions_text(positions, len(samples))
+    most = f", most in position {worst.position}" if len(positions) > 1 else ""
+    return WithinFinding(
+        kind=kind,
+        effect=None,
+        axes=tuple(sorted({place.axis for place in places})),
+        positions=positions,
+        parameters={f"{name}_{worst.axis}": worst.value},
+        p_value=p_value,
+        sentence=(
+            f"{words} {where}{most}: {worst.axis} by "
+            f"{with_u(worst.value)}{when}; its mean is off by about "
+            f"{number(abs(worst.shift_mg or 0.0), 2)} mg"
+        ),
+        places=places,
+        advice=f"repeat {positions_text(positions, 0)}: {cause} while the dwell was recorded",
+        view=_view(samples, k, axis, model, kind),
+    )
+
+
+def _view(samples: Samples, k: int, axis: int, model: Floats, kind: _Form) -> View:
+    """Course of one dwell in at most `_POINTS` means of neighbours."""
+    rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
+    time = samples.elapsed_s(k)
+    n = len(rows)
+    cuts = np.unique(np.linspace(0, n, min(n, _POINTS), endpoint=False).astype(np.intp))
+    counts = np.diff(np.append(cuts, n))
+    x, y, m = (np.add.reduceat(values, cuts) / counts for values in (time, rows, model))
+    letter = samples.letters[axis]
+    return View(
+        x,
+        y,
+        x,
+        m,
+        "time since the first sample / s",
+        f"{letter} about its mean / mg",
+        f"{kind.capitalize()} in position {samples.position[k]}, {letter}: samples averaged, and the fit.",
+        points=True,
+    )

@@ -1,0 +1,387 @@
+"""Whether the samples scatter alike in all dwells: `noise_change`.
+
+Compared is the variance of a dwell above `LOWEST` cycles a dwell, where neither drift nor slow noise
+reaches. Its degrees of freedom follow from the density (neighbours that are correlated count less), from
+the excess of the samples' fourth moment over a normal distribution's, and from the converter: at noise near
+its step the variance depends on where between two codes the mean lies. Behind a long filter a few low
+frequencies hold nearly all of the variance, and white noise that joins shows at the others: compared is
+also the level, the mean over all frequencies of the power in units of the density.
+
+Four tests an axis: all dwells alike (Bartlett), one change between two dwells (F, all places), one dwell
+against the others (F), and one change of the level, against its own scatter from dwell to dwell (t, all
+places).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special, stats
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.values import Value
+from adis_gonio.tracing.within.density import TAPER_LOSS, Density, without_line
+from adis_gonio.tracing.within.finding import (
+    LEVEL,
+    Place,
+    View,
+    WithinFinding,
+    corrected,
+    number,
+    positions_text,
+    with_u,
+)
+from adis_gonio.tracing.within.samples import Samples
+
+LEAST_DWELLS = 3
+_LIVELY = 0.6
+"""Noise in steps of the converter below which the variance says where the mean lies and no more."""
+_ADEQUATE = 0.01
+TESTS = 4
+"""That share the level of an axis."""
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Variances (d,) of d dwells on one axis in mg² and their levels, each with its degrees of freedom.
+
+    A level is the mean over frequencies of the power in units of the density.
+    """
+
+    variance: Floats
+    dof: Floats
+    level: Floats
+    level_dof: Floats
+
+    def rows(self, chosen: NDArray[np.bool_]) -> Levels:
+        """Those of some dwells."""
+        return Levels(self.variance[chosen], self.dof[chosen], self.level[chosen], self.level_dof[chosen])
+
+    @cached_property
+    def course(self) -> Floats:
+        """Logarithm of the level (d,), less what so many degrees of freedom lower it by on average."""
+        half = self.level_dof / 2
+        return np.log(np.maximum(self.level, 1e-300)) - special.digamma(half) + np.log(half)
+
+    @property
+    def common(self) -> float:
+        """Variance of all together."""
+        return float(self.dof @ self.variance / self.dof.sum())
+
+    def alike(self) -> float:
+        """p-value of Bartlett's test that all variances are alike."""
+        d = len(self.variance)
+        if d < 2:
+            return 1.0
+        half = self.dof / 2
+        correction = 1 + (np.sum(1 / self.dof) - 1 / self.dof.sum()) / (3 * (d - 1))
+        statistic = 2 * (half.sum() * np.log(self.common) - half @ np.log(self.variance)) / correction
+        return float(special.chdtrc(d - 1, max(statistic, 0.0)))
+
+    def changed(self) -> float:
+        """p-value of the t-test of one change of the level, of the best of all places."""
+        d = len(self.level)
+        p = 1.0
+        for cut in range(1, d):
+            step, u = step_of(self.course, self.level_dof, cut)
+            p = min(p, 2 * float(special.stdtr(d - 2, -abs(step) / max(u, 1e-300))))
+        return min(1.0, p * (d - 1))
+
+
+def step_of(course: Floats, weight: Floats, cut: int) -> tuple[float, float]:
+    """By how much a course (d,) is higher from `cut` on, with its standard uncertainty from the scatter."""
+    parts = [(course[own], weight[own]) for own in (slice(cut), slice(cut, None))]
+    means = [float(np.average(x, weights=w)) for x, w in parts]
+    squares = sum(float(w @ (x - mean) ** 2) for (x, w), mean in zip(parts, means, strict=True))
+    u2 = squares / (len(course) - 2) * sum(1 / float(w.sum()) for _, w in parts)
+    return means[1] - means[0], math.sqrt(u2)
+
+
+def noise_change(samples: Samples, density: Density | None) -> WithinFinding | None:
+    """Change of the scatter between dwells; None where there is none, or fewer than three dwells."""
+    if density is None or len(density.dwells) < LEAST_DWELLS:
+        return None
+    dwells = density.dwells
+    levels = [levels_of(samples, density, axis) for axis in range(samples.axes)]
+    usable = [
+        axis
+        for axis, own in enumerate(levels)
+        if np.sqrt(np.median(own.variance)) >= _LIVELY * samples.quantum[axis]
+    ]
+    p = {axis: _p_value(levels[axis], samples.axes) for axis in usable}
+    shown = [axis for axis in usable if p[axis] < LEVEL]
+    if not shown:
+        return None
+    cut = _best_cut([levels[axis] for axis in shown])
+    one_change = cut is not None and all(_explained(levels[axis], cut) for axis in shown)
+    if one_change and cut is not None:
+        return _joining(samples, density, [levels[axis] for axis in shown], shown, cut, min(p.values()))
+    return _varying(samples, dwells, [levels[axis] for axis in shown], shown, min(p.values()))
+
+
+def heterogeneous(finding: WithinFinding | None, samples: Samples) -> list[int]:
+    """Axes whose scatter differs between dwells."""
+    return [] if finding is None else [samples.letters.index(axis) for axis in finding.axes]
+
+
+def levels_of(samples: Samples, density: Density, axis: int) -> Levels:
+    """Variances of the dwells above the lowest frequencies."""
+    searched = density.searched
+    band = density.power[:, searched, axis]
+    base = density.base[searched, axis]
+    # What lies below the band belongs to the variance as well: its share by the density.
+    whole = float(density.base[:, axis].sum() / base.sum())
+    variance = np.maximum(whole * band.sum(axis=1) / (len(density.frequency) - 1), 1e-300)
+    counts = samples.counts[density.dwells].astype(float)
+    # Two degrees an independent ordinate, weighted by the density.
+    share = len(base) / len(density.frequency)
+    dof = counts * share * base.mean() ** 2 / np.mean(base**2) / TAPER_LOSS
+    level_dof = counts * share / TAPER_LOSS
+    relative = 2 / dof
+    rows = [without_line(samples.values[int(k)])[:, axis] for k in density.dwells]
+    squares = [own * own for own in rows]
+    fourth = float(np.mean([np.mean(own**2) / max(float(np.mean(own)) ** 2, 1e-300) for own in squares]))
+    relative = relative + max(fourth - 3, 0.0) / (dof / 2)
+    step = samples.quantum[axis]
+    if step > 0:
+        sigma2 = max(float(np.median(variance)) / step**2 - 1 / 12, 0.02)
+        ripple = (4 * sigma2 + 1 / np.pi**2) * np.exp(-2 * np.pi**2 * sigma2) / (sigma2 + 1 / 12)
+        relative = relative + ripple**2 / 2
+    return Levels(variance, 2 / relative, (band / base).mean(axis=1), level_dof)
+
+
+def _p_value(own: Levels, axes: int) -> float:
+    d = len(own.variance)
+    # Four tests, some of them at many places: each pays for all.
+    candidates = [own.alike() * TESTS * axes, own.changed() * TESTS * axes]
+    for cut in range(1, d):
+        after = np.arange(d) >= cut
+        candidates.append(_ratio_p(own.rows(~after), own.rows(after)) * (d - 1) * TESTS * axes)
+    for k in range(d):
+        alone = np.arange(d) == k
+        candidates.append(_ratio_p(own.rows(~alone), own.rows(alone)) * d * TESTS * axes)
+    return corrected(min(candidates), 1)
+
+
+def _ratio_p(one: Levels, other: Levels) -> float:
+    ratio = other.common / one.common
+    a, b = float(other.dof.sum()), float(one.dof.sum())
+    return min(1.0, 2 * min(float(special.fdtrc(a, b, ratio)), float(special.fdtr(a, b, ratio))))
+
+
+def _best_cut(levels: list[Levels]) -> int | None:
+    """First dwell of the louder part, by least squares over all axes; None if what follows is quieter."""
+    best: tuple[float, int] | None = None
+    for cut in range(1, len(levels[0].level)):
+        steps = [step_of(own.course, own.level_dof, cut) for own in levels]
+        # What one step takes off the logarithm of the scatter.
+        dof = len(levels[0].level) - 2
+        gain = sum(math.log1p((step / max(u, 1e-300)) ** 2 / dof) for step, u in steps)
+        if best is None or gain > best[0]:
+            best = (gain, cut if all(step > 0 for step, _ in steps) else 0)
+    return best[1] if best is not None and best[1] else None
+
+
+def _explained(own: Levels, cut: int) -> bool:
+    """True where one change at `cut` (within a dwell beside it, or between) leaves dwells alike."""
+    at = np.arange(len(own.variance))
+    parts = [own.rows(at < cut - 1), own.rows(at > cut)]
+    p = [part.alike() for part in parts if len(part.variance) > 1]
+    return all(value > _ADEQUATE / max(len(p), 1) for value in p)
+
+
+def _joining(
+    samples: Samples,
+    density: Density,
+    levels: list[Levels],
+    axes: list[int],
+    cut: int,
+    p_value: float,
+) -> WithinFinding:
+    dwells = density.dwells
+    at = np.arange(len(dwells))
+    quiet, loud = at < cut - 1, at > cut
+    if not quiet.any():
+        quiet = at < cut
+    if not loud.any():
+        loud = at >= cut
+    parameters: dict[str, Value] = {}
+    for axis, own in zip(axes, levels, strict=True):
+        parameters[f"extra_{samples.letters[axis]}"] = _joined(density, axis, own, quiet, loud)
+    start, u_start = _start(samples, dwells, levels, axes, cut, quiet, loud)
+    parameters["start"] = Value(start, u_start, "s")
+    positions = tuple(int(p) for p in samples.position[dwells[cut:]])
+    sizes = ", ".join(
+        f"{samples.letters[axis]} {with_u(parameters[f'extra_{samples.letters[axis]}'])}" for axis in axes
+    )
+    return WithinFinding(
+        kind="noise_change",
+        effect="noise_change",
+        axes=tuple(samples.letters[axis] for axis in axes),
+        positions=positions,
+        parameters=parameters,
+        p_value=p_value,
+        sentence=(
+            f"from {with_u(parameters['start'])} on (position {positions[0]}) the samples scatter more: "
+            f"noise of {sizes} has joined" + _rectification(levels)
+        ),
+        advice=(
+            "look for what joined (a machine, a loose contact, the supply); readings before and after it "
+            "differ in their uncertainty"
+        ),
+        view=_view(samples, dwells, levels, axes),
+    )
+
+
+def _joined(
+    density: Density, axis: int, own: Levels, quiet: NDArray[np.bool_], loud: NDArray[np.bool_]
+) -> Value:
+    """Standard deviation in mg of what joined.
+
+    By the variance of the samples; by white noise where that fits the change of the spectrum better than
+    the spectrum of the noise does, since behind a long filter it is lost in their variance.
+    """
+    base = density.base[density.searched, axis]
+    power = density.power[:, density.searched, axis] / base
+    change = power[loud].mean(axis=0) - power[quiet].mean(axis=0)
+
+    def left(shape: Floats) -> float:
+        return float(np.sum((change - shape * (change @ shape) / (shape @ shape)) ** 2))
+
+    white = 1 / base
+    if left(white) < left(np.ones_like(base)):
+        amounts = power @ white / (white @ white)
+        parts = [amounts[quiet], amounts[loud]]
+        square = float(parts[1].mean() - parts[0].mean())
+        spread = sum(float(((part - part.mean()) ** 2).sum()) for part in parts) / max(len(amounts) - 2, 1)
+        u2 = spread * sum(1 / len(part) for part in parts)
+    else:
+        before, after = own.rows(quiet), own.rows(loud)
+        square = after.common - before.common
+        u2 = 2 * (before.common**2 / before.dof.sum() + after.common**2 / after.dof.sum())
+    extra = math.sqrt(max(square, 0.0))
+    return Value(extra, float(np.sqrt(u2)) / (2 * max(extra, 1e-12)), "mg")
+
+
+def _varying(
+    samples: Samples, dwells: NDArray[np.intp], levels: list[Levels], axes: list[int], p_value: float
+) -> WithinFinding:
+    """Variances that differ without the form of one change."""
+    d = len(dwells)
+    unusual = np.zeros(d, dtype=bool)
+    places: list[Place] = []
+    for axis, own in zip(axes, levels, strict=True):
+        typical = float(np.median(own.variance))
+        ratio = own.variance / typical
+        spread = np.sqrt(2 / own.dof)
+        far = np.abs(np.log(ratio)) > stats.norm.isf(LEVEL / (2 * d)) * spread
+        unusual |= far
+        places += [
+            Place(
+                int(samples.position[dwells[k]]),
+                samples.letters[axis],
+                None,
+                Value(
+                    float(np.sqrt(own.variance[k])),
+                    float(np.sqrt(own.variance[k] / (2 * own.dof[k]))),
+                    "mg",
+                ),
+            )
+            for k in np.flatnonzero(far).tolist()
+        ]
+    if not unusual.any():
+        unusual[:] = True
+    positions = tuple(int(p) for p in samples.position[dwells[unusual]])
+    parameters: dict[str, Value] = {}
+    for axis, own in zip(axes, levels, strict=True):
+        letter = samples.letters[axis]
+        low, high = int(own.variance.argmin()), int(own.variance.argmax())
+        for word, k in (("least", low), ("largest", high)):
+            sd = float(np.sqrt(own.variance[k]))
+            parameters[f"{word}_{letter}"] = Value(sd, float(sd / np.sqrt(2 * own.dof[k])), "mg")
+    ranges = ", ".join(
+        f"{samples.letters[axis]} {number(float(np.sqrt(own.variance.min())))} to "
+        f"{number(float(np.sqrt(own.variance.max())))} mg"
+        for axis, own in zip(axes, levels, strict=True)
+    )
+    return WithinFinding(
+        kind="noise_change",
+        effect=None,
+        axes=tuple(samples.letters[axis] for axis in axes),
+        positions=positions,
+        parameters=parameters,
+        p_value=p_value,
+        sentence=(
+            f"the samples do not scatter alike in all dwells (standard deviation {ranges}); unusual: "
+            f"{positions_text(positions, len(samples))}" + _rectification(levels)
+        ),
+        places=tuple(places),
+        advice="",
+        view=_view(samples, dwells, levels, axes),
+    )
+
+
+def _rectification(levels: list[Levels]) -> str:
+    """What variances that differ are good for: the mean may follow them."""
+    spread = max(float(np.ptp(own.variance)) for own in levels)
+    return (
+        f"; variances differ by up to {number(spread)} mg², in which a vibration_rectification could show "
+        "between the dwells"
+    )
+
+
+def _start(
+    samples: Samples,
+    dwells: NDArray[np.intp],
+    levels: list[Levels],
+    axes: list[int],
+    cut: int,
+    quiet: NDArray[np.bool_],
+    loud: NDArray[np.bool_],
+) -> tuple[float, float]:
+    """Moment of the change with its standard uncertainty: its posterior over samples and the gap.
+
+    Squares of neighbours are correlated: the likelihood counts for the degrees of freedom only.
+    """
+    before, after = int(dwells[cut - 1]), int(dwells[cut])
+    time = np.concatenate([samples.time_s[before], samples.time_s[after]])
+    loss = np.zeros(len(time) + 1)
+    for axis, own in zip(axes, levels, strict=True):
+        low, high = own.rows(quiet).common, own.rows(loud).common
+        rows = np.concatenate([without_line(samples.values[k])[:, axis] for k in (before, after)])
+        worth = float(np.median(own.dof / samples.counts[dwells]))
+        one = 0.5 * worth * (rows**2 / low + np.log(low))
+        two = 0.5 * worth * (rows**2 / high + np.log(high))
+        loss += np.concatenate([[0.0], np.cumsum(one)]) + np.concatenate(
+            [np.cumsum(two[::-1])[::-1], [0.0]]
+        )
+    # The change lies before sample k: within a period, or anywhere in the pause between the dwells.
+    edges = np.concatenate([[time[0] - samples.period_s], time, [time[-1] + samples.period_s]])
+    low_edge, high_edge = edges[:-1], edges[1:]
+    weight = np.exp(-(loss - loss.min())) * np.maximum(high_edge - low_edge, 1e-12)
+    weight /= weight.sum()
+    middle, width = (low_edge + high_edge) / 2, high_edge - low_edge
+    mean = float(weight @ middle)
+    variance = float(weight @ ((middle - mean) ** 2 + width**2 / 12))
+    return mean, float(np.sqrt(variance))
+
+
+def _view(samples: Samples, dwells: NDArray[np.intp], levels: list[Levels], axes: list[int]) -> View:
+    axis = axes[0]
+    own = levels[0]
+    letter = samples.letters[axis]
+    time = np.array([float(np.mean(samples.time_s[int(k)])) for k in dwells])
+    return View(
+        time / 60,
+        np.sqrt(own.variance),
+        np.zeros(0),
+        np.zeros(0),
+        "time / min",
+        f"scatter of {letter} / mg",
+        f"Standard deviation of the samples of {letter} in each dwell.",
+        points=True,
+    )
