@@ -105,6 +105,21 @@ def test_the_mark_of_a_killed_session_is_cleared_and_a_used_alarm_is_left_alone(
         assert sensor.read("ALM_CTRL") == 0x2000
 
 
+def test_a_restart_shows_if_both_alarms_are_in_use(tmp_path):
+    with open_bus(POLLED) as bus:
+        sensor = Adis16354(bus, "adis16354")
+        sensor.write("ALM_CTRL", 0x2200)
+        done = 0
+        with pytest.raises(SessionError, match=r"ALM_CTRL 8704 → 0"):
+            for event in SessionRunner.begin(
+                sensor, tmp_path / "q.session", plan("two-position"), SHORT, auto=True
+            ).run():
+                done += isinstance(event, DwellDone)
+                if isinstance(event, DwellDone):
+                    restart(bus, sensor)
+        assert done == 1
+
+
 @pytest.mark.parametrize("polled", [True, False])
 @pytest.mark.parametrize(("word", "end"), [(0x0200, "0x0"), (0x0384, "0x84")])
 def test_no_session_begins_while_the_manual_self_test_shifts_readings(tmp_path, polled, word, end):
