@@ -2,7 +2,7 @@
 
     python scripts/planted_effects.py [--seeds 5] [--first-seed 100]
 
-Each seed plants every kind of examples/measured/plant_effect.py in both recordings (20 plantings).
+Each seed plants every kind of examples/measured/plant_effect.py in both recordings (22 plantings).
 """
 
 from __future__ import annotations

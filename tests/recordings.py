@@ -10,12 +10,26 @@ MEASURED = ROOT / "examples" / "measured"
 LARGER = Path(os.environ.get("ADIS_GONIO_DATA", ROOT.parent / "shared" / "data"))
 
 
+LARGER_NAMES = frozenset(f"mpu9150_{number}_recording" for number in (1, 2, 3, 4))
+"""Recordings that are no part of the clone; a test of any other never skips."""
+
+
 def recording(name: str) -> Path:
-    """Return the path of a recording; skip the test if it is a larger file that is missing."""
-    for folder in (MEASURED, LARGER):
-        path = folder / f"{name}.csv.gz"
-        if path.exists():
-            return path
+    """Return the path of a recording; skip the test if it is a larger file that is missing.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a recording that belongs to the clone is missing.
+    """
+    path = MEASURED / f"{name}.csv.gz"
+    if path.exists():
+        return path
+    if name not in LARGER_NAMES:
+        raise FileNotFoundError(f"{path} belongs to the clone: restore it from git")
+    path = LARGER / path.name
+    if path.exists():
+        return path
     pytest.skip(
         f"no {name}.csv.gz in {LARGER}: set ADIS_GONIO_DATA (sources in examples/measured/README.md)"
     )

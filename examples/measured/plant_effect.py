@@ -3,8 +3,9 @@
     python examples/measured/plant_effect.py RECORDING.csv.gz PLANTED.csv.gz [--seed TEXT]
 
 Writes the recording with the effect added to its accelerations, and `PLANTED.seal.json` with the answer.
-The printed SHA-256 of the seal proves later that the answer was fixed before `trace` ran. Half of the kinds
-are in the catalogue of `adis-gonio effects`, and half are not. Without `--seed` nobody knows the draw.
+The printed SHA-256 of the seal proves later that the answer was fixed before `trace` ran. Five of the
+eleven kinds are in the catalogue (docs/effects.md), and six are not. Without `--seed` nobody knows the
+draw.
 
 The size is 3 to 10 times the limit that `trace` states for the unchanged recording ("it would have shown
 from"). A kind that is not in the catalogue has no such limit. It is as large as a catalogued effect of the

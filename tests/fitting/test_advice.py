@@ -53,10 +53,27 @@ def test_two_positions_say_whether_u_holds_the_bias_that_they_cannot_see(sensor:
     assert f"{held}; measure 180° and 270° too and use method four-position" in line
 
 
-def test_where_the_session_itself_shows_the_bias_the_method_that_does_is_named() -> None:
-    told = fit(turn(FOUR), "two-position").warnings
+def test_four_positions_name_the_bias_and_what_it_does_to_two_of_them() -> None:
+    biased = turn(FOUR)
+    moved = (57.3, -20.6) - np.array([dwell.accel for dwell in biased.dwells]).mean(axis=(0, 1))
+    biased = replace(biased, dwells=tuple(replace(d, accel=d.accel + moved) for d in biased.dwells))
+    (line,) = [one for one in fit(biased, "two-position").warnings if "a bias cannot be seen" in one]
+    assert "finds a bias of +57.3 mg on X and -20.6 mg on Y" in line
+    assert line.endswith("use method four-position or ml")
+
+    def skew(bias: tuple[float, float]) -> float:
+        """Δφ in degrees by hand, from the readings at 0° and 90°."""
+        (a_x, a_y), (b_x, b_y) = np.array([dwell.accel[0] for dwell in biased.dwells[:2]]) - bias
+        return math.degrees(math.atan2(a_y, -b_y) - math.atan2(b_x, a_x))
+
+    stated = float(line.rsplit("moves delta_phi by ", 1)[1].split("°")[0])
+    assert stated == pytest.approx(skew((0.0, 0.0)) - skew((57.3, -20.6)), abs=0.05)
+
+
+def test_a_session_of_nine_that_shows_the_bias_names_the_methods_that_do() -> None:
+    told = fit(turn((0, 90, *range(100, 170, 10))), "two-position").warnings
     (line,) = [one for one in told if "a bias cannot be seen" in one]
-    assert line.endswith("methods four-position and ml see it in this session")
+    assert line.endswith("methods mmpm and ml see it in this session")
 
 
 def test_what_a_milligram_of_an_unseen_bias_moves_is_said_with_it() -> None:

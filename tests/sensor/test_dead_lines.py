@@ -1,5 +1,7 @@
 """A data line that dies, a slow sample rate, and a bus that answers with too few words."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -14,12 +16,13 @@ from adis_gonio.base.errors import (
     one_line,
 )
 from adis_gonio.bench.runner import SessionRunner
-from adis_gonio.device.bus.opening import Device
+from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.scanning import LONGEST_EXCHANGE_S
 from adis_gonio.record.plans import plan
 from adis_gonio.record.settings import Settings
 from fakes.buses import RecordingBus
+from fakes.faulty_chip import FaultyBus, Window
 
 
 class FailingLine(RecordingBus):
@@ -60,6 +63,32 @@ def test_a_line_that_sticks_between_two_streams_is_an_error_of_the_chip(level, u
     with pytest.raises(SilentChipError, match="nothing answers"):
         sensor.read_scans(20)
     assert bus.longest_s <= LONGEST_EXCHANGE_S
+
+
+@pytest.mark.parametrize("stream", [0, 1])
+@pytest.mark.parametrize("smpl_prd", [0x01, 0x20])
+@pytest.mark.parametrize("line", ["high", "low"])
+def test_no_stream_yields_the_ones_or_zeros_of_a_line_that_sticks_while_it_runs(line, smpl_prd, stream):
+    bus = FaultyBus(BusUrl.parse(f"faulty:?seed=4&stream={stream}"))
+    sensor = Adis16354(bus)
+    sensor.configure(smpl_prd=smpl_prd)
+    bus.chip.windows.append(Window(bus.now_s() + 1.0, math.inf, line, deaf=False))
+    with pytest.raises(ChipError), sensor.stream(block_scans=4) as blocks:  # noqa: PT012
+        stuck = 0
+        for block in blocks:
+            stuck += int((block.words == 0xFFFF).all(axis=1).sum())
+            assert stuck < 8
+            assert bus.now_s() < 60
+
+
+@pytest.mark.parametrize("level", [0x0000, 0xFFFF])
+def test_a_self_test_on_a_dead_line_is_not_passed(level):
+    bus = FailingLine()
+    sensor = Adis16354(bus)
+    assert sensor.self_test().passed
+    bus.stuck = level
+    with pytest.raises(ChipError):
+        sensor.self_test()
 
 
 @pytest.mark.parametrize("level", [0x0000, 0xFFFF])

@@ -6,6 +6,7 @@ from adis_gonio import fit, load_session, open_bus
 from adis_gonio.base.errors import ChipError, SessionError
 from adis_gonio.bench.events import DwellDone, DwellProgress
 from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.faces.cli import main
@@ -105,6 +106,19 @@ def test_the_mark_of_a_killed_session_is_cleared_and_a_used_alarm_is_left_alone(
         assert sensor.read("ALM_CTRL") == 0x2000
 
 
+def test_a_restart_shows_if_both_alarms_are_in_use(tmp_path):
+    with open_bus(POLLED) as bus:
+        sensor = Adis16354(bus, "adis16354")
+        sensor.write("ALM_CTRL", 0x2200)
+        runner = SessionRunner.begin(sensor, tmp_path / "q.session", plan("two-position"), SHORT, auto=True)
+        events = runner.run()
+        while not isinstance(next(events), DwellDone):
+            pass
+        restart(bus, sensor)
+        with pytest.raises(SessionError, match=r"ALM_CTRL 8704 → 0"):
+            list(events)
+
+
 @pytest.mark.parametrize("polled", [True, False])
 @pytest.mark.parametrize(("word", "end"), [(0x0200, "0x0"), (0x0384, "0x84")])
 def test_no_session_begins_while_the_manual_self_test_shifts_readings(tmp_path, polled, word, end):
@@ -156,3 +170,10 @@ def test_fit_of_an_archive_whose_registers_changed_says_so(tmp_path, monkeypatch
     assert any("XACCL_OFF 40 → 0" in warning for warning in fit(load_session(path)).warnings)
     assert main(["fit", str(path)]) == 0
     assert "XACCL_OFF 40 → 0" in " ".join(capsys.readouterr().out.split())
+    with open_bus(POLLED) as bus:
+        sensor = Adis16354(bus, "adis16354")
+        sensor.write("XACCL_OFF", 40)
+        for gyros in (False, True):
+            writer = OffsetWriter(sensor, path, WriteSettings(dwell_s=1.0, gyros=gyros))
+            with pytest.raises(SessionError, match=r"no sound base.*XACCL_OFF 40 → 0"):
+                writer.plan()

@@ -206,9 +206,17 @@ def test_rows_keep_their_numbers_behind_a_preamble(tmp_path):
         read_samples_csv(path)
 
 
-def test_a_web_page_is_called_one(tmp_path):
+@pytest.mark.parametrize(
+    "before",
+    [
+        "\n <!DOCTYPE html>\n",
+        "<!-- saved from url=(0031)https://example.org/log -->\n<!-- x -->\n",
+        '<?xml version="1.0" encoding="UTF-8"?>\n<!DOCTYPE html PUBLIC "-//W3C//DTD XHTML">\n',
+    ],
+)
+def test_a_web_page_is_called_one(tmp_path, before):
     path = tmp_path / "a.csv"
-    path.write_text("\n <!DOCTYPE html>\n<html><body>time_s,ax,ay</body></html>\n")
+    path.write_text(f"{before}<html><body>time_s,ax,ay</body></html>\n")
     with pytest.raises(DataError, match="HTML page"):
         read_samples_csv(path)
 

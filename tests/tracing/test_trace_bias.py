@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import adis_gonio
+from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import effect
 from adis_gonio.tracing.outcome.clock import bias_at_middle
-from adis_gonio.tracing.outcome.findings import finding_of, told_from_zero
+from adis_gonio.tracing.outcome.findings import finding_of, told_from_zero, zeros_of
 from calibration.sessions import planar_session
 from tracing.small_problems import U, chosen, noisy, turn
 
@@ -74,6 +75,22 @@ def test_the_zero_of_counts_is_stated_as_the_bias_that_a_fit_finds():
         assert (value.value, value.u) == pytest.approx((fitted[name].value, fitted[name].u), rel=1e-4)
     assert result.detectable["bias"].amplitude is None
     assert "counts" in result.detectable["bias"].reason
+
+
+@pytest.mark.parametrize("axes", ["", "x", "y", "xy"])
+def test_every_axis_in_counts_has_a_zero_with_u_whichever_biases_the_model_has(axes):
+    """The rough zero of an axis without a bias is no result: it is fitted, and has an uncertainty."""
+    data = readings_of(planar_session(np.random.default_rng(3), unit="counts"))
+    terms = [NamedTerm(f"bias[{axes}]", (), 1.0, effect("bias", tuple(axes)))] if axes else []
+    selection = chosen(data, terms, (tuple(range(len(terms))), 1.0))
+    zeros = zeros_of(selection)
+    assert sorted(zeros) == ["bias_x", "bias_y"]
+    for name, truth in (("bias_x", 330.0), ("bias_y", 282.5)):
+        assert zeros[name].u
+        assert zeros[name].value == pytest.approx(truth, abs=4 * zeros[name].u)
+    if axes:
+        found = finding_of(selection, "bias")
+        assert zeros_of(selection, [found]).keys() == zeros.keys() - found.parameters.keys()
 
 
 def test_a_bias_in_mg_stays_out_of_the_base_parameters():

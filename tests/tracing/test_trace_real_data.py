@@ -77,6 +77,25 @@ def test_nothing_beyond_bias_scale_and_skew_is_claimed_and_nothing_inside_the_dw
         assert "body axes" in document["heldout_design"]
 
 
+def test_a_sensor_of_the_array_has_a_bias_and_nothing_else(capsys):
+    document = told(capsys, "mimu4444_exp4_imu1")
+    assert names(document) == {"bias"}
+    assert document["adequate"]
+    assert document["unnamed"] is None
+    assert document["error"]["before"]["heldout_rms_mg"] == pytest.approx(67, abs=1)
+    assert document["error"]["after"]["heldout_rms_mg"] == pytest.approx(0.19, abs=0.02)
+
+
+def test_a_sensor_of_the_array_drifts_and_one_session_cannot_exclude_a_warm_up(capsys):
+    document = told(capsys, "mimu4444_exp6_imu1")
+    assert names(document) == {"bias", "bias_drift"}
+    (drift,) = [one for one in document["found"] if one["effect"] == "bias_drift"]
+    assert drift["parameters"]["drift_z"]["value"] == pytest.approx(-1.0, abs=0.1)
+    assert any({"bias_drift", "warm_up"} <= set(one["names"]) for one in document["sets"])
+    assert document["error"]["before"]["heldout_rms_mg"] == pytest.approx(56, abs=1)
+    assert document["error"]["after"]["heldout_rms_mg"] == pytest.approx(0.27, abs=0.02)
+
+
 def test_thermal_cycle_is_a_polynomial_and_its_lag(capsys):
     document = told(capsys, "thermal_cycle")
     assert names(document) == {"bias_temperature", "thermal_lag"}

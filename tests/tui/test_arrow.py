@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from adis_gonio.bench.events import PositionAsked
+from adis_gonio.bench.events import Paused, PositionAsked
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.tui import words
@@ -89,3 +89,30 @@ def test_past_it_and_back_is_not_called_there(tmp_path):
         hand.see(runner, event)
     assert said
     assert not any("there" in line or arrow(line) for line in said)
+
+
+@pytest.mark.parametrize("ends_at", [0.0, 200.0])
+def test_a_turn_during_a_pause_is_not_counted_and_not_guessed(ends_at, tmp_path):
+    """Nobody watches a pause: from 270° to 0° the part may have turned by −270° or by +90°."""
+    sensor = Adis16354(HandBus("sim:?seed=1"))
+    runner = SessionRunner.begin(sensor, tmp_path / "a.session", BACK, QUICK, fixture_sigma_deg=0.02)
+    hand, state, said = Hand(sensor), BenchState(), []
+    paused = False
+    for event in runner.run():
+        state.take(event)
+        if state.place == 4 and paused and state.question is not None and state.tolerance_deg is not None:
+            said.append(words.target(state))
+        if isinstance(event, Paused):
+            hand.turn(ends_at)
+            sensor.bus.sleep_s(30)
+            runner.unpause()
+        elif isinstance(event, PositionAsked) and event.place == 4 and not paused:
+            paused = True
+            runner.pause()
+        elif len(said) == 3:
+            runner.stop()
+        else:
+            hand.see(runner, event)
+    assert said
+    assert not any(arrow(line) for line in said), said
+    assert all(("there" in line) == (ends_at == 0.0) for line in said)

@@ -350,17 +350,46 @@ def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> lis
     )
     held = chosen.sensor in VARIANTS
     stated = "the uncertainty holds the part's figure for it" if held else "no uncertainty here holds that"
-    seen = all(len(rows) for rows in rows_at(readings, FOUR)) or len(readings) >= LEAST_MMPM
-    remedy = (
-        "methods four-position and ml see it in this session"
-        if seen
-        else "measure 180° and 270° too and use method four-position"
-    )
+    remedy = _bias_of_four(readings, chosen)
+    if remedy is None:
+        remedy = (
+            "methods mmpm and ml see it in this session"
+            if np.count_nonzero(np.isfinite(readings.angle_rad)) >= LEAST_MMPM
+            else "measure 180° and 270° too and use method four-position"
+        )
     return [
         "a bias cannot be seen in two positions: 1 mg of it on X moves delta_phi by "
         f"{phi[0]:+.2g}° and delta_k by {k[0]:+.2g}, on Y by {phi[1]:+.2g}° and {k[1]:+.2g}, and {stated}; "
         f"{remedy}"
     ]
+
+
+def _bias_of_four(readings: Readings, chosen: Readings) -> str | None:
+    """Describe the bias that the session's four positions show, and what it does to two positions.
+
+    Returns
+    -------
+    str or None
+        A clause with the bias and the change of delta_phi and delta_k that it makes in `chosen`; None if
+        the four positions are not there or do not determine a bias.
+    """
+    if not all(len(rows) for rows in rows_at(readings, FOUR)):
+        return None
+    try:
+        bias = _linear(*_grouped(readings, "four-position", FOUR), bias=True).beta[BIAS_X:]
+        pair, weights = _grouped(readings, "two-position", TWO)
+        with_bias = _linear(pair, weights, bias=False).beta
+        free = replace(pair, mean=pair.mean - bias * pair.gravity_mg)
+        without = _linear(free, weights, bias=False).beta
+    except SingularError:
+        return None
+    phi = math.degrees(math.remainder(with_bias[DELTA_PHI] - without[DELTA_PHI], math.tau))
+    k = with_bias[SCALE_X] / with_bias[SCALE_Y] - without[SCALE_X] / without[SCALE_Y]
+    x, y = bias * chosen.gravity_mg
+    return (
+        f"method four-position finds a bias of {x:+.1f} mg on X and {y:+.1f} mg on Y in this session, "
+        f"which moves delta_phi by {phi:+.2g}° and delta_k by {k:+.2g} here: use method four-position or ml"
+    )
 
 
 def _finish(

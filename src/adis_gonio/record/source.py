@@ -268,7 +268,9 @@ class ChipSource:
                 self.sensor.write(*marked)
 
     def mark_restart(self) -> None:
-        """Write `MARK` into the level of an alarm that is off; without one a restart may not show.
+        """Write `MARK` into the level of an alarm that is off.
+
+        If both alarms are in use, a restart shows only in registers that differ from their flash copies.
 
         The offsets and the rate may be the same before and after a restart, because nobody changed what
         the flash holds. ALM_MAG1 and ALM_MAG2 do nothing while their source in ALM_CTRL is 0 (DS, B).
@@ -290,8 +292,11 @@ class ChipSource:
                 self.sensor.write(name, 0)
 
     def settings_held(self) -> dict[str, int]:
-        """Bits of `READING_BITS` in their registers, and the alarm's level that holds the mark."""
-        names = [*READING_BITS, *([self._marked[0]] if self._marked else [])]
+        """Bits of `READING_BITS` in their registers, and the alarm's level that holds the mark.
+
+        If both alarms are in use and nothing is marked, ALM_CTRL: a restart ends alarms set in RAM.
+        """
+        names = [*READING_BITS, self._marked[0] if self._marked else "ALM_CTRL"]
         words = self.sensor.read_words(names)
         numbers = {name: BY_NAME[name].number(word) for name, word in zip(names, words, strict=True)}
         return {name: number & READING_BITS.get(name, -1) for name, number in numbers.items()}

@@ -197,7 +197,7 @@ def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | 
     advice, measurements = attempt(
         "what to measure next", lambda: advise(data, open_still, terms, names.confounded), nothing
     )
-    zeros = {} if any(one.effect == "bias" for one in seen) else zeros_of(final)
+    zeros = zeros_of(final, seen)
     return TraceResult(
         adequate=adequate and training.noise_known,
         found=seen,
@@ -209,7 +209,7 @@ def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | 
         after=figures[-1],
         detectable={
             **detectable(selection.found, selection.verdict.best, missing, training.model.part),
-            **({"bias": ZERO_OF_COUNTS} if zeros else {}),
+            **({"bias": ZERO_OF_COUNTS} if len(zeros) == data.axes else {}),
         },
         advice=advice,
         measurements=measurements,

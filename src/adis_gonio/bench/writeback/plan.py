@@ -204,7 +204,8 @@ def plan_offsets(session: Session, result: FitResult, now: Numbers | None = None
                 axis, register, bias.value, u, recorded[register], held[register], new, lsb, new != wanted
             )
         )
-    doubts = (*_lacks(session, result), *(text for axis in axes for text in _unsure(axis)))
+    unsure = (text for axis in axes for text in _unsure(axis))
+    doubts = (*_mixed(session), *_lacks(session, result), *unsure)
     return WritePlan(session.source, session.sensor, result.method, tuple(axes), doubts)
 
 
@@ -248,7 +249,14 @@ def plan_gyro_offsets(
             )
         )
     unsure = (text for axis in axes for text in _unsure(axis))
-    return WritePlan(session.source, session.sensor, gyro.method, tuple(axes), (*doubts, *unsure))
+    doubts = (*_mixed(session), *doubts, *unsure)
+    return WritePlan(session.source, session.sensor, gyro.method, tuple(axes), doubts)
+
+
+def _mixed(session: Session) -> list[str]:
+    """Say that registers changed while the session was recorded: its biases belong to no one state."""
+    doubts = session.facts.get("doubts") or []
+    return [str(doubt["message"]) for doubt in doubts if doubt["kind"] == "registers"]
 
 
 def _lacks(session: Session, result: FitResult) -> list[str]:

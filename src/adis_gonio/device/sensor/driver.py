@@ -479,13 +479,15 @@ class Adis16354:
         ------
         ChipError
             The self-test did not end.
+        SilentChipError, VerifyError
+            As `read_checked`: zeros on a line that is stuck low are not a passed test.
         """
         row = BY_NAME["MSC_CTRL"]
         busy = row.field("self_test").mask
         # The high byte alone: the low byte holds settings that a self-test has no business with.
         self.bus.exchange_array(write_frames(row, busy, byte_mask=0xFF00))
         self.bus.sleep_s(SELF_TEST_S)
-        if self.read(row) & busy:
+        if self.read_checked([row])[0] & busy:
             raise ChipError("the self-test did not end in 60 ms: reset the part and check its supply")
         return SelfTest(self.status())
 

@@ -44,6 +44,11 @@ news as a pass has, behind as many with news, and a tenth to spare."""
 LONGEST_EXCHANGE_S = 1.0
 """Time that one exchange may take: a slow sample rate means more exchanges, and a stop is heard soon."""
 
+STUCK_HIGH = 0xFFFF
+STUCK_SCANS, STUCK_REGISTERS = 8, 3
+"""So many scans of so many output registers are all ones if the data line is stuck, never by chance:
+three registers would hold -1 LSB together, with an error flagged, while gravity acts."""
+
 LEAST_PASSES = 4
 """Passes in a batch, and those that are kept for the next one: an update and its silence take three."""
 
@@ -161,6 +166,7 @@ class StreamedScans(ScanStream):
         self._stream = stream
         self._flags = np.array([row.flags for row in layout.table])
         self._judged: NDArray[np.bool_] = np.empty(0, bool)
+        self._scans_of_ones = 0
 
     def _next(self) -> ScanBlock:
         block = next(self._stream)
@@ -169,6 +175,7 @@ class StreamedScans(ScanStream):
                 f"the bus streams blocks of shape {block.words.shape}: {len(block.time_s)} times and"
                 f" {len(self._names)} registers were expected"
             )
+        self._refuse_stuck_line(block.words)
         # A scan with a word without ND repeats an older one, at least in part: its edge was no update's.
         new: NDArray[np.bool_] = np.all(block.words[:, self._flags] & ND, axis=1)
         dropped = len(new) - int(new.sum())
@@ -181,6 +188,21 @@ class StreamedScans(ScanStream):
                 " (docs/hardware.md)"
             )
         return replace(self._block(block.words[new], block.time_s[new], block.lost), dropped=dropped)
+
+    def _refuse_stuck_line(self, words: Words) -> None:
+        """Raise `SilentChipError` if the latest scans hold nothing but ones, which look like new data."""
+        if self._flags.sum() < STUCK_REGISTERS:
+            return
+        ones = (words[:, self._flags] == STUCK_HIGH).all(axis=1)
+        if ones.all():
+            self._scans_of_ones += len(ones)
+        else:
+            self._scans_of_ones = int(np.argmin(ones[::-1]))  # scans after the last one with a zero bit
+        if self._scans_of_ones >= STUCK_SCANS:
+            raise SilentChipError(
+                "nothing answers, scans at data-ready edges are all ones: the data line (MISO) is stuck"
+                " high; check supply, chip select and wires"
+            )
 
     def _stop(self) -> None:
         self._stream.close()

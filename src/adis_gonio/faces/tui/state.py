@@ -78,7 +78,8 @@ class BenchState:
     span : Span or None
         How far it is, where that is known.
     angle_deg, target_deg : float or None
-        Live angle, on the turn that the stage has made from `here`, and the angle asked for.
+        Live angle, on the turn that the stage has made from `here` (on the turn that is nearest to the
+        target if that is not known, see `lost_way`), and the angle asked for.
     tolerance_deg : float or None
         Distance from the target within which the part is there, as far as the dwells so far tell; None
         while a dwell is recorded and before the first.
@@ -163,6 +164,12 @@ class BenchState:
         if self.angle_deg is None or self.target_deg is None:
             return None
         return self.target_deg - self.angle_deg
+
+    @property
+    def lost_way(self) -> bool:
+        """True if the headline names a turn from `here` whose course was not watched, as in a pause."""
+        here = self.here
+        return here is not None and here.angle_deg is not None and self._turned_deg is None
 
     @property
     def passes(self) -> bool:
@@ -374,7 +381,8 @@ class BenchState:
     def _(self, event: events.Paused) -> None:
         self._goes_on()
         self.paused = self.quiet = True
-        self.angle_deg = self.spread_mg = None
+        # Nobody counts the turns that the part makes from now on.
+        self.angle_deg = self.spread_mg = self._turned_deg = None
         self.doing = "paused"
 
     @take.register

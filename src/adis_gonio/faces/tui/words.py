@@ -100,6 +100,8 @@ def target(state: BenchState) -> str:
         return goal
     if abs(more) <= tolerance:
         return f"{goal}   ● there, to ±{tolerance:.1f}°"
+    if state.lost_way:
+        return goal
     arrow, way = ("▶▶", "more") if more > 0 else ("◀◀", "back")
     return f"{goal}   {arrow} turn {_signed(more, 1)}° {way}"
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import codecs
 import gzip
+import re
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,7 +28,11 @@ _FOREIGN = {
     b"\x89HDF": "an HDF5 file: write it as CSV",
     b"%PDF": "a PDF file: take the file that it was printed from",
 }
-_HTML = (b"<!doctype html", b"<html", b"<head", b"<body")
+_HTML = re.compile(
+    rb"(?>\xef\xbb\xbf|\s|<!--.*?-->|<\?xml.*?\?>)*+<(?:!doctype\s+html|html|head|body)\b",
+    re.IGNORECASE | re.DOTALL,
+)
+"""The first tag of a page, after comments and an XML declaration."""
 LONGEST_LINE = 1 << 16
 """Characters: rows have hundreds; a file without line ends would fill the memory."""
 MOST_GROWTH, SMALL = 200, 1 << 24
@@ -131,7 +136,7 @@ def _decoded(path: Path, file: IO[bytes], raw: IO[bytes], size: int) -> Iterator
     for magic, kind in _FOREIGN.items():
         if data.startswith(magic):
             raise DataError(f"{path.name}: not a samples CSV: it is {kind}")
-    if data.lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(_HTML):
+    if _HTML.match(data):
         raise DataError(
             f"{path.name}: not a samples CSV: it is an HTML page; download the file itself, not the page "
             "that shows it"

@@ -178,20 +178,27 @@ def base_of(selection: Selection) -> dict[str, Value]:
     return out
 
 
-def zeros_of(selection: Selection) -> dict[str, Value]:
-    """Bias of every axis as `adis_gonio.fit` states it, where the zero is part of the unit (counts).
+def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Value]:
+    """Bias of every axis that no finding states, as `adis_gonio.fit` has it, if the unit is counts.
 
-    A model without a bias stands at the rough zero by which the readings came into mg: a bias beside it is
-    what a fit makes of that. None where the zero of the unit is known.
+    An axis without a bias in the model stands at the rough zero by which the readings came into mg: its
+    bias is fitted with the other parameters of the model. Empty if the zero of the unit is known.
     """
     data = selection.data
     if data.unit.known:
         return {}
     fit = selection.fit
     axes = tuple(AXES[: data.axes])
-    if all(term.name != "bias" for term in fit.terms):
-        zero = NamedTerm("bias", (), 0.0, effect("bias", axes))
-        values = replace(fit.values, terms=(*fit.values.terms, np.zeros(len(axes))))
+    biased = {
+        letter
+        for term in fit.terms
+        if isinstance(term, NamedTerm) and term.name == "bias"
+        for letter in term.effect.axes
+    }
+    lacking = tuple(letter for letter in axes if letter not in biased)
+    if lacking:
+        zero = NamedTerm("bias", (), 0.0, effect("bias", lacking))
+        values = replace(fit.values, terms=(*fit.values.terms, np.zeros(len(lacking))))
         fit = Fit(data, (*fit.terms, zero), values, fit.with_prior).refit()
     stated = {f"bias_{letter}": Value(0.0, None, "mg") for letter in axes}
     for index, term in enumerate(fit.terms):
@@ -201,7 +208,9 @@ def zeros_of(selection: Selection) -> dict[str, Value]:
         for place, parameter in enumerate(term.effect.parameters, start):
             u = float(np.sqrt(fit.covariance[place, place] * selection.inflation))
             stated[parameter.name] = Value(float(fit.values.parameters[place]), u, "mg", dof_of(selection))
-    return in_units_of_file(Finding("bias", axes, stated, 1.0, 0.0, 1.0), data.unit).parameters
+    zeros = in_units_of_file(Finding("bias", axes, stated, 1.0, 0.0, 1.0), data.unit).parameters
+    known = {name for finding in seen if finding.effect == "bias" for name in finding.parameters}
+    return {name: value for name, value in zeros.items() if name not in known}
 
 
 def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
