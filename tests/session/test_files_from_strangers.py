@@ -373,7 +373,7 @@ def test_a_matrix_without_an_inverse_is_told_with_the_file(recorded, monkeypatch
     def fail(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr("adis_gonio.fitting.fit", fail)
+    monkeypatch.setattr(cli.app, "main", fail)
     assert cli.main(["fit", str(recorded)]) == 1
     told = capsys.readouterr().err.splitlines()[-1]
     assert told.startswith(f"adis-gonio: {recorded}: no fit is possible")
