@@ -16,7 +16,7 @@ from adis_gonio.fleet.run import Fleet
 from adis_gonio.fleet.summary import Summary, summarise
 from adis_gonio.fleet.work import Options
 from adis_gonio.jsonable import finite
-from adis_gonio.output import check_output, replacing
+from adis_gonio.output import check_output, replacing, write_utf8
 
 if TYPE_CHECKING:
     from adis_gonio.population import PopulationResult
@@ -94,12 +94,10 @@ class FleetResult:
             elif path.suffix.lower() == ".html":
                 from adis_gonio.fleet.page import build_page
 
-                beside.write_text(
-                    build_page(self.summary, self.fleet.repeated, self.population_lines), encoding="utf-8"
-                )
+                write_utf8(beside, build_page(self.summary, self.fleet.repeated, self.population_lines))
             else:
                 text = json.dumps(finite(self.as_dict()), ensure_ascii=False, indent=2, allow_nan=False)
-                beside.write_text(text + "\n", encoding="utf-8")
+                write_utf8(beside, text + "\n")
 
 
 def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:

@@ -16,6 +16,7 @@ from adis_gonio.errors import DataError, FitError, UsageError
 from adis_gonio.handover.c_header import DEFAULT_NAME
 from adis_gonio.jsonable import finite
 from adis_gonio.model.records import Session
+from adis_gonio.output import write_utf8
 from adis_gonio.session import load_session
 from adis_gonio.session.export import session_dict
 from adis_gonio.session.overrides import Overrides
@@ -99,7 +100,7 @@ class ExportSource:
             _SAMPLES[kind](self._session(kind), path)
             return
         text = self._json() if kind == "json" else _TEXTS[kind](self._calibration(), self.name)
-        path.write_text(text, encoding="utf-8")
+        write_utf8(path, text)
 
     def _session(self, kind: str) -> Session:
         if calibration_in(self.path) is not None:
