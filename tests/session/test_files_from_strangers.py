@@ -15,13 +15,18 @@ from contextlib import closing
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from forging import DEEP, HUGE, exchanged_in, forge, put
 
 import adis_gonio
 from adis_gonio.base.errors import AdisGonioError, DataError
+from adis_gonio.base.output import write_utf8
+from adis_gonio.calibrate.document import calibration_from
+from adis_gonio.faces import cli
+from adis_gonio.fitting.estimation.flicker import covariance_of_means
 from adis_gonio.plan.document import document_of, read_plan
-from adis_gonio.record import database
+from adis_gonio.record import database, samples_csv
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.export import session_dict, write_csv
 from adis_gonio.record.loading import load_session
@@ -50,7 +55,13 @@ def run_cli(*arguments: str) -> subprocess.CompletedProcess[str]:
 
     command = [sys.executable, "-m", "adis_gonio", *arguments]
     return subprocess.run(
-        command, capture_output=True, text=True, timeout=LONGEST_S, preexec_fn=bounded, check=False
+        command,
+        capture_output=True,
+        text=True,
+        errors="replace",
+        timeout=LONGEST_S,
+        preexec_fn=bounded,
+        check=False,
     )
 
 
@@ -308,3 +319,95 @@ def test_a_huge_integer_in_a_calibration_is_one_line_of_export(recorded, tmp_pat
     assert done.returncode == 1
     assert done.stderr.count("\n") <= 1
     assert "huge.json" in done.stderr
+
+
+def test_a_trigger_with_a_name_of_sqlites_own_is_refused(recorded, tmp_path):
+    path = tmp_path / "hidden.session"
+    shutil.copyfile(recorded, path)
+    sql = "CREATE TRIGGER sqlite_x AFTER INSERT ON runs BEGIN SELECT zeroblob(1000000000); END"
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        connection.execute("PRAGMA writable_schema = ON")
+        connection.execute("INSERT INTO sqlite_master VALUES ('trigger', 'sqlite_x', 'runs', 0, ?)", (sql,))
+    assert "'sqlite_x' is no part of a session file" in refused(path)
+
+
+@pytest.mark.parametrize("column", [4, 5])
+def test_a_row_of_megabytes_is_refused(recorded, tmp_path, column):
+    path = tmp_path / "long.session"
+    shutil.copyfile(recorded, path)
+    put(path, "records", 2, column, json.dumps("x" * (database.LONGEST_ROW_BYTES + 1)))
+    assert "within bounds" in refused(path)
+
+
+def test_rows_of_many_characters_together_are_refused(recorded, tmp_path, monkeypatch):
+    monkeypatch.setattr(database, "MOST_TEXT", 2000)
+    path = tmp_path / "long.session"
+    shutil.copyfile(recorded, path)
+    assert "holds more than 2000 characters" in refused(path)
+
+
+@pytest.mark.parametrize("sigma", ["1e-300", "5e-324"])
+def test_an_uncertainty_of_angles_whose_square_is_nothing_is_refused(recorded, tmp_path, sigma):
+    path = tmp_path / "fixture.session"
+    shutil.copyfile(recorded, path)
+    put(path, "meta", 6, 1, sigma)
+    assert "fixture_sigma_deg is" in refused(path)
+    table = tmp_path / "fixture.csv"
+    table.write_text(f"# fixture_sigma_deg: {sigma}\ntime_s,position,ax,ay\n0,0,1,2\n")
+    assert "fixture_sigma_deg" in refused(table)
+
+
+def test_times_that_no_model_can_weigh_are_one_line(recorded, tmp_path):
+    path = tmp_path / "times.session"
+    shutil.copyfile(recorded, path)
+    with closing(sqlite3.connect(path)) as connection:
+        query = "SELECT rowid, scans FROM blocks WHERE phase = 'dwell' AND scans > 0"
+        found = connection.execute(query).fetchall()
+    for rowid, scans in found:
+        put(path, "blocks", rowid, 6, (np.arange(scans) * 1.4e8).astype("<f8").tobytes())
+    done = run_cli("fit", str(path))
+    assert (done.returncode, done.stderr.count("Traceback")) in ((0, 0), (1, 0)), done.stderr[-500:]
+
+
+def test_a_matrix_without_an_inverse_is_told_with_the_file(recorded, monkeypatch, capsys):
+    def fail(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(cli.app, "main", fail)
+    assert cli.main(["fit", str(recorded)]) == 1
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.startswith(f"adis-gonio: {recorded}: no fit is possible")
+
+
+def test_more_positions_than_a_fit_can_hold_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(samples_csv, "MOST_DWELLS", 3)
+    path = tmp_path / "many.csv"
+    path.write_text("time_s,position,ax,ay\n" + "".join(f"{k},{k},1,2\n" for k in range(4)))
+    assert "row 5: more than 3 positions" in refused(path)
+
+
+def test_a_lone_surrogate_is_written_as_a_question_mark(tmp_path):
+    path = tmp_path / "text"
+    assert write_utf8(path, "a\udcffé\ud800") == 5
+    assert path.read_bytes() == "a?é?".encode()
+
+
+def test_a_report_of_a_file_whose_name_is_no_text(recorded, tmp_path):
+    path = tmp_path / "bad\udcff.session"
+    shutil.copyfile(recorded, path)
+    done = run_cli("report", str(path), "-o", str(tmp_path / "page.html"), "--time-limit", "1")
+    assert done.returncode == 0, done.stderr[-500:]
+    assert (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("gain", [0, 1e-320, -1e14])
+def test_a_gain_of_nothing_is_no_calibration(recorded, gain):
+    document = adis_gonio.fit(load_session(recorded)).calibration().as_dict()
+    document["parameters"]["scale_x"]["value"] = gain
+    with pytest.raises(DataError, match=r"scale_x is .* no gain"):
+        calibration_from(document)
+
+
+def test_dwells_shorter_than_a_nanosecond_are_as_dwells_without_times():
+    begin = np.arange(4) * 1e-300
+    assert np.isfinite(covariance_of_means(begin, begin + 1e-300)).all()

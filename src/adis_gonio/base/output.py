@@ -44,6 +44,14 @@ def check_output(path: str | Path, *, force: bool = False) -> Path:
     return path
 
 
+def write_utf8(path: Path, text: str) -> int:
+    """Write a text as UTF-8 and return the number of bytes; a lone surrogate becomes a question mark.
+
+    UTF-8 has no lone surrogates. A file's name that is no text holds some, and a JSON text may.
+    """
+    return path.write_bytes(text.encode("utf-8", "replace"))
+
+
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
     """Path beside `path` to write to; it takes the place of `path` when the block ends well.

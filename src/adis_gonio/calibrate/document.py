@@ -13,7 +13,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.base.output import check_output, replacing
+from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.shapes import (
     anything,
     choice,
@@ -44,7 +44,7 @@ def json_text(document: Mapping[str, Any]) -> str:
 def save_document(document: Mapping[str, Any], path: str | Path, *, force: bool) -> None:
     """Write a document to a file, whole or not at all; errors as `adis_gonio.base.output.check_output`."""
     with replacing(check_output(path, force=force)) as beside:
-        beside.write_text(json_text(document), encoding="utf-8")
+        write_utf8(beside, json_text(document))
 
 
 def document_of(calibration: Calibration) -> dict[str, Any]:
@@ -122,6 +122,7 @@ def calibration_from(document: Any, name: str = "calibration") -> Calibration:
     return replace(made, gyro=gyro_calibration_from(document["gyro"], f"{name}: gyro"))
 
 
+_GAINS, _LEAST_GAIN = ("scale_x", "scale_y", "scale_z"), 1e-6
 _VALUE = number(-1e15, 1e15)
 COEFFICIENTS = mapping_of(
     fields(
@@ -238,6 +239,9 @@ def _checked(calibration: Calibration) -> Calibration:
         raise ValueError("counts_per_mg goes with unit counts")
     if calibration.counts_per_mg is not None and len(calibration.counts_per_mg) != calibration.axes:
         raise ValueError(f"counts_per_mg has to hold {calibration.axes} numbers")
+    for one in calibration.parameters:
+        if one.name in _GAINS and not _LEAST_GAIN <= abs(one.value) <= 1 / _LEAST_GAIN:
+            raise ValueError(f"{one.name} is {one.value:g}: no gain of a sensor")
     for name in calibration.measurement.names:
         if name not in names and name not in calibration.assumed:
             raise ValueError(f"parameter {name} is missing")

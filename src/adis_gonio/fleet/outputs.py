@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.base.jsonable import finite
-from adis_gonio.base.output import check_output, replacing
+from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.version import __version__
 from adis_gonio.fleet.columns import rows_of
 from adis_gonio.fleet.run import Fleet
@@ -94,12 +94,10 @@ class FleetResult:
             elif path.suffix.lower() == ".html":
                 from adis_gonio.fleet.page import build_page
 
-                beside.write_text(
-                    build_page(self.summary, self.fleet.repeated, self.population_lines), encoding="utf-8"
-                )
+                write_utf8(beside, build_page(self.summary, self.fleet.repeated, self.population_lines))
             else:
                 text = json.dumps(finite(self.as_dict()), ensure_ascii=False, indent=2, allow_nan=False)
-                beside.write_text(text + "\n", encoding="utf-8")
+                write_utf8(beside, text + "\n")
 
 
 def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:

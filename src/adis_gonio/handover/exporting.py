@@ -10,6 +10,7 @@ from typing import Any
 
 from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.base.jsonable import finite
+from adis_gonio.base.output import write_utf8
 from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.document import json_text
 from adis_gonio.calibrate.files import calibration_in
@@ -100,7 +101,7 @@ class ExportSource:
             _SAMPLES[kind](self._session(kind), path)
             return
         text = self._json() if kind == "json" else _TEXTS[kind](self._calibration(), self.name)
-        path.write_text(text, encoding="utf-8")
+        write_utf8(path, text)
 
     def _session(self, kind: str) -> Session:
         if calibration_in(self.path) is not None:

@@ -24,6 +24,7 @@ back by whoever opens the file next.
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -124,7 +125,10 @@ def statements() -> list[str]:
 
 MOST_STEPS = 100_000_000
 """Instructions of SQLite's machine after which a statement is stopped; a session of a day takes 10⁶."""
-LONGEST_ROW_BYTES = 64_000_000
+LONGEST_ROW_BYTES = 4_000_000
+"""A block has some ten kilobytes, a plan of 3600 positions half a megabyte."""
+MOST_TEXT = 4_000_000
+"""Characters in the rows that one query returns; JSON takes up to thirty times its length in memory."""
 
 WAIT_S = 30.0
 """How long a reader waits for a commit, and a writer for readers, in s."""
@@ -276,7 +280,7 @@ def _journal(path: Path) -> Path:
 def _open(path: Path, mode: str) -> sqlite3.Connection:
     with explained(path):
         connection = sqlite3.connect(
-            f"file:{quote(str(path.absolute()))}?mode={mode}",
+            f"file:{quote(os.fsencode(path.absolute()))}?mode={mode}",
             uri=True,
             timeout=WAIT_S,
             isolation_level=None,
@@ -345,8 +349,12 @@ def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def _objects(connection: sqlite3.Connection) -> dict[str, tuple[str, str]]:
-    """Kind and SQL of what a database holds, by name; without SQLite's own."""
-    query = "SELECT name, type, sql FROM sqlite_master WHERE name NOT LIKE 'sqlite\\_%' ESCAPE '\\'"
+    """Kind and SQL of what a database holds, by name; without SQLite's own tables and indexes.
+
+    A trigger or a view is nobody's own but the maker's, whatever its row in the schema is called.
+    """
+    own = "name LIKE 'sqlite\\_%' ESCAPE '\\' AND (type = 'table' OR sql IS NULL)"
+    query = f"SELECT name, type, sql FROM sqlite_master WHERE NOT ({own})"
     return {str(name): (str(kind), str(sql)) for name, kind, sql in connection.execute(query)}
 
 

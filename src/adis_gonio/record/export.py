@@ -9,7 +9,7 @@ from typing import Any
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, OutputError, SessionError
-from adis_gonio.base.output import replacing
+from adis_gonio.base.output import replacing, write_utf8
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.samples_csv import write_samples_csv
 
@@ -60,7 +60,7 @@ def export_json(session: Session, path: str | Path) -> None:
         raise DataError(f"{session.source or 'session'}: has no JSON form: {error}") from None
     try:
         with replacing(path) as beside:
-            beside.write_text(text + "\n", encoding="utf-8")
+            write_utf8(beside, text + "\n")
     except OutputError as error:
         raise SessionError(str(error)) from None
 

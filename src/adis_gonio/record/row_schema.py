@@ -37,6 +37,8 @@ LARGEST_S = 1e10
 """Three hundred years: clocks that count from 1970 are far below it."""
 LARGEST_VALUE = 1e9
 """Of a sample or a parameter in its unit."""
+LEAST_FIXTURE_DEG = 1e-9
+"""Of the uncertainty of an angle, if it is not 0."""
 _MOST = 10**9
 """Rows and counts."""
 
@@ -90,8 +92,9 @@ _SETTINGS = fields(
 
 
 def _fixture(value: Any) -> None:
-    if value != "free":
-        nullable(number(0.0, 1e6))(value)
+    # Between 0 and the least angle, its square would leave the numbers that there are.
+    if value not in ("free", 0):
+        nullable(number(LEAST_FIXTURE_DEG, 1e6))(value)
 
 
 META = fields(

@@ -28,6 +28,7 @@ from adis_gonio.base.errors import DataError
 from adis_gonio.base.output import ends_in
 from adis_gonio.model.records import METADATA, Dwell, Session, Use
 from adis_gonio.record.overrides import Overrides
+from adis_gonio.record.plans import MOST_POSITIONS
 from adis_gonio.record.samples.keys import without_formulas
 from adis_gonio.record.samples.names import AXES, GYROS
 from adis_gonio.record.samples.table import SamplesTable, table_of
@@ -127,12 +128,14 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     lines.append(",".join(parts))
     texts = [chain.from_iterable(map(texts_of, dwells)) for texts_of in parts.values()]
     lines.extend(map(",".join, zip(*texts, strict=True)))
-    data = ("\n".join(lines) + "\n").encode()
+    data = ("\n".join(lines) + "\n").encode("utf-8", "replace")
     if ends_in(path, ".gz"):
         data = gzip.compress(data, compresslevel=6, mtime=0)
     path.write_bytes(data)
 
 
+MOST_DWELLS = MOST_POSITIONS
+"""Positions of a file, as many as a plan has: the memory of a fit grows with their square."""
 _LARGEST_DEG = 1e6
 _Column = Callable[[Dwell], list[str]]
 """Texts (n,) that a column of the file holds for a dwell of n samples."""
@@ -242,6 +245,8 @@ def _dwells_by_position(table: SamplesTable) -> tuple[list[int], list[slice]]:
                 f"position {number} comes back after another one (first in row {seen[number]}); "
                 "the rows of a dwell must be contiguous: give a second visit a number of its own",
             )
+        if len(numbers) == MOST_DWELLS:
+            raise table.fail(row, f"more than {MOST_DWELLS} positions: divide the file")
         seen[number] = table.line_of(row)
         numbers.append(number)
         starts.append(row)

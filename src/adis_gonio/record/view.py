@@ -315,20 +315,26 @@ class ArchiveView:
         This is the door: every value has the type and range of `row_schema`, and JSON is a value. Records
         of another kind than `kind` are left out once their checksum was checked.
         """
+        checked, characters = [], 0
         with database.explained(self.path):
             rows = self._connection.execute(
                 f"SELECT * FROM {table} WHERE {column} = ? ORDER BY {order}", (value,)
-            ).fetchall()
-        checked = []
-        for number, row in enumerate(rows, start=1):
-            if checksum(*row[:-1]) != row[-1]:
-                raise database.damaged(self.path, f"checksum of row {number} of table {table}")
-            if kind is not None and kind != row[-3]:
-                continue
-            try:
-                checked.append(checked_row(table, row[:-1]))
-            except ShapeError as error:
-                raise database.damaged(self.path, f"row {number} of table {table}: {error}") from None
+            )
+            # One row at a time: a wrong one is refused before the next one is in memory.
+            for number, row in enumerate(rows, start=1):
+                if checksum(*row[:-1]) != row[-1]:
+                    raise database.damaged(self.path, f"checksum of row {number} of table {table}")
+                if kind is not None and kind != row[-3]:
+                    continue
+                characters += sum(len(part) for part in row if isinstance(part, str))
+                if characters > database.MOST_TEXT:
+                    raise database.damaged(
+                        self.path, f"table {table} holds more than {database.MOST_TEXT} characters"
+                    )
+                try:
+                    checked.append(checked_row(table, row[:-1]))
+                except ShapeError as error:
+                    raise database.damaged(self.path, f"row {number} of table {table}: {error}") from None
         return checked
 
 

@@ -12,6 +12,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext, suppress
+from pathlib import Path
 
 import click
 
@@ -100,6 +101,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Whoever read our output has gone; keep the interpreter from complaining at its exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except ValueError as error:
+        # Of numpy or scipy, whose import costs more than the commands that do not compute.
+        if type(error).__name__ != "LinAlgError":
+            raise
+        files = " ".join(word for word in words if not word.startswith("-") and Path(word).is_file())
+        return _fail(
+            f"{files or words[0]}: no fit is possible with these numbers ({error}):"
+            " check the times, the units and the stated uncertainties",
+            1,
+        )
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(f"{where}{error.strerror or error}", 1)

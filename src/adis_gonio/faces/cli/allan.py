@@ -83,10 +83,10 @@ def command(
 
 
 def _write(found: AllanResult, output: Path) -> None:
-    from adis_gonio.base.output import replacing
+    from adis_gonio.base.output import replacing, write_utf8
     from adis_gonio.handover.report.allan import allan_page, allan_svg
 
     text = allan_svg(found) if output.suffix.lower() == ".svg" else allan_page(found)
     with replacing(output) as beside:
-        beside.write_text(text, encoding="utf-8")
-    click.echo(f"{output}: {len(text.encode()) // 1024 + 1} kB", err=True)
+        size = write_utf8(beside, text)
+    click.echo(f"{output}: {size // 1024 + 1} kB", err=True)

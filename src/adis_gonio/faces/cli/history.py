@@ -66,13 +66,13 @@ def command(
 
 
 def _write(found: History, output: Path) -> None:
-    from adis_gonio.base.output import replacing
+    from adis_gonio.base.output import replacing, write_utf8
     from adis_gonio.fleet.memory.history_page import history_page
 
     page = history_page(found)
     with replacing(output) as beside:
-        beside.write_text(page, encoding="utf-8")
-    click.echo(f"{output}: {len(page.encode()) // 1024 + 1} kB", err=True)
+        size = write_utf8(beside, page)
+    click.echo(f"{output}: {size // 1024 + 1} kB", err=True)
 
 
 def _show(found: History) -> None:

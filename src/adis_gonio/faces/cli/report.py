@@ -42,7 +42,7 @@ def command(*, session: Path, output: Path, time_limit: float | None, overrides:
     alone, so that an older page of the same name is replaced.
     """
     from adis_gonio.base.errors import UsageError
-    from adis_gonio.base.output import check_output, replacing
+    from adis_gonio.base.output import check_output, replacing, write_utf8
     from adis_gonio.page.svg import require_matplotlib
 
     if output.exists() and session.exists() and output.samefile(session):
@@ -54,8 +54,8 @@ def command(*, session: Path, output: Path, time_limit: float | None, overrides:
     with working(f"report of {what} of {session.name}"):
         page = _page(loaded, time_limit)
     with replacing(output) as beside:
-        beside.write_text(page, encoding="utf-8")
-    click.echo(f"{output}: {len(page.encode()) // 1024 + 1} kB", err=True)
+        size = write_utf8(beside, page)
+    click.echo(f"{output}: {size // 1024 + 1} kB", err=True)
 
 
 def _page(session: Session, time_limit: float | None) -> str:

@@ -53,10 +53,14 @@ def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
     return (covariance + covariance.T) / 2
 
 
+_SHORTEST_S = 1e-9
+
+
 def _in_order(begin_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
     """Begin and end of dwells of one session."""
     length = end_s - begin_s
-    if (length <= 0).any():
+    # Shorter ones are none that a file may mean, and their squares leave the numbers that there are.
+    if (length < _SHORTEST_S).any():
         length = np.ones(len(begin_s))
         begin_s = np.arange(len(begin_s), dtype=float)
     elif (begin_s[1:] < end_s[:-1] - 0.1 * length[:-1]).any():

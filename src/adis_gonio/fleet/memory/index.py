@@ -13,6 +13,7 @@ It holds nothing that the session files do not: a damaged one is set aside and m
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
@@ -356,7 +357,7 @@ def _connected(path: str | Path, mode: str = "rwc") -> sqlite3.Connection:
         return sqlite3.connect(path, isolation_level=None)
     from urllib.parse import quote
 
-    name = f"file:{quote(str(Path(path).absolute()))}?mode={mode}"
+    name = f"file:{quote(os.fsencode(Path(path).absolute()))}?mode={mode}"
     return sqlite3.connect(name, uri=True, timeout=30.0, isolation_level=None)
 
 

@@ -15,6 +15,7 @@ from adis_gonio.record.samples.dialect import SPACE, Dialect
 
 _LARGEST = 1e6
 """Of gravity in m/s², an uncertainty in degrees or mg; a session file has the same bounds."""
+_LEAST_SIGMA_DEG = 1e-9
 _BEGINS = r"(?=[=+\-@＝＋－＠])"
 _FORMULA = re.compile(r"""([,;|][\s"']*)""" + _BEGINS)
 _WITHOUT_FORMULA = re.compile(r"""([,;|][\s"']*)'""" + _BEGINS)
@@ -146,8 +147,8 @@ def _sigma(text: str) -> float:
     if text.lower() == "free":
         return math.inf
     value = _number(text)
-    if not 0 <= value <= _LARGEST:
-        raise ValueError(f"expected degrees from 0 to {_LARGEST:g}, or 'free'")
+    if value != 0 and not _LEAST_SIGMA_DEG <= value <= _LARGEST:
+        raise ValueError(f"expected 0, degrees from {_LEAST_SIGMA_DEG:g} to {_LARGEST:g}, or 'free'")
     return value
 
 
