@@ -68,21 +68,21 @@ ARGUMENTS = ("-q", "--no-header", "--tb=line", "-p", "no:cacheprovider", "--hypo
 
 @dataclass(frozen=True)
 class Room:
-    """Folders of `src/adis_gonio` and the tests that belong to them, the quick ones first."""
+    """Patterns of files in `src/adis_gonio` and the tests that belong to them, the quick ones first."""
 
-    folders: tuple[str, ...]
+    files: tuple[str, ...]
     tests: tuple[str, ...]
     generated: tuple[str, ...] = ()
 
 
 ROOMS = {
     "wire": Room(
-        ("device/bus/wire",),
+        ("device/bus/wire/*.py",),
         ("tests/wire/test_wire_codec.py",),
         generated=("device/bus/wire/protocol.py",),
     ),
     "sensor": Room(
-        ("device/sensor",),
+        ("device/sensor/*.py",),
         (
             "tests/sensor/test_register_table.py",
             "tests/sensor/test_frames_and_decoding.py",
@@ -91,7 +91,7 @@ ROOMS = {
         ),
     ),
     "estimation": Room(
-        ("fitting",),
+        ("fitting/*.py", "fitting/estimation/*.py"),
         (
             "tests/estimation/test_conic.py",
             "tests/estimation/test_converter.py",
@@ -132,7 +132,14 @@ ROOMS = {
         ),
     ),
     "tracing": Room(
-        ("tracing",),
+        (
+            "tracing/*.py",
+            "tracing/candidates/*.py",
+            "tracing/selection/*.py",
+            "tracing/unnamed/*.py",
+            "tracing/validation/*.py",
+            "tracing/outcome/*.py",
+        ),
         (
             "tests/tracing/test_trace_grammar.py",
             "tests/tracing/test_trace_arithmetic.py",
@@ -247,7 +254,7 @@ def mutants_by_line(copy: Path, room: Room) -> dict[tuple[str, int], dict[Place,
     operators = {name: get_operator(name) for name in operator_names() if name != "core/NoOp"}
     usable = {name: operator() for name, operator in operators.items() if not operator.arguments()}
     found: dict[tuple[str, int], dict[Place, list[Any]]] = defaultdict(lambda: defaultdict(list))
-    files = [path for folder in room.folders for path in sorted((copy / SOURCE / folder).rglob("*.py"))]
+    files = [path for pattern in room.files for path in sorted((copy / SOURCE).glob(pattern))]
     for path in files:
         name = str(path.relative_to(copy))
         if name in {f"{SOURCE}/{generated}" for generated in room.generated}:
@@ -506,7 +513,7 @@ def watched(
     session: pytest.Session, copy: Path, room: Room, notes: Path, options: argparse.Namespace
 ) -> Watch:
     """What the tests of a room cost and run on the code as it is; they must pass. Once a session."""
-    paths = (path for folder in room.folders for path in (copy / SOURCE / folder).rglob("*.py"))
+    paths = (path for pattern in room.files for path in (copy / SOURCE).glob(pattern))
     watch = Watch({str(path): str(path.relative_to(copy)) for path in paths}, options.longest)
     files = list(dict.fromkeys(_file_of(item.nodeid) for item in session.items))
 
