@@ -35,15 +35,14 @@ ANSWER = """
 import json, sys
 import adis_gonio
 from adis_gonio import fit, load_session, trace
-from adis_gonio.{errors} import AdisGonioError
 for line in sys.stdin:
-    path, found = line.strip(), {{}}
-    jobs = {{"fit": fit, "gyro": lambda s: fit(s, part="gyro"), "trace": trace}}
+    path, found = line.strip(), {}
+    jobs = {"fit": fit, "gyro": lambda s: fit(s, part="gyro"), "trace": trace}
     for name, make in jobs.items():
         try:
             found[name] = make(load_session(path)).as_dict()
-        except AdisGonioError as error:
-            found[name] = str(error)
+        except Exception as error:
+            found[name] = f"{type(error).__name__}: {error}"
     print(json.dumps(found), flush=True)
 """
 
@@ -88,8 +87,7 @@ def simulate(tree: Path, folder: Path, count: int, seed: int) -> list[Path]:
 
 def answers(tree: Path, paths: list[Path]) -> list[str]:
     """JSON documents of a tree, one line a session."""
-    errors = "errors" if (tree / "adis_gonio" / "errors.py").exists() else "base.errors"
-    return run(tree, ANSWER.format(errors=errors), [str(path) for path in paths]).splitlines()
+    return run(tree, ANSWER, [str(path) for path in paths]).splitlines()
 
 
 def run(tree: Path, program: str, lines: list[str]) -> str:
