@@ -17,6 +17,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.parts import ACCELEROMETER, known_part, readings_of_part
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
+from adis_gonio.fitting.noise import state_noise
 from adis_gonio.fitting.slips import Diagnosis
 from adis_gonio.fitting.slips.of_session import in_context, positions_of
 from adis_gonio.model.records import Session
@@ -114,6 +115,7 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
     positions = positions_of(session) if own else Diagnosis()
     data = as_the_part_stood(readings_of_part(session, part), positions)
     try:
+        data = state_noise(data) if own else data
         result = trace_readings(data, max_effects, positions)
     except FitError as error:
         raise FitError(in_context(session, error)) from error
