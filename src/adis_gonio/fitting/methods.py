@@ -89,7 +89,7 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
     notes = (*session.notes, *positions.sentences)
     return replace(
         result,
-        warnings=(*notes, *result.warnings),
+        warnings=(*result.doubts, *notes, *result.warnings),
         session=readings,
         session_notes=notes,
         position_findings=positions.findings,

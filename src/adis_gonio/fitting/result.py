@@ -90,6 +90,12 @@ class Origin:
     determination: Determination | None = None
 
 
+MISFIT = (
+    "The model does not describe this session: the residual is larger than the noise."
+    " Run adis-gonio trace to find the missing effect."
+)
+
+
 @dataclass(frozen=True)
 class FitResult:
     """Parameters of a session with covariance.
@@ -125,7 +131,8 @@ class FitResult:
     session : Readings or None
         All readings of the session, on which methods are compared.
     session_notes : tuple of str
-        What the reader of the file had to tell, and what is wrong with positions; the first of `warnings`.
+        What the reader of the file had to tell, and what is wrong with positions; they precede the other
+        `warnings`, and `doubts` precede them.
     position_findings : tuple of PositionFinding
         Positions that are not where they were declared (`adis_gonio.fitting.slips`).
     links : LinkReport or None
@@ -166,6 +173,11 @@ class FitResult:
     def residual_rms_mg(self) -> float:
         """Root mean square of the residuals in mg."""
         return float(np.sqrt(np.mean(self.residual_mg**2)))
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentence that leads everything else if the model does not describe the session; else empty."""
+        return (MISFIT,) if self.extra_mg else ()
 
     def __repr__(self) -> str:
         lead = [one for one in self.parameters if one.name in ("delta_k", "delta_phi")] or self.parameters[
