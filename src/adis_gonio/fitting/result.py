@@ -15,6 +15,7 @@ from adis_gonio.base.intervals import factor_over
 from adis_gonio.base.showing import html_table, parameter_frame, with_u
 from adis_gonio.base.values import Value
 from adis_gonio.fitting.slips.finding import listed
+from adis_gonio.fitting.solvable import unsolvable
 from adis_gonio.record.provenance import Provenance
 
 if TYPE_CHECKING:
@@ -212,7 +213,13 @@ class FitResult:
         """Every method of the session scored on the same readings, and which is recommended."""
         from adis_gonio.fitting.standing import standing_of
 
-        return None if self.session is None else standing_of(self.session)
+        if self.session is None:
+            return None
+        try:
+            return standing_of(self.session)
+        except np.linalg.LinAlgError as error:
+            source = "" if self.provenance is None else self.provenance.source
+            raise unsolvable(source or "session", error) from error
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:

@@ -20,6 +20,7 @@ from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.fitting.noise import state_noise
 from adis_gonio.fitting.slips import Diagnosis
 from adis_gonio.fitting.slips.of_session import in_context, positions_of
+from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 from adis_gonio.tracing.candidates.grammar import nameless_terms
@@ -57,6 +58,7 @@ ZERO_OF_COUNTS = Detectable(None, "", "", "lies in the base model: counts have n
 """Of a bias in counts, which stands among the base parameters where it is not found beside them."""
 
 
+@solvable
 def trace(
     session: Session,
     max_effects: int = 6,
