@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import adis_gonio
-from adis_gonio.base.errors import DataError, NotInstalledError, UsageError
+from adis_gonio.base.errors import DataError, FitError, NotInstalledError, UsageError
 from adis_gonio.record.export import export_csv
 from calibration.sessions import planar_session
 
@@ -99,3 +100,23 @@ def test_a_trace_shows_itself_too():
     assert repr(result) == "TraceResult(found quadratic; adequate)"
     assert "k2_x: 6.00 mg/g² (u 0.10 mg/g²)" in result.summary()
     ET.fromstring(result._repr_html_())
+
+
+@pytest.mark.parametrize("call", [adis_gonio.fit, adis_gonio.trace])
+def test_a_matrix_without_an_inverse_is_an_error_of_the_fit(call, session, monkeypatch):
+    def fail(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    for name in ("adis_gonio.fitting.noise.determine", "adis_gonio.tracing.trace._searched"):
+        monkeypatch.setattr(name, fail)
+    with pytest.raises(FitError, match=r"session: no fit is possible .*Singular matrix.*check the times"):
+        call(replace(session, source=""))
+
+
+def test_so_is_one_that_comes_with_the_comparison_of_methods(result, monkeypatch):
+    def fail(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("adis_gonio.fitting.standing.standing_of", fail)
+    with pytest.raises(FitError, match="no fit is possible"):
+        replace(result).as_dict()

@@ -14,6 +14,7 @@ import pytest
 import adis_gonio
 from adis_gonio import Calibration
 from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.faces.cli import main
 from adis_gonio.record.export import export_csv
 from adis_gonio.record.loading import load_session
 from calibration.sessions import planar_session, spatial_session
@@ -161,3 +162,35 @@ def test_a_table_with_other_names_gets_advice_that_can_be_taken(tmp_path):
     path.write_text("clock,Acc_X,Acc_Y\n0,1,2\n1,2,3\n")
     with pytest.raises(DataError, match="here the file itself has to say it"):
         Calibration.load(path)
+
+
+def test_texts_of_a_calibration_file_are_printed_as_one_line_each(tmp_path, capsys):
+    """A file from a stranger must not steer a terminal, nor a file that is made from it."""
+    session = tmp_path / "a.session"
+    assert (
+        main(["simulate", "--plan", "four-position", "--seed", "3", "--dwell", "1", "-o", str(session)])
+        == 0
+    )
+    path = tmp_path / "a.json"
+    assert main(["export", str(session), "-o", str(path)]) == 0
+    document = json.loads(path.read_text(encoding="utf-8"))
+    evil = "A\n\x1b[31mB\x07\x9b"
+    document["method"] = evil
+    document["source"] = dict.fromkeys(document["source"], evil)
+    document["not_corrected"] = [{"effect": evil, "reason": evil}]
+    path.write_text(json.dumps(document), encoding="utf-8")
+    capsys.readouterr()
+    for ending in ("h", "xml", "txt"):
+        made = tmp_path / f"out.{ending}"
+        assert main(["export", str(path), "-o", str(made)]) == 0
+        assert printable(made.read_text(encoding="utf-8"))
+    assert main(["angle", "sim:?seed=1", "--cal", str(path), "--seconds", "0.1"]) == 0
+    assert main(["fit", str(session), "--sensor-part", "gyro", "--calibration", str(path)]) == 0
+    assert main(["export", str(session), "--gyros", str(path), "-o", "-", "--format", "c-header"]) == 0
+    told = capsys.readouterr()
+    assert printable(told.out)
+    assert printable(told.err)
+
+
+def printable(text):
+    return all(line.isprintable() for line in text.splitlines())

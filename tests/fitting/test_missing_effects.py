@@ -1,5 +1,6 @@
 """Uncertainties of a fit whose model lacks an effect, against the truth of simulated sessions."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -80,6 +81,22 @@ def test_a_model_that_does_not_describe_the_session_leads_the_answer_and_names_t
         first = Answer.of(result).text().splitlines()[0]
         assert first.startswith(LED_BY)
         assert "adis-gonio trace" in Answer.of(result).text()
+
+
+def test_the_command_says_so_in_its_first_line_and_its_first_warning(tmp_path, capsys):
+    path = tmp_path / "a.session"
+    given = ["--plan", "tumble", "--seed", "0", "--dwell", "2", "--effect", HIDDEN[0]]
+    assert main(["simulate", *given, "-o", str(path)]) == 0
+    capsys.readouterr()
+    assert main(["fit", str(path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(LED_BY)
+    assert sum(line.startswith(LED_BY) for line in lines) == 1
+    for more in ([], ["--method", "mmpm"], ["--all"]):
+        assert main(["fit", str(path), "--json", *more]) == 0
+        first = json.loads(capsys.readouterr().out)["warnings"][0]
+        assert first.startswith(LED_BY)
+        assert "adis-gonio trace" in first
 
 
 def test_a_model_that_describes_the_session_is_not_doubted(complete):

@@ -74,12 +74,12 @@ def test_noise_that_averaging_lowers_is_what_the_other_parts_leave() -> None:
 
 def test_an_estimate_is_that_of_all_dwells_of_each_or_of_the_residual() -> None:
     data = readings(dof=np.array([3.0, 4.0, 5.0, np.inf]), known=np.array([True, True, False, True]))
-    settled = NoiseAssumptions(dof=7.0)
+    settled = NoiseAssumptions(scale_dof=7.0)
     _, dof, estimate = module.repeatability_of(data, settled)
     assert dof.tolist() == [[3, 3], [4, 4], [7, 7], [math.inf, math.inf]]
-    assert estimate.tolist() == [[0, 1], [0, 1], [3, 3], [0, 1]]
+    assert estimate.tolist() == [[0, 1], [0, 1], [5, 5], [0, 1]]
     _, _, each = module.repeatability_of(replace(data, pooled=False), settled)
-    assert each.tolist() == [[5, 6], [8, 9], [3, 3], [14, 15]]
+    assert each.tolist() == [[6, 7], [9, 10], [5, 5], [15, 16]]
     _, same, own = module.repeatability_of(data, replace(settled, extra_mg=1.0))
     assert (same.tolist(), own.tolist()) == (dof.tolist(), estimate.tolist())
 

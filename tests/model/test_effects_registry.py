@@ -11,7 +11,7 @@ from adis_gonio.tracing.candidates.named import named_terms
 PLUGIN = '''
 from typing import ClassVar
 import numpy as np
-from adis_gonio.model.effects import Parameter
+from adis_gonio.model.effects import Effect, Enters, Parameter
 from adis_gonio.model.effects.families import StageEffect
 
 class ThirdHarmonic(StageEffect):
@@ -37,6 +37,23 @@ class Ageing(ThirdHarmonic):
 class Moody(ThirdHarmonic):
     name = "moody"
     covariates = ("mood",)
+
+class Silent(Effect):
+    name = "silent"
+    cause = formula = separated_by = "The part ages."
+    enters = Enters.ATTITUDE
+    by_axis = False
+
+    @property
+    def parameters(self):
+        return (Parameter("rate", "deg/h", -50.0, 50.0, 0.5),)
+
+    def attitude_rad(self, values, conditions):
+        return np.deg2rad(values[0]) * conditions.time_s / 3600
+
+class Remembering(Silent):
+    name = "remembering"
+    needs = ("temperature_history",)
 
 not_an_effect = 3
 '''
@@ -77,6 +94,8 @@ def test_another_package_adds_an_effect_and_nothing_else_changes(install):
     ("point", "says"),
     [
         ("bias = lobed_stage:Impostor", "taken"),
+        ("silent = lobed_stage:Silent", "'silent' of lobed_stage:Silent declares neither covariates nor"),
+        ("remembering = lobed_stage:Remembering", "neither covariates nor needs that name one"),
         ("other = lobed_stage:ThirdHarmonic", "calls itself"),
         ("third_harmonic = lobed_stage:not_an_effect", "no subclass"),
         ("third_harmonic = lobed_stage:Missing", "cannot be loaded"),

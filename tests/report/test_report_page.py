@@ -184,6 +184,14 @@ def test_whatever_comes_from_a_file_is_escaped():
     assert outline(page).loads == []
 
 
+def test_no_text_of_a_file_is_a_character_of_control():
+    bad = "\x1b]0;title\x07\x9b2J\u202e"
+    session = replace(planar(title=bad), facts={"started_utc": bad, "url": bad, "problems": [bad]})
+    page = build_page(session, [], bad, sections=[Section(bad, [bad], tables=[Table([bad], [[bad]])])])
+    assert "]0;title?" in page
+    assert not set(page) & set(bad) - set("]0;title2J")
+
+
 def test_a_session_that_cannot_be_traced_still_has_a_page():
     page = build_page(planar(), [], "2 positions give 4 equations", failures={"ml": "singular"})
     assert "2 positions give 4 equations" in page

@@ -1,5 +1,7 @@
 """Registers that change while a session runs: no dwell of another register state counts."""
 
+import math
+
 import pytest
 
 from adis_gonio import fit, load_session, open_bus
@@ -7,13 +9,15 @@ from adis_gonio.base.errors import ChipError, SessionError
 from adis_gonio.bench.events import DwellDone, DwellProgress
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
+from adis_gonio.device.bus.opening import BusUrl
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.faces.cli import main
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.plans import plan
 from adis_gonio.record.settings import Settings
-from adis_gonio.record.source import MARK
+from adis_gonio.record.source import MARK, ChipSource
+from fakes.faulty_chip import FaultyBus, Window
 
 POLLED = "sim:?seed=3&stream=0"
 SHORT = Settings(dwell_s=1.0, settle_s=0.1)
@@ -177,3 +181,44 @@ def test_fit_of_an_archive_whose_registers_changed_says_so(tmp_path, monkeypatch
             writer = OffsetWriter(sensor, path, WriteSettings(dwell_s=1.0, gyros=gyros))
             with pytest.raises(SessionError, match=r"no sound base.*XACCL_OFF 40 → 0"):
                 writer.plan()
+
+
+LINES = {"high": "replies are ones", "low": "replies are zeros", "noise": "read differently each time"}
+
+
+def run_with_dead_line(path, monkeypatch, line, method, call):
+    """Run two positions; the data line dies as the source's method is called for the n-th time."""
+    bus = FaultyBus(BusUrl.parse("faulty:?seed=3&stream=0"))
+    inner, calls = getattr(ChipSource, method), []
+
+    def dying(source):
+        calls.append(method)
+        if len(calls) == call:
+            bus.chip.windows.append(Window(bus.now_s(), math.inf, line, deaf=False))
+        return inner(source)
+
+    monkeypatch.setattr(ChipSource, method, dying)
+    with bus:
+        sensor = Adis16354(bus, "adis16354")
+        for _ in SessionRunner.begin(sensor, path, plan("two-position"), SHORT, auto=True).run():
+            pass
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_a_line_that_dies_as_a_dwell_ends_is_no_change_of_the_settings(tmp_path, monkeypatch, line):
+    with pytest.raises(SessionError, match=LINES[line]) as caught:
+        run_with_dead_line(tmp_path / "q.session", monkeypatch, line, "status", 2)
+    assert "settings changed" not in str(caught.value)
+    assert "--resume" in str(caught.value)
+    with ArchiveView(tmp_path / "q.session") as view:
+        assert [attempt.place for attempt in view.dwells()] == [0]
+
+
+@pytest.mark.parametrize(("line", "level"), [("high", "ones"), ("low", "zeros")])
+def test_a_line_that_dies_behind_the_last_dwell_is_no_change_of_the_settings(
+    tmp_path, monkeypatch, line, level
+):
+    run_with_dead_line(tmp_path / "q.session", monkeypatch, line, "registers", 3)
+    (doubt,) = load_session(tmp_path / "q.session").facts["doubts"]
+    assert f"replies were {level}" in doubt["message"]
+    assert "settings changed" not in doubt["message"]

@@ -8,7 +8,9 @@ import pytest
 from adis_gonio import load_session, trace
 from adis_gonio.base.errors import DataError
 from adis_gonio.faces.cli import main
+from adis_gonio.fitting.estimation.readings import in_mg
 from adis_gonio.handover.twin import compare, simulate_like
+from adis_gonio.handover.twin.world import noise_of
 from recordings import recording
 
 
@@ -99,3 +101,15 @@ def test_the_report_holds_the_comparison(measured, tmp_path):
     page = out.read_text()
     assert "The digital twin against the measured data" in page
     assert "Allan deviation of x" in page
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_axis_without_noise_does_not_decide_on_the_filter(measured):
+    session = load_session(measured)
+    still = tuple(
+        replace(dwell, accel=np.where([True, False, False], dwell.accel, dwell.accel[0]))
+        for dwell in session.dwells
+    )
+    noise = noise_of(replace(session, dwells=still), in_mg(2))
+    assert noise.filter_m == noise_of(session, in_mg(2)).filter_m
+    assert noise.white_mg[1] < 1e-9

@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import SessionError, UsageError
+from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.record.plans import Plan, Position
 from adis_gonio.record.rows import JsonDict, Move, Record, StoredAttempt
@@ -192,18 +192,21 @@ class SessionBench:
     def settings_lost(self) -> str:
         """Say which settings are no longer as configured, and what to do; empty if all of them are.
 
-        A difference is read twice, because the bus may have falsified the first reply.
+        A difference is read again and checked, because the bus may have falsified the first replies.
         """
         if self.source.settings_held() == self._held:
             return ""
-        now = self.source.settings_held()
+        kept = "this dwell is kept, but not used"
+        try:
+            now = self.source.settings_held(checked=True)
+        except ChipError as error:
+            return f"{error}; {kept}; mend the line, then go on with --resume"
         changed = [f"{name} {then} → {now[name]}" for name, then in self._held.items() if now[name] != then]
         if not changed:
             return ""
         return (
             f"the sensor's settings changed since the dwell before ({', '.join(changed)}): it restarted, or"
-            " somebody wrote to it; this dwell is kept, but not used; set the registers back, then go on"
-            " with --resume"
+            f" somebody wrote to it; {kept}; set the registers back, then go on with --resume"
         )
 
     @property

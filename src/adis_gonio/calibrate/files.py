@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from adis_gonio.base.errors import DataError
+from adis_gonio.base.errors import DataError, one_line
 from adis_gonio.base.jsonable import json_value
 from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.document import calibration_from
@@ -27,7 +27,10 @@ def calibration_in(path: str | Path) -> Calibration | None:
 
 
 def json_document(path: Path) -> Any:
-    """Document of a file that begins as JSON does; None for others, which `load_session` judges."""
+    """Document of a file that begins as JSON does; None for others, which `load_session` judges.
+
+    Its texts are printable lines, since they end in messages, comments and pages.
+    """
     try:
         with path.open("rb") as file:
             content = file.read(64)
@@ -39,6 +42,17 @@ def json_document(path: Path) -> Any:
     if len(content) > LARGEST_BYTES:
         raise DataError(f"{path}: is no calibration: it has more than {LARGEST_BYTES // 1_000_000} MB")
     try:
-        return json_value(content.decode("utf-8-sig"), parse_constant=float)
+        return _printable(json_value(content.decode("utf-8-sig"), parse_constant=float))
     except ValueError as error:
         raise DataError(f"{path}: is no JSON: {error}") from None
+
+
+def _printable(value: Any) -> Any:
+    """A JSON value with each of its texts as one printable line."""
+    if isinstance(value, str):
+        return one_line(value)
+    if isinstance(value, list):
+        return [_printable(entry) for entry in value]
+    if isinstance(value, dict):
+        return {one_line(key): _printable(entry) for key, entry in value.items()}
+    return value

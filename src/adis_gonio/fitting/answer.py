@@ -112,12 +112,7 @@ class Answer:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Sentence that leads the answer if the model does not describe the session; else empty."""
-        if not self.result.extra_mg:
-            return ()
-        return (
-            "The model does not describe this session: the residual is larger than the noise."
-            " Run adis-gonio trace to find the missing effect.",
-        )
+        return self.result.doubts
 
     @property
     def lines(self) -> list[Line]:
@@ -139,15 +134,20 @@ class Answer:
 
     def text(self, width: int = 80) -> str:
         """The headline in plain text of at most `width` columns."""
-        return "\n".join(
-            [
-                *(line for doubt in self.doubts for line in wrapped(doubt, width)),
-                f"Answer by method {self.title}",
-                *lines_as_text(self.lines),
-                *wrapped(self.why, width, indent=2),
-                *(line for remark in self.remarks for line in wrapped(remark, width, indent=2)),
-            ]
-        )
+        return "\n".join([*self.doubt_lines(width), *self.headline(width)])
+
+    def doubt_lines(self, width: int = 80) -> list[str]:
+        """Lines of `doubts`, of at most `width` columns."""
+        return [line for doubt in self.doubts for line in wrapped(doubt, width)]
+
+    def headline(self, width: int = 80) -> list[str]:
+        """Lines of the method, the values and the reason for the method."""
+        return [
+            f"Answer by method {self.title}",
+            *lines_as_text(self.lines),
+            *wrapped(self.why, width, indent=2),
+            *(line for remark in self.remarks for line in wrapped(remark, width, indent=2)),
+        ]
 
     def as_dict(self) -> dict[str, Any]:
         """JSON document of `fit` with what this answer adds: scores, the recommendation, the values."""
@@ -203,9 +203,9 @@ class Answer:
         return [left, *([] if r.links is None else [r.links.line])]
 
     def warnings(self, *, everything: bool = False) -> list[str]:
-        """Warnings of the method that is shown; of all methods, with their names, where asked for."""
+        """Warnings of the method that is shown, without its doubts; of all methods, with their names."""
         if not everything:
-            return list(self.result.warnings)
+            return [text for text in self.result.warnings if text not in self.result.doubts]
         said: dict[str, list[str]] = {}
         for result in self.standing.results:
             for warning in result.warnings:
@@ -220,7 +220,7 @@ def with_notes(best: FitResult, given: FitResult) -> FitResult:
     notes = given.session_notes
     return replace(
         best,
-        warnings=(*notes, *best.warnings),
+        warnings=(*best.doubts, *notes, *best.warnings),
         session_notes=notes,
         session=given.session,
         position_findings=given.position_findings,

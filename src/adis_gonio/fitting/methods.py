@@ -26,6 +26,7 @@ from adis_gonio.fitting.likelihood import fit_ml
 from adis_gonio.fitting.linked import linked_readings
 from adis_gonio.fitting.result import FitResult
 from adis_gonio.fitting.slips.of_session import in_context, positions_of
+from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 
@@ -42,6 +43,7 @@ _TWO_REVERSED = (0, 270)
 """The two positions where the stage turned the other way than declared."""
 
 
+@solvable
 def fit(session: Session, method: str | None = None, gyros: GyroCalibration | None = None) -> FitResult:
     """Parameters of a session with their covariance.
 
@@ -89,7 +91,7 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
     notes = (*session.notes, *positions.sentences)
     return replace(
         result,
-        warnings=(*notes, *result.warnings),
+        warnings=(*result.doubts, *notes, *result.warnings),
         session=readings,
         session_notes=notes,
         position_findings=positions.findings,

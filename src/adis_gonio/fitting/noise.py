@@ -1,7 +1,10 @@
 """How sure readings and declared angles are, where the session itself has to say.
 
 * A reading without a stated uncertainty: one common standard deviation, such that χ² equals its degrees of
-  freedom.
+  freedom. If the noise of other readings is known, these are fitted first, by themselves, and the model is
+  tested by them. The unknown noise is then the one at which the remaining readings scatter about the
+  prediction of that fit as they should; it is never smaller than the noise of the known readings, so that
+  a lucky reading cannot take over the fit.
 * A fixture without a stated uncertainty: the σ_f of greatest restricted likelihood, if there is redundancy.
 * A residual beyond what the noise within the dwells explains (χ² above its 99.9 % quantile): the model
   lacks something. An extra standard deviation on every reading, again such that χ² equals its degrees of
@@ -18,6 +21,8 @@ from functools import cache
 
 import numpy as np
 
+from adis_gonio.base.counting import counted
+from adis_gonio.base.errors import FitError
 from adis_gonio.fitting.determination import Determination, determine, information
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
@@ -25,6 +30,7 @@ from adis_gonio.fitting.estimation.readings import Readings
 _EXCESS = 1e-3
 _LEAST_SCALE = 1e-5
 """Residual in mg below which averaged readings show no noise but the rounding of a computation."""
+_LARGEST_SCALE = 1e4
 _LARGEST_SIGMA_RAD = 0.2
 
 
@@ -40,10 +46,8 @@ class NoiseAssumptions:
         Standard deviation added to every reading.
     sigma_rad : float
         Standard uncertainty of a declared angle; inf free.
-    dof : float
-        Degrees of freedom of `scale` or `extra_mg`, inf where neither was estimated.
-    sigma_dof : float
-        The same of `sigma_rad`.
+    dof, sigma_dof, scale_dof : float
+        Degrees of freedom of `extra_mg`, `sigma_rad` and `scale`; inf if it was not estimated.
     known : bool
         False where the noise of a reading is neither stated nor estimable.
     notes : tuple of str
@@ -55,6 +59,7 @@ class NoiseAssumptions:
     sigma_rad: float = math.inf
     dof: float = math.inf
     sigma_dof: float = math.inf
+    scale_dof: float = math.inf
     known: bool = True
     notes: tuple[str, ...] = ()
 
@@ -67,7 +72,11 @@ class NoiseAssumptions:
 
 @dataclass(frozen=True)
 class Settled:
-    """A fit with its noise settled; `chi2` is that of the measured noise."""
+    """A fit with its noise settled.
+
+    `chi2` and `dof` are those of the measured noise: of the readings whose noise is known, if there are
+    enough of them to test the model.
+    """
 
     determination: Determination
     noise: NoiseAssumptions
@@ -77,10 +86,13 @@ class Settled:
 
 def settle(readings: Readings) -> Settled:
     """Fit base model and bias, and settle what the session leaves open about its noise."""
+    if readings.known.any() and not readings.noise_known:
+        first = _settle_known(readings)
+        return _without_noise(readings) if first is None else _settle_unknown(readings, first)
     open_sigma = not readings.fixture_stated and readings.planar and not readings.free
     noise = NoiseAssumptions(sigma_rad=readings.fixture_rad)
     determination = determine(readings)
-    dof = determination.fit.equations - int(determination.free.sum()) + determination.null.shape[1]
+    dof = _dof(determination)
     follow = _Follow(readings, determination)
 
     if not readings.noise_known:
@@ -103,6 +115,91 @@ def settle(readings: Readings) -> Settled:
         noise = replace(noise, extra_mg=extra, dof=float(dof), notes=(*noise.notes, note))
         determination = follow.determination(noise)
     return Settled(determination, noise, chi2, dof)
+
+
+def _settle_known(readings: Readings) -> Settled | None:
+    """Settle the readings of known noise by themselves; None if they cannot test the model."""
+    try:
+        first = settle(replace(readings.rows(readings.known), fitted=readings.visible))
+    except (FitError, np.linalg.LinAlgError):
+        return None
+    return first if first.dof > 0 else None
+
+
+def _without_noise(readings: Readings) -> Settled:
+    """Fit base model and bias, and give no uncertainty."""
+    determination = determine(readings)
+    note = (
+        "the readings whose noise is known cannot be fitted by themselves: no uncertainty can be given; "
+        "state reading_u_mg, or keep the samples of each dwell"
+    )
+    noise = NoiseAssumptions(sigma_rad=readings.fixture_rad, known=False, notes=(note,))
+    return Settled(determination, noise, determination.fit.chi2, _dof(determination))
+
+
+def _settle_unknown(readings: Readings, first: Settled) -> Settled:
+    """Estimate the noise of the readings that state none, as they scatter about the fit of the others.
+
+    χ² of all readings less χ² of the known ones is (y − ŷ)ᵀ(S + P)⁻¹(y − ŷ) with the noise S of the others
+    and the covariance P of their prediction ŷ: on average the number of equations that they add.
+    """
+    determination = determine(first.noise.applied(readings))
+    added = _dof(determination) - first.dof
+    # A reading of unknown noise is at best as good as those whose noise is known.
+    own = np.einsum("naa->na", readings.own_covariance[readings.known])
+    least = scale = max(math.sqrt(float(own.mean())), _LEAST_SCALE)
+    if added > 0:
+        follow, tested = _Follow(readings, determination), first.determination.fit.chi2
+        scale = _equal_to_dof(
+            lambda s: follow(replace(first.noise, scale=s)).chi2 - tested, added, least, _LARGEST_SCALE
+        )
+    given = (
+        f"estimated from the residual ({counted(added, 'degree')} of freedom)"
+        if scale > least
+        else "the noise of the other readings, since the residual shows no more"
+    )
+    note = (
+        f"{_unstated(readings)} were given {scale:.3g} mg, {given}; chi2 and dof are those of the other "
+        f"{counted(len(own), 'reading')}"
+    )
+    noise = replace(
+        first.noise, scale=scale, scale_dof=float(max(added, 1)), notes=(*first.noise.notes, note)
+    )
+    return Settled(determine(noise.applied(readings)), noise, first.chi2, first.dof)
+
+
+def _dof(determination: Determination) -> int:
+    """Degrees of freedom of the residual of a fit."""
+    fit, free = determination.fit, int(determination.free.sum())
+    return int(fit.equations - free + determination.null.shape[1])
+
+
+def state_noise(readings: Readings) -> Readings:
+    """Return the readings with a noise for those that state none, if the others' noise is known.
+
+    The noise is the one that `settle` estimates from the dwells that may be fitted. If no reading states
+    its noise, or too few do to test a model, the readings are returned unchanged.
+    """
+    training = readings.training
+    if training.noise_known or not training.known.any():
+        return readings
+    noise = settle(training).noise
+    if not noise.known:
+        return readings
+    # The scatter of a model that lacks an effect hides a smaller noise.
+    scale = math.hypot(noise.scale, noise.extra_mg)
+    own = NoiseAssumptions(scale=scale, sigma_rad=readings.fixture_rad)
+    return replace(
+        own.applied(readings),
+        known=np.ones(len(readings), dtype=bool),
+        dof=np.where(readings.known, readings.dof, noise.scale_dof),
+        notes=(*readings.notes, f"{_unstated(readings)} were given {scale:.3g} mg by the base model"),
+    )
+
+
+def _unstated(readings: Readings) -> str:
+    count = int((~readings.known).sum())
+    return f"{counted(count, 'reading')} of one sample without a stated noise (reading_u_mg)"
 
 
 class _Follow:
@@ -133,19 +230,18 @@ def _unknown_readings(
             "can be given; state reading_u_mg, keep the samples of each dwell, or measure more positions"
         )
         return replace(noise, known=False, notes=tuple(notes))
-    scale = _equal_to_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, _LEAST_SCALE, 1e4)
+    scale = _equal_to_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, _LEAST_SCALE, _LARGEST_SCALE)
     if scale <= _LEAST_SCALE:
         notes.append(
             "nothing states the noise of a reading and the model passes through all of them: no "
             "uncertainty can be given; state reading_u_mg, or keep the samples of each dwell"
         )
         return replace(noise, known=False, notes=tuple(notes))
-    known = "all readings" if not follow.readings.known.any() else "the readings without one"
     notes.append(
-        f"reading_u_mg is not stated: {known} were given {scale:.3g} mg, estimated from the residual "
+        f"reading_u_mg is not stated: all readings were given {scale:.3g} mg, estimated from the residual "
         f"({dof} degrees of freedom); chi2 says nothing about the model then"
     )
-    return replace(noise, scale=scale, dof=float(dof), notes=tuple(notes))
+    return replace(noise, scale=scale, scale_dof=float(dof), notes=tuple(notes))
 
 
 def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> NoiseAssumptions:

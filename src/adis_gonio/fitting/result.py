@@ -15,6 +15,7 @@ from adis_gonio.base.intervals import factor_over
 from adis_gonio.base.showing import html_table, parameter_frame, with_u
 from adis_gonio.base.values import Value
 from adis_gonio.fitting.slips.finding import listed
+from adis_gonio.fitting.solvable import unsolvable
 from adis_gonio.record.provenance import Provenance
 
 if TYPE_CHECKING:
@@ -90,6 +91,12 @@ class Origin:
     determination: Determination | None = None
 
 
+MISFIT = (
+    "The model does not describe this session: the residual is larger than the noise."
+    " Run adis-gonio trace to find the missing effect."
+)
+
+
 @dataclass(frozen=True)
 class FitResult:
     """Parameters of a session with covariance.
@@ -125,7 +132,8 @@ class FitResult:
     session : Readings or None
         All readings of the session, on which methods are compared.
     session_notes : tuple of str
-        What the reader of the file had to tell, and what is wrong with positions; the first of `warnings`.
+        What the reader of the file had to tell, and what is wrong with positions; they precede the other
+        `warnings`, and `doubts` precede them.
     position_findings : tuple of PositionFinding
         Positions that are not where they were declared (`adis_gonio.fitting.slips`).
     links : LinkReport or None
@@ -167,6 +175,11 @@ class FitResult:
         """Root mean square of the residuals in mg."""
         return float(np.sqrt(np.mean(self.residual_mg**2)))
 
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentence that leads everything else if the model does not describe the session; else empty."""
+        return (MISFIT,) if self.extra_mg else ()
+
     def __repr__(self) -> str:
         lead = [one for one in self.parameters if one.name in ("delta_k", "delta_phi")] or self.parameters[
             :2
@@ -200,7 +213,13 @@ class FitResult:
         """Every method of the session scored on the same readings, and which is recommended."""
         from adis_gonio.fitting.standing import standing_of
 
-        return None if self.session is None else standing_of(self.session)
+        if self.session is None:
+            return None
+        try:
+            return standing_of(self.session)
+        except np.linalg.LinAlgError as error:
+            source = "" if self.provenance is None else self.provenance.source
+            raise unsolvable(source or "session", error) from error
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:

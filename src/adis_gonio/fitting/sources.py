@@ -35,9 +35,10 @@ SOURCES = (REPEATABILITY, FLICKER, FIXTURE, GRAVITY, QUANTIZATION, TEMPERATURE, 
 
 GRAVITY_HALF_MPS2 = 0.027
 """Half the span of gravity over the surface of the Earth (9.780 to 9.834 m/s²): a rectangle about any."""
-_POOLED, _RESIDUAL, _FIXTURE, _EACH = 0, 3, 4, 5
+_POOLED, _RESIDUAL, _FIXTURE, _UNSTATED, _EACH = 0, 3, 4, 5, 6
 """Numbers of the estimates that parts rest on: samples of all dwells together (+ axis), the residual, the
-scatter of the angles, the samples of one dwell (+ 3 n + axis)."""
+scatter of the angles, the scatter of readings that state no noise, the samples of one dwell (+ 3 n +
+axis)."""
 
 
 @dataclass(frozen=True)
@@ -300,8 +301,8 @@ def repeatability_of(data: Readings, noise: NoiseAssumptions) -> tuple[Floats, F
     """Roots (n, axes, axes) of that; degrees of freedom and numbers (n, axes) of the estimates behind."""
     n, axes = data.mean.shape
     first = np.full(n, _POOLED) if data.pooled else 3 * np.arange(n) + _EACH
-    dof = np.where(data.known, data.dof, noise.dof)
-    estimate = np.where(data.known[:, None], first[:, None] + np.arange(axes), _RESIDUAL)
+    dof = np.where(data.known, data.dof, noise.scale_dof)
+    estimate = np.where(data.known[:, None], first[:, None] + np.arange(axes), _UNSTATED)
     return _root(_own(data, noise)), np.repeat(dof[:, None], axes, axis=1), estimate.astype(np.intp)
 
 

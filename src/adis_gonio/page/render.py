@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -9,6 +10,9 @@ from markupsafe import Markup
 
 from adis_gonio.base.numbers import SPACE
 from adis_gonio.page.parts import Section
+
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+"""Characters of control that have no place in a page: C0, C1, and those that turn the sense of writing."""
 
 
 def render(
@@ -22,7 +26,7 @@ def render(
     sections: Sequence[Section],
     closing: str,
 ) -> str:
-    """A page of a kind (`Calibration report`) that loads nothing; every text is escaped.
+    """A page of a kind (`Calibration report`) that loads nothing; every text is escaped and printable.
 
     Parameters
     ----------
@@ -42,7 +46,7 @@ def render(
     )
     # Figures are the package's own drawings, whose texts are escaped already.
     environment.filters |= {"drawing": Markup, "number_kept": _number_kept, "unit_kept": _unit_kept}
-    return environment.get_template("page.html").render(
+    page = environment.get_template("page.html").render(
         kind=kind,
         title=title,
         shape=shape,
@@ -52,6 +56,7 @@ def render(
         sections=[section for section in sections if _filled(section)],
         closing=closing,
     )
+    return _CONTROL.sub("?", page)
 
 
 def _filled(section: Section) -> bool:

@@ -207,6 +207,14 @@ def _changed_registers(view: ArchiveView) -> list[JsonDict]:
     changed = changed_settings(then or {}, now or {})
     if not changed:
         return []
+    # No range has code 0 or 7: such a reply comes from a line that is stuck.
+    level = {0x0000: "zeros", 0xFFFF: "ones"}.get((now or {}).get("SENS_AVG", 1))
+    if level is not None:
+        message = (
+            f"the sensor's registers could not be compared at the end of the session: replies were {level}"
+            ", the data line (MISO) was stuck; check the line, then measure again"
+        )
+        return [{"attempt": None, "kind": "registers", "message": message}]
     told = ", ".join(f"{name} {before} → {after}" for name, (before, after) in changed.items())
     message = (
         f"the sensor's settings changed while the session was recorded ({told}): it restarted, or somebody"

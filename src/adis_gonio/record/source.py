@@ -140,8 +140,11 @@ class SampleSource(Protocol):
     def mark_restart(self) -> None:
         """Write a number that a restart loses into a register that nothing uses, if there is one."""
 
-    def settings_held(self) -> dict[str, int]:
-        """Return the settings that shift or scale a sample, and the mark; empty without registers."""
+    def settings_held(self, *, checked: bool = False) -> dict[str, int]:
+        """Return the settings that shift or scale a sample, and the mark; empty without registers.
+
+        With `checked` raise `ChipError` if the replies cannot be the sensor's.
+        """
 
     def registers(self) -> dict[str, int]:
         """All that can be read of its state; empty where there are no registers."""
@@ -291,13 +294,13 @@ class ChipSource:
             if self.sensor.read(name) == MARK:
                 self.sensor.write(name, 0)
 
-    def settings_held(self) -> dict[str, int]:
+    def settings_held(self, *, checked: bool = False) -> dict[str, int]:
         """Bits of `READING_BITS` in their registers, and the alarm's level that holds the mark.
 
         If both alarms are in use and nothing is marked, ALM_CTRL: a restart ends alarms set in RAM.
         """
         names = [*READING_BITS, self._marked[0] if self._marked else "ALM_CTRL"]
-        words = self.sensor.read_words(names)
+        words = self.sensor.read_checked(names) if checked else self.sensor.read_words(names)
         numbers = {name: BY_NAME[name].number(word) for name, word in zip(names, words, strict=True)}
         return {name: number & READING_BITS.get(name, -1) for name, number in numbers.items()}
 

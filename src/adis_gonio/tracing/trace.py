@@ -17,8 +17,10 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.parts import ACCELEROMETER, known_part, readings_of_part
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
+from adis_gonio.fitting.noise import state_noise
 from adis_gonio.fitting.slips import Diagnosis
 from adis_gonio.fitting.slips.of_session import in_context, positions_of
+from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 from adis_gonio.tracing.candidates.grammar import nameless_terms
@@ -56,6 +58,7 @@ ZERO_OF_COUNTS = Detectable(None, "", "", "lies in the base model: counts have n
 """Of a bias in counts, which stands among the base parameters where it is not found beside them."""
 
 
+@solvable
 def trace(
     session: Session,
     max_effects: int = 6,
@@ -114,6 +117,7 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
     positions = positions_of(session) if own else Diagnosis()
     data = as_the_part_stood(readings_of_part(session, part), positions)
     try:
+        data = state_noise(data) if own else data
         result = trace_readings(data, max_effects, positions)
     except FitError as error:
         raise FitError(in_context(session, error)) from error

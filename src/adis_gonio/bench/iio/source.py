@@ -165,7 +165,7 @@ class IioSource:
     def mark_restart(self) -> None:
         """Nothing: there are no registers."""
 
-    def settings_held(self) -> dict[str, int]:
+    def settings_held(self, *, checked: bool = False) -> dict[str, int]:
         """Empty: there are no registers."""
         return {}
 

@@ -105,12 +105,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Of numpy or scipy, whose import costs more than the commands that do not compute.
         if type(error).__name__ != "LinAlgError":
             raise
+        from adis_gonio.fitting.solvable import unsolvable
+
         files = " ".join(word for word in words if not word.startswith("-") and Path(word).is_file())
-        return _fail(
-            f"{files or words[0]}: no fit is possible with these numbers ({error}):"
-            " check the times, the units and the stated uncertainties",
-            1,
-        )
+        return _fail(str(unsolvable(files or words[0], error)), 1)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(f"{where}{error.strerror or error}", 1)

@@ -105,15 +105,12 @@ def command(
         return
     screen = _screen()
     title = f"{loaded.title}: " if loaded.title else ""
-    screen.print(f"{title}{what}, {loaded.sensor}", style="bold")
     written = [f"{name} {getattr(loaded, name)}" for name in METADATA if getattr(loaded, name)]
-    if written:
-        screen.print(f"  {', '.join(written)}")
-    for note in loaded.notes:
-        screen.print(f"  {note}")
+    head = [f"{title}{what}, {loaded.sensor}", *([f"  {', '.join(written)}"] if written else [])]
+    head += [f"  {note}" for note in loaded.notes]
     # Of positions `calibrate` alone shows what a simulation hid.
     truth = loaded.facts.get("truth") if loaded.free_turn else None
-    print_answer(answer, truth, shown=loaded.notes, everything=everything)
+    print_answer(answer, truth, head, shown=loaded.notes, everything=everything)
     print_gains(loaded)
     if run is not None:
         _print_monte_carlo(screen, run)
@@ -122,6 +119,7 @@ def command(
 def print_answer(
     answer: Answer,
     truth: Mapping[str, float] | None = None,
+    head: Sequence[str] = (),
     shown: Collection[str] = (),
     *,
     everything: bool = False,
@@ -132,17 +130,22 @@ def print_answer(
     ----------
     truth : mapping of str to float, optional
         Of a simulation, shown beside the parameters.
+    head : sequence of str
+        Lines about the session, below the doubts about the model, which come first.
     shown : collection of str
         Warnings that were printed already.
     everything : bool
         All methods in full.
     """
     screen = _screen()
+    width = min(screen.width, WIDTH)
+    for line in answer.doubt_lines(width):
+        screen.print(line, style="bold")
+    for k, line in enumerate(head):
+        screen.print(line, style=None if k else "bold")
     screen.print()
-    style: str | None = "bold"  # to the line that names the method
-    for line in answer.text(min(screen.width, WIDTH)).splitlines():
-        screen.print(line, style=style)
-        style = None if line.startswith("Answer") else style
+    for k, line in enumerate(answer.headline(width)):
+        screen.print(line, style=None if k else "bold")
     screen.print()
     if truth is not None or answer.has_more:
         screen.print(_parameters(answer, truth))

@@ -24,6 +24,7 @@ from adis_gonio.fitting.allan.processes import KINDS, Kind
 from adis_gonio.fitting.allan.rests import LEAST, Part, Rests, rests_of
 from adis_gonio.fitting.allan.result import AllanResult, AxisNoise, parameters
 from adis_gonio.fitting.allan.words import notes_of
+from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.records import Session
 
 MOST_M = 6
@@ -40,6 +41,7 @@ _TRIAL = 1 << 16
 """Samples by which a filter that nobody stated is told."""
 
 
+@solvable
 def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = None) -> AllanResult:
     """Noise of a part at rest by restricted maximum likelihood, beside its Allan deviation.
 

@@ -292,6 +292,9 @@ class Readings:
     def training(self) -> Readings:
         """Dwells that may be fitted, with the base parameters that they show settled for all folds.
 
+        If too few of them have a noise to test a model by, the noise of every dwell counts as unknown: one
+        noise for all, estimated from the residual.
+
         Raises
         ------
         FitError
@@ -300,7 +303,23 @@ class Readings:
         if self.check.all():
             raise FitError("every dwell is for checking: there is none to fit")
         rows = self.rows(~self.check)
-        return replace(rows, fitted=rows.visible)
+        rows = replace(rows, fitted=rows.visible)
+        least = int(rows.visible.sum()) + self.axes  # base parameters and a bias
+        testable = int(rows.known.sum()) * rows.equations_each > least
+        return rows if testable or rows.noise_known else rows.without_noise()
+
+    def without_noise(self) -> Readings:
+        """The readings with the noise of each one unknown."""
+        n = len(self)
+        return replace(
+            self,
+            own_covariance=np.broadcast_to(np.eye(self.axes), (n, self.axes, self.axes)).copy(),
+            dof=np.full(n, np.inf),
+            known=np.zeros(n, dtype=bool),
+            slow=None,
+            quantization=None,
+            flicker=None,
+        )
 
     @property
     def checking(self) -> Readings | None:

@@ -29,6 +29,7 @@ from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fitting.gyros.alignment import alignment
 from adis_gonio.fitting.gyros.plausible import implausible
+from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.effects import AXES, Effect, effect
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import Provenance, provenance_of
@@ -205,6 +206,7 @@ class GyroFit:
         } | ({} if self.triad is None else {"triad": {k: one.as_dict() for k, one in self.triad.items()}})
 
 
+@solvable
 def fit_gyro(session: Session, accelerometers: Calibration | None = None) -> GyroFit:
     """Parameters of a session's gyros with their covariance; check dwells take no part.
 

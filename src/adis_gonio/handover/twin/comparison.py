@@ -13,6 +13,7 @@ from adis_gonio.base.errors import DataError
 from adis_gonio.fitting.allan.deviation import overlapping
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
+from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.records import Session
 
 
@@ -77,6 +78,7 @@ class TwinComparison:
         }
 
 
+@solvable
 def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
     """Compare a session with its twin under the same model, refitted to each from the trace's values."""
     from scipy import stats

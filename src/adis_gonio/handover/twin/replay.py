@@ -13,6 +13,7 @@ from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT
 from adis_gonio.device.sensor.settings import sample_period_s
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import readings_of
+from adis_gonio.fitting.solvable import solvable
 from adis_gonio.handover.twin.world import LikeWorld, noise_of
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim.bus import SimBus
@@ -23,6 +24,7 @@ _OPENING_S = 5.0
 _REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 
 
+@solvable
 def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
     """Session from the simulator whose world is a traced model, gyros and all where these are calibrated.
 

@@ -77,7 +77,8 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
         filter_m = 0
     white = np.sqrt(density / sample_period_s(smpl_prd))
     if told is None:
-        wanted = float(np.mean(np.log(variance / white**2)))
+        noisy = (variance > 0) & (white > 0)  # an axis that stands still shows no filter
+        wanted = float(np.mean(np.log(variance[noisy] / white[noisy] ** 2))) if noisy.any() else 0.0
         filter_m = min(range(7), key=lambda m: abs(math.log((bartlett(m) ** 2).sum()) - wanted))
     return SamplesNoise(smpl_prd, filter_m, white, np.sqrt(means.flicker))
 

@@ -228,7 +228,7 @@ class Effect(ABC):
     covariates: ClassVar[tuple[str, ...]]
     """What it follows, in words of `COVARIATES`, the leading one first; empty for a constant.
 
-    A class that declares none follows what it names in `needs`, or the reading if it needs nothing.
+    A class that declares none follows what it names in `needs`; `catalogue` refuses one with neither.
     """
     enters: ClassVar[Enters] = Enters.READING
     needs: ClassVar[tuple[str, ...]] = ()
@@ -248,7 +248,8 @@ class Effect(ABC):
         super().__init_subclass__(**options)
         if "name" in vars(cls) and not hasattr(cls, "covariates"):
             needed = tuple(_OF_CONDITION[need] for need in cls.needs if need in _OF_CONDITION)
-            cls.covariates = needed or ("reading",)
+            if needed:
+                cls.covariates = needed
 
     def __post_init__(self) -> None:
         unknown = [axis for axis in self.axes if axis not in AXES]

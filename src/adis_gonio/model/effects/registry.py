@@ -34,7 +34,7 @@ def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
     ------
     UsageError
         An installed package's entry point cannot be loaded, is no effect, takes another name than the
-        effect's own, names a covariate that does not exist, or takes a name that is already there.
+        effect's own, names no covariate or one that does not exist, or takes a name that is already there.
     """
     found = dict(BUILT_IN)
     for point in _installed(tuple(sys.path)):
@@ -46,6 +46,11 @@ def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
             raise UsageError(f"effect '{point.name}': {point.value} is no subclass of Effect")
         if getattr(kind, "name", None) != point.name:
             raise UsageError(f"effect '{point.name}': {point.value} calls itself something else")
+        if not hasattr(kind, "covariates"):
+            raise UsageError(
+                f"effect '{point.name}' of {point.value} declares neither covariates nor needs that "
+                f"name one: give it covariates, some of {', '.join(COVARIATES)}, or () for a constant"
+            )
         unknown = [word for word in kind.covariates if word not in COVARIATES]
         if unknown:
             raise UsageError(
