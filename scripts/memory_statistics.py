@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from adis_gonio.base.values import Value
-from adis_gonio.fleet.memory import Index, SessionRecord, summarised
+from adis_gonio.fleet import SessionRecord, Store, row_of, summarise
 from adis_gonio.fleet.memory.control_chart import CUSUM_H, average_run_length, control_chart, cusum
 from adis_gonio.fleet.memory.drift import drift_of
 
@@ -61,11 +61,11 @@ def summary_seconds(rng: np.random.Generator, records: int) -> tuple[float, floa
     """Seconds to fill an index with results, and to open, check and summarise it."""
     with tempfile.TemporaryDirectory() as folder:
         begun = time.perf_counter()
-        with Index(Path(folder) / "index") as index:
-            index.add_all(_record(rng, n) for n in range(records))
+        with Store(Path(folder) / "index") as index:
+            index.keep(*(_record(rng, n) for n in range(records)))
         filled = time.perf_counter()
-        with Index(Path(folder) / "index") as index:
-            assert summarised(index).sessions == records
+        with Store(Path(folder) / "index") as index:
+            assert summarise([row_of(one) for one in index.records()]).sessions["n"] == records
     return filled - begun, time.perf_counter() - filled
 
 

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.fleet import LocalPool, Options, files_of, run_fleet, summarise, survey
+from adis_gonio.fleet import LocalPool, Options, Store, files_of, run_fleet, summarise, survey
 from adis_gonio.fleet.columns import COLUMNS
 from adis_gonio.fleet.outputs import FleetResult
 from adis_gonio.fleet.pool import cores
+from adis_gonio.fleet.store import IN_MEMORY
 from results.section import Effort, Section, table
 
 STAGES, OPERATORS = 4, 3
@@ -45,8 +46,10 @@ def seconds(files: list[str], options: Options, workers: int) -> tuple[float, Fl
     """Time from the first session to the last, processes running already."""
     found = survey(files)
     marks: list[float] = []
-    with LocalPool(workers) as pool:
-        fleet = run_fleet(found, options, pool, tell=lambda progress: marks.append(time.perf_counter()))
+    with LocalPool(workers) as pool, Store(IN_MEMORY) as store:
+        fleet = run_fleet(
+            found, options, pool, store, tell=lambda progress: marks.append(time.perf_counter())
+        )
     return (marks[-1] - marks[0]) / (len(marks) - 1), FleetResult(fleet, options)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sqlite3
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +50,16 @@ def write_fleet(folder: Path, count: int, seed: int) -> list[str]:
         str(write_session(folder / f"{k:03d}.csv", rng, f"SN{k // 2}", f"stage {k % 4}", f"op {k % 3}"))
         for k in range(count)
     ]
+
+
+def kept_in(journal: Path) -> dict[str, str]:
+    """Records of a journal by digest, while a run may write to it."""
+    if not journal.exists():
+        return {}
+    with closing(sqlite3.connect(journal.absolute().as_uri() + "?mode=ro", uri=True)) as connection:
+        with suppress(sqlite3.OperationalError):  # its tables are being made
+            return dict(connection.execute("SELECT sha256, record FROM records").fetchall())
+        return {}
 
 
 def row(number: int, **known: Any) -> dict[str, Any]:

@@ -11,8 +11,9 @@ import pytest
 
 from adis_gonio import __version__
 from adis_gonio.base.errors import FleetError
-from adis_gonio.fleet import Journal, LocalPool, Options, run_fleet, survey
+from adis_gonio.fleet import LocalPool, Options, Store, run_fleet, survey
 from adis_gonio.fleet.outputs import FleetResult
+from adis_gonio.fleet.store import IN_MEMORY
 from adis_gonio.fleet.work import digest_of_file, work
 from fleet.sessions import write_fleet
 
@@ -23,7 +24,7 @@ pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills pr
 def test_a_worker_killed_in_the_middle_loses_nothing_and_changes_nothing(tmp_path):
     found = survey(write_fleet(tmp_path / "fleet", 8, seed=1))
     with LocalPool(1) as pool:
-        calm = run_fleet(found, FITS, pool)
+        calm = run_fleet(found, FITS, pool, Store(IN_MEMORY))
     killed = []
 
     def kill(progress):
@@ -31,12 +32,11 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_changes_nothing(tmp_pat
             killed.append(pool.pids[0])
             os.kill(killed[0], signal.SIGKILL)
 
-    with LocalPool(2) as pool, Journal(tmp_path / "journal") as journal:
+    with LocalPool(2) as pool, Store(tmp_path / "journal", strict=True) as journal:
         stormy = run_fleet(found, FITS, pool, journal, kill)
-        lines = (tmp_path / "journal").read_text("utf-8").splitlines()
+        assert journal.sessions == len(found.jobs)
     assert killed
     assert stormy.failed == 0
-    assert len(lines) == 1 + len(found.jobs)
     for name in ("a.json", "a.parquet", "a.html"):
         FleetResult(calm, FITS).write(tmp_path / name)
         calm_bytes = (tmp_path / name).read_bytes()
@@ -50,12 +50,12 @@ def test_a_file_that_kills_every_worker_is_a_row_with_its_reason_and_is_tried_ag
     Path(files[1]).rename(deadly)
     found = survey([*files[:1], *files[2:], str(deadly)])
     command = (sys.executable, str(Path(__file__).with_name("mortal_worker.py")))
-    with LocalPool(2, command) as pool, Journal(tmp_path / "journal") as journal:
+    with LocalPool(2, command) as pool, Store(tmp_path / "journal", strict=True) as journal:
         fleet = run_fleet(found, FITS, pool, journal)
-    failed = [d["record"] for d in fleet.documents if d["record"]["status"] != "ok"]
-    assert [record["path"] for record in failed] == [str(deadly)]
-    assert "was killed (SIGKILL), 2 times" in failed[0]["reason"]
-    with LocalPool(1) as pool, Journal(tmp_path / "journal") as journal:
+    failed = [record for record in fleet.records if record.status != "ok"]
+    assert [record.path for record in failed] == [str(deadly)]
+    assert "was killed (SIGKILL), 2 times" in failed[0].reason
+    with LocalPool(1) as pool, Store(tmp_path / "journal", strict=True) as journal:
         again = run_fleet(found, FITS, pool, journal)
     assert (again.again, again.failed) == (3, 0)
 
@@ -64,15 +64,15 @@ def test_workers_that_cannot_start_are_said_with_their_last_words():
     found = survey([__file__])
     pool = LocalPool(2, (sys.executable, "-c", "import sys; sys.exit('no such library')"))
     with pool, pytest.raises(FleetError, match=r"no worker can be started.*status 1 \(no such library\)"):
-        run_fleet(found, FITS, pool)
+        run_fleet(found, FITS, pool, Store(IN_MEMORY))
 
 
 def test_a_worker_of_another_version_or_before_another_file_does_not_answer_for_it(tmp_path):
     path = write_fleet(tmp_path, 1, seed=3)[0]
     digest = digest_of_file(path)
     asked = FITS.as_dict()
-    assert work(path, digest, asked, __version__)["record"]["status"] == "ok"
-    for document, reason in (
+    assert work(path, digest, asked, __version__).status == "ok"
+    for record, reason in (
         (
             work(path, digest, asked, "0.0.1"),
             f"the worker has adis-gonio {__version__}, the fleet is run by 0.0.1",
@@ -83,6 +83,6 @@ def test_a_worker_of_another_version_or_before_another_file_does_not_answer_for_
             "cannot be read where the worker is: No such file",
         ),
     ):
-        assert document["record"]["status"] == "failed"
-        assert reason in document["record"]["reason"]
-        assert not document["final"]
+        assert record.status == "failed"
+        assert reason in record.reason
+        assert record.sha256 is None  # no store keeps it

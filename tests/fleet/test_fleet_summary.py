@@ -14,9 +14,9 @@ from adis_gonio.base.errors import DataError
 from adis_gonio.base.intervals import wilson
 from adis_gonio.fleet import read_parquet, row_of, summarise, write_parquet
 from adis_gonio.fleet.columns import COLUMNS
-from adis_gonio.fleet.memory.record import SessionRecord
 from adis_gonio.fleet.outlying import LEVEL, by_share
 from adis_gonio.fleet.page import build_page
+from adis_gonio.fleet.record import SessionRecord
 from adis_gonio.fleet.statistics import beyond, repeats
 from fleet.sessions import quiet_rows, row
 

@@ -16,10 +16,6 @@ HARMLESS = {
         {"fitting.answer", "bench.bringup.result"},
         "both are public names of their package: what a session says, what a board says of a question",
     ),
-    "Summary": (
-        {"fleet.summary", "fleet.memory.summary"},
-        "both are public names of their package: the figures of many sessions, of a run and of an index",
-    ),
 }
 """Names that two public classes may share: the modules that do, and why nobody stumbles."""
 

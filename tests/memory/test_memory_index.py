@@ -11,8 +11,8 @@ from made_up import made_up
 from recorded import recorded
 
 from adis_gonio.base.errors import DataError
-from adis_gonio.fleet.memory import Index, record_of, summarised
-from adis_gonio.fleet.memory.index import NAME
+from adis_gonio.fleet import Store, record_of, row_of, run, scan, summarise
+from adis_gonio.fleet.store import NAME
 from adis_gonio.record.export import export_csv
 from adis_gonio.record.loading import load_session
 
@@ -33,9 +33,9 @@ def folder(originals, tmp_path):
 
 
 def listed(folder, **more):
-    with Index.of([folder]) as index:
-        scan = index.scan([folder], **more)
-        return scan, index.rows(), index.problems
+    with Store.of([folder]) as store:
+        found = scan(store, [folder], **more)
+        return found, store.rows(), store.problems
 
 
 def test_only_new_and_changed_files_are_computed(folder, originals):
@@ -55,8 +55,8 @@ def test_a_file_that_was_changed_replaces_what_it_held(folder):
     listed(folder)
     text = csv.read_text("utf-8").replace("serial: A7", "serial: A8")
     csv.write_text(text, "utf-8")
-    scan, rows, _ = listed(folder)
-    assert scan.computed == 1
+    found, rows, _ = listed(folder)
+    assert found.computed == 1
     assert [row["serial"] for row in rows if row["path"].endswith("x.csv")] == ["A8"]
     assert len(rows) == 4
 
@@ -65,23 +65,23 @@ def test_a_file_that_is_gone_is_remembered_and_one_that_moved_is_the_same(folder
     listed(folder)
     (folder / "0.session").unlink()
     (folder / "1.session").rename(folder / "renamed.session")
-    scan, rows, _ = listed(folder)
-    assert scan.computed == 0
+    found, rows, _ = listed(folder)
+    assert found.computed == 0
     assert [row["gone"] for row in rows] == [True, False, False]
     assert {row["path"].rsplit("/")[-1] for row in rows} == {"0.session", "renamed.session", "2.session"}
 
 
 def test_an_archive_and_the_csv_exported_from_it_are_one_session_of_a_history(folder):
     export_csv(load_session(folder / "0.session"), folder / "a.csv")
-    with Index.of([folder]) as index:
-        index.scan([folder])
+    with Store.of([folder]) as index:
+        scan(index, [folder])
         records = index.records("A7")
     assert [record.path.rsplit("/")[-1] for record in records] == ["0.session", "1.session", "2.session"]
 
 
 def test_records_come_back_as_they_were(folder):
-    with Index.of([folder]) as index:
-        index.scan([folder])
+    with Store.of([folder]) as index:
+        scan(index, [folder])
         assert [r.as_dict() for r in index.records("A7")] == [
             record_of(folder / f"{n}.session").as_dict() for n in range(3)
         ]
@@ -93,9 +93,7 @@ def test_records_come_back_as_they_were(folder):
 
 
 def test_an_interruption_keeps_what_was_computed(folder, monkeypatch):
-    from adis_gonio.fleet.memory import index as module
-
-    real, calls = module.record_of, []
+    real, calls = run.record_of, []
 
     def interrupted(path, **more):
         if len(calls) == 2:
@@ -103,32 +101,32 @@ def test_an_interruption_keeps_what_was_computed(folder, monkeypatch):
         calls.append(path)
         return real(path, **more)
 
-    monkeypatch.setattr(module, "record_of", interrupted)
+    monkeypatch.setattr(run, "record_of", interrupted)
     with pytest.raises(KeyboardInterrupt):
         listed(folder)
-    monkeypatch.setattr(module, "record_of", real)
-    scan, rows, problems = listed(folder)
-    assert (scan.computed, scan.known, len(rows), problems) == (1, 2, 3, [])
+    monkeypatch.setattr(run, "record_of", real)
+    found, rows, problems = listed(folder)
+    assert (found.computed, found.known, len(rows), problems) == (1, 2, 3, [])
 
 
 def test_a_full_disk_shows_all_keeps_what_was_there_and_says_so(folder):
     listed(folder)
-    with Index.of([folder]) as index:
+    with Store.of([folder]) as index:
         index._connection.execute("PRAGMA max_page_count = 1")  # what a full disk is to SQLite
         for n in range(40):
-            index.add(made_up(f"20{10 + n}-01-01", serial="Z9"))
+            index.keep(made_up(f"20{10 + n}-01-01", serial="Z9"))
         assert len(index.rows(serial="Z9")) == 40
         assert len(index.rows(serial="A7")) == 3
         assert len(index.problems) == 1
         assert "full" in index.problems[0]
         assert "make room" in index.problems[0]
-    with Index.of([folder]) as index:
+    with Store.of([folder]) as index:
         assert len(index.rows(serial="A7")) == 3
 
 
 def test_a_folder_that_cannot_be_written_is_listed_all_the_same(folder, tmp_path):
-    with Index(tmp_path / "no folder" / "index") as index:
-        assert index.scan([folder]).computed == 3
+    with Store(tmp_path / "no folder" / "index") as index:
+        assert scan(index, [folder]).computed == 3
         assert len(index.rows()) == 3
         assert "cannot be opened" in index.problems[0]
 
@@ -145,8 +143,8 @@ def test_a_damaged_index_is_set_aside_and_made_anew(folder, harm):
     else:
         del content[len(content) // 2 :]
     path.write_bytes(content)
-    scan, rows, problems = listed(folder)
-    assert (scan.computed, rows) == (3, before)
+    found, rows, problems = listed(folder)
+    assert (found.computed, rows) == (3, before)
     assert "set aside" in problems[0]
     assert (folder / f"{NAME}.damaged-1").read_bytes() == bytes(content)
     assert listed(folder)[2] == []
@@ -160,11 +158,11 @@ def test_another_database_is_refused_and_left_as_it_is(folder, tmp_path):
     content = path.read_bytes()
     for other in (path, folder / "0.session"):
         with pytest.raises(DataError, match="is no index of sessions"):
-            Index(other)
+            Store(other)
     text = tmp_path / "text"
     text.write_text("words " * 100)
     with pytest.raises(DataError, match="is no index of sessions"):
-        Index(text)
+        Store(text)
     assert path.read_bytes() == content
 
 
@@ -174,22 +172,20 @@ def test_two_programs_at_once_compute_one_index(folder):
     for program in both:
         _, error = program.communicate(timeout=120)
         assert program.returncode == 0, error
-    scan, rows, problems = listed(folder)
-    assert (scan.computed, len(rows), problems) == (0, 3, [])
+    found, rows, problems = listed(folder)
+    assert (found.computed, len(rows), problems) == (0, 3, [])
 
 
 def test_a_trace_that_is_asked_for_later_is_made_once(folder, monkeypatch):
     from dataclasses import replace
 
-    from adis_gonio.fleet.memory import index as module
+    real, traced = run.record_of, []
 
-    real, traced = module.record_of, []
-
-    def quick(path, *, trace):
+    def quick(path, *, trace, evidence):
         traced.append(trace)
         return replace(real(path), traced=trace)
 
-    monkeypatch.setattr(module, "record_of", quick)
+    monkeypatch.setattr(run, "record_of", quick)
     listed(folder)
     assert listed(folder, trace=True)[0].computed == 3
     assert listed(folder, trace=True)[0].computed == 0
@@ -200,17 +196,17 @@ def test_a_trace_that_is_asked_for_later_is_made_once(folder, monkeypatch):
 def test_the_index_is_no_session_and_hidden_files_are_none(folder):
     listed(folder)
     (folder / ".hidden.csv").write_text("x")
-    scan, rows, _ = listed(folder)
-    assert (scan.known, len(rows)) == (3, 3)
+    found, rows, _ = listed(folder)
+    assert (found.known, len(rows)) == (3, 3)
 
 
 def test_a_summary_counts_what_is_there(tmp_path):
-    with Index(tmp_path / "index") as index:
-        index.add_all(made_up(f"20{10 + n}-01-01", serial=f"S{n % 3}", bias_x=float(n)) for n in range(9))
-        found = summarised(index)
-    assert (found.sessions, found.failed, found.traced) == (9, 0, 0)
-    assert found.counts["serial"] == {"S0": 3, "S1": 3, "S2": 3}
-    assert found.quantities["bias_x"].mean == 4
-    assert found.quantities["bias_x"].quantiles[1] == 4
-    assert found.quantities["bias_x"].sd == pytest.approx(2.7386128)
-    assert "bias_z" not in found.quantities
+    with Store(tmp_path / "index") as index:
+        index.keep(*(made_up(f"20{10 + n}-01-01", serial=f"S{n % 3}", bias_x=float(n)) for n in range(9)))
+        found = summarise([row_of(record) for record in index.records()])
+    assert [found.sessions[name] for name in ("n", "failed", "traced", "units")] == [9, 0, 0, 3]
+    (bias_x,) = (one.distribution for one in found.parameters if one.name == "bias_x")
+    assert bias_x.mean == 4
+    assert bias_x.quantiles["50"] == 4
+    assert bias_x.sd == pytest.approx(2.7386128)
+    assert "bias_z" not in {one.name for one in found.parameters}

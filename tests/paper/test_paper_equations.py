@@ -15,16 +15,12 @@ from adis_gonio.handover.paper import sessions as through_chip
 from adis_gonio.handover.paper.ambiguities import two_readings
 from adis_gonio.handover.paper.comparison import errors_with_bias, printed_verdicts, spread_of
 from adis_gonio.handover.paper.crossing import (
-    BIASES_MG,
-    FIXTURES_DEG,
     MMPM_ANGLES_DEG,
-    NOISES_MG,
     Draws,
     Point,
     crossing_deg,
     errors,
     estimates,
-    points_to_check,
 )
 from adis_gonio.handover.paper.crossing import readings as by_readings
 from adis_gonio.handover.paper.sessions import MethodValues, Part, Results, measured, quantities
@@ -152,20 +148,6 @@ def test_readings_of_the_map_are_those_of_chip_and_driver_at_the_stages_true_ang
     bias = np.broadcast_to(np.array([-3.0e-3, -2.9e-3]), (1, 9, 2))
     model = by_readings(part.truth, MMPM_ANGLES_DEG, np.array([alpha]), np.radians([hidden_deg]), bias)[0]
     assert np.abs(got - model).max() < 5 * 1e-3 * noise_mg / math.sqrt(819)
-
-
-def test_points_measured_through_the_chip_agree_with_the_map(small):
-    assert len({one.point for one in small.map.checked}) == 3
-    for one in small.map.checked:
-        assert one.p > 1e-3
-        assert set(one.by_chip) == {"paper", "two-position", "four-position", "mmpm", "ml"}
-
-
-def test_points_to_check_are_places_of_the_map():
-    for point in points_to_check(np.random.default_rng(1), 30):
-        assert point.fixture_deg in FIXTURES_DEG
-        assert point.bias_mg in BIASES_MG
-        assert point.noise_mg in NOISES_MG
 
 
 def handmade(paper_deg, ours_deg, seed=1):

@@ -122,7 +122,6 @@ def test_the_command_writes_page_and_document(small, page, monkeypatch, tmp_path
     assert document["command"] == "adis-gonio paper --seed 7 --sessions 2 --json"
     assert [row["measured"] for row in document["table_1"]["rows"]] == [row.measured for row in TABLE]
     assert len(document["map"]["points"]) == 10 * 7 * 4
-    assert len(document["map"]["checked"]) == 3
     assert document["bias"]["sessions"] + document["bias"]["refused"] == 2
     assert len(document["parts"]["x"]) == 2
     assert main(["paper", "--seed", "7", "--sessions", "2"]) == 0

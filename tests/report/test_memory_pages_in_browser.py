@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.values import Value
-from adis_gonio.fleet import summarise
-from adis_gonio.fleet.memory import SessionRecord, history_of
+from adis_gonio.fleet import FoundEffect, SessionRecord, summarise
+from adis_gonio.fleet.memory import history_of
 from adis_gonio.fleet.memory.history_page import history_page
-from adis_gonio.fleet.memory.record import FoundEffect
 from adis_gonio.fleet.page import build_page
 from adis_gonio.fleet.run import Repeated
 from fleet.sessions import quiet_rows, row

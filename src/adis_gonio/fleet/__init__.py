@@ -1,4 +1,4 @@
-"""Many sessions at once: fitted and traced by many processes or machines, and summarised.
+"""Many sessions: fitted and traced by many processes or machines, kept in one store, and summarised.
 
 Names are imported when first used, so that the package itself costs nothing.
 """
@@ -12,14 +12,18 @@ from adis_gonio.base.lazy_names import lazily
 _HOMES = {
     "Cluster": "cluster",
     "Fleet": "run",
-    "Journal": "journal",
+    "FoundEffect": "record",
     "LocalPool": "pool",
     "Options": "work",
+    "SessionRecord": "record",
+    "Store": "store",
     "Summary": "summary",
-    "files_of": "run",
+    "files_of": "files",
     "read_parquet": "parquet",
+    "record_of": "work",
     "row_of": "columns",
     "run_fleet": "run",
+    "scan": "run",
     "summarise": "summary",
     "survey": "run",
     "write_parquet": "parquet",
@@ -28,14 +32,18 @@ _HOMES = {
 __all__ = [
     "Cluster",
     "Fleet",
-    "Journal",
+    "FoundEffect",
     "LocalPool",
     "Options",
+    "SessionRecord",
+    "Store",
     "Summary",
     "files_of",
     "read_parquet",
+    "record_of",
     "row_of",
     "run_fleet",
+    "scan",
     "summarise",
     "survey",
     "write_parquet",
@@ -44,17 +52,21 @@ __all__ = [
 if TYPE_CHECKING:
     from adis_gonio.fleet.cluster import Cluster as Cluster
     from adis_gonio.fleet.columns import row_of as row_of
-    from adis_gonio.fleet.journal import Journal as Journal
+    from adis_gonio.fleet.files import files_of as files_of
     from adis_gonio.fleet.parquet import read_parquet as read_parquet
     from adis_gonio.fleet.parquet import write_parquet as write_parquet
     from adis_gonio.fleet.pool import LocalPool as LocalPool
+    from adis_gonio.fleet.record import FoundEffect as FoundEffect
+    from adis_gonio.fleet.record import SessionRecord as SessionRecord
     from adis_gonio.fleet.run import Fleet as Fleet
-    from adis_gonio.fleet.run import files_of as files_of
     from adis_gonio.fleet.run import run_fleet as run_fleet
+    from adis_gonio.fleet.run import scan as scan
     from adis_gonio.fleet.run import survey as survey
+    from adis_gonio.fleet.store import Store as Store
     from adis_gonio.fleet.summary import Summary as Summary
     from adis_gonio.fleet.summary import summarise as summarise
     from adis_gonio.fleet.work import Options as Options
+    from adis_gonio.fleet.work import record_of as record_of
 
 
 __getattr__ = lazily(__name__, _HOMES)

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FleetError, NotInstalledError, UsageError
 from adis_gonio.base.version import __version__
-from adis_gonio.fleet.work import Document, Job, Options, lost, work
+from adis_gonio.fleet.record import SessionRecord
+from adis_gonio.fleet.work import Job, Options, lost, work
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -84,8 +85,8 @@ class Cluster:
         with suppress(Exception):  # a scheduler that has gone cannot be taken leave of
             self._client.close(timeout=CONNECT_S)
 
-    def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, Document]]:
-        """Each job with its document, as they come.
+    def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
+        """Each job with its record, as they come.
 
         Raises
         ------
@@ -106,7 +107,7 @@ class Cluster:
                 if not running:
                     return
                 job, future = running.pop(self._next(arrived))
-                yield job, self._document(job, future)
+                yield job, self._record(job, future)
         finally:
             with suppress(Exception):
                 self._client.cancel([future for _, future in running.values()], force=True)
@@ -122,19 +123,19 @@ class Cluster:
             except queue.Empty:
                 self._threads()
 
-    def _document(self, job: Job, future: Future) -> Document:
+    def _record(self, job: Job, future: Future) -> SessionRecord:
         """What a future that is done holds; fetched again where its worker has died since."""
         while True:
             if future.status == "cancelled":
                 raise FleetError(f"the scheduler at {self.address} has gone")
             try:
-                document: Document = future.result(timeout=_LOOK_S)
+                record: SessionRecord = future.result(timeout=_LOOK_S)
             except TimeoutError:
                 self._threads()
             except Exception as error:  # KilledWorker, or a worker that cannot import this package
                 return lost(job.path, f"lost by its workers: {_words(error)}")
             else:
-                return document
+                return record
 
     def _threads(self) -> int:
         """How many sessions the cluster can have at once; looked up now and then.

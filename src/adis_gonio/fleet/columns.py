@@ -5,28 +5,19 @@ Most come from `SessionRecord.row`; `effects` and `model_effects` are lists of n
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.fleet.memory.record import COLUMNS as QUANTITIES
-from adis_gonio.fleet.memory.record import SessionRecord
+from adis_gonio.fleet.record import PARTS, QUANTITIES, SessionRecord
 
 Kind = Literal["text", "number", "integer", "flag", "names"]
 Row = Mapping[str, Any]
 Table = dict[str, NDArray[Any]]
 """Columns (n,) by name: float with NaN where unknown, str with "" where unknown; of `effects` see
 `table_of`."""
-
-_UNITS = {"delta_k": "1", "delta_phi": "deg", "bias": "mg", "scale": "1", "skew": "deg", "angle": "deg"}
-
-
-def unit_of(quantity: str) -> str:
-    """Unit of a quantity's column: `1`, `deg` or `mg`."""
-    return _UNITS.get(quantity) or _UNITS[quantity.partition("_")[0]]
-
 
 _FACTS: dict[str, tuple[Kind, str, str]] = {
     "path": ("text", "", "file of the session, as it was given"),
@@ -58,8 +49,7 @@ _FACTS: dict[str, tuple[Kind, str, str]] = {
 
 def _of_quantities() -> dict[str, tuple[Kind, str, str]]:
     columns: dict[str, tuple[Kind, str, str]] = {}
-    for name in QUANTITIES:
-        unit = unit_of(name)
+    for name, unit in QUANTITIES.items():
         what = "error of the angle, rms over dwells left out" if name == "angle" else name
         own = "an angle that is shown" if name == "angle" else name
         columns |= {
@@ -80,19 +70,10 @@ def row_of(record: SessionRecord) -> dict[str, Any]:
     """One row; a value in another unit than its column's (counts of unknown scale) is left out."""
     row: dict[str, Any] = record.row()
     for name, value in record.values.items():
-        if value.unit != unit_of(name):
-            row |= dict.fromkeys(column for column in row if _belongs(column, name))
+        if value.unit != QUANTITIES[name]:
+            row |= dict.fromkeys(f"{name}{end}" for end in PARTS)
     row |= {name: str(row[name]).split() for name in ("effects", "model_effects")}
-    return {name: row.get(name) for name in COLUMNS}
-
-
-def _belongs(column: str, quantity: str) -> bool:
-    return column == quantity or column.rpartition("_")[0] == quantity
-
-
-def rows_of(records: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Rows of records as their JSON documents have them (`SessionRecord.as_dict`)."""
-    return [row_of(SessionRecord.from_dict(record)) for record in records]
+    return {name: row[name] for name in COLUMNS}
 
 
 _FACTS_USED = (

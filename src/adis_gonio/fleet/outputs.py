@@ -13,7 +13,7 @@ from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.base.jsonable import finite
 from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.version import __version__
-from adis_gonio.fleet.columns import rows_of
+from adis_gonio.fleet.columns import row_of
 from adis_gonio.fleet.run import Fleet
 from adis_gonio.fleet.summary import Summary, summarise
 from adis_gonio.fleet.work import Options
@@ -34,7 +34,7 @@ class FleetResult:
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
         """One row a session (`adis_gonio.fleet.columns.COLUMNS`)."""
-        return rows_of(document["record"] for document in self.fleet.documents)
+        return [row_of(record) for record in self.fleet.records]
 
     @cached_property
     def summary(self) -> Summary:
@@ -48,9 +48,9 @@ class FleetResult:
             return None
         from adis_gonio.fleet.population import SessionEvidence, trace_population
 
-        told = [document["evidence"] for document in self.fleet.documents]
+        known = [record.evidence for record in self.fleet.records if record.evidence is not None]
         try:
-            return trace_population([SessionEvidence.from_dict(one) for one in told if one is not None])
+            return trace_population([SessionEvidence.from_dict(evidence) for evidence in known])
         except AdisGonioError as error:
             return str(error)
 

@@ -20,12 +20,13 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
-from typing import IO
+from typing import IO, Any
 
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FleetError
 from adis_gonio.base.version import __version__
-from adis_gonio.fleet.work import Document, Job, Options, lost
+from adis_gonio.fleet.record import SessionRecord
+from adis_gonio.fleet.work import Job, Options, lost
 
 COMMAND = (sys.executable, "-P", "-m", "adis_gonio.fleet.worker")
 ATTEMPTS = 2
@@ -36,7 +37,7 @@ _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VE
 _LOOK_S = 0.5
 """How often a wait looks whether it is still wanted, in s."""
 
-Arrival = tuple[Job, Document]
+Arrival = tuple[Job, SessionRecord]
 
 
 def cores() -> int:
@@ -77,7 +78,7 @@ class LocalPool:
         return tuple(hand.worker.pid for hand in self._hands if hand.worker is not None)
 
     def results(self, jobs: Sequence[Job], options: Options) -> Iterator[Arrival]:
-        """Each job with its document, as they come.
+        """Each job with its record, as they come.
 
         Raises
         ------
@@ -156,12 +157,12 @@ class _Hand(threading.Thread):
         if self.worker is not None:
             self.worker.kill()
 
-    def _done(self, job: Job) -> Document:
+    def _done(self, job: Job) -> SessionRecord:
         how = ""
         for _ in range(ATTEMPTS):
-            document = self._ready().ask(job, self._options)
-            if document is not None:
-                return document
+            record = self._ready().ask(job, self._options)
+            if record is not None:
+                return record
             how = self._end()
             if self._over:
                 raise _StoppedError
@@ -207,8 +208,8 @@ class _Worker:
         self._ready = self._ready or self._answer() is not None
         return self._ready
 
-    def ask(self, job: Job, options: Options) -> Document | None:
-        """Document of a job; None where the process ended."""
+    def ask(self, job: Job, options: Options) -> SessionRecord | None:
+        """Record of a job; None if the process ended."""
         asked = {"options": options.as_dict(), "version": __version__, **asdict(job)}
         pipe = self._process.stdin
         try:
@@ -217,7 +218,8 @@ class _Worker:
                 pipe.flush()
         except OSError:
             return None
-        return self._answer()
+        answer = self._answer()
+        return None if answer is None else SessionRecord.from_dict(answer)
 
     def kill(self) -> None:
         """End it in the midst of its work."""
@@ -237,13 +239,13 @@ class _Worker:
         last = next((line.strip() for line in reversed(said) if line.strip()), "")
         return _how(status) + (f" ({last})" if last else "")
 
-    def _answer(self) -> Document | None:
+    def _answer(self) -> dict[str, Any] | None:
         pipe = self._process.stdout
         line = b"" if pipe is None else pipe.readline()
         if not line.endswith(b"\n"):
             return None
-        document: Document = json.loads(line)
-        return document
+        answer: dict[str, Any] = json.loads(line)
+        return answer
 
 
 def _environment() -> dict[str, str]:

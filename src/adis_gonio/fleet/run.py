@@ -1,29 +1,37 @@
-"""A fleet from files to documents: what is the same counts once, what was done is not done again."""
+"""Many sessions from files to records: each session counts once, and none is computed twice."""
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from adis_gonio.base.budget import told
 from adis_gonio.base.counting import counted
-from adis_gonio.base.errors import UsageError
-from adis_gonio.base.output import ends_in
-from adis_gonio.fleet.journal import Journal
-from adis_gonio.fleet.memory.files import ENDINGS
-from adis_gonio.fleet.work import Document, Job, Options, digest_of_file, lost
+from adis_gonio.fleet.files import session_files
+from adis_gonio.fleet.record import SessionRecord
+from adis_gonio.fleet.store import Store
+from adis_gonio.fleet.work import Job, Options, digest_of_file, lost, record_of
 
 _WRITTEN = ("when", "serial", "operator", "stage", "plan")
 
 
 class Workers(Protocol):
-    """Whoever works on the jobs: `LocalPool`, `Cluster`."""
+    """Whoever works on the jobs: `LocalPool`, `Cluster`, `ThisProcess`."""
 
-    def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, Document]]:
-        """Each job once with its document, in any order."""
+    def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
+        """Each job once with its record, in any order."""
+
+
+class ThisProcess:
+    """Works on one job after the other, here."""
+
+    def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
+        """Each job with its record."""
+        for job in told(jobs):
+            yield job, record_of(job.path, **options.as_dict())
 
 
 @dataclass(frozen=True)
@@ -47,68 +55,48 @@ class Survey:
     jobs : tuple of Job
         By path.
     repeated : tuple of Repeated
-    unreadable : tuple of Document
+    unreadable : tuple of SessionRecord
         Of files without bytes to read.
     """
 
     jobs: tuple[Job, ...]
     repeated: tuple[Repeated, ...]
-    unreadable: tuple[Document, ...]
+    unreadable: tuple[SessionRecord, ...]
 
 
 @dataclass(frozen=True)
 class Fleet:
-    """Everything that was said of a fleet.
+    """The records of many sessions.
 
     Attributes
     ----------
-    documents : tuple of Document
+    records : tuple of SessionRecord
         One a session, by path: whoever worked on it, and in whatever order.
     repeated : tuple of Repeated
     again : int
-        Sessions that were in the journal already.
+        Sessions whose record was in the store already.
     """
 
-    documents: tuple[Document, ...]
+    records: tuple[SessionRecord, ...]
     repeated: tuple[Repeated, ...]
     again: int
 
     @property
     def failed(self) -> int:
         """Sessions without a result."""
-        return sum(document["record"]["status"] != "ok" for document in self.documents)
+        return sum(record.status != "ok" for record in self.records)
 
 
-def files_of(given: Iterable[str | Path]) -> list[str]:
-    """Files as given, and of each folder those that end like a session, in order; each name once.
+def survey(
+    files: Sequence[str], share: Callable[[float], None] | None = None, store: Store | None = None
+) -> Survey:
+    """Read every file once: the same bytes by two names are one session, that of the first name.
 
-    Raises
-    ------
-    UsageError
-        There is none.
+    With a store only files that are new to it or have changed are read.
     """
-    found: dict[str, None] = {}
-    folders = []
-    for path in map(Path, given):
-        if not path.is_dir():
-            found[str(path)] = None
-            continue
-        folders.append(str(path))
-        shut: list[OSError] = []
-        for folder, _, names in os.walk(path, onerror=shut.append):
-            inside = [name for name in names if ends_in(name, *ENDINGS) and not name.startswith(".")]
-            found |= dict.fromkeys(str(Path(folder, name)) for name in inside)
-        found |= dict.fromkeys(str(error.filename) for error in shut)
-    if not found:
-        where = f" in {', '.join(folders)}" if folders else ""
-        raise UsageError(f"there is no session{where}: give files, or folders with {', '.join(ENDINGS)}")
-    return sorted(found)
-
-
-def survey(files: Sequence[str], share: Callable[[float], None] | None = None) -> Survey:
-    """Read every file once: the same bytes by two names are one session, that of the first name."""
     names: dict[str, str] = {}
     repeated, unreadable = [], []
+    digest_of = digest_of_file if store is None else store.digest_of
     for done, path in enumerate(sorted(set(files))):
         if share is not None:
             share(done / len(files))
@@ -116,7 +104,7 @@ def survey(files: Sequence[str], share: Callable[[float], None] | None = None) -
             unreadable.append(lost(path, "is no regular file: save what comes through a pipe first"))
             continue
         try:
-            digest = digest_of_file(path)
+            digest = digest_of(path)
         except OSError as error:
             unreadable.append(lost(path, f"cannot be read: {error.strerror or error}"))
             continue
@@ -136,64 +124,84 @@ def run_fleet(
     found: Survey,
     options: Options,
     workers: Workers,
-    journal: Journal | None = None,
+    store: Store,
     tell: Callable[[FleetProgress], None] | None = None,
 ) -> Fleet:
-    """Have every session worked on that the journal does not hold.
+    """Have every session worked on whose record the store lacks.
 
     Raises
     ------
     OutputError
-        The journal cannot be written; what it holds stays.
+        The store cannot be written; its records stay.
     FleetError
         Nobody is there to work.
     """
-    held = {} if journal is None else journal.documents
-    documents = {
-        job.path: _named(held[key], job) for job in found.jobs if (key := job.key(options)) in held
-    }
-    todo = [job for job in found.jobs if job.path not in documents]
-    progress = FleetProgress(len(todo), again=len(documents))
-    for job, document in workers.results(todo, options) if todo else ():
-        if journal is not None and document["final"]:
-            journal.keep(job.key(options), document)
-        documents[job.path] = document
-        progress.arrived(document)
+    known = ((job.path, store.found(job, options)) for job in found.jobs)
+    records = {path: record for path, record in known if record is not None}
+    todo = [job for job in found.jobs if job.path not in records]
+    progress = FleetProgress(len(todo), again=len(records))
+    for job, record in workers.results(todo, options) if todo else ():
+        store.keep(record, options=options)
+        records[job.path] = record
+        progress.arrived(record)
         if tell is not None:
             tell(progress)
-    everything = [*documents.values(), *found.unreadable]
-    kept, copies = _once(everything)
+    kept, copies = _once([*records.values(), *found.unreadable])
     repeated = sorted([*found.repeated, *copies], key=lambda one: one.path)
     return Fleet(tuple(kept), tuple(repeated), progress.again)
 
 
-def _once(documents: Sequence[Document]) -> tuple[list[Document], list[Repeated]]:
+@dataclass(frozen=True)
+class Scan:
+    """What looking through folders came to.
+
+    Attributes
+    ----------
+    computed, known : int
+        Files whose results were computed now, and those that were in the store already.
+    unreadable : tuple of SessionRecord
+        Files that could not even be read; they are not in the store.
+    """
+
+    computed: int = 0
+    known: int = 0
+    unreadable: tuple[SessionRecord, ...] = ()
+
+
+def scan(store: Store, places: Sequence[str | Path], *, trace: bool = False) -> Scan:
+    """Look through folders; compute the sessions that are new or have changed since, here.
+
+    Parameters
+    ----------
+    trace : bool
+        Look for effects too; records that were made without are made again.
+    """
+    paths = session_files(places)
+    store.mark_gone(places, paths)
+    found = survey([str(path) for path in paths], store=store)
+    fleet = run_fleet(found, Options(trace=trace), ThisProcess(), store)
+    unreadable = tuple(record for record in fleet.records if record.sha256 is None)
+    computed = len(found.jobs) - fleet.again
+    return Scan(computed, len(paths) - len(found.unreadable) - computed, unreadable)
+
+
+def _once(records: Sequence[SessionRecord]) -> tuple[list[SessionRecord], list[Repeated]]:
     """Without files of other bytes but the same data, such as the CSV exported from an archive."""
     kept, copies, names = [], [], dict[str, str]()
-    for document in sorted(documents, key=_lacking):
-        path, data = document["record"]["path"], document["record"]["data_sha256"]
-        if document["record"]["status"] == "ok" and data in names:
-            copies.append(Repeated(path, names[data]))
+    for record in sorted(records, key=_lacking):
+        data = record.data_sha256 if record.status == "ok" else None
+        if data in names:
+            copies.append(Repeated(record.path, names[data]))
             continue
-        if document["record"]["status"] == "ok" and data:
-            names[data] = path
-        kept.append(document)
-    return sorted(kept, key=_path), copies
+        if data:
+            names[data] = record.path
+        kept.append(record)
+    return sorted(kept, key=lambda record: record.path), copies
 
 
-def _path(document: Document) -> str:
-    return str(document["record"]["path"])
-
-
-def _lacking(document: Document) -> tuple[int, str]:
+def _lacking(record: SessionRecord) -> tuple[int, str]:
     """How much of what an operator writes down a file does not say, then its name."""
-    record = document["record"]
-    return sum(record[name] is None for name in _WRITTEN), _path(document)
-
-
-def _named(document: Document, job: Job) -> Document:
-    """A document of the journal under the name that the file has now."""
-    return {**document, "record": {**document["record"], "path": job.path}}
+    return sum(getattr(record, name) is None for name in _WRITTEN), record.path
 
 
 class FleetProgress:
@@ -211,10 +219,10 @@ class FleetProgress:
         self._clock = clock
         self._begun = clock()
 
-    def arrived(self, document: Document) -> None:
+    def arrived(self, record: SessionRecord) -> None:
         """Count one."""
         self.done += 1
-        self.failed += document["record"]["status"] != "ok"
+        self.failed += record.status != "ok"
 
     def __str__(self) -> str:
         """`120 of 1000, 4.1 a second, 3 min 35 s left, 2 failed`."""

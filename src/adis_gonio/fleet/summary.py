@@ -15,8 +15,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.intervals import wilson
 from adis_gonio.base.version import __version__
-from adis_gonio.fleet.columns import Row, Table, table_of, unit_of
-from adis_gonio.fleet.memory.record import COLUMNS as QUANTITIES
+from adis_gonio.fleet.columns import Row, Table, table_of
 from adis_gonio.fleet.outlying import (
     LEVEL,
     Codes,
@@ -27,6 +26,7 @@ from adis_gonio.fleet.outlying import (
     by_unit,
     outlying,
 )
+from adis_gonio.fleet.record import QUANTITIES
 from adis_gonio.fleet.statistics import Beyond, Distribution, Repeats, beyond, repeats
 
 FORMAT = "adis-gonio fleet summary 1"
@@ -230,7 +230,7 @@ def _parameters(table: Table, unit: Codes) -> list[QuantitySummary]:
         dof = np.where(np.isfinite(dof), dof, np.inf)
         known = values[np.isfinite(values)]
         by_u = beyond(values, u, dof), repeats(values, u, dof, unit)
-        found.append(QuantitySummary(name, unit_of(name), Distribution.of(known), *by_u))
+        found.append(QuantitySummary(name, QUANTITIES[name], Distribution.of(known), *by_u))
     return found
 
 
@@ -280,7 +280,7 @@ def _named(test: Test, tests: int, table: Table, groups: dict[str, Codes]) -> Ou
         test.kind,
         name,
         test.quantity,
-        "1" if test.quantity.startswith("effect ") else unit_of(test.quantity),
+        "1" if test.quantity.startswith("effect ") else QUANTITIES[test.quantity],
         float(test.z),
         float(test.p_value),
         min(1.0, tests * float(test.p_value)),

@@ -1,22 +1,24 @@
-"""What is done with one session of a fleet: the same wherever it is done."""
+"""One session of many: the job, and the record that a worker makes of it, wherever it works."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+import math
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.base.values import Value, finite_or_none
 from adis_gonio.base.version import __version__
+from adis_gonio.fleet.record import QUANTITIES, FoundEffect, SessionRecord
 
 if TYPE_CHECKING:
+    from adis_gonio.fitting.answer import Answer
     from adis_gonio.model.records import Session
-
-Document = dict[str, Any]
-"""What a worker returns: `record` (a row of the summary), `evidence` (for the population trace, or None),
-`final` (false where another run of the same file may end otherwise)."""
+    from adis_gonio.tracing import TraceResult
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class Options:
     Attributes
     ----------
     trace : bool
-        Trace the residual too: seconds a session, where a fit takes tenths.
+        Trace the residual too: seconds to half a minute a session, where a fit takes tenths.
     evidence : bool
         Compute what `adis_gonio.fleet.population` needs of it.
     """
@@ -38,6 +40,11 @@ class Options:
         """As `Options(**…)` takes it."""
         return asdict(self)
 
+    @property
+    def key(self) -> str:
+        """Text that differs where the same file may give another result: options and version."""
+        return json.dumps([self.as_dict(), __version__])
+
 
 @dataclass(frozen=True)
 class Job:
@@ -45,11 +52,6 @@ class Job:
 
     path: str
     digest: str
-
-    def key(self, options: Options) -> str:
-        """Name of the result: the same bytes, options and version give the same."""
-        parts = [self.digest, options.as_dict(), __version__]
-        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
 def digest_of_file(path: str | Path) -> str:
@@ -64,16 +66,13 @@ def digest_of_file(path: str | Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def lost(path: str, reason: str) -> Document:
-    """What stands for a session that nobody could work on: a failed row, and not the last word."""
-    from adis_gonio.fleet.memory.record import SessionRecord
-
-    record = SessionRecord(path, status="failed", reason=f"{path}: {reason}")
-    return {"record": record.as_dict(), "evidence": None, "final": False}
+def lost(path: str, reason: str) -> SessionRecord:
+    """Record of a session that nobody could work on; it has no digest, and the next run tries it again."""
+    return SessionRecord(path, status="failed", reason=f"{path}: {reason}")
 
 
-def work(path: str, digest: str, options: Mapping[str, bool], version: str) -> Document:
-    """Fit and trace one session; a file that cannot be used is a failed row with its reason.
+def work(path: str, digest: str, options: dict[str, bool], version: str) -> SessionRecord:
+    """Record of a job, made by a worker that may stand on another machine.
 
     Parameters
     ----------
@@ -92,17 +91,101 @@ def work(path: str, digest: str, options: Mapping[str, bool], version: str) -> D
         return lost(path, f"cannot be read where the worker is: {error.strerror or error}")
     if own != digest:
         return lost(path, "is not the same file where the worker is, or was changed meanwhile")
-    from adis_gonio.fleet.memory.record import record_and_session
-
-    record, session = record_and_session(path, trace=options["trace"])
-    asked = options["evidence"] and record.status == "ok"
-    evidence = _evidence(session) if asked and session is not None else None
-    return {"record": record.as_dict(), "evidence": evidence, "final": True}
+    return record_of(path, **options)
 
 
-def _evidence(session: Session) -> Document | None:
-    """What a population needs of a session; None where it has nothing to say there, as one pose has not."""
-    from adis_gonio.base.errors import AdisGonioError
+def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) -> SessionRecord:
+    """Fit one session; a broken file gives a record with its reason, never an exception.
+
+    Parameters
+    ----------
+    trace, evidence : bool
+        As in `Options`.
+    """
+    from adis_gonio.record.loading import load_session
+    from adis_gonio.record.overrides import as_it_is
+
+    path = Path(path)
+    known: dict[str, Any] = {"path": str(path), "software": f"adis-gonio {__version__}"}
+    try:
+        # Before it is read: a file that changes meanwhile has another digest next time.
+        known["sha256"] = digest_of_file(path) if path.is_file() else None
+        session = load_session(path)
+        known |= _facts(session)
+        found = _results(session, trace=trace)
+        return SessionRecord(**known, **found, evidence=_evidence(session) if evidence else None)
+    except (AdisGonioError, OSError) as error:
+        reason = as_it_is(str(error))
+    except Exception as error:  # among thousands of files one may find what nobody thought of
+        reason = f"{path}: {type(error).__name__}: {error}"
+    return SessionRecord(**known, status="failed", reason=" ".join(reason.split()))
+
+
+def _facts(session: Session) -> dict[str, Any]:
+    """What the file says, whatever a fit makes of it."""
+    from adis_gonio.record.provenance import provenance_of
+
+    origin = provenance_of(session)
+    return {
+        "data_sha256": origin.sha256,
+        "serial": origin.serial.strip() or None,
+        "operator": origin.operator.strip() or None,
+        "stage": origin.stage.strip() or None,
+        "sensor": origin.sensor,
+        "plan": (session.facts.get("plan") or {}).get("name"),
+        "when": _utc(origin.recorded_utc),
+        "simulated": session.facts.get("simulated"),
+        "dwells": len(session.dwells),
+        "measuring_s": math.fsum(float(d.time_s[-1] - d.time_s[0]) for d in session.dwells if len(d)),
+        "temperature_c": None if origin.temperature_c is None else origin.temperature_c.mean,
+        "gravity_mps2": origin.gravity_mps2,
+        "doubts": tuple(str(doubt["message"]) for doubt in session.facts.get("doubts", ())),
+    }
+
+
+def _utc(text: str) -> str | None:
+    """The same moment in UTC, to the second; a time without a zone is UTC already."""
+    if not text:
+        return None
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        return None
+    moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+    return moment.isoformat(timespec="seconds")
+
+
+def _results(session: Session, *, trace: bool) -> dict[str, Any]:
+    from adis_gonio.fitting import fit
+    from adis_gonio.tracing.answer import answer_with_trace
+    from adis_gonio.tracing.trace import trace as traced_by
+
+    found = traced_by(session) if trace else None
+    answer = answer_with_trace(fit(session), found, own=False)
+    score = answer.scores.get(answer.scored_as)
+    return {
+        "method": answer.recommended.method,
+        "model_effects": answer.recommended.effects,
+        "values": _values(answer),
+        "angle_max_deg": None if score is None else finite_or_none(score.angle_max_deg),
+        **_of_trace(found),
+    }
+
+
+def _values(answer: Answer) -> dict[str, Value]:
+    known = {**answer.parameters, **answer.values}
+    return {name: known[name] for name in QUANTITIES if name in known}
+
+
+def _of_trace(found: TraceResult | None) -> dict[str, Any]:
+    if found is None:
+        return {}
+    effects = tuple(FoundEffect(f.effect, f.axes, f.p_value, f.parameters) for f in found.found)
+    return {"traced": True, "effects": effects, "adequate": found.adequate}
+
+
+def _evidence(session: Session) -> dict[str, Any] | None:
+    """Evidence of a session for a population; None if it has none, such as a session of one pose."""
     from adis_gonio.fleet.population import evidence_of
 
     try:

@@ -1,4 +1,4 @@
-"""A worker process of one machine: jobs come in as lines of JSON, documents go out as lines of JSON.
+"""A worker process of one machine: jobs come in as lines of JSON, records go out as lines of JSON.
 
     python -P -m adis_gonio.fleet.worker
 
@@ -29,7 +29,7 @@ def main() -> None:
     while True:
         answers.write(json.dumps(document) + "\n")
         answers.flush()
-        document = work(**jobs.get())
+        document = work(**jobs.get()).as_dict()
 
 
 def _read(jobs: queue.SimpleQueue[dict[str, Any]]) -> None:

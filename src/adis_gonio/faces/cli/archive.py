@@ -37,19 +37,19 @@ def command(
     Results are kept in an index: only files that are new or have changed are computed. Files that cannot be
     used are listed with the reason. What was indexed once is remembered when its file is gone.
     """
-    with remembered(places, index_path, trace=trace) as (index, scan):
-        rows = index.rows(serial=serial, operator=operator, stage=stage)
+    with remembered(places, index_path, trace=trace) as (store, scan):
+        rows = store.rows(serial=serial, operator=operator, stage=stage)
         broken = [row for row in rows if row["status"] != "ok"]
         if not (serial or operator or stage):
             broken += [record.row() | {"copies": [], "gone": False} for record in scan.unreadable]
         good = [row for row in rows if row["status"] == "ok"]
         document = {
-            "index": str(index.path),
+            "index": str(store.path),
             "computed": scan.computed,
             "known": scan.known,
             "sessions": good,
             "failed": broken,
-            "problems": list(index.problems),
+            "problems": list(store.problems),
         }
     if as_json:
         print_json(document)

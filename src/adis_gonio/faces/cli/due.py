@@ -62,8 +62,8 @@ def command(
     from adis_gonio.fleet.memory.intervals_due import DEFAULT_LIMIT_DEG, Rules, due_of
 
     limits = Rules(DEFAULT_LIMIT_DEG if limit_deg is None else limit_deg, limit_deg is None, **more)
-    with remembered(places, index_path, trace=trace) as (index, _):
-        found = due_of(history_of(serial, sessions_of(index, serial)), limits)
+    with remembered(places, index_path, trace=trace) as (store, _):
+        found = due_of(history_of(serial, sessions_of(store, serial)), limits)
     if as_json:
         print_json(found.as_dict())
     else:

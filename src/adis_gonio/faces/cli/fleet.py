@@ -15,7 +15,7 @@ from adis_gonio.faces.cli.show import console, json_option, print_json, print_ta
 from adis_gonio.faces.cli.working import working
 
 if TYPE_CHECKING:
-    from adis_gonio.fleet import Cluster, Journal, LocalPool
+    from adis_gonio.fleet import Cluster, LocalPool, Store
     from adis_gonio.fleet.outputs import FleetResult
 
 
@@ -106,19 +106,17 @@ def command(
 
 
 @contextmanager
-def _kept(journal: Path | None) -> Iterator[Journal | None]:
-    """The journal, and a word of it where the work is broken off."""
-    from adis_gonio.fleet import Journal
+def _kept(journal: Path | None) -> Iterator[Store]:
+    """The store of the results, and a word of it where the work is broken off."""
+    from adis_gonio.fleet.store import IN_MEMORY, Store
 
-    if journal is None:
-        yield None
-        return
-    with Journal(journal) as held:
+    with Store(journal or IN_MEMORY, strict=True) as held:
         try:
             yield held
         except KeyboardInterrupt:
-            done = counted(len(held.documents), "session")
-            click.echo(f"{journal} holds {done}: the same command goes on from there", err=True)
+            if journal is not None:
+                done = counted(held.sessions, "session")
+                click.echo(f"{journal} holds {done}: the same command goes on from there", err=True)
             raise
 
 

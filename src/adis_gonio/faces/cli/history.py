@@ -55,8 +55,8 @@ def command(
 
         require_matplotlib()
     h = CUSUM_H if run_length is None else limit_for(run_length)
-    with remembered(places, index_path, trace=trace) as (index, _):
-        found = history_of(serial, sessions_of(index, serial), h=h)
+    with remembered(places, index_path, trace=trace) as (store, _):
+        found = history_of(serial, sessions_of(store, serial), h=h)
     if output is not None:
         _write(found, output)
     if as_json:

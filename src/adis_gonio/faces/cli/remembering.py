@@ -1,4 +1,4 @@
-"""What `archive`, `history` and `due` share: folders, the index, and what is said of it."""
+"""What `archive`, `history` and `due` share: folders, the store of results, and its problems."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ import click
 from adis_gonio.faces.cli.working import working
 
 if TYPE_CHECKING:
-    from adis_gonio.fleet.memory.index import Index, Scan
-    from adis_gonio.fleet.memory.record import SessionRecord
+    from adis_gonio.fleet.record import SessionRecord
+    from adis_gonio.fleet.run import Scan
+    from adis_gonio.fleet.store import Store
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -40,20 +41,21 @@ def index_options(function: F) -> F:
 @contextmanager
 def remembered(
     places: Sequence[Path], index_path: Path | None, *, trace: bool
-) -> Iterator[tuple[Index, Scan]]:
-    """The index with all that the folders hold; what is wrong with its file is said on standard error."""
-    from adis_gonio.fleet.memory.index import Index
+) -> Iterator[tuple[Store, Scan]]:
+    """The store with the results of all sessions in the folders; reports problems of its file."""
+    from adis_gonio.fleet.run import scan
+    from adis_gonio.fleet.store import Store
 
     places = places or (Path(),)
-    with Index.of(places, index_path) as index:
+    with Store.of(places, index_path) as store:
         with working(f"reading {', '.join(map(str, places))}"):
-            scan = index.scan(places, trace=trace)
-        for problem in index.problems:
+            found = scan(store, places, trace=trace)
+        for problem in store.problems:
             click.echo(problem, err=True)
-        yield index, scan
+        yield store, found
 
 
-def sessions_of(index: Index, serial: str) -> list[SessionRecord]:
+def sessions_of(store: Store, serial: str) -> list[SessionRecord]:
     """Records of a sensor, in the order of time.
 
     Raises
@@ -63,8 +65,8 @@ def sessions_of(index: Index, serial: str) -> list[SessionRecord]:
     """
     from adis_gonio.fleet.memory.history import alike, known_serial
 
-    known = index.serials()
-    found = index.records(known_serial(serial, known))
+    known = store.serials()
+    found = store.records(known_serial(serial, known))
     for other in alike(serial, known):
         click.echo(f"sessions of '{other}' are not those of '{serial}': another sensor?", err=True)
     return found

@@ -15,7 +15,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.base.values import Value
 from adis_gonio.fleet.memory.control_chart import CUSUM_H, CUSUM_K, ControlChart, control_chart
 from adis_gonio.fleet.memory.drift import Drift, drift_of
-from adis_gonio.fleet.memory.record import ANGLE, QUANTITIES, SKEWS, SessionRecord
+from adis_gonio.fleet.record import ANGLE, QUANTITIES, SessionRecord
 
 LEVEL = 0.05
 """Probability of calling a drift where none is, over all quantities of a sensor together (Bonferroni)."""
@@ -201,7 +201,7 @@ def _names(records: Sequence[SessionRecord]) -> list[str]:
     """Quantities to follow: in the plane gains as ΔK only, since their common part is gravity."""
     if any("delta_k" in record.values for record in records):
         return [*_IN_PLANE, ANGLE]
-    return [*QUANTITIES[2:], *SKEWS]
+    return [name for name in QUANTITIES if name.startswith(("bias_", "scale_", "skew_"))]
 
 
 def _track(name: str, records: Sequence[SessionRecord], k: float, h: float) -> Track:

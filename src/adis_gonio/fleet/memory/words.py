@@ -11,7 +11,7 @@ from adis_gonio.base.numbers import p_text
 from adis_gonio.base.values import Value
 from adis_gonio.base.wording import NAMES, decimals, fixed
 from adis_gonio.fleet.memory.history import LEVEL, History, Track, date_of
-from adis_gonio.fleet.memory.record import SessionRecord
+from adis_gonio.fleet.record import SessionRecord
 
 _ROWS = 9
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.handover.paper.crossing import rms
-from adis_gonio.handover.paper.sessions import METHODS, Part, Results, true_values
-from adis_gonio.handover.paper.truth import TABLE, Axis, TableRow, Truth, truth_of
+from adis_gonio.handover.paper.sessions import METHODS, Part, Results
+from adis_gonio.handover.paper.truth import TABLE, Axis, TableRow, truth_of
 
 BIAS_MG = 10.0
 """Standard deviation of an axis's bias in the sessions that ask what a bias does."""
@@ -96,7 +96,7 @@ def spread_of(results: Sequence[Results], method: str, key: str) -> MethodSpread
         found = one.found.get(method)
         value = None if found is None else found.values[key]
         if found is not None and value is not None:
-            values.append((value, value - true_values(one.part.truth)[key]))
+            values.append((value, value - one.part.truth.values[key]))
             uncertainties.append(found.u[key])
     if not values:
         return MethodSpread()
@@ -119,12 +119,8 @@ def parts_of_column(column: Axis, seeds: Sequence[int]) -> list[Part]:
 def parts_with_bias(rng: np.random.Generator, count: int) -> list[Part]:
     """Parts of the table's gains and misalignment, with biases of standard deviation `BIAS_MG` an axis."""
     true = truth_of("x")
-    parts = []
-    for _ in range(count):
-        b_x, b_y = BIAS_MG * rng.standard_normal(2)
-        hidden = Truth(true.scale_x, true.scale_y, true.delta_phi_deg, (float(b_x), float(b_y)))
-        parts.append(Part(int(rng.integers(2**31)), hidden))
-    return parts
+    hidden = (true.with_bias(BIAS_MG, rng) for _ in range(count))
+    return [Part(seed=int(rng.integers(2**31)), truth=truth) for truth in hidden]
 
 
 @dataclass(frozen=True)
@@ -184,7 +180,7 @@ def _errors(results: Sequence[Results], method: str) -> Floats:
     """Errors of Δφ in degrees; NaN where a method does not determine it."""
     key = "non_orthogonality"
     values = [one.found[method].values[key] for one in results]
-    true = [true_values(one.part.truth)[key] for one in results]
+    true = [one.part.truth.values[key] for one in results]
     return np.array([math.nan if v is None else v - t for v, t in zip(values, true, strict=True)])
 
 

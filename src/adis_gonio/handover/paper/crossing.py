@@ -1,8 +1,7 @@
 """Where the paper's method overtakes MMPM: over fixture error, bias and noise of a reading.
 
 Thousands of sessions through chip and driver would take hours. The map is therefore made of readings: the
-planar model with a fixture error of its own at each position, a bias of each axis and white noise. Points
-drawn from it are measured through chip and driver besides (`checked_points`), to see whether both agree.
+planar model with a fixture error of its own at each position, a bias of each axis and white noise.
 
 The error of a method is rms over sessions about the truth; it overtakes where its error is smaller.
 """
@@ -15,15 +14,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy import optimize
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.device.sensor.settings import sample_period_s
 from adis_gonio.fitting.closed_form import DELTA_PHI, FOUR, SCALE_X, SCALE_Y, as_printed, turn_parameters
-from adis_gonio.handover.paper.sessions import DWELL_S, METHODS, Part, Results, true_values
 from adis_gonio.handover.paper.truth import Truth
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.sim.world import GREATEST_ALPHA_DEG
 
 FIXTURES_DEG: tuple[float, ...] = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
@@ -33,7 +28,6 @@ NOISES_MG: tuple[float, ...] = (0.05, 0.16, 0.5, 1.6)
 
 MMPM_ANGLES_DEG = tuple(40.0 * k for k in range(9))
 COMPARED = ("delta_k", "non_orthogonality")
-BY_READINGS = ("paper", "two-position", "four-position", "mmpm")
 DRAWS = 2000
 _SEARCHED_DEG = (1e-3, 10.0)
 """Farther out a position is now and then across, where equation 5 divides by nothing."""
@@ -102,7 +96,7 @@ def by_positions(angles_deg: Sequence[float], natural: Floats, *, bias: bool) ->
 
 
 def estimates(truth: Truth, point: Point, draws: Draws) -> dict[str, dict[str, Floats]]:
-    """ΔK and Δφ (degrees) of every session by each method of `BY_READINGS`."""
+    """ΔK and Δφ (degrees) of every session by each method that needs readings alone."""
     fixture = math.radians(point.fixture_deg)
     at_four, at_nine = (
         readings(
@@ -132,7 +126,7 @@ def estimates(truth: Truth, point: Point, draws: Draws) -> dict[str, dict[str, F
 
 def errors(truth: Truth, point: Point, draws: Draws) -> dict[str, dict[str, float]]:
     """Error (rms over the sessions that have an answer) of ΔK and of Δφ in degrees, by method."""
-    true = true_values(truth)
+    true = truth.values
     return {
         method: {key: rms(values[key] - true[key]) for key in COMPARED}
         for method, values in estimates(truth, point, draws).items()
@@ -163,33 +157,6 @@ def crossing_deg(
 
 
 @dataclass(frozen=True)
-class Checked:
-    """A point of the map, measured through chip and driver.
-
-    Attributes
-    ----------
-    sessions : int
-    by_chip : mapping of str to mapping of str to float
-        Error by method and parameter, rms.
-    by_readings : mapping of str to mapping of str to float
-        The same of the map's own sessions.
-    p : float
-        That squared errors so far from the map's would be chance, for the least likely method and
-        parameter, times their number (Bonferroni).
-    """
-
-    point: Point
-    sessions: int
-    by_chip: Mapping[str, Mapping[str, float]]
-    by_readings: Mapping[str, Mapping[str, float]]
-    p: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return asdict(self)
-
-
-@dataclass(frozen=True)
 class Map:
     """The map of ΔK and Δφ.
 
@@ -201,13 +168,11 @@ class Map:
         Errors by method and parameter.
     crossing : mapping of (bias, noise) to float or None
         Fixture error at which the paper's ΔK overtakes MMPM's, in degrees; None: at none to 10°.
-    checked : tuple of Checked
     """
 
     draws: int
     error: Mapping[Point, Mapping[str, Mapping[str, float]]]
     crossing: Mapping[tuple[float, float], float | None]
-    checked: tuple[Checked, ...] = ()
 
     def ratio(self, point: Point, key: str) -> float:
         """Error of the paper's method over that of MMPM."""
@@ -228,7 +193,6 @@ class Map:
                 for (bias, noise), fixture in self.crossing.items()
             ],
             "least_ratio_of_delta_phi": self.least_ratio_phi,
-            "checked": [one.as_dict() for one in self.checked],
         }
 
 
@@ -240,67 +204,3 @@ def map_of(truth: Truth, draws: Draws) -> Map:
         {point: errors(truth, point, draws) for point in points},
         {(b, n): crossing_deg(truth, b, n, draws) for n in NOISES_MG for b in BIASES_MG},
     )
-
-
-def points_to_check(rng: np.random.Generator, count: int) -> list[Point]:
-    """Places of the map, drawn without repetition."""
-    points = [Point(f, b, n) for n in NOISES_MG[1:] for b in BIASES_MG for f in FIXTURES_DEG[1:]]
-    return [points[k] for k in rng.choice(len(points), count, replace=False)]
-
-
-def parts_at(point: Point, truth: Truth, rng: np.random.Generator, sessions: int) -> list[Part]:
-    """Parts through chip and driver that stand for a point of the map.
-
-    A sample's noise is that of a reading times the root of the samples in it; the chip's 1/f noise is
-    switched off, which the map does not have.
-    """
-    sample_mg = point.noise_mg * math.sqrt(DWELL_S / sample_period_s(1))
-    parts = []
-    for _ in range(sessions):
-        b_x, b_y = point.bias_mg * rng.standard_normal(2)
-        settings = {
-            "fixture_sigma_deg": point.fixture_deg,
-            "noise_mg": sample_mg,
-            "bias_instability_mg": 0.0,
-            "gravity_mps2": STANDARD_GRAVITY_MPS2,
-        }
-        hidden = Truth(truth.scale_x, truth.scale_y, truth.delta_phi_deg, (float(b_x), float(b_y)))
-        parts.append(Part(int(rng.integers(2**31)), hidden, settings))
-    return parts
-
-
-def checked(point: Point, truth: Truth, draws: Draws, measured: Sequence[Results]) -> Checked:
-    """Compare what came through chip and driver with the map."""
-    by_readings = errors(truth, point, draws)
-    by_chip: dict[str, dict[str, float]] = {}
-    for method in METHODS:
-        by_chip[method] = {key: rms(_errors(measured, method, key)) for key in COMPARED}
-    values = estimates(truth, point, draws)
-    true = true_values(truth)
-    least = 1.0
-    for method in BY_READINGS:
-        for key in COMPARED:
-            least = min(least, _alike(_errors(measured, method, key), values[method][key] - true[key]))
-    return Checked(
-        point,
-        len(measured),
-        {m: e for m, e in by_chip.items() if math.isfinite(e[COMPARED[0]])},
-        by_readings,
-        min(1.0, least * len(BY_READINGS) * len(COMPARED)),
-    )
-
-
-def _alike(ours: Floats, theirs: Floats) -> float:
-    """p-value that both samples of errors have one distribution (Kolmogorov and Smirnov)."""
-    ours, theirs = ours[np.isfinite(ours)], theirs[np.isfinite(theirs)]
-    return float(stats.ks_2samp(ours, theirs).pvalue) if len(ours) else 1.0
-
-
-def _errors(measured: Sequence[Results], method: str, key: str) -> NDArray[np.float64]:
-    """Errors of a method over the sessions in which it answered."""
-    found = [
-        (one.found[method].values[key], true_values(one.part.truth)[key])
-        for one in measured
-        if method in one.found
-    ]
-    return np.array([value - true for value, true in found if value is not None], dtype=float)

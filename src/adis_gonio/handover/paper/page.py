@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from adis_gonio.base.counting import counted
 from adis_gonio.base.numbers import SPACE, number, with_unit
 from adis_gonio.base.version import __version__
+from adis_gonio.base.wording import fixed
 from adis_gonio.handover.paper.ambiguities import Ambiguity, LabelledValue
 from adis_gonio.handover.paper.comparison import COLUMNS, Cell, MethodSpread, printed_verdicts
-from adis_gonio.handover.paper.crossing import BIASES_MG, FIXTURES_DEG, NOISES_MG, Checked, Point
+from adis_gonio.handover.paper.crossing import BIASES_MG, FIXTURES_DEG, NOISES_MG, Point
 from adis_gonio.handover.paper.sessions import DWELL_S, METHODS, TRACED
 from adis_gonio.handover.paper.study import Study
 from adis_gonio.handover.paper.truth import RMSD, TABLE
@@ -111,12 +112,7 @@ def _summary(done: Study) -> Section:
 def _cell(spread: MethodSpread) -> str:
     if spread.mean is None:
         return "not determined"
-    return f"{_fixed(spread.mean)} ±{SPACE}{_fixed(spread.spread or 0.0)}"
-
-
-def _fixed(value: float) -> str:
-    """Four decimals, as the table prints."""
-    return f"{value:.4f}".replace("-", "−")
+    return f"{fixed(spread.mean, 4)} ±{SPACE}{fixed(spread.spread or 0.0, 4)}"
 
 
 def _table(done: Study) -> Section:
@@ -153,12 +149,15 @@ def _table(done: Study) -> Section:
 
 def _row(cell: Cell) -> list[str]:
     row = cell.row
-    texts = [f"{row.name}{f' / {row.unit}' if row.unit != '1' else ''}".replace("deg", "°")]
-    texts.append(_fixed(row.measured))
+    texts = [row.label, fixed(row.measured, 4)]
     for method, field in COLUMNS.items():
         spread = cell.ours[method]
-        texts += [_fixed(getattr(row, field)), _cell(spread), "–" if spread.u is None else _fixed(spread.u)]
-    return [*texts, _fixed(row.specification)]
+        texts += [
+            fixed(getattr(row, field), 4),
+            _cell(spread),
+            "–" if spread.u is None else fixed(spread.u, 4),
+        ]
+    return [*texts, fixed(row.specification, 4)]
 
 
 def _figure_3(done: Study) -> Section:
@@ -235,8 +234,7 @@ def _others(done: Study) -> Section:
     head = ["row", *(NAMES[method] for method in METHODS)]
     rows = []
     for cell in done.table.cells:
-        name = f"{cell.row.name}{'' if cell.row.unit == '1' else ' / ' + cell.row.unit}".replace("deg", "°")
-        rows.append([name, *(_error(cell.ours[method]) for method in METHODS)])
+        rows.append([cell.row.label, *(_error(cell.ours[method]) for method in METHODS)])
     rows.append(["ΔK, column X", *(_error(done.table.gain[method]) for method in METHODS)])
     rows.append(["positions", *(str(POSITIONS[method]) for method in METHODS)])
     traced = max(cell.ours[TRACED].sessions for cell in done.table.cells)
@@ -276,7 +274,6 @@ def _map(done: Study) -> Section:
             _ratios(done, "delta_k", "ΔK"),
             _ratios(done, "non_orthogonality", "Δφ"),
         ),
-        parts=(_checked(done),),
         notes=(f"Command: {done.command} --json (map)",),
     )
 
@@ -342,44 +339,6 @@ def _ratios(done: Study, key: str, name: str) -> Table:
         " of noise a reading.",
         numeric=tuple(range(1, len(_SHOWN_BIASES_MG) + 1)),
     )
-
-
-def _checked(done: Study) -> Section:
-    head = ("point", "value", *(NAMES[m] for m in METHODS if m != TRACED), "p")
-    rows: list[list[str]] = []
-    for one in done.map.checked:
-        rows += _checked_rows(one)
-    return Section(
-        "Points of the map through chip and driver",
-        words=(
-            f"{counted(len(done.map.checked), 'point')} drawn from the map,"
-            f" {counted(done.sessions, 'part')} each, measured frame by frame like every other session. p"
-            " is the probability of so different a sample of errors if chip and readings agree (Kolmogorov"
-            " and Smirnov, the least of the methods and parameters times their number).",
-        ),
-        tables=(Table(head, rows, numeric=tuple(range(2, len(head)))),),
-    )
-
-
-def _checked_rows(one: Checked) -> list[list[str]]:
-    point = one.point
-    place = f"{point.fixture_deg:g}°, {point.bias_mg:g}{SPACE}mg, {point.noise_mg:g}{SPACE}mg"
-    rows = []
-    for key, name in (("delta_k", "ΔK"), ("non_orthogonality", "Δφ / °")):
-        for source, errors in (("chip", one.by_chip), ("map", one.by_readings)):
-            rows.append(
-                [
-                    place,
-                    f"{name}, {source}",
-                    *(_of(errors, method, key) for method in METHODS if method != TRACED),
-                    number(one.p, 2) if (key, source) == ("delta_k", "chip") else "",
-                ]
-            )
-    return rows
-
-
-def _of(errors: Mapping[str, Mapping[str, float]], method: str, key: str) -> str:
-    return number(errors[method][key], 2) if method in errors else "–"
 
 
 def _bias(done: Study) -> Section:

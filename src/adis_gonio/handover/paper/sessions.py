@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from itertools import starmap
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -126,20 +127,15 @@ class MethodValues:
     u: Mapping[str, float | None] = field(default_factory=dict)
 
 
-QUANTITIES = ("scale_error_x", "scale_error_y", "offset_x", "offset_y", "non_orthogonality", "delta_k")
-
-
-def true_values(truth: Truth) -> dict[str, float]:
-    """The same quantities of a truth."""
-    values = (
-        truth.scale_x - 1,
-        truth.scale_y - 1,
-        truth.bias_mg[0] / 1000,
-        truth.bias_mg[1] / 1000,
-        truth.delta_phi_deg,
-        truth.delta_k,
-    )
-    return dict(zip(QUANTITIES, values, strict=True))
+_FROM_FIT = {
+    "scale_error_x": ("scale_x", 1.0, 1.0),
+    "scale_error_y": ("scale_y", 1.0, 1.0),
+    "offset_x": ("bias_x", 1e-3, 0.0),
+    "offset_y": ("bias_y", 1e-3, 0.0),
+    "non_orthogonality": ("delta_phi", 1.0, 0.0),
+    "delta_k": ("delta_k", 1.0, 0.0),
+}
+"""The paper's quantities: (name − zero) · factor of a parameter of `fit`."""
 
 
 def quantities(result: FitResult | TraceResult) -> MethodValues:
@@ -158,20 +154,12 @@ def quantities(result: FitResult | TraceResult) -> MethodValues:
         if result.method == "paper" and result.origin is not None:
             k_x, k_y = (float(k) for k in result.origin.fit.values.base[1:3])
             found |= {"scale_x": (k_x, None), "scale_y": (k_y, None)}
-    values: dict[str, float | None] = dict.fromkeys(QUANTITIES)
-    u: dict[str, float | None] = dict.fromkeys(QUANTITIES)
-    for name, key, factor, zero in (
-        ("scale_x", "scale_error_x", 1.0, 1.0),
-        ("scale_y", "scale_error_y", 1.0, 1.0),
-        ("bias_x", "offset_x", 1e-3, 0.0),
-        ("bias_y", "offset_y", 1e-3, 0.0),
-        ("delta_phi", "non_orthogonality", 1.0, 0.0),
-        ("delta_k", "delta_k", 1.0, 0.0),
-    ):
-        if name in found:
-            value, spread = found[name]
-            values[key] = (value - zero) * factor
-            u[key] = None if spread is None else spread * factor
+    values: dict[str, float | None] = {}
+    u: dict[str, float | None] = {}
+    for key, (name, factor, zero) in _FROM_FIT.items():
+        value, spread = found.get(name, (None, None))
+        values[key] = None if value is None else (value - zero) * factor
+        u[key] = None if spread is None else spread * factor
     return MethodValues(values, u)
 
 
@@ -184,7 +172,7 @@ class Results:
     refused: Mapping[str, str] = field(default_factory=dict)
 
 
-def results_of(part: Part, *, traced: bool = False) -> Results:
+def results_of(part: Part, traced: bool = False) -> Results:
     """Measure a part and apply every method."""
     sessions = {name: measured(part, name) for name in PLANS}
     found: dict[str, MethodValues] = {}
@@ -199,19 +187,15 @@ def results_of(part: Part, *, traced: bool = False) -> Results:
     return Results(part, found, refused)
 
 
-def _work(job: tuple[Part, bool]) -> Results:
-    return results_of(job[0], traced=job[1])
-
-
 def all_results(parts: Sequence[tuple[Part, bool]], jobs: int = 1) -> list[Results]:
     """Results of many parts in their order; each with whether it is traced too."""
     if jobs <= 1:
-        return list(_told(map(_work, parts), len(parts)))
+        return list(_told(starmap(results_of, parts), len(parts)))
     # Ctrl-C is the parent's to answer: it ends the pool in order, without a traceback from each process.
     with ProcessPoolExecutor(
         jobs, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
     ) as pool:
-        return list(_told(pool.map(_work, parts), len(parts)))
+        return list(_told(pool.map(results_of, *zip(*parts, strict=True)), len(parts)))
 
 
 def _told(done: Iterable[Results], count: int) -> Iterator[Results]:

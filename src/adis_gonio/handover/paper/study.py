@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,13 +22,12 @@ from adis_gonio.handover.paper.comparison import (
     printed_verdicts,
     table_of,
 )
-from adis_gonio.handover.paper.crossing import DRAWS, Draws, Map, checked, map_of, parts_at, points_to_check
+from adis_gonio.handover.paper.crossing import DRAWS, Draws, Map, map_of
 from adis_gonio.handover.paper.sessions import DWELL_S, Part, Results, all_results, facts_of
 from adis_gonio.handover.paper.truth import AXES, RMSD, Axis, truth_of
 
 SESSIONS = 10
 LEAST_SESSIONS, MOST_SESSIONS = 2, 10_000
-CHECKED_POINTS = 3
 TRACED_SHARE = 5
 """One part of so many is traced, at least one, of each column and of those with a bias."""
 _TRACED = (*AXES, "bias")
@@ -92,7 +91,7 @@ def reproduce(
     seed : int
         Everything that is drawn comes from here; not negative.
     sessions : int
-        Parts of each kind: of either column, with a bias, and at each point of the map that is checked.
+        Parts of each kind: of either column, and with a bias.
     jobs : int, optional
         Processes; by default one a core.
     draws : int
@@ -109,30 +108,25 @@ def reproduce(
         raise UsageError(f"--sessions is {sessions}: take {LEAST_SESSIONS} to {MOST_SESSIONS}")
     tell = current().tell
     streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(6)]
-    seeding, mapping, biased, places, again, at_pole = streams
+    seeding, mapping, biased, _, again, at_pole = streams
     tell("the map, by readings")
-    truth = truth_of("x")
-    drawn = Draws.of(mapping, draws)
-    mapped = map_of(truth, drawn)
+    mapped = map_of(truth_of("x"), Draws.of(mapping, draws))
     kinds: dict[str, list[Part]] = {
         column: parts_of_column(column, [int(s) for s in seeding.integers(2**31, size=sessions)])
         for column in AXES
     }
     kinds["bias"] = parts_with_bias(biased, sessions)
-    points = points_to_check(places, CHECKED_POINTS)
-    kinds |= {f"point {k}": parts_at(point, truth, places, sessions) for k, point in enumerate(points)}
     kinds["load"] = list(load_parts(int(seeding.integers(2**31))))
     tell("sessions through chip and driver")
     results = _measured(
         kinds, max(1, sessions // TRACED_SHARE), jobs or min(os.cpu_count() or 1, _MOST_JOBS)
     )
     columns: dict[Axis, Sequence[Results]] = {axis: results[axis] for axis in AXES}
-    compared = [checked(p, truth, drawn, results[f"point {k}"]) for k, p in enumerate(points)]
     return Study(
         seed,
         sessions,
         table_of(columns),
-        replace(mapped, checked=tuple(compared)),
+        mapped,
         errors_with_bias(results["bias"], again),
         ambiguities(at_pole, results["load"]),
         results,

@@ -13,7 +13,7 @@ column Y has 0.0673°. Scales and offsets are those of both axes in both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -48,6 +48,11 @@ class TableRow:
     def name(self) -> str:
         """Such as `SF, X`."""
         return f"{self.printed}, {self.axis.upper()}"
+
+    @property
+    def label(self) -> str:
+        """Name with the unit, such as `N, X / °`."""
+        return self.name + {"1": "", "deg": " / °"}.get(self.unit, f" / {self.unit}")
 
 
 TABLE: tuple[TableRow, ...] = (
@@ -98,6 +103,23 @@ class Truth:
         """K_x, K_y, Δφ in rad, b_x and b_y in local gravity."""
         b_x, b_y = (b / 1000 for b in self.bias_mg)
         return self.scale_x, self.scale_y, float(np.radians(self.delta_phi_deg)), b_x, b_y
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The paper's quantities: relative errors of scales, offsets in g, the angle in degrees, ΔK."""
+        return {
+            "scale_error_x": self.scale_x - 1,
+            "scale_error_y": self.scale_y - 1,
+            "offset_x": self.bias_mg[0] / 1000,
+            "offset_y": self.bias_mg[1] / 1000,
+            "non_orthogonality": self.delta_phi_deg,
+            "delta_k": self.delta_k,
+        }
+
+    def with_bias(self, sigma_mg: float, rng: np.random.Generator) -> Truth:
+        """The same gains and misalignment, with biases of a standard deviation."""
+        b_x, b_y = sigma_mg * rng.standard_normal(2)
+        return replace(self, bias_mg=(float(b_x), float(b_y)))
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""

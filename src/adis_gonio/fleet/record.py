@@ -1,0 +1,185 @@
+"""One session's result: the record that the store keeps, and its flat row.
+
+The numbers are those of the one answer (`adis_gonio.tracing.answer`), as `fit` and the report show them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from adis_gonio.base.values import Value
+
+ANGLE = "angle"
+"""Error of the angle, rms; its u and U are those of an angle that is shown."""
+QUANTITIES = {
+    "delta_k": "1",
+    "delta_phi": "deg",
+    **{f"bias_{axis}": "mg" for axis in "xyz"},
+    **{f"scale_{axis}": "1" for axis in "xyz"},
+    **{f"skew_{axes}": "deg" for axes in ("xy", "xz", "yz")},
+    ANGLE: "deg",
+}
+"""Unit of each quantity that a record can hold, named as in the document of `fit`; in space the
+skews stand in the place of `delta_phi`."""
+PARTS = {"": "value", "_u": "u", "_u95": "U", "_k": "k", "_dof": "dof"}
+"""Columns of a quantity in a row, by ending, with their keys in the document of a value."""
+
+Status = Literal["ok", "failed"]
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect that a trace found, as `found` in the document of `trace`."""
+
+    effect: str
+    axes: tuple[str, ...]
+    p_value: float
+    parameters: dict[str, Value]
+
+    def as_dict(self) -> dict[str, Any]:
+        """`{"effect", "axes", "p_value", "parameters"}`."""
+        return {
+            "effect": self.effect,
+            "axes": list(self.axes),
+            "p_value": self.p_value,
+            "parameters": {name: value.as_dict() for name, value in self.parameters.items()},
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> FoundEffect:
+        """The inverse of `as_dict`."""
+        values = {name: value_from(entry) for name, entry in data["parameters"].items()}
+        return cls(data["effect"], tuple(data["axes"]), data["p_value"], values)
+
+
+@dataclass(frozen=True)
+class SessionRecord:
+    """What is remembered of one session's file; text that nobody gave, and what is not known, is None.
+
+    Attributes
+    ----------
+    path : str
+        Where the file was read.
+    sha256 : str or None
+        Of the file; None where it could not be read.
+    data_sha256 : str or None
+        Of the dwells' data: the same for an archive and for the CSV exported from it.
+    serial, operator, stage : str or None
+        What the operator wrote down.
+    sensor : str or None
+        Variant.
+    plan : str or None
+        Name of the plan; None for a CSV.
+    when : str or None
+        When the session began (UTC, ISO 8601); None for a CSV.
+    simulated : bool or None
+    dwells : int or None
+    measuring_s : float or None
+        Time in the dwells, s.
+    temperature_c : float or None
+        Mean over all samples.
+    gravity_mps2 : float or None
+    method : str or None
+        Recommended method, whose numbers these are.
+    model_effects : tuple of str
+        Effects of the traced model, where that is the answer.
+    values : mapping of str to Value
+        `QUANTITIES` that the session determines.
+    angle_max_deg : float or None
+        Largest error of the angle over the dwells, each left out of the fit.
+    traced : bool
+        True where a trace ran; else nothing is known of effects.
+    effects : tuple of FoundEffect
+    adequate : bool or None
+        Whether the traced model explains the readings; None without a trace.
+    doubts : tuple of str
+        Why the result cannot be right: what was kept against a guard.
+    status : {"ok", "failed"}
+    reason : str
+        Why it failed, one line.
+    software : str
+        Program that computed it.
+    evidence : mapping or None
+        Of `SessionEvidence.as_dict`, if it was asked for and the session has any.
+    """
+
+    path: str
+    sha256: str | None = None
+    data_sha256: str | None = None
+    serial: str | None = None
+    operator: str | None = None
+    stage: str | None = None
+    sensor: str | None = None
+    plan: str | None = None
+    when: str | None = None
+    simulated: bool | None = None
+    dwells: int | None = None
+    measuring_s: float | None = None
+    temperature_c: float | None = None
+    gravity_mps2: float | None = None
+    method: str | None = None
+    model_effects: tuple[str, ...] = ()
+    values: dict[str, Value] = field(default_factory=dict)
+    angle_max_deg: float | None = None
+    traced: bool = False
+    effects: tuple[FoundEffect, ...] = ()
+    adequate: bool | None = None
+    doubts: tuple[str, ...] = ()
+    status: Status = "ok"
+    reason: str = ""
+    software: str = ""
+    evidence: dict[str, Any] | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON document: the attributes by their names, values as in the document of `fit`."""
+        return {
+            **vars(self),
+            "model_effects": list(self.model_effects),
+            "values": {name: value.as_dict() for name, value in self.values.items()},
+            "effects": [effect.as_dict() for effect in self.effects],
+            "doubts": list(self.doubts),
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> SessionRecord:
+        """The inverse of `as_dict`."""
+        return cls(
+            **{
+                **data,
+                "model_effects": tuple(data["model_effects"]),
+                "values": {name: value_from(entry) for name, entry in data["values"].items()},
+                "effects": tuple(FoundEffect.from_dict(entry) for entry in data["effects"]),
+                "doubts": tuple(data["doubts"]),
+            }
+        )
+
+    def row(self) -> dict[str, str | float | int | bool | None]:
+        """One flat row, the same columns for every record: a table's (SQLite, Parquet).
+
+        Each of `QUANTITIES` takes five (`PARTS`): `delta_k`, `delta_k_u`, `delta_k_u95` (U: names of
+        columns do not tell capitals apart), `delta_k_k`, `delta_k_dof`. `effects` are names,
+        separated by a space.
+        """
+        facts = {k: v for k, v in vars(self).items() if k not in ("values", "evidence")}
+        facts["model_effects"] = " ".join(self.model_effects)
+        facts["effects"] = " ".join(dict.fromkeys(found.effect for found in self.effects))
+        facts["doubts"] = "; ".join(self.doubts)
+        for name in QUANTITIES:
+            value = self.values[name].as_dict() if name in self.values else {}
+            facts |= {f"{name}{end}": value.get(key) for end, key in PARTS.items()}
+        return facts
+
+
+def value_from(entry: Mapping[str, Any]) -> Value:
+    """A `Value` from its JSON form."""
+    value, dof = entry["value"], entry["dof"]
+    return Value(
+        math.nan if value is None else value,
+        entry["u"],
+        entry["unit"],
+        math.inf if dof is None else dof,
+        entry["k"],
+    )

@@ -1,0 +1,367 @@
+"""The store: the result of every session file by the file's digest, so that nothing is computed twice.
+
+One SQLite file. `archive`, `history` and `due` keep it in the first folder, `fleet` as its journal.
+
+| table | a row is |
+|---|---|
+| `files` | a path with its stamp and digest; `gone` if it was not found again |
+| `records` | the record of a session as JSON, by the digest of its file, with the options that made it |
+
+Each record enters in a transaction of its own, so that an interruption leaves whole records only. The
+store holds nothing that the session files do not.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+from collections.abc import Iterable, Sequence
+from contextlib import closing, suppress
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from adis_gonio.base.counting import counted
+from adis_gonio.base.errors import DataError, OutputError
+from adis_gonio.base.jsonable import finite
+from adis_gonio.fleet.record import SessionRecord
+from adis_gonio.fleet.work import Job, Options, digest_of_file
+
+NAME = "adis-gonio.index"
+"""Of the store in the first folder, if no other file is named."""
+APPLICATION_ID = 0x41444749
+"""`ADGI` in the file's header."""
+VERSION = 2
+IN_MEMORY = ":memory:"
+
+_CREATE = (
+    "CREATE TABLE files (path TEXT PRIMARY KEY, sha256 TEXT, stamp TEXT, gone INTEGER NOT NULL DEFAULT 0)"
+    " WITHOUT ROWID",
+    "CREATE INDEX files_by_digest ON files (sha256)",
+    "CREATE TABLE records (sha256 TEXT PRIMARY KEY, serial TEXT, options TEXT, record TEXT NOT NULL)",
+    "CREATE INDEX records_by_serial ON records (serial)",
+    f"PRAGMA application_id = {APPLICATION_ID}",
+    f"PRAGMA user_version = {VERSION}",
+)
+_AT_PATH = (
+    "INSERT INTO files (path, sha256, stamp) VALUES (?1, ?2, ?3) ON CONFLICT (path)"
+    " DO UPDATE SET sha256 = ?2, stamp = coalesce(?3, stamp), gone = 0"
+)
+_REPLACED = (
+    "DELETE FROM records WHERE sha256 = (SELECT sha256 FROM files WHERE path = ?1 AND sha256 <> ?2)"
+    " AND NOT EXISTS (SELECT 1 FROM files WHERE files.sha256 = records.sha256 AND path <> ?1)"
+)
+
+
+class Store:
+    """Records of sessions, by the digests of their files.
+
+    Parameters
+    ----------
+    path : str or Path
+        Its file, which is made if it does not exist; `IN_MEMORY` for none.
+    strict : bool
+        As the journal of a fleet: only results of the same options and version are used again, and a file
+        that is damaged or cannot be written is an error. Otherwise a damaged file is set aside and made
+        again, and without room on the disk the store goes on in memory alone.
+
+    Attributes
+    ----------
+    problems : list of str
+        What went wrong with the file, one line each.
+
+    Raises
+    ------
+    DataError
+        The file is something else, or, if `strict`, damaged.
+    OutputError
+        If `strict`, it cannot be opened or written.
+    """
+
+    def __init__(self, path: str | Path, *, strict: bool = False) -> None:
+        self.path = Path(path)
+        self.strict = strict
+        self.problems: list[str] = []
+        self._connection = self._opened()
+
+    @classmethod
+    def of(cls, places: Sequence[str | Path], path: str | Path | None = None) -> Store:
+        """The store at `path`, else the one in the first folder.
+
+        Raises
+        ------
+        DataError
+            There is no such folder, or the file is no store.
+        """
+        if path is None:
+            first = Path(places[0])
+            if not first.exists():
+                raise DataError(f"{first}: there is no such folder")
+            path = (first if first.is_dir() else first.parent) / NAME
+        return cls(path)
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._connection.close()
+
+    @property
+    def sessions(self) -> int:
+        """Number of sessions with a record."""
+        return int(self._connection.execute("SELECT count(*) FROM records").fetchone()[0])
+
+    # -- the file ----------------------------------------------------------------------------------
+
+    def _opened(self) -> sqlite3.Connection:
+        try:
+            return self._checked()
+        except sqlite3.OperationalError as error:
+            return self._without_file("opened", error)
+        except sqlite3.DatabaseError as error:
+            if not self._ours():
+                raise self._foreign() from None
+            if self.strict:
+                raise DataError(
+                    f"{self.path}: is damaged ({error}); remove it, and its sessions are done again"
+                ) from error
+            aside = self._set_aside()
+            self.problems.append(
+                f"{self.path}: is damaged ({error}); set aside as {aside.name} and made anew"
+            )
+            return self._checked()
+
+    def _foreign(self) -> DataError:
+        option = "--journal" if self.strict else "--index"
+        return DataError(f"{self.path}: is no index of sessions; name another file by {option}")
+
+    def _checked(self) -> sqlite3.Connection:
+        connection = _connected(self.path)
+        try:
+            self._prepare(connection)
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+    def _prepare(self, connection: sqlite3.Connection) -> None:
+        """Make the tables of a new store; check the file of an existing one."""
+        if not _tables(connection):
+            connection.execute("BEGIN IMMEDIATE")
+            if not _tables(connection):  # another program may have been quicker
+                for statement in _CREATE:
+                    connection.execute(statement)
+            connection.execute("COMMIT")
+        (application,) = connection.execute("PRAGMA application_id").fetchone()
+        (version,) = connection.execute("PRAGMA user_version").fetchone()
+        if application != APPLICATION_ID:
+            raise self._foreign()
+        if version != VERSION:
+            raise DataError(
+                f"{self.path}: is an index of version {version}, this program's is {VERSION}: remove it"
+            )
+        (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+        if found != "ok":
+            raise sqlite3.DatabaseError(" ".join(str(found).split())[:80])
+
+    def _ours(self) -> bool:
+        """True if the file was a store once: its head says so, or its name where the head is lost."""
+        with self.path.open("rb") as file:
+            head = file.read(72)
+        return int.from_bytes(head[68:72], "big") == APPLICATION_ID or self.path.name == NAME
+
+    def _set_aside(self) -> Path:
+        for number in count(1):
+            aside = self.path.with_name(f"{self.path.name}.damaged-{number}")
+            if not aside.exists():
+                return self.path.rename(aside)
+        raise AssertionError("unreachable")
+
+    def _without_file(
+        self, verb: str, error: sqlite3.Error, known: sqlite3.Connection | None = None
+    ) -> sqlite3.Connection:
+        """Go on in memory with the records of the file; new ones are shown, but not kept.
+
+        Raises
+        ------
+        OutputError
+            If `strict`.
+        """
+        if self.strict:
+            held = "" if known is None else f"; it holds {counted(self.sessions, 'session')}"
+            raise OutputError(
+                f"{self.path}: cannot be {verb}: {error}{held}:"
+                " make room, and the same command goes on from there"
+            ) from error
+        self.problems.append(
+            f"{self.path}: cannot be {verb} ({error}); what it holds stays, what is new is not kept: make"
+            " room, or name a file by --index"
+        )
+        connection = _connected(IN_MEMORY)
+        if known is None and self.path.exists():
+            with suppress(sqlite3.Error), closing(_connected(self.path, "ro")) as there:
+                there.backup(connection)
+        elif known is not None:
+            with suppress(sqlite3.Error):
+                known.rollback()
+            known.backup(connection)
+            known.close()
+        self._prepare(connection)
+        return connection
+
+    def _write(self, statements: Iterable[tuple[str, Sequence[Any]]]) -> None:
+        """Execute all statements or none; on a full or read-only disk in memory."""
+        todo = list(statements)
+        if not todo:
+            return
+        try:
+            self._commit(todo)
+        except sqlite3.OperationalError as error:
+            self._connection = self._without_file("written", error, self._connection)
+            self._commit(todo)
+
+    def _commit(self, todo: Sequence[tuple[str, Sequence[Any]]]) -> None:
+        try:
+            self._connection.execute("BEGIN IMMEDIATE")
+            for sql, values in todo:
+                self._connection.execute(sql, values)
+            self._connection.execute("COMMIT")
+        except BaseException:
+            if self._connection.in_transaction:
+                self._connection.rollback()
+            raise
+
+    # -- filling it --------------------------------------------------------------------------------
+
+    def digest_of(self, path: str | Path) -> str:
+        """Digest of a file, which is read only if its length or times have changed; notes where it stands.
+
+        The record of the bytes that stood there before goes, unless they stand in another file too.
+
+        Raises
+        ------
+        OSError
+            The file cannot be read.
+        """
+        now = Path(path).stat()
+        stamp = f"{now.st_size} {now.st_mtime_ns} {now.st_ctime_ns}"
+        known = self._connection.execute(
+            "SELECT sha256 FROM files WHERE path = ? AND stamp = ? AND NOT gone", (str(path), stamp)
+        ).fetchone()
+        if known is not None:
+            return str(known[0])
+        digest = digest_of_file(path)
+        self._write(
+            [
+                (_REPLACED, (str(path), digest)),
+                ("DELETE FROM files WHERE sha256 = ? AND gone AND path <> ?", (digest, str(path))),
+                (_AT_PATH, (str(path), digest, stamp)),
+            ]
+        )
+        return digest
+
+    def keep(self, *records: SessionRecord, options: Options | None = None) -> None:
+        """Keep records, which are on the disk when this returns; one without a digest is not kept.
+
+        Raises
+        ------
+        OutputError
+            If `strict`, they cannot be written: the store is as it was before.
+        """
+        key = None if options is None else options.key
+        todo: list[tuple[str, Sequence[Any]]] = []
+        for record in records:
+            if record.sha256 is not None:
+                # The stamp stays: a file that changed meanwhile is read again next time.
+                todo.append((_AT_PATH, (record.path, record.sha256, None)))
+                text = json.dumps(finite(record.as_dict()), ensure_ascii=False, separators=(",", ":"))
+                values = (record.sha256, record.serial, key, text)
+                todo.append(("INSERT OR REPLACE INTO records VALUES (?, ?, ?, ?)", values))
+        self._write(todo)
+
+    def mark_gone(self, places: Sequence[str | Path], paths: Iterable[Path]) -> None:
+        """Mark files below the places that are no longer there; their records stay."""
+        there = {str(path) for path in paths}
+        roots = [Path(place).resolve() for place in places]
+        held = self._connection.execute("SELECT path FROM files WHERE NOT gone").fetchall()
+        self._write(
+            ("UPDATE files SET gone = 1 WHERE path = ?", (path,))
+            for (path,) in held
+            if path not in there and any(Path(path).is_relative_to(root) for root in roots)
+        )
+
+    # -- reading it --------------------------------------------------------------------------------
+
+    def found(self, job: Job, options: Options) -> SessionRecord | None:
+        """Record of a job that need not be done again, under the name that the file has now."""
+        row = self._connection.execute(
+            "SELECT options, record FROM records WHERE sha256 = ?", (job.digest,)
+        ).fetchone()
+        if row is None or (self.strict and row[0] != options.key):
+            return None
+        record = SessionRecord.from_dict(json.loads(row[1]))
+        if options.trace and not (self.strict or record.traced or record.status == "failed"):
+            return None
+        return replace(record, path=job.path)
+
+    def rows(self, **wanted: str | None) -> list[dict[str, Any]]:
+        """Flat rows by serial number, operator, stage and date, with `copies` (further paths) and `gone`.
+
+        Parameters
+        ----------
+        wanted : str or None
+            `serial`, `operator`, `stage`: only those.
+        """
+        paths: dict[str, list[str]] = {}
+        for path, digest in self._connection.execute("SELECT path, sha256 FROM files WHERE NOT gone"):
+            paths.setdefault(digest, []).append(path)
+        rows = []
+        for record in self._records(wanted.get("serial")):
+            if all(text is None or getattr(record, name) == text for name, text in wanted.items()):
+                first, *copies = paths.get(record.sha256 or "") or [""]
+                row = record.row() | {"copies": copies, "gone": not first}
+                rows.append(row | {"path": first or record.path})
+        return sorted(rows, key=_place)
+
+    def records(self, serial: str | None = None) -> list[SessionRecord]:
+        """Records of one serial number or all, in the order of time; the same data counted once."""
+        kept: dict[str, SessionRecord] = {}
+        # Data by preference with their time: an archive before the CSV exported from it.
+        for record in sorted(self._records(serial), key=lambda record: record.when is None):
+            kept.setdefault(record.data_sha256 or f"file {record.sha256}", record)
+        return sorted(kept.values(), key=lambda record: (record.when or "", record.path))
+
+    def _records(self, serial: str | None) -> list[SessionRecord]:
+        where, values = ("1", ()) if serial is None else ("serial = ?", (serial,))
+        found = self._connection.execute(f"SELECT record FROM records WHERE {where}", values)
+        return [SessionRecord.from_dict(json.loads(text)) for (text,) in found]
+
+    def serials(self) -> list[str]:
+        """Serial numbers that it knows."""
+        rows = self._connection.execute(
+            "SELECT DISTINCT serial FROM records WHERE serial IS NOT NULL ORDER BY serial"
+        )
+        return [str(serial) for (serial,) in rows]
+
+
+def _place(row: dict[str, Any]) -> tuple[Any, ...]:
+    """Sort key of a row; rows without a serial number come last."""
+    return (
+        row["serial"] is None,
+        *(row[name] or "" for name in ("serial", "operator", "stage", "when", "path")),
+    )
+
+
+def _connected(path: str | Path, mode: str = "rwc") -> sqlite3.Connection:
+    if str(path) == IN_MEMORY:
+        return sqlite3.connect(IN_MEMORY, isolation_level=None)
+    from urllib.parse import quote
+
+    name = f"file:{quote(os.fsencode(Path(path).absolute()))}?mode={mode}"
+    return sqlite3.connect(name, uri=True, timeout=30.0, isolation_level=None)
+
+
+def _tables(connection: sqlite3.Connection) -> int:
+    return int(connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0])
