@@ -3,7 +3,7 @@
 It is a `SessionRunner` with one place to go to, whose dwell is the whole recording. Every few seconds what
 was recorded goes into the archive as a piece: attempts whose reason is `GOES_ON`, ended by one that is
 complete or says what broke it off. A kill or a power cut loses one piece at most, a session that is resumed
-asks for a new turn, and `turn_pieces.recording_of` gives the best that there is.
+asks for a new turn, and `record.turns.recording_of` gives the best that there is.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from adis_gonio.model.sweeps import Sweeps
 from adis_gonio.record.blocks import Block
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
 from adis_gonio.record.rows import Attempt, Outcome, utc_now
-from adis_gonio.record.turn_pieces import FREE_TURN, GOES_ON
+from adis_gonio.record.turns import FREE_TURN, GOES_ON
 
 DURATION_S = 60.0
 TURNS = 2
