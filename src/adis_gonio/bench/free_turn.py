@@ -19,6 +19,7 @@ from adis_gonio.bench.events import Event, Problem
 from adis_gonio.bench.recorder import FollowedTurn, Recorder
 from adis_gonio.model.sweeps import Sweeps
 from adis_gonio.record.blocks import Block
+from adis_gonio.record.expectation import wrapped_deg
 from adis_gonio.record.plans import Plan, Position
 from adis_gonio.record.turns import FREE_TURN
 
@@ -80,21 +81,22 @@ class FreeTurn(FollowedTurn):
         super().__init__(place, PLACE, turns, limit_s, now_s)
         self.sweeps = Sweeps()
         self._before: float | None = None
-        self._course: list[tuple[float, float]] = [(0.0, 0.0)]
+        self._course: list[tuple[float, float]] = []
 
     def see(self, block: Block) -> None:
         """Follow the turn through scans."""
         x, y, _ = block.accel_mg.mean(axis=0)
         # Gravity goes backwards through the part: positive is counter-clockwise, as the stage counts.
         angle = -math.degrees(math.atan2(y, x))
-        if self._before is None:
-            self._course = []
-        else:
-            step = (angle - self._before + 180) % 360 - 180
-            self.sweeps.see(self.sweeps.angle_deg + step)
+        if self._before is not None:
+            self.sweeps.see(self.sweeps.angle_deg + wrapped_deg(angle - self._before))
         self._before = angle
+        self.turned_deg, self.travelled_deg = self.sweeps.angle_deg, self.sweeps.travelled_deg
+        self.turns_made = self.sweeps.full
         now = float(block.time_s[-1])
         self._course = [(t, a) for t, a in self._course if t > now - REST_S] + [(now, self.turned_deg)]
+        (t0, a0), (t1, a1) = self._course[0], self._course[-1]
+        self.rate_dps = (a1 - a0) / (t1 - t0) if t1 > t0 else 0.0
 
     def begin(self, bench: SessionBench) -> bool:
         """Let the stage begin to turn."""
@@ -104,37 +106,16 @@ class FreeTurn(FollowedTurn):
         return True
 
     @property
-    def turned_deg(self) -> float:  # type: ignore[override]
-        """From the start to here, with its sign."""
-        return self.sweeps.angle_deg
-
-    @property
-    def travelled_deg(self) -> float:  # type: ignore[override]
-        """All the way, there and back."""
-        return self.sweeps.travelled_deg
-
-    @property
-    def turns_made(self) -> int:  # type: ignore[override]
-        """Full turns so far, those back included."""
-        return self.sweeps.full
-
-    @property
     def full(self) -> bool:
         """True once as many full turns were made as were wanted."""
-        return self.sweeps.full >= self.turns
+        return self.turns_made >= self.turns
 
     @property
     def resting(self) -> bool:
         """True where nothing has turned for `REST_S`."""
         angles = [angle for _, angle in self._course]
-        long_enough = self._course[-1][0] - self._course[0][0] > 0.9 * REST_S
+        long_enough = bool(angles) and self._course[-1][0] - self._course[0][0] > 0.9 * REST_S
         return long_enough and max(angles) - min(angles) < RESTING_DEG
-
-    @property
-    def rate_dps(self) -> float:  # type: ignore[override]
-        """Over the last `REST_S`."""
-        (t0, a0), (t1, a1) = self._course[0], self._course[-1]
-        return (a1 - a0) / (t1 - t0) if t1 > t0 else 0.0
 
     @property
     def ended(self) -> str | None:

@@ -111,18 +111,7 @@ class GyroTurn(FollowedTurn):
         self._up = -force.mean(axis=0) / np.linalg.norm(force.mean(axis=0))
         self._last_s: float | None = None
         self.angle_deg: Floats = np.zeros(3)
-        self.rate_dps = self.travelled_deg = 0.0
         self.moved = False
-
-    @property
-    def turned_deg(self) -> float:  # type: ignore[override]
-        """About the vertical, counter-clockwise from above positive."""
-        return float(self.angle_deg @ self._up)
-
-    @property
-    def turns_made(self) -> int:  # type: ignore[override]
-        """Full turns so far."""
-        return int(abs(self.turned_deg) / 360.0)
 
     @property
     def full(self) -> bool:
@@ -161,6 +150,8 @@ class GyroTurn(FollowedTurn):
         span = float(time[-1]) - self._last_s
         moved = np.diff(np.concatenate([[self._last_s], time])) @ (shown - self._zero)
         self.angle_deg = self.angle_deg + moved
+        self.turned_deg = float(self.angle_deg @ self._up)
+        self.turns_made = int(abs(self.turned_deg) / 360.0)
         self.rate_dps = float(moved @ self._up) / span if span > 0 else 0.0
         self.travelled_deg += float(np.linalg.norm(moved))
         moves = span > 0 and float(np.linalg.norm(moved)) / span > MOVING_DPS

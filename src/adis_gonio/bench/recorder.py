@@ -53,19 +53,15 @@ class FollowedTurn(ABC):
     phase: ClassVar[Phase] = "dwell"
     rest_before_s: ClassVar[float]
     piece_s: ClassVar[float] = math.inf
-    turned_deg: float
-    rate_dps: float
-    turns_made: int
-    travelled_deg: float
-    rest_s = peak_dps = 0.0
 
     def __init__(self, place: int, position: Position, turns: int, limit_s: float, now_s: float) -> None:
         self.place, self.position, self.turns, self.limit_s = place, position, turns, limit_s
         self.blocks: list[Block] = []
         self.moves: list[Move] = []
         self.began = utc_now(), now_s
-        self.samples = self.lost = 0
-        self.length_s = self.written_s = 0.0
+        self.samples = self.lost = self.turns_made = 0
+        self.length_s = self.written_s = self.rest_s = self.peak_dps = 0.0
+        self.turned_deg = self.rate_dps = self.travelled_deg = 0.0
         self._first_s: float | None = None
 
     @abstractmethod

@@ -238,34 +238,40 @@ class ArchiveView:
             raise database.damaged(self.path, f"the samples of {where} are no numbers of a sensor")
         return block
 
-    def moves_before(self, attempt: int) -> list[Move]:
-        """Moves of the stage that led up to an attempt's end, in order.
+    def _line(self, attempt: int) -> list[StoredAttempt]:
+        """Last attempt of each run on the line that leads up to an attempt's end, in order.
 
         Where a run went back to an earlier attempt, what came after that one in the run before is not
         part of the line that leads here.
         """
-        runs = {run["run"]: run["continues"] for run in self.runs()}
-        of_run = {a.number: a.run for a in self.attempts()}
-        moves = [(row["attempt"], _move(row)) for row in self._rows("moves", "move")]
-        line: list[Move] = []
+        continues = {run["run"]: run["continues"] for run in self.runs()}
+        of_number = {stored.number: stored for stored in self.attempts()}
+        line: list[StoredAttempt] = []
         while attempt:
-            run = of_run[attempt]
-            line = [
-                move for number, move in moves if of_run.get(number) == run and number <= attempt
-            ] + line
-            attempt = runs[run]
+            line.insert(0, of_number[attempt])
+            attempt = continues[line[0].run]
         return line
+
+    def moves_before(self, attempt: int) -> list[Move]:
+        """Moves of the stage that led up to an attempt's end, in order."""
+        of_run = {stored.number: stored.run for stored in self.attempts()}
+        rows = self._rows("moves", "move")
+        return [
+            _move(row)
+            for last in self._line(attempt)
+            for row in rows
+            if of_run.get(row["attempt"]) == last.run and row["attempt"] <= last.number
+        ]
 
     def conditions_before(self, attempt: int) -> list[Record]:
         """Temperatures and supplies that the program set on the line that leads up to an attempt's end."""
-        runs = {run["run"]: run["continues"] for run in self.runs()}
-        ends = {a.number: (a.run, a.ended_bus_s) for a in self.attempts()}
-        line: list[Record] = []
-        while attempt:
-            run, end_s = ends[attempt]
-            line = [r for r in self.records("conditions") if r.run == run and r.bus_s <= end_s] + line
-            attempt = runs[run]
-        return line
+        records = self.records("conditions")
+        return [
+            record
+            for last in self._line(attempt)
+            for record in records
+            if record.run == last.run and record.bus_s <= last.ended_bus_s
+        ]
 
     def close(self) -> None:
         """Close the file; may be called twice."""
