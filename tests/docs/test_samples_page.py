@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from adis_gonio.faces.cli import main
-from adis_gonio.record.samples.keys import _KEYS
-from adis_gonio.record.samples.names import COLUMNS, recognised
+from adis_gonio.record.samples.columns import COLUMNS, KEYS, recognised
 
 PAGE = Path(__file__).parents[2] / "docs" / "samples.md"
 TEXT = PAGE.read_text(encoding="utf-8")
@@ -67,7 +66,7 @@ def test_the_python_example_runs(folder, capsys, monkeypatch):
 def test_every_column_key_option_and_name_of_the_page_is_one_of_the_code():
     tables = [re.findall(r"^\| (`.*?) \|", part, re.MULTILINE) for part in TEXT.split("\n## ")]
     columns_and_keys = {name for row in tables[1] for name in re.findall(r"`(\w+)`", row)}
-    assert columns_and_keys == {*COLUMNS, *_KEYS, "note"}
+    assert columns_and_keys == {*COLUMNS, *KEYS, "note"}
     from adis_gonio.faces.cli.fit import command
 
     options = {option for row in tables[6] for option in re.findall(r"`(--\w+)", row)}

@@ -8,8 +8,9 @@ from click.testing import CliRunner
 
 from adis_gonio.base.errors import DataError
 from adis_gonio.bench.events import Finished, Problem, TurnDone, TurnProgress
-from adis_gonio.bench.free_turn import FreeTurnRunner, free_turn_plan
+from adis_gonio.bench.free_turn import free_turn_plan
 from adis_gonio.bench.guidance import turn_to_do
+from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.faces.cli import app
 from adis_gonio.fitting import fit
@@ -23,7 +24,7 @@ URL = "sim:?seed=4&lever_x_mm=30&gyro_scale_z=1.01&hand_turn_s=30"
 
 
 def runner(sensor, path, **settings):
-    return FreeTurnRunner.begin(
+    return SessionRunner.begin(
         sensor, path, free_turn_plan(), Settings(dwell_s=60.0, **settings), auto=True
     )
 
@@ -76,7 +77,7 @@ def test_fewer_turns_than_asked_for_are_used_and_said_in_a_line(tmp_path):
     """A stage that can turn once only: the recording goes on to its time."""
     path = tmp_path / "once.session"
     with open_sensor(URL) as sensor:
-        running = FreeTurnRunner.begin(
+        running = SessionRunner.begin(
             sensor, path, free_turn_plan(2, 45.0), Settings(dwell_s=45.0), auto=True
         )
         stage = running._bench.stage
@@ -186,7 +187,7 @@ def test_a_turn_that_is_stopped_is_kept_said_and_taken_anew(tmp_path):
     assert session.recording.time_s[-1] - session.recording.time_s[0] == pytest.approx(12.0, abs=0.5)
     assert any("broken off after 12 s: stopped by the operator" in note for note in session.notes)
     with open_sensor(URL) as sensor:
-        events = list(FreeTurnRunner.resume(sensor, path, auto=True).run())
+        events = list(SessionRunner.resume(sensor, path, auto=True).run())
     done = next(event for event in events if isinstance(event, TurnDone))
     assert done.turned_deg == pytest.approx(730.0, abs=1.0)
     assert isinstance(events[-1], Finished)

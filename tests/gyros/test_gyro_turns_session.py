@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.bench.bench import SessionBench
+from adis_gonio.bench.dialogue import KEPT_S
 from adis_gonio.bench.events import (
     ExtensionOffered,
     GuardRaised,
@@ -22,8 +23,7 @@ from adis_gonio.bench.events import (
     Watching,
 )
 from adis_gonio.bench.guidance import to_do
-from adis_gonio.bench.gyro_turns import GyroTurnsRunner, gyro_turns_plan
-from adis_gonio.bench.questions import KEPT_S
+from adis_gonio.bench.gyro_turns import gyro_turns_plan
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.settings import sample_period_s
@@ -180,7 +180,7 @@ def test_a_session_that_is_stopped_within_a_turn_resumes_to_the_same_result(reco
     scanned = load_session(recorded[0]).facts["settings"]["registers"]
     settings = replace(QUICK, registers=tuple(scanned))
     with open_sensor(URL) as sensor:
-        runner = GyroTurnsRunner.begin(sensor, path, PLAN, settings, auto=True, fixture_sigma_deg=0.05)
+        runner = SessionRunner.begin(sensor, path, PLAN, settings, auto=True, fixture_sigma_deg=0.05)
         for event in runner.run():
             if isinstance(event, TurnProgress) and event.state == "turn" and _dwells(path) == 5:
                 runner.stop()
@@ -258,7 +258,7 @@ def by_hand(tmp_path, until, url="sim:?seed=3&move_speed_dps=120", **turner):
     path = tmp_path / "hand.session"
     events = []
     with hand_sensor(url) as sensor:
-        runner = GyroTurnsRunner.begin(sensor, path, PLAN, QUICK)
+        runner = SessionRunner.begin(sensor, path, PLAN, QUICK)
         operator = Turner(sensor, **turner)
         for event in runner.run():
             events.append(event)

@@ -14,8 +14,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from adis_gonio.record.database import TABLES
 from adis_gonio.record.rows import checksum
+from adis_gonio.record.tables import TABLES
 
 HUGE = 10**400
 DEEP = "[" * 50_000 + "]" * 50_000

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from forging import DEEP, HUGE, exchanged_in, forge, put
 
-from adis_gonio.record.database import TABLES
+from adis_gonio.record.tables import TABLES
 
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
 BOMB_BYTES = 1_500_000_000

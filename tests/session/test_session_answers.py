@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.bench.answers import Reply
+from adis_gonio.bench.dialogue import Reply
 from adis_gonio.bench.events import (
     DwellInterrupted,
     DwellProgress,

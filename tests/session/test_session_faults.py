@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio.bench.answers import Reply
+from adis_gonio.bench.dialogue import Reply
 from adis_gonio.bench.events import (
     DwellDone,
     DwellProgress,

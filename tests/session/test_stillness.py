@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import DataError
-from adis_gonio.record.segmentation import segment, segment_with_notes
-from adis_gonio.record.stillness import StillnessLimits, limits_from_noise
+from adis_gonio.record.segmentation import segment_with_notes
+from adis_gonio.record.stillness import limits_from_noise
 
 RATE = 100.0
+
+
+def dwells_of(t, accel, gyro=None):
+    return segment_with_notes(t, accel, gyro)[0]
 
 
 def recording(rng, rests_s, move_s=1.0, noise=2.0, quantum=0.0):
@@ -33,7 +37,7 @@ def recording(rng, rests_s, move_s=1.0, noise=2.0, quantum=0.0):
 def test_every_rest_is_found_and_no_motion_is_in_it(with_gyro, quantum):
     rng = np.random.default_rng(1)
     t, accel, gyro, spans = recording(rng, [5, 3, 8, 2.5, 4, 6], quantum=quantum)
-    found = segment(t, accel, gyro if with_gyro else None)
+    found = dwells_of(t, accel, gyro if with_gyro else None)
     assert len(found) == len(spans)
     for rows, (start, stop) in zip(found, spans, strict=True):
         assert start - 1e-9 <= t[rows.start]
@@ -44,14 +48,14 @@ def test_every_rest_is_found_and_no_motion_is_in_it(with_gyro, quantum):
 
 def test_rests_that_are_too_short_are_left_out():
     t, accel, _, _ = recording(np.random.default_rng(2), [5, 0.9, 5])
-    assert len(segment(t, accel)) == 2
+    assert len(dwells_of(t, accel)) == 2
 
 
 def test_the_limit_follows_the_sensors_own_noise():
     for noise in (0.05, 2.0, 20.0):
         rng = np.random.default_rng(3)
         t, accel, _, _ = recording(rng, [6, 6, 6], noise=noise)
-        assert len(segment(t, accel)) == 3
+        assert len(dwells_of(t, accel)) == 3
         _, notes = segment_with_notes(t, accel)
         assert f"{noise:.1g}"[:3] in notes[0] or any(f"{noise * f:.3g}"[:2] in notes[0] for f in (0.99, 1))
 
@@ -84,9 +88,9 @@ def test_a_quiet_sensor_behind_a_coarse_converter_is_not_called_stuck():
 def test_data_that_never_change_are_refused():
     t = np.arange(1000) / RATE
     with pytest.raises(DataError, match="stuck"):
-        segment(t, np.full((1000, 3), 7.0))
+        dwells_of(t, np.full((1000, 3), 7.0))
     with pytest.raises(DataError, match="all-zero"):
-        segment(t, np.zeros((1000, 3)))
+        dwells_of(t, np.zeros((1000, 3)))
 
 
 def test_a_slip_within_a_rest_splits_it():
@@ -94,7 +98,7 @@ def test_a_slip_within_a_rest_splits_it():
     t, accel, _, _ = recording(rng, [10, 10], noise=1.0)
     # So slow and small that no window's deviation shows it, but the mean moves by 12 noises.
     accel[:, 1] += np.interp(t, [0, 4.5, 5.3, 10], [0, 0, 12.0, 12.0])
-    found = segment(t, accel)
+    found = dwells_of(t, accel)
     assert len([rows for rows in found if t[rows.start] < 10]) == 2
 
 
@@ -104,33 +108,17 @@ def test_a_gyro_shows_a_turn_that_gravity_does_not():
     accel = np.array([0.0, 0.0, -1000.0]) + rng.normal(0, 2, (3000, 3))
     rate = 0.5 * ((t > 12) & (t < 15)) * np.sin(8 * t)
     gyro = np.stack([0 * t, 0 * t, rate], axis=1) + rng.normal(0, 1e-3, (3000, 3))
-    assert len(segment(t, accel)) == 1
-    assert len(segment(t, accel, gyro)) == 2
+    assert len(dwells_of(t, accel)) == 1
+    assert len(dwells_of(t, accel, gyro)) == 2
 
 
 def test_too_little_is_no_recording():
-    assert segment(np.arange(5) / RATE, np.ones((5, 3)) + np.arange(5)[:, None]) == []
+    assert dwells_of(np.arange(5) / RATE, np.ones((5, 3)) + np.arange(5)[:, None]) == []
 
 
 def test_limits_bracket_living_noise():
-    rng = np.random.default_rng(8)
     limits = limits_from_noise(np.array([2.0, 0.1]), 100, np.array([0.4672, 0.4672]))
     assert limits.window_samples == 100
     assert limits.lower[0] > 0
     assert limits.lower[1] == 0
     assert limits.upper[1] >= 2 * 0.4672 / math.sqrt(12)
-    alive = 0.4672 * np.round(rng.normal([500, 0], [2.0, 0.1], (400, 2)) / 0.4672)
-    assert limits.still(alive)
-    assert not limits.stuck(alive)
-    moving = alive + np.linspace(0, 80, 400)[:, None]
-    assert not limits.still(moving)
-    frozen = np.where([True, False], alive[-1], alive)
-    assert limits.stuck(frozen)
-    assert not limits.still(frozen)
-    assert not limits.still(alive[:50])
-    assert not limits.stuck(alive[:50])
-
-
-def test_limits_are_plain_data():
-    limits = StillnessLimits(10, np.zeros(2), np.ones(2))
-    assert limits.still(np.zeros((10, 2)))

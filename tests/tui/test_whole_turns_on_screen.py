@@ -10,7 +10,8 @@ import pytest
 pytest.importorskip("textual", reason="the extra 'bench' is not installed")
 
 from adis_gonio.bench import events
-from adis_gonio.bench.gyro_turns import GyroTurnsRunner, gyro_turns_plan
+from adis_gonio.bench.gyro_turns import gyro_turns_plan
+from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.faces.tui import whole_turns, words
 from adis_gonio.faces.tui.state import BenchState, Mark
@@ -26,7 +27,7 @@ def test_a_turn_is_followed_from_the_mark_back_to_it(tmp_path):
     made = replace(made, positions=made.positions[:2])
     state, seen = BenchState(), []
     with open_sensor("sim:?seed=11&hand_moves=1&move_speed_dps=80&gyro_scale_x=1.01") as sensor:
-        runner = GyroTurnsRunner.begin(sensor, tmp_path / "one.session", made, SETTINGS, auto=True)
+        runner = SessionRunner.begin(sensor, tmp_path / "one.session", made, SETTINGS, auto=True)
         assert runner.on_screen
         for event in runner.run():
             state.take(event)

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
-from typing import Protocol
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.counting import counted
-from adis_gonio.base.errors import AdisGonioError, SessionError
-from adis_gonio.bench.bench import SessionBench
+from adis_gonio.base.errors import SessionError
+from adis_gonio.bench.dialogue import Questions, Reply
 from adis_gonio.bench.events import DwellDone, DwellInterrupted, Event, Problem, StageMoved
-from adis_gonio.bench.guarding import Guarding
-from adis_gonio.bench.guards import Guard, drift_guard, shock_guard, stuck_guard
-from adis_gonio.bench.knowledge import Knowledge
-from adis_gonio.bench.ledger import Ledger
+from adis_gonio.bench.guards import (
+    Guard,
+    drift_guard,
+    insistent,
+    judge_dwell,
+    judge_shift,
+    shock_guard,
+    stuck_guard,
+)
 from adis_gonio.bench.live import vector
-from adis_gonio.bench.questions import Questions
+from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder, why_broken_off
 from adis_gonio.bench.recording import Recording
 from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.settings import Status
-from adis_gonio.record.archive import utc_now
 from adis_gonio.record.blocks import Block, count_alarms
 from adis_gonio.record.faults import SUPPLY_LIMITS_V, WITHOUT_NEWS, alarms_of
+from adis_gonio.record.rows import utc_now
 from adis_gonio.record.watch import Look
 
 MOST_RESTARTS = 5
@@ -34,14 +39,100 @@ WINDOWS_TO_STILLNESS = 4
 WARMING_S = 600.0
 """Wait for another temperature, where the program sets it."""
 
-BROKEN_STREAM = "the stream of scans ended"
 
+class Guarding:
+    """Remembers of each dwell what was asked about it and kept."""
 
-class TakesDwells(Protocol):
-    """Whoever records what a session wants of a place."""
+    def __init__(self, questions: Questions) -> None:
+        self._questions, self._ledger, self._knowledge = questions, questions.ledger, questions.knowledge
+        self._kept_kinds: set[str] = set()
+        self._doubts: list[Guard] = []
+        self._stops: Counter[int] = Counter()
 
-    def take(self, place: int) -> Iterator[Event]:
-        """Record it, into the archive and the ledger."""
+    def begin(self) -> None:
+        """Forget the dwell before."""
+        self._kept_kinds, self._doubts = set(), []
+
+    def kept(self, kind: str) -> bool:
+        """True where what a guard of this kind stops at has been kept in this dwell."""
+        return kind in self._kept_kinds
+
+    def complete(self, number: int) -> bool:
+        """The dwell is complete: write down what was doubted of it; True where there was something."""
+        for guard in self._doubts:
+            self._ledger.note("doubt", {"attempt": number, "kind": guard.kind, "message": guard.message})
+        self._stops.clear()
+        return bool(self._doubts)
+
+    def ask(self, guard: Guard, place: int) -> Generator[Event, None, bool]:
+        """Put what a guard stopped at to the operator; True where the dwell is to go on or to stay."""
+        ledger = self._ledger
+        self._stops[place] += 1
+        shown = insistent(guard, self._stops[place] if ledger.done else 1)
+        answer = yield from self._questions.ask_guard(guard, place, shown)
+        if answer is Reply.KEEP:
+            self._keep(guard)
+        elif answer is Reply.REVERSE:
+            self._knowledge.reverse()
+        elif answer is Reply.SKIP:
+            ledger.skip(place)
+            if guard.contradicts and ledger.done:
+                taken = sorted(ledger.done.values())
+                doubt = {"place": place, "dwells": taken, "kind": guard.kind, "message": guard.message}
+                ledger.note("contradiction", doubt)
+        return answer in (Reply.KEEP, Reply.REVERSE)
+
+    def settled(
+        self, recording: Recording, mean_mg: Floats, rested_mg: Floats | None
+    ) -> Generator[Event, None, Guard | None]:
+        """What cannot be right where the part has come to rest; with nobody to ask it is told."""
+        judge, limits, place = self._knowledge.judge, self._knowledge.limits, recording.place
+        recording.rested_mg = mean_mg
+        if judge is None or limits is None:
+            return None
+        turned = judge.turned(place, recording.position, mean_mg)
+        if turned is not None:
+            yield turned
+        guard = judge.settled(recording.position, mean_mg)
+        if guard is None and rested_mg is not None and not self._questions.auto:
+            guard = judge_shift(mean_mg, rested_mg, limits.upper)
+        if guard is None or self.kept(guard.kind):
+            return None
+        if not self._questions.auto:
+            return guard
+        self._keep(guard)
+        yield self._told(guard, recording)
+        return None
+
+    def within(self, recording: Recording, scans: Block, found: list[Problem]) -> Iterator[Event]:
+        """Ask about what happened within a dwell; with nobody to ask a problem is told."""
+        ledger, place = self._ledger, recording.place
+        told = {problem.kind for problem in found}
+        for guard in judge_dwell(scans, found):
+            if self._questions.auto:
+                if guard.kind not in told and not (guard.kind == "over_range" and "alarm" in told):
+                    yield self._told(guard, recording)
+                continue
+            stays = yield from self.ask(guard, place)
+            if self._questions.stopped:
+                return
+            if not stays:
+                skipped = place in ledger.skipped
+                yield self._knowledge.withdraw(place)
+                if skipped:
+                    ledger.skipped.add(place)
+                return
+            if place in ledger.faulty:
+                ledger.keep_faulty([place])
+
+    def _keep(self, guard: Guard) -> None:
+        self._kept_kinds.add(guard.kind)
+        if guard.spoils:
+            self._doubts.append(guard)
+
+    def _told(self, guard: Guard, recording: Recording) -> Problem:
+        problem = Problem(guard.kind, f"{recording.position}: {guard.message}", recording.place)
+        return self._ledger.problem(problem)
 
 
 @dataclass(frozen=True)
@@ -52,17 +143,12 @@ class _Broken:
     guard: Guard | None = None
 
 
-class Dwelling:
+class DwellRecorder(Recorder):
     """Makes dwells, one after another."""
 
-    def __init__(
-        self, bench: SessionBench, ledger: Ledger, knowledge: Knowledge, questions: Questions
-    ) -> None:
-        self._bench = bench
-        self._ledger = ledger
-        self._knowledge = knowledge
-        self._questions = questions
-        self._guarding = Guarding(ledger, knowledge, questions)
+    def __init__(self, questions: Questions) -> None:
+        super().__init__(questions)
+        self._guarding = Guarding(questions)
 
     def take(self, place: int) -> Iterator[Event]:
         """Make the dwell of a place; it is begun anew where it is disturbed.
@@ -249,14 +335,6 @@ class Dwelling:
             angle = [float(angle) for angle in turn.angle_deg]
             kept = {"attempt": number, "since": done[since], "angle_deg": angle, "u_deg": turn.zero_u_deg}
             self._ledger.note("turned", kept)
-
-
-def why_broken_off(error: BaseException) -> str:
-    """Reason of an attempt that an error ended."""
-    return str(error) if isinstance(error, AdisGonioError) else "the program ended"
-
-
-__all__ = ["BROKEN_STREAM", "Dwelling", "TakesDwells", "why_broken_off"]
 
 
 def problems(place: int, scans: Block, status: Status | None) -> list[Problem]:

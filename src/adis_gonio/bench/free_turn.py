@@ -1,31 +1,27 @@
 """The session of a free turn: one continuous recording, from a rest through turns to a rest.
 
-It is a `SessionRunner` with one place to go to, whose dwell is the whole recording. Every few seconds what
-was recorded goes into the archive as a piece: attempts whose reason is `GOES_ON`, ended by one that is
-complete or says what broke it off. A kill or a power cut loses one piece at most, a session that is resumed
-asks for a new turn, and `turn_pieces.recording_of` gives the best that there is.
+Its plan has one place, whose dwell is the whole recording. Every few seconds what was recorded goes into
+the archive as a piece: attempts whose reason is `GOES_ON`, ended by one that is complete or says what broke
+it off. A kill or a power cut loses one piece at most, a session that is resumed asks for a new turn, and
+`record.turns.recording_of` gives the best that there is.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator
-from typing import Literal, Protocol, runtime_checkable
+from collections.abc import Iterator
+from typing import Protocol, runtime_checkable
 
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import SessionError, UsageError
 from adis_gonio.bench.bench import SessionBench
-from adis_gonio.bench.dwelling import BROKEN_STREAM, TakesDwells, why_broken_off
-from adis_gonio.bench.events import Event, Problem, StageMoved, TurnDone, TurnProgress
-from adis_gonio.bench.knowledge import Knowledge
-from adis_gonio.bench.ledger import Ledger
-from adis_gonio.bench.questions import Questions
-from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.bench.events import Event, Problem
+from adis_gonio.bench.recorder import FollowedTurn, Recorder
 from adis_gonio.model.sweeps import Sweeps
 from adis_gonio.record.blocks import Block
-from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
-from adis_gonio.record.rows import Attempt, Outcome, utc_now
-from adis_gonio.record.turn_pieces import FREE_TURN, GOES_ON
+from adis_gonio.record.expectation import wrapped_deg
+from adis_gonio.record.plans import Plan, Position
+from adis_gonio.record.turns import FREE_TURN
 
 DURATION_S = 60.0
 TURNS = 2
@@ -38,7 +34,6 @@ PIECE_S = 5.0
 """What a kill loses at most."""
 RESTING_DEG = 0.5
 """Less than this in `REST_S` is rest."""
-State = Literal["rest", "turn", "after"]
 
 PLACE = Position(None, 0)
 
@@ -71,152 +66,97 @@ class TurningStage(Protocol):
         """Begin, and return the time at which it ends."""
 
 
-class FreeTurn:
-    """The angle of gravity as the turn goes on, and when it is done.
+class FreeTurn(FollowedTurn):
+    """A free turn by the angle of gravity.
 
     Attributes
     ----------
-    wanted : int
-        Full turns to make.
     sweeps : Sweeps
     """
 
-    def __init__(self, wanted: int) -> None:
-        self.wanted = wanted
+    rest_before_s = REST_S
+    piece_s = PIECE_S
+
+    def __init__(self, place: int, turns: int, limit_s: float, now_s: float) -> None:
+        super().__init__(place, PLACE, turns, limit_s, now_s)
         self.sweeps = Sweeps()
         self._before: float | None = None
         self._course: list[tuple[float, float]] = []
 
     def see(self, block: Block) -> None:
-        """Take scans."""
-        if not len(block):
-            return
+        """Follow the turn through scans."""
         x, y, _ = block.accel_mg.mean(axis=0)
         # Gravity goes backwards through the part: positive is counter-clockwise, as the stage counts.
         angle = -math.degrees(math.atan2(y, x))
         if self._before is not None:
-            step = (angle - self._before + 180) % 360 - 180
-            self.sweeps.see(self.sweeps.angle_deg + step)
+            self.sweeps.see(self.sweeps.angle_deg + wrapped_deg(angle - self._before))
         self._before = angle
+        self.turned_deg, self.travelled_deg = self.sweeps.angle_deg, self.sweeps.travelled_deg
+        self.turns_made = self.sweeps.full
         now = float(block.time_s[-1])
         self._course = [(t, a) for t, a in self._course if t > now - REST_S] + [(now, self.turned_deg)]
+        (t0, a0), (t1, a1) = self._course[0], self._course[-1]
+        self.rate_dps = (a1 - a0) / (t1 - t0) if t1 > t0 else 0.0
 
-    @property
-    def turned_deg(self) -> float:
-        """From the start to here, with its sign."""
-        return self.sweeps.angle_deg
+    def begin(self, bench: SessionBench) -> bool:
+        """Let the stage begin to turn."""
+        if not isinstance(bench.stage, TurningStage):
+            return False
+        bench.stage.turn_freely(self.turns)
+        return True
 
     @property
     def full(self) -> bool:
         """True once as many full turns were made as were wanted."""
-        return self.sweeps.full >= self.wanted
+        return self.turns_made >= self.turns
 
     @property
     def resting(self) -> bool:
         """True where nothing has turned for `REST_S`."""
         angles = [angle for _, angle in self._course]
-        long_enough = self._course[-1][0] - self._course[0][0] > 0.9 * REST_S if self._course else False
+        long_enough = bool(angles) and self._course[-1][0] - self._course[0][0] > 0.9 * REST_S
         return long_enough and max(angles) - min(angles) < RESTING_DEG
 
     @property
-    def rate_dps(self) -> float:
-        """Over the last `REST_S`."""
-        (t0, a0), (t1, a1) = self._course[0], self._course[-1]
-        return (a1 - a0) / (t1 - t0) if t1 > t0 else 0.0
+    def ended(self) -> str | None:
+        """The longest time is over, or the turns were made and the part rests after them."""
+        return "" if self.length_s >= self.limit_s or (self.full and self.resting) else None
 
 
-class FreeTurnRunner(SessionRunner):
-    """Runs the session of a free turn; begin it with `free_turn_plan()`.
+class FreeTurnRecorder(Recorder):
+    """Records the whole turn as the dwell of the one place.
 
     `Settings.dwell_s` is the longest time of the recording; it ends earlier once the turns were made
     and the part has rested after them.
     """
 
-    _length_s = 0.0
-
-    @property
-    def one_recording(self) -> bool:
-        """True: one continuous recording."""
-        return True
-
-    def _new_dwelling(self) -> TakesDwells:
-        return TurnTaking(self._bench, self._ledger, self._knowledge, self._questions)
-
-
-class TurnTaking:
-    """Records the whole turn as the dwell of the one place."""
-
-    def __init__(
-        self, bench: SessionBench, ledger: Ledger, knowledge: Knowledge, questions: Questions
-    ) -> None:
-        self._bench = bench
-        self._ledger = ledger
-        self._knowledge = knowledge
-        self._questions = questions
+    one_recording = True
+    judges_places = False
 
     def take(self, place: int) -> Iterator[Event]:
         """Record a turn."""
         bench, ledger = self._bench, self._ledger
-        pieces = _Pieces(bench, ledger, place)
-        try:
-            why = yield from self._follow(pieces)
-        except BaseException as error:
-            pieces.write("interrupted", why_broken_off(error))
-            raise
+        turn = FreeTurn(place, max(ledger.plan.turns, 1), bench.settings.dwell_s, bench.now_s)
+        why = yield from self._record_turn(turn)
         bench.close_stream()
         ledger.scanning(bench.scanning)
         if why:
-            pieces.write("interrupted", why)
+            self._write(turn, "interrupted", why)
             yield ledger.problem(Problem("stillness", f"the turn was broken off: {why}", place))
             return
         status = bench.source.status()
         settings = bench.settings_lost()
         if settings:
-            pieces.write("interrupted", settings)
+            self._write(turn, "interrupted", settings)
             raise SessionError(settings)
-        number = pieces.write("complete", "", None if status is None else status.word)
+        number = self._write(turn, "complete", "", None if status is None else status.word)
         ledger.count(place, number)
-        ledger.recorded_s = pieces.length_s  # it ends with the turns
-        turn = pieces.turn
-        yield TurnDone(
-            number, turn.turned_deg, pieces.length_s, pieces.samples, pieces.lost,
-            turn.sweeps.full, turn.sweeps.travelled_deg,
-        )  # fmt: skip
+        ledger.recorded_s = turn.length_s  # it ends with the turns
+        yield turn.done(number)
         if not turn.full:
             yield ledger.problem(Problem("stillness", _too_few(turn), place))
-        if pieces.lost:
-            yield ledger.problem(Problem("lost", f"{pieces.lost} scans lost during the turn", place))
-
-    def _follow(self, pieces: _Pieces) -> Generator[Event, None, str]:
-        """Record the turn; what broke it off, or nothing."""
-        bench, turn, moved = self._bench, pieces.turn, False
-        length_s = bench.settings.dwell_s
-        for block in bench.scans():
-            pieces.add(block)
-            self._knowledge.see(block)
-            if not moved and pieces.length_s >= REST_S:
-                moved = True
-                if isinstance(bench.stage, TurningStage):
-                    bench.stage.turn_freely(turn.wanted)
-                    yield StageMoved(PLACE)
-            reached: State = "after" if turn.full else "turn"
-            yield TurnProgress(
-                reached if moved else "rest",
-                pieces.length_s,
-                length_s,
-                pieces.samples,
-                pieces.lost,
-                turn.turned_deg,
-                turn.rate_dps,
-                min(turn.sweeps.full + 1, turn.wanted),
-                turn.wanted,
-            )
-            if self._questions.interrupted:
-                return self._questions.why_interrupted
-            yield from self._questions.remarks(pieces.place)
-            if pieces.length_s >= length_s or (turn.full and turn.resting):
-                return ""
-        return BROKEN_STREAM
+        if turn.lost:
+            yield ledger.problem(Problem("lost", f"{turn.lost} scans lost during the turn", place))
 
 
 def _too_few(turn: FreeTurn) -> str:
@@ -224,57 +164,9 @@ def _too_few(turn: FreeTurn) -> str:
     if not turn.sweeps.full:
         return f"it went {turn.sweeps.span_deg:.0f}°, no full turn: undo it and turn all around"
     return (
-        f"{turn.sweeps.full} of {counted(turn.wanted, 'turn')} seen: used with the uncertainty that gives;"
+        f"{turn.sweeps.full} of {counted(turn.turns, 'turn')} seen: used with the uncertainty that gives;"
         " undo it and turn again, or ask for --turns 1"
     )
 
 
-class _Pieces:
-    """What was recorded and goes to the archive piece by piece."""
-
-    def __init__(self, bench: SessionBench, ledger: Ledger, place: int) -> None:
-        self.place, self.turn = place, FreeTurn(max(ledger.plan.turns, 1))
-        self.samples = self.lost = 0
-        self.length_s = 0.0
-        self._bench, self._ledger = bench, ledger
-        self._first_s: float | None = None
-        self._since_s = 0.0
-        self._blocks: list[Block] = []
-        self._began = utc_now(), bench.now_s
-
-    def add(self, block: Block) -> None:
-        """Take scans; those of a whole piece are written."""
-        self._blocks.append(block)
-        self.turn.see(block)
-        self.samples += len(block)
-        self.lost += block.lost
-        if len(block):
-            now = float(block.time_s[-1])
-            self._first_s = float(block.time_s[0]) if self._first_s is None else self._first_s
-            self.length_s = now - self._first_s
-        if self.length_s - self._since_s >= PIECE_S:
-            self.write("interrupted", GOES_ON)
-
-    def write(self, outcome: Outcome, reason: str, status: int | None = None) -> int:
-        """Write what is not yet in the archive; number of the attempt."""
-        now = self._bench.now_s
-        attempt = Attempt(
-            self.place, PLACE, outcome, *self._began, now,
-            [("dwell", block) for block in self._blocks], [], reason, status,
-        )  # fmt: skip
-        number = self._ledger.archive.add_attempt(attempt)
-        self._blocks, self._since_s = [], self.length_s
-        self._began = utc_now(), now
-        return number
-
-
-def runner_of(plan: Plan) -> type[SessionRunner]:
-    """Which runner a plan takes."""
-    if plan.name == GYRO_TURNS:
-        from adis_gonio.bench.gyro_turns import GyroTurnsRunner
-
-        return GyroTurnsRunner
-    return FreeTurnRunner if plan.name == FREE_TURN else SessionRunner
-
-
-__all__ = ["DURATION_S", "FREE_TURN", "TURNS", "FreeTurnRunner", "free_turn_plan", "runner_of"]
+__all__ = ["DURATION_S", "FREE_TURN", "TURNS", "FreeTurnRecorder", "free_turn_plan"]

@@ -23,7 +23,7 @@ from adis_gonio.record.watch import SHIFT_MG
 
 if TYPE_CHECKING:
     from adis_gonio.bench.events import Problem
-    from adis_gonio.bench.turning import GyroIntegral
+    from adis_gonio.bench.judge import GyroIntegral
 
 GUARD_KINDS: tuple[str, ...] = get_args(GuardKind)
 

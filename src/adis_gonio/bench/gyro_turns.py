@@ -1,8 +1,8 @@
 """The session of gyro turns: on a level table, whole turns from a mark back to it, about each axis.
 
 With the X, the Y and the Z arrow up: a dwell, some whole turns counter-clockwise, a dwell, as many
-clockwise, a dwell, and another with the arrow down. It is a `SessionRunner` whose way from
-one dwell to the next is recorded: an attempt whose reason is `TURNED` holds the turn, the dwell after it is
+clockwise, a dwell, and another with the arrow down. The way from one dwell to the
+next is recorded: an attempt whose reason is `TURNED` holds the turn, the dwell after it is
 an attempt like any other. What has been done is judged by the gyros as soon as the part rests again, so
 that a turn that is no good is made again at once. A kill loses the turn in hand; resumed, the session asks
 for it again.
@@ -18,25 +18,16 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.bench.answers import Reply
-from adis_gonio.bench.dwelling import BROKEN_STREAM, Dwelling, TakesDwells, why_broken_off
-from adis_gonio.bench.events import (
-    DwellInterrupted,
-    Event,
-    GuardKind,
-    GuardRaised,
-    Problem,
-    StageMoved,
-    TurnDone,
-    TurnProgress,
-)
+from adis_gonio.bench.bench import SessionBench
+from adis_gonio.bench.dialogue import Reply
+from adis_gonio.bench.dwelling import DwellRecorder
+from adis_gonio.bench.events import DwellInterrupted, Event, GuardKind, Problem
 from adis_gonio.bench.guards import Guard, angle_between_deg
-from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.bench.recorder import FollowedTurn
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN
 from adis_gonio.fitting.gyros.integral import Integral, Path, Sampling, integrate
 from adis_gonio.record.blocks import Block, join, session_columns
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
-from adis_gonio.record.rows import Attempt, Move, Phase, utc_now
 from adis_gonio.record.turns import TURNED
 
 ALL_THERMOMETERS = (*DEFAULT_SCAN, "YTEMP_OUT", "ZTEMP_OUT")
@@ -51,6 +42,8 @@ REST_S = 1.0
 STOPPED_S = 6.0
 """Rest within the turn after which it counts as ended, whole or not."""
 PATIENCE_S = 300.0
+MOVING_DPS = 2.0
+"""Mean of a block below which the part rests."""
 OFF_SHARE, OFF_DEG = 0.03, 5.0
 """What a gyro's gain and zero rate may make of whole turns."""
 FACE_DEG = 30.0
@@ -90,52 +83,53 @@ def gyro_turns_plan(turns: int = TURNS, faces: int = 6) -> Plan:
     return Plan(GYRO_TURNS, tuple(places), "none")
 
 
-class GyroTurnsRunner(SessionRunner):
-    """Runs a session of gyro turns; begin it with `gyro_turns_plan()`."""
-
-    @property
-    def judges_places(self) -> bool:
-        """False: a dwell after whole turns lies where the one before did."""
-        return False
-
-    def _new_dwelling(self) -> TakesDwells:
-        return TurnedDwelling(self._bench, self._ledger, self._knowledge, self._questions)
-
-
-class Tracked:
-    """The turn by the gyros as it goes on.
+class GyroTurn(FollowedTurn):
+    """A whole turn by the gyros.
 
     Parameters
     ----------
+    wanted_deg : float
+        Turn that is asked for, counter-clockwise positive.
     rest : Block
         The dwell before.
-    moving_dps : float
-        Mean of a block below which the part rests.
 
     Attributes
     ----------
     angle_deg : (3,) float
         About the part's axes.
-    rest_s : float
-        How long it has rested by now.
-    peak_dps : float
-        Largest rate that a gyro has shown.
     """
 
-    def __init__(self, rest: Block, moving_dps: float = 2.0) -> None:
+    phase = "before"
+    rest_before_s = REST_S
+
+    def __init__(
+        self, place: int, position: Position, wanted_deg: float, rest: Block, now_s: float
+    ) -> None:
+        super().__init__(place, position, round(abs(wanted_deg) / 360.0), PATIENCE_S, now_s)
         rates, force = _rates_and_force(rest)
-        self._zero, self._moving = rates.mean(axis=0), moving_dps
+        self.wanted_deg, self._zero = wanted_deg, rates.mean(axis=0)
         self._up = -force.mean(axis=0) / np.linalg.norm(force.mean(axis=0))
         self._last_s: float | None = None
         self.angle_deg: Floats = np.zeros(3)
-        self.rest_s = self.rate_dps = self.travelled_deg = self.length_s = 0.0
-        self.longest_gap_s = self.peak_dps = 0.0
-        self.begun = False
+        self.moved = False
 
     @property
-    def turned_deg(self) -> float:
-        """About the vertical, counter-clockwise from above positive."""
-        return float(self.angle_deg @ self._up)
+    def full(self) -> bool:
+        """True once the turn is nearly as far as was asked."""
+        return self.moved and abs(self.turned_deg) > abs(self.wanted_deg) - _ALMOST_DEG
+
+    @property
+    def ended(self) -> str | None:
+        """The part rests after the turn; or it was stopped for long, or nothing came of it."""
+        if self.moved and self.rest_s >= (REST_S if self.full else STOPPED_S):
+            return ""
+        return f"no whole turn within {PATIENCE_S:.0f} s" if self.length_s >= PATIENCE_S else None
+
+    def begin(self, bench: SessionBench) -> bool:
+        """Let the stage begin to turn."""
+        move = bench.begin_turn(self.wanted_deg)
+        self.moves += [] if move is None else [move]
+        return move is not None
 
     @property
     def across_deg(self) -> float:
@@ -148,24 +142,20 @@ class Tracked:
         return "xyz"[int(np.argmax(np.abs(self.angle_deg)))]
 
     def see(self, block: Block) -> None:
-        """Take scans."""
-        if not len(block):
-            return
+        """Follow the turn through scans."""
         shown, time = _rates_and_force(block)[0], block.time_s
-        rates = shown - self._zero
         self.peak_dps = max(self.peak_dps, float(np.abs(shown).max()))
         if self._last_s is None:
             self._last_s = float(time[0])
-        steps = np.diff(np.concatenate([[self._last_s], time]))
         span = float(time[-1]) - self._last_s
-        self.longest_gap_s = max(self.longest_gap_s, float(steps.max()))
-        moved = steps @ rates
+        moved = np.diff(np.concatenate([[self._last_s], time])) @ (shown - self._zero)
         self.angle_deg = self.angle_deg + moved
+        self.turned_deg = float(self.angle_deg @ self._up)
+        self.turns_made = int(abs(self.turned_deg) / 360.0)
         self.rate_dps = float(moved @ self._up) / span if span > 0 else 0.0
         self.travelled_deg += float(np.linalg.norm(moved))
-        self.length_s += span
-        moves = span > 0 and float(np.linalg.norm(moved)) / span > self._moving
-        self.begun |= moves
+        moves = span > 0 and float(np.linalg.norm(moved)) / span > MOVING_DPS
+        self.moved |= moves
         self.rest_s = 0.0 if moves else self.rest_s + span
         self._last_s = float(time[-1])
 
@@ -178,8 +168,10 @@ def _rates_and_force(block: Block) -> tuple[Floats, Floats]:
     return rates, block.accel_mg
 
 
-class TurnedDwelling(Dwelling):
-    """Dwells of which some come after a turn that is recorded."""
+class GyroTurnsRecorder(DwellRecorder):
+    """Records dwells of which some come after a turn that is recorded."""
+
+    judges_places = False  # a dwell after whole turns lies where the one before did
 
     def take(self, place: int) -> Iterator[Event]:
         """Make the dwell of a place, and first the turn to it where one is asked for."""
@@ -203,7 +195,7 @@ class TurnedDwelling(Dwelling):
         face = "up" if min(asked) < 0 else "down"
         message = f"the {axis} arrow does not point {face}: {off:.0f}° off; lay the part on another face"
         guard = Guard("upside_down", message, {"off_deg": off}, ("retake", "keep", "skip"), spoils=False)
-        answer = yield from self._ask(guard, place)
+        answer = yield from self._questions.ask_guard(guard, place)
         if answer is Reply.RETAKE:
             yield self._knowledge.withdraw(place)
         elif answer is Reply.SKIP:
@@ -225,109 +217,31 @@ class TurnedDwelling(Dwelling):
             self._ledger.skip(place)
             return False
         rest = self._rest(before)
-        blocks: list[Block] = []
-        began, moves = (utc_now(), self._bench.now_s), list[Move]()
-        tracked = Tracked(rest)
-        try:
-            why = yield from self._follow(place, wanted_deg, tracked, blocks, moves)
-        except BaseException as error:
-            self._store(place, blocks, began, moves, why_broken_off(error))
-            raise
-        if why:
-            number = self._store(place, blocks, began, moves, why)
-            yield DwellInterrupted(place, self._ledger.plan.positions[place], number, 0, why)
-            return False
-        number = self._store(place, blocks, began, moves, TURNED)
-        lost = sum(block.lost for block in blocks)
-        samples = sum(len(block) for block in blocks)
-        turns = round(abs(tracked.turned_deg) / 360.0)
-        yield TurnDone(
-            number, tracked.turned_deg, tracked.length_s, samples, lost, turns, tracked.travelled_deg
-        )
-        return (yield from self._judged(place, wanted_deg, tracked, rest, blocks))
-
-    def _follow(
-        self, place: int, wanted_deg: float, tracked: Tracked, blocks: list[Block], moves: list[Move]
-    ) -> Generator[Event, None, str]:
-        """Record until the part has turned and rests again; what broke it off, or nothing."""
-        bench, asked = self._bench, False
-        turns = round(abs(wanted_deg) / 360.0)
-        for block in bench.scans():
-            blocks.append(block)
-            tracked.see(block)
-            self._knowledge.see(block)
-            if not asked and tracked.length_s >= REST_S:
-                asked = True
-                move = bench.begin_turn(wanted_deg)
-                if move is not None:
-                    moves.append(move)
-                    yield StageMoved(self._ledger.plan.positions[place])
-            done = tracked.begun and abs(tracked.turned_deg) > abs(wanted_deg) - _ALMOST_DEG
-            yield TurnProgress(
-                "after" if done else "turn" if asked else "rest",
-                tracked.length_s,
-                PATIENCE_S,
-                sum(map(len, blocks)),
-                sum(block.lost for block in blocks),
-                tracked.turned_deg,
-                tracked.rate_dps,
-                min(int(abs(tracked.turned_deg) / 360.0) + 1, turns),
-                turns,
-                tracked.rest_s,
-                tracked.peak_dps,
-            )
-            if self._questions.interrupted:
-                return self._questions.why_interrupted
-            yield from self._questions.remarks(place)
-            if tracked.begun and tracked.rest_s >= (REST_S if done else STOPPED_S):
-                return ""
-            if tracked.length_s >= PATIENCE_S:
-                return f"no whole turn within {PATIENCE_S:.0f} s"
-        return BROKEN_STREAM
-
-    def _store(
-        self,
-        place: int,
-        blocks: list[Block],
-        began: tuple[str, float],
-        moves: list[Move],
-        reason: str,
-    ) -> int:
         position = self._ledger.plan.positions[place]
-        kept: list[tuple[Phase, Block]] = [("before", block) for block in blocks]
-        return self._ledger.archive.add_attempt(
-            Attempt(place, position, "interrupted", *began, self._bench.now_s, kept, moves, reason)
-        )
+        turn = GyroTurn(place, position, wanted_deg, rest, self._bench.now_s)
+        why = yield from self._record_turn(turn)
+        blocks = turn.blocks
+        number = self._write(turn, "interrupted", why or TURNED)
+        if why:
+            yield DwellInterrupted(place, position, number, 0, why)
+            return False
+        yield replace(turn.done(number), turns=round(abs(turn.turned_deg) / 360.0))
+        return (yield from self._judged(turn, rest, blocks))
 
-    def _judged(
-        self, place: int, wanted_deg: float, tracked: Tracked, rest: Block, blocks: list[Block]
-    ) -> Generator[Event, None, bool]:
+    def _judged(self, turn: GyroTurn, rest: Block, blocks: list[Block]) -> Generator[Event, None, bool]:
         """True where the turn is good, or kept as it is."""
-        guard = judge_whole_turn(wanted_deg, tracked, found_in(rest, blocks, self._sampling(rest)))
+        place, guard = turn.place, judge_whole_turn(turn, found_in(rest, blocks, self._sampling(rest)))
         if guard is None:
             return True
         if self._questions.auto:
-            problem = Problem(guard.kind, f"{guard.message}", place)
-            yield self._ledger.problem(problem)
+            yield self._ledger.problem(Problem(guard.kind, guard.message, place))
             return True
-        answer = yield from self._ask(guard, place)
+        answer = yield from self._questions.ask_guard(guard, place)
         if answer is Reply.REVERSE:
             self._ledger.extend(_the_other_way(self._ledger.plan, place))
         elif answer is Reply.SKIP:
             self._ledger.skip(place)
         return answer in (Reply.KEEP, Reply.REVERSE)
-
-    def _ask(self, guard: Guard, place: int) -> Generator[Event, None, Reply]:
-        position = self._ledger.plan.positions[place]
-        raised = GuardRaised(
-            guard.kind, guard.message, place, position, guard.values, guard.answers, guard.default
-        )
-        allowed = {Reply(name) for name in guard.answers}
-        answer = yield from self._questions.ask(raised, allowed, Reply(guard.default), place)
-        self._ledger.note(
-            "guard", {"place": place, "kind": guard.kind, "message": guard.message, "answer": answer}
-        )
-        return answer
 
     def _sampling(self, rest: Block) -> Sampling:
         measured = self._bench.configuration.as_dict()
@@ -356,17 +270,17 @@ def found_in(rest: Block, blocks: list[Block], sampling: Sampling) -> Integral |
     return integrate(Path(scans.time_s, rates, 1e-3 * force, twice * zero, twice * 1e-3 * lay), sampling)
 
 
-def judge_whole_turn(wanted_deg: float, tracked: Tracked, found: Integral | str) -> Guard | None:
+def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
     """What cannot be right of a turn that was to be whole."""
-    turned = tracked.turned_deg
+    wanted_deg, turned = turn.wanted_deg, turn.turned_deg
     values = {"asked_deg": wanted_deg, "gyro_deg": turned}
     if isinstance(found, str):
-        kind: GuardKind = "shock" if tracked.begun else "not_moved"
+        kind: GuardKind = "shock" if turn.moved else "not_moved"
         if "range" in found:
             kind = "over_range"
         return Guard(kind, f"{found}; bring it back to the mark and turn again", values, spoils=True)
-    if tracked.across_deg > max(_TILT_SHARE * abs(turned), 2 * OFF_DEG):
-        message = f"turned about {tracked.about}, not about the vertical: leave the part flat on the table"
+    if turn.across_deg > max(_TILT_SHARE * abs(turned), 2 * OFF_DEG):
+        message = f"turned about {turn.about}, not about the vertical: leave the part flat on the table"
         return Guard("wrong_axis", message, values, spoils=True)
     off = turned - 360.0 * round(turned / 360.0)
     limit = OFF_SHARE * abs(turned) + OFF_DEG
@@ -400,4 +314,4 @@ def _the_other_way(plan: Plan, place: int) -> Plan:
     return replace(plan, positions=tuple(positions))
 
 
-__all__ = ["GYRO_TURNS", "TURNS", "GyroTurnsRunner", "gyro_turns_plan"]
+__all__ = ["GYRO_TURNS", "TURNS", "GyroTurnsRecorder", "gyro_turns_plan"]

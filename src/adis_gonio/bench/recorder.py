@@ -1,99 +1,204 @@
-"""A continuous recording written to a samples CSV while it is measured.
+"""What every recorder of a session has, and how it follows a turn while its scans come in.
 
-The file has no column `position`: the dwells are found by stillness when it is read. Every block is
-flushed, so that a recording that is cut off is a shorter recording.
+A plan chooses its recorder (`recorder_of`): dwells at positions, one free turn, or dwells between the whole
+turns of gyros. The session around it is the same.
 """
 
 from __future__ import annotations
 
-import gzip
-from pathlib import Path
-from types import TracebackType
-from typing import IO, Self
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Generator, Iterator
+from typing import ClassVar
 
-import numpy as np
+from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.bench.bench import SessionBench
+from adis_gonio.bench.dialogue import Questions
+from adis_gonio.bench.events import Event, StageMoved, TurnDone, TurnProgress
+from adis_gonio.record.blocks import Block
+from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
+from adis_gonio.record.rows import Attempt, Move, Outcome, Phase, utc_now
+from adis_gonio.record.turns import FREE_TURN, GOES_ON
 
-from adis_gonio.base.errors import UsageError
-from adis_gonio.base.output import ends_in
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
-from adis_gonio.record.blocks import GENERIC, Block, session_columns
+BROKEN_STREAM = "the stream of scans ended"
 
 
-class SamplesRecorder:
-    """Writes scans to a samples CSV (`.csv` or `.csv.gz`), a row a scan; use it as a context manager.
-
-    Accelerometers are written in LSB, as the sensor gave them (of a generic one in mg); gyros in °/s,
-    temperature in °C, supply in V. Registers that the format has no column for are left out.
+class FollowedTurn(ABC):
+    """A turn as its scans come in.
 
     Attributes
     ----------
-    path : Path
-    notes : list of str
-        What the reader of the file has to know; written with its header, before the first row.
-
-    Raises
-    ------
-    UsageError
-        The file exists, or the scans lack an accelerometer.
+    phase : {"dwell", "before"}
+        As what its scans go into the archive.
+    rest_before_s : float
+        Rest before the turn begins.
+    piece_s : float
+        Length of the pieces in which it goes into the archive.
+    limit_s : float
+        Longest time of the recording.
+    turns : int
+        Full turns to make.
+    blocks, moves : list
+        What is not in the archive yet.
+    turned_deg, rate_dps : float
+        Counter-clockwise positive: since the beginning, and now.
+    turns_made : int
+        Full turns so far.
+    travelled_deg : float
+        All the way, there and back.
+    rest_s, peak_dps : float
+        As in `TurnProgress`.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        variant: str,
-        *,
-        gravity_mps2: float = STANDARD_GRAVITY_MPS2,
-        title: str = "",
-    ) -> None:
-        if path.exists():
-            raise UsageError(f"{path} exists: choose another name, recordings are not overwritten")
-        if not ends_in(path, ".csv", ".csv.gz"):
-            raise UsageError(f"{path}: a recording is named .csv or .csv.gz")
-        self.path = path
-        self.rows = 0
-        self.lost = 0
-        self.notes: list[str] = []
-        self._header = [
-            f"# title: {' '.join(title.split()) or 'continuous recording'}",
-            f"# sensor: {variant}",
-            f"# accel_unit: {'mg' if variant == GENERIC else 'lsb'}",
-            f"# gravity_mps2: {gravity_mps2:.6g}",
-            "# fixture_sigma_deg: free",
-            "# plane: none",
-        ]
-        self._named = False
-        self._file: IO[str] = (
-            gzip.open(path, "xt", encoding="utf-8")  # noqa: SIM115 (closed by `close`)
-            if ends_in(path, ".gz")
-            else path.open("x", encoding="utf-8")
-        )
+    phase: ClassVar[Phase] = "dwell"
+    rest_before_s: ClassVar[float]
+    piece_s: ClassVar[float] = math.inf
+
+    def __init__(self, place: int, position: Position, turns: int, limit_s: float, now_s: float) -> None:
+        self.place, self.position, self.turns, self.limit_s = place, position, turns, limit_s
+        self.blocks: list[Block] = []
+        self.moves: list[Move] = []
+        self.began = utc_now(), now_s
+        self.samples = self.lost = self.turns_made = 0
+        self.length_s = self.written_s = self.rest_s = self.peak_dps = 0.0
+        self.turned_deg = self.rate_dps = self.travelled_deg = 0.0
+        self._first_s: float | None = None
+
+    @abstractmethod
+    def see(self, block: Block) -> None:
+        """Follow the turn through scans, of which there is at least one."""
+
+    @abstractmethod
+    def begin(self, bench: SessionBench) -> bool:
+        """Let the stage begin to turn; False where nothing can be turned."""
+
+    @property
+    @abstractmethod
+    def full(self) -> bool:
+        """True once the turns were made."""
+
+    @property
+    @abstractmethod
+    def ended(self) -> str | None:
+        """None while the recording goes on; at its end what is wrong with it, or nothing."""
 
     def add(self, block: Block) -> None:
-        """Append the scans of a block."""
-        columns = session_columns(block)
-        if not self._named:
-            notes = [f"# note: {' '.join(note.split())}" for note in self.notes]
-            self._file.write("\n".join([*self._header, *notes, ",".join(["time_s", *columns]), ""]))
-            self._named = True
-        whole = block.variant != GENERIC
-        formats = ["%d" if whole and name in ("ax", "ay", "az") else "%.6g" for name in columns]
-        table = np.column_stack([block.time_s, *columns.values()])
-        np.savetxt(self._file, table, fmt=["%.6f", *formats], delimiter=",")
-        self._file.flush()
-        self.rows += len(block)
+        """Take scans."""
+        self.blocks.append(block)
+        self.samples += len(block)
         self.lost += block.lost
+        if len(block):
+            self._first_s = float(block.time_s[0]) if self._first_s is None else self._first_s
+            self.length_s = float(block.time_s[-1]) - self._first_s
+            self.see(block)
 
-    def close(self) -> None:
-        """Close the file; may be called twice."""
-        self._file.close()
+    def progress(self, *, begun: bool) -> TurnProgress:
+        """The event of a look at it."""
+        return TurnProgress(
+            ("after" if self.full else "turn") if begun else "rest",
+            self.length_s,
+            self.limit_s,
+            self.samples,
+            self.lost,
+            self.turned_deg,
+            self.rate_dps,
+            min(self.turns_made + 1, self.turns),
+            self.turns,
+            self.rest_s,
+            self.peak_dps,
+        )
 
-    def __enter__(self) -> Self:
-        return self
+    def done(self, number: int) -> TurnDone:
+        """The event of its end, when it is in the archive as an attempt."""
+        return TurnDone(
+            number,
+            self.turned_deg,
+            self.length_s,
+            self.samples,
+            self.lost,
+            self.turns_made,
+            self.travelled_deg,
+        )
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
+
+class Recorder(ABC):
+    """Records what a session wants of a place, into the archive and the ledger.
+
+    Attributes
+    ----------
+    one_recording : bool
+        True where the session is one continuous recording and visits no positions.
+    judges_places : bool
+        True where each place is judged by gravity.
+    """
+
+    one_recording: ClassVar[bool] = False
+    judges_places: ClassVar[bool] = True
+
+    def __init__(self, questions: Questions) -> None:
+        self._questions = questions
+        self._bench, self._ledger, self._knowledge = questions.bench, questions.ledger, questions.knowledge
+
+    @abstractmethod
+    def take(self, place: int) -> Iterator[Event]:
+        """Record a place."""
+
+    def _record_turn(self, turn: FollowedTurn) -> Generator[Event, None, str]:
+        """Record a turn until it ends; what broke it off, or nothing. An error leaves what there is."""
+        try:
+            return (yield from self._follow(turn))
+        except BaseException as error:
+            self._write(turn, "interrupted", why_broken_off(error))
+            raise
+
+    def _follow(self, turn: FollowedTurn) -> Generator[Event, None, str]:
+        begun = False
+        for block in self._bench.scans():
+            turn.add(block)
+            if turn.length_s - turn.written_s >= turn.piece_s:
+                self._write(turn, "interrupted", GOES_ON)
+            self._knowledge.see(block)
+            if not begun and turn.length_s >= turn.rest_before_s:
+                begun = True
+                if turn.begin(self._bench):
+                    yield StageMoved(turn.position)
+            yield turn.progress(begun=begun)
+            if self._questions.interrupted:
+                return self._questions.why_interrupted
+            yield from self._questions.remarks(turn.place)
+            if (ended := turn.ended) is not None:
+                return ended
+        return BROKEN_STREAM
+
+    def _write(self, turn: FollowedTurn, outcome: Outcome, reason: str, status: int | None = None) -> int:
+        """Write what is not yet in the archive; number of the attempt."""
+        now_s = self._bench.now_s
+        blocks = [(turn.phase, block) for block in turn.blocks]
+        number = self._ledger.archive.add_attempt(
+            Attempt(
+                turn.place, turn.position, outcome, *turn.began, now_s, blocks, turn.moves, reason, status
+            )
+        )
+        turn.blocks, turn.moves, turn.written_s = [], [], turn.length_s
+        turn.began = utc_now(), now_s
+        return number
+
+
+def why_broken_off(error: BaseException) -> str:
+    """Reason of an attempt that an error ended."""
+    return str(error) if isinstance(error, AdisGonioError) else "the program ended"
+
+
+def recorder_of(plan: Plan) -> type[Recorder]:
+    """The recorder that a plan takes."""
+    if plan.name == GYRO_TURNS:
+        from adis_gonio.bench.gyro_turns import GyroTurnsRecorder
+
+        return GyroTurnsRecorder
+    if plan.name == FREE_TURN:
+        from adis_gonio.bench.free_turn import FreeTurnRecorder
+
+        return FreeTurnRecorder
+    from adis_gonio.bench.dwelling import DwellRecorder
+
+    return DwellRecorder

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.record.blocks import Block, cut, join
@@ -11,55 +12,43 @@ from adis_gonio.record.plans import Position
 from adis_gonio.record.rows import Attempt, Move, Outcome, Phase
 
 
+@dataclass
 class Recording:
     """Scans of one attempt, in order; all are kept, those between `begin` and `stop` are the dwell.
 
     The dwell begins `settle_s` after the end of the first window that is still, and lasts `dwell_s`. It is
     complete once a still window covers its last sample.
 
-    Parameters
+    Attributes
     ----------
     dwell_s, settle_s, period_s : float
         Length of the dwell, wait before it, period of the samples, in s.
     earlier : sequence of Block
         Scans from before the attempt that are kept with it: the turn that led to it.
-
-    Attributes
-    ----------
     rested_mg : (3,) float or None
         Where the part rested when the dwell began.
     """
 
-    def __init__(
-        self,
-        place: int,
-        position: Position,
-        started_utc: str,
-        started_bus_s: float,
-        dwell_s: float,
-        settle_s: float,
-        period_s: float,
-        earlier: Sequence[Block] = (),
-    ) -> None:
-        self.place = place
-        self.position = position
-        self.moves: list[Move] = []
-        self.begin: int | None = None
-        self.timed_out = False
-        self.why_moving = "no data"
-        self.rested_mg: Floats | None = None
-        self._started_utc = started_utc
-        self._started_bus_s = started_bus_s
-        self._dwell_s = dwell_s
-        self._settle_s = settle_s
-        self._period_s = period_s
-        self._earlier: list[tuple[Phase, Block]] = [("before", block) for block in earlier]
-        self._blocks: list[Block] = []
-        self._ends = [0]  # samples until the end of each block, and scans lost until there
-        self._lost = [0]
-        self._still_s: float | None = None
-        self._begin_s = 0.0
-        self._stop: int | None = None
+    place: int
+    position: Position
+    started_utc: str
+    started_bus_s: float
+    dwell_s: float
+    settle_s: float
+    period_s: float
+    earlier: Sequence[Block] = ()
+    moves: list[Move] = field(default_factory=list)
+    begin: int | None = None
+    timed_out: bool = False
+    why_moving: str = "no data"
+    rested_mg: Floats | None = None
+    _blocks: list[Block] = field(default_factory=list)
+    # Samples until the end of each block, and scans lost until there.
+    _ends: list[int] = field(default_factory=lambda: [0])
+    _lost: list[int] = field(default_factory=lambda: [0])
+    _still_s: float | None = None
+    _begin_s: float = 0.0
+    _stop: int | None = None
 
     @property
     def begun(self) -> bool:
@@ -95,9 +84,7 @@ class Recording:
     @property
     def elapsed_s(self) -> float:
         """Length of the dwell so far."""
-        return (
-            min(self._samples_time(self._count - 1) - self._begin_s, self._dwell_s) if self.begun else 0.0
-        )
+        return min(self._samples_time(self._count - 1) - self._begin_s, self.dwell_s) if self.begun else 0.0
 
     def add(self, block: Block) -> None:
         """Take the next scans."""
@@ -123,7 +110,7 @@ class Recording:
         """Begin the dwell where the part has settled; True when this call began it."""
         if self.begun or self._still_s is None:
             return False
-        first = self._first_sample(self._still_s + self._settle_s)
+        first = self._first_sample(self._still_s + self.settle_s)
         if first is None:
             return False
         self.begin = first
@@ -147,10 +134,10 @@ class Recording:
             self.place,
             self.position,
             outcome,
-            self._started_utc,
-            self._started_bus_s,
+            self.started_utc,
+            self.started_bus_s,
             ended_bus_s,
-            [*self._earlier, *self._pieces()],
+            [*(("before", block) for block in self.earlier), *self._pieces()],
             self.moves,
             reason,
             status,
@@ -163,7 +150,7 @@ class Recording:
 
     def _find_stop(self) -> None:
         # Half a period early, so that rounding of times cannot add or drop a sample.
-        self._stop = self._first_sample(self._begin_s + self._dwell_s - 0.5 * self._period_s)
+        self._stop = self._first_sample(self._begin_s + self.dwell_s - 0.5 * self.period_s)
 
     def _first_sample(self, at_s: float) -> int | None:
         """Index of the first sample at or after a time; None where it has not come yet."""

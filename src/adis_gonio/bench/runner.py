@@ -23,19 +23,18 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
-from adis_gonio.base.errors import AdisGonioError, UsageError
-from adis_gonio.bench.answers import Operator, Reply
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import AdisGonioError, SessionError, UsageError
 from adis_gonio.bench.bench import SessionBench
 from adis_gonio.bench.closing import Advisor
-from adis_gonio.bench.dwelling import Dwelling, TakesDwells
-from adis_gonio.bench.events import Configured, Event, Finished, Started
+from adis_gonio.bench.dialogue import Operator, Questions, Reply
+from adis_gonio.bench.events import Configured, Event, Finished, Problem, Started
 from adis_gonio.bench.knowledge import Knowledge
 from adis_gonio.bench.ledger import Ledger
-from adis_gonio.bench.noise_at_rest import measure_noise
-from adis_gonio.bench.questions import Questions
+from adis_gonio.bench.recorder import recorder_of
 from adis_gonio.bench.visiting import Visiting
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.model.gravity import checked_gravity_mps2
@@ -44,6 +43,7 @@ from adis_gonio.record.archive import Archive, Header
 from adis_gonio.record.plans import GYRO_TURNS, Plan
 from adis_gonio.record.settings import Settings
 from adis_gonio.record.source import SampleSource
+from adis_gonio.record.watch import NoiseMeter
 
 SHARE_OF_RANGE = 0.6
 """Of the gyros' range: a hand that takes new grips is much faster than its mean in between."""
@@ -71,17 +71,11 @@ class SessionRunner(Operator):
         self._resumed = resumed
         self._ran = False
         self._ledger = Ledger(archive, lambda: bench.now_s)
+        self._recorder_type = recorder_of(self._ledger.plan)
         self._knowledge = Knowledge(bench, self._ledger, judging=self.judges_places)
         self._questions = Questions(self._inbox, bench, self._ledger, self._knowledge, auto=auto)
-        self._visiting = Visiting(
-            bench,
-            self._ledger,
-            self._knowledge,
-            self._questions,
-            self._new_dwelling(),
-            extend=extend,
-            advisor=advisor,
-        )
+        recorder = self._recorder_type(self._questions)
+        self._visiting = Visiting(self._questions, recorder, extend=extend, advisor=advisor)
 
     @classmethod
     def begin(
@@ -198,7 +192,7 @@ class SessionRunner(Operator):
     @property
     def one_recording(self) -> bool:
         """True where the session is one continuous recording and visits no positions."""
-        return False
+        return self._recorder_type.one_recording
 
     @property
     def on_screen(self) -> bool:
@@ -213,16 +207,12 @@ class SessionRunner(Operator):
     @property
     def judges_places(self) -> bool:
         """True where each place is judged by gravity."""
-        return not self.one_recording
+        return self._recorder_type.judges_places
 
     @property
     def virtual_time(self) -> bool:
         """True where the sensor's time stands still while nobody takes the next event."""
         return self._bench.virtual_time
-
-    def _new_dwelling(self) -> TakesDwells:
-        """Who records each place."""
-        return Dwelling(self._bench, self._ledger, self._knowledge, self._questions)
 
     def run(self) -> Iterator[Event]:
         """Run the session to its end; can be used once.
@@ -277,7 +267,7 @@ class SessionRunner(Operator):
         yield Configured(configuration, bench.changes(before, after), bench.why_polled)
         noise = archive.last("noise")
         if noise is None:
-            noise = yield from measure_noise(bench, ledger, self._knowledge, self._questions)
+            noise = yield from _measure_noise(self._questions)
         elif bench.virtual_time:
             bench.bring_world_to(archive, last)
         elif bench.simulated:
@@ -299,6 +289,61 @@ class SessionRunner(Operator):
         return Finished(
             str(self._archive.path), complete, len(ledger.done), len(ledger.skipped), len(ledger.plan)
         )
+
+
+def _measure_noise(questions: Questions) -> Generator[Event, None, list[float] | None]:
+    """Measure until the part has lain still long enough.
+
+    Returns
+    -------
+    list of float or None
+        Standard deviation of a sample on each axis in mg, which the archive has; None where the operator
+        stopped.
+
+    Raises
+    ------
+    SessionError
+        The part does not come to rest, and nobody is there to be told.
+    """
+    bench, ledger = questions.bench, questions.ledger
+    noise: Floats | None = None
+    while noise is None and not questions.stopped:
+        yield from questions.heed(None)
+        noise = yield from _meter_noise(questions)
+    bench.close_stream()
+    ledger.scanning(bench.scanning)
+    if noise is None:
+        return None
+    measured = [float(value) for value in noise]
+    bench.checkpoint()
+    ledger.note("noise", measured)
+    return measured
+
+
+def _meter_noise(questions: Questions) -> Generator[Event, None, Floats | None]:
+    """The noise at rest; None where the operator stops or pauses, or has to be told what is wrong."""
+    bench, ledger, knowledge = questions.bench, questions.ledger, questions.knowledge
+    expected = bench.source.expected_noise_mg(bench.configuration)
+    meter = NoiseMeter(bench.window, expected)
+    deadline = bench.now_s + bench.settings.still_timeout_s + meter.least_samples * bench.period_s
+    for block in bench.scans():
+        noise = meter.feed(block.accel_mg)
+        knowledge.see(block)
+        yield knowledge.view.watching(
+            "measuring", meter.mean_mg, meter.spread_mg, None, "the part to lie still"
+        )
+        if noise is not None or questions.interrupted:
+            return noise
+        if bench.now_s > deadline:
+            message = (
+                f"the sensor does not come to rest: a sample varies by {max(meter.spread_mg):.3g} mg,"
+                f" its noise should be about {expected:.2g} mg; put it on a quiet support"
+            )
+            if questions.auto:
+                raise SessionError(f"{message} and resume")
+            yield ledger.problem(Problem("stillness", message, ledger.next_place or 0))
+            return None
+    return None
 
 
 __all__ = ["Reply", "SessionRunner"]

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Generator, Iterator
 from dataclasses import replace
 
-from adis_gonio.bench.answers import Reply
-from adis_gonio.bench.bench import SessionBench
 from adis_gonio.bench.closing import Advisor
-from adis_gonio.bench.dwelling import TakesDwells
+from adis_gonio.bench.dialogue import Questions, Reply
 from adis_gonio.bench.events import (
     Advised,
     Advising,
@@ -17,9 +15,7 @@ from adis_gonio.bench.events import (
     PositionAsked,
     RepetitionOffered,
 )
-from adis_gonio.bench.knowledge import Knowledge
-from adis_gonio.bench.ledger import Ledger
-from adis_gonio.bench.questions import Questions
+from adis_gonio.bench.recorder import Recorder
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.record.archive import read_session
 from adis_gonio.record.plans import Position, blindness, extended, extension
@@ -31,7 +27,7 @@ class Visiting:
 
     Parameters
     ----------
-    dwelling : TakesDwells
+    recorder : Recorder
         Records each place.
     extend : bool
         The extension of a two-position session is wanted.
@@ -40,21 +36,10 @@ class Visiting:
     """
 
     def __init__(
-        self,
-        bench: SessionBench,
-        ledger: Ledger,
-        knowledge: Knowledge,
-        questions: Questions,
-        dwelling: TakesDwells,
-        *,
-        extend: bool,
-        advisor: Advisor | None,
+        self, questions: Questions, recorder: Recorder, *, extend: bool, advisor: Advisor | None
     ) -> None:
-        self._bench = bench
-        self._ledger = ledger
-        self._knowledge = knowledge
-        self._questions = questions
-        self._dwelling = dwelling
+        self._questions, self._recorder = questions, recorder
+        self._bench, self._ledger, self._knowledge = questions.bench, questions.ledger, questions.knowledge
         self._extend = extend
         self._advisor = advisor
         self._first_asked_s: float | None = None
@@ -77,11 +62,11 @@ class Visiting:
         """Do what was answered; False where that ends the session."""
         last = self._ledger.last_place
         if answer is Reply.REPEAT and last is not None:
-            yield from self._dwelling.take(last)
+            yield from self._recorder.take(last)
         elif answer is Reply.UNDO and last is not None:
             yield self._knowledge.withdraw(last)
         elif answer is Reply.CONFIRM and place is not None:
-            yield from self._dwelling.take(place)
+            yield from self._recorder.take(place)
         elif answer is Reply.SKIP and place is not None:
             self._ledger.skip(place)
         else:
@@ -140,7 +125,7 @@ class Visiting:
         while done.get(place) == before and not self._questions.stopped:
             answer = yield from self._ask_position(place)
             if answer is Reply.CONFIRM:
-                yield from self._dwelling.take(place)
+                yield from self._recorder.take(place)
             if answer is Reply.SKIP or (place in skipped and done.get(place) == before):
                 skipped.discard(place)
                 self._ledger.keep_faulty([place])

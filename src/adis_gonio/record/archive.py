@@ -20,6 +20,7 @@ from adis_gonio.record import database
 from adis_gonio.record.blocks import to_bytes
 from adis_gonio.record.reading import read_session
 from adis_gonio.record.rows import Attempt, Header, Move, Record, StoredAttempt, checksum, to_json, utc_now
+from adis_gonio.record.tables import statements
 from adis_gonio.record.view import ArchiveView
 
 
@@ -52,7 +53,7 @@ class Archive(ArchiveView):
         values["created_utc"] = header.created_utc or utc_now()
         try:
             with archive._transaction(new=True):
-                for statement in database.statements():
+                for statement in statements():
                     archive._connection.execute(statement)
                 for key, value in values.items():
                     archive._insert("meta", key, to_json(value))

@@ -174,3 +174,14 @@ def session_columns(block: Block) -> dict[str, Floats]:
     if "SUPPLY_OUT" in block.registers:
         columns["supply_v"] = block.supply_v
     return columns
+
+
+def session_series(columns: dict[str, Floats]) -> dict[str, Floats | None]:
+    """Fields of a `Dwell` or a `Turn` that hold samples, from the columns of a session."""
+    with_gyro = all(f"g{axis}" in columns for axis in "xyz")
+    return {
+        "accel": np.column_stack([columns[f"a{axis}"] for axis in "xyz"]),
+        "gyro": np.column_stack([columns[f"g{axis}"] for axis in "xyz"]) if with_gyro else None,
+        "temperature_c": columns.get("temp_c"),
+        "supply_v": columns.get("supply_v"),
+    }

@@ -11,7 +11,7 @@
 
 Every table refuses UPDATE and DELETE: what was written stays. Every row ends with a checksum of the others.
 A file with other tables, or with views, triggers or indexes of its own, is refused before anything in it is
-run; statements have a limit of steps and rows a limit of length. `row_schema` declares every value.
+run; statements have a limit of steps and rows a limit of length. `tables` declares every value.
 Numbers in blobs are little-endian. Times called `bus_s` are on the clock of the bus of that run, in s;
 adding the run's `clock_offset_s` makes them seconds since the session began. `continues` is the attempt
 after which a resumed run goes on, 0 for the beginning: a simulated world is brought back to that point.
@@ -32,96 +32,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from adis_gonio.base.errors import DataError, SessionError, one_line
-
-APPLICATION_ID = 0x4144474F
-"""`ADGO` in the file's header; `file` and SQLite see whose it is."""
-
-SCHEMA_VERSION = 1
-
-TABLES = ("meta", "runs", "records", "attempts", "blocks", "moves")
-
-_CREATE = """
-CREATE TABLE meta (
-    key   TEXT PRIMARY KEY,
-    value TEXT NOT NULL,
-    crc32 INTEGER NOT NULL
-);
-CREATE TABLE runs (
-    run            INTEGER PRIMARY KEY,
-    started_utc    TEXT NOT NULL,
-    bus_s          REAL NOT NULL,
-    clock_offset_s REAL NOT NULL,
-    continues      INTEGER NOT NULL,
-    software       TEXT NOT NULL,
-    crc32          INTEGER NOT NULL
-);
-CREATE TABLE records (
-    record INTEGER PRIMARY KEY,
-    run    INTEGER NOT NULL REFERENCES runs,
-    utc    TEXT NOT NULL,
-    bus_s  REAL NOT NULL,
-    kind   TEXT NOT NULL,
-    value  TEXT NOT NULL,
-    crc32  INTEGER NOT NULL
-);
-CREATE TABLE attempts (
-    attempt        INTEGER PRIMARY KEY,
-    run            INTEGER NOT NULL REFERENCES runs,
-    place          INTEGER NOT NULL,
-    angle_deg      REAL,
-    approach       INTEGER NOT NULL,
-    use            TEXT NOT NULL CHECK (use IN ('fit', 'check')),
-    outcome        TEXT NOT NULL CHECK (outcome IN ('complete', 'interrupted')),
-    reason         TEXT NOT NULL,
-    started_utc    TEXT NOT NULL,
-    started_bus_s  REAL NOT NULL,
-    ended_bus_s    REAL NOT NULL,
-    registers      TEXT NOT NULL,
-    variant        TEXT NOT NULL,
-    gyro_range_dps INTEGER,
-    status         INTEGER,
-    blocks         INTEGER NOT NULL,
-    crc32          INTEGER NOT NULL
-);
-CREATE TABLE blocks (
-    attempt  INTEGER NOT NULL REFERENCES attempts,
-    sequence INTEGER NOT NULL,
-    phase    TEXT NOT NULL CHECK (phase IN ('before', 'dwell', 'after')),
-    scans    INTEGER NOT NULL,
-    lost     INTEGER NOT NULL,
-    words    BLOB NOT NULL,
-    time_s   BLOB NOT NULL,
-    crc32    INTEGER NOT NULL,
-    PRIMARY KEY (attempt, sequence)
-);
-CREATE TABLE moves (
-    move      INTEGER PRIMARY KEY,
-    attempt   INTEGER NOT NULL REFERENCES attempts,
-    bus_s     REAL NOT NULL,
-    angle_deg REAL,
-    approach  INTEGER NOT NULL,
-    direction TEXT NOT NULL,
-    crc32     INTEGER NOT NULL
-);
-"""
-
-
-def statements() -> list[str]:
-    """SQL that makes an empty archive, one statement each, to be run in one transaction."""
-    create = [part.strip() for part in _CREATE.split(";") if part.strip()]
-    guards = [
-        f"CREATE TRIGGER {table}_no_{verb.lower()} BEFORE {verb} ON {table}"
-        f" BEGIN SELECT RAISE(ABORT, 'a session file is append-only'); END"
-        for table in TABLES
-        for verb in ("UPDATE", "DELETE")
-    ]
-    return [
-        *create,
-        *guards,
-        f"PRAGMA application_id = {APPLICATION_ID}",
-        f"PRAGMA user_version = {SCHEMA_VERSION}",
-    ]
-
+from adis_gonio.record.tables import APPLICATION_ID, SCHEMA_VERSION, TABLES, statements
 
 MOST_STEPS = 100_000_000
 """Instructions of SQLite's machine after which a statement is stopped; a session of a day takes 10⁶."""

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, OutputError, SessionError
 from adis_gonio.base.output import replacing, write_utf8
 from adis_gonio.model.records import Dwell, Session
+from adis_gonio.record.samples.columns import KEYS
 from adis_gonio.record.samples_csv import write_samples_csv
 
 
@@ -26,12 +27,8 @@ def export_csv(session: Session, path: str | Path) -> None:
     DataError
         As `write_samples_csv`.
     """
-    path = _new(path)
-    try:
-        with replacing(path) as beside:
-            write_csv(session, beside)
-    except OutputError as error:
-        raise SessionError(str(error)) from None
+    with _new_file(path) as beside:
+        write_csv(session, beside)
 
 
 def write_csv(session: Session, path: Path) -> None:
@@ -53,34 +50,22 @@ def export_json(session: Session, path: str | Path) -> None:
     DataError
         A value has no JSON form.
     """
-    path = _new(path)
-    try:
-        text = json.dumps(session_dict(session), ensure_ascii=False, allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{session.source or 'session'}: has no JSON form: {error}") from None
-    try:
-        with replacing(path) as beside:
-            write_utf8(beside, text + "\n")
-    except OutputError as error:
-        raise SessionError(str(error)) from None
+    with _new_file(path) as beside:
+        try:
+            text = json.dumps(session_dict(session), ensure_ascii=False, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise DataError(f"{session.source or 'session'}: has no JSON form: {error}") from None
+        write_utf8(beside, text + "\n")
 
 
 def session_dict(session: Session) -> dict[str, Any]:
     """JSON form of a session; units as in `Session`, `fixture_sigma_deg` is "free" where it is infinite."""
-    sigma = session.fixture_sigma_deg
+    stated = {name: getattr(session, name) for name in KEYS if hasattr(session, name)}
+    if session.free_attitudes:
+        stated["fixture_sigma_deg"] = "free"
     return {
-        "sensor": session.sensor,
-        "title": session.title,
-        "operator": session.operator,
-        "serial": session.serial,
-        "stage": session.stage,
+        **stated,
         "source": session.source,
-        "accel_unit": session.accel_unit,
-        "gyro_unit": session.gyro_unit,
-        "gravity_mps2": session.gravity_mps2,
-        "fixture_sigma_deg": "free" if sigma is not None and math.isinf(sigma) else sigma,
-        "plane": session.plane,
-        "reading_u_mg": session.reading_u_mg,
         "notes": list(session.notes),
         "facts": session.facts,
         "dwells": [_dwell_dict(dwell) for dwell in session.sampled],
@@ -88,24 +73,19 @@ def session_dict(session: Session) -> dict[str, Any]:
 
 
 def _dwell_dict(dwell: Dwell) -> dict[str, Any]:
-    def listed(values: Floats | None) -> Any:
-        return None if values is None else values.tolist()
-
-    return {
-        "position": dwell.position,
-        "angle_deg": dwell.angle_deg,
-        "approach": dwell.approach,
-        "use": dwell.use,
-        "time_s": listed(dwell.time_s),
-        "accel": listed(dwell.accel),
-        "gyro": listed(dwell.gyro),
-        "temperature_c": listed(dwell.temperature_c),
-        "supply_v": listed(dwell.supply_v),
-    }
+    declared = {name: getattr(dwell, name) for name in ("position", "angle_deg", "approach", "use")}
+    series = {n: getattr(dwell, n) for n in ("time_s", "accel", "gyro", "temperature_c", "supply_v")}
+    return declared | {name: None if values is None else values.tolist() for name, values in series.items()}
 
 
-def _new(path: str | Path) -> Path:
+@contextmanager
+def _new_file(path: str | Path) -> Iterator[Path]:
+    """Path beside a file that does not exist yet, which takes its place at the end."""
     path = Path(path)
     if path.exists():
         raise SessionError(f"{path}: exists already; choose another file (nothing was changed)")
-    return path
+    try:
+        with replacing(path) as beside:
+            yield beside
+    except OutputError as error:
+        raise SessionError(str(error)) from None

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import DataError
 from adis_gonio.device.sensor.registers import changed_settings
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.record.blocks import GENERIC, Block, die_temperatures, join, session_columns
+from adis_gonio.record.blocks import GENERIC, Block, die_temperatures, join, session_columns, session_series
 from adis_gonio.record.faults import WITHOUT_NEWS, Alarms, alarms_of
 from adis_gonio.record.plans import Plan
-from adis_gonio.record.rows import JsonDict, StoredAttempt
-from adis_gonio.record.turn_pieces import FREE_TURN, recording_of
-from adis_gonio.record.turns import ArchivedTurns
+from adis_gonio.record.rows import Header, JsonDict, StoredAttempt
+from adis_gonio.record.turns import FREE_TURN, ArchivedTurns, recording_of
 from adis_gonio.record.view import ArchiveView
 
 
@@ -50,65 +48,55 @@ def read_session(path: str | Path) -> Session:
             raise DataError(f"{path}: no dwell is complete yet; resume the session")
         dropped = {r.value["attempt"]: r.value["scans"] for r in view.records("dropped")}
         joined = [join(view.blocks(attempt, "dwell")) for attempt in stored]
-        facts: JsonDict = {
-            "url": header.url,
-            "note": header.note,
-            "simulated": header.simulated,
-            "software": header.software,
-            "started_utc": header.created_utc,
-            "settings": dict(header.settings),
-            "plan": plan.as_dict(),
-            "configuration": view.last("configuration"),
-            "registers": {
-                when: view.last(f"registers-{when}") for when in ("before", "configured", "after")
-            },
-            "runs": view.runs(),
-            "problems": [record.value for record in view.records("problem")],
+        facts = _facts(view) | {
             "advised": [record.value for record in view.records("advised")],
             "turned": [record.value for record in view.records("turned")],
             "reversed": bool(view.last("reversed")),
             "doubts": view.doubts() + _changed_registers(view),
-            "remarks": [record.value for record in view.records("remark")],
             "complete": not pending,
             "skipped": sorted(skipped),
-            "scanning": view.last("scanning"),
-            "offset_writes": view.offset_writes(),
             "dwells": [
                 _facts_of(a, scans, dropped.get(a.number, 0))
                 for a, scans in zip(stored, joined, strict=True)
             ],
         }
-        truth = view.last("truth")
-    if header.simulated and truth is not None:
-        facts["truth"] = truth
     sign = -1 if facts["reversed"] else 1
     dwells = tuple(_dwell(k, *pair, sign) for k, pair in enumerate(zip(stored, joined, strict=True)))
-    return Session(
-        dwells,
-        sensor=header.variant,
-        accel_unit="mg" if header.variant == GENERIC else "lsb",
-        gravity_mps2=header.gravity_mps2,
-        fixture_sigma_deg=header.fixture_sigma_deg,
-        plane=plan.plane,
-        title=header.title,
-        operator=header.operator,
-        serial=header.serial,
-        stage=header.stage,
-        source=str(path),
-        notes=(*_notes(plan, pending, skipped, facts), *_of_writes(facts)),
-        facts=facts,
-        turns_from=ArchivedTurns(Path(path).absolute(), tuple(attempt.number for attempt in stored)),
-    )
+    turns = ArchivedTurns(Path(path).absolute(), tuple(attempt.number for attempt in stored))
+    notes = _notes(plan, pending, skipped, facts)
+    return _session(path, header, facts, notes, dwells=dwells, plane=plan.plane, turns_from=turns)
 
 
 def _free_turn(path: str | Path, view: ArchiveView) -> Session:
     """One continuous turn; what a broken one has is taken, and said."""
-    header = view.header()
     recording, reason = recording_of(view)
     if recording is None:
         raise DataError(f"{path}: holds no turn yet; resume the session")
     lost = sum(block.lost for a in view.attempts() for block in view.blocks(a))
-    facts: JsonDict = {
+    facts = _facts(view) | {
+        "advised": [],
+        "reversed": False,
+        "doubts": _changed_registers(view),
+        "complete": not reason,
+        "skipped": [],
+        "dwells": [],
+        "broken_off": reason,
+    }
+    length_s = float(recording.time_s[-1] - recording.time_s[0])
+    notes = [doubt["message"] for doubt in facts["doubts"]]
+    if reason:
+        notes.append(
+            f"the turn was broken off after {length_s:.0f} s: {reason}; --resume records a new one"
+        )
+    if lost:
+        notes.append(f"{counted(lost, 'scan')} lost on the bus during the turn")
+    return _session(path, view.header(), facts, notes, dwells=(), recording=recording, free_turn=True)
+
+
+def _facts(view: ArchiveView) -> JsonDict:
+    """Facts of every session."""
+    header, truth = view.header(), view.last("truth")
+    return {
         "url": header.url,
         "note": header.note,
         "simulated": header.simulated,
@@ -120,30 +108,18 @@ def _free_turn(path: str | Path, view: ArchiveView) -> Session:
         "registers": {when: view.last(f"registers-{when}") for when in ("before", "configured", "after")},
         "runs": view.runs(),
         "problems": [record.value for record in view.records("problem")],
-        "advised": [],
-        "reversed": False,
-        "doubts": _changed_registers(view),
         "remarks": [record.value for record in view.records("remark")],
-        "complete": not reason,
-        "skipped": [],
         "scanning": view.last("scanning"),
         "offset_writes": view.offset_writes(),
-        "dwells": [],
-        "broken_off": reason,
+        **({"truth": truth} if header.simulated and truth is not None else {}),
     }
-    truth = view.last("truth")
-    if header.simulated and truth is not None:
-        facts["truth"] = truth
-    length_s = float(recording.time_s[-1] - recording.time_s[0])
-    notes = [doubt["message"] for doubt in facts["doubts"]]
-    if reason:
-        notes.append(
-            f"the turn was broken off after {length_s:.0f} s: {reason}; --resume records a new one"
-        )
-    if lost:
-        notes.append(f"{counted(lost, 'scan')} lost on the bus during the turn")
+
+
+def _session(
+    path: str | Path, header: Header, facts: JsonDict, notes: Sequence[str], **found: Any
+) -> Session:
+    """The session with its metadata."""
     return Session(
-        (),
         sensor=header.variant,
         accel_unit="mg" if header.variant == GENERIC else "lsb",
         gravity_mps2=header.gravity_mps2,
@@ -154,9 +130,8 @@ def _free_turn(path: str | Path, view: ArchiveView) -> Session:
         stage=header.stage,
         source=str(path),
         notes=(*notes, *_of_writes(facts)),
-        recording=recording,
-        free_turn=True,
         facts=facts,
+        **found,
     )
 
 
@@ -171,18 +146,14 @@ def _of_writes(facts: JsonDict) -> tuple[str, ...]:
 
 
 def _dwell(number: int, attempt: StoredAttempt, scans: Block, sign: int) -> Dwell:
-    columns = session_columns(scans)
     return Dwell(
         number,
         scans.time_s + attempt.offset_s,
-        np.column_stack([columns[name] for name in ("ax", "ay", "az")]),
         angle_deg=None if attempt.position.angle_deg is None else sign * attempt.position.angle_deg,
         approach=sign * attempt.position.approach,
         use=attempt.position.use,
-        gyro=np.column_stack([columns[name] for name in ("gx", "gy", "gz")]) if "gx" in columns else None,
-        temperature_c=columns.get("temp_c"),
-        supply_v=columns.get("supply_v"),
         temperatures_c=die_temperatures(scans),
+        **session_series(session_columns(scans)),  # type: ignore[arg-type]
     )
 
 

@@ -2,8 +2,9 @@
 
 `read_samples_csv` reads what people have (`adis_gonio.record.samples`: delimiters, decimal marks,
 encodings, names and units in the header), plain or gzipped, told apart by content and not by name.
-`write_samples_csv` writes the format itself; what it writes is read back without a change. A line
-`# note: text`, of which there may be several, becomes one of `Session.notes`.
+`write_samples_csv` writes the format itself; what it writes is read back without a change.
+`template_text` makes a file without readings, to be filled in by hand. A line `# note: text`, of which
+there may be several, becomes one of `Session.notes`.
 
 A file without the column `position` is one continuous recording: its dwells are found by stillness
 (`adis_gonio.record.segmentation`), and `Session.notes` says what was found.
@@ -13,26 +14,24 @@ from __future__ import annotations
 
 import gzip
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any
 
-import numpy as np
-
-from adis_gonio.base.arrays import Floats
 from adis_gonio.base.counting import counted
-from adis_gonio.base.errors import DataError
+from adis_gonio.base.errors import DataError, SessionError, UsageError
 from adis_gonio.base.output import ends_in
-from adis_gonio.model.records import METADATA, Dwell, Session, Use
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, AccelUnit, Dwell, Session
 from adis_gonio.record.overrides import Overrides
-from adis_gonio.record.plans import MOST_POSITIONS
-from adis_gonio.record.samples.keys import without_formulas
-from adis_gonio.record.samples.names import AXES, GYROS
+from adis_gonio.record.plans import MOST_POSITIONS, Plan
+from adis_gonio.record.samples.columns import COLUMNS, KEYS, without_formulas
 from adis_gonio.record.samples.table import SamplesTable, table_of
 from adis_gonio.record.segmentation import segment_with_notes, shows_a_free_turn
+
+MOST_DWELLS = MOST_POSITIONS
+"""Positions of a file, as many as a plan has: the memory of a fit grows with their square."""
 
 
 def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Session:
@@ -57,7 +56,7 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
     if settings.get("plane") == "none" and table.accel.shape[1] < 3:
         raise DataError(f"{path.name}: column 'az' is missing; plane 'none' needs ax, ay and az")
     by_position = "position" in table.runs
-    recording = None if by_position else _whole(table)
+    recording = None if by_position else _dwell(table, 0, slice(0, len(table.time_s)))
     notes: tuple[str, ...] = ()
     if by_position:
         numbers, slices = _dwells_by_position(table)
@@ -69,22 +68,11 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
     if free:
         notes = (*notes, "one continuous turn without declared angles: taken as a free turn")
     said = _Remarks(len(slices))
-    angle = _per_dwell(table, "angle_deg", slices, partial(_angle, table), said)
+    angle = _per_dwell(table, "angle_deg", slices, _angle, said)
     approach = _per_dwell(table, "approach", slices, _approach, said)
     use = _per_dwell(table, "use", slices, _use, said)
     dwells = tuple(
-        Dwell(
-            position=number,
-            time_s=table.time_s[rows],
-            accel=table.accel[rows],
-            angle_deg=angle[k],
-            approach=approach[k] or 0,
-            use=cast("Use", use[k] or "fit"),
-            gyro=None if table.gyro is None else table.gyro[rows],
-            temperature_c=None if table.temperature_c is None else table.temperature_c[rows],
-            supply_v=None if table.supply_v is None else table.supply_v[rows],
-            first_row=table.line_of(rows.start),
-        )
+        _dwell(table, number, rows, angle_deg=angle[k], approach=approach[k] or 0, use=use[k] or "fit")
         for k, (number, rows) in enumerate(zip(numbers, slices, strict=True))
     )
     session = Session(
@@ -120,99 +108,145 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     dwells = session.sampled
     if not dwells:
         raise DataError(f"{path.name}: the session has no dwell to write")
-    parts = _columns_of(dwells, path.name)
+    names = _columns_to_write(dwells, path.name)
     if session.free_turn:  # without the column the file is one continuous recording
-        del parts["position"]
-    lines = [f"# {key}: {without_formulas(value)}" for key, value in _keys_of(session).items()]
+        names.remove("position")
+    stated = {name: getattr(session, name, None) for name in KEYS}
+    lines = _leading_lines({name: value for name, value in stated.items() if value not in (None, "")})
     lines += [f"# note: {without_formulas(' '.join(note.split()))}" for note in session.notes]
-    lines.append(",".join(parts))
-    texts = [chain.from_iterable(map(texts_of, dwells)) for texts_of in parts.values()]
-    lines.extend(map(",".join, zip(*texts, strict=True)))
-    data = ("\n".join(lines) + "\n").encode("utf-8", "replace")
+    data = _file_text(lines, names, chain.from_iterable(_rows(names, dwell) for dwell in dwells)).encode(
+        "utf-8", "replace"
+    )
     if ends_in(path, ".gz"):
         data = gzip.compress(data, compresslevel=6, mtime=0)
     path.write_bytes(data)
 
 
-MOST_DWELLS = MOST_POSITIONS
-"""Positions of a file, as many as a plan has: the memory of a fit grows with their square."""
-_LARGEST_DEG = 1e6
-_Column = Callable[[Dwell], list[str]]
-"""Texts (n,) that a column of the file holds for a dwell of n samples."""
+def _leading_lines(values: Mapping[str, Any]) -> list[str]:
+    """Lines of keys; one without a value, to be filled in, for None or an empty text."""
+    texts = {name: "" if value is None else KEYS[name].text(value) for name, value in values.items()}
+    return [f"# {name}: {without_formulas(text)}".rstrip() for name, text in texts.items()]
 
 
-def _columns_of(dwells: Sequence[Dwell], file: str) -> dict[str, _Column]:
+def _file_text(leading: list[str], names: list[str], rows: Iterable[Iterable[str]]) -> str:
+    return "\n".join([*leading, ",".join(names), *map(",".join, rows), ""])
+
+
+def _columns_to_write(dwells: tuple[Dwell, ...], file: str) -> list[str]:
     """Columns in the file's order; those that no dwell has are left out."""
-    columns: dict[str, _Column] = {
-        "time_s": lambda d: _texts_of(d.time_s),
-        "position": lambda d: [str(d.position)] * len(d),
-    }
-    if any(dwell.angle_deg is not None for dwell in dwells):
-        columns["angle_deg"] = lambda d: ["" if d.angle_deg is None else _text_of(d.angle_deg)] * len(d)
-    if any(dwell.approach for dwell in dwells):
-        columns["approach"] = lambda d: [f"{d.approach:+d}" if d.approach else ""] * len(d)
-    series: dict[str, Callable[[Dwell], Floats | None]] = {
-        **{name: partial(_axis_of, name="accel", axis=k) for k, name in enumerate(AXES)},
-        **{name: partial(_axis_of, name="gyro", axis=k) for k, name in enumerate(GYROS)},
-        "temp_c": lambda d: d.temperature_c,
-        "supply_v": lambda d: d.supply_v,
-    }
-    for name, get in series.items():
-        lacking = [dwell.position for dwell in dwells if get(dwell) is None]
-        if not lacking:
-            columns[name] = partial(_texts_by, get)
-        elif len(lacking) < len(dwells):
+    columns = [dwell.columns() for dwell in dwells]
+    first = [{name: COLUMNS[name].text(values[0]) for name, values in c.items()} for c in columns]
+    names = []
+    for name, column in COLUMNS.items():
+        lacking = [
+            dwell.position
+            for dwell, texts in zip(dwells, first, strict=True)
+            if texts.get(name, "") == column.default
+        ]
+        if len(lacking) == len(dwells):
+            continue
+        if lacking and not column.per_dwell:
             raise DataError(f"{file}: position {lacking[0]} has no '{name}', others have")
-    if any(dwell.use != "fit" for dwell in dwells):
-        columns["use"] = lambda d: [d.use] * len(d)
-    return columns
+        names.append(name)
+    return names
 
 
-def _axis_of(dwell: Dwell, name: Literal["accel", "gyro"], axis: int) -> Floats | None:
-    """One axis (n,) of a dwell; None where it was not recorded."""
-    values: Floats | None = getattr(dwell, name)
-    return None if values is None or axis >= values.shape[1] else values[:, axis]
+def _rows(names: list[str], dwell: Dwell) -> Iterator[tuple[str, ...]]:
+    """Texts of the rows of a dwell."""
+    columns, texts = dwell.columns(), []
+    for name in names:
+        column, values = COLUMNS[name], columns[name].tolist()
+        if column.per_dwell:
+            texts.append([column.text(values[0])] * len(values))
+        else:
+            texts.append(list(map(column.text, values)))
+    return zip(*texts, strict=True)
 
 
-def _texts_by(get: Callable[[Dwell], Floats | None], dwell: Dwell) -> list[str]:
-    values = get(dwell)
-    return [] if values is None else _texts_of(values)
+# No line of help has a colon: it would be a key.
+_HELP = (
+    "-- One row is one averaged reading; for more samples repeat the row with its position and angle.",
+    "-- time_s is the time of the reading in seconds from any origin, row after row later.",
+    "-- accel_unit is lsb, mg, g, mps2 or counts; reading_u_mg the standard uncertainty of a reading.",
+    "-- fixture_sigma_deg is the standard uncertainty of a stage angle in degrees; empty is not stated.",
+    "-- Columns that the format does not know may be added; they are ignored. A spreadsheet may save it.",
+)
 
 
-def _keys_of(session: Session) -> dict[str, str]:
-    texts = {name: " ".join(getattr(session, name).split()) for name in ("title", *METADATA)}
-    keys = {name: text for name, text in texts.items() if text}
-    keys |= {
-        "sensor": session.sensor,
-        "accel_unit": session.accel_unit,
-        "gyro_unit": session.gyro_unit,
-        "gravity_mps2": repr(float(session.gravity_mps2)),
-        "plane": session.plane,
+def template_text(
+    plan: Plan,
+    *,
+    sensor: str = "adis16354",
+    accel_unit: AccelUnit = "mg",
+    gravity_mps2: float = STANDARD_GRAVITY_MPS2,
+    fixture_sigma_deg: float | None = None,
+) -> str:
+    """A file to fill in by hand, as text: keys, what they mean, and one row a position of a plan.
+
+    Times and readings are left empty, and whoever fills them in changes nothing else.
+
+    Raises
+    ------
+    UsageError
+        Readings in LSB of a sensor whose LSB is not known.
+    """
+    if sensor == "generic" and accel_unit == "lsb":
+        raise UsageError("a generic sensor has no LSB that is known: give --unit mg, g, mps2 or counts")
+    planar = plan.plane == "xy"
+    keys: dict[str, Any] = {
+        **dict.fromkeys(("title", "operator", "serial", "stage")),
+        "sensor": sensor,
+        "accel_unit": accel_unit,
+        "gravity_mps2": gravity_mps2,
+        "fixture_sigma_deg": fixture_sigma_deg if planar else math.inf,
+        "plane": plan.plane,
+        "reading_u_mg": None,
     }
-    if session.fixture_sigma_deg is not None:
-        sigma = session.fixture_sigma_deg
-        keys["fixture_sigma_deg"] = "free" if math.isinf(sigma) else _text_of(sigma)
-    if session.reading_u_mg is not None:
-        keys["reading_u_mg"] = _text_of(session.reading_u_mg)
-    return keys
+    names = ["time_s", "position"]
+    names += ["angle_deg", "approach", "ax", "ay"] if planar else ["ax", "ay", "az"]
+    names += ["use"] if any(position.use == "check" for position in plan.positions) else []
+    rows = []
+    for number, position in enumerate(plan.positions):
+        angle = math.nan if position.angle_deg is None else float(f"{position.angle_deg:.10g}")
+        values = {
+            "position": number, "angle_deg": angle, "approach": position.approach, "use": position.use
+        }  # fmt: skip
+        rows.append([COLUMNS[name].text(values[name]) if name in values else "" for name in names])
+    return _file_text([*_leading_lines(keys), *(f"# {line}" for line in _HELP)], names, rows)
 
 
-def _text_of(value: float) -> str:
-    value = float(value)
-    return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
+def write_template(path: Path, text: str) -> None:
+    """Write a new file.
+
+    Raises
+    ------
+    SessionError
+        The file exists, or cannot be written.
+    """
+    try:
+        with path.open("x", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+    except FileExistsError:
+        raise SessionError(f"{path}: exists already; choose another name (nothing was changed)") from None
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def _texts_of(values: Floats) -> list[str]:
-    numbers: list[float] = np.asarray(values, dtype=float).tolist()
-    return [_text_of(number) for number in numbers]
+# -- dwells ---------------------------------------------------------------------------------------
 
 
-def _whole(table: SamplesTable) -> Dwell:
-    """All rows as one recording; views, no copies."""
+def _dwell(table: SamplesTable, number: int, rows: slice, **declared: Any) -> Dwell:
+    """Rows as a dwell; views, no copies."""
     return Dwell(
-        0, table.time_s, table.accel, gyro=table.gyro, temperature_c=table.temperature_c,
-        supply_v=table.supply_v, first_row=table.line_of(0),
-    )  # fmt: skip
+        position=number,
+        time_s=table.time_s[rows],
+        accel=table.accel[rows],
+        gyro=None if table.gyro is None else table.gyro[rows],
+        temperature_c=None if table.temperature_c is None else table.temperature_c[rows],
+        supply_v=None if table.supply_v is None else table.supply_v[rows],
+        first_row=table.line_of(rows.start),
+        **declared,
+    )
 
 
 def _dwells_by_stillness(
@@ -260,7 +294,7 @@ def _position(table: SamplesTable, row: int, text: str) -> int:
         value = table.number("position", text)
     except ValueError:
         value = math.nan
-    if not (value.is_integer() and abs(value) < 1e9):
+    if not (value.is_integer() and abs(value) < COLUMNS["position"].largest):
         raise table.fail(row, f"column 'position': '{text.strip()}' is not an integer of at most 9 digits")
     return int(value)
 
@@ -309,7 +343,11 @@ class _Remarks:
 
 
 def _per_dwell(
-    table: SamplesTable, name: str, slices: list[slice], parse: Callable[[str], Any], said: _Remarks
+    table: SamplesTable,
+    name: str,
+    slices: list[slice],
+    parse: Callable[[SamplesTable, str], Any],
+    said: _Remarks,
 ) -> list[Any]:
     """Values of a column that has one value a dwell; None for a dwell without a value.
 
@@ -355,13 +393,16 @@ def _stated(table: SamplesTable, name: str, rows: slice) -> list[tuple[int, str]
 
 
 def _one_value(
-    table: SamplesTable, name: str, texts: list[tuple[int, str]], parse: Callable[[str], Any]
+    table: SamplesTable,
+    name: str,
+    texts: list[tuple[int, str]],
+    parse: Callable[[SamplesTable, str], Any],
 ) -> Any:
     """Value of a dwell out of its texts; None without any."""
     value = None
     for k, (row, text) in enumerate(texts):
         try:
-            found = parse(text)
+            found = parse(table, text)
         except ValueError as error:
             raise table.fail(row, f"column '{name}': '{text}' {error}") from None
         if k and found != value:
@@ -374,29 +415,25 @@ def _one_value(
     return value
 
 
-def _angle(table: SamplesTable, text: str) -> float | None:
-    if not text:
-        return None
+def _angle(table: SamplesTable, text: str) -> float:
     try:
         value = table.number("angle_deg", text)
     except ValueError:
         raise ValueError("is not an angle in degrees") from None
-    if not abs(value) <= _LARGEST_DEG:
+    if not abs(value) <= COLUMNS["angle_deg"].largest:
         raise ValueError("is no angle of a stage; leave it empty if it is unknown")
     return value
 
 
-def _approach(text: str) -> Literal[1, -1] | None:
-    if not text or text == "0":
-        return None
-    if text.replace(",", ".") in ("+1", "1", "+1.0", "1.0"):
-        return 1
-    if text.replace(",", ".").replace("−", "-") in ("-1", "-1.0"):
-        return -1
-    raise ValueError("is neither +1 nor -1")
+def _approach(_: SamplesTable, text: str) -> int | None:
+    signs = {"0": None, "+1": 1, "1": 1, "+1.0": 1, "1.0": 1, "-1": -1, "-1.0": -1}
+    try:
+        return signs[text.replace(",", ".").replace("−", "-")]
+    except KeyError:
+        raise ValueError("is neither +1 nor -1") from None
 
 
-def _use(text: str) -> str | None:
-    if text.lower() in ("", "fit", "check"):
-        return text.lower() or None
-    raise ValueError("is neither 'fit' nor 'check'")
+def _use(_: SamplesTable, text: str) -> str:
+    if text.lower() not in ("fit", "check"):
+        raise ValueError("is neither 'fit' nor 'check'")
+    return text.lower()

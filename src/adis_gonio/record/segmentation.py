@@ -78,8 +78,10 @@ Reading = Callable[[], Iterable[Piece]]
 """Reads a recording from its beginning; called once a pass, each time with the same samples."""
 
 
-def segment(time_s: Floats, accel: Floats, gyro: Floats | None = None) -> list[slice]:
-    """Dwells of a continuous recording in memory.
+def segment_with_notes(
+    time_s: Floats, accel: Floats, gyro: Floats | None = None
+) -> tuple[list[slice], list[str]]:
+    """Dwells of a continuous recording in memory, and lines on what was found.
 
     Parameters
     ----------
@@ -94,19 +96,13 @@ def segment(time_s: Floats, accel: Floats, gyro: Floats | None = None) -> list[s
     -------
     list of slice
         Rows of each dwell, in order; empty where the sensor never rests.
+    list of str
 
     Raises
     ------
     DataError
         If the samples never change (stuck data).
     """
-    return segment_with_notes(time_s, accel, gyro)[0]
-
-
-def segment_with_notes(
-    time_s: Floats, accel: Floats, gyro: Floats | None = None
-) -> tuple[list[slice], list[str]]:
-    """Same as `segment`, with lines on what was found."""
     whole = Piece(time_s, accel, gyro)
     return segment_pieces(lambda: (whole,))
 

@@ -6,6 +6,7 @@ others by an entry point in the group `adis_gonio.source`: scheme = "module:open
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -98,8 +99,10 @@ class KnownPart:
     step_mg: float
 
 
-class SampleSource(Protocol):
-    """A sensor as a session sees it. Errors are those of `adis_gonio.base.errors`.
+class SampleSource(ABC):
+    """A sensor as a session sees it; a context manager. Errors are those of `adis_gonio.base.errors`.
+
+    What a sensor without registers has not, or does not need, is done here.
 
     Attributes
     ----------
@@ -117,27 +120,30 @@ class SampleSource(Protocol):
 
     url: str
     part: KnownPart
-    stage: Any
-    world: Any
+    stage: Any = None
+    world: Any = None
     kept: tuple[str, ...]
-    why_polled: str
+    why_polled: str = ""
 
+    @abstractmethod
     def now_s(self) -> float:
         """The sensor's own monotonic clock, on which its samples' times are."""
 
+    @abstractmethod
     def sleep_s(self, seconds: float) -> None:
         """Wait on that clock."""
 
+    @abstractmethod
     def configure(self, settings: Settings) -> Measuring:
         """Let it measure as the settings say, as far as it can, and say how it does.
 
         What is borrowed for the samples' time alone (data-ready) stands until `give_back`.
         """
 
-    def give_back(self) -> None:
+    def give_back(self) -> None:  # noqa: B027 - nothing is borrowed from a sensor without registers
         """Set back what `configure` and `mark_restart` borrowed; may be called twice."""
 
-    def mark_restart(self) -> None:
+    def mark_restart(self) -> None:  # noqa: B027
         """Write a number that a restart loses into a register that nothing uses, if there is one."""
 
     def settings_held(self, *, checked: bool = False) -> dict[str, int]:
@@ -145,30 +151,37 @@ class SampleSource(Protocol):
 
         With `checked` raise `ChipError` if the replies cannot be the sensor's.
         """
+        return {}
 
     def registers(self) -> dict[str, int]:
         """All that can be read of its state; empty where there are no registers."""
+        return {}
 
+    @abstractmethod
     def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
         """What must be the same when a session goes on, out of registers and configuration then."""
 
+    @abstractmethod
     def expected_noise_mg(self, measuring: Measuring) -> float:
         """Estimate of a sample's noise at rest; ten times that is motion."""
 
+    @abstractmethod
     def samples(self, settings: Settings, block_samples: int) -> SampleStream:
         """Samples from now on, with nothing changed at the sensor that `configure` has set."""
 
     def status(self) -> Status | None:
         """Faults that the sensor reports, which clears them; None where it reports none."""
+        return None
 
+    @abstractmethod
     def close(self) -> None:
         """Forget the sensor; may be called twice."""
 
     def __enter__(self) -> Self:
-        """Itself."""
+        return self
 
     def __exit__(self, *error: object) -> None:
-        """Close."""
+        self.close()
 
 
 MARK = 0x2A5A
@@ -182,7 +195,7 @@ HOLDING_SETTINGS = tuple(
 """Control registers that hold settings; the two left out hold levels of lines and a count that runs."""
 
 
-class ChipSource:
+class ChipSource(SampleSource):
     """The driver as a source of samples."""
 
     kept = tuple(Settings.__dataclass_fields__)
@@ -192,9 +205,8 @@ class ChipSource:
         self.url = sensor.bus.url
         variant = sensor.variant
         self.part = KnownPart(variant.name, variant.performance.initial_bias_mg, variant.accel_mg_per_lsb)
-        self.stage: Any = getattr(sensor.bus, "stage", None)
-        self.world: Any = getattr(sensor.bus, "world", None)
-        self.why_polled = ""
+        self.stage = getattr(sensor.bus, "stage", None)
+        self.world = getattr(sensor.bus, "world", None)
         self._loan: DataReadyLoan | None = None
         self._marked: tuple[str, int] | None = None
 
@@ -337,12 +349,6 @@ class ChipSource:
     def close(self) -> None:
         """Close the sensor."""
         self.sensor.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def as_source(sensor: Adis16354 | SampleSource) -> SampleSource:

@@ -35,19 +35,6 @@ class StillnessLimits:
     lower: Floats
     upper: Floats
 
-    def still(self, samples: Floats) -> bool:
-        """True where the last `window_samples` of samples (n, axes) are still; False if there are fewer."""
-        if len(samples) < self.window_samples:
-            return False
-        deviation = np.std(samples[-self.window_samples :], axis=0)
-        return bool(((deviation >= self.lower) & (deviation <= self.upper)).all())
-
-    def stuck(self, samples: Floats) -> bool:
-        """True where an axis shows less than a living sensor would in the last window."""
-        if len(samples) < self.window_samples:
-            return False
-        return bool((np.std(samples[-self.window_samples :], axis=0) < self.lower).any())
-
 
 def limits_from_noise(noise_sd: Floats, window_samples: int, quantum: Floats | float) -> StillnessLimits:
     """Limits from the standard deviation of single samples at rest.

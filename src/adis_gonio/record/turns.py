@@ -1,4 +1,7 @@
-"""Turns of a session file, read when somebody asks for them: a fit without gyros costs nothing more."""
+"""Turns of a session file: those between its dwells, and a free turn out of its pieces.
+
+Turns between dwells are read when somebody asks for them: a fit without gyros costs nothing more.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,16 @@ from pathlib import Path
 
 import numpy as np
 
+from adis_gonio.model.records import Dwell
 from adis_gonio.model.turns import Turn
-from adis_gonio.record.blocks import Block, die_temperatures, join, session_columns
+from adis_gonio.record.blocks import Block, die_temperatures, join, session_columns, session_series
 from adis_gonio.record.rows import StoredAttempt
 from adis_gonio.record.view import ArchiveView
 
+FREE_TURN = "free-turn"
+"""Name of the plan."""
+GOES_ON = "the turn goes on"
+"""Reason of an attempt that is a piece of a free turn and not its last."""
 TURNED = "turned"
 """Reason of an attempt that is a whole turn, and not a dwell; its scans are those before the next dwell."""
 
@@ -91,15 +99,45 @@ def _turn(number: int, blocks: list[Block], after: StoredAttempt, turned_deg: fl
     if not blocks:
         return Turn(number, number + 1, np.empty(0), np.empty((0, 3)), turned_deg=turned_deg)
     scans = join(blocks)
-    columns = session_columns(scans)
     return Turn(
         number,
         number + 1,
         scans.time_s + after.offset_s,
-        np.column_stack([columns[name] for name in ("ax", "ay", "az")]),
-        np.column_stack([columns[name] for name in ("gx", "gy", "gz")]) if "gx" in columns else None,
-        columns.get("temp_c"),
-        columns.get("supply_v"),
-        turned_deg,
-        die_temperatures(scans),
+        turned_deg=turned_deg,
+        temperatures_c=die_temperatures(scans),
+        **session_series(session_columns(scans)),  # type: ignore[arg-type]
     )
+
+
+def recording_of(view: ArchiveView) -> tuple[Dwell | None, str]:
+    """The whole of the last complete turn, else of the longest one, and what broke that one off.
+
+    None where nothing was recorded.
+    """
+    chains: list[list[StoredAttempt]] = [[]]
+    for attempt in view.attempts():
+        if chains[-1] and chains[-1][-1].run != attempt.run:
+            chains.append([])
+        chains[-1].append(attempt)
+        if attempt.reason != GOES_ON:
+            chains.append([])
+    taken = view.withdrawn()
+    chains = [chain for chain in chains if chain and chain[-1].number not in taken]
+    whole = [chain for chain in chains if chain[-1].outcome == "complete"]
+    best = whole[-1] if whole else max(chains, key=_length_s, default=None)
+    if best is None:
+        return None, "nothing was recorded"
+    reason = "" if whole else best[-1].reason.replace(GOES_ON, "the program ended")
+    blocks = [(attempt, block) for attempt in best for block in view.blocks(attempt) if len(block)]
+    return (_joined(blocks) if blocks else None), reason
+
+
+def _length_s(chain: Sequence[StoredAttempt]) -> float:
+    return chain[-1].ended_bus_s - chain[0].started_bus_s
+
+
+def _joined(blocks: Sequence[tuple[StoredAttempt, Block]]) -> Dwell:
+    columns = [session_columns(block) for _, block in blocks]
+    whole = {name: np.concatenate([c[name] for c in columns]) for name in columns[0]}
+    time_s = np.concatenate([block.time_s + attempt.offset_s for attempt, block in blocks])
+    return Dwell(0, time_s, **session_series(whole))  # type: ignore[arg-type]

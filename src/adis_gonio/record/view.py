@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -16,8 +17,8 @@ from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
 from adis_gonio.record import database
 from adis_gonio.record.blocks import GENERIC, UNITS, Block, count_alarms, from_bytes
 from adis_gonio.record.plans import Plan, Position
-from adis_gonio.record.row_schema import LARGEST_S, LARGEST_VALUE, META, RECORDS, checked_row, checked_value
 from adis_gonio.record.rows import Header, JsonDict, Move, Phase, Record, StoredAttempt, checksum
+from adis_gonio.record.tables import LARGEST_S, LARGEST_VALUE, META, RECORDS, checked_row, checked_value
 
 
 class ArchiveView:
@@ -54,7 +55,9 @@ class ArchiveView:
 
     def _read_header(self) -> Header:
         try:
-            values = checked_value("table meta", META, dict(self._rows("meta", "key")))
+            values = checked_value(
+                "table meta", META, {row["key"]: row["value"] for row in self._rows("meta", "key")}
+            )
         except ShapeError as error:
             raise database.damaged(self.path, str(error)) from None
         values["plan"] = Plan.from_dict(values["plan"])
@@ -64,16 +67,14 @@ class ArchiveView:
 
     def records(self, kind: str | None = None) -> list[Record]:
         """Records of one kind, or all, in order."""
-        return [
-            Record(run, utc, bus_s, name, self._record_value(number, name, value))
-            for number, run, utc, bus_s, name, value in self._rows("records", "record", kind=kind)
-        ]
+        return [self._checked_record(**row) for row in self._rows("records", "record", kind=kind)]
 
-    def _record_value(self, number: int, kind: str, value: Any) -> Any:
+    def _checked_record(self, record: int, kind: str, value: Any, **row: Any) -> Record:
         try:
-            return checked_value(kind, RECORDS.get(kind, anything), value)
+            checked_value(kind, RECORDS.get(kind, anything), value)
         except ShapeError as error:
-            raise database.damaged(self.path, f"record {number}: {error}") from None
+            raise database.damaged(self.path, f"record {record}: {error}") from None
+        return Record(kind=kind, value=value, **row)
 
     def last(self, kind: str) -> Any:
         """Value of the last record of a kind; None where there is none."""
@@ -82,8 +83,7 @@ class ArchiveView:
 
     def runs(self) -> list[JsonDict]:
         """Openings of the session, in order."""
-        names = ("run", "started_utc", "bus_s", "clock_offset_s", "continues", "software")
-        return [dict(zip(names, row, strict=True)) for row in self._rows("runs", "run")]
+        return self._rows("runs", "run")
 
     def plan(self) -> Plan:
         """Plan in force: the first one, or its last extension."""
@@ -93,29 +93,12 @@ class ArchiveView:
     def attempts(self) -> list[StoredAttempt]:
         """All attempts, in order."""
         offsets = {run["run"]: run["clock_offset_s"] for run in self.runs()}
-        stored = [
-            StoredAttempt(
-                number,
-                run,
-                offsets.get(run, math.nan),
-                place,
-                Position(angle_deg, approach, use),
-                outcome,
-                reason,
-                started_utc,
-                started_bus_s,
-                ended_bus_s,
-                tuple(registers),
-                part,
-                gyro_range_dps,
-                status,
-                blocks,
-            )
-            for (
-                number, run, place, angle_deg, approach, use, outcome, reason, started_utc,
-                started_bus_s, ended_bus_s, registers, part, gyro_range_dps, status, blocks,
-            ) in self._rows("attempts", "attempt")
-        ]  # fmt: skip
+        stored = []
+        for row in self._rows("attempts", "attempt"):
+            position = Position(row.pop("angle_deg"), row.pop("approach"), row.pop("use"))
+            row |= {"number": row.pop("attempt"), "registers": tuple(row["registers"])}
+            offset_s = offsets.get(row["run"], math.nan)
+            stored.append(StoredAttempt(position=position, offset_s=offset_s, **row))
         self._refuse_strangers(stored)
         return stored
 
@@ -231,16 +214,11 @@ class ArchiveView:
             raise database.damaged(
                 self.path, f"{len(rows)} of {attempt.blocks} blocks of attempt {attempt.number}"
             )
-        return [
-            self._block(attempt, sequence, scans, lost, words, time_s)
-            for _, sequence, name, scans, lost, words, time_s in rows
-            if phase in (None, name)
-        ]
+        return [self._block(attempt, row) for row in rows if phase in (None, row["phase"])]
 
-    def _block(
-        self, attempt: StoredAttempt, sequence: int, scans: int, lost: int, words: bytes, time_s: bytes
-    ) -> Block:
-        where = f"block {sequence} of attempt {attempt.number}"
+    def _block(self, attempt: StoredAttempt, row: JsonDict) -> Block:
+        where = f"block {row['sequence']} of attempt {attempt.number}"
+        scans, words, time_s = row["scans"], row["words"], row["time_s"]
         width = len(attempt.registers) * (8 if attempt.variant == GENERIC else 2)
         if len(time_s) != 8 * scans or len(words) != width * scans:
             raise database.damaged(self.path, f"{where} does not hold {scans} scans")
@@ -251,7 +229,7 @@ class ArchiveView:
         block = from_bytes(
             words,
             times,
-            lost,
+            row["lost"],
             registers=attempt.registers,
             variant=attempt.variant,
             gyro_range_dps=attempt.gyro_range_dps,
@@ -260,37 +238,40 @@ class ArchiveView:
             raise database.damaged(self.path, f"the samples of {where} are no numbers of a sensor")
         return block
 
-    def moves_before(self, attempt: int) -> list[Move]:
-        """Moves of the stage that led up to an attempt's end, in order.
+    def _line(self, attempt: int) -> list[StoredAttempt]:
+        """Last attempt of each run on the line that leads up to an attempt's end, in order.
 
         Where a run went back to an earlier attempt, what came after that one in the run before is not
         part of the line that leads here.
         """
-        runs = {run["run"]: run["continues"] for run in self.runs()}
-        of_run = {a.number: a.run for a in self.attempts()}
-        moves = [
-            (number, _move(bus_s, angle_deg, approach, aim))
-            for _, number, bus_s, angle_deg, approach, aim in self._rows("moves", "move")
-        ]
-        line: list[Move] = []
+        continues = {run["run"]: run["continues"] for run in self.runs()}
+        of_number = {stored.number: stored for stored in self.attempts()}
+        line: list[StoredAttempt] = []
         while attempt:
-            run = of_run[attempt]
-            line = [
-                move for number, move in moves if of_run.get(number) == run and number <= attempt
-            ] + line
-            attempt = runs[run]
+            line.insert(0, of_number[attempt])
+            attempt = continues[line[0].run]
         return line
+
+    def moves_before(self, attempt: int) -> list[Move]:
+        """Moves of the stage that led up to an attempt's end, in order."""
+        of_run = {stored.number: stored.run for stored in self.attempts()}
+        rows = self._rows("moves", "move")
+        return [
+            _move(row)
+            for last in self._line(attempt)
+            for row in rows
+            if of_run.get(row["attempt"]) == last.run and row["attempt"] <= last.number
+        ]
 
     def conditions_before(self, attempt: int) -> list[Record]:
         """Temperatures and supplies that the program set on the line that leads up to an attempt's end."""
-        runs = {run["run"]: run["continues"] for run in self.runs()}
-        ends = {a.number: (a.run, a.ended_bus_s) for a in self.attempts()}
-        line: list[Record] = []
-        while attempt:
-            run, end_s = ends[attempt]
-            line = [r for r in self.records("conditions") if r.run == run and r.bus_s <= end_s] + line
-            attempt = runs[run]
-        return line
+        records = self.records("conditions")
+        return [
+            record
+            for last in self._line(attempt)
+            for record in records
+            if record.run == last.run and record.bus_s <= last.ended_bus_s
+        ]
 
     def close(self) -> None:
         """Close the file; may be called twice."""
@@ -309,11 +290,11 @@ class ArchiveView:
 
     def _rows(
         self, table: str, order: str, column: str = "1", value: int = 1, kind: str | None = None
-    ) -> list[tuple[Any, ...]]:
-        """Rows of a table without their checksums, all or those that have a value in a column.
+    ) -> list[JsonDict]:
+        """Rows of a table by column, without their checksums, all or those that have a value in a column.
 
-        This is the door: every value has the type and range of `row_schema`, and JSON is a value. Records
-        of another kind than `kind` are left out once their checksum was checked.
+        This is the door: every value has the type and range that `tables` declares, and JSON is a value.
+        Records of another kind than `kind` are left out once their checksum was checked.
         """
         checked, characters = [], 0
         with database.explained(self.path):
@@ -346,9 +327,8 @@ def _can_be_scanned(attempt: StoredAttempt) -> bool:
     return len(set(names)) == len(names) and set(least) <= set(names) <= set(known)
 
 
-def _move(
-    bus_s: float, angle_deg: float | None, approach: int, aim: list[float] | dict[str, float] | None
-) -> Move:
+def _move(row: JsonDict) -> Move:
+    aim, move = row["direction"], Move(row["bus_s"], row["angle_deg"], row["approach"])
     if isinstance(aim, dict):
-        return Move(bus_s, angle_deg, approach, turned_deg=aim["turned_deg"])
-    return Move(bus_s, angle_deg, approach, None if aim is None else (aim[0], aim[1], aim[2]))
+        return replace(move, turned_deg=aim["turned_deg"])
+    return move if aim is None else replace(move, direction=(aim[0], aim[1], aim[2]))

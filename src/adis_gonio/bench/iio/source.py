@@ -27,7 +27,7 @@ from adis_gonio.bench.iio.network import PORT, NetworkDevice
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.record.blocks import GENERIC, ValueBlock
 from adis_gonio.record.settings import Settings
-from adis_gonio.record.source import KnownPart, Measuring
+from adis_gonio.record.source import KnownPart, Measuring, SampleSource
 
 TYPICAL_NOISE_MG = 5.0
 """Estimate for a sample of an unknown accelerometer; a sample that varies by ten times that moves."""
@@ -90,8 +90,8 @@ class IioMeasuring:
         }
 
 
-class IioSource:
-    """An IIO accelerometer as a `SampleSource`; use it as a context manager.
+class IioSource(SampleSource):
+    """An IIO accelerometer as a source of samples; use it as a context manager.
 
     Parameters
     ----------
@@ -109,9 +109,6 @@ class IioSource:
     """
 
     kept = ("dwell_s", "settle_s", "still_timeout_s")
-    stage = None
-    world = None
-    why_polled = ""
 
     def __init__(
         self, url: str, device: IioDevice, *, poll_hz: float | None = None, rate_hz: float | None = None
@@ -159,20 +156,6 @@ class IioSource:
         """Say how the device measures; it is left as it is."""
         return self.measuring
 
-    def give_back(self) -> None:
-        """Nothing: the device is left as it is."""
-
-    def mark_restart(self) -> None:
-        """Nothing: there are no registers."""
-
-    def settings_held(self, *, checked: bool = False) -> dict[str, int]:
-        """Empty: there are no registers."""
-        return {}
-
-    def registers(self) -> dict[str, int]:
-        """None: what a device has is in the configuration."""
-        return {}
-
     def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
         """Device, rate and scales."""
         return dict(measuring)
@@ -193,19 +176,9 @@ class IioSource:
             return PolledSamples(self, block_samples)
         return BufferedSamples(self, block_samples)
 
-    def status(self) -> None:
-        """Report no faults: IIO has no common word for them."""
-        return
-
     def close(self) -> None:
         """Close the device."""
         self._device.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 class IioStream(ABC):

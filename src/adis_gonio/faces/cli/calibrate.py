@@ -294,8 +294,9 @@ def _runner(
     turns: int | None,
     **options: Any,
 ) -> SessionRunner:
-    from adis_gonio.bench.free_turn import FREE_TURN, runner_of
+    from adis_gonio.bench.free_turn import FREE_TURN
     from adis_gonio.bench.gyro_turns import ALL_THERMOMETERS
+    from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor.driver import DEFAULT_SCAN
     from adis_gonio.device.sensor.settings import smpl_prd_for
     from adis_gonio.faces.cli.bench.lines import on_terminal
@@ -310,7 +311,7 @@ def _runner(
             )
         if options["poll"]:
             raise UsageError("--resume gets its scans as the session did before: leave --poll out")
-        return _runner_of_archive(output).resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
+        return SessionRunner.resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
     if options["latitude"] is not None and options["gravity_mps2"] is not None:
         raise UsageError("give --gravity or --latitude, not both")
     world = sensor.world
@@ -338,7 +339,7 @@ def _runner(
         turns=_keeps_moves(plan_name, options["record_turns"]),
         registers=ALL_THERMOMETERS if plan_name == GYRO_TURNS else DEFAULT_SCAN,
     )
-    return runner_of(chosen).begin(
+    return SessionRunner.begin(
         sensor,
         output,
         chosen,
@@ -412,12 +413,3 @@ def _positions(
     if turns is not None:
         raise UsageError("--turns are those of a free turn: give --plan free-turn (of gyros: gyro-turns)")
     return plan_by(name or DEFAULT_PLAN, positions, check)
-
-
-def _runner_of_archive(path: Path) -> type[SessionRunner]:
-    """What goes on with a session: what its plan takes."""
-    from adis_gonio.bench.free_turn import runner_of
-    from adis_gonio.record.archive import ArchiveView
-
-    with ArchiveView(path) as view:
-        return runner_of(view.plan())

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.record.samples import names
-from adis_gonio.record.samples.dialect import DELIMITERS, IN_WORDS, SPACE, Dialect, header_cells
-from adis_gonio.record.samples.keys import Keys, keys_of
-from adis_gonio.record.samples.lines import chunks_of
-from adis_gonio.record.samples.names import AXES, COLUMNS, GYROS, CsvColumn
+from adis_gonio.model.gravity import checked_gravity_mps2
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+from adis_gonio.record.samples.columns import (
+    AXES,
+    COLUMNS,
+    GYROS,
+    KEYS,
+    CsvColumn,
+    recognised,
+    split_unit,
+    with_formulas,
+)
+from adis_gonio.record.samples.text import DELIMITERS, SPACE, Dialect, chunks_of, header_cells
 
 _SEPARATORS = ("\t", ";", ",", "|", ":", "^", "~")
 """What Excel's first line `sep=…` may state."""
@@ -41,9 +49,10 @@ class Head:
         Its decimal mark is still to be decided where `keys` does not state it.
     columns : dict of str to CsvColumn
         Those that are read, by the format's names.
-    keys : Keys
+    keys : dict of str to object
+        Values that the leading lines state.
     notes : tuple of str
-        What has to be said of the header.
+        What has to be said of the leading lines and of the header.
     """
 
     path: Path
@@ -51,7 +60,7 @@ class Head:
     width: int
     dialect: Dialect
     columns: dict[str, CsvColumn]
-    keys: Keys
+    keys: dict[str, Any]
     notes: tuple[str, ...]
 
     def settings(self, *, unit_told: bool) -> dict[str, Any]:
@@ -62,7 +71,7 @@ class Head:
         DataError
             Header and key state different units, and the user has not told the right one.
         """
-        values = {name: value for name, value in self.keys.values.items() if name != "decimal"}
+        values = {name: value for name, value in self.keys.items() if name != "decimal"}
         for key, axes, table in (("accel_unit", AXES, "accelerations"), ("gyro_unit", GYROS, "rates")):
             unit = next((c.unit for c in self.columns.values() if c.name in axes), "")
             if not unit:
@@ -92,15 +101,16 @@ def head_of(path: Path, wanted: Mapping[str, str]) -> Head:
     UsageError
         `wanted` names a column that is not there.
     """
-    comments, line, text, forced, skipped = _leading(path, wanted)
-    delimiter, cells = _split(text, forced, wanted)
-    if not _known(cells) and not wanted and comments:
+    top = _leading(path, wanted)
+    delimiter, cells = _split(top.text, top.separator, wanted)
+    if not any(map(recognised, cells)) and not wanted and top.comments:
         # A header behind a comment sign, as numpy.savetxt writes it.
-        under = comments[-1][1].lstrip("# ")
-        other, names_there = _split(under, forced, wanted)
-        if len(_known(names_there)) > 1:
-            delimiter, cells, line = other, names_there, comments[-1][0]
-            comments = comments[:-1]
+        line, under = top.comments[-1]
+        other, names_there = _split(under.lstrip("# "), top.separator, wanted)
+        if sum(recognised(cell) is not None for cell in names_there) > 1:
+            delimiter, cells, top.line = other, names_there, line
+            del top.comments[-1]
+    line, skipped = top.line, top.skipped
     if not line or not cells:
         raise DataError(f"{path.name}: no header row; expected one like '{_EXPECTED}'")
     if len(cells) > MOST_COLUMNS:
@@ -111,79 +121,144 @@ def head_of(path: Path, wanted: Mapping[str, str]) -> Head:
         more = ", …" if len(skipped) > 3 else ""
         notes.append(f"rows before the header in row {line} were skipped: {shown}{more}")
     dialect = Dialect(delimiter)
-    keys = keys_of(path.name, comments, dialect, len(cells))
-    return Head(path, line, len(cells), dialect, columns, keys, tuple(notes))
+    keys, remarks = _read_keys(path.name, top.comments, dialect, len(cells))
+    return Head(path, line, len(cells), dialect, columns, keys, (*remarks, *notes))
 
 
-def _leading(
-    path: Path, wanted: Mapping[str, str]
-) -> tuple[list[tuple[int, str]], int, str, str | None, list[tuple[int, str]]]:
-    """Lines with `#`, number and text of the header, the delimiter that `sep=` states, skipped lines.
+@dataclass
+class _Top:
+    """Lines of a file down to its header.
 
-    The header is the first other line that names a time and two accelerations, if one of the first does:
-    a logger prints text when it starts, and a log may begin in the middle of a row. Else it is the first
-    line, for an error that shows it.
+    Attributes
+    ----------
+    comments, skipped : list of (int, str)
+        Lines that begin with `#`, and other lines above the header, with their numbers.
+    line, text : int, str
+        Number and text of the header; 0 and empty without any line.
+    separator : str or None
+        What `sep=` states.
     """
-    comments: list[tuple[int, str]] = []
-    others: list[tuple[int, str]] = []
-    forced: str | None = None
-    held = 0
+
+    comments: list[tuple[int, str]] = field(default_factory=list)
+    skipped: list[tuple[int, str]] = field(default_factory=list)
+    line: int = 0
+    text: str = ""
+    separator: str | None = None
+
+    def without_header(self) -> _Top:
+        """Take the first line for the header, which was not found, with the comments above it."""
+        if self.skipped:
+            self.line, self.text = self.skipped[0]
+            self.comments = [comment for comment in self.comments if comment[0] < self.line]
+        self.skipped = []
+        return self
+
+
+def _leading(path: Path, wanted: Mapping[str, str]) -> _Top:
+    """Read down to the header.
+
+    The header is the first line without `#` that names a time and two accelerations, if one of the first
+    does: a logger prints text when it starts, and a log may begin in the middle of a row. Else it is the
+    first line, for an error that shows it.
+    """
+    top, characters = _Top(), 0
     for chunk in chunks_of(path):
         for number, line in enumerate(chunk.lines, chunk.first):
             bare = line.strip()
-            held += len(bare)
-            if number > MOST_HEAD_LINES or held > MOST_HEAD_CHARACTERS:
+            characters += len(bare)
+            if number > MOST_HEAD_LINES or characters > MOST_HEAD_CHARACTERS:
                 raise DataError(
                     f"{path.name}: no header within {MOST_HEAD_LINES} lines and {MOST_HEAD_CHARACTERS} "
                     f"characters; expected one like '{_EXPECTED}'"
                 )
             if bare.lower().startswith("sep="):
-                forced = line[4:5] if line[4:5] in _SEPARATORS else None
+                top.separator = line[4:5] if line[4:5] in _SEPARATORS else None
             elif bare.startswith(("#", '"#')):
-                comments.append((number, bare))
+                top.comments.append((number, bare))
             elif bare.strip(';,\t" '):
-                if _names_samples(line, forced, wanted):
-                    return comments, number, line, forced, others
-                others.append((number, line))
-            if others and number >= others[0][0] + _PREAMBLE_LINES:
-                return _without_header(comments, others, forced)
-    return _without_header(comments, others, forced)
+                if _names_samples(line, top.separator, wanted):
+                    top.line, top.text = number, line
+                    return top
+                top.skipped.append((number, line))
+            if top.skipped and number >= top.skipped[0][0] + _PREAMBLE_LINES:
+                return top.without_header()
+    return top.without_header()
 
 
-def _without_header(
-    comments: list[tuple[int, str]], others: list[tuple[int, str]], forced: str | None
-) -> tuple[list[tuple[int, str]], int, str, str | None, list[tuple[int, str]]]:
-    """The first line in the place of a header that was not found, with the comments above it."""
-    number, line = others[0] if others else (0, "")
-    above = [comment for comment in comments if not number or comment[0] < number]
-    return above, number, line, forced, []
-
-
-def _names_samples(line: str, forced: str | None, wanted: Mapping[str, str]) -> bool:
+def _names_samples(line: str, separator: str | None, wanted: Mapping[str, str]) -> bool:
     """True if the line names a time and two accelerations, or one of the columns that the user names."""
-    _, cells = _split(line, forced, wanted)
-    told = {text.strip().lower() for text in wanted.values()}
-    if any(_alike(cell, text) for cell in cells for text in told):
+    _, cells = _split(line, separator, wanted)
+    if any(_alike(cell, text.strip()) for cell in cells for text in wanted.values()):
         return True
-    known = {found[0] for found in map(names.recognised, cells) if found is not None}
-    return {"time_s", "ax", "ay"} <= known
+    return {"time_s", "ax", "ay"} <= {found[0] for found in map(recognised, cells) if found is not None}
 
 
-def _split(line: str, forced: str | None, wanted: Mapping[str, str]) -> tuple[str, list[str]]:
+def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple[str, list[str]]:
     """Delimiter and cells of a header: those that make most names known."""
-    if forced is not None:
-        return forced, header_cells(line, forced)
-    told = {text.strip().lower() for text in wanted.values()}
+    if separator is not None:
+        return separator, header_cells(line, separator)
+    named = {text.strip().lower() for text in wanted.values()}
 
-    def known(cells: Sequence[str]) -> int:
-        return len(_known(cells)) + sum(cell.lower() in told for cell in cells)
+    def quality(split: tuple[str, list[str]]) -> tuple[int, int]:
+        delimiter, cells = split
+        known = sum((recognised(cell) is not None) + (cell.lower() in named) for cell in cells)
+        return known, len(cells) if delimiter != SPACE else 0
 
-    split = [(delimiter, header_cells(line, delimiter)) for delimiter in DELIMITERS]
-    return max(split, key=lambda one: (known(one[1]), len(one[1]) if one[0] != SPACE else 0))
+    return max(((delimiter, header_cells(line, delimiter)) for delimiter in DELIMITERS), key=quality)
 
 
-def _known(cells: Sequence[str]) -> list[str]:
-    return [cell for cell in cells if names.recognised(cell)]
+def _read_keys(
+    file: str, lines: Sequence[tuple[int, str]], dialect: Dialect, columns: int
+) -> tuple[dict[str, Any], list[str]]:
+    """Values and notes of the leading lines with `#`.
+
+    A spreadsheet writes these lines as rows too, in the dialect and with the number of columns of the rows.
+
+    Raises
+    ------
+    DataError
+        A key that stands there twice, or an unknown value of one.
+    """
+    values: dict[str, Any] = {}
+    notes: list[str] = []
+    for number, line in lines:
+        name, colon, text = _bare(line, dialect, columns).partition(":")
+        name, text = name.strip().lower(), with_formulas(text.strip())
+        if not colon:
+            continue
+        if name == "note":
+            notes.append(text)
+        elif name not in KEYS:
+            notes.append(f"key '{name}' in row {number} is not known and was ignored")
+        elif name in values:
+            raise DataError(f"{file}, row {number}: key '{name}' stands there twice")
+        elif text:
+            try:
+                values[name] = KEYS[name].read(text)
+            except ValueError as error:
+                reason = str(error)
+                if not reason.startswith("expected"):
+                    reason = "expected a number, with a decimal point"
+                raise DataError(f"{file}, row {number}: {name} '{text}' is not known: {reason}") from error
+    try:
+        checked_gravity_mps2(values.get("gravity_mps2", STANDARD_GRAVITY_MPS2))
+    except UsageError as error:
+        notes.append(f"gravity_mps2 is taken as it stands, but {str(error).split(';')[0]}")
+    return values, notes
+
+
+def _bare(line: str, dialect: Dialect, columns: int) -> str:
+    """A line without its `#`, and without what a spreadsheet has added to it."""
+    if line.startswith('"'):
+        try:
+            line = dialect.cells(line)[0]
+        except (ValueError, IndexError):
+            line = line.strip('"')
+    elif dialect.delimiter != SPACE and (
+        line.endswith(2 * dialect.delimiter) or line.count(dialect.delimiter) == columns - 1
+    ):
+        line = line.rstrip(dialect.delimiter)
+    return line.lstrip("#")
 
 
 @dataclass(frozen=True)
@@ -215,7 +290,7 @@ class _Assignment:
 
     def _told(self, mine: str, theirs: str) -> tuple[str, CsvColumn]:
         """A column that the user names."""
-        known = names.recognised(mine)
+        known = recognised(mine)
         if known is None:
             raise UsageError(f"columns: '{mine}' is no column of the format; known: {', '.join(COLUMNS)}")
         there = [k for k, cell in enumerate(self.cells) if cell == theirs] or [
@@ -225,7 +300,7 @@ class _Assignment:
             what = "no column is called" if not there else "several columns are called"
             shown = ", ".join(f"'{cell}'" for cell in self.cells)
             raise UsageError(f"columns: {what} '{theirs}' in {self.path.name}; there are {shown}")
-        unit = known[1] or names.unit_in(self.cells[there[0]])
+        unit = known[1] or split_unit(self.cells[there[0]])[1]
         return known[0], CsvColumn(
             known[0], there[0], self.cells[there[0]], unit, plain=mine.endswith("_s")
         )
@@ -234,7 +309,7 @@ class _Assignment:
         taken = {column.place for column in told.values()}
         found: dict[str, CsvColumn] = {}
         for k, cell in enumerate(self.cells):
-            known = None if k in taken else names.recognised(cell)
+            known = None if k in taken else recognised(cell)
             if known is None or known[0] in told:
                 continue
             column = CsvColumn(known[0], k, cell, known[1], known[2])
@@ -255,19 +330,15 @@ class _Assignment:
         chosen: dict[str, CsvColumn] = {}
         notes = []
         for name, column in found.items():
-            unit = column.unit
-            if unit and name in (*AXES, *GYROS):
-                spelled = names.unit_of(name, unit)
-            else:
-                spelled = unit if names.scale_of(name, unit) is not None else None
-            if spelled is not None:
-                chosen[name] = CsvColumn(name, column.place, column.text, spelled, column.plain)
+            known_unit = COLUMNS[name].unit(column.unit)
+            if known_unit is not None:
+                chosen[name] = replace(column, unit=known_unit[0], scale=known_unit[1])
                 continue
-            known = ", ".join(names.known_units(name))
+            known = ", ".join(COLUMNS[name].units)
             if name in ("time_s", *AXES):
                 raise self._fail(
-                    f"unit '{unit}' of column '{column.text}' is not known; known are {known}: convert, or "
-                    f"name the column without it"
+                    f"unit '{column.unit}' of column '{column.text}' is not known; known are {known}: "
+                    "convert, or name the column without it"
                 )
             why = f"its unit is not one of {known}" if known else f"{name} has no unit"
             notes.append(f"column '{column.text}' was ignored: {why}")
@@ -282,7 +353,7 @@ class _Assignment:
         missing = [name for name in ("time_s", "ax", "ay") if name not in chosen]
         if not missing:
             return
-        spare = [cell for cell in self.cells if cell and names.recognised(cell) is None]
+        spare = [cell for cell in self.cells if cell and recognised(cell) is None]
         hint = ""
         if spare:
             likely = ",".join(f"{name}={_likely(name, spare)}" for name in missing)
@@ -318,14 +389,14 @@ class _Assignment:
 def _likely(name: str, spare: Sequence[str]) -> str:
     """The unknown column that ends as an axis does, or begins as a time does; dots where there is none."""
     for cell in spare:
-        text = names.without_unit(cell).lower()
+        text = split_unit(cell)[0].lower()
         if text.endswith(name[1]) if name in AXES else text.startswith(("t", "z")):
             return cell
     return "…"
 
 
 def _alike(cell: str, theirs: str) -> bool:
-    return theirs.lower() in (cell.lower(), names.without_unit(cell).lower())
+    return theirs.lower() in (cell.lower(), split_unit(cell)[0].lower())
 
 
 def _numeric(cell: str) -> bool:
@@ -343,8 +414,3 @@ def _renamed(chosen: Mapping[str, CsvColumn]) -> list[str]:
         return []
     listed = ", ".join(f"{column.name} from '{column.text}'" for column in own)
     return [f"columns were read as: {listed}"]
-
-
-def delimiter_in_words(dialect: Dialect) -> str:
-    """Name of what separates the cells."""
-    return IN_WORDS.get(dialect.delimiter, f"'{dialect.delimiter}'")

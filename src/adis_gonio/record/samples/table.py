@@ -22,23 +22,14 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError
-from adis_gonio.record.samples.dialect import SPACE, Dialect, marks_in, proof_of
-from adis_gonio.record.samples.header import Head, delimiter_in_words, head_of
-from adis_gonio.record.samples.lines import Chunk, chunks_of
-from adis_gonio.record.samples.names import AXES, GYROS, SAME, scale_of
+from adis_gonio.record.samples.columns import AXES, COLUMNS, GYROS, SAME
+from adis_gonio.record.samples.header import Head, head_of
+from adis_gonio.record.samples.text import SPACE, Chunk, Dialect, chunks_of, proved_mark
 
-SERIES = ("time_s", *AXES, *GYROS, "temp_c", "supply_v")
-"""Columns with a number in every row."""
-RUNS = ("position", "angle_deg", "approach", "use")
-"""Columns with one value a dwell."""
 _WALL_CLOCK = re.compile(
     r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?\s*(Z|[+-]\d\d(:?\d\d)?)?", re.ASCII
 )
 """ISO 8601 with date and time, as loggers write it; with Z or an offset, or in one zone without."""
-_LATEST = 1e20
-"""Largest time: in ns since 1970 it has 2e18."""
-_LARGEST = 1e10
-"""Largest other number: a count of 32 bits is smaller, and its fourth power is far from overflow."""
 _GROWTH, _LEAST = 1.125, 1 << 15
 _SLOWEST_S = 2.0
 """Step between rows from which a time without a unit may as well be in ms."""
@@ -90,7 +81,7 @@ class SamplesTable:
 
     def number(self, name: str, text: str) -> float:
         """Number of a cell of a column that holds one value a dwell, in the format's unit."""
-        multiply, divide, add = scale_of(name, self.head.columns[name].unit) or SAME
+        multiply, divide, add = self.head.columns[name].scale
         return self.dialect.number(text) * multiply / divide + add
 
     def texts(self, name: str, rows: slice) -> Iterator[tuple[int, str]]:
@@ -128,27 +119,20 @@ class _Growing:
         self._array.resize((n, *self._tail), refcheck=False)
 
 
-class _BadCellError(ValueError):
-    """Row within the chunk and what is wrong there."""
-
-    def __init__(self, row: int, message: str) -> None:
-        super().__init__(message)
-        self.row = row
-
-
 class _Reader:
     """Rows of one file on their way into arrays."""
 
     def __init__(self, head: Head, dialect: Dialect) -> None:
         self.head, self.dialect = head, dialect
-        self.series = [name for name in SERIES if name in head.columns]
-        self.texts = [name for name in RUNS if name in head.columns]
-        self.place = {name: head.columns[name].place for name in (*self.series, *self.texts)}
+        self.place = {name: column.place for name, column in head.columns.items()}
+        self.series = [name for name in COLUMNS if name in self.place and not COLUMNS[name].per_dwell]
         axes = sum(name in AXES for name in self.series)
         self.time, self.accel = _Growing(), _Growing(axes)
         self.gyro = _Growing(3) if GYROS[0] in self.place else None
         self.others = {name: _Growing() for name in ("temp_c", "supply_v") if name in self.place}
-        self.runs: dict[str, list[tuple[int, str]]] = {name: [] for name in self.texts}
+        self.runs: dict[str, list[tuple[int, str]]] = {
+            name: [] for name in self.place if COLUMNS[name].per_dwell
+        }
         self.lines: list[tuple[int, int]] = []
         self.notes: list[str] = []
         self.n, self.latest_s = 0, -math.inf
@@ -210,7 +194,7 @@ class _Reader:
                 raise ValueError
             cells = text.replace(",", ".").split("\n")
         values = np.fromiter(map(float, cells), dtype=np.float64, count=len(cells))
-        if "_" in text or not (np.abs(values) <= _largest(name)).all():
+        if "_" in text or not (np.abs(values) <= COLUMNS[name].largest).all():
             raise ValueError
         return values
 
@@ -251,12 +235,9 @@ class _Reader:
             if not kept:
                 return
         columns = [list(column) for column in zip(*kept, strict=True)]
-        try:
-            values = {
-                name: self._numbers_one_by_one(name, columns[self.place[name]]) for name in self.series
-            }
-        except _BadCellError as error:
-            raise self.fail(numbers[error.row], str(error)) from None
+        values = {
+            name: self._numbers_one_by_one(name, columns[self.place[name]], numbers) for name in self.series
+        }
         jumps = [k for k, (a, b) in enumerate(pairwise(numbers), 1) if b != a + 1]
         self._add([(k, numbers[k]) for k in (0, *jumps)], columns, values)
 
@@ -287,7 +268,7 @@ class _Reader:
     def _hint(self, cells: int) -> str:
         if self.dialect.delimiter == "," and cells > self.head.width + 1:
             return "; if its numbers have decimal commas, save the file with semicolons between the cells"
-        return f" (cells are separated by {delimiter_in_words(self.dialect)}s)"
+        return f" (cells are separated by {self.dialect.delimiter_in_words}s)"
 
     def _whole(self, cells: list[str]) -> bool:
         try:
@@ -299,13 +280,13 @@ class _Reader:
 
     def _one(self, name: str, cell: str) -> float:
         value = self.dialect.number(cell)
-        if not abs(value) <= _largest(name):
+        if not abs(value) <= COLUMNS[name].largest:
             raise ValueError(cell)
         if not self._joined and ("." if self.dialect.decimal == "," else ",") in cell:
             self._joined = f"marks between thousands were left out, as in '{cell.strip()}' = {value:.12g}"
         return value
 
-    def _numbers_one_by_one(self, name: str, cells: list[str]) -> Floats:
+    def _numbers_one_by_one(self, name: str, cells: list[str], lines: list[int]) -> Floats:
         try:
             return self._numbers(name, cells)
         except ValueError:
@@ -318,7 +299,7 @@ class _Reader:
                 what = self._what(name, cell.strip())
                 if name == "time_s" and self._began is not None:
                     what = f"'{cell.strip()}' is not a time like '{self._began.isoformat(' ')}' before it"
-                raise _BadCellError(row, f"column '{name}': {what}") from None
+                raise self.fail(lines[row], f"column '{name}': {what}") from None
         return values
 
     def _what(self, name: str, cell: str) -> str:
@@ -331,7 +312,7 @@ class _Reader:
             value = 0.0
         if not math.isfinite(value):
             return f"{cell} is not a finite number; leave such rows out"
-        if abs(value) > _largest(name):
+        if abs(value) > COLUMNS[name].largest:
             return f"{cell} is too large for a measurement; leave such rows out"
         own, other = ("comma", ".") if self.dialect.decimal == "," else ("point", ",")
         try:
@@ -346,9 +327,8 @@ class _Reader:
             if not self.lines or self._next_line(self.n + row) != line:
                 self.lines.append((self.n + row, line))
         for name, series in values.items():
-            scaled = name not in (*AXES, *GYROS) and not (name == "time_s" and self._began)
-            scale = scale_of(name, self.head.columns[name].unit) if scaled else SAME
-            if scale not in (SAME, None):
+            scale = self.head.columns[name].scale
+            if scale != SAME and not (name == "time_s" and self._began):
                 values[name] = series * scale[0] / scale[1] + scale[2]
         time = values["time_s"]
         self._refuse_backwards(time)
@@ -409,7 +389,7 @@ class _Reader:
             supply_v=others.get("supply_v"),
             runs=self.runs,
             lines=self.lines,
-            notes=(*self.head.keys.notes, *self.head.notes, *self.notes),
+            notes=(*self.head.notes, *self.notes),
         )
         if self._began is None:
             _refuse_unclear_time(table)
@@ -450,7 +430,7 @@ def _rows_of(head: Head) -> Iterator[Chunk]:
 
 def _decided(head: Head) -> Dialect:
     """The dialect with the decimal mark that the file states or its numbers prove."""
-    stated = head.keys.values.get("decimal")
+    stated = head.keys.get("decimal")
     if stated is not None:
         return head.dialect.with_decimal(stated, proved=True)
     undecided: tuple[int, str] | None = None
@@ -484,13 +464,13 @@ def _proof_in(head: Head, chunk: Chunk) -> tuple[str, tuple[int, str] | None]:
             cells = head.dialect.cells(line)
         except ValueError:
             continue
-        own = [cells[k] for k in places if k < len(cells)]
-        proof = proof_of(own)
-        if proof is not None:
-            return proof[0], None
+        own = [cells[k].strip() for k in places if k < len(cells)]
+        proof = proved_mark(own)
+        if proof:
+            return proof, None
         if undecided is None:
             marked = [
-                cell.strip() for cell in own if marks_in([cell]) and not _WALL_CLOCK.fullmatch(cell.strip())
+                cell for cell in own if ("." in cell or "," in cell) and not _WALL_CLOCK.fullmatch(cell)
             ]
             undecided = (number, marked[0]) if marked else None
     return "", undecided
@@ -507,8 +487,3 @@ def _refuse_unclear_time(table: SamplesTable) -> None:
             f"{table.path.name}, row {table.head.line}: column '{column.text}' states no unit and its rows "
             f"are {step:g} apart: call it time_s or time_ms, or say --columns time_ms={column.text}"
         )
-
-
-def _largest(name: str) -> float:
-    """Return the largest number that a cell of a column may hold."""
-    return _LATEST if name == "time_s" else _LARGEST

@@ -1,18 +1,24 @@
-"""A file's bytes as numbered lines of text, a chunk at a time: gzip, encodings, line ends.
+"""A file's bytes as numbered lines of text, and its lines as cells and numbers.
 
 Text is UTF-8, with or without a byte order mark, or UTF-16, as Excel's "Unicode text" has it. A byte that
 is no UTF-8 is read as Windows-1252, where the degree sign and the superscript two of older programs stand:
 digits are the same in both.
+
+Cells are separated by what makes the header's names known. In a file separated by commas a fraction has a
+point, as the format says. Elsewhere the numbers of the whole file have to prove it: `0,5` or `1234,5` can
+only be a decimal comma and `1.2345` only a decimal point, while `1,234` may be either. A file without proof
+is refused; a file that proves both is, too.
 """
 
 from __future__ import annotations
 
 import codecs
+import csv
 import gzip
 import re
 import zlib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, cast
 
@@ -176,3 +182,114 @@ def _refuse_binary(path: Path, text: str) -> None:
             f"{path.name}: not a samples CSV: it holds binary data; give a .csv, a .csv.gz or a file "
             "written by calibrate or simulate"
         )
+
+
+# -- cells and numbers ----------------------------------------------------------------------------
+
+SPACE = " "
+"""Stands for runs of white space."""
+DELIMITERS = ("\t", ";", ",", SPACE)
+_IN_WORDS = {"\t": "tab", ";": "semicolon", ",": "comma", SPACE: "space"}
+
+# Possessive (++): digits are never tried again in another split, which takes hours in a cell of thousands.
+_NUMBER = r"[+-]?(?:\d++{0}?\d*+|{0}\d+)(?:[eE][+-]?\d+)?"
+_GROUPED = r"[+-]?[1-9]\d{{0,2}}(?:{1}\d{{3}})+(?:{0}\d*)?"
+_FORMS = {
+    mark: (
+        re.compile(_NUMBER.format(re.escape(mark))),
+        re.compile(_GROUPED.format(re.escape(mark), re.escape(other))),
+    )
+    for mark, other in ((".", ","), (",", "."))
+}
+_UNDECIDED = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
+_TOKENS = re.compile(r"\s+(?![\[(])")
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a file writes its rows.
+
+    Attributes
+    ----------
+    delimiter : str
+        One of `DELIMITERS`.
+    decimal : str
+        Point or comma.
+    grouped : bool
+        True where it is proved, so that the other mark may stand between thousands.
+    """
+
+    delimiter: str = ","
+    decimal: str = "."
+    grouped: bool = False
+
+    def cells(self, line: str) -> list[str]:
+        """Cells of one line, without quotes.
+
+        Raises
+        ------
+        ValueError
+            A quote that does not end.
+        """
+        if self.delimiter == SPACE:
+            return line.split()
+        if '"' not in line:
+            return line.split(self.delimiter)
+        try:
+            return next(csv.reader([line], delimiter=self.delimiter, strict=True, skipinitialspace=True))
+        except (csv.Error, StopIteration):
+            raise ValueError("a quotation mark does not end, or stands within a cell") from None
+
+    def number(self, cell: str) -> float:
+        """Number of a cell.
+
+        Raises
+        ------
+        ValueError
+            It is none in this dialect.
+        """
+        text = cell.strip().replace("−", "-")
+        plain, grouped = _FORMS[self.decimal]
+        if self.grouped and grouped.fullmatch(text):
+            text = text.replace("," if self.decimal == "." else ".", "")
+        elif not plain.fullmatch(text) and text.lower().lstrip("+-") not in ("nan", "inf", "infinity"):
+            raise ValueError(text)
+        return float(text.replace(",", "."))
+
+    @property
+    def delimiter_in_words(self) -> str:
+        """Name of what separates the cells."""
+        return _IN_WORDS.get(self.delimiter, f"'{self.delimiter}'")
+
+    def with_decimal(self, mark: str, *, proved: bool) -> Dialect:
+        """The same with the mark of its fractions."""
+        return replace(self, decimal=mark, grouped=proved)
+
+
+def header_cells(line: str, delimiter: str) -> list[str]:
+    """Cells of a header; where white space separates, a unit in brackets stays with its name."""
+    if delimiter == SPACE:
+        return [cell.strip('"') for cell in _TOKENS.split(line.strip())]
+    try:
+        cells = [cell.strip() for cell in Dialect(delimiter).cells(line)]
+    except ValueError:
+        cells = [cell.strip().strip('"') for cell in line.split(delimiter)]
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells
+
+
+def proved_mark(cells: Iterable[str]) -> str:
+    """The mark that a cell proves to be decimal; empty where none does."""
+    for cell in cells:
+        text = cell.strip()
+        if ("." not in text and "," not in text) or _UNDECIDED.fullmatch(text):
+            continue
+        for mark, other in ((".", ","), (",", ".")):
+            plain, grouped = _FORMS[mark]
+            if mark in text and plain.fullmatch(text):
+                return mark
+            # Two marks of a kind can only stand between thousands.
+            if (mark in text or text.count(other) > 1) and grouped.fullmatch(text):
+                return mark
+    return ""

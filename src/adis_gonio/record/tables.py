@@ -1,4 +1,4 @@
-"""Declared type and range of everything in a session file: columns, facts of `meta`, values of records.
+"""The archive's tables: SQL, type and range of every column, of the facts of `meta` and of records.
 
 A checksum shows damage, but not a value that somebody wrote with a checksum that fits. `checked_row` is
 the door: nothing of a session file goes on without it. Kinds of records that are not listed are read by
@@ -32,6 +32,10 @@ from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
 from adis_gonio.device.sensor.variants import GYRO_LSB_DPS, VARIANTS
 from adis_gonio.record.blocks import GENERIC, UNITS
 from adis_gonio.record.plans import MOST_POSITIONS
+
+APPLICATION_ID = 0x4144474F
+"""`ADGO` in the file's header; `file` and SQLite see whose it is."""
+SCHEMA_VERSION = 1
 
 LARGEST_S = 1e10
 """Three hundred years: clocks that count from 1970 are far below it."""
@@ -197,78 +201,118 @@ def _aim(value: Any) -> None:
 
 
 @dataclass(frozen=True)
-class _Column:
+class Column:
+    """A column of a table: name, SQL, and shape of its values (of JSON, of the value that it states)."""
+
     name: str
+    sql: str
     shape: Shape
     json: bool = False
 
 
-_RUN, _ATTEMPT = whole(1, _MOST), whole(1, _MOST)
-_COLUMNS: Mapping[str, tuple[_Column, ...]] = {
-    "meta": (_Column("key", text), _Column("value", anything, json=True)),
+_RUN = _ATTEMPT = whole(1, _MOST)
+_KEY, _INTEGER, _REAL, _TEXT = "INTEGER PRIMARY KEY", "INTEGER NOT NULL", "REAL NOT NULL", "TEXT NOT NULL"
+_OF_RUN, _OF_ATTEMPT = f"{_INTEGER} REFERENCES runs", f"{_INTEGER} REFERENCES attempts"
+
+
+def _one_of(name: str, *allowed: str) -> Column:
+    """Column of one of a few texts."""
+    listed = ", ".join(f"'{text}'" for text in allowed)
+    return Column(name, f"{_TEXT} CHECK ({name} IN ({listed}))", choice(*allowed))
+
+
+TABLES: Mapping[str, tuple[Column, ...]] = {
+    "meta": (Column("key", "TEXT PRIMARY KEY", text), Column("value", _TEXT, anything, json=True)),
     "runs": (
-        _Column("run", _RUN),
-        _Column("started_utc", text),
-        _Column("bus_s", _TIME),
-        _Column("clock_offset_s", _TIME),
-        _Column("continues", _COUNT),
-        _Column("software", text),
+        Column("run", _KEY, _RUN),
+        Column("started_utc", _TEXT, text),
+        Column("bus_s", _REAL, _TIME),
+        Column("clock_offset_s", _REAL, _TIME),
+        Column("continues", _INTEGER, _COUNT),
+        Column("software", _TEXT, text),
     ),
     "records": (
-        _Column("record", whole(1, _MOST)),
-        _Column("run", _RUN),
-        _Column("utc", text),
-        _Column("bus_s", _TIME),
-        _Column("kind", text),
-        _Column("value", anything, json=True),
+        Column("record", _KEY, whole(1, _MOST)),
+        Column("run", _OF_RUN, _RUN),
+        Column("utc", _TEXT, text),
+        Column("bus_s", _REAL, _TIME),
+        Column("kind", _TEXT, text),
+        Column("value", _TEXT, anything, json=True),
     ),
     "attempts": (
-        _Column("attempt", _ATTEMPT),
-        _Column("run", _RUN),
-        _Column("place", _COUNT),
-        _Column("angle_deg", nullable(_ANGLE)),
-        _Column("approach", _APPROACH),
-        _Column("use", _USE),
-        _Column("outcome", choice("complete", "interrupted")),
-        _Column("reason", text),
-        _Column("started_utc", text),
-        _Column("started_bus_s", _TIME),
-        _Column("ended_bus_s", _TIME),
-        _Column("registers", _SCAN, json=True),
-        _Column("variant", choice("", *VARIANTS, GENERIC)),
-        _Column("gyro_range_dps", _RANGE),
-        _Column("status", nullable(whole(0, 0xFFFF))),
-        _Column("blocks", _COUNT),
+        Column("attempt", _KEY, _ATTEMPT),
+        Column("run", _OF_RUN, _RUN),
+        Column("place", _INTEGER, _COUNT),
+        Column("angle_deg", "REAL", nullable(_ANGLE)),
+        Column("approach", _INTEGER, _APPROACH),
+        _one_of("use", "fit", "check"),
+        _one_of("outcome", "complete", "interrupted"),
+        Column("reason", _TEXT, text),
+        Column("started_utc", _TEXT, text),
+        Column("started_bus_s", _REAL, _TIME),
+        Column("ended_bus_s", _REAL, _TIME),
+        Column("registers", _TEXT, _SCAN, json=True),
+        Column("variant", _TEXT, choice("", *VARIANTS, GENERIC)),
+        Column("gyro_range_dps", "INTEGER", _RANGE),
+        Column("status", "INTEGER", nullable(whole(0, 0xFFFF))),
+        Column("blocks", _INTEGER, _COUNT),
     ),
     "blocks": (
-        _Column("attempt", _ATTEMPT),
-        _Column("sequence", _COUNT),
-        _Column("phase", choice("before", "dwell", "after")),
-        _Column("scans", _COUNT),
-        _Column("lost", _COUNT),
-        _Column("words", blob),
-        _Column("time_s", blob),
+        Column("attempt", _OF_ATTEMPT, _ATTEMPT),
+        Column("sequence", _INTEGER, _COUNT),
+        _one_of("phase", "before", "dwell", "after"),
+        Column("scans", _INTEGER, _COUNT),
+        Column("lost", _INTEGER, _COUNT),
+        Column("words", "BLOB NOT NULL", blob),
+        Column("time_s", "BLOB NOT NULL", blob),
     ),
     "moves": (
-        _Column("move", whole(1, _MOST)),
-        _Column("attempt", _ATTEMPT),
-        _Column("bus_s", _TIME),
-        _Column("angle_deg", nullable(_ANGLE)),
-        _Column("approach", _APPROACH),
-        _Column("direction", _aim, json=True),
+        Column("move", _KEY, whole(1, _MOST)),
+        Column("attempt", _OF_ATTEMPT, _ATTEMPT),
+        Column("bus_s", _REAL, _TIME),
+        Column("angle_deg", "REAL", nullable(_ANGLE)),
+        Column("approach", _INTEGER, _APPROACH),
+        Column("direction", _TEXT, _aim, json=True),
     ),
 }
+"""Columns of each table; a checksum of the row follows them."""
 
 
-def checked_row(table: str, row: Sequence[Any]) -> tuple[Any, ...]:
-    """Values of a row, without its checksum; JSON texts become values.
+def statements() -> list[str]:
+    """SQL that makes an empty archive, one statement each, to be run in one transaction.
+
+    `database` compares the text with that of an archive: it has to stay the same to the last space.
+    """
+    create = []
+    for table, columns in TABLES.items():
+        width = max(len(column.name) for column in columns)
+        lines = [f"{column.name:{width}} {column.sql}" for column in columns]
+        lines.append(f"{'crc32':{width}} {_INTEGER}")
+        lines += ["PRIMARY KEY (attempt, sequence)"] if table == "blocks" else []
+        create.append(f"CREATE TABLE {table} (\n    " + ",\n    ".join(lines) + "\n)")
+    guards = [
+        f"CREATE TRIGGER {table}_no_{verb.lower()} BEFORE {verb} ON {table}"
+        f" BEGIN SELECT RAISE(ABORT, 'a session file is append-only'); END"
+        for table in TABLES
+        for verb in ("UPDATE", "DELETE")
+    ]
+    return [
+        *create,
+        *guards,
+        f"PRAGMA application_id = {APPLICATION_ID}",
+        f"PRAGMA user_version = {SCHEMA_VERSION}",
+    ]
+
+
+def checked_row(table: str, row: Sequence[Any]) -> dict[str, Any]:
+    """Values of a row by column, without its checksum; JSON texts become values.
 
     Raises
     ------
     ShapeError
         A value has another type or lies outside its range; the message begins with the column.
     """
-    return tuple(_checked(column, value) for column, value in zip(_COLUMNS[table], row, strict=True))
+    return {column.name: _checked(column, value) for column, value in zip(TABLES[table], row, strict=True)}
 
 
 def checked_value(name: str, shape: Shape, value: Any) -> Any:
@@ -286,7 +330,7 @@ def checked_value(name: str, shape: Shape, value: Any) -> Any:
     return value
 
 
-def _checked(column: _Column, value: Any) -> Any:
+def _checked(column: Column, value: Any) -> Any:
     if column.json:
         checked_value(column.name, text_of_json, value)
         try:
