@@ -49,15 +49,15 @@ class Record:
         return _document(self, self.document_keys)
 
 
-def json_object(entries: Mapping[Any, Any]) -> dict[str, Any]:
-    """Entries of a document in types that JSON has, as `finite`."""
-    return {str(name): finite(entry) for name, entry in entries.items()}
+def json_object(**entries: Any) -> dict[str, Any]:
+    """Document with these entries, each by `finite` in types that JSON has."""
+    return {name: finite(entry) for name, entry in entries.items()}
 
 
 def finite(value: Any) -> Any:
     """Value in types that JSON has: records become objects, and numbers that are not finite become null."""
     if isinstance(value, Mapping):
-        return json_object(value)
+        return {str(name): finite(entry) for name, entry in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return finite(value.tolist())
     if isinstance(value, list | tuple):

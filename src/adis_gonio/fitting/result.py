@@ -275,7 +275,7 @@ class FitResult(ParameterTable):
     def as_dict(self) -> dict[str, Any]:
         """JSON document of `fit`."""
         names = [e.name for e in self.parameters] if self.covariance is not None else []
-        matrix = [] if self.covariance is None else self.covariance
+        matrix = [] if self.covariance is None else self.covariance.tolist()
         errors = None
         if self.angle_error_rad is not None and self.angle_error_rad.size:
             degrees = np.degrees(self.angle_error_rad)
@@ -283,26 +283,24 @@ class FitResult(ParameterTable):
         sigma = self.fixture_sigma_deg
         standing = self.standing
         return json_object(
-            {
-                "method": self.method,
-                "recommended": None if standing is None else standing.recommended,
-                "parameters": {estimate.name: estimate.stated for estimate in self.parameters},
-                "angle": self.angle,
-                "covariance": {"names": names, "matrix": matrix},
-                "budget": self.budget,
-                "scores": {} if standing is None else standing.scores,
-                "chi2": self.chi2,
-                "dof": self.dof,
-                "residual_rms_mg": self.residual_rms_mg,
-                "angle_error_deg": errors,
-                "warnings": self.warnings,
-                "undetermined": self.undetermined,
-                "extra_reading_u_mg": self.extra_mg,
-                "fixture_sigma_deg": "free" if sigma is not None and math.isinf(sigma) else sigma,
-                "reference_temperature_c": self.reference_temperature_c,
-                "positions_used": len(self.positions),
-                "overrides": self.overrides,
-                **listed(self.position_findings),
-                **({} if self.links is None else {"links": self.links}),
-            }
+            method=self.method,
+            recommended=None if standing is None else standing.recommended,
+            parameters={estimate.name: estimate.stated for estimate in self.parameters},
+            angle=self.angle,
+            covariance={"names": names, "matrix": matrix},
+            budget=self.budget,
+            scores={} if standing is None else standing.scores,
+            chi2=self.chi2,
+            dof=self.dof,
+            residual_rms_mg=self.residual_rms_mg,
+            angle_error_deg=errors,
+            warnings=self.warnings,
+            undetermined=self.undetermined,
+            extra_reading_u_mg=self.extra_mg,
+            fixture_sigma_deg="free" if sigma is not None and math.isinf(sigma) else sigma,
+            reference_temperature_c=self.reference_temperature_c,
+            positions_used=len(self.positions),
+            overrides=self.overrides,
+            **listed(self.position_findings),
+            **{} if self.links is None else {"links": self.links},
         )

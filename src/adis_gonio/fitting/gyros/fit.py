@@ -180,26 +180,24 @@ class GyroFit(ParameterTable):
     def as_dict(self) -> dict[str, Any]:
         """JSON document of `fit --sensor-part gyro`."""
         return json_object(
-            {
-                "method": self.method,
-                "part": self.part,
-                "parameters": self.parameters,
-                "covariance": {"names": list(self.parameters), "matrix": self.covariance},
-                "scores": self.scores,
-                "chi2": self.chi2,
-                "dof": self.dof,
-                "residual_rms_dps": self.residual_rms_dps,
-                "angle_error_deg": None,
-                "warnings": self.warnings,
-                "undetermined": self.undetermined,
-                "noise_inflation": self.inflation,
-                "reference_temperature_c": self.reference_temperature_c,
-                "positions_used": len(self.positions) - self.turns,
-                "turns_used": self.turns,
-                "time_base_u": TIME_BASE_U if self.turns else None,
-                "overrides": self.overrides,
-                **({} if self.triad is None else {"triad": self.triad}),
-            }
+            method=self.method,
+            part=self.part,
+            parameters=self.parameters,
+            covariance={"names": list(self.parameters), "matrix": self.covariance},
+            scores=self.scores,
+            chi2=self.chi2,
+            dof=self.dof,
+            residual_rms_dps=self.residual_rms_dps,
+            angle_error_deg=None,
+            warnings=self.warnings,
+            undetermined=self.undetermined,
+            noise_inflation=self.inflation,
+            reference_temperature_c=self.reference_temperature_c,
+            positions_used=len(self.positions) - self.turns,
+            turns_used=self.turns,
+            time_base_u=TIME_BASE_U if self.turns else None,
+            overrides=self.overrides,
+            **{} if self.triad is None else {"triad": self.triad},
         )
 
 

@@ -10,7 +10,7 @@ from adis_gonio.base.budget import Budget
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import HIDDEN, INLINE, NAMED_BY_UNIT, OPTIONAL, Record, finite, json_object
 from adis_gonio.base.showing import Entries, ParameterTable, lines_of
-from adis_gonio.base.values import Detectable, Value, finite_or_none
+from adis_gonio.base.values import Detectable, Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.parts import ACCELEROMETER, GYRO
 from adis_gonio.fitting.slips.finding import PositionFinding, listed
@@ -173,19 +173,19 @@ class NextDwell:
 
     def as_dict(self) -> dict[str, Any]:
         """One entry of `measurements`."""
-        return {
-            "angle_deg": self.angle_deg,
-            "direction": None if self.direction is None else list(self.direction),
-            "approach": self.approach,
-            "wait_s": self.wait_s,
-            "temperature_c": self.temperature_c,
-            "supply_v": self.supply_v,
-            "separation": finite_or_none(self.separation),
-            "information": finite_or_none(self.information),
-            "purpose": self.purpose,
-            "separates": [list(self.one), list(self.other)],
-            "sentence": self.sentence,
-        }
+        return json_object(
+            angle_deg=self.angle_deg,
+            direction=self.direction,
+            approach=self.approach,
+            wait_s=self.wait_s,
+            temperature_c=self.temperature_c,
+            supply_v=self.supply_v,
+            separation=self.separation,
+            information=self.information,
+            purpose=self.purpose,
+            separates=[self.one, self.other],
+            sentence=self.sentence,
+        )
 
 
 @dataclass(frozen=True)
@@ -394,30 +394,28 @@ class TraceResult(ParameterTable):
         """The JSON document of `trace`."""
         other = {} if self.part == ACCELEROMETER else {"part": self.part}
         return json_object(
-            {
-                **other,
-                "adequate": self.adequate,
-                "adequacy": self.adequacy,
-                "found": self.found,
-                "steps": self.steps,
-                "sets": self.sets,
-                "confounded": self.confounded,
-                "unnamed": self.unnamed,
-                "error": {"before": self.before, "after": self.after},
-                "detectable": self.detectable,
-                "next": self.advice,
-                "measurements": self.measurements,
-                "rivals": self.rivals,
-                "base": self.base,
-                "reasons": self.reasons,
-                "notes": self.notes,
-                "within": self.within,
-                "heldout_design": self.heldout_design,
-                "reference_temperature_c": self.reference_temperature_c,
-                "stopped": self.stopped,
-                "overrides": self.overrides,
-                **listed(self.position_findings),
-            }
+            **other,
+            adequate=self.adequate,
+            adequacy=self.adequacy,
+            found=self.found,
+            steps=self.steps,
+            sets=self.sets,
+            confounded=self.confounded,
+            unnamed=self.unnamed,
+            error={"before": self.before, "after": self.after},
+            detectable=self.detectable,
+            next=self.advice,
+            measurements=self.measurements,
+            rivals=self.rivals,
+            base=self.base,
+            reasons=self.reasons,
+            notes=self.notes,
+            within=self.within,
+            heldout_design=self.heldout_design,
+            reference_temperature_c=self.reference_temperature_c,
+            stopped=self.stopped,
+            overrides=self.overrides,
+            **listed(self.position_findings),
         )
 
 
