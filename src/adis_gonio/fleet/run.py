@@ -11,6 +11,7 @@ from typing import Protocol
 
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.jsonable import Record
 from adis_gonio.base.output import ends_in
 from adis_gonio.fleet.journal import Journal
 from adis_gonio.fleet.memory.files import ENDINGS
@@ -27,15 +28,11 @@ class Workers(Protocol):
 
 
 @dataclass(frozen=True)
-class Repeated:
+class Repeated(Record):
     """A file that holds the same session as another, which is the one that counts."""
 
     path: str
     same_as: str
-
-    def as_dict(self) -> dict[str, str]:
-        """`{"path", "same_as"}`."""
-        return {"path": self.path, "same_as": self.same_as}
 
 
 @dataclass(frozen=True)

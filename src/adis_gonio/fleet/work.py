@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adis_gonio.base.jsonable import Record
 from adis_gonio.base.version import __version__
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ Document = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Options:
+class Options(Record):
     """What is asked of every session.
 
     Attributes
@@ -33,10 +34,6 @@ class Options:
 
     trace: bool = True
     evidence: bool = False
-
-    def as_dict(self) -> dict[str, bool]:
-        """As `Options(**…)` takes it."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)

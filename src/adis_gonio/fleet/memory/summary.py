@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import Record
 from adis_gonio.fleet.memory.index import Index
 from adis_gonio.fleet.memory.record import COLUMNS
 
@@ -18,7 +18,7 @@ _BY = ("serial", "operator", "stage")
 
 
 @dataclass(frozen=True)
-class Spread:
+class Spread(Record):
     """How a quantity is spread over sessions: how many, mean, standard deviation, 5 %, 50 % and 95 %."""
 
     sessions: int
@@ -27,13 +27,9 @@ class Spread:
     quantiles: tuple[float, ...]
     mean_u95: float
 
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form; `quantiles` at 5 %, 50 % and 95 %."""
-        return {**vars(self), "quantiles": list(self.quantiles)}
-
 
 @dataclass(frozen=True)
-class Summary:
+class Summary(Record):
     """What an index holds.
 
     Attributes
@@ -52,10 +48,6 @@ class Summary:
     quantities: dict[str, Spread]
     counts: dict[str, dict[str, int]]
     effects: dict[str, int]
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {**vars(self), "quantities": {name: one.as_dict() for name, one in self.quantities.items()}}
 
 
 def summarised(index: Index) -> Summary:
