@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import Record
 from adis_gonio.device.sensor.settings import sample_period_s
 from adis_gonio.fitting.closed_form import DELTA_PHI, FOUR, SCALE_X, SCALE_Y, as_printed, turn_parameters
 from adis_gonio.handover.paper.sessions import DWELL_S, METHODS, Part, Results, true_values
@@ -163,7 +164,7 @@ def crossing_deg(
 
 
 @dataclass(frozen=True)
-class Checked:
+class Checked(Record):
     """A point of the map, measured through chip and driver.
 
     Attributes
@@ -183,10 +184,6 @@ class Checked:
     by_chip: Mapping[str, Mapping[str, float]]
     by_readings: Mapping[str, Mapping[str, float]]
     p: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)
