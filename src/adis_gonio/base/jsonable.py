@@ -1,11 +1,12 @@
-"""Values in the types that JSON has, and JSON from a file that anybody may have written."""
+"""Values and records in the types that JSON has, and JSON from a file that anybody may have written."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,15 +15,74 @@ MOST_DEPTH = 100
 LARGEST_INTEGER = 2**63 - 1
 
 
+HIDDEN = {"hidden": True}
+"""Metadata of a field that the document lacks."""
+OPTIONAL = {"optional": True}
+"""Metadata of a field that the document lacks if its value is None."""
+INLINE = {"inline": True}
+"""Metadata of a field that is a record: its entries stand in the document of the outer record."""
+NAMED_BY_UNIT = {"named_by_unit": True}
+"""Metadata of a field whose key ends in `_` and the `unit` of its record."""
+KEYED_BY_NAME = {"keyed_by_name": True}
+"""Metadata of a field that holds several records: the document has them by their attribute `name`."""
+
+
+def key(name: str) -> dict[str, str]:
+    """Metadata of a field whose key in the document is not its name."""
+    return {"key": name}
+
+
+class Record:
+    """Base class of a dataclass whose JSON document follows from its fields and their metadata.
+
+    Attributes
+    ----------
+    document_keys : tuple of str
+        Names of the fields and properties in the document, in its order. By default all fields in the
+        order of the class.
+    """
+
+    document_keys: ClassVar[tuple[str, ...]] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON document of this record."""
+        return _document(self, self.document_keys)
+
+
+def json_object(**entries: Any) -> dict[str, Any]:
+    """Document with these entries, each by `finite` in types that JSON has."""
+    return {name: finite(entry) for name, entry in entries.items()}
+
+
 def finite(value: Any) -> Any:
-    """The same in types that JSON has; what is not finite becomes null."""
+    """Value in types that JSON has: records become objects, and numbers that are not finite become null."""
     if isinstance(value, Mapping):
-        return {str(key): finite(entry) for key, entry in value.items()}
+        return {str(name): finite(entry) for name, entry in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return finite(value.tolist())
     if isinstance(value, list | tuple):
         return [finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if hasattr(value, "as_dict"):
+        return value.as_dict()
+    return _document(value) if is_dataclass(value) else value
+
+
+def _document(record: Any, names: Iterable[str] = ()) -> dict[str, Any]:
+    declared = {entry.name: entry.metadata for entry in fields(record)}
+    document: dict[str, Any] = {}
+    for name in names or declared:
+        value: Any = getattr(record, name)
+        metadata: Mapping[str, Any] = declared.get(name, {})
+        if "hidden" in metadata or ("optional" in metadata and value is None):
+            continue
+        if "keyed_by_name" in metadata:
+            value = {entry.name: entry for entry in value}
+        suffix = f"_{record.unit}" if "named_by_unit" in metadata else ""
+        entry = finite(value)
+        document |= entry if "inline" in metadata else {metadata.get("key", name) + suffix: entry}
+    return document
 
 
 def json_value(text: str, **options: Any) -> Any:

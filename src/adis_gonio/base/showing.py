@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from adis_gonio.base.errors import NotInstalledError
+from adis_gonio.base.jsonable import Record
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -52,16 +53,29 @@ def html_table(title: str, entries: Entries) -> str:
     )
 
 
-def parameter_frame(entries: Entries) -> pd.DataFrame:
-    """Parameters of a document as a data frame, one row each, by name; what is unknown is NaN.
+class ParameterTable(Record):
+    """Base class of a result that shows its parameters as a table in notebooks and as a data frame."""
 
-    Raises
-    ------
-    NotInstalledError
-        As `frame`.
-    """
-    table = frame([{"parameter": name, **one} for name, one in entries]).set_index("parameter")
-    return table.astype({name: float for name in table.columns if name != "unit"})
+    def caption_and_parameters(self) -> tuple[str, Entries]:
+        """Caption of the table, and its rows by name."""
+        return repr(self), self.as_dict()["parameters"].items()
+
+    def _repr_html_(self) -> str:
+        return html_table(*self.caption_and_parameters())
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Data frame with a row a parameter: value, u, unit, of fits also dof, k and U (extra: pandas).
+
+        An unknown number is NaN.
+
+        Raises
+        ------
+        NotInstalledError
+            pandas is not installed.
+        """
+        rows = [{"parameter": name, **one} for name, one in self.caption_and_parameters()[1]]
+        table = frame(rows).set_index("parameter")
+        return table.astype({name: float for name in table.columns if name != "unit"})
 
 
 def frame(columns: Mapping[str, Any] | Sequence[Row]) -> pd.DataFrame:

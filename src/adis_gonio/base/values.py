@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from adis_gonio.base.intervals import expanded
+from adis_gonio.base.jsonable import Record
 
 
 @dataclass(frozen=True)
@@ -49,19 +50,13 @@ def finite_or_none(value: float | None) -> float | None:
 
 
 @dataclass(frozen=True)
-class Detectable:
-    """Smallest amplitude that the session would have shown; None where it can show none."""
+class Detectable(Record):
+    """Smallest amplitude that the session would have shown; None where it can show none.
+
+    The JSON document is one value of `detectable`.
+    """
 
     amplitude: float | None
     unit: str
     parameter: str
     reason: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """One value of `detectable`."""
-        return {
-            "amplitude": finite_or_none(self.amplitude),
-            "unit": self.unit,
-            "parameter": self.parameter,
-            "reason": self.reason,
-        }

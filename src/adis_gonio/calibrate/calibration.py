@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.base.showing import html_table, parameter_frame, with_u
+from adis_gonio.base.showing import ParameterTable, with_u
 from adis_gonio.calibrate.checks import checked_condition, checked_readings
 from adis_gonio.model.effects import AXES, Conditions, Effect
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, wrap_rad
@@ -25,8 +25,6 @@ from adis_gonio.model.records import MG_PER_MPS2
 from adis_gonio.record.provenance import Provenance
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
 STEP = 0.01
@@ -98,7 +96,7 @@ class AngleReading:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(ParameterTable):
     """What turns readings of a sensor into gravity and angle.
 
     Attributes
@@ -196,13 +194,6 @@ class Calibration:
         from adis_gonio.calibrate.document import summary_of
 
         return summary_of(self)
-
-    def _repr_html_(self) -> str:
-        return html_table(repr(self), self.as_dict()["parameters"].items())
-
-    def to_pandas(self) -> pd.DataFrame:
-        """Parameters by name as a data frame with the columns value, u and unit (extra: pandas)."""
-        return parameter_frame(self.as_dict()["parameters"].items())
 
     # -- files -------------------------------------------------------------------------------------
 

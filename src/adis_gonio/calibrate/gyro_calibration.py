@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, FitError, UsageError
-from adis_gonio.base.showing import html_table, parameter_frame, with_u
+from adis_gonio.base.showing import ParameterTable, with_u
 from adis_gonio.calibrate.calibration import STEP, Coefficient, NotCorrected, _directions
 from adis_gonio.device.sensor.registers import Kind
 from adis_gonio.device.sensor.variants import VARIANTS
@@ -74,7 +74,7 @@ class _Values:
 
 
 @dataclass(frozen=True, eq=False)
-class GyroCalibration:
+class GyroCalibration(ParameterTable):
     """What turns readings of the three gyros into the rate of turn in the accelerometers' frame.
 
     Attributes
@@ -222,13 +222,6 @@ class GyroCalibration:
         lines += [f"  not determined, taken as nominal: {', '.join(self.assumed)}"] if self.assumed else []
         lines += [f"  not corrected: {one.effect}: {one.reason}" for one in self.not_corrected]
         return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        return html_table(repr(self), self.as_dict()["parameters"].items())
-
-    def to_pandas(self) -> Any:
-        """Parameters by name as a data frame with the columns value, u and unit (extra: pandas)."""
-        return parameter_frame(self.as_dict()["parameters"].items())
 
     def as_dict(self) -> dict[str, Any]:
         """JSON document."""

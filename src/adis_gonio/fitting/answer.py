@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any, Self
 
 from adis_gonio.base.counting import counted
+from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.values import Value
 from adis_gonio.base.wording import Line, lines_as_text, wrapped
 from adis_gonio.fitting.result import FitResult
@@ -151,14 +152,13 @@ class Answer:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON document of `fit` with what this answer adds: scores, the recommendation, the values."""
-        return {
-            **self.result.as_dict(),
-            "recommended": self.recommended.as_dict(),
-            "scores": {name: score.as_dict() for name, score in self.scores.items()},
-            "answer": {name: value.as_dict() for name, value in self.values.items()},
-            "budget": {name: [row.as_dict() for row in rows] for name, rows in self.budget.items()},
-            "reference_temperature_c": self.reference_temperature_c,
-        }
+        return self.result.as_dict() | json_object(
+            recommended=self.recommended,
+            scores=self.scores,
+            answer=self.values,
+            budget=self.budget,
+            reference_temperature_c=self.reference_temperature_c,
+        )
 
     @property
     def has_more(self) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.intervals import COVERED
+from adis_gonio.base.jsonable import KEYED_BY_NAME, Record
 from adis_gonio.fitting.closed_form import model_without
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
@@ -71,26 +72,20 @@ class Propagated:
 
 
 @dataclass(frozen=True)
-class MonteCarlo:
-    """A propagation: number of trials that gave a result, and each parameter."""
+class MonteCarlo(Record):
+    """A propagation: number of trials that gave a result, and each parameter.
+
+    The JSON document is the value of `monte_carlo`.
+    """
 
     method: str
     trials: int
     failed: int
-    parameters: tuple[Propagated, ...]
+    parameters: tuple[Propagated, ...] = field(metadata=KEYED_BY_NAME)
 
     def __getitem__(self, name: str) -> Propagated:
         """By name."""
         return next(p for p in self.parameters if p.name == name)
-
-    def as_dict(self) -> dict[str, Any]:
-        """The value of `monte_carlo`."""
-        return {
-            "method": self.method,
-            "trials": self.trials,
-            "failed": self.failed,
-            "parameters": {p.name: p.as_dict() for p in self.parameters},
-        }
 
     def rows(self) -> tuple[list[str], list[list[str]]]:
         """Head and rows of a table."""

@@ -12,15 +12,14 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.counting import counted
 from adis_gonio.base.intervals import factor_over
-from adis_gonio.base.showing import html_table, parameter_frame, with_u
+from adis_gonio.base.jsonable import json_object
+from adis_gonio.base.showing import Entries, ParameterTable, with_u
 from adis_gonio.base.values import Value
 from adis_gonio.fitting.slips.finding import listed
 from adis_gonio.fitting.solvable import unsolvable
 from adis_gonio.record.provenance import Provenance
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from adis_gonio.calibrate import Calibration
     from adis_gonio.fitting.determination import Determination
     from adis_gonio.fitting.estimation.fit import Fit
@@ -98,7 +97,7 @@ MISFIT = (
 
 
 @dataclass(frozen=True)
-class FitResult:
+class FitResult(ParameterTable):
     """Parameters of a session with covariance.
 
     Attributes
@@ -288,13 +287,9 @@ class FitResult:
     def __str__(self) -> str:
         return self.summary()
 
-    def _repr_html_(self) -> str:
-        """The parameters as a table, for notebooks."""
-        return html_table(f"fit by method {self.method}", self.as_dict()["parameters"].items())
-
-    def to_pandas(self) -> DataFrame:
-        """Parameters by name as a data frame: value, u, dof, k, U and unit (extra: pandas)."""
-        return parameter_frame(self.as_dict()["parameters"].items())
+    def caption_and_parameters(self) -> tuple[str, Entries]:
+        """Method, and the parameters by name."""
+        return f"fit by method {self.method}", self.as_dict()["parameters"].items()
 
     def as_dict(self) -> dict[str, Any]:
         """JSON document of `fit`."""
@@ -303,31 +298,28 @@ class FitResult:
         errors = None
         if self.angle_error_rad is not None and self.angle_error_rad.size:
             degrees = np.degrees(self.angle_error_rad)
-            errors = {
-                "rms": float(np.sqrt(np.mean(degrees**2))),
-                "max": float(np.abs(degrees).max()),
-            }
+            errors = {"rms": np.sqrt(np.mean(degrees**2)), "max": np.abs(degrees).max()}
         sigma = self.fixture_sigma_deg
-        angle, standing = self.angle, self.standing
-        return {
-            "method": self.method,
-            "recommended": None if standing is None else standing.recommended.as_dict(),
-            "parameters": {e.name: e.stated.as_dict() for e in self.parameters},
-            "angle": None if angle is None else angle.as_dict(),
-            "covariance": {"names": names, "matrix": matrix},
-            "budget": {name: [row.as_dict() for row in rows] for name, rows in self.budget.items()},
-            "scores": {} if standing is None else {n: s.as_dict() for n, s in standing.scores.items()},
-            "chi2": self.chi2,
-            "dof": self.dof,
-            "residual_rms_mg": self.residual_rms_mg,
-            "angle_error_deg": errors,
-            "warnings": list(self.warnings),
-            "undetermined": list(self.undetermined),
-            "extra_reading_u_mg": self.extra_mg,
-            "fixture_sigma_deg": "free" if sigma is not None and math.isinf(sigma) else sigma,
-            "reference_temperature_c": self.reference_temperature_c,
-            "positions_used": len(self.positions),
-            "overrides": dict(self.overrides),
+        standing = self.standing
+        return json_object(
+            method=self.method,
+            recommended=None if standing is None else standing.recommended,
+            parameters={estimate.name: estimate.stated for estimate in self.parameters},
+            angle=self.angle,
+            covariance={"names": names, "matrix": matrix},
+            budget=self.budget,
+            scores={} if standing is None else standing.scores,
+            chi2=self.chi2,
+            dof=self.dof,
+            residual_rms_mg=self.residual_rms_mg,
+            angle_error_deg=errors,
+            warnings=self.warnings,
+            undetermined=self.undetermined,
+            extra_reading_u_mg=self.extra_mg,
+            fixture_sigma_deg="free" if sigma is not None and math.isinf(sigma) else sigma,
+            reference_temperature_c=self.reference_temperature_c,
+            positions_used=len(self.positions),
+            overrides=self.overrides,
             **listed(self.position_findings),
-            **({} if self.links is None else {"links": self.links.as_dict()}),
-        }
+            **{} if self.links is None else {"links": self.links},
+        )

@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError
+from adis_gonio.base.jsonable import Record
 from adis_gonio.fitting.closed_form import model_without
 from adis_gonio.fitting.determination import Determination
 from adis_gonio.fitting.estimation.fit import Fit, Values
@@ -37,8 +37,10 @@ class DwellPrediction:
 
 
 @dataclass(frozen=True)
-class Score:
+class Score(Record):
     """Errors of a method over the dwells on which all methods are compared.
+
+    The JSON document is one entry of `scores`.
 
     Attributes
     ----------
@@ -56,16 +58,6 @@ class Score:
     residual_rms_mg: float | None
     residual_max_mg: float | None
     dwells: int
-
-    def as_dict(self) -> dict[str, Any]:
-        """One entry of `scores`."""
-        return {
-            "angle_rms_deg": self.angle_rms_deg,
-            "angle_max_deg": self.angle_max_deg,
-            "residual_rms_mg": self.residual_rms_mg,
-            "residual_max_mg": self.residual_max_mg,
-            "dwells": self.dwells,
-        }
 
 
 def predictions(session: Readings, results: Sequence[FitResult]) -> dict[str, DwellPrediction]:

@@ -31,7 +31,7 @@ def solvable(compute: Callable[Concatenate[Session, P], R]) -> Callable[Concaten
     """
 
     @wraps(compute)
-    def computed(session: Session, *args: P.args, **options: P.kwargs) -> R:
+    def computed(session: Session, /, *args: P.args, **options: P.kwargs) -> R:
         try:
             return compute(session, *args, **options)
         except np.linalg.LinAlgError as error:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError
+from adis_gonio.base.jsonable import Record
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.methods import applicable_to, default_method, fit_of
 from adis_gonio.fitting.result import FitResult
@@ -24,16 +24,17 @@ ALIKE = 0.01
 
 
 @dataclass(frozen=True)
-class Recommendation:
-    """The method whose answer to take, and why, in one sentence."""
+class Recommendation(Record):
+    """The method whose answer to take, and why, in one sentence.
+
+    The JSON document is the value of `recommended`.
+    """
+
+    document_keys = ("method", "effects", "why")
 
     method: str
     why: str
     effects: tuple[str, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """The value of `recommended`."""
-        return {"method": self.method, "effects": list(self.effects), "why": self.why}
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.values import finite_or_none
+from adis_gonio.base.jsonable import Record, key
 from adis_gonio.fitting.sources import Sources, dof_of
 
 ROUNDING = 1e-10
@@ -15,8 +14,10 @@ ROUNDING = 1e-10
 
 
 @dataclass(frozen=True)
-class BudgetRow:
+class BudgetRow(Record):
     """One source in the budget of one quantity.
+
+    The JSON document is one row of `budget`.
 
     Attributes
     ----------
@@ -35,7 +36,7 @@ class BudgetRow:
     """
 
     source: str
-    kind: str
+    kind: str = field(metadata=key("type"))
     distribution: str
     u: float | None
     unit: str
@@ -44,21 +45,6 @@ class BudgetRow:
     dof: float
     share: float
     note: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """One row of `budget`."""
-        return {
-            "source": self.source,
-            "type": self.kind,
-            "distribution": self.distribution,
-            "u": finite_or_none(self.u),
-            "unit": self.unit,
-            "sensitivity": finite_or_none(self.sensitivity),
-            "contribution": self.contribution,
-            "dof": finite_or_none(self.dof),
-            "share": self.share,
-            "note": self.note,
-        }
 
 
 def budget_of(sources: Sources, gradient: Floats, reading: Floats | None = None) -> tuple[BudgetRow, ...]:

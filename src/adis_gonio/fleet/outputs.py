@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adis_gonio.base.errors import AdisGonioError, UsageError
-from adis_gonio.base.jsonable import finite
+from adis_gonio.base.jsonable import finite, json_object
 from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.version import __version__
 from adis_gonio.fleet.columns import row_of
@@ -65,17 +65,12 @@ class FleetResult:
     def as_dict(self) -> dict[str, Any]:
         """The JSON document: the summary, what was asked, and files that do not count."""
         found = self.population
-        if found is not None:
-            told = {"reason": found} if isinstance(found, str) else found.as_dict()
-            return {**self._summarised(), "population": told}
-        return self._summarised()
-
-    def _summarised(self) -> dict[str, Any]:
-        return {
-            **self.summary.as_dict(),
-            "options": self.options.as_dict(),
-            "repeated": [one.as_dict() for one in self.fleet.repeated],
-        }
+        population = {"reason": found} if isinstance(found, str) else found
+        return self.summary.as_dict() | json_object(
+            options=self.options,
+            repeated=self.fleet.repeated,
+            **{} if found is None else {"population": population},
+        )
 
     def write(self, path: Path) -> None:
         """Write to a file by its ending; a file that is there is replaced.

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from adis_gonio.base.jsonable import Record
 from adis_gonio.base.values import Value
 
 ANGLE = "angle"
@@ -31,22 +32,13 @@ Status = Literal["ok", "failed"]
 
 
 @dataclass(frozen=True)
-class FoundEffect:
+class FoundEffect(Record):
     """An effect that a trace found, as `found` in the document of `trace`."""
 
     effect: str
     axes: tuple[str, ...]
     p_value: float
     parameters: dict[str, Value]
-
-    def as_dict(self) -> dict[str, Any]:
-        """`{"effect", "axes", "p_value", "parameters"}`."""
-        return {
-            "effect": self.effect,
-            "axes": list(self.axes),
-            "p_value": self.p_value,
-            "parameters": {name: value.as_dict() for name, value in self.parameters.items()},
-        }
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> FoundEffect:
@@ -56,7 +48,7 @@ class FoundEffect:
 
 
 @dataclass(frozen=True)
-class SessionRecord:
+class SessionRecord(Record):
     """What is remembered of one session's file; text that nobody gave, and what is not known, is None.
 
     Attributes
@@ -132,16 +124,6 @@ class SessionRecord:
     reason: str = ""
     software: str = ""
     evidence: dict[str, Any] | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON document: the attributes by their names, values as in the document of `fit`."""
-        return {
-            **vars(self),
-            "model_effects": list(self.model_effects),
-            "values": {name: value.as_dict() for name, value in self.values.items()},
-            "effects": [effect.as_dict() for effect in self.effects],
-            "doubts": list(self.doubts),
-        }
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> SessionRecord:

@@ -10,6 +10,7 @@ from typing import Protocol
 
 from adis_gonio.base.budget import told
 from adis_gonio.base.counting import counted
+from adis_gonio.base.jsonable import Record
 from adis_gonio.fleet.files import session_files
 from adis_gonio.fleet.record import SessionRecord
 from adis_gonio.fleet.store import Store
@@ -35,15 +36,11 @@ class ThisProcess:
 
 
 @dataclass(frozen=True)
-class Repeated:
+class Repeated(Record):
     """A file that holds the same session as another, which is the one that counts."""
 
     path: str
     same_as: str
-
-    def as_dict(self) -> dict[str, str]:
-        """`{"path", "same_as"}`."""
-        return {"path": self.path, "same_as": self.same_as}
 
 
 @dataclass(frozen=True)

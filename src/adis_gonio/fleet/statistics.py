@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import Record
 from adis_gonio.base.values import finite_or_none
 from adis_gonio.fitting.estimation.robust import robust_sd
 
@@ -23,7 +24,7 @@ LEAST = 3
 
 
 @dataclass(frozen=True)
-class Distribution:
+class Distribution(Record):
     """Values of one quantity over the fleet.
 
     Attributes
@@ -53,18 +54,6 @@ class Distribution:
         sd = float(values.std(ddof=1)) if len(values) > 1 else math.nan
         ends = float(values.min()), float(values.max())
         return cls(len(values), float(values.mean()), sd, robust_sd(values), quantiles, *ends)
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON of these figures."""
-        return {
-            "n": self.n,
-            "mean": self.mean,
-            "sd": finite_or_none(self.sd),
-            "robust_sd": self.robust_sd,
-            "quantiles": self.quantiles,
-            "low": self.low,
-            "high": self.high,
-        }
 
 
 @dataclass(frozen=True)
@@ -165,7 +154,7 @@ def _tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> floa
 
 
 @dataclass(frozen=True)
-class Repeats:
+class Repeats(Record):
     """How sessions of the same unit agree, in units of their u.
 
     Attributes
@@ -182,10 +171,6 @@ class Repeats:
     sessions: int
     ratio: float
     p_value: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON of these figures."""
-        return dict(vars(self))
 
 
 def repeats(values: Floats, u: Floats, dof: Floats, unit: NDArray[np.int64]) -> Repeats | None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.intervals import wilson
+from adis_gonio.base.jsonable import HIDDEN, INLINE, Record, key
 from adis_gonio.base.version import __version__
 from adis_gonio.fleet.columns import Row, Table, table_of
 from adis_gonio.fleet.outlying import (
@@ -40,8 +41,10 @@ _RMS = "angle"
 
 
 @dataclass(frozen=True)
-class QuantitySummary:
+class QuantitySummary(Record):
     """One quantity over all sessions that determine it.
+
+    The JSON document is one value of `parameters`.
 
     Attributes
     ----------
@@ -53,20 +56,11 @@ class QuantitySummary:
         None where no unit has two sessions.
     """
 
-    name: str
+    name: str = field(metadata=HIDDEN)
     unit: str
-    distribution: Distribution
-    beyond: Beyond | None
+    distribution: Distribution = field(metadata=INLINE)
+    beyond: Beyond | None = field(metadata=key("beyond_u"))
     repeats: Repeats | None
-
-    def as_dict(self) -> dict[str, Any]:
-        """One value of `parameters`."""
-        return {
-            "unit": self.unit,
-            **self.distribution.as_dict(),
-            "beyond_u": None if self.beyond is None else self.beyond.as_dict(),
-            "repeats": None if self.repeats is None else self.repeats.as_dict(),
-        }
 
 
 @dataclass(frozen=True)
@@ -90,8 +84,10 @@ class Frequency:
 
 
 @dataclass(frozen=True)
-class Outlying:
+class Outlying(Record):
     """A unit, a stage or an operator that stands out.
+
+    The JSON document is one entry of `outlying.found`.
 
     Attributes
     ----------
@@ -121,10 +117,6 @@ class Outlying:
     others: float
     n: int
     same_sessions_as: tuple[str, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """One entry of `outlying.found`."""
-        return {**vars(self), "same_sessions_as": list(self.same_sessions_as)}
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.base.jsonable import Record
 from adis_gonio.base.values import Value, finite_or_none
 from adis_gonio.base.version import __version__
 from adis_gonio.fleet.record import QUANTITIES, FoundEffect, SessionRecord
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Options:
+class Options(Record):
     """What is asked of every session.
 
     Attributes
@@ -35,10 +36,6 @@ class Options:
 
     trace: bool = True
     evidence: bool = False
-
-    def as_dict(self) -> dict[str, bool]:
-        """As `Options(**…)` takes it."""
-        return asdict(self)
 
     @property
     def key(self) -> str:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from adis_gonio.base.errors import AdisGonioError, DataError, FitError
+from adis_gonio.base.jsonable import HIDDEN, Record
 from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
 from adis_gonio.device.sensor.registers import register
@@ -123,10 +123,10 @@ def gyro_offset_words(gyro: GyroCalibration) -> tuple[GyroOffsetWord, ...]:
 
 
 @dataclass(frozen=True)
-class WantedOffset:
+class WantedOffset(Record):
     """What a calibration would write into an offset register, in the register's unit, with u."""
 
-    name: str
+    name: str = field(metadata=HIDDEN)
     number: int
     value: float
     u: float | None
@@ -135,10 +135,6 @@ class WantedOffset:
     def __str__(self) -> str:
         u = "" if self.u is None else f" (u {self.u:.2g})"
         return f"{self.number} = {self.value:+.4g} {self.unit}{u}"
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form, without the name."""
-        return {"number": self.number, "value": self.value, "u": self.u, "unit": self.unit}
 
 
 def wanted_offsets(calibration: Calibration) -> tuple[WantedOffset, ...]:

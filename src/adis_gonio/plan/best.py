@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from adis_gonio.base.budget import check
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.base.jsonable import HIDDEN, Record
 from adis_gonio.plan.candidates import Candidates, Choice, candidates
 from adis_gonio.plan.criteria import CRITERIA, MEANING, Best, Criterion
 from adis_gonio.plan.imagined import Bench
@@ -28,8 +29,10 @@ LEAST_GRID_DEG, WIDEST_GRID_DEG = 1.0, 60.0
 
 
 @dataclass(frozen=True)
-class Gain:
+class Gain(Record):
     """What the best plan gains over another of as many positions.
+
+    The JSON document is one value of `gain`.
 
     Attributes
     ----------
@@ -43,14 +46,10 @@ class Gain:
         The other's standard uncertainty through that of the best one, for each parameter and the angle.
     """
 
-    over: str
+    over: str = field(metadata=HIDDEN)
     figure: float
     criterion: float
     u: dict[str, float]
-
-    def as_dict(self) -> dict[str, Any]:
-        """One value of `gain`."""
-        return {"figure": self.figure, "criterion": self.criterion, "u": dict(self.u)}
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import Record, key
 from adis_gonio.base.values import Detectable
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
@@ -49,7 +50,7 @@ class Alike:
 
 
 @dataclass(frozen=True)
-class Sight:
+class Sight(Record):
     """What a plan sees.
 
     Attributes
@@ -61,14 +62,7 @@ class Sight:
     """
 
     detectable: dict[str, Detectable]
-    alike: tuple[Alike, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            "detectable": {name: one.as_dict() for name, one in self.detectable.items()},
-            "confounded": [pair.as_dict() for pair in self.alike],
-        }
+    alike: tuple[Alike, ...] = field(metadata=key("confounded"))
 
 
 def sight_of(readings: Readings) -> Sight:

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from adis_gonio.base.counting import counted
+from adis_gonio.base.jsonable import Record
 from adis_gonio.record.blocks import Block
-from adis_gonio.record.rows import JsonDict
 
 SUPPLY_LIMITS_V = (4.75, 5.25)
 """Specified supply (DS, B)."""
@@ -23,7 +23,7 @@ WITHOUT_NEWS = "they held no new data (ND), so their data-ready edge was not the
 
 
 @dataclass(frozen=True)
-class Alarms:
+class Alarms(Record):
     """When an error or alarm stood within a dwell (EA).
 
     Attributes
@@ -42,10 +42,6 @@ class Alarms:
     times: int
     first_s: float
     longest_s: float
-
-    def as_dict(self) -> JsonDict:
-        """JSON form."""
-        return dict(vars(self))
 
     def __str__(self) -> str:
         times = "once" if self.times == 1 else f"{self.times} times"

@@ -4,28 +4,25 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import Record
 from adis_gonio.device.sensor.registers import ACCEL_OFF, GYRO_OFF
 from adis_gonio.model.records import Plane, Session
 
 
 @dataclass(frozen=True)
-class Covered:
+class Covered(Record):
     """Mean and range of a condition over the dwells of a session."""
 
     mean: float
     low: float
     high: float
-
-    def as_dict(self) -> dict[str, float]:
-        """`{"mean", "low", "high"}`."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)

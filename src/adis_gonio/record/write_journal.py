@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Literal
 
+from adis_gonio.base.jsonable import Record
 from adis_gonio.device.sensor.driver import ENDURANCE_WRAP
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
 from adis_gonio.model.records import Session
@@ -65,7 +66,7 @@ AFTER: dict[WriteStep | None, tuple[WriteStep, ...]] = {
 
 
 @dataclass(frozen=True)
-class Operation:
+class Operation(Record):
     """One write or undo as the journal tells it.
 
     Attributes
@@ -92,6 +93,8 @@ class Operation:
     beside : dict of str to int
         Numbers in the other part's offset registers when saving began: the flash takes them too.
     """
+
+    document_keys = ("number", "op", "utc")
 
     number: int
     op: Op
@@ -197,7 +200,7 @@ RegisterState = Literal["old", "new", "half", "other"]
 
 
 @dataclass(frozen=True)
-class HeldOffsets:
+class HeldOffsets(Record):
     """What the sensor holds, in the words of the journal.
 
     Attributes
@@ -222,18 +225,6 @@ class HeldOffsets:
     axes: dict[str, RegisterState]
     operation: Operation | None
     text: str
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        last = self.operation
-        return {
-            "registers": self.registers,
-            "saved": self.saved,
-            "open": self.open,
-            "axes": dict(self.axes),
-            "operation": None if last is None else {"number": last.number, "op": last.op, "utc": last.utc},
-            "text": self.text,
-        }
 
 
 def standing_of(

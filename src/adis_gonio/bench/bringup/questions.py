@@ -6,9 +6,9 @@ Source and confidence come from the register table and the variants table where 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
+from adis_gonio.base.jsonable import HIDDEN, Record, key
 from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.device.sensor.variants import VARIANTS
 
@@ -17,7 +17,7 @@ _FIGURES = _PART.performance
 
 
 @dataclass(frozen=True)
-class Question:
+class Question(Record):
     """One row.
 
     Attributes
@@ -32,21 +32,11 @@ class Question:
     """
 
     name: str
-    text: str
+    text: str = field(metadata=key("question"))
     table: str
     source: str
     confidence: str
-    otherwise: str = "the step that answers it was not done"
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            "name": self.name,
-            "question": self.text,
-            "table": self.table,
-            "source": self.source,
-            "confidence": self.confidence,
-        }
+    otherwise: str = field(default="the step that answers it was not done", metadata=HIDDEN)
 
 
 def _register(name: str, register: str, text: str, table: str, confidence: str = "") -> Question:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from adis_gonio.base.jsonable import INLINE, Record, key
+
 FORMAT = "adis-gonio bringup 1"
 
 
@@ -32,7 +34,7 @@ class Outcome(StrEnum):
 
 
 @dataclass(frozen=True)
-class Measured:
+class Measured(Record):
     """A figure with its standard uncertainty.
 
     Attributes
@@ -43,30 +45,22 @@ class Measured:
         What table or configuration say.
     """
 
+    document_keys = ("name", "value", "u", "unit", "expected")
+
     name: str
     value: float
     unit: str = "1"
     u: float | None = None
     expected: float | None = None
 
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            "name": self.name,
-            "value": self.value,
-            "u": self.u,
-            "unit": self.unit,
-            "expected": self.expected,
-        }
-
 
 @dataclass(frozen=True)
-class Answer:
+class Answer(Record):
     """What was measured of one question about the part; `text` is one sentence."""
 
     outcome: Outcome
     text: str
-    figures: tuple[Measured, ...] = ()
+    figures: tuple[Measured, ...] = field(default=(), metadata=key("measured"))
 
 
 @dataclass(frozen=True)
@@ -83,8 +77,10 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class StepResult:
+class StepResult(Record):
     """Result of a step: a verdict, one sentence that says it, figures, answers to open questions."""
+
+    document_keys = ("verdict", "text", "figures")
 
     verdict: Verdict
     text: str
@@ -94,13 +90,13 @@ class StepResult:
 
 
 @dataclass(frozen=True)
-class Row:
+class Row(Record):
     """A step with its result, as it stands in the document."""
 
     name: str
     does: str
     effect: str
-    result: StepResult
+    result: StepResult = field(metadata=INLINE)
 
 
 @dataclass(frozen=True)
@@ -191,24 +187,8 @@ class Bringup:
             "stopped": self.stopped,
             "undone": {"verified": self.undone_ok, "text": self.undone},
             "false_alarm": {"board": self.false_alarm, "comparisons": self.comparisons},
-            "steps": [
-                {
-                    "name": row.name,
-                    "does": row.does,
-                    "effect": row.effect,
-                    "verdict": row.result.verdict,
-                    "text": row.result.text,
-                    "figures": [figure.as_dict() for figure in row.result.figures],
-                }
-                for row in self.rows
-            ],
+            "steps": [row.as_dict() for row in self.rows],
             "answers": [
-                question.as_dict()
-                | {
-                    "outcome": self.answers[question.name].outcome,
-                    "text": self.answers[question.name].text,
-                    "measured": [figure.as_dict() for figure in self.answers[question.name].figures],
-                }
-                for question in QUESTIONS
+                question.as_dict() | self.answers[question.name].as_dict() for question in QUESTIONS
             ],
         }

@@ -20,6 +20,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, CannotOpenError, ProtocolError, UsageError
+from adis_gonio.base.jsonable import Record
 from adis_gonio.bench.iio.channels import BufferLayout, wanted
 from adis_gonio.bench.iio.device import TIMESTAMP, IioDevice
 from adis_gonio.bench.iio.local import LocalDevice, local_accelerometers
@@ -52,7 +53,7 @@ _NETWORK = re.compile(r"ip:(?P<host>\[[^]]+\]|[^:/]+)(?::(?P<port>\d{1,5}))?(?:/
 
 
 @dataclass(frozen=True)
-class IioMeasuring:
+class IioMeasuring(Record):
     """How an IIO device measures.
 
     Attributes
@@ -78,16 +79,6 @@ class IioMeasuring:
     def sample_period_s(self) -> float:
         """Time between two samples."""
         return 1.0 / self.sample_rate_hz
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            "sample_rate_hz": self.sample_rate_hz,
-            "device": self.device,
-            "buffered": self.buffered,
-            "scales": dict(self.scales),
-            "offsets": dict(self.offsets),
-        }
 
 
 class IioSource(SampleSource):

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError
+from adis_gonio.base.jsonable import NAMED_BY_UNIT, Record
 from adis_gonio.bench.writeback.plan import BIASES, UNITS, WritePlan
 from adis_gonio.bench.writeback.rest import Rest
 from adis_gonio.device.sensor.variants import Variant, variant
@@ -36,7 +37,7 @@ LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True)
-class Agreement:
+class Agreement(Record):
     """Measured against expected.
 
     Attributes
@@ -51,11 +52,13 @@ class Agreement:
         `mg` or `dps`.
     """
 
+    document_keys = ("what", "names", "measured", "expected", "u", "agrees")
+
     what: str
     names: tuple[str, ...]
-    measured: Floats
-    expected: Floats
-    u: Floats
+    measured: Floats = field(metadata=NAMED_BY_UNIT)
+    expected: Floats = field(metadata=NAMED_BY_UNIT)
+    u: Floats = field(metadata=NAMED_BY_UNIT)
     unit: str = "mg"
 
     @property
@@ -75,17 +78,6 @@ class Agreement:
             for name, m, e, u in zip(self.names, self.measured, self.expected, self.u, strict=True)
         ]
         return f"{self.what}: {'; '.join(figures)}"
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            "what": self.what,
-            "names": list(self.names),
-            f"measured_{self.unit}": self.measured.tolist(),
-            f"expected_{self.unit}": self.expected.tolist(),
-            f"u_{self.unit}": self.u.tolist(),
-            "agrees": self.agrees,
-        }
 
 
 def against_session(

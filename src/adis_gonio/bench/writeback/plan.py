@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from adis_gonio.base.errors import SessionError
+from adis_gonio.base.jsonable import Record
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, Kind
 from adis_gonio.device.sensor.variants import VARIANTS, variant
 from adis_gonio.model.effects.base import AXES
@@ -99,7 +100,7 @@ class AxisPlan:
 
 
 @dataclass(frozen=True)
-class WritePlan:
+class WritePlan(Record):
     """What is to be written.
 
     Attributes
@@ -113,6 +114,8 @@ class WritePlan:
     doubts : tuple of str
         Why the fit is no sound base, one line each; empty where it is.
     """
+
+    document_keys = ("session", "variant", "method", "axes", "changes", "doubts")
 
     session: str
     variant: str
@@ -139,17 +142,6 @@ class WritePlan:
     def changes(self) -> bool:
         """True where a register is to change."""
         return self.new != self.now
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            "session": self.session,
-            "variant": self.variant,
-            "method": self.method,
-            "axes": [axis.as_dict() for axis in self.axes],
-            "changes": self.changes,
-            "doubts": list(self.doubts),
-        }
 
 
 def recorded_offsets(session: Session, names: Sequence[str] = ACCEL_OFF) -> dict[str, int]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import SessionError, UsageError
+from adis_gonio.base.jsonable import OPTIONAL, Record
 from adis_gonio.device.sensor.bartlett import white_gain
 from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
@@ -26,7 +26,7 @@ OF_GYROS = (*REGISTERS, *GYRO_OUT, *TEMP_OUT[1:])
 
 
 @dataclass(frozen=True)
-class Rest:
+class Rest(Record):
     """Means of a dwell.
 
     Attributes
@@ -43,27 +43,17 @@ class Rest:
         Of the gyros' dies, where they were read.
     """
 
+    document_keys = ("mean_mg", "u_mg", "temperature_c", "supply_v", "samples", "mean_dps", "u_dps")
+
     mean_mg: Floats
     u_mg: Floats
     temperature_c: float
     supply_v: float
     samples: int
-    mean_dps: Floats | None = None
-    u_dps: Floats | None = None
+    mean_dps: Floats | None = field(default=None, metadata=OPTIONAL)
+    u_dps: Floats | None = field(default=None, metadata=OPTIONAL)
     sample_dps: Floats | None = None
     temperatures_c: Floats | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        gyros = {"mean_dps": self.mean_dps, "u_dps": self.u_dps}
-        return {
-            "mean_mg": self.mean_mg.tolist(),
-            "u_mg": self.u_mg.tolist(),
-            "temperature_c": self.temperature_c,
-            "supply_v": self.supply_v,
-            "samples": self.samples,
-            **{name: values.tolist() for name, values in gyros.items() if values is not None},
-        }
 
 
 def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool = False) -> Rest:

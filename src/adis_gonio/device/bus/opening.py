@@ -9,6 +9,7 @@ from importlib.metadata import EntryPoint, entry_points
 from urllib.parse import parse_qsl
 
 from adis_gonio.base.errors import BusError, NotInstalledError, UsageError, one_line
+from adis_gonio.base.jsonable import Record
 from adis_gonio.device.bus.contract import SpiBus
 
 ENTRY_POINT_GROUP = "adis_gonio.bus"
@@ -105,7 +106,7 @@ DEVICE_GROUP = "adis_gonio.devices"
 
 
 @dataclass(frozen=True)
-class Device:
+class Device(Record):
     """A device that could be opened: its URL and its description, each one printable line."""
 
     url: str
@@ -114,10 +115,6 @@ class Device:
     def __post_init__(self) -> None:
         object.__setattr__(self, "url", one_line(self.url))
         object.__setattr__(self, "description", one_line(self.description))
-
-    def as_dict(self) -> dict[str, str]:
-        """JSON form."""
-        return {"url": self.url, "description": self.description}
 
 
 def find_devices() -> list[Device]:

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import signal, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import finite
+from adis_gonio.base.jsonable import Record
 from adis_gonio.fitting.allan.processes import KINDS, variograms
 
 LEAST_DIFFERENCES = 8
@@ -26,7 +25,7 @@ _LATTICE = 32
 
 
 @dataclass(frozen=True)
-class AllanCurve:
+class AllanCurve(Record):
     """Allan deviation of one axis with its intervals of 95 %, and the fitted model's.
 
     Attributes
@@ -46,11 +45,6 @@ class AllanCurve:
     high: Floats
     dof: Floats
     model: Floats
-
-    def as_dict(self) -> dict[str, Any]:
-        """Columns by name."""
-        columns: dict[str, Any] = finite({name: list(map(float, row)) for name, row in vars(self).items()})
-        return columns
 
 
 def octaves(longest: int) -> list[int]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, signal
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import Record
 
 CHANCE = 1e-4
 """That noise alone shows a line in a record."""
@@ -24,7 +24,7 @@ _LEAKS = 4
 
 
 @dataclass(frozen=True)
-class SpectralLine:
+class SpectralLine(Record):
     """A sinusoid of a record.
 
     Attributes
@@ -37,10 +37,6 @@ class SpectralLine:
 
     frequency_hz: float
     amplitude: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """`{"frequency_hz", "amplitude"}`."""
-        return {"frequency_hz": self.frequency_hz, "amplitude": self.amplitude}
 
 
 def without_lines(

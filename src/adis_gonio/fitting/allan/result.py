@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from adis_gonio.base.jsonable import finite
+from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.values import Value, finite_or_none
 from adis_gonio.fitting.allan.deviation import AllanCurve
 from adis_gonio.fitting.allan.likelihood import Profile
@@ -175,20 +175,17 @@ class AxisNoise:
 
     def as_dict(self) -> dict[str, Any]:
         """The axis as JSON."""
-        document: dict[str, Any] = finite(
-            {
-                "parameters": {parameter.name: parameter.as_dict() for parameter in self.parameters},
-                "ramp": {**self.ramp.as_dict(), "present": self.ramps},
-                "slow_noise_p_value": self.slow_p_value,
-                "adequacy_p_value": self.adequacy,
-                "band_hz": list(self.band_hz),
-                "lines": [line.as_dict() for line in self.lines],
-                "converter_step": self.step,
-                "allan": self.curve.as_dict(),
-                "notes": list(self.notes),
-            }
+        return json_object(
+            parameters={parameter.name: parameter for parameter in self.parameters},
+            ramp={**self.ramp.as_dict(), "present": self.ramps},
+            slow_noise_p_value=self.slow_p_value,
+            adequacy_p_value=self.adequacy,
+            band_hz=self.band_hz,
+            lines=self.lines,
+            converter_step=self.step,
+            allan=self.curve,
+            notes=self.notes,
         )
-        return document
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.showing import html_table, parameter_frame, with_u
+from adis_gonio.base.jsonable import json_object
+from adis_gonio.base.showing import Entries, ParameterTable, with_u
 from adis_gonio.base.values import Value
 from adis_gonio.fitting.estimation.fit import Fit, Values, adequacy
 from adis_gonio.fitting.estimation.parts import GYRO, readings_of_part
@@ -35,8 +36,6 @@ from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import Provenance, provenance_of
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from adis_gonio.calibrate.calibration import Calibration
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
@@ -83,7 +82,7 @@ class GyroScore:
 
 
 @dataclass(frozen=True)
-class GyroFit:
+class GyroFit(ParameterTable):
     """Parameters of the gyros with covariance.
 
     Attributes
@@ -175,35 +174,32 @@ class GyroFit:
 
         return calibration_of_gyro_fit(self)
 
-    def _repr_html_(self) -> str:
-        """The parameters as a table, for notebooks."""
-        return html_table(f"fit by method {self.method}", self.as_dict()["parameters"].items())
-
-    def to_pandas(self) -> DataFrame:
-        """Parameters by name as a data frame: value, u, dof, k, U and unit (extra: pandas)."""
-        return parameter_frame(self.as_dict()["parameters"].items())
+    def caption_and_parameters(self) -> tuple[str, Entries]:
+        """Method, and the parameters by name."""
+        return f"fit by method {self.method}", self.as_dict()["parameters"].items()
 
     def as_dict(self) -> dict[str, Any]:
         """JSON document of `fit --sensor-part gyro`."""
-        return {
-            "method": self.method,
-            "part": self.part,
-            "parameters": {name: value.as_dict() for name, value in self.parameters.items()},
-            "covariance": {"names": list(self.parameters), "matrix": self.covariance.tolist()},
-            "scores": {name: score.as_dict() for name, score in self.scores.items()},
-            "chi2": self.chi2,
-            "dof": self.dof,
-            "residual_rms_dps": self.residual_rms_dps,
-            "angle_error_deg": None,
-            "warnings": list(self.warnings),
-            "undetermined": list(self.undetermined),
-            "noise_inflation": dict(self.inflation),
-            "reference_temperature_c": self.reference_temperature_c,
-            "positions_used": len(self.positions) - self.turns,
-            "turns_used": self.turns,
-            "time_base_u": TIME_BASE_U if self.turns else None,
-            "overrides": dict(self.overrides),
-        } | ({} if self.triad is None else {"triad": {k: one.as_dict() for k, one in self.triad.items()}})
+        return json_object(
+            method=self.method,
+            part=self.part,
+            parameters=self.parameters,
+            covariance={"names": list(self.parameters), "matrix": self.covariance},
+            scores=self.scores,
+            chi2=self.chi2,
+            dof=self.dof,
+            residual_rms_dps=self.residual_rms_dps,
+            angle_error_deg=None,
+            warnings=self.warnings,
+            undetermined=self.undetermined,
+            noise_inflation=self.inflation,
+            reference_temperature_c=self.reference_temperature_c,
+            positions_used=len(self.positions) - self.turns,
+            turns_used=self.turns,
+            time_base_u=TIME_BASE_U if self.turns else None,
+            overrides=self.overrides,
+            **{} if self.triad is None else {"triad": self.triad},
+        )
 
 
 @solvable

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from adis_gonio.base.jsonable import Record
 from adis_gonio.fitting.slips.faults import Name
 
 Angle = tuple[float, float]
@@ -26,8 +27,10 @@ SIZED: frozenset[Name] = frozenset({"mistyped", "misset", "slipped"})
 
 
 @dataclass(frozen=True)
-class Named:
+class Named(Record):
     """One name of a set.
+
+    The JSON document is one entry of `names`.
 
     Attributes
     ----------
@@ -40,10 +43,6 @@ class Named:
     name: Name
     positions: tuple[int, ...]
     probability: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """One entry of `names`."""
-        return {"name": self.name, "positions": list(self.positions), "probability": self.probability}
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import Record
 from adis_gonio.base.values import Value
 
 YEAR_DAYS = 365.25
@@ -22,7 +22,7 @@ LEAST = 3
 
 
 @dataclass(frozen=True)
-class Drift:
+class Drift(Record):
     """A line through a series.
 
     Attributes
@@ -50,14 +50,6 @@ class Drift:
     birge: float
     birge_p: float
     p_value: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            **vars(self),
-            "slope": self.slope.as_dict(),
-            "level": self.level.as_dict(),
-        }
 
 
 def drift_of(day: Floats, value: Floats, u: Floats, unit: str) -> Drift | None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.jsonable import Record, json_object
 from adis_gonio.base.values import Value
 from adis_gonio.fleet.memory.control_chart import CUSUM_H, CUSUM_K, ControlChart, control_chart
 from adis_gonio.fleet.memory.drift import Drift, drift_of
@@ -22,9 +23,15 @@ LEVEL = 0.05
 _IN_PLANE = ("delta_k", "delta_phi", "bias_x", "bias_y")
 _DAY_S = 86400.0
 
+LISTED = (
+    *("when", "path", "operator", "stage", "plan", "method", "effects"),
+    *("adequate", "temperature_c", "angle_max_deg"),
+)
+"""Entries of a session's record in the document of `history`."""
+
 
 @dataclass(frozen=True)
-class Track:
+class Track(Record):
     """One quantity over the sessions that determine it.
 
     Attributes
@@ -42,6 +49,8 @@ class Track:
     drifts : bool
         True where the slope differs from zero at `LEVEL` over all quantities.
     """
+
+    document_keys = ("unit", "sessions", "values", "drift", "drifts", "chart")
 
     name: str
     unit: str
@@ -66,17 +75,6 @@ class Track:
     def expanded(self) -> Floats:
         """U (n,), 95 %."""
         return np.array([value.U for value in self.values], dtype=float)
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form; `sessions` are counted from 0."""
-        return {
-            "unit": self.unit,
-            "sessions": list(self.sessions),
-            "values": [value.as_dict() for value in self.values],
-            "drift": None if self.drift is None else self.drift.as_dict(),
-            "drifts": self.drifts,
-            "chart": None if self.chart is None else self.chart.as_dict(),
-        }
 
 
 @dataclass(frozen=True)
@@ -105,24 +103,16 @@ class History:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON document of `history`."""
-        return {
-            "serial": self.serial,
-            "sessions": [
-                {
-                    **{
-                        name: getattr(r, name)
-                        for name in ("when", "path", "operator", "stage", "plan", "method")
-                    },
-                    "effects": [e.as_dict() for e in r.effects] if r.traced else None,
-                    "adequate": r.adequate,
-                    "temperature_c": r.temperature_c,
-                    "angle_max_deg": r.angle_max_deg,
-                }
-                for r in self.sessions
+        return json_object(
+            serial=self.serial,
+            sessions=[
+                {name: getattr(record, name) for name in LISTED}
+                | ({} if record.traced else {"effects": None})
+                for record in self.sessions
             ],
-            "quantities": {name: track.as_dict() for name, track in self.tracks.items()},
-            "left_out": [{"path": record.path, "reason": reason} for record, reason in self.left_out],
-        }
+            quantities=self.tracks,
+            left_out=[{"path": record.path, "reason": reason} for record, reason in self.left_out],
+        )
 
 
 def history_of(

@@ -19,6 +19,7 @@ import numpy as np
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.intervals import coverage_factor
+from adis_gonio.base.jsonable import Record
 from adis_gonio.fleet.memory.as_found import PARAMETERS, worst_deg
 from adis_gonio.fleet.memory.drift import LEAST, YEAR_DAYS
 from adis_gonio.fleet.memory.history import History, date_of
@@ -64,7 +65,7 @@ class Rules:
 
 
 @dataclass(frozen=True)
-class Stair:
+class Stair(Record):
     """One step of the staircase: what a calibration found of the one before.
 
     Attributes
@@ -83,23 +84,15 @@ class Stair:
     interval_days: float
     response: str
 
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return dict(vars(self))
-
 
 @dataclass(frozen=True)
-class Rule:
+class Rule(Record):
     """A date by one method, or what is lacking for one."""
 
     method: str
     date: str | None
     why: str
     assumes: str
-
-    def as_dict(self) -> dict[str, Any]:
-        """`{"method", "date", "why", "assumes"}`."""
-        return dict(vars(self))
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ def trace_population(
         detectable=reach_of(population),
         missing=_missing(units),
         open=open_,
-        inflation=(inflated, float(units.inflation.max())),
+        inflation={"median": inflated, "largest": float(units.inflation.max())},
         notes=tuple(notes),
     )
 

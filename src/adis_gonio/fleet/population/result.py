@@ -7,27 +7,18 @@ from dataclasses import dataclass
 from typing import Any
 
 from adis_gonio.base.counting import counted
-from adis_gonio.base.jsonable import finite
+from adis_gonio.base.jsonable import Record, json_object
 from adis_gonio.base.values import Value
 
 
 @dataclass(frozen=True)
-class Affected:
+class Affected(Record):
     """A session that is probably affected."""
 
     source: str
     serial: str
     digest: str
     probability: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """Its fields."""
-        return {
-            "source": self.source,
-            "serial": self.serial,
-            "digest": self.digest,
-            "probability": self.probability,
-        }
 
 
 @dataclass(frozen=True)
@@ -96,27 +87,24 @@ class Common:
 
     def as_dict(self) -> dict[str, Any]:
         """One entry of `found`, `sets` or `unnamed`."""
-        document: dict[str, Any] = finite(
-            {
-                "effects": self.effects,
-                "depends_on": self.depends_on,
-                "variant": self.variant,
-                "axes": list(self.axes),
-                "posterior": self.posterior,
-                "by": self.by,
-                "value": self.value,
-                "groups": self.groups,
-                "sessions": self.sessions,
-                "share": {"value": self.share, "low": self.share_low, "high": self.share_high},
-                "mean": {name: value.as_dict() for name, value in self.mean.items()},
-                "spread": self.spread,
-                "relative": self.relative,
-                "p_value": self.p_value,
-                "heldout_gain": self.heldout_gain,
-                "affected": [unit.as_dict() for unit in self.affected],
-            }
+        return json_object(
+            effects=self.effects,
+            depends_on=self.depends_on,
+            variant=self.variant,
+            axes=list(self.axes),
+            posterior=self.posterior,
+            by=self.by,
+            value=self.value,
+            groups=self.groups,
+            sessions=self.sessions,
+            share={"value": self.share, "low": self.share_low, "high": self.share_high},
+            mean=self.mean,
+            spread=self.spread,
+            relative=self.relative,
+            p_value=self.p_value,
+            heldout_gain=self.heldout_gain,
+            affected=self.affected,
         )
-        return document
 
     def sentence(self) -> str:
         """In one sentence."""
@@ -144,8 +132,10 @@ def _p(value: float) -> str:
 
 
 @dataclass(frozen=True)
-class Reach:
+class Reach(Record):
     """What a population would have shown of an effect.
+
+    The JSON document is one value of `detectable`.
 
     Attributes
     ----------
@@ -159,13 +149,9 @@ class Reach:
     unit: str
     parameter: str
 
-    def as_dict(self) -> dict[str, Any]:
-        """One value of `detectable`."""
-        return {"amplitude": dict(self.amplitude), "unit": self.unit, "parameter": self.parameter}
-
 
 @dataclass(frozen=True)
-class PopulationResult:
+class PopulationResult(Record):
     """What many sessions have in common.
 
     Attributes
@@ -182,8 +168,8 @@ class PopulationResult:
         Effects that no session could be asked for, with the reason.
     open : mapping of str to str
         Causes that did not stand, with the reason.
-    inflation : tuple of float
-        Median and largest factor on a session's noise variance.
+    inflation : mapping of str to float
+        `median` and `largest` factor on a session's noise variance.
     notes : tuple of str
     """
 
@@ -194,22 +180,8 @@ class PopulationResult:
     detectable: Mapping[str, Reach]
     missing: Mapping[str, str]
     open: Mapping[str, str]
-    inflation: tuple[float, float]
+    inflation: Mapping[str, float]
     notes: tuple[str, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON."""
-        return {
-            "sessions": self.sessions,
-            "found": [one.as_dict() for one in self.found],
-            "sets": [one.as_dict() for one in self.sets],
-            "unnamed": [one.as_dict() for one in self.unnamed],
-            "detectable": {name: reach.as_dict() for name, reach in self.detectable.items()},
-            "missing": dict(self.missing),
-            "open": dict(self.open),
-            "inflation": {"median": self.inflation[0], "largest": self.inflation[1]},
-            "notes": list(self.notes),
-        }
 
     def summary(self) -> tuple[str, ...]:
         """Lines for a reader."""

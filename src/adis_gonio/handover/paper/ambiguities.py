@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import Record
 from adis_gonio.fitting.closed_form import FOUR, as_printed
 from adis_gonio.handover.paper.comparison import printed_verdicts
 from adis_gonio.handover.paper.crossing import MMPM_ANGLES_DEG, by_positions, readings
@@ -38,7 +38,7 @@ class LabelledValue:
 
 
 @dataclass(frozen=True)
-class Ambiguity:
+class Ambiguity(Record):
     """An open question of the paper.
 
     Attributes
@@ -55,10 +55,6 @@ class Ambiguity:
     reading: str
     why: str
     values: tuple[LabelledValue, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return asdict(self)
 
 
 def two_readings(alpha_deg: float, *, turn: int = 1) -> Floats:

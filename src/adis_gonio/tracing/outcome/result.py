@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from adis_gonio.base.budget import Budget
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.showing import html_table, lines_of, parameter_frame
-from adis_gonio.base.values import Detectable, Value, finite_or_none
+from adis_gonio.base.jsonable import HIDDEN, INLINE, NAMED_BY_UNIT, OPTIONAL, Record, finite, json_object
+from adis_gonio.base.showing import Entries, ParameterTable, lines_of
+from adis_gonio.base.values import Detectable, Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.parts import ACCELEROMETER, GYRO
 from adis_gonio.fitting.slips.finding import PositionFinding, listed
@@ -19,14 +20,14 @@ from adis_gonio.tracing.outcome.sets import CredibleSet
 from adis_gonio.tracing.within.finding import WithinFinding
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from adis_gonio.calibrate import Calibration, GyroCalibration
 
 
 @dataclass(frozen=True)
-class ErrorFigures:
+class ErrorFigures(Record):
     """How well a model does.
+
+    The JSON document is the keys of `error.before`.
 
     Attributes
     ----------
@@ -48,30 +49,20 @@ class ErrorFigures:
         Of the readings: it ends the names in the JSON (`residual_rms_mg`).
     """
 
-    residual_rms: float
-    heldout_rms: float | None
+    residual_rms: float = field(metadata=NAMED_BY_UNIT)
+    heldout_rms: float | None = field(metadata=NAMED_BY_UNIT)
     angle_rms_deg: float | None
     chi2_per_dof: float | None
-    heldout_by_axis: dict[str, float] | None = None
-    heldout_kept: float | None = None
-    unit: str = "mg"
-
-    def as_dict(self) -> dict[str, Any]:
-        """The keys of `error.before`; errors by axis where there are any."""
-        by_axis, unit = self.heldout_by_axis, self.unit
-        return {
-            f"residual_rms_{unit}": finite_or_none(self.residual_rms),
-            f"heldout_rms_{unit}": finite_or_none(self.heldout_rms),
-            "angle_rms_deg": finite_or_none(self.angle_rms_deg),
-            "chi2_per_dof": finite_or_none(self.chi2_per_dof),
-            **({} if by_axis is None else {f"heldout_by_axis_{unit}": dict(by_axis)}),
-            **({} if self.heldout_kept is None else {f"heldout_kept_{unit}": self.heldout_kept}),
-        }
+    heldout_by_axis: dict[str, float] | None = field(default=None, metadata=NAMED_BY_UNIT | OPTIONAL)
+    heldout_kept: float | None = field(default=None, metadata=NAMED_BY_UNIT | OPTIONAL)
+    unit: str = field(default="mg", metadata=HIDDEN)
 
 
 @dataclass(frozen=True)
-class Finding:
+class Finding(Record):
     """One named effect that the trace added.
+
+    The JSON document is one entry of `found`.
 
     Attributes
     ----------
@@ -99,23 +90,12 @@ class Finding:
     equivalents: tuple[str, ...] = ()
     cause: str = ""
 
-    def as_dict(self) -> dict[str, Any]:
-        """One entry of `found`."""
-        return {
-            "effect": self.effect,
-            "axes": list(self.axes),
-            "parameters": {name: value.as_dict() for name, value in self.parameters.items()},
-            "p_value": self.p_value,
-            "explains": self.explains,
-            "probability": self.probability,
-            "equivalents": list(self.equivalents),
-            "cause": self.cause,
-        }
-
 
 @dataclass(frozen=True)
-class Unnamed:
+class Unnamed(Record):
     """Structure that has no name.
+
+    The JSON document is the value of `unnamed`.
 
     Attributes
     ----------
@@ -137,27 +117,13 @@ class Unnamed:
     probability: float
     p_value: float
 
-    def as_dict(self) -> dict[str, Any]:
-        """The value of `unnamed`."""
-        return {
-            "covariates": list(self.covariates),
-            "form": self.form,
-            "explains": self.explains,
-            "probability": self.probability,
-            "p_value": self.p_value,
-        }
-
 
 @dataclass(frozen=True)
-class Step:
-    """One term as it came in."""
+class Step(Record):
+    """One term as it came in. The JSON document is one entry of `steps`."""
 
     effect: str
-    error: ErrorFigures
-
-    def as_dict(self) -> dict[str, Any]:
-        """One entry of `steps`."""
-        return {"effect": self.effect, **self.error.as_dict()}
+    error: ErrorFigures = field(metadata=INLINE)
 
 
 Purpose = Literal["decide", "cover"]
@@ -207,24 +173,26 @@ class NextDwell:
 
     def as_dict(self) -> dict[str, Any]:
         """One entry of `measurements`."""
-        return {
-            "angle_deg": self.angle_deg,
-            "direction": None if self.direction is None else list(self.direction),
-            "approach": self.approach,
-            "wait_s": self.wait_s,
-            "temperature_c": self.temperature_c,
-            "supply_v": self.supply_v,
-            "separation": finite_or_none(self.separation),
-            "information": finite_or_none(self.information),
-            "purpose": self.purpose,
-            "separates": [list(self.one), list(self.other)],
-            "sentence": self.sentence,
-        }
+        return json_object(
+            angle_deg=self.angle_deg,
+            direction=self.direction,
+            approach=self.approach,
+            wait_s=self.wait_s,
+            temperature_c=self.temperature_c,
+            supply_v=self.supply_v,
+            separation=self.separation,
+            information=self.information,
+            purpose=self.purpose,
+            separates=[self.one, self.other],
+            sentence=self.sentence,
+        )
 
 
 @dataclass(frozen=True)
-class Stopped:
+class Stopped(Record):
     """What the time limit did to a trace.
+
+    The JSON document is the value of `stopped`.
 
     Attributes
     ----------
@@ -235,6 +203,8 @@ class Stopped:
     checked : bool
         Whether validation was complete: what is called found then stands. Nothing is, where it was not.
     """
+
+    document_keys = ("limit_s", "elapsed_s", "left_out", "checked", "sentence")
 
     limit_s: float
     elapsed_s: float
@@ -256,31 +226,17 @@ class Stopped:
         limit = f"The time limit of {self.limit_s:g} s ended the trace"
         return f"{limit}: {outcome}; left out: {', '.join(self.left_out)}."
 
-    def as_dict(self) -> dict[str, Any]:
-        """The value of `stopped`."""
-        return {
-            "limit_s": self.limit_s,
-            "elapsed_s": self.elapsed_s,
-            "left_out": list(self.left_out),
-            "checked": self.checked,
-            "sentence": self.sentence,
-        }
-
 
 @dataclass(frozen=True)
-class Rival:
-    """A model near the best: its terms, and its posterior."""
+class Rival(Record):
+    """A model near the best: its terms, and its posterior. The JSON document is one entry of `rivals`."""
 
     terms: tuple[str, ...]
     probability: float
 
-    def as_dict(self) -> dict[str, Any]:
-        """One entry of `rivals`."""
-        return {"terms": list(self.terms), "probability": self.probability}
-
 
 @dataclass(frozen=True)
-class TraceResult:
+class TraceResult(ParameterTable):
     """The trace of a session.
 
     Attributes
@@ -430,45 +386,37 @@ class TraceResult:
     def _of_effects(self) -> list[tuple[str, dict[str, Any]]]:
         return [(name, one.as_dict()) for found in self.found for name, one in found.parameters.items()]
 
-    @property
-    def _parameters(self) -> list[tuple[str, dict[str, Any]]]:
-        return [*((name, value.as_dict()) for name, value in self.base.items()), *self._of_effects]
-
-    def _repr_html_(self) -> str:
-        """Base parameters and those of the effects found as a table, for notebooks."""
-        return html_table(self.summary(), self._parameters)
-
-    def to_pandas(self) -> DataFrame:
-        """The same as a data frame with the columns value, u, dof, k, U and unit (extra: pandas)."""
-        return parameter_frame(self._parameters)
+    def caption_and_parameters(self) -> tuple[str, Entries]:
+        """Summary, and the parameters of the base model and the effects."""
+        return self.summary(), [*finite(self.base).items(), *self._of_effects]
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `trace`."""
         other = {} if self.part == ACCELEROMETER else {"part": self.part}
-        return {
+        return json_object(
             **other,
-            "adequate": self.adequate,
-            "adequacy": self.adequacy,
-            "found": [finding.as_dict() for finding in self.found],
-            "steps": [step.as_dict() for step in self.steps],
-            "sets": [one.as_dict() for one in self.sets],
-            "confounded": [list(names) for names in self.confounded],
-            "unnamed": None if self.unnamed is None else self.unnamed.as_dict(),
-            "error": {"before": self.before.as_dict(), "after": self.after.as_dict()},
-            "detectable": {name: value.as_dict() for name, value in self.detectable.items()},
-            "next": list(self.advice),
-            "measurements": [measurement.as_dict() for measurement in self.measurements],
-            "rivals": [rival.as_dict() for rival in self.rivals],
-            "base": {name: value.as_dict() for name, value in self.base.items()},
-            "reasons": dict(self.reasons),
-            "notes": list(self.notes),
-            "within": [finding.as_dict() for finding in self.within],
-            "heldout_design": self.heldout_design,
-            "reference_temperature_c": self.reference_temperature_c,
-            "stopped": None if self.stopped is None else self.stopped.as_dict(),
-            "overrides": dict(self.overrides),
+            adequate=self.adequate,
+            adequacy=self.adequacy,
+            found=self.found,
+            steps=self.steps,
+            sets=self.sets,
+            confounded=self.confounded,
+            unnamed=self.unnamed,
+            error={"before": self.before, "after": self.after},
+            detectable=self.detectable,
+            next=self.advice,
+            measurements=self.measurements,
+            rivals=self.rivals,
+            base=self.base,
+            reasons=self.reasons,
+            notes=self.notes,
+            within=self.within,
+            heldout_design=self.heldout_design,
+            reference_temperature_c=self.reference_temperature_c,
+            stopped=self.stopped,
+            overrides=self.overrides,
             **listed(self.position_findings),
-        }
+        )
 
 
 __all__ = [

@@ -16,12 +16,12 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import HIDDEN, Record
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.tracing.outcome.naming import related, unknown_of
 from adis_gonio.tracing.selection.design import LinearProblem, span
@@ -32,8 +32,10 @@ from adis_gonio.tracing.unnamed.averaging import Averaged
 
 
 @dataclass(frozen=True)
-class CredibleSet:
+class CredibleSet(Record):
     """The smallest set of names for one cause that holds 95 % of its probability.
+
+    The JSON document is one entry of `sets`.
 
     Attributes
     ----------
@@ -47,18 +49,10 @@ class CredibleSet:
         Probability that there is any cause at all in this place.
     """
 
-    cause: str
+    cause: str = field(metadata=HIDDEN)
     names: tuple[str, ...]
     probability: tuple[float, ...]
     present: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """One entry of `sets`."""
-        return {
-            "names": list(self.names),
-            "probability": list(self.probability),
-            "present": self.present,
-        }
 
 
 def credible_sets(selection: Selection, averaged: Averaged | None = None) -> tuple[CredibleSet, ...]:

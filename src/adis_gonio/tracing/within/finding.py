@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, Record
 from adis_gonio.base.values import Value
 
 Kind = Literal[
@@ -21,8 +22,10 @@ in single dwells."""
 
 
 @dataclass(frozen=True)
-class Place:
+class Place(Record):
     """One dwell and axis in which something stands.
+
+    The JSON document is one entry of `places`.
 
     Attributes
     ----------
@@ -42,16 +45,6 @@ class Place:
     time_s: float | None = None
     value: Value | None = None
     shift_mg: float | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """One entry of `places`."""
-        return {
-            "position": self.position,
-            "axis": self.axis,
-            "time_s": self.time_s,
-            "value": None if self.value is None else self.value.as_dict(),
-            "shift_mg": self.shift_mg,
-        }
 
 
 @dataclass(frozen=True)
@@ -83,8 +76,10 @@ class View:
 
 
 @dataclass(frozen=True)
-class WithinFinding:
+class WithinFinding(Record):
     """Something that the samples inside the dwells show.
+
+    The JSON document is one entry of `within`.
 
     Attributes
     ----------
@@ -103,8 +98,8 @@ class WithinFinding:
         Single dwells and axes; empty where all of `positions` share the parameters.
     advice : str
         What to do about it; empty where nothing has to be done.
-    aliases_hz : tuple of float
-        Other frequencies that the samples show as this line; of a tone only.
+    aliases_hz : tuple of float or None
+        Other frequencies that the samples show as this line; None if this is no tone.
     view : View or None
         For a figure; no part of the document nor of a comparison.
     """
@@ -118,23 +113,8 @@ class WithinFinding:
     sentence: str
     places: tuple[Place, ...] = ()
     advice: str = ""
-    aliases_hz: tuple[float, ...] = ()
-    view: View | None = field(default=None, repr=False, compare=False)
-
-    def as_dict(self) -> dict[str, Any]:
-        """One entry of `within`."""
-        return {
-            "kind": self.kind,
-            "effect": self.effect,
-            "axes": list(self.axes),
-            "positions": list(self.positions),
-            "parameters": {name: value.as_dict() for name, value in self.parameters.items()},
-            "p_value": self.p_value,
-            "sentence": self.sentence,
-            "places": [place.as_dict() for place in self.places],
-            "advice": self.advice,
-            **({"aliases_hz": list(self.aliases_hz)} if self.kind == "tone" else {}),
-        }
+    aliases_hz: tuple[float, ...] | None = field(default=None, metadata=OPTIONAL)
+    view: View | None = field(default=None, repr=False, compare=False, metadata=HIDDEN)
 
 
 def corrected(p_value: float, tests: float) -> float:
