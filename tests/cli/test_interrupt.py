@@ -45,7 +45,7 @@ def test_ctrl_c_after_the_work_changes_nothing_of_the_exit_status():
     """As from somebody who presses it while the program goes down."""
     late = (
         "import atexit, os, signal, sys;"
-        "from adis_gonio import cli;"
+        "from adis_gonio.faces import cli;"
         "atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT));"
         "sys.argv[1:] = ['--version'];"
         "cli.run()"
