@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -52,18 +51,6 @@ class Rest:
     u_dps: Floats | None = None
     sample_dps: Floats | None = None
     temperatures_c: Floats | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        gyros = {"mean_dps": self.mean_dps, "u_dps": self.u_dps}
-        return {
-            "mean_mg": self.mean_mg.tolist(),
-            "u_mg": self.u_mg.tolist(),
-            "temperature_c": self.temperature_c,
-            "supply_v": self.supply_v,
-            "samples": self.samples,
-            **{name: values.tolist() for name, values in gyros.items() if values is not None},
-        }
 
 
 def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool = False) -> Rest:
