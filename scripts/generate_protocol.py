@@ -137,8 +137,7 @@ def module(table: Table) -> str:
     protocol, packet = table["protocol"], table["packet"]
     out = ['"""Constants and packet bodies of the wire protocol.', "", NOTE, '"""', ""]
     out += ["from __future__ import annotations", ""]
-    out += ["import struct", "from dataclasses import dataclass", "from enum import IntEnum, IntFlag"]
-    out += ["from typing import ClassVar", ""]
+    out += ["from enum import IntEnum, IntFlag", ""]
     out += [
         "from adis_gonio.device.bus.contract import Words",
         "from adis_gonio.device.bus.wire.body import Body",
@@ -171,9 +170,7 @@ def module(table: Table) -> str:
     out += [f'    Refusal.{name.upper()}: "{row["text"]}",' for name, row in table["errors"].items()]
     out += ["}"]
     for name, _, text, fields in rows:
-        out += ["", "", "@dataclass(frozen=True)", f"class {class_name(name)}(Body):"]
-        out += [f'    """{text}"""', ""]
-        formats, names, tail = "<", [], ""
+        formats, names, tail = "", [], ""
         for field in fields:
             base, count = split(field["type"])
             python = {"words": "Words", "text": "str"}.get(base, "int" if count == 1 else "tuple[int, ...]")
@@ -182,11 +179,10 @@ def module(table: Table) -> str:
                 formats += f"{count if count > 1 else ''}{FORMATS[base]}"
             else:
                 tail = base
-        counts = tuple(split(f["type"])[1] for f in fields if split(f["type"])[1])
-        out.append(f"    TYPE: ClassVar[PacketType] = PacketType.{name.upper()}")
-        out.append(f'    LAYOUT: ClassVar[struct.Struct] = struct.Struct("{formats}")')
-        out.append(f"    COUNTS: ClassVar[tuple[int, ...]] = {counts}")
-        out.append(f'    TAIL: ClassVar[str] = "{tail}"')
+        given = f"type=PacketType.{name.upper()}"
+        given += f', layout="{formats}"' if formats else ""
+        given += f', tail="{tail}"' if tail else ""
+        out += ["", "", f"class {class_name(name)}(Body, {given}):", f'    """{text}"""']
         if names:
             out.append("")
         for field_name, python, field_text in names:

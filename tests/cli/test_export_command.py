@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from adis_gonio import Calibration, fit, load_session
-from adis_gonio.faces.cli import main, working
+from adis_gonio.faces.cli import main, show
 from adis_gonio.tracing.loading import load_calibration
 
 SCHEMA = json.loads(
@@ -98,7 +98,7 @@ def test_method_and_name_are_followed(recorded, tmp_path):
 
 
 def test_a_trace_says_meanwhile_what_it_is_at(recorded, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(working, "_times_s", lambda: iter([0.0]))
+    monkeypatch.setattr(show, "report_times_s", lambda: iter([0.0]))
     assert main(["export", str(recorded), "--trace", "-o", str(tmp_path / "traced.json")]) == 0
     out, err = capsys.readouterr()
     assert err.startswith("tracing four.session")

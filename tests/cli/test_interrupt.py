@@ -45,7 +45,7 @@ def test_ctrl_c_after_the_work_changes_nothing_of_the_exit_status():
     """As from somebody who presses it while the program goes down."""
     late = (
         "import atexit, os, signal, sys;"
-        "from adis_gonio import cli;"
+        "from adis_gonio.faces import cli;"
         "atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT));"
         "sys.argv[1:] = ['--version'];"
         "cli.run()"
@@ -65,7 +65,13 @@ CAUGHT = """try:
 
 @pytest.mark.parametrize("work", ["signal.raise_signal(signal.SIGINT)", CAUGHT])
 def test_ctrl_c_ends_with_130_and_not_by_the_signal_wherever_it_comes(work, tmp_path):
-    lines = ["import signal", "from adis_gonio import cli", "def main():", f"    {work}", "cli.main = main"]
+    lines = [
+        "import signal",
+        "from adis_gonio.faces import cli",
+        "def main():",
+        f"    {work}",
+        "cli.main = main",
+    ]
     (tmp_path / "program.py").write_text("\n".join([*lines, "print('said')", "cli.run()", ""]))
     done = subprocess.run(
         [sys.executable, "-m", "program"],

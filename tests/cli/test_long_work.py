@@ -15,7 +15,7 @@ import pytest
 from rich.console import Console
 
 from adis_gonio.base.budget import Budget, current, told, within
-from adis_gonio.faces.cli import main, working
+from adis_gonio.faces.cli import main, show
 from adis_gonio.faces.cli.interrupt import Insistent
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.view import ArchiveView
@@ -67,7 +67,7 @@ def test_in_a_log_a_line_comes_seldom_and_says_stage_and_share(capsys, monkeypat
             event.wait(600)
             yield 0.0
 
-    monkeypatch.setattr(working, "_times_s", times)
+    monkeypatch.setattr(show, "report_times_s", times)
 
     def line_after(event):
         event.set()
@@ -75,7 +75,7 @@ def test_in_a_log_a_line_comes_seldom_and_says_stage_and_share(capsys, monkeypat
             time.sleep(0.001)
         return text
 
-    with working.working("tracing 24 dwells of a.session"):
+    with show.working("tracing 24 dwells of a.session"):
         assert line_after(go[0]) == "tracing 24 dwells of a.session …\n"
         current().tell("the error on left-out dwells")
         current().share(0.4)
@@ -86,14 +86,14 @@ def test_in_a_log_a_line_comes_seldom_and_says_stage_and_share(capsys, monkeypat
 
 
 def test_a_log_of_an_hour_is_short():
-    times = list(itertools.takewhile(lambda t: t < 3600, working._times_s()))
+    times = list(itertools.takewhile(lambda t: t < 3600, show.report_times_s()))
     assert 5 < len(times) < 20
     assert times[0] == 1.0
     assert times == sorted(times)
 
 
 def test_what_is_done_at_once_says_nothing(capsys):
-    with working.working("reading"):
+    with show.working("reading"):
         pass
     assert capsys.readouterr().err == ""
 
@@ -101,8 +101,8 @@ def test_what_is_done_at_once_says_nothing(capsys):
 def test_on_a_terminal_stage_share_and_time_stand_in_one_place(monkeypatch):
     screen = io.StringIO()
     terminal = Console(file=screen, force_terminal=True, width=80, highlight=False)
-    monkeypatch.setattr(working, "console", lambda *, stderr: terminal)
-    with working.working("fitting 4 dwells of [odd] name"):
+    monkeypatch.setattr(show, "console", lambda *, stderr: terminal)
+    with show.working("fitting 4 dwells of [odd] name"):
         current().tell("every method")
         current().share(0.25)
     shown = screen.getvalue()

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.faces.cli import main
-from adis_gonio.faces.cli.columns import Columns
-from adis_gonio.faces.cli.stream import _Show
+from adis_gonio.faces.cli.stream import Columns, ShownStream
 from adis_gonio.record.blocks import ValueBlock
 
 NAMES = (
@@ -46,7 +45,7 @@ class Stream:
 
 
 def shown(capsys: pytest.CaptureFixture[str], seconds: float | None, *lengths: int) -> list[str]:
-    show = _Show(10, None, lines=True)
+    show = ShownStream(10, None, lines=True)
     show.run(Stream(*lengths), seconds)
     show.tell_the_sum()
     return capsys.readouterr().out.splitlines()

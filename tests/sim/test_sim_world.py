@@ -10,7 +10,7 @@ import pytest
 from adis_gonio.base.errors import UsageError
 from adis_gonio.model.effects.base import Effect, Enters, Parameter
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.gyro_settings import GyroSettings
+from adis_gonio.sim.settings import GyroSettings
 
 SILENT = {
     "noise_mg": 0.0,

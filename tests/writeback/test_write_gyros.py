@@ -17,10 +17,11 @@ from adis_gonio.base.errors import AdisGonioError, SessionError, UsageError, Ver
 from adis_gonio.bench.writeback import (
     OffsetWriter,
     WriteSettings,
-    gyro_offsets_in_force,
-    gyro_offsets_recorded,
+    offsets_in_force,
+    offsets_recorded,
 )
 from adis_gonio.device.sensor import Adis16354
+from adis_gonio.device.sensor.registers import GYRO_OFF
 from adis_gonio.faces.cli import main
 from adis_gonio.record.write_journal import operations, remarks_on
 from adis_gonio.tracing.calibrations import gyro_calibration_of
@@ -52,7 +53,7 @@ def path(recorded, tmp_path):
 def known(monkeypatch):
     """What the session knows of its gyros; a test may put other estimates there."""
     held = {"estimates": known_gyros(part())}
-    for module in ("calibration.with_gyros", "writeback.parts"):
+    for module in ("tracing.calibrations", "bench.writeback.parts"):
         monkeypatch.setattr(
             f"adis_gonio.{module}.gyro_estimates_of", lambda session, traced=False: held["estimates"]
         )
@@ -164,7 +165,7 @@ def test_a_session_recorded_with_gyro_offsets_counts_from_them(tmp_path, known):
     # The fit sees what the part adds.
     known["estimates"] = known_gyros(part(), more={"gyro_bias_x": 20 * LSB, "gyro_bias_z": -7 * LSB})
     session = load_session(path)
-    assert gyro_offsets_recorded(session) == pytest.approx([20 * LSB, 0.0, -7 * LSB])
+    assert offsets_recorded(session, GYRO_OFF) == pytest.approx([20 * LSB, 0.0, -7 * LSB])
     assert gyro_calibration_of(session).offsets_lsb == (20, 0, -7)
     wrote(bus, path)
     assert np.abs(np.subtract(gyro_numbers(bus), wanted(bus))).max() <= 1
@@ -284,7 +285,7 @@ def test_coefficients_hold_for_the_sensor_as_it_is_and_the_session_says_so(path)
     assert after.offsets_lsb == gyro_numbers(bus)
     assert np.abs(after.bias_dps).max() <= LSB / 2 + 1e-12
     assert before.bias_dps == pytest.approx(list(FAULTS.values())[:3])
-    assert gyro_offsets_in_force(session) == pytest.approx(LSB * np.array(gyro_numbers(bus)))
+    assert offsets_in_force(session, GYRO_OFF) == pytest.approx(LSB * np.array(gyro_numbers(bus)))
     (said,) = [note for note in session.notes if "offsets were written" in note]
     assert "XGYRO_OFF 0 → -66" in said
     assert "zero rates here" in said

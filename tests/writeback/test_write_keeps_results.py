@@ -13,11 +13,10 @@ from adis_gonio.base.errors import DataError, FitError
 from adis_gonio.bench.writeback import (
     OffsetWriter,
     WriteSettings,
-    gyro_offsets_in_force,
-    gyro_offsets_recorded,
     offsets_in_force,
     offsets_recorded,
 )
+from adis_gonio.device.sensor.registers import GYRO_OFF
 from adis_gonio.faces.cli import main
 from adis_gonio.record.write_journal import operations_of
 from adis_gonio.tracing.calibrations import gyro_calibration_of
@@ -93,7 +92,7 @@ def test_fit_and_trace_of_both_parts_stay_and_coefficients_move_by_what_was_writ
     assert results(path) == before
     session = load_session(path)
     moved_mg = offsets_in_force(session) - offsets_recorded(session)
-    moved_dps = gyro_offsets_in_force(session) - gyro_offsets_recorded(session)
+    moved_dps = offsets_in_force(session, GYRO_OFF) - offsets_recorded(session, GYRO_OFF)
     assert np.any(moved_dps if part == "gyro" else moved_mg)
     accel_now, gyro_now = calibrations(path)
     if accel is not None:

@@ -1,6 +1,6 @@
 """Three gyros with their faults: what they read, and what is true of them.
 
-The convention is that of `gyro_settings.GyroSettings`. A gyro's axis is misaligned towards the axes of the
+The convention is that of `settings.GyroSettings`. A gyro's axis is misaligned towards the axes of the
 gyros' frame (`gyro_misalignment_…`), and that frame is turned against the accelerometers' (`gyro_triad_…`);
 what is stated is the two together, in the accelerometers' frame, as a fit sees it.
 """

@@ -3,50 +3,150 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Self
+from dataclasses import Field, dataclass, field, fields
+from typing import Any, Self, TypeVar, dataclass_transform
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
-from adis_gonio.sim import gyro_settings
-from adis_gonio.sim.gyro_settings import GyroSettings
 
-_POSITIVE = (
-    "gravity_mps2",
-    "move_speed_dps",
-    "self_heating_tau_s",
-    "ambient_period_s",
-    "vibration_decay_s",
-    "hand_turn_s",
-    *gyro_settings.POSITIVE,
-)
-_AT_LEAST_ZERO = (
-    "noise_mg",
-    "bias_instability_mg",
-    "temperature_noise_c",
-    "temperature_offset_sigma_c",
-    "supply_noise_v",
-    "fixture_sigma_deg",
-    "powered_s",
-    "overshoot_deg",
-    "table_vibration_mg",
-    "hand_pauses",
-    "hand_unevenness",
-    "hand_tremor_dps",
-    "hand_vibration_mg",
-    "hand_sway_deg",
-    "axis_wobble_deg",
-    "hand_miss",
-    "hand_stray_deg",
-    "hand_twist_deg",
-    "mark_sigma_deg",
-    *gyro_settings.AT_LEAST_ZERO,
-)
+T = TypeVar("T")
+_OTHERS = [a + b for a, b in itertools.permutations("xyz", 2)]
+_PAIRS = [a + b for a, b in itertools.product("xyz", repeat=2)]
+_PLACES = {"each": list("xyz"), "other": _OTHERS, "pair": _PAIRS}
 
 
-@dataclass(frozen=True)
+def _above_0(default: float) -> Any:
+    return field(default=default, metadata={"refused": lambda value: value <= 0, "must": "be above 0"})
+
+
+def _not_negative(default: float | None) -> Any:
+    return field(default=default, metadata={"refused": lambda value: value < 0, "must": "not be negative"})
+
+
+@dataclass_transform(frozen_default=True)
+def _by_axis(cls: type[T]) -> type[T]:
+    """Make a class a frozen dataclass in which a setting of an axis stands for three, or six, or nine.
+
+    A name with `each` has one value for each axis, with `other` one for each axis and another one, with
+    `pair` one for any two axes; the metadata `own` is the default of a pair of one axis with itself.
+    """
+    kinds: dict[str, Any] = {}
+    for name, kind in cls.__annotations__.items():
+        given = cls.__dict__[name]
+        entry = given if isinstance(given, Field) else field(default=given)
+        delattr(cls, name)
+        place = next((part for part in name.split("_") if part in _PLACES), "")
+        for axes in _PLACES.get(place, [""]):
+            own = entry.metadata.get("own", entry.default) if axes in ("xx", "yy", "zz") else entry.default
+            of_axes = name.replace(f"_{place}", f"_{axes}", 1) if place else name
+            kinds[of_axes] = kind
+            setattr(cls, of_axes, field(default=own, metadata=entry.metadata))
+    cls.__annotations__ = kinds
+    return dataclass(frozen=True)(cls)
+
+
+@_by_axis
+class GyroSettings:
+    """Settings of the three gyros; None means drawn from the seed by the variant's figures.
+
+    A gyro reads, in °/s::
+
+        (1 + s (T − 25 °C)) (r + a |r|) + b + t (T − 25 °C) + w exp(−time since power-on / τ)
+            + G f + C f² + v (supply − 5 V)
+
+    with the rate `r` that its own gain and direction make of the turn, the temperature `T` of its own die,
+    and the force `f` in g as ideal accelerometers read it: level with Z up −1 on z. To it come rate walk,
+    flicker and white noise; then the chip's range and its compensations.
+
+    Attributes
+    ----------
+    gyro_noise_dps, gyro_instability_dps : float or None, float
+        White noise of an unfiltered sample (rms), and the floor of the Allan deviation.
+    gyro_rate_walk_dps_per_rt_s : float
+        Random walk of the biases: standard deviation after a second.
+    gyro_bias_sigma_dps, gyro_bias_x_dps, … : float, float or None
+        Standard deviation of the biases `b` at 25 °C, and the biases themselves.
+    gyro_bias_tempco_x_dps_per_c, … : float
+        Their temperature coefficients `t`.
+    gyro_warm_up_x_dps, …, gyro_warm_up_tau_s : float
+        What power-on adds (`w`), and the time constant with which that dies away.
+    gyro_scale_x, … : float
+        Gains of the gyros, 1 is perfect.
+    gyro_scale_tempco_x_ppm_per_c, … : float
+        Temperature coefficients of the gains (`s`).
+    gyro_asymmetry_x, … : float
+        By how much the gain is greater for positive rates than for their mean, and less for negative ones
+        (`a`).
+    gyro_misalignment_xy_deg, … : float
+        Misalignment of the first gyro's axis towards the second axis of the gyros' frame.
+    gyro_triad_x_deg, gyro_triad_y_deg, gyro_triad_z_deg : float
+        Rotation (a rotation vector) of the gyros' frame against that of the accelerometers.
+    gyro_g_dps_per_g : float or None
+        What a force along the own axis adds to each gyro (`G`).
+    gyro_g_sensitivity_xx_dps_per_g, … : float or None
+        The same of one gyro.
+    gyro_g_sensitivity_xy_dps_per_g, … : float
+        What a force along the second axis adds to the first gyro.
+    gyro_g2_sensitivity_xx_dps_per_g2, … : float
+        What the square of the force along the second axis adds to the first gyro (`C`): rectification.
+    gyro_supply_dps_per_v, gyro_supply_x_dps_per_v, … : float or None
+        What a supply other than 5 V adds (`v`), of all and of each.
+    gyro_range_gain_150, gyro_range_gain_75 : float
+        Gain of the whole signal in these ranges, relative to ±300 °/s.
+    gyro_saturation : float
+        Where the signal is cut off, in units of the range in force; the words end at twice the range.
+    gyro_g_compensation : float
+        How much of G the chip takes off where MSC_CTRL[7] is set: what the factory knew of it.
+    accel_place_xx_mm, … : float
+        Where the first accelerometer is along the second axis, from the origin that the part turns about.
+    origin_compensation : float
+        How much of what these places add the chip takes off where MSC_CTRL[6] is set.
+    die_gradient_x_c, …, die_gradient_tau_s : float
+        How much warmer than the part a gyro's die is once it is warm, and the time constant of that.
+    die_lag_x_s, … : float
+        Time constants with which the dies follow the part's temperature; 0 is at once.
+    earth_rate_up_dps : float
+        Upward part of the earth's rotation: 0.00418 °/s times the sine of the latitude.
+    autonull_s, precision_autonull_s : float
+        Times over which the autonulls average; 0 takes the filter's present output.
+    """
+
+    gyro_noise_dps: float | None = _not_negative(None)
+    gyro_instability_dps: float = _not_negative(0.015)
+    gyro_rate_walk_dps_per_rt_s: float = _not_negative(0.0)
+    gyro_bias_sigma_dps: float = _not_negative(1.0)
+    gyro_bias_each_dps: float | None = None
+    gyro_bias_tempco_each_dps_per_c: float = 0.0
+    gyro_warm_up_each_dps: float = 0.0
+    gyro_warm_up_tau_s: float = _above_0(120.0)
+    gyro_scale_each: float = 1.0
+    gyro_scale_tempco_each_ppm_per_c: float = 0.0
+    gyro_asymmetry_each: float = 0.0
+    gyro_misalignment_other_deg: float = 0.0
+    gyro_triad_each_deg: float = 0.0
+    gyro_g_dps_per_g: float | None = None
+    gyro_g_sensitivity_pair_dps_per_g: float | None = field(default=0.0, metadata={"own": None})
+    gyro_g2_sensitivity_pair_dps_per_g2: float = 0.0
+    gyro_supply_dps_per_v: float | None = None
+    gyro_supply_each_dps_per_v: float | None = None
+    gyro_range_gain_150: float = _above_0(1.0)
+    gyro_range_gain_75: float = _above_0(1.0)
+    gyro_saturation: float = _above_0(1.2)
+    gyro_g_compensation: float = 0.9
+    accel_place_pair_mm: float = 0.0
+    origin_compensation: float = 0.9
+    die_gradient_each_c: float = 0.0
+    die_gradient_tau_s: float = _above_0(120.0)
+    die_lag_each_s: float = _not_negative(0.0)
+    earth_rate_up_dps: float = 0.0
+    autonull_s: float = _not_negative(0.0)
+    precision_autonull_s: float = _above_0(30.0)
+
+
+@_by_axis
 class WorldSettings(GyroSettings):
     """Settings of the world; None means drawn from the seed by the variant's figures.
 
@@ -125,58 +225,52 @@ class WorldSettings(GyroSettings):
     scale_z: float | None = None
     skew_xz_deg: float | None = None
     skew_yz_deg: float | None = None
-    bias_x_mg: float | None = None
-    bias_y_mg: float | None = None
-    bias_z_mg: float | None = None
-    bias_tempco_x_mg_per_c: float | None = None
-    bias_tempco_y_mg_per_c: float | None = None
-    bias_tempco_z_mg_per_c: float | None = None
-    scale_tempco_x_ppm_per_c: float | None = None
-    scale_tempco_y_ppm_per_c: float | None = None
-    scale_tempco_z_ppm_per_c: float | None = None
-    noise_mg: float | None = None
-    bias_instability_mg: float | None = None
+    bias_each_mg: float | None = None
+    bias_tempco_each_mg_per_c: float | None = None
+    scale_tempco_each_ppm_per_c: float | None = None
+    noise_mg: float | None = _not_negative(None)
+    bias_instability_mg: float | None = _not_negative(None)
     ambient_c: float = 22.0
     ambient_drift_c_per_h: float = 0.0
     ambient_swing_c: float = 0.0
-    ambient_period_s: float = 1200.0
+    ambient_period_s: float = _above_0(1200.0)
     self_heating_c: float = 3.0
-    self_heating_tau_s: float = 300.0
-    powered_s: float = 3600.0
-    temperature_offset_sigma_c: float = 1.0
-    temperature_noise_c: float = 0.1
+    self_heating_tau_s: float = _above_0(300.0)
+    powered_s: float = _not_negative(3600.0)
+    temperature_offset_sigma_c: float = _not_negative(1.0)
+    temperature_noise_c: float = _not_negative(0.1)
     supply_v: float = 5.0
     supply_drift_v_per_h: float = 0.0
-    supply_noise_v: float = 0.001
+    supply_noise_v: float = _not_negative(0.001)
     aux_v: float = 1.0
-    gravity_mps2: float = STANDARD_GRAVITY_MPS2
-    fixture_sigma_deg: float = 0.02
+    gravity_mps2: float = _above_0(STANDARD_GRAVITY_MPS2)
+    fixture_sigma_deg: float = _not_negative(0.02)
     backlash_deg: float = 0.0
-    overshoot_deg: float = 5.0
+    overshoot_deg: float = _not_negative(5.0)
     part_slip_deg: float = 0.0
     part_slip_position: float = 1.0
     axis_tilt_deg: float = 0.0
-    move_speed_dps: float = 45.0
+    move_speed_dps: float = _above_0(45.0)
     vibration_mg: float = 20.0
     vibration_hz: float = 35.0
-    vibration_decay_s: float = 0.3
-    table_vibration_mg: float | None = None
+    vibration_decay_s: float = _above_0(0.3)
+    table_vibration_mg: float | None = _not_negative(None)
     lever_x_mm: float = 0.0
     lever_y_mm: float = 0.0
     hand_turn_deg: float = 365.0
-    hand_turn_s: float = 50.0
-    hand_pauses: float = 1.0
+    hand_turn_s: float = _above_0(50.0)
+    hand_pauses: float = _not_negative(1.0)
     hand_returns: float = 0.0
-    hand_unevenness: float = 0.15
-    hand_tremor_dps: float = 1.0
-    hand_vibration_mg: float = 3.0
-    hand_sway_deg: float = 0.0
-    axis_wobble_deg: float = 0.02
+    hand_unevenness: float = _not_negative(0.15)
+    hand_tremor_dps: float = _not_negative(1.0)
+    hand_vibration_mg: float = _not_negative(3.0)
+    hand_sway_deg: float = _not_negative(0.0)
+    axis_wobble_deg: float = _not_negative(0.02)
     hand_moves: float = 0.0
-    hand_miss: float = 0.03
-    hand_stray_deg: float = 3.0
-    hand_twist_deg: float = 10.0
-    mark_sigma_deg: float = 0.05
+    hand_miss: float = _not_negative(0.03)
+    hand_stray_deg: float = _not_negative(3.0)
+    hand_twist_deg: float = _not_negative(10.0)
+    mark_sigma_deg: float = _not_negative(0.05)
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -185,10 +279,8 @@ class WorldSettings(GyroSettings):
                 continue
             if not math.isfinite(value):
                 raise UsageError(f"{entry.name} must be a finite number, not {value}")
-            if value <= 0 and entry.name in _POSITIVE:
-                raise UsageError(f"{entry.name} must be above 0, not {value}")
-            if value < 0 and entry.name in _AT_LEAST_ZERO:
-                raise UsageError(f"{entry.name} must not be negative, not {value}")
+            if "refused" in entry.metadata and entry.metadata["refused"](value):
+                raise UsageError(f"{entry.name} must {entry.metadata['must']}, not {value}")
 
     @classmethod
     def names(cls) -> tuple[str, ...]:

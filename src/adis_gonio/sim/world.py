@@ -15,7 +15,7 @@ What is not simulated
     nonlinearity unless an effect brings them, noise that depends on temperature, the level part of the
     earth's rotation, thermal gradients between accelerometers. Flicker ends below 3e-5 and above 1.5 Hz.
 
-What the gyros read is said in `gyro_settings`; their faults live in `gyros`, their temperatures in `dies`.
+What the gyros read is said in `GyroSettings`; their faults live in `gyros`, their temperatures in `dies`.
 """
 
 from __future__ import annotations

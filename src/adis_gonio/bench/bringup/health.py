@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from adis_gonio.bench.bringup.bench import BringupBench, BringupStep, Floats
-from adis_gonio.bench.bringup.result import Measured, StepResult, Verdict
+from adis_gonio.bench.bringup.result import Findings, StepResult
 from adis_gonio.device.sensor.bartlett import white_gain
 from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.driver import PLAUSIBLE
@@ -40,7 +40,7 @@ class Health(BringupStep):
 
     def run(self, bench: BringupBench) -> StepResult:
         """Compare with the limits of operation."""
-        found = bench.status()
+        first = bench.status()
         bench.wait_updates()
         standing = Status(bench.status())
         names = ("SUPPLY_OUT", *TEMP_OUT)
@@ -48,15 +48,12 @@ class Health(BringupStep):
         lsb, zero, _ = scales(registers(names), bench.sensor.variant, 300)
         mean, u = mean_and_u(block.numbers().astype(np.float64), _gain(bench))
         value, u = zero + lsb * mean, lsb * u
-        figures = (
-            Measured("supply", float(value[0]), "V", float(u[0]), 5.0),
-            *(
-                Measured(f"temperature {axis}", float(t), "degC", float(s))
-                for axis, t, s in zip("xyz", value[1:], u[1:], strict=True)
-            ),
-            Measured("STATUS as it was found", found),
-            Measured("STATUS read again", standing.word, expected=0),
-        )  # fmt: skip
+        found = Findings()
+        found.measure("supply", value[0], "V", u[0], 5.0)
+        for axis, t, s in zip("xyz", value[1:], u[1:], strict=True):
+            found.measure(f"temperature {axis}", t, "degC", s)
+        found.measure("STATUS as it was found", first)
+        found.measure("STATUS read again", standing.word, expected=0)
         wrong = []
         z = bench.budget.z()
         if not SUPPLY_V[0] - z * u[0] <= value[0] <= SUPPLY_V[1] + z * u[0]:
@@ -70,11 +67,9 @@ class Health(BringupStep):
         if standing.flags["supply_low"] or standing.flags["supply_high"]:
             bench.supply_ok = False
         if wrong:
-            return StepResult(Verdict.FAULT, "; ".join(wrong), figures)
+            return found.fault("; ".join(wrong))
         warmth = ", ".join(f"{t:.1f}" for t in value[1:])
-        return StepResult(
-            Verdict.OK, f"supply {value[0]:.3f} V, temperatures {warmth} °C, STATUS clear", figures
-        )
+        return found.ok(f"supply {value[0]:.3f} V, temperatures {warmth} °C, STATUS clear")
 
 
 class WhichPart(BringupStep):
@@ -99,41 +94,28 @@ class WhichPart(BringupStep):
         warm = bench.sensor.quantity("XTEMP_OUT").value - 25.0
         tolerance = float(np.hypot(_tolerance(asked, warm), u_norm * asked.accel_mg_per_lsb / 1000))
         off = norm / asked.one_g_lsb - 1
-        figures = (
-            Measured("|a|", norm, "LSB", u_norm, asked.one_g_lsb),
-            *(
-                Measured(f"mean of {name}, less its offset", float(m), "LSB", float(s))
-                for name, m, s in zip(ACCEL_OUT, mean, u, strict=True)
-            ),
-            Measured("tolerance of |a| (1 sigma)", tolerance * asked.one_g_lsb, "LSB"),
-        )  # fmt: skip
+        found = Findings()
+        found.measure("|a|", norm, "LSB", u_norm, asked.one_g_lsb)
+        for name, m, s in zip(ACCEL_OUT, mean, u, strict=True):
+            found.measure(f"mean of {name}, less its offset", m, "LSB", s)
+        found.measure("tolerance of |a| (1 sigma)", tolerance * asked.one_g_lsb, "LSB")
         nearest = min(VARIANTS.values(), key=lambda v: abs(np.log(max(norm, 1e-9) / v.one_g_lsb)))
         fits = [v for v in VARIANTS.values() if abs(norm / v.one_g_lsb - 1) <= PLAUSIBLE]
         if nearest.one_g_lsb != asked.one_g_lsb and fits:
             names = " or ".join(v.name.upper() for v in fits)
             bench.sensor.variant = fits[0]
-            return StepResult(
-                Verdict.FAULT,
+            return found.fault(
                 f"|a| is {norm:.0f} LSB: this is an {names}, not an {asked.name.upper()}"
-                f" ({asked.one_g_lsb:.0f} LSB); the rest is judged as for an {fits[0].name.upper()}",
-                figures,
+                f" ({asked.one_g_lsb:.0f} LSB); the rest is judged as for an {fits[0].name.upper()}"
             )
         if not fits:
-            return StepResult(
-                Verdict.FAULT,
-                f"|a| is {norm / asked.one_g_lsb:.2f} g: no known part; was it still?",
-                figures,
-            )
+            return found.fault(f"|a| is {norm / asked.one_g_lsb:.2f} g: no known part; was it still?")
         if abs(off) > bench.budget.z() * tolerance:
-            return StepResult(
-                Verdict.DIFFERS,
+            return found.differs(
                 f"|a| is {1000 * norm / asked.one_g_lsb:.0f} mg, further from 1 g than the table's bias and"
-                " gain allow",
-                figures,
+                " gain allow"
             )
-        return StepResult(
-            Verdict.OK, f"|a| is {norm:.0f} LSB, {1 + off:.3f} g of an {asked.name.upper()}", figures
-        )
+        return found.ok(f"|a| is {norm:.0f} LSB, {1 + off:.3f} g of an {asked.name.upper()}")
 
 
 def _tolerance(part: Variant, warm_c: float) -> float:

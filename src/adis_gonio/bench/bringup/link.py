@@ -11,7 +11,7 @@ import numpy as np
 from adis_gonio.base.errors import UsageError
 from adis_gonio.bench.bringup.bench import BOARD_CLOCK_U, BringupBench, BringupStep
 from adis_gonio.bench.bringup.limits import at_most
-from adis_gonio.bench.bringup.result import Curve, Measured, StepResult, Verdict
+from adis_gonio.bench.bringup.result import Curve, Findings, StepResult
 from adis_gonio.device.bus import SpiTiming, Words
 from adis_gonio.device.sensor.frames import FAST, FAST_UP_TO, IDLE, NORMAL, read_frames
 from adis_gonio.device.sensor.registers import REGISTERS, Register
@@ -73,36 +73,30 @@ class Link(BringupStep):
         frames = np.append(np.tile(read_frames(_CONSTANT), _PASSES), np.uint16(IDLE))
         words = bench.bus.exchange_array(frames)[1:].reshape(_PASSES, -1)
         first = [int(word) for word in words[0]]
-        figures: tuple[Measured, ...] = (
-            Measured("control registers read", len(first), expected=len(_CONSTANT)),
-        )
+        found = Findings()
+        found.measure("control registers read", len(first), expected=len(_CONSTANT))
         problem = _silence(words) or _unsteady(words)
         if not problem:
             scores = [
                 sum(legal(row, way(word)) for row, word in zip(_CONSTANT, first, strict=True))
                 for _, way in _READINGS
             ]
-            figures += (Measured("of them with legal content", scores[0], expected=len(_CONSTANT)),)
+            found.measure("of them with legal content", scores[0], expected=len(_CONSTANT))
             if max(scores) > scores[0]:
                 problem = _READINGS[scores.index(max(scores))][0]
             elif 2 * scores[0] < len(first):
                 problem = "what is read makes no sense in any way: check the wires of DIN, DOUT and CS"
         if problem:
             bench.blocked = "the link does not work"
-            return StepResult(Verdict.FAULT, problem, figures)
+            return found.fault(problem)
         bench.constants = dict(zip((row.name for row in _CONSTANT), first, strict=True))
         wrong = [row.name for row, word in zip(_CONSTANT, first, strict=True) if not legal(row, word)]
         if wrong:
-            return StepResult(
-                Verdict.DIFFERS,
-                f"registers answer, but with bits that they should not have: {', '.join(wrong)}", figures,
-            )  # fmt: skip
+            return found.differs(
+                f"registers answer, but with bits that they should not have: {', '.join(wrong)}"
+            )
         names = ", ".join(sorted(bench.bus.capabilities)) or "none"
-        return StepResult(
-            Verdict.OK,
-            f"the registers answer with legal content; capabilities of the bridge: {names}",
-            figures,
-        )
+        return found.ok(f"the registers answer with legal content; capabilities of the bridge: {names}")
 
 
 def _silence(words: Words) -> str:
@@ -132,33 +126,28 @@ class Timing(BringupStep):
 
     def run(self, bench: BringupBench) -> StepResult:
         """Compare with the limits of the part."""
-        figures, wrong = [], []
+        found, wrong = Findings(), []
         for mode, asked in (("fast", FAST), ("normal", NORMAL)):
             got = bench.bus.inner.configure(asked)
-            figures += [
-                Measured(f"{mode}: clock", got.clock_hz, "Hz", expected=asked.clock_hz),
-                Measured(f"{mode}: stall", got.stall_us, "us", expected=asked.stall_us),
-                Measured(f"{mode}: period", got.period_us, "us", expected=asked.period_us),
-            ]
+            found.measure(f"{mode}: clock", got.clock_hz, "Hz", expected=asked.clock_hz)
+            found.measure(f"{mode}: stall", got.stall_us, "us", expected=asked.stall_us)
+            found.measure(f"{mode}: period", got.period_us, "us", expected=asked.period_us)
             if got.clock_hz > asked.clock_hz:
                 wrong.append(f"clocks at {got.clock_hz:g} Hz where at most {asked.clock_hz:g} was asked")
             if got.stall_us < asked.stall_us or got.period_us < asked.period_us:
                 wrong.append(f"stall {got.stall_us:g} and period {got.period_us:g} µs in {mode} mode")
         bench.bus.configure(NORMAL)
         frame_us = 1e6 * _frame_s(bench, self._frames)
-        figures.append(Measured("normal: a frame took", frame_us, "us", expected=NORMAL.period_us))
+        found.measure("normal: a frame took", frame_us, "us", expected=NORMAL.period_us)
         wrong += _too_quick(frame_us, bench.bus.timing)
         if wrong:
             bench.blocked = "the bridge breaks the part's limits"
-            return StepResult(
-                Verdict.FAULT, f"the bridge breaks the part's limits: {'; '.join(wrong)}", tuple(figures)
-            )
-        return StepResult(
-            Verdict.OK,
-            f"the bridge reports {figures[0].value / 1e3:g} kHz and {figures[1].value:g} µs of stall in"
-            f" fast mode, {figures[3].value / 1e3:g} kHz and {figures[4].value:g} µs in normal mode, where"
-            f" a frame takes {frame_us:.0f} µs",
-            tuple(figures),
+            return found.fault(f"the bridge breaks the part's limits: {'; '.join(wrong)}")
+        value = [figure.value for figure in found.figures]
+        return found.ok(
+            f"the bridge reports {value[0] / 1e3:g} kHz and {value[1]:g} µs of stall in fast mode,"
+            f" {value[3] / 1e3:g} kHz and {value[4]:g} µs in normal mode, where a frame takes"
+            f" {frame_us:.0f} µs"
         )
 
 
@@ -231,28 +220,24 @@ class BitErrors(BringupStep):
         bench.refresh()
         bits = 16 * sum(trial.reads for trial in trials)
         errors = sum(trial.wrong_bits for trial in trials)
-        figures = (
-            *(
-                Measured(f"wrong of {t.reads} at {t.clock_hz / 1e3:g} kHz", t.wrong_words, expected=0)
-                for t in trials
-            ),
-            Measured("bit error rate, upper limit (95 %)", at_most(errors, bits)),
-        )  # fmt: skip
+        found = Findings()
+        for t in trials:
+            found.measure(f"wrong of {t.reads} at {t.clock_hz / 1e3:g} kHz", t.wrong_words, expected=0)
+        found.measure("bit error rate, upper limit (95 %)", at_most(errors, bits))
         curve = Curve(
             "bit errors", "clock / kHz", "wrong words / 1000 reads", [t.clock_hz / 1e3 for t in trials],
             {"wrong words": [1e3 * t.wrong_words / t.reads for t in trials]},
             "Wrong words at each clock; no clock above the first with errors is tried.",
         )  # fmt: skip
+        found.curves = (curve,)
         if quick:
             bench.blocked = "the bridge breaks the part's limits"
-            return StepResult(Verdict.FAULT, quick[0], figures, curves=(curve,))
+            return found.fault(quick[0])
         if bad is None:
-            return StepResult(
-                Verdict.OK,
+            return found.ok(
                 f"no error in {bits // 16} words at {len(trials)} clocks from {clocks[0] / 1e3:g} to"
-                f" {clocks[-1] / 1e3:g} kHz",
-                figures, curves=(curve,),
-            )  # fmt: skip
+                f" {clocks[-1] / 1e3:g} kHz"
+            )
         text = f"{bad.wrong_words} of {bad.reads} words are wrong at {bad.clock_hz / 1e3:g} kHz"
         if not clean:
             bench.blocked = "words are wrong at the slowest clock"
@@ -263,7 +248,7 @@ class BitErrors(BringupStep):
             )
         if changed:
             text += f"; a read became a write: {', '.join(changed)} changed"
-        return StepResult(Verdict.FAULT, text, figures, curves=(curve,))
+        return found.fault(text)
 
 
 def _offered(bench: BringupBench, most_hz: float, limit: SpiTiming) -> list[float]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +16,7 @@ from adis_gonio.bench.bringup.bench import (
     SideEffect,
     not_measured,
 )
-from adis_gonio.bench.bringup.result import Answer, Curve, Measured, Outcome, StepResult, Verdict
+from adis_gonio.bench.bringup.result import Curve, Findings, Measured, Outcome, StepResult
 from adis_gonio.device.sensor.bartlett import bartlett, response, rounding, white_gain
 from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, registers
@@ -94,49 +96,45 @@ class Noise(BringupStep):
         numbers = block.numbers().astype(np.float64)
         stuck = [name for name, column in zip(names, numbers.T, strict=True) if not np.ptp(column)]
         if stuck:
-            return StepResult(Verdict.FAULT, f"{', '.join(stuck)} never changes: the axis does not work")
+            return Findings().fault(f"{', '.join(stuck)} never changes: the axis does not work")
         if whole:
             judged = _by_spectrum(bench, numbers, m, rate, expected / lsb)
         else:
             spacing = float(np.mean(np.diff(block.time_s))) * rate
             judged = _by_variance(bench, numbers, m, spacing, expected / lsb)
-        found, u = judged.sigma * lsb, judged.u * lsb
-        figures = (
-            *(
-                Measured(f"noise of {name}, unfiltered", float(s), unit, float(d), float(e))
-                for name, s, d, e, unit in zip(names, found, u, expected, units, strict=True)
-            ),
-            Measured("scans", len(block)),
-            *judged.figures,
-        )
-        answers = {
-            "accel_noise": _answer(names[:3], found[:3], u[:3], judged.level_off[:3], "mg", expected[0]),
-            "gyro_noise": _answer(names[3:], found[3:], u[3:], judged.level_off[3:], "°/s", expected[3]),
-        }
-        curves = judged.curves()
+        sigma, u = judged.sigma * lsb, judged.u * lsb
+        found = Findings()
+        found.curves = judged.curves()
+        for name, s, d, e, unit in zip(names, sigma, u, expected, units, strict=True):
+            found.measure(f"noise of {name}, unfiltered", s, unit, d, e)
+        found.measure("scans", len(block))
+        found.figures += judged.figures
+        _answer_noise(found, names, judged.level_off)
         if judged.tones:
             text = "; ".join(
                 f"a tone of {math.sqrt(2) * rms * lsb[k]:.2g} {units[k]} at {hz:.1f} Hz on {names[k]}"
                 for k, hz, rms in judged.tones
             )
-            return StepResult(Verdict.FAULT, f"{text}: hum or a vibrating table", figures, answers, curves)
+            return found.fault(f"{text}: hum or a vibrating table")
         if judged.shape_off:
-            text = f"the spectrum of {', '.join(names[k] for k in judged.shape_off)} is not the filter's"
-            return StepResult(Verdict.DIFFERS, text, figures, answers, curves)
+            wrong = ", ".join(names[k] for k in judged.shape_off)
+            return found.differs(f"the spectrum of {wrong} is not the filter's")
         off = [k for k in range(6) if judged.level_off[k]]
         if off:
-            text = "; ".join(
-                f"{names[k]}: {found[k]:.3g} {units[k]} rms, the table says {expected[k]:g}" for k in off
+            return found.differs(
+                "; ".join(
+                    f"{names[k]}: {sigma[k]:.3g} {units[k]} rms, the table says {expected[k]:g}"
+                    for k in off
+                )
             )
-            return StepResult(Verdict.DIFFERS, text, figures, answers, curves)
-        mean_mg, mean_dps = float(np.mean(found[:3])), float(np.mean(found[3:]))
+        mean_mg, mean_dps = float(np.mean(sigma[:3])), float(np.mean(sigma[3:]))
         text = f"{mean_mg:.2f} mg and {mean_dps:.3f} °/s rms unfiltered, as the table says"
         text += (
             ", white behind the filter"
             if whole
             else "; spectrum not measured: scans have gaps on this bridge"
         )
-        return StepResult(Verdict.OK, text, figures, answers, curves)
+        return found.ok(text)
 
 
 class _Judged:
@@ -239,15 +237,15 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
     return judged
 
 
-def _answer(
-    names: tuple[str, ...], found: Floats, u: Floats, off: list[bool], unit: str, expected: float
-) -> Answer:
-    figures = tuple(
-        Measured(name, float(s), unit, float(d), float(expected))
-        for name, s, d in zip(names, found, u, strict=True)
-    )
-    text = f"{', '.join(f'{s:.3g}' for s in found)} {unit} where the table says {expected:g}"
-    return Answer(Outcome.CONTRADICTS if any(off) else Outcome.CONFIRMS, text, figures)
+def _answer_noise(found: Findings, names: Sequence[str], off: Sequence[bool]) -> None:
+    """Answer by the figures of the six axes, which come first."""
+    for question, first, unit in (("accel_noise", 0, "mg"), ("gyro_noise", 3, "°/s")):
+        axes = slice(first, first + 3)
+        pairs = zip(names[axes], found.figures[axes], strict=True)
+        figures = [replace(figure, name=name, unit=unit) for name, figure in pairs]
+        text = f"{', '.join(f'{figure.value:.3g}' for figure in figures)} {unit} where the table says"
+        outcome = Outcome.CONTRADICTS if any(off[axes]) else Outcome.CONFIRMS
+        found.answer(question, outcome, f"{text} {figures[0].expected:g}", *figures)
 
 
 class FilterSteps(BringupStep):
@@ -277,7 +275,7 @@ class FilterSteps(BringupStep):
             spacing = 1.0 if whole else float(np.mean(np.diff(block.time_s))) * configuration.sample_rate_hz
             variances.append(np.maximum(numbers.var(axis=0, ddof=1) - 1 / 12, 1e-9))
             dofs.append(degrees_of_freedom(len(block), m, spacing))
-        figures, off = [], []
+        found, off = Findings(), []
         reference, reference_dof = variances[0], 3 * dofs[0]
         for m in range(1, 7):
             # Three axes together; flicker of the figure passes every filter.
@@ -286,15 +284,10 @@ class FilterSteps(BringupStep):
             relative_u = math.sqrt(2 / (3 * dofs[m]) + 2 / reference_dof)
             gain = math.sqrt(max(gain2, 0.0))
             expected = white_gain(m)
-            figures.append(Measured(f"noise gain at M = {m}", gain, "1", gain * relative_u / 2, expected))
+            found.measure(f"noise gain at M = {m}", gain, "1", gain * relative_u / 2, expected)
             low, high = bench.budget.variance_ratio(2 / relative_u**2)
             if not low <= gain2 / expected**2 <= high:
                 off.append(m)
-        text = ", ".join(f"{figure.value:.3f}" for figure in figures)
-        if off:
-            text = f"noise gains {text} for M = 1 … 6, not the table's at M = {', '.join(map(str, off))}"
-            answer = Answer(Outcome.CONTRADICTS, text, tuple(figures))
-            return StepResult(Verdict.DIFFERS, text, tuple(figures), {"filter_gain": answer})
-        text = f"noise gains {text} for M = 1 … 6, as the table says"
-        answer = Answer(Outcome.CONFIRMS, text, tuple(figures))
-        return StepResult(Verdict.OK, text, tuple(figures), {"filter_gain": answer})
+        gains = ", ".join(f"{figure.value:.3f}" for figure in found.figures)
+        end = f"not the table's at M = {', '.join(map(str, off))}" if off else "as the table says"
+        return found.settle("filter_gain", f"noise gains {gains} for M = 1 … 6, {end}", differs=bool(off))

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypeVar
+
+import numpy as np
 
 from adis_gonio.base.jsonable import INLINE, Record, key
 
 FORMAT = "adis-gonio bringup 1"
+Number = TypeVar("Number", float, float | None)
 
 
 class Verdict(StrEnum):
@@ -87,6 +90,61 @@ class StepResult(Record):
     figures: tuple[Measured, ...] = ()
     answers: Mapping[str, Answer] = field(default_factory=dict)
     curves: tuple[Curve, ...] = ()
+
+
+def _plain(number: Number) -> Number:
+    return number.item() if isinstance(number, np.generic) else number
+
+
+class Findings:
+    """Figures, answers and curves of a step as they come, and the result that they make with a verdict."""
+
+    def __init__(self) -> None:
+        self.figures: list[Measured] = []
+        self.answers: dict[str, Answer] = {}
+        self.curves: tuple[Curve, ...] = ()
+
+    def measure(
+        self,
+        name: str,
+        value: float,
+        unit: str = "1",
+        u: float | None = None,
+        expected: float | None = None,
+    ) -> Measured:
+        """Add a figure; numbers of numpy become Python's."""
+        figure = Measured(name, _plain(value), unit, _plain(u), _plain(expected))
+        self.figures.append(figure)
+        return figure
+
+    def answer(self, question: str, outcome: Outcome, text: str, *figures: Measured) -> None:
+        """Answer a question about the part."""
+        self.answers[question] = Answer(outcome, text, figures)
+
+    def settle(self, question: str, text: str, *, differs: bool) -> StepResult:
+        """Result of a step that answers one question, with all its figures and one sentence."""
+        self.answer(question, Outcome.CONTRADICTS if differs else Outcome.CONFIRMS, text, *self.figures)
+        return self.differs(text) if differs else self.ok(text)
+
+    def contradictions(self) -> str:
+        """Texts of the answers that contradict the table; empty without one."""
+        answers = self.answers.values()
+        return "; ".join(one.text for one in answers if one.outcome is Outcome.CONTRADICTS)
+
+    def ok(self, text: str) -> StepResult:
+        """Result of a step that found nothing wrong."""
+        return self._result(Verdict.OK, text)
+
+    def fault(self, text: str) -> StepResult:
+        """Result of a step that found a fault of the board."""
+        return self._result(Verdict.FAULT, text)
+
+    def differs(self, text: str) -> StepResult:
+        """Result of a step that contradicts the table."""
+        return self._result(Verdict.DIFFERS, text)
+
+    def _result(self, verdict: Verdict, text: str) -> StepResult:
+        return StepResult(verdict, text, tuple(self.figures), self.answers, self.curves)
 
 
 @dataclass(frozen=True)

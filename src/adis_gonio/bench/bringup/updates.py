@@ -18,7 +18,7 @@ from adis_gonio.bench.bringup.bench import (
     SideEffect,
     not_measured,
 )
-from adis_gonio.bench.bringup.result import Answer, Curve, Measured, Outcome, StepResult, Verdict
+from adis_gonio.bench.bringup.result import Answer, Curve, Findings, Measured, Outcome, StepResult
 from adis_gonio.device.bus import Capability, Words
 from adis_gonio.device.sensor.frames import read_frames, timing_for, write_frames
 from adis_gonio.device.sensor.registers import BY_NAME, ND
@@ -118,30 +118,25 @@ class Rate(BringupStep):
         """Compare with the period that SMPL_PRD says."""
         configuration = bench.sensor.configuration()
         expected = configuration.sample_period_s
-        found = measured_period(bench, expected, max(8, min(512, round(2.0 / expected))))
-        if isinstance(found, str):
-            return not_measured(found)
-        rate = 1 / found.value_s
-        figures = (
-            Measured("sample rate", rate, "Hz", rate * found.u_s / found.value_s, 1 / expected),
-            Measured("period", 1e6 * found.value_s, "us", 1e6 * found.u_s, 1e6 * expected),
-        )
-        bench.clock, bench.clock_known = found.value_s / expected, True
-        off = abs(found.value_s - expected)
-        if off <= bench.budget.z() * found.u_s:
-            return StepResult(Verdict.OK, f"{rate:.2f} updates a second, as SMPL_PRD says", figures)
-        code = nearest_code(found.value_s)
+        period = measured_period(bench, expected, max(8, min(512, round(2.0 / expected))))
+        if isinstance(period, str):
+            return not_measured(period)
+        rate = 1 / period.value_s
+        found = Findings()
+        found.measure("sample rate", rate, "Hz", rate * period.u_s / period.value_s, 1 / expected)
+        found.measure("period", 1e6 * period.value_s, "us", 1e6 * period.u_s, 1e6 * expected)
+        bench.clock, bench.clock_known = period.value_s / expected, True
+        off = abs(period.value_s - expected)
+        if off <= bench.budget.z() * period.u_s:
+            return found.ok(f"{rate:.2f} updates a second, as SMPL_PRD says")
+        code = nearest_code(period.value_s)
         if sample_period_s(code) != expected:
-            return StepResult(
-                Verdict.FAULT,
+            return found.fault(
                 f"{rate:.2f} updates a second, SMPL_PRD says {1 / expected:.2f}; that would be"
-                f" SMPL_PRD = 0x{code:02X}",
-                figures,
+                f" SMPL_PRD = 0x{code:02X}"
             )
-        return StepResult(
-            Verdict.DIFFERS,
-            f"{rate:.2f} updates a second, {100 * (rate * expected - 1):+.2f} % from the nominal rate",
-            figures,
+        return found.differs(
+            f"{rate:.2f} updates a second, {100 * (rate * expected - 1):+.2f} % from the nominal rate"
         )
 
 
@@ -221,26 +216,24 @@ class DataReady(BringupStep):
             return not_measured("it would enable data-ready, which --leave-registers forbids")
         configuration = bench.sensor.configuration()
         period = configuration.sample_period_s * bench.clock
-        figures: list[Measured] = []
+        found = Findings()
         before = bench.sensor.read(_MISC)
         try:
             if counts:
                 self._enable(bench, before, first=True)
                 expected, edges = self._count(bench, period)
-                figures.append(Measured("edges counted", edges, expected=expected))
+                found.measure("edges counted", edges, expected=expected)
                 # Two edges may lie on either side of the span; the bridge's clock is off by so much.
                 slack = 2 + bench.budget.z() * BOARD_CLOCK_U * expected
                 if edges == 0:
                     return not_measured(_NO_EDGE)
                 if abs(edges - expected) > slack:
-                    return StepResult(Verdict.FAULT, self._of_rate(edges, expected, period), tuple(figures))
+                    return found.fault(self._of_rate(edges, expected, period))
                 bench.data_ready = True
             if not streams:
-                return StepResult(
-                    Verdict.OK,
+                return found.ok(
                     f"{edges} edges where {expected:.0f} updates were expected; which edge leads: not"
-                    " measured, this bridge starts no scans at the edge",
-                    tuple(figures),
+                    " measured, this bridge starts no scans at the edge"
                 )
             bench.data_ready = False
             self._enable(bench, before, first=True)
@@ -256,7 +249,7 @@ class DataReady(BringupStep):
         finally:
             self._write(bench, before)
             bench.refresh()
-        return self._judge(bench, period, first, second, figures)
+        return self._judge(bench, period, first, second, found)
 
     def _enable(self, bench: BringupBench, before: int, *, first: bool) -> None:
         """Data-ready on DIO1, so that the bridge's edge is the pulse's first or second one."""
@@ -328,68 +321,48 @@ class DataReady(BringupStep):
         return _Edges(_positions(words), lost, *_jitter(times, period_s), expected, frame_us, reads)
 
     def _judge(
-        self, bench: BringupBench, period_s: float, first: _Edges, second: _Edges, figures: list[Measured]
+        self, bench: BringupBench, period_s: float, first: _Edges, second: _Edges, found: Findings
     ) -> StepResult:
         for name, edges in (("first", first), ("second", second)):
-            figures += [
-                Measured(f"{name} edge: rate of scans", edges.rate_hz, "Hz", expected=1 / period_s),
-                Measured(f"{name} edge: scans that follow an update", edges.locked, expected=1.0),
-                Measured(f"{name} edge: read that carries ND", edges.usual, expected=0),
-                Measured(f"{name} edge: jitter (rms, as the bridge stamps it)", edges.jitter_us, "us"),
-                Measured(f"{name} edge: missed", edges.missed, expected=0),
-            ]
-        curve = _histogram(first, second)
-
-        def result(verdict: Verdict, text: str) -> StepResult:
-            return StepResult(verdict, text, tuple(figures), answers, (curve,))
-
-        answers: dict[str, Answer] = {}
+            found.measure(f"{name} edge: rate of scans", edges.rate_hz, "Hz", expected=1 / period_s)
+            found.measure(f"{name} edge: scans that follow an update", edges.locked, expected=1.0)
+            found.measure(f"{name} edge: read that carries ND", edges.usual, expected=0)
+            found.measure(f"{name} edge: jitter (rms, as the bridge stamps it)", edges.jitter_us, "us")
+            found.measure(f"{name} edge: missed", edges.missed, expected=0)
+        found.curves = (_histogram(first, second),)
         surplus = max(first.surplus - first.slack, second.surplus - second.slack)
         if surplus > 0:
-            return result(
-                Verdict.FAULT, "more edges come than updates: the input picks up noise beside data-ready"
-            )
+            return found.fault("more edges come than updates: the input picks up noise beside data-ready")
         if first.locked < 1:
-            return result(
-                Verdict.FAULT,
+            return found.fault(
                 f"{100 * (1 - first.locked):.0f} % of the scans do not follow an update: the input picks up"
-                " noise",
+                " noise"
             )
         missed = first.missed + second.missed
         if missed:
-            return result(Verdict.FAULT, f"{missed} of {2 * self._scans + missed} edges were missed")
+            return found.fault(f"{missed} of {2 * self._scans + missed} edges were missed")
         bench.data_ready = True
         late_us = _delay_us(first, period_s, bench)
         if second.locked == 1:
-            answers["data_ready_pulse"] = _pulse(first, second, period_s, bench)
+            found.answers["data_ready_pulse"] = _pulse(first, second, period_s, bench)
         if first.usual > 0:
-            answers["data_ready_edge"] = Answer(
-                Outcome.CONTRADICTS,
-                f"the update comes {late_us[0]:.0f} to {late_us[1]:.0f} µs after the pulse's first edge",
-                (
-                    Measured(
-                        "update after the first edge",
-                        sum(late_us) / 2,
-                        "us",
-                        first.frame_us / math.sqrt(12),
-                    ),
-                ),
+            late = f"the update comes {late_us[0]:.0f} to {late_us[1]:.0f} µs after the pulse's first edge"
+            u_us = first.frame_us / math.sqrt(12)
+            figure = Measured("update after the first edge", sum(late_us) / 2, "us", u_us)
+            found.answer("data_ready_edge", Outcome.CONTRADICTS, late, figure)
+            return found.differs(
+                f"the wrong edge leads: {late}, so that words of a scan that starts there mix two updates"
+                + ("; at its second edge they do not" if second.usual == 0 else "")
             )
-            return result(
-                Verdict.DIFFERS,
-                f"the wrong edge leads: the update comes {late_us[0]:.0f} to {late_us[1]:.0f} µs after the"
-                " pulse's first edge, so that words of a scan that starts there mix two updates"
-                + ("; at its second edge they do not" if second.usual == 0 else ""),
-            )
-        answers["data_ready_edge"] = Answer(
+        found.answer(
+            "data_ready_edge",
             Outcome.CONFIRMS,
             f"a scan that starts at the pulse's first edge comes after the update, by at most"
             f" {-late_us[0]:.0f} µs",
         )
-        return result(
-            Verdict.OK,
+        return found.ok(
             f"every edge follows an update, none is missed; the first edge of the pulse leads; jitter"
-            f" {first.jitter_us:.1f} µs rms",
+            f" {first.jitter_us:.1f} µs rms"
         )
 
 
@@ -462,30 +435,22 @@ class SamplePeriods(BringupStep):
 
     def run(self, bench: BringupBench) -> StepResult:
         """Compare each with base × (N + 1)."""
-        figures, off, why = [], [], ""
+        found, off, why = Findings(), [], ""
         for code in self._codes:
             bench.sensor.write("SMPL_PRD", code)
             expected = sample_period_s(code) * bench.clock
             bench.bus.sleep_s(2 * expected)
-            found = measured_period(bench, expected, max(12, min(256, round(0.5 / expected))))
-            if isinstance(found, str):
-                why = found
+            period = measured_period(bench, expected, max(12, min(256, round(0.5 / expected))))
+            if isinstance(period, str):
+                why = period
                 continue
-            figures.append(
-                Measured(
-                    f"period at 0x{code:02X}", 1e3 * found.value_s, "ms", 1e3 * found.u_s, 1e3 * expected
-                )
-            )
-            if abs(found.value_s - expected) > bench.budget.z() * found.u_s:
-                off.append((code, found.value_s / expected))
-        if not figures:
+            name, ms = f"period at 0x{code:02X}", 1e3 * period.value_s
+            found.measure(name, ms, "ms", 1e3 * period.u_s, 1e3 * expected)
+            if abs(period.value_s - expected) > bench.budget.z() * period.u_s:
+                off.append(f"0x{code:02X}: {period.value_s / expected:.4f} times its nominal period")
+        if not found.figures:
             return not_measured(why)
-        if off:
-            text = "; ".join(f"0x{code:02X}: {ratio:.4f} times its nominal period" for code, ratio in off)
-            answer = Answer(Outcome.CONTRADICTS, text, tuple(figures))
-            return StepResult(Verdict.DIFFERS, text, tuple(figures), {"sample_period": answer})
-        text = f"{len(figures)} steps of both time bases have their nominal period"
+        text = f"{len(found.figures)} steps of both time bases have their nominal period"
         if bench.clock_known:
             text += f" by the part's own clock ({100 * (1 / bench.clock - 1):+.2f} %)"
-        answer = Answer(Outcome.CONFIRMS, text, tuple(figures))
-        return StepResult(Verdict.OK, text, tuple(figures), {"sample_period": answer})
+        return found.settle("sample_period", "; ".join(off) or text, differs=bool(off))

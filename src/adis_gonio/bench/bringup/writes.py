@@ -9,7 +9,7 @@ import numpy as np
 from adis_gonio.base.errors import ChipError
 from adis_gonio.bench.bringup.bench import BringupBench, BringupStep, Floats, SideEffect, not_measured
 from adis_gonio.bench.bringup.noise import GYRO_FLOOR_DPS
-from adis_gonio.bench.bringup.result import Answer, Measured, Outcome, StepResult, Verdict
+from adis_gonio.bench.bringup.result import Answer, Findings, Measured, Outcome, StepResult
 from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, GYRO_OUT, registers
 from adis_gonio.device.sensor.settings import Alarm, sens_avg_word
@@ -46,33 +46,18 @@ class Offset(BringupStep):
         after = bench.means(_SCANS, ACCEL_OUT)
         ratio = (moved - (before + after) / 2) / np.array(steps)
         u = _mean_u(bench, _SCANS)[:3] * math.sqrt(1.5) / _STEP
-        figures = tuple(
-            Measured(f"step of {out} / step of {name}", float(r), "1", float(s), 1.0)
-            for out, name, r, s in zip(ACCEL_OUT, ACCEL_OFF, ratio, u, strict=True)
-        )
+        found = Findings()
+        for out, name, r, s in zip(ACCEL_OUT, ACCEL_OFF, ratio, u, strict=True):
+            found.measure(f"step of {out} / step of {name}", r, "1", s, 1.0)
         off = [k for k in range(3) if abs(ratio[k] - 1) > bench.budget.z() * u[k]]
         filtered = self._behind_filter(bench, held[0], steps[0], float(ratio[0]))
-        text = ", ".join(f"{r:.4f}" for r in ratio)
-        answers = {
-            "accel_offset_lsb": Answer(
-                Outcome.CONTRADICTS if off else Outcome.CONFIRMS,
-                f"the outputs moved by {text} LSB for each LSB of the offset", figures,
-            ),
-            "offset_after_filter": filtered,
-        }  # fmt: skip
+        text = f"the outputs moved by {', '.join(f'{r:.4f}' for r in ratio)} LSB for each LSB of the offset"
+        outcome = Outcome.CONTRADICTS if off else Outcome.CONFIRMS
+        found.answer("accel_offset_lsb", outcome, text, *found.figures)
+        found.answers["offset_after_filter"] = filtered
         if off:
-            return StepResult(
-                Verdict.DIFFERS,
-                f"the outputs moved by {text} LSB for each LSB of the offset registers: their LSB is not"
-                " the output's",
-                figures, answers,
-            )  # fmt: skip
-        return StepResult(
-            Verdict.OK,
-            f"the outputs moved by {text} LSB for each LSB of the offset registers",
-            figures,
-            answers,
-        )
+            return found.differs(f"{text} registers: their LSB is not the output's")
+        return found.ok(f"{text} registers")
 
     @staticmethod
     def _write(bench: BringupBench, values: list[int]) -> None:
@@ -155,12 +140,11 @@ class SelfTests(BringupStep):
         range_scale = np.array([1.0] * 3 + [0.07326 / lsb[3]] * 3)
         u = _mean_u(bench, _SCANS // 2) * math.sqrt(1.5) * range_scale
         limit = np.array([bench.budget.z() for _ in names]) * u
-        figures = tuple(
-            Measured(f"{name}, {sign} stimulus", float(value * size), unit, float(s * size))
-            for sign, values in (("positive", plus), ("negative", minus))
-            for name, value, s, size, unit in zip(names, values, u, lsb, units, strict=True)
-        )
-        answers = _self_test_answers(plus, minus, limit, figures)
+        found = Findings()
+        for sign, values in (("positive", plus), ("negative", minus)):
+            for name, value, s, size, unit in zip(names, values, u, lsb, units, strict=True):
+                found.measure(f"{name}, {sign} stimulus", value * size, unit, s * size)
+        _answer_self_test(found, plus, minus, limit)
         wrong = list(internal.failures)
         wrong += [
             f"{name} does not answer to the positive stimulus"
@@ -168,39 +152,34 @@ class SelfTests(BringupStep):
             if abs(plus[k]) <= limit[k]
         ]
         if wrong:
-            return StepResult(Verdict.FAULT, "; ".join(wrong), figures, answers)
-        off = [answer.text for answer in answers.values() if answer.outcome is Outcome.CONTRADICTS]
-        if off:
-            return StepResult(Verdict.DIFFERS, "; ".join(off), figures, answers)
-        return StepResult(
-            Verdict.OK,
+            return found.fault("; ".join(wrong))
+        if off := found.contradictions():
+            return found.differs(off)
+        return found.ok(
             f"passed; the positive stimulus moves the accelerometers by"
             f" {', '.join(f'{v:.0f}' for v in (plus * lsb)[:3])} mg and the gyros by"
-            f" {', '.join(f'{v:.0f}' for v in (plus * lsb)[3:])} °/s",
-            figures, answers,
-        )  # fmt: skip
+            f" {', '.join(f'{v:.0f}' for v in (plus * lsb)[3:])} °/s"
+        )
 
 
-def _self_test_answers(
-    plus: Floats, minus: Floats, limit: Floats, figures: tuple[Measured, ...]
-) -> dict[str, Answer]:
+def _answer_self_test(found: Findings, plus: Floats, minus: Floats, limit: Floats) -> None:
     both = [abs(minus[k]) > limit[k] and plus[k] * minus[k] < 0 for k in (3, 4, 5)]
     deaf = ", ".join(axis for axis, answers in zip("XYZ", both, strict=True) if not answers)
     still = [abs(minus[k]) <= limit[k] for k in (0, 1, 2)]
-    return {
-        "self_test_gyro": Answer(
-            Outcome.CONFIRMS if all(both) else Outcome.CONTRADICTS,
-            "the gyros answer to both signs, opposite ways" if all(both)
-            else f"gyro {deaf} does not answer to both signs, opposite ways",
-            tuple(f for f in figures if "GYRO" in f.name),
+    for question, as_said, text, otherwise, kind in (
+        (
+            "self_test_gyro", all(both), "the gyros answer to both signs, opposite ways",
+            f"gyro {deaf} does not answer to both signs, opposite ways", "GYRO",
         ),
-        "self_test_accel": Answer(
-            Outcome.CONFIRMS if all(still) else Outcome.CONTRADICTS,
-            "the accelerometers stay where they are at the negative stimulus" if all(still)
-            else "the accelerometers answer to the negative stimulus as well",
-            tuple(f for f in figures if "ACCL" in f.name),
+        (
+            "self_test_accel", all(still),
+            "the accelerometers stay where they are at the negative stimulus",
+            "the accelerometers answer to the negative stimulus as well", "ACCL",
         ),
-    }  # fmt: skip
+    ):  # fmt: skip
+        outcome = Outcome.CONFIRMS if as_said else Outcome.CONTRADICTS
+        figures = [figure for figure in found.figures if kind in figure.name]
+        found.answer(question, outcome, text if as_said else otherwise, *figures)
 
 
 class StatusBits(BringupStep):
@@ -220,17 +199,13 @@ class StatusBits(BringupStep):
         bench.wait_updates()
         if standing := bench.status():
             return not_measured(f"STATUS stands at 0x{standing:04X} already")
-        answers = {"alarm_stays": self._alarm(bench)}
-        figures, over = self._over_range(bench)
-        answers |= over
-        off = [answer.text for answer in answers.values() if answer.outcome is Outcome.CONTRADICTS]
-        if off:
-            return StepResult(Verdict.DIFFERS, "; ".join(off), figures, answers)
-        return StepResult(
-            Verdict.OK,
-            "; ".join(answers[name].text for name in ("alarm_stays", "over_range_falls")),
-            figures, answers,
-        )  # fmt: skip
+        found = Findings()
+        found.answers["alarm_stays"] = self._alarm(bench)
+        self._over_range(bench, found)
+        if off := found.contradictions():
+            return found.differs(off)
+        texts = (found.answers[name].text for name in ("alarm_stays", "over_range_falls"))
+        return found.ok("; ".join(texts))
 
     @staticmethod
     def _alarm(bench: BringupBench) -> Answer:
@@ -253,7 +228,7 @@ class StatusBits(BringupStep):
             else "an alarm's bit is not cleared by a read of STATUS",
         )  # fmt: skip
 
-    def _over_range(self, bench: BringupBench) -> tuple[tuple[Measured, ...], dict[str, Answer]]:
+    def _over_range(self, bench: BringupBench, found: Findings) -> None:
         """Push the axis that gravity loads most over its range by its offset register."""
         sensor = bench.sensor
         part = sensor.variant
@@ -270,9 +245,9 @@ class StatusBits(BringupStep):
         if reached_mg < needed_mg:
             why = f"not measured: with its offset {ACCEL_OUT[axis]} reaches {reached_mg:.0f} mg only"
             why += f" of {needed_mg:.0f}: turn the part so that an axis points along gravity"
-            return (), {
-                k: Answer(Outcome.NOT_MEASURED, why) for k in ("over_range_falls", "over_range_threshold")
-            }
+            found.answer("over_range_falls", Outcome.NOT_MEASURED, why)
+            found.answer("over_range_threshold", Outcome.NOT_MEASURED, why)
+            return
 
         def over(number: int) -> bool:
             sensor.write(name, number)
@@ -282,12 +257,12 @@ class StatusBits(BringupStep):
             return bool(bench.status() & _OVER_RANGE)
 
         if not over(end):
-            text = (
+            why = (
                 f"not measured: {reached_mg:.0f} mg by the offset raise no over-range: it is judged without"
             )
-            return (), {
-                k: Answer(Outcome.NOT_MEASURED, text) for k in ("over_range_falls", "over_range_threshold")
-            }
+            found.answer("over_range_falls", Outcome.NOT_MEASURED, why)
+            found.answer("over_range_threshold", Outcome.NOT_MEASURED, why)
+            return
         bench.wait_updates()
         stood = bench.alarm_stands()
         sensor.write(name, held)
@@ -295,9 +270,7 @@ class StatusBits(BringupStep):
         fell = not bench.alarm_stands()
         word = bench.status()
         falls = fell and not word & _OVER_RANGE
-        answers = {
-            "over_range_falls": _falling(stood=stood, falls=falls),
-        }
+        found.answers["over_range_falls"] = _falling(stood=stood, falls=falls)
         inside, outside = held, end
         for _ in range(self._halvings):
             middle = (inside + outside) // 2
@@ -311,14 +284,10 @@ class StatusBits(BringupStep):
         threshold = abs(rest + (inside + outside) / 2) * part.accel_mg_per_lsb
         # A sample over the limit is enough: noise raises the bit up to some sigmas below.
         u = math.hypot(2 * part.performance.noise_mg, abs(outside - inside) * part.accel_mg_per_lsb)
-        figure = Measured("over-range threshold", threshold, "mg", u, 1000 * part.accel_range_g)
-        answers["over_range_threshold"] = Answer(
-            Outcome.MEASURED,
-            f"{threshold:.0f} mg on {ACCEL_OUT[axis]}, judged with its offset; the range is"
-            f" {1000 * part.accel_range_g:.0f} mg",
-            (figure,),
-        )
-        return (figure,), answers
+        figure = found.measure("over-range threshold", threshold, "mg", u, 1000 * part.accel_range_g)
+        text = f"{threshold:.0f} mg on {ACCEL_OUT[axis]}, judged with its offset; the range is"
+        text += f" {1000 * part.accel_range_g:.0f} mg"
+        found.answer("over_range_threshold", Outcome.MEASURED, text, figure)
 
 
 def _falling(*, stood: bool, falls: bool) -> Answer:
@@ -350,16 +319,12 @@ class FlashCount(BringupStep):
             return not_measured(f"{' and '.join(in_use)} is in use, which a reset would drop")
         before = bench.sensor.read("ENDURANCE")
         bench.sensor.reset()
+        found = Findings()
         try:
             after = bench.sensor.save_to_flash()
         except ChipError as error:
-            answer = Answer(Outcome.CONTRADICTS, str(error))
-            return StepResult(Verdict.FAULT, str(error), (), {"flash_count": answer})
-        figures = (
-            Measured("ENDURANCE before", before),
-            Measured("ENDURANCE after", after, expected=before + 1),
-        )
-        text = f"ENDURANCE went from {before} to {after}"
-        return StepResult(
-            Verdict.OK, text, figures, {"flash_count": Answer(Outcome.CONFIRMS, text, figures)}
-        )
+            found.answer("flash_count", Outcome.CONTRADICTS, str(error))
+            return found.fault(str(error))
+        found.measure("ENDURANCE before", before)
+        found.measure("ENDURANCE after", after, expected=before + 1)
+        return found.settle("flash_count", f"ENDURANCE went from {before} to {after}", differs=False)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,43 +34,6 @@ if TYPE_CHECKING:
 
 TEMPCO_DPS_PER_C = 0.02
 """What a zero rate may follow the temperature by where the session does not tell (D, as the catalogue)."""
-
-
-class SensorHalf(Protocol):
-    """Half of a sensor, with the session that calibrates it.
-
-    Attributes
-    ----------
-    registers, others : tuple of str
-        Its offset registers, and those of the other half.
-    unit : str
-        `mg` or `dps`.
-    remarks : tuple of str
-        What is to be said of the plan, in lines.
-    """
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What is to be said of the plan, in lines."""
-
-    registers: tuple[str, ...]
-    others: tuple[str, ...]
-    unit: str
-
-    def plan(self, now: Numbers) -> WritePlan:
-        """What is to be written where the registers hold these numbers."""
-
-    def measure(self, sensor: Adis16354, dwell_s: float, patience_s: float) -> Rest:
-        """A dwell at rest."""
-
-    def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
-        """A dwell against the session, with the offsets that are in the sensor by the plan."""
-
-    def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
-        """How far the outputs moved, against the plan."""
-
-    def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
-        """What a dwell shows by itself to be left, with u; None where it does not show it."""
 
 
 class Accelerometers:

@@ -11,17 +11,20 @@ same. Zero rates of gyros go the same way, in °/s.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import SessionError
 from adis_gonio.base.jsonable import Record
-from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, Kind
+from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
 from adis_gonio.device.sensor.variants import VARIANTS, variant
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session
-from adis_gonio.record.write_journal import Numbers
+from adis_gonio.record.write_journal import INTERRUPTED, Numbers, operations_of
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
@@ -181,24 +184,9 @@ def plan_offsets(session: Session, result: FitResult, now: Numbers | None = None
             f"{session.source}: method {result.method} gives no bias, so there is nothing to write; measure"
             " the opposite positions too (calibrate --plan four-position, mmpm or tumble)"
         )
-    lsb = variant(session.sensor).accel_mg_per_lsb
-    axes = []
-    for axis, name, register in zip(AXES, BIASES, ACCEL_OFF, strict=True):
-        if name not in result:
-            continue
-        bias = result[name]
-        wanted = recorded[register] - round(bias.value / lsb)
-        low, high = BY_NAME[register].range
-        new = min(max(wanted, low), high)
-        u = float("nan") if bias.u is None else bias.u
-        axes.append(
-            AxisPlan(
-                axis, register, bias.value, u, recorded[register], held[register], new, lsb, new != wanted
-            )
-        )
-    unsure = (text for axis in axes for text in _unsure(axis))
-    doubts = (*_mixed(session), *_lacks(session, result), *unsure)
-    return WritePlan(session.source, session.sensor, result.method, tuple(axes), doubts)
+    given = zip(ACCEL_OFF, BIASES, strict=True)
+    found = {name: (result[bias].value, result[bias].u) for name, bias in given if bias in result}
+    return _plan(session, found, recorded, held, result.method, _lacks(session, result))
 
 
 def plan_gyro_offsets(
@@ -223,26 +211,42 @@ def plan_gyro_offsets(
     """
     recorded = recorded_offsets(session, GYRO_OFF)
     held = recorded if now is None else now
-    lsb = variant(session.sensor).lsb(Kind.GYRO_OFFSET)[0]
-    axes = []
-    for axis, register in zip(AXES, GYRO_OFF, strict=True):
-        bias = gyro[f"gyro_bias_{axis}"]
-        new = recorded[register] - round(bias.value / lsb)
-        low, high = BY_NAME[register].range
-        if not low <= new <= high:
+    biases = zip(GYRO_OFF, (gyro[f"gyro_bias_{axis}"] for axis in AXES), strict=True)
+    found = {name: (bias.value, bias.u) for name, bias in biases}
+    plan = _plan(session, found, recorded, held, gyro.method, doubts)
+    for axis in plan.axes:
+        if axis.clipped:
+            low, high = BY_NAME[axis.register].range
             raise SessionError(
-                f"{session.source}: {bias.name} is {bias.value:.4g} °/s, and {register} holds {low} to"
-                f" {high} ({low * lsb:.1f} to {high * lsb:.1f} °/s): the gyro is broken, or the part turned"
+                f"{session.source}: gyro_bias_{axis.axis} is {axis.bias:.4g} °/s, and {axis.register} holds"
+                f" {low} to {high} ({low * axis.lsb:.1f} to {high * axis.lsb:.1f} °/s): the gyro is broken,"
+                " or the part turned"
             )
-        u = float("nan") if bias.u is None else bias.u
-        axes.append(
-            AxisPlan(
-                axis, register, bias.value, u, recorded[register], held[register], new, lsb, False, "dps"
-            )
-        )
+    return plan
+
+
+def _plan(
+    session: Session,
+    found: Mapping[str, tuple[float, float | None]],
+    recorded: Numbers,
+    held: Numbers,
+    method: str,
+    doubts: Sequence[str],
+) -> WritePlan:
+    """Plan for the biases that were found, by register."""
+    axes = []
+    for name, (bias, u) in found.items():
+        row = BY_NAME[name]
+        lsb, _, unit = variant(session.sensor).lsb(row.kind)
+        wanted = recorded[name] - round(bias / lsb)
+        new = min(max(wanted, row.range[0]), row.range[1])
+        u = float("nan") if u is None else u
+        axis = AxisPlan(name[0].lower(), name, bias, u, recorded[name], held[name], new, lsb, new != wanted)
+        axes.append(replace(axis, unit="mg" if unit == "mg" else "dps"))
     unsure = (text for axis in axes for text in _unsure(axis))
-    doubts = (*_mixed(session), *doubts, *unsure)
-    return WritePlan(session.source, session.sensor, gyro.method, tuple(axes), doubts)
+    return WritePlan(
+        session.source, session.sensor, method, tuple(axes), (*_mixed(session), *doubts, *unsure)
+    )
 
 
 def _mixed(session: Session) -> list[str]:
@@ -276,3 +280,59 @@ def _unsure(axis: AxisPlan) -> list[str]:
     if axis.new != axis.recorded and axis.u > abs(axis.bias):
         return [f"{name} is {axis.bias:.2g} {unit} with u = {axis.u:.2g} {unit}: even its sign is open"]
     return []
+
+
+def offsets_recorded(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floats:
+    """Offsets (3,) in mg that the part added to its outputs while a session was recorded.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Offset registers; of the gyros (`GYRO_OFF`) the offsets are in °/s.
+
+    Raises
+    ------
+    SessionError
+        The session does not hold the registers (a CSV, a generic sensor).
+    """
+    return _in_units(session, recorded_offsets(session, names), names)
+
+
+def offsets_in_force(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floats:
+    """Offsets (3,) that the part adds since the last write-back of a session, as its archive knows.
+
+    The recorded ones where nothing was written. Offsets that were written and not saved are in force until
+    the part's power is off. Registers and units as in `offsets_recorded`.
+
+    Raises
+    ------
+    SessionError
+        As `offsets_recorded`; or a write was interrupted, so that only the sensor can tell.
+    """
+    known = operations_of(session, names)
+    if known and known[-1].open:
+        raise SessionError(f"{session.source}: {INTERRUPTED}")
+    now = recorded_offsets(session, names) | (known[-1].target if known else {})
+    return _in_units(session, now, names)
+
+
+def bias_left_mg(session: Session, result: FitResult) -> dict[str, float]:
+    """Biases in mg by name (`bias_x` …) of the sensor as it is now: the fit's, less what was written since.
+
+    The fit's own where the session does not know its registers: nothing can have been written then.
+
+    Raises
+    ------
+    SessionError
+        A write was interrupted (see `offsets_in_force`).
+    """
+    found = {name: result[name].value for name in BIASES if name in result}
+    if not operations_of(session):
+        return found
+    moved = offsets_in_force(session) - offsets_recorded(session)
+    return {name: value + float(moved[BIASES.index(name)]) for name, value in found.items()}
+
+
+def _in_units(session: Session, numbers: Numbers, names: Sequence[str]) -> Floats:
+    lsb = variant(session.sensor).lsb(BY_NAME[names[0]].kind)[0]
+    return lsb * np.array([numbers[name] for name in names], dtype=np.float64)

@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING
 import click
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.faces.cli.overrides import load, override_options
-from adis_gonio.faces.cli.show import console, json_option, print_json
-from adis_gonio.faces.cli.working import working
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import check_page, console, print_json, working, write_page
 
 if TYPE_CHECKING:
-    from adis_gonio.fitting.allan import AllanResult
     from adis_gonio.fitting.allan.rests import Part
     from adis_gonio.record.overrides import Overrides
 
@@ -21,15 +19,8 @@ _ENDINGS = (".html", ".htm", ".svg")
 
 
 @click.command("allan")
-@click.argument("session", type=click.Path(path_type=Path))
-@click.option(
-    "--sensor-part",
-    "part",
-    type=click.Choice(("gyro", "accelerometer")),
-    default="gyro",
-    show_default=True,
-    help="Whose noise.",
-)
+@option.session
+@option.part("gyro", "Whose noise.")
 @click.option(
     "--filter",
     "filter_m",
@@ -37,14 +28,9 @@ _ENDINGS = (".html", ".htm", ".svg")
     metavar="M",
     help="The chip's filter was 2^M taps twice, where the file does not say it.",
 )
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    help="Write a page with the Allan plot (.html), or the plot alone (.svg) (extra: report).",
-)
-@override_options
-@json_option
+@option.output("Write a page with the Allan plot (.html), or the plot alone (.svg) (extra: report).")
+@option.overrides
+@option.json
 def command(
     *,
     session: Path,
@@ -59,34 +45,22 @@ def command(
     From the dwells of a session, or the rests of a continuous recording, by maximum likelihood, beside the
     Allan deviation. Noise that is not there is said so, with its limit. How long to record: docs/allan.md.
     """
-    from adis_gonio.base.output import check_output
     from adis_gonio.fitting.allan import fit_allan
 
-    if output is not None:
-        if output.suffix.lower() not in _ENDINGS:
-            raise UsageError(f"{output}: its ending says the format: .html for the page, .svg for the plot")
-        check_output(output, force=True)
-        from adis_gonio.page.svg import require_matplotlib
-
-        require_matplotlib()
-    loaded = load(session, overrides)
+    if output is not None and output.suffix.lower() not in _ENDINGS:
+        raise UsageError(f"{output}: its ending says the format: .html for the page, .svg for the plot")
+    check_page(output)
+    loaded = option.load(session, overrides)
     with working(f"noise of {session.name}"):
         found = fit_allan(loaded, part, filter_m=filter_m)
     if output is not None:
-        _write(found, output)
+        from adis_gonio.handover.report.allan import allan_page, allan_svg
+
+        drawn = allan_svg if output.suffix.lower() == ".svg" else allan_page
+        write_page(output, drawn(found))
     if as_json:
         print_json(found.as_dict())
     else:
         screen = console(most=80)
         for line in found.summary().splitlines():
             screen.print(line)
-
-
-def _write(found: AllanResult, output: Path) -> None:
-    from adis_gonio.base.output import replacing, write_utf8
-    from adis_gonio.handover.report.allan import allan_page, allan_svg
-
-    text = allan_svg(found) if output.suffix.lower() == ".svg" else allan_page(found)
-    with replacing(output) as beside:
-        size = write_utf8(beside, text)
-    click.echo(f"{output}: {size // 1024 + 1} kB", err=True)

@@ -14,8 +14,8 @@ from pathlib import Path
 import click
 
 from adis_gonio.base.errors import UsageError
+from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.interrupt import Interrupt
-from adis_gonio.faces.cli.show import no_check_option, poll_option, variant_option
 from adis_gonio.live.angle import LiveAngle, LiveBlocks, LiveSource, live_angles, open_live
 from adis_gonio.live.smoothing import LAG_S
 
@@ -31,40 +31,37 @@ NOTES = {
 
 
 @click.command("angle")
-@click.argument("url")
-@click.option("--seconds", type=float, help="Stop after so long; without it, at Ctrl-C.")
-@click.option(
+@option.url
+@option.seconds
+@option.file(
     "--cal",
     "calibration_path",
-    type=click.Path(path_type=Path),
     metavar="FILE",
     help="Correct by this: a calibration (export, JSON), or a session, which is fitted.",
 )
-@click.option(
+@option.shown(
     "--lag",
     "lag_s",
     type=float,
     default=LAG_S,
-    show_default=True,
     metavar="SECONDS",
     help="How far the smoothed angle stays behind; 0: as soon as can be.",
 )
 @click.option(
     "--no-gyro", is_flag=True, help="By gravity alone: fewer registers to read, no smoothed angle."
 )
-@click.option(
+@option.shown(
     "--reconnect",
     "patience_s",
     type=float,
     default=30.0,
-    show_default=True,
     metavar="SECONDS",
     help="Try so long to open a sensor again whose link broke; 0: end.",
 )
-@poll_option
+@option.poll
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line, ten a second.")
-@variant_option
-@no_check_option
+@option.variant
+@option.no_check
 def command(
     *,
     url: str,

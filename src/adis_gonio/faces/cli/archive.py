@@ -9,19 +9,20 @@ from typing import Any
 import click
 
 from adis_gonio.base.counting import counted
-from adis_gonio.faces.cli.remembering import index_options, places_argument, remembered
-from adis_gonio.faces.cli.show import console, json_option, print_json, print_table, with_uncertainty
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.remembering import remembered
+from adis_gonio.faces.cli.show import console, print_json, print_table, with_uncertainty
 
 _HEAD = ("serial", "operator", "stage", "date", "plan", "ΔK", "Δφ / °", "angle / °", "effects", "file")
 
 
 @click.command("archive")
-@places_argument
+@option.places
 @click.option("--serial", help="Only sessions of the sensor with this serial number.")
 @click.option("--operator", help="Only sessions of this operator.")
 @click.option("--stage", help="Only sessions on this stage.")
-@index_options
-@json_option
+@option.index
+@option.json
 def command(
     *,
     places: tuple[Path, ...],

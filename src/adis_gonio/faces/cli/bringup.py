@@ -9,23 +9,22 @@ from typing import TYPE_CHECKING
 import click
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.faces.cli.show import json_option, json_text, print_json, variant_option
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import json_text, print_json
 
 if TYPE_CHECKING:
     from adis_gonio.bench.bringup import Bringup, Row
 
 
 @click.command("bringup")
-@click.argument("url")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Write FILE.html and FILE.json.", metavar="FILE"
-)
+@option.url
+@option.output("Write FILE.html and FILE.json.", metavar="FILE")
 @click.option("--allow-writes", "--writes", is_flag=True, help="Also do the steps that write registers.")
 @click.option("--flash", is_flag=True, help="With --allow-writes: also write the flash once.")
 @click.option("--yes", is_flag=True, help="Answer the question of each step that writes with yes.")
 @click.option("--leave-registers", is_flag=True, help="Write nothing, not even data-ready while scans run.")
-@variant_option
-@json_option
+@option.variant
+@option.json
 def command(
     *,
     url: str,

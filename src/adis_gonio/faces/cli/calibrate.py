@@ -10,9 +10,9 @@ import click
 
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError, SessionError, UsageError
+from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.face import choose_face
-from adis_gonio.faces.cli.overrides import fixture, gravity
-from adis_gonio.faces.cli.show import json_option, no_check_option, poll_option, print_json, variant_option
+from adis_gonio.faces.cli.show import print_json
 
 if TYPE_CHECKING:
     from adis_gonio.bench.closing import TraceAdvisor
@@ -30,19 +30,15 @@ _METADATA = {
 
 
 @click.command("calibrate")
-@click.argument("url")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, help="Session file to make."
-)
+@option.url
+@option.output("Session file to make.", required=True)
 @click.option(
     "--plan",
     "plan_name",
     help="two-position (default), four-position, mmpm, tumble, poses, free-turn, gyro-turns, or a file.",
 )
-@click.option("--positions", type=int, help="Number of angles, where the plan leaves a choice.")
-@click.option(
-    "--check", type=int, default=0, show_default=True, help="Extra positions kept out of the fit."
-)
+@option.positions
+@option.check
 @click.option(
     "--duration",
     "duration_s",
@@ -68,19 +64,11 @@ _METADATA = {
     help="With --trace: most positions beyond the plan (default 24).",
 )
 @click.option("--resume", is_flag=True, help="Go on with the session in the file.")
-@click.option(
-    "--dwell", "dwell_s", type=float, default=10.0, show_default=True, help="Length of a dwell in s."
-)
-@click.option(
-    "--settle", "settle_s", type=float, default=0.5, show_default=True, help="Wait after stillness, s."
-)
-@click.option("--rate", "rate_hz", type=float, help="Samples a second, 0.413 to 819.2 (default).")
-@click.option(
-    "--filter", "filter_m", type=int, default=2, show_default=True, help="Filter: 2^M taps twice."
-)
-@click.option(
-    "--range", "range_dps", type=int, default=300, show_default=True, help="Gyros: 300, 150, 75 °/s."
-)
+@option.dwell()
+@option.settle
+@option.rate
+@option.filter
+@option.shown("--range", "range_dps", type=int, default=300, help="Gyros: 300, 150, 75 °/s.")
 @click.option(
     "--record-turns/--no-record-turns",
     "record_turns",
@@ -88,22 +76,20 @@ _METADATA = {
     help="Keep the moves between dwells, which calibrate the gyros: at most 2.4 MB each (default: yes;"
     " of gyro-turns its whole turns alone).",
 )
-@poll_option
-@click.option("--gravity", "gravity_mps2", type=gravity, help="Local gravity in m/s² (default 9.80665).")
+@option.poll
+@option.gravity
 @click.option("--latitude", type=float, help="Latitude in degrees: gravity of the ellipsoid there.")
 @click.option("--height", type=float, default=0.0, help="Height in m, with --latitude.")
-@click.option(
-    "--fixture", "fixture_deg", type=fixture, help="Standard uncertainty of a stage angle, degrees."
-)
-@click.option("--title", default="", help="Title to keep with the session.")
+@option.fixture()
+@option.title
 @click.option("--note", default="", help="Note to keep with the session.")
 @click.option("--operator", help="Who measures; asked for on a terminal.")
 @click.option("--serial", help="Serial number of the part; asked for on a terminal.")
 @click.option("--stage", help="Stage or fixture in your own words; asked for on a terminal.")
 @click.option("--plain", is_flag=True, help="Prompts in plain lines, for logs and dumb terminals.")
-@variant_option
-@no_check_option
-@json_option
+@option.variant
+@option.no_check
+@option.json
 def command(
     *,
     url: str,
@@ -154,7 +140,7 @@ def command(
         click.echo(f"{output}: complete, nothing is left to do", err=True)
         complete = True
     else:
-        from adis_gonio.faces.cli.bench.plain import PlainBench
+        from adis_gonio.faces.cli.plain import PlainBench
 
         with open_source(url, variant=options["variant"], check=not options["no_check"]) as sensor:
             runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
@@ -205,7 +191,7 @@ def _show(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_
 
 def _show_gyros(session: Session, *, complete: bool, as_json: bool) -> int:
     """What a session of gyro turns gives."""
-    from adis_gonio.faces.cli.gyro_fit import show_gyro_fit
+    from adis_gonio.faces.cli.fit import show_gyro_fit
 
     show_gyro_fit(session, None, as_json=as_json)
     if not as_json:
@@ -248,7 +234,7 @@ def _advisor(max_extra: int | None) -> TraceAdvisor:
 
 def _traced(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
     """The advisor's last trace where it saw all of the session, else a new one; None where none can be."""
-    from adis_gonio.faces.cli.working import working
+    from adis_gonio.faces.cli.show import working
     from adis_gonio.tracing.trace import trace
 
     if advisor.result is not None and advisor.dwells == len(session.dwells):
@@ -298,11 +284,9 @@ def _runner(
     from adis_gonio.bench.gyro_turns import ALL_THERMOMETERS
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor.driver import DEFAULT_SCAN
-    from adis_gonio.device.sensor.settings import smpl_prd_for
-    from adis_gonio.faces.cli.bench.lines import on_terminal
+    from adis_gonio.faces.cli.plain import on_terminal
     from adis_gonio.model.gravity import normal_gravity_mps2
     from adis_gonio.record.plans import GYRO_TURNS
-    from adis_gonio.record.settings import Settings
 
     if resume:
         if plan_name is not None or positions is not None or turns is not None:
@@ -329,10 +313,10 @@ def _runner(
     if plan_name == GYRO_TURNS and world is not None and options["fixture_deg"] is None:
         fixture = world.settings.mark_sigma_deg
     chosen, length_s = _chosen(plan_name, positions, check, duration_s, turns, options["dwell_s"])
-    settings = Settings(
+    settings = option.measuring_settings(
         dwell_s=length_s,
         settle_s=options["settle_s"],
-        smpl_prd=1 if options["rate_hz"] is None else smpl_prd_for(options["rate_hz"]),
+        rate_hz=options["rate_hz"],
         filter_m=options["filter_m"],
         gyro_range_dps=options["range_dps"],
         data_ready=False if options["poll"] else None,

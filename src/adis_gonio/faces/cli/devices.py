@@ -6,12 +6,13 @@ import click
 
 from adis_gonio.device.bus import find_devices
 from adis_gonio.device.bus.udev import rules
-from adis_gonio.faces.cli.show import console, json_option, print_json
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import console, print_json, table_of
 
 
 @click.command("devices")
 @click.option("--udev", is_flag=True, help="Print the udev rules that let a user open the bridges.")
-@json_option
+@option.json
 def command(*, udev: bool, as_json: bool) -> None:
     """List the buses and the devices that are connected, with the URL that opens each.
 
@@ -27,9 +28,5 @@ def command(*, udev: bool, as_json: bool) -> None:
     if as_json:
         print_json({"devices": [device.as_dict() for device in devices]})
         return
-    from rich.table import Table
-
-    table = Table("URL", "what it is", box=None, padding=(0, 2, 0, 0))
-    for device in devices:
-        table.add_row(device.url, device.description)
-    console().print(table)
+    rows = [(device.url, device.description) for device in devices]
+    console().print(table_of(("URL", "what it is"), rows, texts=(0, 1)))

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adis_gonio.faces.cli.remembering import index_options, places_argument, remembered, sessions_of
-from adis_gonio.faces.cli.show import console, json_option, print_json
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.remembering import remembered, sessions_of
+from adis_gonio.faces.cli.show import console, print_json
 
 if TYPE_CHECKING:
     from adis_gonio.fleet.memory.intervals_due import Due
@@ -18,7 +19,7 @@ _POSITIVE = click.FloatRange(min=0, min_open=True)
 
 @click.command("due")
 @click.argument("serial")
-@places_argument
+@option.places
 @click.option(
     "--limit",
     "limit_deg",
@@ -26,23 +27,17 @@ _POSITIVE = click.FloatRange(min=0, min_open=True)
     metavar="DEG",
     help="Permissible error of an angle, which your use of it decides; without it 0.1° is assumed.",
 )
-@click.option(
-    "--first", "first_days", type=_POSITIVE, default=365.25, show_default=True, metavar="DAYS",
+@option.shown(
+    "--first", "first_days", type=_POSITIVE, default=365.25, metavar="DAYS",
     help="Interval of a sensor of which nothing is known yet.",
 )  # fmt: skip
-@click.option(
-    "--longer",
-    type=click.FloatRange(min=1),
-    default=1.5,
-    show_default=True,
-    help="Factor after a good one.",
-)
-@click.option(
-    "--shorter", type=click.FloatRange(0, 1, min_open=True), default=0.5, show_default=True,
+@option.shown("--longer", type=click.FloatRange(min=1), default=1.5, help="Factor after a good one.")
+@option.shown(
+    "--shorter", type=click.FloatRange(0, 1, min_open=True), default=0.5,
     help="Factor after one outside the limit.",
 )  # fmt: skip
-@index_options
-@json_option
+@option.index
+@option.json
 def command(
     *,
     serial: str,

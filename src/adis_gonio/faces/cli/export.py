@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import click
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.faces.cli.overrides import override_options
-from adis_gonio.faces.cli.working import working
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import working
 
 if TYPE_CHECKING:
     from adis_gonio.handover.exporting import ExportSource
@@ -23,7 +23,7 @@ STANDARD_OUTPUT = "-"
 
 
 @click.command("export")
-@click.argument("session", type=click.Path(path_type=Path))
+@option.session
 @click.option(
     "--format",
     "kind",
@@ -35,13 +35,12 @@ STANDARD_OUTPUT = "-"
 @click.option("--trace", "traced", is_flag=True, help="Coefficients of the traced model.")
 @click.option("--samples", is_flag=True, help="JSON: every sample too.")
 @click.option("--name", help="C header: what every name in it begins with.  [default: adis_gonio]")
-@click.option(
+@option.file(
     "--gyros",
-    type=click.Path(path_type=Path),
     help="Gyros of another session of this part (plan gyro-turns), or of a calibration file.",
 )
 @click.option("--force", is_flag=True, help="Replace a file that exists.")
-@override_options
+@option.overrides
 def command(
     *,
     session: Path,

@@ -51,7 +51,7 @@ def choose_face(runner: SessionRunner, prompts: Face, *, plain: bool, resume_by:
 
 def _is_terminal() -> bool:
     """True where both ends are a terminal that can place its cursor and show the screen's signs."""
-    from adis_gonio.faces.cli.bench.lines import on_terminal
+    from adis_gonio.faces.cli.plain import on_terminal
 
     if not (on_terminal() and sys.stderr.isatty()):
         return False

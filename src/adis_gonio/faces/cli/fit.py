@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,14 +10,14 @@ import click
 
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import UsageError
-from adis_gonio.faces.cli.overrides import load, override_options, part_option
-from adis_gonio.faces.cli.show import WIDTH, console, json_option, print_json
-from adis_gonio.faces.cli.working import working
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import WIDTH, console, print_json, table_of, working
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from adis_gonio.base.values import Value
     from adis_gonio.fitting import FitResult
     from adis_gonio.fitting.answer import Answer
     from adis_gonio.fitting.monte_carlo import MonteCarlo
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @click.command("fit")
-@click.argument("session", type=click.Path(path_type=Path))
+@option.session
 @click.option(
     "--method",
     help="paper, two-position, four-position, mmpm or ml, of one continuous turn free-turn; without it"
@@ -40,23 +40,20 @@ if TYPE_CHECKING:
     metavar="N",
     help="Propagate the input distributions by N trials too (GUM Supplement 1).",
 )
-@click.option("--seed", type=int, default=1, show_default=True, help="Of the trials' random numbers.")
-@part_option
-@click.option(
+@option.shown("--seed", type=int, default=1, help="Of the trials' random numbers.")
+@option.part()
+@option.file(
     "--calibration",
-    "calibration",
-    type=click.Path(path_type=Path),
     metavar="FILE",
     help="With --sensor-part gyro: calibration of the same part's accelerometers, or a session of theirs.",
 )
-@click.option(
+@option.file(
     "--gyros",
-    type=click.Path(path_type=Path),
     help="Poses in space: gyros of another session of this part (plan gyro-turns), or of a calibration"
     " file.",
 )
-@override_options
-@json_option
+@option.overrides
+@option.json
 def command(
     *,
     session: Path,
@@ -80,13 +77,11 @@ def command(
     if part == "gyro" and gyros is not None:
         raise UsageError("--gyros goes with the accelerometers: leave out --sensor-part gyro")
     if part == "gyro":
-        from adis_gonio.faces.cli.gyro_fit import show_gyro_fit
-
         if everything or trials is not None:
             raise UsageError(
                 "--all and --monte-carlo are of the accelerometers' methods: gyros have one, gyro"
             )
-        show_gyro_fit(load(session, overrides), method, as_json=as_json, calibration=calibration)
+        show_gyro_fit(option.load(session, overrides), method, as_json=as_json, calibration=calibration)
         return
     if calibration is not None:
         raise UsageError("--calibration is that of the accelerometers, for --sensor-part gyro")
@@ -94,7 +89,7 @@ def command(
     from adis_gonio.fitting.answer import Answer
     from adis_gonio.model.records import METADATA
 
-    loaded = load(session, overrides)
+    loaded = option.load(session, overrides)
     what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
     with working(f"fitting {what} of {session.name}"):
         answer = Answer.of(fit(loaded, method=method, gyros=gyros), own=method is not None)
@@ -173,40 +168,16 @@ def _screen() -> Console:
     return console(most=WIDTH)
 
 
-def _table(
-    head: Sequence[str], rows: Iterable[Sequence[str]], texts: int = 1, bold: str | None = None
-) -> Table:
-    """A table: `texts` columns to the left, numbers to the right; the row named `bold` stands out."""
-    from rich.table import Table
-
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for k, name in enumerate(head):
-        table.add_column(name, justify="right" if k >= texts else "left")
-    for row in rows:
-        table.add_row(*row, style="bold" if bold is not None and row[0] == bold else None)
-    return table
+_PARAMETER_HEAD = ("parameter", "unit", "value", "u", "U (95 %)", "k", "ν")
 
 
 def _parameters(answer: Answer, truth: Mapping[str, float] | None) -> Table:
-    from rich.table import Table
-
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    head = [
-        "parameter",
-        "unit",
-        *(["truth"] if truth is not None else []),
-        "value",
-        "u",
-        "U (95 %)",
-        "k",
-        "ν",
-    ]
-    for name in head:
-        table.add_column(name, justify="left" if name in ("parameter", "unit") else "right")
-    for name, unit, *cells in answer.parameter_rows():
-        true = [] if truth is None else [f"{truth[name]:.6g}" if name in truth else ""]
-        table.add_row(name, unit, *true, *cells, style="bold" if name in ("delta_k", "delta_phi") else None)
-    return table
+    head, rows = list(_PARAMETER_HEAD), [list(row) for row in answer.parameter_rows()]
+    if truth is not None:
+        head.insert(2, "truth")
+        for row in rows:
+            row.insert(2, f"{truth[row[0]]:.6g}" if row[0] in truth else "")
+    return table_of(head, rows, (0, 1), bold=("delta_k", "delta_phi"))
 
 
 def _budget(screen: Console, answer: Answer) -> None:
@@ -215,7 +186,7 @@ def _budget(screen: Console, answer: Answer) -> None:
         return
     screen.print()
     screen.print("Uncertainty budget: shares of the variance")
-    screen.print(_table(head, rows, texts=4))
+    screen.print(table_of(head, rows, range(4)))
 
 
 def _others(screen: Console, answer: Answer) -> None:
@@ -225,7 +196,7 @@ def _others(screen: Console, answer: Answer) -> None:
     screen.print()
     screen.print(answer.scored_on)
     if len(head) > 1:
-        screen.print(_table(head, rows, bold=rows[0][0] if rows else None))
+        screen.print(table_of(head, rows, bold=rows[0][:1] if rows else ()))
     for method, reason in answer.standing.failures.items():
         screen.print(f"no result by {method}: {reason}")
 
@@ -234,16 +205,10 @@ def _print_all(screen: Console, results: Sequence[FitResult]) -> None:
     """Every method in full, as many beside each other as the screen is wide."""
     from adis_gonio.fitting.tables import blocks
 
+    narrow = {"no_wrap": True}
     for head, rows in blocks(results, screen.width):
-        from rich.table import Table
-
         screen.print()
-        table = Table(box=None, padding=(0, 2, 0, 0))
-        for k, name in enumerate(head):
-            table.add_column(name, justify="left" if k < 2 else "right", no_wrap=True)
-        for row in rows:
-            table.add_row(*row)
-        screen.print(table)
+        screen.print(table_of(head, rows, (0, 1), number=narrow, text=narrow))
 
 
 def _monte_carlo(result: FitResult, trials: int | None, seed: int) -> MonteCarlo | None:
@@ -260,6 +225,54 @@ def _monte_carlo(result: FitResult, trials: int | None, seed: int) -> MonteCarlo
 def _print_monte_carlo(screen: Console, run: MonteCarlo) -> None:
     screen.print()
     screen.print(f"Monte Carlo, {run.trials} trials (GUM Supplement 1)", style="bold")
-    screen.print(_table(*run.rows(), texts=2))
+    screen.print(table_of(*run.rows(), (0, 1)))
     for line in run.remarks:
         screen.print(f"  {line}")
+
+
+def show_gyro_fit(
+    session: Session, method: str | None, *, as_json: bool, calibration: Path | None = None
+) -> None:
+    """Fit the gyros of a session and show the result."""
+    from adis_gonio.faces.api import fit
+
+    accelerometers = None
+    if calibration is not None:
+        from adis_gonio.tracing.loading import load_calibration
+
+        accelerometers = load_calibration(calibration)
+    with working("fitting the gyros"):
+        result = fit(session, method, part="gyro", accelerometers=accelerometers)
+    if as_json:
+        print_json(result.as_dict())
+        return
+    screen = console(most=WIDTH)
+    title = f"{session.title}: " if session.title else ""
+    screen.print(f"{title}gyros, {result.held}, {session.sensor}", style="bold", markup=False)
+    screen.print()
+    screen.print(_gyro_parameters(result.parameters))
+    screen.print()
+    if result.triad is not None:
+        screen.print("The gyros' triad: rotation against the accelerometers', and 90° minus its angles")
+        screen.print(_gyro_parameters(result.triad))
+        screen.print()
+    screen.print(
+        f"  residual {result.residual_rms_dps:.3g} °/s rms, χ² {result.chi2:.1f} at {result.dof} degrees of"
+        " freedom"
+    )
+    if result.scores:
+        screen.print()
+        screen.print("Each dwell left out in turn, error of its rate in °/s, rms")
+        scores = [
+            (name, *(f"{v:.3f}" for v in score.rms_dps.values())) for name, score in result.scores.items()
+        ]
+        screen.print(table_of(("model", *"xyz"), scores))
+    for text in result.warnings:
+        screen.print(text, markup=False)
+
+
+def _gyro_parameters(parameters: dict[str, Value]) -> Table:
+    from adis_gonio.fitting.tables import parameter_row
+
+    rows = [parameter_row(name, value) for name, value in parameters.items()]
+    return table_of(_PARAMETER_HEAD, rows, (0, 1))

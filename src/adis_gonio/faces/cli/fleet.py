@@ -11,8 +11,8 @@ import click
 
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import UsageError
-from adis_gonio.faces.cli.show import console, json_option, print_json, print_table
-from adis_gonio.faces.cli.working import working
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import console, print_json, print_table, working
 
 if TYPE_CHECKING:
     from adis_gonio.fleet import Cluster, LocalPool, Store
@@ -38,23 +38,21 @@ if TYPE_CHECKING:
     metavar="ADDRESS",
     help="Have a dask cluster do it, such as tcp://10.0.0.1:8786 (extra: fleet).",
 )
-@click.option(
+@option.file(
     "-o",
     "--output",
     "outputs",
-    type=click.Path(path_type=Path),
     multiple=True,
     help="Summary to write: .html a page, .json, .parquet a row a session; may be repeated.",
 )
-@click.option(
+@option.file(
     "--journal",
-    type=click.Path(path_type=Path),
     help="Where results are kept as they come; by default beside the first -o.",
 )
 @click.option(
     "--population", is_flag=True, help="Name what many sessions have in common, though too weak in each."
 )
-@json_option
+@option.json
 def command(
     *,
     files: tuple[Path, ...],

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adis_gonio.faces.cli.remembering import index_options, places_argument, remembered, sessions_of
-from adis_gonio.faces.cli.show import console, json_option, print_json
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.remembering import remembered, sessions_of
+from adis_gonio.faces.cli.show import check_page, console, print_json, write_page
 
 if TYPE_CHECKING:
     from adis_gonio.fleet.memory.history import History
@@ -18,18 +19,16 @@ _WIDTH = 80
 
 @click.command("history")
 @click.argument("serial")
-@places_argument
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Write a page with figures (extra: report)."
-)
+@option.places
+@option.output("Write a page with figures (extra: report).")
 @click.option(
     "--run-length",
     type=click.FloatRange(min=10),
     metavar="N",
     help="One false alarm of the CUSUM in N sessions; by default h = 5 σ, which is one in 465.",
 )
-@index_options
-@json_option
+@option.index
+@option.json
 def command(
     *,
     serial: str,
@@ -45,34 +44,21 @@ def command(
     Tests for drift between sessions, keeps a control chart (CUSUM, and 3σ limits from u and the scatter
     between sessions), and lists the effects found each time.
     """
-    from adis_gonio.base.output import check_output
     from adis_gonio.fleet.memory.control_chart import CUSUM_H, limit_for
     from adis_gonio.fleet.memory.history import history_of
 
-    if output is not None:
-        check_output(output, force=True)
-        from adis_gonio.page.svg import require_matplotlib
-
-        require_matplotlib()
+    check_page(output)
     h = CUSUM_H if run_length is None else limit_for(run_length)
     with remembered(places, index_path, trace=trace) as (store, _):
         found = history_of(serial, sessions_of(store, serial), h=h)
     if output is not None:
-        _write(found, output)
+        from adis_gonio.fleet.memory.history_page import history_page
+
+        write_page(output, history_page(found))
     if as_json:
         print_json(found.as_dict())
     else:
         _show(found)
-
-
-def _write(found: History, output: Path) -> None:
-    from adis_gonio.base.output import replacing, write_utf8
-    from adis_gonio.fleet.memory.history_page import history_page
-
-    page = history_page(found)
-    with replacing(output) as beside:
-        size = write_utf8(beside, page)
-    click.echo(f"{output}: {size // 1024 + 1} kB", err=True)
 
 
 def _show(found: History) -> None:

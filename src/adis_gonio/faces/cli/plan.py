@@ -9,19 +9,15 @@ import click
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.output import ends_in
-from adis_gonio.faces.cli.overrides import fixture, gravity
-from adis_gonio.faces.cli.show import json_option, print_json
-from adis_gonio.faces.cli.working import working
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import print_json, working
 
 if TYPE_CHECKING:
     from adis_gonio.plan import Bench, BestPlan
 
 
 @click.command("plan")
-@click.option(
-    "--fixture", "fixture_deg", type=fixture, required=True, metavar="DEGREES",
-    help="Standard uncertainty of a stage angle, degrees.",
-)  # fmt: skip
+@option.fixture(required=True, metavar="DEGREES")
 @click.option(
     "--noise", "noise_mg", type=float, metavar="MG",
     help="White noise of a sample, mg rms, without the chip's filter (default: the part's figure).",
@@ -45,34 +41,22 @@ if TYPE_CHECKING:
     help="What the plan is to be best for (default: tell-apart with --beware, else angle).",
 )  # fmt: skip
 @click.option("--plan", "plan_name", metavar="NAME|FILE", help="Evaluate this plan, search for none.")
-@click.option(
-    "--check", type=int, default=0, show_default=True, help="With --plan: positions kept out of the fit."
-)
-@click.option(
-    "--grid", "grid_deg", type=float, default=5.0, show_default=True, help="Angles tried every so many °."
-)
-@click.option(
-    "--start", "start_deg", type=float, default=0.0, show_default=True,
+@option.shown("--check", type=int, default=0, help="With --plan: positions kept out of the fit.")
+@option.shown("--grid", "grid_deg", type=float, default=5.0, help="Angles tried every so many °.")
+@option.shown(
+    "--start", "start_deg", type=float, default=0.0,
     help="Angle of the part at the stage's zero, degrees, as far as it is known.",
 )  # fmt: skip
-@click.option(
-    "--dwell", "dwell_s", type=float, default=10.0, show_default=True, help="Length of a dwell in s."
-)
-@click.option(
-    "--settle", "settle_s", type=float, default=0.5, show_default=True, help="Wait after stillness, s."
-)
-@click.option("--rate", "rate_hz", type=float, help="Samples a second, 0.413 to 819.2 (default).")
-@click.option(
-    "--filter", "filter_m", type=int, default=2, show_default=True, help="Filter: 2^M taps twice."
-)
-@click.option("--gravity", "gravity_mps2", type=gravity, help="Local gravity in m/s² (default 9.80665).")
-@click.option("--sensor", default="adis16354", show_default=True, help="adis16354, adis16350 or adis16355.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Of the search.")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Plan file to make, for calibrate --plan FILE."
-)
+@option.dwell()
+@option.settle
+@option.rate
+@option.filter
+@option.gravity
+@option.shown("--sensor", default="adis16354", help="adis16354, adis16350 or adis16355.")
+@option.shown("--seed", type=int, default=1, help="Of the search.")
+@option.output("Plan file to make, for calibrate --plan FILE.")
 @click.option("--force", is_flag=True, help="Replace a plan file that is there.")
-@json_option
+@option.json
 def command(*, output: Path | None, force: bool, as_json: bool, **options: Any) -> None:
     """Say what a plan of positions will reach, see and tell apart, and find the best one.
 
@@ -112,38 +96,16 @@ def command(*, output: Path | None, force: bool, as_json: bool, **options: Any) 
         click.echo(f"next: adis-gonio calibrate URL --plan {output}{dwell} -o NAME.session")
 
 
-def _bench(
-    *,
-    fixture_deg: float,
-    noise_mg: float | None,
-    flicker_mg: float | None,
-    sensor: str,
-    start_deg: float,
-    gravity_mps2: float | None,
-    dwell_s: float,
-    settle_s: float,
-    rate_hz: float | None,
-    filter_m: int,
-    **_: Any,
-) -> Bench:
-    from adis_gonio.device.sensor.settings import smpl_prd_for
+def _bench(*, gravity_mps2: float | None, **options: Any) -> Bench:
     from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
     from adis_gonio.plan import Bench
-    from adis_gonio.record.settings import Settings
 
+    bench = ("fixture_deg", "sensor", "noise_mg", "flicker_mg", "start_deg")
+    measuring = ("dwell_s", "settle_s", "rate_hz", "filter_m")
     return Bench(
-        fixture_deg=fixture_deg,
-        sensor=sensor,
-        noise_mg=noise_mg,
-        flicker_mg=flicker_mg,
-        start_deg=start_deg,
+        **{name: options[name] for name in bench},
         gravity_mps2=STANDARD_GRAVITY_MPS2 if gravity_mps2 is None else gravity_mps2,
-        settings=Settings(
-            dwell_s=dwell_s,
-            settle_s=settle_s,
-            smpl_prd=1 if rate_hz is None else smpl_prd_for(rate_hz),
-            filter_m=filter_m,
-        ),
+        settings=option.measuring_settings(**{name: options[name] for name in measuring}),
     )
 
 

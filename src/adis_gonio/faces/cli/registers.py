@@ -12,7 +12,8 @@ import click
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor import REGISTERS, Adis16354, Register, open_sensor
 from adis_gonio.device.sensor.registers import Kind, register
-from adis_gonio.faces.cli.show import console, json_option, no_check_option, print_json, variant_option
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import console, print_json
 
 if TYPE_CHECKING:
     from adis_gonio.handover.offsets import WantedOffset
@@ -27,13 +28,15 @@ _UNITS = {"dps": "°/s", "degc": "°C", "c": "°C"}
 @click.argument("what", nargs=-1, metavar="[NAME | NAME=VALUE]...")
 @click.option("--fields", is_flag=True, help="Show the bit fields of control registers.")
 @click.option("--save", is_flag=True, help="Save to flash after writing (ENDURANCE goes up by one).")
-@click.option(
-    "--cal", "calibration_path", type=click.Path(path_type=Path), metavar="FILE",
+@option.file(
+    "--cal",
+    "calibration_path",
+    metavar="FILE",
     help="Show beside the offsets what this calibration (export, JSON) or session would write.",
-)  # fmt: skip
-@variant_option
-@no_check_option
-@json_option
+)
+@option.variant
+@option.no_check
+@option.json
 def command(
     *,
     url: str | None,
@@ -127,20 +130,13 @@ def _show(
     from rich.table import Table
 
     with_values = any(quantity is not None for _, quantity in rows)
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    table.add_column("register")
-    table.add_column("address")
     if with_values:
-        table.add_column("number", justify="right")
-        table.add_column("value", justify="right")
-        if beside:
-            table.add_column("by the calibration", justify="right")
+        columns = (">number", ">value", *([">by the calibration"] if beside else []))
     else:
-        table.add_column("bits", justify="right")
-        table.add_column("access")
-        table.add_column("default", justify="right")
-        table.add_column("flash")
-        table.add_column("confidence")
+        columns = (">bits", "access", ">default", "flash", "confidence")
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for name in ("register", "address", *columns):
+        table.add_column(name.lstrip(">"), justify="right" if name[0] == ">" else "left")
     table.add_column("meaning", overflow="fold")
     for row, quantity in rows:
         cells = [row.name, f"0x{row.address:02X}"]

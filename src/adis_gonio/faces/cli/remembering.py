@@ -2,40 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 import click
 
-from adis_gonio.faces.cli.working import working
+from adis_gonio.faces.cli.show import working
 
 if TYPE_CHECKING:
     from adis_gonio.fleet.record import SessionRecord
     from adis_gonio.fleet.run import Scan
     from adis_gonio.fleet.store import Store
-
-F = TypeVar("F", bound=Callable[..., Any])
-
-places_argument = click.argument(
-    "places", type=click.Path(path_type=Path, readable=False), nargs=-1, metavar="[DIR]..."
-)
-_INDEX = click.option(
-    "--index",
-    "index_path",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Where results are kept; by default adis-gonio.index in the first folder.",
-)
-_TRACE = click.option(
-    "--trace", is_flag=True, help="Look for effects too: seconds to half a minute a session, once."
-)
-
-
-def index_options(function: F) -> F:
-    """Add `--index` and `--trace`."""
-    return _INDEX(_TRACE(function))
 
 
 @contextmanager

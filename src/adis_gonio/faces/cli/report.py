@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from adis_gonio.base.counting import counted
-from adis_gonio.faces.cli.overrides import load, override_options
-from adis_gonio.faces.cli.working import working
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import check_page, working, write_page
 
 if TYPE_CHECKING:
     from adis_gonio.model import Session
@@ -19,21 +19,10 @@ if TYPE_CHECKING:
 
 
 @click.command("report")
-@click.argument("session", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    required=True,
-    help="Where to write the page; a page that is there is replaced.",
-)
-@click.option(
-    "--time-limit",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="SECONDS",
-    help="End the trace after so long with the best model so far.",
-)
-@override_options
+@option.session
+@option.output("Where to write the page; a page that is there is replaced.", required=True)
+@option.time_limit("End the trace after so long with the best model so far.")
+@option.overrides
 def command(*, session: Path, output: Path, time_limit: float | None, overrides: Overrides) -> None:
     """Write the calibration report: one HTML page that needs nothing else.
 
@@ -42,20 +31,15 @@ def command(*, session: Path, output: Path, time_limit: float | None, overrides:
     alone, so that an older page of the same name is replaced.
     """
     from adis_gonio.base.errors import UsageError
-    from adis_gonio.base.output import check_output, replacing, write_utf8
-    from adis_gonio.page.svg import require_matplotlib
 
     if output.exists() and session.exists() and output.samefile(session):
         raise UsageError(f"{output}: is the session itself; name another file for the page")
-    check_output(output, force=True)
-    require_matplotlib()
-    loaded = load(session, overrides)
+    check_page(output)
+    loaded = option.load(session, overrides)
     what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
     with working(f"report of {what} of {session.name}"):
         page = _page(loaded, time_limit)
-    with replacing(output) as beside:
-        size = write_utf8(beside, page)
-    click.echo(f"{output}: {size // 1024 + 1} kB", err=True)
+    write_page(output, page)
 
 
 def _page(session: Session, time_limit: float | None) -> str:

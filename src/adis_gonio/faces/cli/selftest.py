@@ -5,14 +5,15 @@ from __future__ import annotations
 import click
 
 from adis_gonio.device.sensor import open_sensor
-from adis_gonio.faces.cli.show import json_option, no_check_option, print_json, variant_option
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import print_json
 
 
 @click.command("selftest")
-@click.argument("url")
-@variant_option
-@no_check_option
-@json_option
+@option.url
+@option.variant
+@option.no_check
+@option.json
 def command(*, url: str, variant: str, no_check: bool, as_json: bool) -> int:
     """Run the sensor's internal self-test and say what STATUS reports.
 

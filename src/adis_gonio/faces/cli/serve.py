@@ -8,31 +8,25 @@ import click
 
 from adis_gonio.device.sensor import DEFAULT_SCAN, open_sensor
 from adis_gonio.device.sensor.registers import registers as rows_of
-from adis_gonio.faces.cli.show import no_check_option, variant_option
+from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.serve import PORT, IioServer, ServeSettings
 
 
 @click.command("serve")
-@click.argument("url")
-@click.option(
-    "--iio",
-    "port",
-    type=click.IntRange(0, 65535),
-    default=PORT,
-    show_default=True,
-    help="TCP port; 0 takes a free one.",
+@option.url
+@option.shown(
+    "--iio", "port", type=click.IntRange(0, 65535), default=PORT, help="TCP port; 0 takes a free one."
 )
-@click.option(
+@option.shown(
     "--listen",
     "host",
     default="127.0.0.1",
-    show_default=True,
     help="Address to listen on; 0.0.0.0 is every one of this machine.",
 )
 @click.option("--allow-writes", is_flag=True, help="Let clients write calibbias, rate and filter.")
 @click.option("--registers", "names", help="Registers to serve, separated by commas.", metavar="NAME,…")
-@variant_option
-@no_check_option
+@option.variant
+@option.no_check
 def command(
     *,
     url: str,

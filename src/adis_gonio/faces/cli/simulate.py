@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -13,30 +14,51 @@ import numpy as np
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import DataError, SessionError, UsageError
 from adis_gonio.base.output import ends_in
-from adis_gonio.faces.cli.working import working
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import working
+
+
+def _effects() -> None:
+    from adis_gonio.model.effects import catalogue
+
+    for name, effect in catalogue().items():
+        click.echo(f"{name:<24}{effect.cause}")
+
+
+def _settings() -> None:
+    from dataclasses import fields
+
+    from adis_gonio.sim.settings import WorldSettings
+
+    for entry in fields(WorldSettings):
+        default = "drawn from the seed" if entry.default is None else entry.default
+        click.echo(f"{entry.name:<32}{default}")
+
+
+def _list_option(name: str, show: Callable[[], None]) -> option.Option[Any]:
+    """Return an option that prints a list in place of the command."""
+
+    def listing(context: click.Context, option: click.Parameter, wanted: bool) -> None:
+        if wanted:
+            show()
+            context.exit()
+
+    return click.option(name, is_flag=True, expose_value=False, is_eager=True, callback=listing)
 
 
 @click.command("simulate")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True,
-    help="File to make: .csv or .csv.gz for samples without the truth, else a session file with it.",
-)  # fmt: skip
-@click.option(
-    "--plan",
-    "plan_name",
-    default="four-position",
-    show_default=True,
-    help="A plan by name, or a plan file.",
+@option.output(
+    "File to make: .csv or .csv.gz for samples without the truth, else a session file with it.",
+    required=True,
 )
-@click.option("--positions", type=int, help="Number of angles, where the plan leaves a choice.")
-@click.option(
-    "--check", type=int, default=0, show_default=True, help="Extra positions kept out of the fit."
-)
-@click.option(
-    "--order", type=click.Choice(["plan", "reverse", "shuffled"]), default="plan", show_default=True,
+@option.shown("--plan", "plan_name", default="four-position", help="A plan by name, or a plan file.")
+@option.positions
+@option.check
+@option.shown(
+    "--order", type=click.Choice(["plan", "reverse", "shuffled"]), default="plan",
     help="Order in which the positions are visited.",
 )  # fmt: skip
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of all that is random.")
+@option.shown("--seed", type=int, default=0, help="Seed of all that is random.")
 @click.option("--variant", default="adis16354", show_default=True)
 @click.option(
     "--effect", "effects", multiple=True, metavar="NAME[:PARAMETER=VALUE,…]",
@@ -46,32 +68,17 @@ from adis_gonio.faces.cli.working import working
     "--set", "settings", multiple=True, metavar="NAME=VALUE",
     help="A setting of the world, such as delta_k=0.01; may be repeated (--list-settings).",
 )  # fmt: skip
-@click.option(
-    "--dwell", "dwell_s", type=float, default=10.0, show_default=True, help="Length of a dwell in s."
-)
-@click.option("--rate", "rate_hz", type=float, help="Samples a second, 0.413 to 819.2 (default).")
-@click.option(
-    "--filter", "filter_m", type=int, default=2, show_default=True, help="Filter: 2^M taps twice."
-)
-@click.option("--title", default="", help="Title to keep with the session.")
-@click.option(
-    "--like", type=click.Path(path_type=Path), metavar="SESSION",
+@option.dwell()
+@option.rate
+@option.filter
+@option.title
+@option.file(
+    "--like",
+    metavar="SESSION",
     help="Be the digital twin of a session: its traced model, noise, positions and times; to .csv[.gz].",
-)  # fmt: skip
-@click.option(
-    "--list-effects",
-    is_flag=True,
-    expose_value=False,
-    is_eager=True,
-    callback=lambda c, p, v: _effects(c, v),
 )
-@click.option(
-    "--list-settings",
-    is_flag=True,
-    expose_value=False,
-    is_eager=True,
-    callback=lambda c, p, v: _settings(c, v),
-)
+@_list_option("--list-effects", _effects)
+@_list_option("--list-settings", _settings)
 def command(*, output: Path, **options: Any) -> None:
     """Record a session from the simulated sensor, with hidden parameters and effects by name.
 
@@ -80,12 +87,10 @@ def command(*, output: Path, **options: Any) -> None:
     from adis_gonio.base.output import check_output
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor import open_sensor
-    from adis_gonio.device.sensor.settings import smpl_prd_for
-    from adis_gonio.faces.cli.bench.plain import PlainBench
+    from adis_gonio.faces.cli.plain import PlainBench
     from adis_gonio.plan.document import plan_by
     from adis_gonio.record.export import export_csv
     from adis_gonio.record.loading import load_session
-    from adis_gonio.record.settings import Settings
     from adis_gonio.record.view import ArchiveView
 
     if output.exists():
@@ -94,11 +99,8 @@ def command(*, output: Path, **options: Any) -> None:
     if options["like"] is not None:
         _twin(options["like"], output, options["seed"])
         return
-    rate = options["rate_hz"]
-    settings = Settings(
-        dwell_s=options["dwell_s"],
-        smpl_prd=1 if rate is None else smpl_prd_for(rate),
-        filter_m=options["filter_m"],
+    settings = option.measuring_settings(
+        **{name: options[name] for name in ("dwell_s", "rate_hz", "filter_m")}
     )
     positions = plan_by(options["plan_name"], options["positions"], options["check"])
     positions = positions.ordered(options["order"], np.random.default_rng(options["seed"]))
@@ -166,24 +168,3 @@ def _url(*, seed: int, variant: str, effects: tuple[str, ...], settings: tuple[s
             raise UsageError(f"--set {text}: write NAME=VALUE, such as delta_k=0.01")
         pairs.append((name, value))
     return "sim:?" + "&".join(f"{name}={quote(value, safe=':=,;.')}" for name, value in pairs)
-
-
-def _effects(context: click.Context, wanted: bool) -> None:
-    if wanted:
-        from adis_gonio.model.effects import catalogue
-
-        for name, effect in catalogue().items():
-            click.echo(f"{name:<24}{effect.cause}")
-        context.exit()
-
-
-def _settings(context: click.Context, wanted: bool) -> None:
-    if wanted:
-        from dataclasses import fields
-
-        from adis_gonio.sim.settings import WorldSettings
-
-        for entry in fields(WorldSettings):
-            default = "drawn from the seed" if entry.default is None else entry.default
-            click.echo(f"{entry.name:<32}{default}")
-        context.exit()

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable
+import shutil
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,9 +19,8 @@ from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354, open_sensor
 from adis_gonio.device.sensor.registers import registers as rows_of
-from adis_gonio.faces.cli.columns import Columns, screen_width
+from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.interrupt import Interrupt
-from adis_gonio.faces.cli.show import no_check_option, poll_option, variant_option
 from adis_gonio.record.blocks import Block, count_alarms
 from adis_gonio.record.settings import Settings
 from adis_gonio.record.source import SampleStream, has_frames, open_source, refuse_chip_options
@@ -29,24 +30,22 @@ if TYPE_CHECKING:
 
 
 @click.command("stream")
-@click.argument("url")
+@option.url
 @click.option("--registers", "names", help="Registers to scan, separated by commas.", metavar="NAME,…")
-@click.option("--seconds", type=float, help="Stop after so long; without it, at Ctrl-C.")
-@click.option("--every", "every_s", type=float, default=0.2, show_default=True, help="Screen: s a line.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Record every scan to .csv[.gz].")
+@option.seconds
+@option.shown("--every", "every_s", type=float, default=0.2, help="Screen: s a line.")
+@option.output("Record every scan to .csv[.gz].")
 @click.option("--rate", "rate_hz", type=float, help="Samples a second (0.413 to 819.2).")
 @click.option("--filter", "filter_m", type=int, help="M of the filter: two boxcars of 2^M taps, 0 to 6.")
 @click.option("--range", "range_dps", type=int, help="Range of the gyros: 300, 150 or 75 °/s.")
-@click.option(
-    "--gravity", "gravity_mps2", type=float, default=9.80665, show_default=True, help="For the file."
-)
+@option.shown("--gravity", "gravity_mps2", type=float, default=9.80665, help="For the file.")
 @click.option(
     "--leave-registers", is_flag=True, help="Write nothing: data-ready is used only if it is enabled."
 )
-@poll_option
+@option.poll
 @click.option("--json", "as_json", is_flag=True, help="One JSON document with every scan, at the end.")
-@variant_option
-@no_check_option
+@option.variant
+@option.no_check
 def command(
     *,
     url: str,
@@ -90,7 +89,7 @@ def command(
             recorder = stack.enter_context(
                 SamplesRecorder(output, opened.part, gravity_mps2=gravity_mps2, title=f"stream {url}")
             )
-        show = _Show(max(1, round(every_s * opened.rate_hz)), recorder, lines=not as_json)
+        show = ShownStream(max(1, round(every_s * opened.rate_hz)), recorder, lines=not as_json)
         stack.callback(show.tell_the_sum)  # after a failure too: what came before it stands
         stream = stack.enter_context(opened.stream(min(show.scans_a_line, 1024)))
         click.echo(f"{url}: {opened.rate_hz:.4g} samples/s, {stream.how}", err=True)
@@ -158,7 +157,7 @@ def _opened(stack: contextlib.ExitStack, url: str, options: _Options) -> _Opened
     return _Opened(sensor.variant.name, sensor.configuration().sample_rate_hz, scans)
 
 
-class _Show:
+class ShownStream:
     """What is shown and recorded of a stream, with its sums."""
 
     def __init__(self, scans_a_line: int, recorder: SamplesRecorder | None, *, lines: bool) -> None:
@@ -231,6 +230,76 @@ class _Show:
     def tell_document(self) -> None:
         """Every scan as one JSON document."""
         _document(self._waiting, self._lost, self._dropped)
+
+
+_TIME = 9
+_MEANS_TIME = 7
+_FULL = 19
+_MEANS = 9
+
+
+def screen_width() -> int | None:
+    """Columns of the terminal that standard output is; None where it is none, and any width will do."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Which values a line shows, and how.
+
+    Attributes
+    ----------
+    heads : tuple of str
+        Lines that stand above the first one.
+    shown : int
+        Values from the left that find room.
+    cell, time_cell : int
+        Widths.
+    spread : bool
+        True where the standard deviation stands beside the mean.
+    note : str
+        What the screen was too narrow for; empty where it shows all.
+    """
+
+    heads: tuple[str, ...]
+    shown: int
+    cell: int
+    time_cell: int
+    spread: bool
+    note: str = ""
+
+    @classmethod
+    def fitting(cls, names: Sequence[str], units: Sequence[str], width: int | None) -> Columns:
+        """Columns for registers with their units; first the deviations give way, then the last values."""
+        short = [name.removesuffix("_OUT") for name in names]
+        units = [unit or "1" for unit in units]
+        if width is None or _TIME + _FULL * len(short) <= width:
+            pairs = zip(short, units, strict=True)
+            head = f"{'time/s':>{_TIME}}" + "".join(f"{f'{name}/{unit}':>{_FULL}}" for name, unit in pairs)
+            return cls((head,), len(short), _FULL, _TIME, spread=True)
+        cell = max([_MEANS, *(len(name) + 1 for name in short)])
+        room = max(1, (width - _MEANS_TIME) // cell)
+        left_out = short[room:]
+        heads = tuple(
+            f"{first:>{_MEANS_TIME}}" + "".join(f"{word:>{cell}}" for word in row[:room])
+            for first, row in (("time", short), ("s", units))
+        )
+        note = f"the screen has {width} columns: means only"
+        if left_out:
+            note += f", without {', '.join(left_out)} (choose with --registers)"
+        return cls(heads, min(room, len(short)), cell, _MEANS_TIME, spread=False, note=note)
+
+    def line(self, blocks: Sequence[Block], since_s: float) -> str:
+        """One line of blocks that are not empty; its time is that of their last scan."""
+        values = np.concatenate([block.values() for block in blocks])
+        time_s = float(blocks[-1].time_s[-1]) - since_s
+        cells = [
+            f"{mean:.2f} ± {sd:.2f}" if self.spread else f"{mean:.2f}"
+            for mean, sd in zip(values.mean(axis=0), values.std(axis=0), strict=True)
+        ]
+        return f"{time_s:{self.time_cell}.2f}" + "".join(
+            f"{cell:>{self.cell}}" for cell in cells[: self.shown]
+        )
 
 
 def _scans(

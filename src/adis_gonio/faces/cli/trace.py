@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from adis_gonio.base.counting import counted
-from adis_gonio.faces.cli.overrides import load, override_options, part_option
-from adis_gonio.faces.cli.show import WIDTH, console, json_option, print_json
-from adis_gonio.faces.cli.working import working
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import WIDTH, console, print_json, working
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,23 +22,16 @@ if TYPE_CHECKING:
 
 
 @click.command("trace")
-@click.argument("session", type=click.Path(path_type=Path))
-@click.option(
-    "--max-effects",
-    type=click.IntRange(0, 12),
-    default=6,
-    show_default=True,
-    help="Most effects that the model may take on.",
+@option.session
+@option.shown(
+    "--max-effects", type=click.IntRange(0, 12), default=6, help="Most effects that the model may take on."
 )
-@click.option(
-    "--time-limit",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="SECONDS",
-    help="End after so long with the best model so far; what was not validated is not called found.",
+@option.time_limit(
+    "End after so long with the best model so far; what was not validated is not called found."
 )
-@part_option
-@override_options
-@json_option
+@option.part()
+@option.overrides
+@option.json
 def command(
     *,
     session: Path,
@@ -56,7 +48,7 @@ def command(
     """
     from adis_gonio.tracing.trace import trace
 
-    loaded = load(session, overrides)
+    loaded = option.load(session, overrides)
     with working(f"tracing {counted(len(loaded.dwells), 'dwell')} of {session.name}"):
         result = trace(loaded, max_effects=max_effects, time_limit=time_limit, part=part)
     if as_json:

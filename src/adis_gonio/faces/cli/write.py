@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.faces.cli.show import console, json_option, no_check_option, print_json
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import console, print_json, table_of
 
 if TYPE_CHECKING:
     from adis_gonio.bench.writeback import OffsetWriter, WritePlan
 
 
 @click.command("write")
-@click.argument("session", type=click.Path(path_type=Path))
-@click.argument("url")
+@option.session
+@option.url
 @click.option("--save", is_flag=True, help="Save to flash when it is verified (ENDURANCE goes up by one).")
 @click.option("--undo", is_flag=True, help="Set the offsets back to what they were before the write.")
 @click.option("--status", is_flag=True, help="Only say what the sensor holds of what was written.")
@@ -27,9 +28,7 @@ if TYPE_CHECKING:
     "--at", "angle_deg", type=float, metavar="DEGREES",
     help="Angle at which the stage stands, as in the session; without it gravity's length is compared.",
 )  # fmt: skip
-@click.option(
-    "--dwell", "dwell_s", type=float, default=5.0, show_default=True, help="Length of a dwell in s."
-)
+@option.dwell(5.0)
 @click.option("--method", help="As fit's; without it the best that the session supports.")
 @click.option(
     "--gyros", is_flag=True,
@@ -41,8 +40,8 @@ if TYPE_CHECKING:
     "precise takes 30 s. It saves to flash by itself.",
 )  # fmt: skip
 @click.option("--even-if-inadequate", is_flag=True, help="Write although the fit is no sound base.")
-@no_check_option
-@json_option
+@option.no_check
+@option.json
 def command(
     *,
     session: Path,
@@ -178,25 +177,18 @@ def _prompt(question: str) -> str:
 
 def print_plan(plan: WritePlan) -> None:
     """Show a plan: a row an axis."""
-    from rich.table import Table
-
     from adis_gonio.bench.writeback.plan import UNITS
 
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for name in ("register", "now", "new", "moves the output", "bias now", "u", "bias after"):
-        table.add_column(name, justify="left" if name == "register" else "right")
+    head = ("register", "now", "new", "moves the output", "bias now", "u", "bias after")
+    rows = []
     for axis in plan.axes:
         unit, places = UNITS[axis.unit], 2 if axis.unit == "mg" else 3
-        table.add_row(
-            axis.register,
-            str(axis.now),
-            str(axis.new),
-            f"{axis.effect:+.{places}f} {unit}",
-            f"{axis.bias_now:+.{places}f} {unit}",
-            f"{axis.u:.2g} {unit}",
-            f"{axis.bias_after:+.{places}f} {unit}",
+        moved, bias, after = (
+            f"{value:+.{places}f} {unit}" for value in (axis.effect, axis.bias_now, axis.bias_after)
         )
-    console().print(table)
+        u = f"{axis.u:.2g} {unit}"
+        rows.append((axis.register, str(axis.now), str(axis.new), moved, bias, u, after))
+    console().print(table_of(head, rows))
     for axis in plan.axes:
         if axis.clipped:
             click.echo(

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import dataclass, fields
-from typing import ClassVar, Self
+from typing import ClassVar, Self, dataclass_transform
 
 import numpy as np
 
 from adis_gonio.base.errors import ProtocolError
 
 
-@dataclass(frozen=True)
+@dataclass_transform(frozen_default=True)
 class Body:
     """A packet's body: fixed fields, then perhaps a tail of words or of text.
+
+    A subclass is a frozen dataclass; it names its packet type, layout and tail as it is declared.
 
     Attributes
     ----------
@@ -32,9 +35,14 @@ class Body:
     COUNTS: ClassVar[tuple[int, ...]]
     TAIL: ClassVar[str]
 
+    def __init_subclass__(cls, *, type: int, layout: str = "", tail: str = "") -> None:
+        cls.TYPE, cls.LAYOUT, cls.TAIL = type, struct.Struct(f"<{layout}"), tail
+        cls.COUNTS = tuple(int(count or 1) for count in re.findall(r"(\d*)[BHI]", layout))
+        dataclass(frozen=True)(cls)
+
     def pack(self) -> bytes:
         """Bytes of the body."""
-        values = [getattr(self, field.name) for field in fields(self)]
+        values = [getattr(self, field.name) for field in fields(self)]  # type: ignore[arg-type]
         tail = b""
         if self.TAIL == "words":
             tail = np.asarray(values.pop(), "<u2").tobytes()

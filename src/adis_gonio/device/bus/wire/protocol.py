@@ -5,10 +5,7 @@ Generated from firmware_proto/protocol.toml by scripts/generate_protocol.py; do 
 
 from __future__ import annotations
 
-import struct
-from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar
 
 from adis_gonio.device.bus.contract import Words
 from adis_gonio.device.bus.wire.body import Body
@@ -115,14 +112,8 @@ REFUSAL_TEXT = {
 }
 
 
-@dataclass(frozen=True)
-class HelloRequest(Body):
+class HelloRequest(Body, type=PacketType.HELLO_REQUEST, layout="BI"):
     """Opens a session: stops a stream, sets the default timing, forgets the ids used before."""
-
-    TYPE: ClassVar[PacketType] = PacketType.HELLO_REQUEST
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BI")
-    COUNTS: ClassVar[tuple[int, ...]] = (1, 1)
-    TAIL: ClassVar[str] = ""
 
     protocol: int
     """Version that the host speaks."""
@@ -130,14 +121,8 @@ class HelloRequest(Body):
     """Drawn anew by the host for every session."""
 
 
-@dataclass(frozen=True)
-class HelloReply(Body):
+class HelloReply(Body, type=PacketType.HELLO_REPLY, layout="BBBBHBBBHII6I", tail="text"):
     """Answers hello."""
-
-    TYPE: ClassVar[PacketType] = PacketType.HELLO_REPLY
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBBHBBBHII6I")
-    COUNTS: ClassVar[tuple[int, ...]] = (1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 6)
-    TAIL: ClassVar[str] = "text"
 
     protocol: int
     """Version that the firmware speaks."""
@@ -167,14 +152,8 @@ class HelloReply(Body):
     """Board, a blank, serial number; without the blank where it has none."""
 
 
-@dataclass(frozen=True)
-class ConfigureRequest(Body):
+class ConfigureRequest(Body, type=PacketType.CONFIGURE_REQUEST, layout="IHH"):
     """Sets the SPI timing. The fastest clock not above clock_hz is taken; none is bad_value."""
-
-    TYPE: ClassVar[PacketType] = PacketType.CONFIGURE_REQUEST
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IHH")
-    COUNTS: ClassVar[tuple[int, ...]] = (1, 1, 1)
-    TAIL: ClassVar[str] = ""
 
     clock_hz: int
     """Highest clock."""
@@ -184,14 +163,8 @@ class ConfigureRequest(Body):
     """Least time from frame start to frame start."""
 
 
-@dataclass(frozen=True)
-class ConfigureReply(Body):
+class ConfigureReply(Body, type=PacketType.CONFIGURE_REPLY, layout="IHH"):
     """Answers configure."""
-
-    TYPE: ClassVar[PacketType] = PacketType.CONFIGURE_REPLY
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IHH")
-    COUNTS: ClassVar[tuple[int, ...]] = (1, 1, 1)
-    TAIL: ClassVar[str] = ""
 
     clock_hz: int
     """Clock in force."""
@@ -201,14 +174,8 @@ class ConfigureReply(Body):
     """Period in force."""
 
 
-@dataclass(frozen=True)
-class ExchangeRequest(Body):
+class ExchangeRequest(Body, type=PacketType.EXCHANGE_REQUEST, layout="B", tail="words"):
     """Sends frames; the reply holds as many words. Refused whole or executed whole."""
-
-    TYPE: ClassVar[PacketType] = PacketType.EXCHANGE_REQUEST
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<B")
-    COUNTS: ClassVar[tuple[int, ...]] = (1,)
-    TAIL: ClassVar[str] = "words"
 
     writes: int
     """How many of the frames have the write bit."""
@@ -216,27 +183,15 @@ class ExchangeRequest(Body):
     """1 to max_frames frames."""
 
 
-@dataclass(frozen=True)
-class ExchangeReply(Body):
+class ExchangeReply(Body, type=PacketType.EXCHANGE_REPLY, tail="words"):
     """Answers exchange."""
-
-    TYPE: ClassVar[PacketType] = PacketType.EXCHANGE_REPLY
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
-    COUNTS: ClassVar[tuple[int, ...]] = ()
-    TAIL: ClassVar[str] = "words"
 
     words: Words
     """Word shifted out during each frame."""
 
 
-@dataclass(frozen=True)
-class StreamRequest(Body):
+class StreamRequest(Body, type=PacketType.STREAM_REQUEST, layout="BBHI", tail="words"):
     """Starts a stream; its packets carry this request's id."""
-
-    TYPE: ClassVar[PacketType] = PacketType.STREAM_REQUEST
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHI")
-    COUNTS: ClassVar[tuple[int, ...]] = (1, 1, 1, 1)
-    TAIL: ClassVar[str] = "words"
 
     trigger: int
     """Code of [triggers]."""
@@ -250,37 +205,19 @@ class StreamRequest(Body):
     """1 to max_list read frames."""
 
 
-@dataclass(frozen=True)
-class StreamReply(Body):
+class StreamReply(Body, type=PacketType.STREAM_REPLY, layout="I"):
     """Answers stream."""
-
-    TYPE: ClassVar[PacketType] = PacketType.STREAM_REPLY
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<I")
-    COUNTS: ClassVar[tuple[int, ...]] = (1,)
-    TAIL: ClassVar[str] = ""
 
     now_us: int
     """Firmware's clock at the start."""
 
 
-@dataclass(frozen=True)
-class StopRequest(Body):
+class StopRequest(Body, type=PacketType.STOP_REQUEST):
     """Ends the stream, whose last scans come before the reply; without one, the last totals."""
 
-    TYPE: ClassVar[PacketType] = PacketType.STOP_REQUEST
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
-    COUNTS: ClassVar[tuple[int, ...]] = ()
-    TAIL: ClassVar[str] = ""
 
-
-@dataclass(frozen=True)
-class StopReply(Body):
+class StopReply(Body, type=PacketType.STOP_REPLY, layout="II"):
     """Answers stop."""
-
-    TYPE: ClassVar[PacketType] = PacketType.STOP_REPLY
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<II")
-    COUNTS: ClassVar[tuple[int, ...]] = (1, 1)
-    TAIL: ClassVar[str] = ""
 
     scans: int
     """Scans sent in all."""
@@ -288,50 +225,26 @@ class StopReply(Body):
     """Triggers that gave no scan."""
 
 
-@dataclass(frozen=True)
-class ResetRequest(Body):
+class ResetRequest(Body, type=PacketType.RESET_REQUEST, layout="H"):
     """Pulls the chip's RST line low; the host waits for the start-up."""
-
-    TYPE: ClassVar[PacketType] = PacketType.RESET_REQUEST
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<H")
-    COUNTS: ClassVar[tuple[int, ...]] = (1,)
-    TAIL: ClassVar[str] = ""
 
     low_us: int
     """Time low, 10 to 50000."""
 
 
-@dataclass(frozen=True)
-class ResetReply(Body):
+class ResetReply(Body, type=PacketType.RESET_REPLY, layout="I"):
     """Answers reset."""
-
-    TYPE: ClassVar[PacketType] = PacketType.RESET_REPLY
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<I")
-    COUNTS: ClassVar[tuple[int, ...]] = (1,)
-    TAIL: ClassVar[str] = ""
 
     now_us: int
     """Firmware's clock at the release."""
 
 
-@dataclass(frozen=True)
-class StatisticsRequest(Body):
+class StatisticsRequest(Body, type=PacketType.STATISTICS_REQUEST):
     """Counters since power-on; they wrap and are never set back, so reading them changes nothing."""
 
-    TYPE: ClassVar[PacketType] = PacketType.STATISTICS_REQUEST
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
-    COUNTS: ClassVar[tuple[int, ...]] = ()
-    TAIL: ClassVar[str] = ""
 
-
-@dataclass(frozen=True)
-class StatisticsReply(Body):
+class StatisticsReply(Body, type=PacketType.STATISTICS_REPLY, layout="IIIIHHHHHHH"):
     """Answers statistics."""
-
-    TYPE: ClassVar[PacketType] = PacketType.STATISTICS_REPLY
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IIIIHHHHHHH")
-    COUNTS: ClassVar[tuple[int, ...]] = (1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1)
-    TAIL: ClassVar[str] = ""
 
     now_us: int
     """Firmware's clock, wraps."""
@@ -357,14 +270,8 @@ class StatisticsReply(Body):
     """Bytes lost in the receiver."""
 
 
-@dataclass(frozen=True)
-class Scans(Body):
+class Scans(Body, type=PacketType.SCANS, layout="IHII", tail="words"):
     """Scans of consecutive triggers of the stream whose request had this id."""
-
-    TYPE: ClassVar[PacketType] = PacketType.SCANS
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IHII")
-    COUNTS: ClassVar[tuple[int, ...]] = (1, 1, 1, 1)
-    TAIL: ClassVar[str] = "words"
 
     sequence: int
     """Scans sent in this stream before the first one here, wraps."""
@@ -378,14 +285,8 @@ class Scans(Body):
     """Reply to each frame of the list, scan by scan."""
 
 
-@dataclass(frozen=True)
-class Error(Body):
+class Error(Body, type=PacketType.ERROR, layout="BBH"):
     """Reply to a refused request: nothing was executed."""
-
-    TYPE: ClassVar[PacketType] = PacketType.ERROR
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBH")
-    COUNTS: ClassVar[tuple[int, ...]] = (1, 1, 1)
-    TAIL: ClassVar[str] = ""
 
     request: int
     """The request's type."""
