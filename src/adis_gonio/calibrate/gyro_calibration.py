@@ -448,11 +448,6 @@ def kind_of(name: str) -> str | None:
     return match["kind"]
 
 
-def nominal_of(name: str) -> float:
-    """Value of a parameter that is not determined."""
-    return 1.0 if kind_of(name) == "gyro_scale" else 0.0
-
-
 def _order(name: str) -> tuple[int, str]:
     kind = kind_of(name)
     return list(_KINDS).index(kind or ""), name

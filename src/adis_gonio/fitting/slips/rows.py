@@ -267,11 +267,6 @@ def _turns(angles: Angles) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
     )
 
 
-def _halts(angles: Angles) -> dict[int, Halts]:
-    known = () if angles.turns is None else angles.turns.halts
-    return {dwell: halts for dwell, halts in enumerate(known, 1) if halts is not None}
-
-
 def _beside(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
     """Effects of the catalogue: columns on readings (n, 2, q) in mg and on ψ (n, r), sizes (q + r,)."""
     conditions = _by_gravity(angles.conditions, near, angles)
@@ -306,6 +301,3 @@ def _by_gravity(conditions: Conditions, near: _Local, angles: Angles) -> Conditi
     stands = zero - near.psi_rad
     before = np.concatenate([stands[:1], stands[:-1]])
     return replace(conditions, angle_rad=stands, previous_angle_rad=before)
-
-
-__all__ = ["BASE", "BelievedParameters", "Rows", "calibrated_by_length", "common_zero", "rows_at"]
