@@ -37,6 +37,31 @@ def lines_of(entries: Entries) -> list[str]:
     return [f"  {name}: {with_u(one['value'], one['u'], one['unit'])}" for name, one in entries]
 
 
+class ParameterTable:
+    """Base of results that show their parameters as a table in notebooks and as a data frame."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON document."""
+        raise NotImplementedError
+
+    @property
+    def _title(self) -> str:
+        return repr(self)
+
+    @property
+    def _entries(self) -> Entries:
+        entries: Entries = self.as_dict()["parameters"].items()
+        return entries
+
+    def _repr_html_(self) -> str:
+        """The parameters as a table, for notebooks."""
+        return html_table(self._title, self._entries)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Parameters by name as a data frame: value, u, unit and what else is stated (extra: pandas)."""
+        return parameter_frame(self._entries)
+
+
 def html_table(title: str, entries: Entries) -> str:
     """Parameters of a document as a plain table with its title, for notebooks; everything escaped."""
     rows = [{"parameter": name, **one} for name, one in entries]

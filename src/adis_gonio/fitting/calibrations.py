@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from adis_gonio.base.errors import FitError, SessionError, UsageError
-from adis_gonio.calibrate.calibration import Calibration, Coefficient
+from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.coefficients import Coefficient
 from adis_gonio.fitting.result import Estimate, FitResult
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.measurement import FreeAttitude, PlanarTurn
@@ -53,16 +54,7 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
     given = [one.name for one in result.parameters]
     rows = [given.index("delta_k" if name not in given else name) for name in names]
     matrix = None if result.covariance is None else result.covariance[np.ix_(rows, rows)]
-    parameters = tuple(
-        Coefficient(
-            name,
-            estimates[name].value,
-            estimates[name].u,
-            estimates[name].unit,
-            getattr(estimates[name], "dof", None),
-        )
-        for name in names
-    )
+    parameters = tuple(Coefficient.of(name, estimates[name]) for name in names)
     assumed = assumed_parameters(model, names)
     counts = (
         tuple(estimates[f"scale_{axis}"].value / MG_PER_MPS2 for axis in AXES[: model.axes])

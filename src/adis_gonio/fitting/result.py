@@ -12,14 +12,12 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.counting import counted
 from adis_gonio.base.intervals import factor_over
-from adis_gonio.base.showing import html_table, parameter_frame, with_u
+from adis_gonio.base.showing import ParameterTable, with_u
 from adis_gonio.base.values import Value
 from adis_gonio.fitting.slips.finding import listed
 from adis_gonio.record.provenance import Provenance
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from adis_gonio.calibrate import Calibration
     from adis_gonio.fitting.determination import Determination
     from adis_gonio.fitting.estimation.fit import Fit
@@ -91,7 +89,7 @@ class Origin:
 
 
 @dataclass(frozen=True)
-class FitResult:
+class FitResult(ParameterTable):
     """Parameters of a session with covariance.
 
     Attributes
@@ -269,13 +267,9 @@ class FitResult:
     def __str__(self) -> str:
         return self.summary()
 
-    def _repr_html_(self) -> str:
-        """The parameters as a table, for notebooks."""
-        return html_table(f"fit by method {self.method}", self.as_dict()["parameters"].items())
-
-    def to_pandas(self) -> DataFrame:
-        """Parameters by name as a data frame: value, u, dof, k, U and unit (extra: pandas)."""
-        return parameter_frame(self.as_dict()["parameters"].items())
+    @property
+    def _title(self) -> str:
+        return f"fit by method {self.method}"
 
     def as_dict(self) -> dict[str, Any]:
         """JSON document of `fit`."""

@@ -11,7 +11,8 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, FitError, SessionError
-from adis_gonio.calibrate.calibration import Calibration, Coefficient, EffectTerm, NotCorrected
+from adis_gonio.calibrate.calibration import Calibration, EffectTerm
+from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting.calibrations import as_written, assumed_parameters, known_provenance
 from adis_gonio.fitting.estimation.fit import Fit

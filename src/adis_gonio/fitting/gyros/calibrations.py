@@ -11,7 +11,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import SessionError
-from adis_gonio.calibrate.calibration import NotCorrected
+from adis_gonio.calibrate.coefficients import NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.record.provenance import Provenance

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.showing import html_table, parameter_frame, with_u
+from adis_gonio.base.showing import ParameterTable, with_u
 from adis_gonio.base.values import Value
 from adis_gonio.fitting.estimation.fit import Fit, Values, adequacy
 from adis_gonio.fitting.estimation.parts import GYRO, readings_of_part
@@ -34,8 +34,6 @@ from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import Provenance, provenance_of
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from adis_gonio.calibrate.calibration import Calibration
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
@@ -82,7 +80,7 @@ class GyroScore:
 
 
 @dataclass(frozen=True)
-class GyroFit:
+class GyroFit(ParameterTable):
     """Parameters of the gyros with covariance.
 
     Attributes
@@ -174,13 +172,9 @@ class GyroFit:
 
         return calibration_of_gyro_fit(self)
 
-    def _repr_html_(self) -> str:
-        """The parameters as a table, for notebooks."""
-        return html_table(f"fit by method {self.method}", self.as_dict()["parameters"].items())
-
-    def to_pandas(self) -> DataFrame:
-        """Parameters by name as a data frame: value, u, dof, k, U and unit (extra: pandas)."""
-        return parameter_frame(self.as_dict()["parameters"].items())
+    @property
+    def _title(self) -> str:
+        return f"fit by method {self.method}"
 
     def as_dict(self) -> dict[str, Any]:
         """JSON document of `fit --sensor-part gyro`."""

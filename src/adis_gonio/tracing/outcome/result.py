@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from adis_gonio.base.budget import Budget
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.showing import html_table, lines_of, parameter_frame
+from adis_gonio.base.showing import ParameterTable, lines_of
 from adis_gonio.base.values import Detectable, Value, finite_or_none
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.parts import ACCELEROMETER, GYRO
@@ -19,8 +19,6 @@ from adis_gonio.tracing.outcome.sets import CredibleSet
 from adis_gonio.tracing.within.finding import WithinFinding
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from adis_gonio.calibrate import Calibration, GyroCalibration
 
 
@@ -280,7 +278,7 @@ class Rival:
 
 
 @dataclass(frozen=True)
-class TraceResult:
+class TraceResult(ParameterTable):
     """The trace of a session.
 
     Attributes
@@ -431,16 +429,12 @@ class TraceResult:
         return [(name, one.as_dict()) for found in self.found for name, one in found.parameters.items()]
 
     @property
-    def _parameters(self) -> list[tuple[str, dict[str, Any]]]:
+    def _title(self) -> str:
+        return self.summary()
+
+    @property
+    def _entries(self) -> list[tuple[str, dict[str, Any]]]:
         return [*((name, value.as_dict()) for name, value in self.base.items()), *self._of_effects]
-
-    def _repr_html_(self) -> str:
-        """Base parameters and those of the effects found as a table, for notebooks."""
-        return html_table(self.summary(), self._parameters)
-
-    def to_pandas(self) -> DataFrame:
-        """The same as a data frame with the columns value, u, dof, k, U and unit (extra: pandas)."""
-        return parameter_frame(self._parameters)
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `trace`."""
