@@ -17,19 +17,6 @@ from adis_gonio.record.provenance import Provenance
 from adis_gonio.record.write_journal import INTERRUPTED
 
 
-def calibration_of_fit(result: FitResult) -> Calibration:
-    """Return the calibration by a fit, for the offsets that the sensor holds now.
-
-    Raises
-    ------
-    UsageError, FitError
-        As `calibration_as_recorded`.
-    SessionError
-        A write of offsets to the sensor was interrupted.
-    """
-    return as_written(calibration_as_recorded(result))
-
-
 def calibration_as_recorded(result: FitResult) -> Calibration:
     """Return the calibration by a fit, for the offsets in force while its session was recorded.
 

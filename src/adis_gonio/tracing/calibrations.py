@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import PurePath
@@ -21,9 +20,9 @@ from adis_gonio.fitting.gyros.calibrations import (
     GyroEstimates,
     estimates_of_gyro_fit,
     gyro_as_written,
-    gyro_calibration_as_it_is,
     make_gyro_calibration,
 )
+from adis_gonio.fitting.gyros.fit import fit_gyro, stated_parameters
 from adis_gonio.model.effects import AXES, effect
 from adis_gonio.model.measurement import BaseParameter
 from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Session
@@ -326,50 +325,20 @@ def _gyro_stated(
     fit: Fit, kept: Sequence[NamedTerm], inflation: float
 ) -> tuple[tuple[Coefficient, ...], Floats]:
     """Parameters with gains K and misalignments of D, and their covariance."""
-    names, units, places = [], [], []
-    for k, parameter in enumerate(fit.data.model.parameters):
-        names.append(parameter.name)
-        units.append(parameter.unit)
-        places.append(k)
+    parameters = list(fit.data.model.parameters)
+    units = [one.unit for one in parameters]
+    names, places = [one.name for one in parameters], list(range(len(parameters)))
     for term in kept:
         start = fit.slice_of(fit.terms.index(term)).start
         for k, one in enumerate(term.effect.parameters):
             names.append(one.name)
             units.append(one.unit)
             places.append(start + k)
-    own = fit.values.parameters[places]
-    step = 1e-6
-    unit = np.eye(len(own)) * step
-    slope = np.stack(
-        [(_gains(names, own + row) - _gains(names, own - row)) / (2 * step) for row in unit], axis=1
-    )
-    matrix = slope @ fit.covariance[np.ix_(places, places)] @ slope.T * inflation
-    stated = [name.replace("gyro_scale_error", "gyro_scale") for name in names]
+    covariance = fit.covariance[np.ix_(places, places)]
+    stated, values, matrix = stated_parameters(names, fit.values.parameters[places], covariance)
+    matrix = matrix * inflation
     sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    return tuple(
-        Coefficient(name, float(value), float(u), u_of)
-        for name, value, u, u_of in zip(stated, _gains(names, own), sizes, units, strict=True)
-    ), np.asarray(matrix)
-
-
-def _gains(names: Sequence[str], values: Floats) -> Floats:
-    """The same with what effects add to a perfect gyro turned into its gain and its misalignments.
-
-    A gyro that adds e Ω_i + Σ sin m_p Ω_p − (1 − c) Ω_i to Ω_i, c² = 1 − Σ sin² m_p, has the row
-    (c + e, sin m_p, …) of K D, whose length is K.
-    """
-    out = np.array(values, dtype=float)
-    for axis in AXES:
-        angles = [k for k, name in enumerate(names) if name.startswith(f"gyro_misalignment_{axis}")]
-        sines = np.sin(np.radians(out[angles]))
-        along = math.sqrt(max(1 - float(sines @ sines), 0.0))
-        scale = f"gyro_scale_error_{axis}"
-        if scale not in names:
-            continue
-        gain = math.hypot(along + float(out[names.index(scale)]), *sines)
-        out[names.index(scale)] = gain
-        out[angles] = np.degrees(np.arcsin(sines / gain))
-    return out
+    return tuple(map(Coefficient, stated, values.tolist(), sizes.tolist(), units)), matrix
 
 
 def with_gyros(calibration: Calibration, session: Session, *, traced: bool = False) -> Calibration:
@@ -424,19 +393,6 @@ def gyros_as_recorded(session: Session, *, traced: bool = False) -> GyroCalibrat
     return make_gyro_calibration(gyro_estimates_of(session, traced=traced), provenance_of(session))
 
 
-def calibration_of_gyro_trace(result: TraceResult) -> GyroCalibration:
-    """Calibration by the final model of a trace of the gyros, for the part as it is.
-
-    Raises
-    ------
-    FitError
-        The trace was not finished, or a zero rate is not determined.
-    SessionError
-        As `gyro_calibration_of`.
-    """
-    return gyro_calibration_as_it_is(estimates_of_gyro_trace(result), result.provenance)
-
-
 def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimates:
     """Parameters of a session's gyros by name.
 
@@ -449,6 +405,4 @@ def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimate
         from adis_gonio.tracing.trace import trace
 
         return estimates_of_gyro_trace(trace(session, part="gyro"))
-    from adis_gonio.fitting.gyros.fit import fit_gyro
-
     return estimates_of_gyro_fit(fit_gyro(session))

@@ -60,19 +60,6 @@ def estimates_of_gyro_fit(result: GyroFit) -> GyroEstimates:
     )
 
 
-def calibration_of_gyro_fit(result: GyroFit) -> GyroCalibration:
-    """Calibration by a fit of the gyros, for the part as it is.
-
-    Raises
-    ------
-    FitError
-        A zero rate is not determined.
-    SessionError
-        As `gyro_calibration_of`.
-    """
-    return gyro_calibration_as_it_is(estimates_of_gyro_fit(result), result.provenance)
-
-
 def gyro_calibration_as_it_is(found: GyroEstimates, where: Provenance | None) -> GyroCalibration:
     """Return the calibration for the offsets that the sensor holds now; see `gyro_as_written`."""
     made = make_gyro_calibration(found, where)

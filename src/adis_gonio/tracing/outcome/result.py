@@ -381,9 +381,10 @@ class TraceResult(ParameterTable):
             A write of offsets to the sensor was interrupted.
         """
         if self.part == GYRO:
-            from adis_gonio.tracing.calibrations import calibration_of_gyro_trace
+            from adis_gonio.fitting.gyros.calibrations import gyro_calibration_as_it_is
+            from adis_gonio.tracing.calibrations import estimates_of_gyro_trace
 
-            return calibration_of_gyro_trace(self)
+            return gyro_calibration_as_it_is(estimates_of_gyro_trace(self), self.provenance)
         if self.part != ACCELEROMETER:
             raise FitError(f"no calibration is made of a trace of the part {self.part}")
         from adis_gonio.tracing.calibrations import calibration_of_trace
