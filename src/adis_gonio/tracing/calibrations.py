@@ -23,56 +23,16 @@ from adis_gonio.fitting.gyros.calibrations import (
     make_gyro_calibration,
 )
 from adis_gonio.fitting.gyros.fit import fit_gyro, stated_parameters
-from adis_gonio.model.effects import AXES, effect
+from adis_gonio.model.effects import AXES, catalogue, effect
 from adis_gonio.model.measurement import BaseParameter
 from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Session
 from adis_gonio.record.provenance import provenance_of
 from adis_gonio.tracing.outcome.clock import clock_at_middle, follows_clock, middle_s
 from adis_gonio.tracing.outcome.result import TraceResult
 
-CORRECTABLE = frozenset(
-    {
-        "scale", "misalignment", "cross_axis", "quadratic", "cubic", "asymmetry", "cross_quadratic",
-        "bias_temperature", "scale_temperature", "misalignment_temperature", "supply_bias", "supply_scale",
-    }
-)  # fmt: skip
-"""Effects that are functions of the reading, the temperature and the supply: a goniometer knows these."""
-
 _CLOCK = "follows the clock of the session, which no later reading shares"
-_STAGE = "belongs to the stage, not to the sensor"
-_MEMORY = "depends on what was before the reading, which a single reading does not show"
-_DWELL = "belongs to a dwell of the session"
-_REASONS = {
-    "scale_drift": "follows the clock of the session; the gain is that of its start",
-    "warm_up": "follows the clock of the session; the bias is that of the warm part",
-    "thermal_lag": _MEMORY,
-    "creep": _MEMORY,
-    "hysteresis": _MEMORY,
-    "stage_eccentricity": _STAGE,
-    "stage_ellipticity": _STAGE,
-    "stage_periodic": _STAGE,
-    "backlash": _STAGE,
-    "axis_tilt": _STAGE,
-    "gravity": "belongs to the place: state its gravity; no angle depends on it",
-    "position_slip": _DWELL,
-    "outlier_dwell": _DWELL,
-    "noise_change": _DWELL,
-    "vibration_rectification": "follows the variance of many samples, which a single reading does not show",
-}
 _UNKNOWN = "is not known to be a function of the reading, the temperature or the supply"
 _NAMELESS = "has no name, so that nobody knows whether it belongs to the sensor"
-GYRO_CORRECTABLE = frozenset(
-    {
-        "g_sensitivity", "g2_sensitivity", "gyro_scale", "gyro_misalignment", "gyro_bias_temperature",
-        "gyro_scale_temperature", "gyro_supply",
-    }
-)  # fmt: skip
-"""Effects that are functions of the rate, the force, the temperature or the supply."""
-_GYRO_REASONS = {
-    "gyro_drift": "follows the clock of the session; the zero rate is that of its start",
-    "gyro_warm_up": "follows the clock of the session; the zero rate is that of the warm part",
-    "gyro_asymmetry": "differs between the two senses of turning, which no gain corrects",
-}
 _GYRO_NAMELESS = "has no name, so that nobody knows whether it belongs to the gyros"
 _GYRO_UNKNOWN = "is not known to be a function of the rate, the force, the temperature or the supply"
 
@@ -105,7 +65,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     standing = [
         term
         for term in final.terms
-        if isinstance(term, NamedTerm) and term.name in CORRECTABLE and _stands(term, result)
+        if isinstance(term, NamedTerm) and term.effect.correctable and _stands(term, result)
     ]
     others = [term for term in final.terms if term not in standing and term.name != "bias"]
     left = [_left_out(term, result, middle_s(final)) for term in others]
@@ -268,25 +228,24 @@ def _stands(term: NamedTerm, result: TraceResult) -> bool:
     if term.name in {finding.effect for finding in result.found}:
         return True
     rivals = {name for names in result.confounded if term.name in names for name in names}
-    return bool(rivals) and rivals <= CORRECTABLE | {"bias"}
+    known = catalogue()
+    correctable = {name for name, kind in known.items() if kind.correctable or name == "bias"}
+    return bool(rivals) and rivals <= correctable
 
 
 def _left_out(term: Term, result: TraceResult, at_s: float) -> NotCorrected:
-    name = term.name
     if follows_clock(term):
-        why = _CLOCK if name is not None else _NAMELESS
+        why = _CLOCK if term.name is not None else _NAMELESS
         of = "the start angle is that" if term.enters_angle else "bias and gain are those"
         return NotCorrected(
             term.shown_as, f"{why}; {of} of the session's middle, {at_s:.4g} s after its start"
         )
-    if name is None:
-        return NotCorrected(term.shown_as, _NAMELESS)
-    if name in CORRECTABLE:
+    if isinstance(term, NamedTerm) and term.effect.correctable:
         why = result.reasons.get(
-            name, "the session cannot tell it from an effect that is none of the sensor"
+            term.effect.name, "the session cannot tell it from an effect that is none of the sensor"
         )
-        return NotCorrected(name, f"did not stand as a finding: {why}")
-    return NotCorrected(name, _REASONS.get(name, _UNKNOWN))
+        return NotCorrected(term.effect.name, f"did not stand as a finding: {why}")
+    return _not_corrected(term, _NAMELESS, _UNKNOWN)
 
 
 def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
@@ -300,8 +259,8 @@ def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
     if not result.fits or (result.stopped is not None and not result.stopped.checked):
         raise FitError("the time limit ended the trace before its model was checked: trace with more time")
     final = result.fits[-1]
-    kept = [term for term in final.terms if isinstance(term, NamedTerm) and term.name in GYRO_CORRECTABLE]
-    left = [_gyro_left_out(term) for term in final.terms if term not in kept]
+    kept = [term for term in final.terms if isinstance(term, NamedTerm) and term.effect.correctable]
+    left = [_not_corrected(one, _GYRO_NAMELESS, _GYRO_UNKNOWN) for one in final.terms if one not in kept]
     if result.unnamed is not None and all(term.name is not None for term in final.terms):
         left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _GYRO_NAMELESS))
     doubts = () if result.adequacy != "not adequate" else ("the gyros' trace found its model not adequate",)
@@ -315,10 +274,10 @@ def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
     )
 
 
-def _gyro_left_out(term: Term) -> NotCorrected:
-    if term.name is None:
-        return NotCorrected(term.shown_as, _GYRO_NAMELESS)
-    return NotCorrected(term.name, _GYRO_REASONS.get(term.name, _GYRO_UNKNOWN))
+def _not_corrected(term: Term, nameless: str, unknown: str) -> NotCorrected:
+    if not isinstance(term, NamedTerm):
+        return NotCorrected(term.shown_as, nameless)
+    return NotCorrected(term.effect.name, term.effect.not_corrected or unknown)
 
 
 def _gyro_stated(

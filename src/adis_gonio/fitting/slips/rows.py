@@ -38,10 +38,8 @@ TYPICAL = 3.0
 """Standard deviation of an effect that may be there, in the magnitudes that the catalogue calls typical."""
 BASE = 5
 """Parameters of the calibration itself: gains, misalignment, biases."""
-NOT_BESIDE = frozenset(
-    {"bias", "scale", "misalignment", "gravity", "position_slip", "outlier_dwell", "stage_periodic"}
-)
-"""Effects that are the calibration itself, or what is looked for here."""
+_LOOKED_FOR = {"dwell", "cycles"}
+"""Choices of effects that are looked for here: in one dwell, or by cycles of the stage."""
 ROUNDS = 4
 TURNED_AWAY = 4.0
 """Lengths beyond so many robust standard deviations hardly count in the first calibration."""
@@ -273,8 +271,10 @@ def _beside(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
     added: list[Floats] = []
     turned: list[Floats] = []
     sizes: dict[bool, list[float]] = {False: [], True: []}
-    for name, kind in catalogue(PlanarTurn.part).items():
-        if name in NOT_BESIDE or kind.enters is Enters.SAMPLES or kind.within_dwell:
+    for kind in catalogue(PlanarTurn.part).values():
+        if kind.in_base or _LOOKED_FOR.intersection(kind.choices()):
+            continue
+        if kind.enters is Enters.SAMPLES or kind.within_dwell:
             continue
         if conditions.lacks(kind.needs):
             continue

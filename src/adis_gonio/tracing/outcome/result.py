@@ -13,6 +13,7 @@ from adis_gonio.base.values import Detectable, Value, finite_or_none
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.parts import ACCELEROMETER, GYRO
 from adis_gonio.fitting.slips.finding import PositionFinding, listed
+from adis_gonio.model.effects import catalogue
 from adis_gonio.model.effects.environment import REFERENCE_C
 from adis_gonio.record.provenance import Provenance
 from adis_gonio.tracing.outcome.sets import CredibleSet
@@ -412,8 +413,9 @@ class TraceResult(ParameterTable):
             return REFERENCE_C
         recorded = self.fits[-1].data.conditions.temperature_c if self.fits else None
         if recorded is None:
-            named = {finding.effect for finding in self.found}
-            return REFERENCE_C if {"bias_temperature", "thermal_lag"} & named else None
+            known = catalogue()
+            named = [known[finding.effect] for finding in self.found if finding.effect in known]
+            return REFERENCE_C if any("temperature" in kind.covariates for kind in named) else None
         return float(recorded.mean())
 
     def summary(self) -> str:
