@@ -13,7 +13,7 @@ from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.tracing.outcome.result import TraceResult
-from adis_gonio.tracing.validation.leaving_out import leave
+from adis_gonio.tracing.validation import leave
 
 _LEFT = ("angle", "time", "temperature", "supply")
 _LEAST_SPAN = {"temperature": 0.145, "supply": 0.0018}
