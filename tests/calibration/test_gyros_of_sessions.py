@@ -19,11 +19,12 @@ from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.gyros.calibrations import estimates_of_gyro_fit
+from adis_gonio.fitting.gyros.fit import gains_and_directions
 from adis_gonio.handover.exporting import ExportSource
 from adis_gonio.record.export import write_csv
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.provenance import provenance_of
-from adis_gonio.tracing.calibrations import _gains, gyro_calibration_of, with_gyros
+from adis_gonio.tracing.calibrations import gyro_calibration_of, with_gyros
 from adis_gonio.tracing.loading import load_gyro_calibration
 from recordings import recording
 from writeback.gyro_rig import FAULTS, gyro_numbers
@@ -154,7 +155,7 @@ def test_what_effects_add_becomes_the_gain_and_direction_of_the_same_gyro():
         values = np.array([rng.uniform(-0.2, 0.2), rng.uniform(-8, 8), rng.uniform(-8, 8)])
         sines = np.sin(np.radians(values[1:]))
         row = np.array([np.sqrt(1 - sines @ sines) + values[0], *sines])
-        gain, *leans = _gains(names, values)
+        gain, *leans = gains_and_directions(names, values)
         direction = np.sin(np.radians(leans))
         again = gain * np.array([np.sqrt(1 - direction @ direction), *direction])
         assert again == pytest.approx(row, abs=1e-12)

@@ -110,9 +110,11 @@ def test_without_noise_there_is_no_uncertainty():
 
 def test_every_unit_of_the_catalogue_has_one_of_si_or_is_refused():
     from adis_gonio.handover.certificate import _UNITS
-    from adis_gonio.tracing.calibrations import CORRECTABLE
+    from adis_gonio.model.effects import catalogue
 
-    units = {p.unit for name in CORRECTABLE for p in effect(name, **_most(name)).parameters}
+    correctable = [name for name, kind in catalogue("accelerometer").items() if kind.correctable]
+
+    units = {p.unit for name in correctable for p in effect(name, **_most(name)).parameters}
     assert units <= set(_UNITS)
     own = calibration(PLANE)
     odd = replace(own, parameters=(*own.parameters[:-1], replace(own.parameters[-1], unit="furlong")))

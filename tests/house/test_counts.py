@@ -8,7 +8,7 @@ from adis_gonio.base.counting import counted
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "adis_gonio"
 RAW = re.compile(r"\{[^{}:]+\} (?:dwells|positions|samples|poses)\b")
 ALWAYS_MANY = {
-    "tracing/validation/errors.py",  # nine dwells or more
+    "tracing/validation.py",  # nine dwells or more
     "tracing/within/courses.py",  # a mean of several
     "tracing/within/finding.py",  # asks for more than one itself
     "tracing/within/sensitivity.py",  # limits of the program

@@ -11,8 +11,7 @@ from adis_gonio.base.errors import BusTimeoutError, CannotOpenError
 from adis_gonio.bench.judge import Judge, PriorKnowledge
 from adis_gonio.bench.live import LiveView
 from adis_gonio.bench.runner import SessionRunner
-from adis_gonio.calibrate import Calibration
-from adis_gonio.calibrate.calibration import Coefficient
+from adis_gonio.calibrate import Calibration, Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.settings import Configuration

@@ -13,8 +13,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.tracing.candidates import shapes
 from adis_gonio.tracing.outcome.between import Mixture
 from adis_gonio.tracing.outcome.shares import shares
-from adis_gonio.tracing.validation.checked import unexpected
-from adis_gonio.tracing.validation.leaving_out import Left, folds, less_unknown, rms
+from adis_gonio.tracing.validation import Left, folds, less_unknown, rms, unexpected
 from tracing.small_problems import observations
 
 U = np.linspace(-1, 1, 41)

@@ -16,10 +16,20 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.rates import MeanRate
+from adis_gonio.tracing import validation
 from adis_gonio.tracing.outcome.result import ErrorFigures
-from adis_gonio.tracing.validation import errors, leaving_out
-from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order, without_folds
-from adis_gonio.tracing.validation.leaving_out import Chosen, Left, counting, cross_validate, folds
+from adis_gonio.tracing.validation import (
+    Chosen,
+    Fold,
+    Left,
+    counting,
+    cross_validate,
+    error_figures,
+    folds,
+    guarding,
+    in_order,
+    without_folds,
+)
 from tracing.small_problems import G, biased, chosen, function, ideal_mg, labelled, noisy, read, turn
 
 STEPS = np.arange(0, 360, 15.0)
@@ -79,7 +89,7 @@ class TestDesigns:
         data = noisy(turn(angles_deg=[*STEPS, *STEPS]), 82)
         psi = 3.0 - np.concatenate([STEPS, STEPS])
         quarter = np.round(psi / 90.0) % 4  # no angle is half-way between two
-        told = {tuple(np.flatnonzero(mask)) for mask in leaving_out._about_axes(data)}
+        told = {tuple(np.flatnonzero(mask)) for mask in validation.masks_about_axes(data)}
         assert told == {tuple(np.flatnonzero(quarter == k)) for k in range(4)}
 
     @pytest.mark.parametrize(("repeated", "groups"), [(5, 0), (8, 4)])
@@ -89,25 +99,27 @@ class TestDesigns:
         # 16 positions and some of them again: 10 of 21, or 16 of 24. One of them is 359° and 1° apart.
         first = np.arange(16) * 22.5 - 0.75
         data = noisy(turn(angles_deg=[*first, *(first[:repeated] + 1.5 - 360)]), 82)
-        assert len(leaving_out._about_axes(data)) == groups
+        assert len(validation.masks_about_axes(data)) == groups
 
     def test_poses_in_space_are_grouped_whether_they_repeat_or_not(self) -> None:
         up = [[9, 1, 1], [8, -2, 1], [-9, 1, 1], [1, 1, -9]]
-        told = [np.flatnonzero(mask).tolist() for mask in leaving_out._about_axes(in_space(np.array(up)))]
+        told = [
+            np.flatnonzero(mask).tolist() for mask in validation.masks_about_axes(in_space(np.array(up)))
+        ]
         assert sorted(told) == [[0, 1], [2], [3]]
 
     @pytest.mark.parametrize(("known", "kept"), [(3, False), (4, True)])
     def test_body_axes_are_left_out_where_the_others_predict_a_third_of_the_dwells(
         self, monkeypatch: pytest.MonkeyPatch, known: int, kept: bool
     ) -> None:
-        monkeypatch.setattr(leaving_out, "determined", lambda data, masks: np.arange(12) < known)
+        monkeypatch.setattr(validation, "determined", lambda data, masks: np.arange(12) < known)
         poses = in_space(np.random.default_rng(83).normal(size=(12, 3)))
         assert ("body axes" in folds(poses)) == kept
 
     def test_of_gyros_dwells_that_were_turned_say_nothing_about_poses(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(leaving_out, "determined", lambda data, *_: np.arange(24) < 16)
+        monkeypatch.setattr(validation, "determined", lambda data, *_: np.arange(24) < 16)
         turned = np.arange(24) % 2 == 0
         data = gyros()
         rate = np.outer(turned, [0.0, 0.0, 50.0])
@@ -128,7 +140,7 @@ class TestDesigns:
             asked.append(len(beside))
             return np.arange(12) < known
 
-        monkeypatch.setattr(leaving_out, "determined", determined)
+        monkeypatch.setattr(validation, "determined", determined)
         wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
         designs = {name: [np.arange(12) < 6] for name in ("whole dwells", "blocks of time", "body axes")}
         counts = counting(data, designs, labelled(data, "bias[xy]"))
@@ -240,8 +252,8 @@ class TestFolds:
             asked.append(candidates)
             return SimpleNamespace(fit="average") if again else None
 
-        monkeypatch.setattr(errors, "select", lambda *_, **__: SimpleNamespace(fit="choice"))
-        monkeypatch.setattr(errors, "average", average)
+        monkeypatch.setattr(validation, "select", lambda *_, **__: SimpleNamespace(fit="choice"))
+        monkeypatch.setattr(validation, "average", average)
         averaged: Any = SimpleNamespace(candidates="promising")
         told = Fold([], averaged, 2).chosen_anew(self.data)
         assert (told.fit, told.by) == (("average" if again else "choice"), "choice")
@@ -302,8 +314,8 @@ class TestErrors:
         fold: Any = Answering(base.data)
         assert guarding(selection, [base, wide], fold) == [None, None]
         figures = ErrorFigures(1.0, None, None, None)
-        monkeypatch.setattr(errors, "_of_few", lambda fits: ([[] for _ in fits], "one by one"))
-        monkeypatch.setattr(errors, "_figures", lambda *_: figures)
+        monkeypatch.setattr(validation, "leave_each_out", lambda fits: ([[] for _ in fits], "one by one"))
+        monkeypatch.setattr(validation, "figures_of_fit", lambda *_: figures)
         assert error_figures(selection, base.data, None, [base, wide], fold)[1] == "one by one"
         assert not fold.asked
 
@@ -351,10 +363,10 @@ class TestErrors:
         # Eight dwells of two readings, and four base parameters.
         fit = Fit.begin(noisy(turn(9), 87))
         fit = replace(fit, values=replace(fit.values, terms=(np.zeros(values - 2), np.zeros(2))))
-        assert errors._few(fit) == few
+        assert validation.leaves_too_few(fit) == few
         # A base parameter that the dwells do not show takes none.
         hidden = replace(fit.data, fitted=np.array([True, True, False, True]))
-        assert not errors._few(replace(fit, data=hidden))
+        assert not validation.leaves_too_few(replace(fit, data=hidden))
 
     def test_an_average_is_a_step_beside_the_names_or_takes_the_place_of_a_formula(self) -> None:
         bias, curve = self.selection.terms
@@ -390,5 +402,5 @@ class TestErrors:
     def test_angles_are_compared_round_the_turn(self) -> None:
         turned = [np.array([2 * np.pi - 0.03, 0.01]), np.array([-2 * np.pi + 0.01])]
         expected = math.degrees(math.sqrt((9 + 1 + 1) / 3) * 0.01)
-        assert errors._rms_deg(turned) == pytest.approx(expected)
-        assert errors._rms_deg([]) is None
+        assert validation.rms_deg(turned) == pytest.approx(expected)
+        assert validation.rms_deg([]) is None

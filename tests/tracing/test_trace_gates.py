@@ -17,7 +17,7 @@ from adis_gonio.tracing.outcome.naming import Names
 from adis_gonio.tracing.outcome.result import TraceResult
 from adis_gonio.tracing.selection.design import amplitudes
 from adis_gonio.tracing.selection.select import select
-from adis_gonio.tracing.validation.survival import never_worse
+from adis_gonio.tracing.validation import never_worse
 
 
 def forth_and_back(bias=(8.0, -5.0), k2_x=0.0, slip_mg=0.0, seed=3, slip_deg=0.0) -> Session:

@@ -15,7 +15,7 @@ from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.selection.select import select
 from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
-from adis_gonio.tracing.validation.leaving_out import Left, counting, determined, folds, less_unknown
+from adis_gonio.tracing.validation import Left, counting, determined, folds, less_unknown
 from tracing.blind import draw, write
 from tracing.test_trace_gates import forth_and_back
 

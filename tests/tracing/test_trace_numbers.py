@@ -35,9 +35,15 @@ from adis_gonio.tracing.selection.design import linearise, span
 from adis_gonio.tracing.selection.scatter import with_scatter
 from adis_gonio.tracing.selection.select import select
 from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
-from adis_gonio.tracing.validation.errors import Fold, guarding, in_order
-from adis_gonio.tracing.validation.leaving_out import determined, folds
-from adis_gonio.tracing.validation.survival import checkable, never_worse
+from adis_gonio.tracing.validation import (
+    Fold,
+    checkable,
+    determined,
+    folds,
+    guarding,
+    in_order,
+    never_worse,
+)
 from tracing.small_problems import (
     U,
     base_and_bias,

@@ -45,7 +45,7 @@ from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, TraceResult
 from adis_gonio.tracing.outcome.sets import credible_sets, one_a_function, votes
 from adis_gonio.tracing.outcome.shares import excesses, unnamed_with_share, with_shares
 from adis_gonio.tracing.selection.scatter import Scatter
-from adis_gonio.tracing.trace import _likelier
+from adis_gonio.tracing.trace import likelier_functions
 from tracing.small_problems import (
     G,
     U,
@@ -882,10 +882,10 @@ class TestSets:
         for share, leads in ((0.8, ["unnamed: angle"]), (0.2, ["cubic", "gravity"])):
             selection = believed(problem, {(0, 1): 1 - share, (0, 1, 2): share}, terms=terms[:2])
             every = credible_sets(selection)
-            sets = one_a_function(every, _likelier(every, terms[:2]))
+            sets = one_a_function(every, likelier_functions(every, terms[:2]))
             assert [one.names[0] for one in sets] == leads
             assert sets[0].cause == "cubic"
-            assert _likelier(every, []) == {}, "only names have something in their place"
+            assert likelier_functions(every, []) == {}, "only names have something in their place"
             assert sets[0].as_dict() == {
                 "names": list(sets[0].names),
                 "probability": [pytest.approx(max(share, 1 - share)), pytest.approx(min(share, 1 - share))],

@@ -37,16 +37,20 @@ from adis_gonio.tracing.selection.design import LinearProblem, _beside, orthonor
 from adis_gonio.tracing.selection.posterior import ModelPosterior, _present, weigh
 from adis_gonio.tracing.selection.search import Model, Search, _Beam, search
 from adis_gonio.tracing.selection.select import select
-from adis_gonio.tracing.trace import _disagreement, _enough, _weak
+from adis_gonio.tracing.trace import disagreement_of, refuse_too_few, weak_names
 from adis_gonio.tracing.unnamed import averaging
 from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
-from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order, without_folds
-from adis_gonio.tracing.validation.survival import (
+from adis_gonio.tracing.validation import (
+    Fold,
     checkable,
+    error_figures,
+    guarding,
+    in_order,
     longest,
     never_worse,
     refuted,
     without,
+    without_folds,
 )
 from tracing.small_problems import (
     G,
@@ -846,11 +850,11 @@ class TestSurvival:
         found = [of("bias", 9.0), of("cubic", 9.0), of("gravity", 0.5), of("backlash", 9.0)]
         checked, unchecked = ErrorFigures(1.0, 1.0, None, None), ErrorFigures(1.0, None, None, None)
         places = [CredibleSet(name, (name,), (1.0,), 0.56) for name in ("bias", "cubic", "gravity")]
-        weak = _weak(found, checked, {"backlash": "unnamed: angle"}, places)
+        weak = weak_names(found, checked, {"backlash": "unnamed: angle"}, places)
         assert set(weak) == {"gravity", "backlash"}
         assert "no larger than their own uncertainty" in weak["gravity"]
         assert "unnamed: angle" in weak["backlash"]
-        assert set(_weak(found, unchecked, {}, places)) == {"cubic", "gravity", "backlash"}
+        assert set(weak_names(found, unchecked, {}, places)) == {"cubic", "gravity", "backlash"}
 
     def test_a_name_in_whose_place_most_models_have_nothing_does_not_stand(self) -> None:
         # Models that predict the same are one, of which a slip and a backlash are found; by themselves
@@ -859,7 +863,7 @@ class TestSurvival:
         checked = ErrorFigures(1.0, 1.0, None, None)
         for present, stands in ((0.06, False), (0.54, False), (0.56, True)):
             place = CredibleSet("position_slip", ("position_slip",), (1.0,), present)
-            weak = _weak([found], checked, {}, [place])
+            weak = weak_names([found], checked, {}, [place])
             assert (weak == {}) == stands
             assert stands or f"{1 - present:.0%}" in weak["position_slip"]
 
@@ -869,7 +873,7 @@ class TestSurvival:
             data = biased()
             data = replace(data, mean=data.mean + np.outer(check, [off_mg, 0.0]))
             selection = chosen(data.rows(~check), labelled(data, "bias[xy]"), ((0,), 1.0))
-            told = _disagreement(selection, data.rows(check))
+            told = disagreement_of(selection, data.rows(check))
             assert bool(told) == said
             assert all(note.startswith("the 6 check dwells do not agree") for note in told)
 
@@ -877,21 +881,21 @@ class TestSurvival:
     def test_a_turn_wants_as_many_equations_as_base_parameters(self, n: int, least: str | None) -> None:
         data = noisy(turn(24), 49).rows(np.arange(24) < n)
         if least is None:
-            _enough(data)
+            refuse_too_few(data)
         else:
             with pytest.raises(
                 FitError, match=f"2 equations for 4 base parameters; measure at least {least}"
             ):
-                _enough(data)
+                refuse_too_few(data)
 
     def test_in_space_a_pose_is_one_equation_and_one_reading_of_gyros_is_too_few(self) -> None:
         two = from_means(G * np.eye(3)[:2], np.tile(np.eye(3), (2, 1, 1)), Conditions(np.arange(2.0)))
         with pytest.raises(FitError, match="2 equations for 6 base parameters; measure at least 6 pos"):
-            _enough(two)
+            refuse_too_few(two)
         c = Conditions(np.zeros(1), rate_dps=np.zeros((1, 3)))
         gyros = from_means(np.zeros((1, 3)), np.eye(3)[None], c, measurement=MeanRate())
         with pytest.raises(FitError, match="one reading alone"):
-            _enough(gyros)
+            refuse_too_few(gyros)
 
 
 class TestAverages:

@@ -75,7 +75,7 @@ class Told:
             return [ErrorFigures(e, e, None, e) for e in heldout[: len(fits)]], "a design"
 
         for name, stage in {
-            "_searched": lambda *_: (selection, scatter),
+            "search_model": lambda *_: (selection, scatter),
             "named_terms": lambda _: (terms, {}),
             "nameless_terms": lambda _: [],
             "average": lambda _: averaged,
@@ -191,7 +191,7 @@ class TestResult:
             assert final.heldout_rms == 1.0, "it is judged by the figures of the final model"
             return {"cubic": "too weak"}
 
-        monkeypatch.setattr(stages, "_weak", weak)
+        monkeypatch.setattr(stages, "weak_names", weak)
         result = told(bent())
         assert [finding.effect for finding in result.found] == ["bias"]
         assert result.reasons == {"cubic": "too weak"}
@@ -268,7 +268,7 @@ class TestResult:
             candidates.extend(terms)
             raise FitError("enough")
 
-        monkeypatch.setattr(stages, "_searched", searched)
+        monkeypatch.setattr(stages, "search_model", searched)
         monkeypatch.setattr(stages, "nameless_terms", lambda training: [])
         with pytest.raises(FitError, match="enough"):
             trace_readings(data, 2, Diagnosis((accused(7, "misset"), accused(3, "gravity_wrong"))))
@@ -303,12 +303,12 @@ class TestOutOfTime:
     ) -> None:
         result = replace(given(), stopped=None)
         with within(Budget(left_out=["what to measure next"])):
-            stamped = stages._stamped(result, checked=True)
+            stamped = stages.with_time_left_out(result, checked=True)
         assert stamped.stopped is not None
         assert stamped.stopped.checked
         assert stamped.stopped.left_out == ("what to measure next",)
         with within(Budget()):
-            assert stages._stamped(result, checked=True) is result
+            assert stages.with_time_left_out(result, checked=True) is result
 
     @pytest.mark.parametrize("over", [True, False])
     def test_a_search_that_the_limit_ended_is_said_and_weighs_no_scatter(
@@ -326,7 +326,7 @@ class TestOutOfTime:
         monkeypatch.setattr(stages, "with_scatter", lambda first, *_: (first, SCATTER))
         budget = Budget(1.0, clock=lambda: now)
         with within(budget):
-            found, scatter = stages._searched(data, terms, 2)
+            found, scatter = stages.search_model(data, terms, 2)
         assert found.fit is selection.fit
         assert scatter is (None if over else SCATTER)
         assert ("the end of the search for effects" in budget.left_out) == over
@@ -348,17 +348,18 @@ class TestGuard:
 
             return SimpleNamespace(gone=gone, without_functions=again)
 
-        def of(selection: Any, terms: Any, most: int) -> Any:
-            assert (terms, most) == (["terms"], 3)
-            return SimpleNamespace(selection=selection, fits=[], errors=[])
+        def nest(run: Any, selection: Any) -> None:
+            run.selection, run.fits, run.errors = selection, [], []
 
         to_go = {(): ["wave"], ("wave",): ["line"], ("wave", "line"): []}
-        monkeypatch.setattr(stages, "_Guarded", SimpleNamespace(of=of))
+        monkeypatch.setattr(stages.TraceRun, "nest", nest)
         monkeypatch.setattr(stages, "refuted", lambda selection, fits, errors: to_go[selection.gone])
+        run = stages.TraceRun(biased(), 3, None)
+        run.selection = model()
         with within(Budget(left_out=list(left_out))):
-            guarded = stages._guarded(model(), ["terms"], 3)
+            run.drop_refuted_functions()
         assert without == chosen_without
-        assert guarded.selection.gone == tuple(chosen_without)
+        assert run.selection.gone == tuple(chosen_without)
 
 
 def given() -> TraceResult:
@@ -370,25 +371,25 @@ class TestParts:
     def test_scatter_has_what_the_steps_leave_and_no_less_than_nothing(self) -> None:
         bias = Finding("bias", ("x",), {"bias_x": Value(1.0, 0.1, "mg")}, 0.0, 0.0, 1.0)
         data: Any = SimpleNamespace(unit=in_mg(2))
-        seen = stages._seen([bias], data, SCATTER, {"bias": 0.7})
+        seen = stages.shown_findings([bias], data, SCATTER, {"bias": 0.7})
         assert [(one.effect, pytest.approx(one.explains)) for one in seen] == [
             ("bias", 0.7),
             ("reading_scatter", 0.3),
         ]
-        assert stages._seen([bias], data, SCATTER, {"bias": 1.2})[-1].explains == 0.0
-        assert [one.effect for one in stages._seen([bias], data, None, {"bias": 0.7})] == ["bias"]
+        assert stages.shown_findings([bias], data, SCATTER, {"bias": 1.2})[-1].explains == 0.0
+        assert [one.effect for one in stages.shown_findings([bias], data, None, {"bias": 0.7})] == ["bias"]
         counts: Any = SimpleNamespace(unit=Unit("counts", np.array([100.0, 0]), np.array([2.0, 2.0])))
-        (told,) = stages._seen([bias], counts, None, {})
+        (told,) = stages.shown_findings([bias], counts, None, {})
         assert told.parameters["bias_x"].value == 102.0
 
     def test_errors_are_reported_where_both_ends_have_one(self) -> None:
         def figures(*errors: float | None) -> list[ErrorFigures]:
             return [ErrorFigures(1.0, error, None, None) for error in errors]
 
-        assert stages._reported(figures(3.0, 2.0, 1.0)) == (3.0, 1.0)
-        assert stages._reported(figures(3.0, None, 1.0)) == (3.0, 1.0)
-        assert stages._reported(figures(None, 2.0, 1.0)) is None
-        assert stages._reported(figures(3.0, 2.0, None)) is None
+        assert stages.reported_errors(figures(3.0, 2.0, 1.0)) == (3.0, 1.0)
+        assert stages.reported_errors(figures(3.0, None, 1.0)) == (3.0, 1.0)
+        assert stages.reported_errors(figures(None, 2.0, 1.0)) is None
+        assert stages.reported_errors(figures(3.0, 2.0, None)) is None
 
     def test_degrees_of_freedom_are_those_of_the_first_base_parameter_that_has_an_uncertainty(self) -> None:
         base = {"alpha": Value(1.0, None, "deg", 7.0), "scale_x": Value(1.0, 0.1, "1", 30.0)}
@@ -519,7 +520,7 @@ class TestSessions:
 
         with monkeypatch.context() as patched:
             patched.setattr(stages, "in_context", lambda session, error: f"of this session: {error}")
-            patched.setattr(stages, "_enough", refuse)
+            patched.setattr(stages, "refuse_too_few", refuse)
             with pytest.raises(FitError, match="of this session: too few"):
                 trace(session())
 

@@ -7,18 +7,23 @@ a ← U − b − Σ effects(a) is found in a few passes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.base.showing import ParameterTable, with_u
+from adis_gonio.base.errors import UsageError
 from adis_gonio.calibrate.checks import checked_condition, checked_readings
+from adis_gonio.calibrate.coefficients import (
+    STEP,
+    Coefficient,
+    Coefficients,
+    NotCorrected,
+    checked_offsets,
+)
 from adis_gonio.model.effects import AXES, Conditions, Effect
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, wrap_rad
 from adis_gonio.model.records import MG_PER_MPS2
@@ -27,29 +32,10 @@ from adis_gonio.record.provenance import Provenance
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
-STEP = 0.01
-"""Of the central difference along each axis of the covariance, in standard uncertainties."""
 _PASSES = 60
 _SETTLED_MG = 1e-9
 
 TurnPlane = Literal["xy", "xz", "yz"]
-
-
-@dataclass(frozen=True)
-class Coefficient:
-    """A parameter: value, standard uncertainty (None: not known) and unit.
-
-    Attributes
-    ----------
-    dof : float or None
-        Effective degrees of freedom of u, where the result states them.
-    """
-
-    name: str
-    value: float
-    u: float | None
-    unit: str
-    dof: float | None = None
 
 
 @dataclass(frozen=True)
@@ -65,14 +51,6 @@ class EffectTerm:
 
     effect: Effect
     parameters: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class NotCorrected:
-    """What the model holds and a goniometer at work cannot correct, with the reason."""
-
-    effect: str
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -96,7 +74,7 @@ class AngleReading:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration(ParameterTable):
+class Calibration(Coefficients):
     """What turns readings of a sensor into gravity and angle.
 
     Attributes
@@ -131,8 +109,6 @@ class Calibration(ParameterTable):
     assumed: tuple[str, ...] = ()
     counts_per_mg: tuple[float, ...] | None = None
     gyro: GyroCalibration | None = None
-    of_session: ClassVar[Callable[[str | Path], Calibration] | None] = None
-    """Reads a file that may be a session; set by `adis_gonio.tracing.loading`."""
 
     # -- what it is --------------------------------------------------------------------------------
 
@@ -156,27 +132,6 @@ class Calibration(ParameterTable):
         """Local gravity of the session in mg."""
         return self.provenance.gravity_mps2 * MG_PER_MPS2
 
-    def __getitem__(self, name: str) -> Coefficient:
-        """Parameter by name; `KeyError` without it."""
-        for one in self.parameters:
-            if one.name == name:
-                return one
-        raise KeyError(name)
-
-    def __contains__(self, name: object) -> bool:
-        return any(one.name == name for one in self.parameters)
-
-    @property
-    def values(self) -> Floats:
-        """Values (p,) of the parameters."""
-        return np.array([one.value for one in self.parameters])
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Calibration) and self.as_dict() == other.as_dict()
-
-    def __hash__(self) -> int:
-        return hash((self.method, self.provenance, self.parameters))
-
     def __repr__(self) -> str:
         where = "in the plane xy" if self.planar else "in space"
         beside = "".join(f" + {term.effect.name}" for term in self.effects)
@@ -187,49 +142,13 @@ class Calibration(ParameterTable):
 
         ratio = derived_delta_k(self)
         first = [self[name] for name in ("delta_phi", "skew_xy") if name in self]
-        return ", ".join(_shown(one) for one in ([ratio, *first] if ratio else first))
+        return ", ".join(map(str, [ratio, *first] if ratio else first))
 
     def summary(self) -> str:
         """What it holds in lines of text: origin, parameters with u, effects, and what it does not do."""
         from adis_gonio.calibrate.document import summary_of
 
         return summary_of(self)
-
-    # -- files -------------------------------------------------------------------------------------
-
-    @classmethod
-    def load(cls, path: str | Path) -> Calibration:
-        """Calibration of a JSON file (`save`, `adis-gonio export`), or of a session, which is fitted.
-
-        Raises
-        ------
-        DataError
-            The file is neither, is damaged, or is of a newer version.
-        FitError
-            The session does not determine a calibration.
-        """
-        if cls.of_session is not None:
-            return cls.of_session(path)
-        from adis_gonio.calibrate.files import calibration_in
-
-        made = calibration_in(path)
-        if made is None:
-            raise DataError(f"{path}: is no calibration; fit a session by adis_gonio.fit")
-        return made
-
-    def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write it as JSON (`schema/calibration-1.json`), bit-exact.
-
-        Raises
-        ------
-        UsageError
-            The file exists and `force` is not set.
-        OutputError
-            The file cannot be written.
-        """
-        from adis_gonio.calibrate.document import save_document
-
-        save_document(self.as_dict(), path, force=force)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON document."""
@@ -334,7 +253,7 @@ class Calibration(ParameterTable):
         """
         if "alpha" not in self:
             raise UsageError("this calibration has no start angle alpha: only .angle() can be given")
-        k = [one.name for one in self.parameters].index("alpha")
+        k = self.names.index("alpha")
 
         def shown(values: Floats, readings: Floats, conditions: Conditions) -> Floats:
             gravity = self._gravity(values, readings, conditions)
@@ -361,22 +280,21 @@ class Calibration(ParameterTable):
             raise UsageError(
                 "the session does not say which offsets stood in the chip while it was recorded"
             )
-        if len(offsets_lsb) != 3:
-            raise UsageError(f"offsets are three numbers (x, y, z), not {len(offsets_lsb)}")
+        now = checked_offsets(offsets_lsb)
         lsb_mg = VARIANTS[self.provenance.sensor].accel_mg_per_lsb
-        now = tuple(int(number) for number in offsets_lsb)
         added = {f"bias_{axis}": (now[k] - then[k]) * lsb_mg for k, axis in enumerate(AXES)}
-        moved = tuple(replace(one, value=one.value + added.get(one.name, 0.0)) for one in self.parameters)
         names = [f"bias_{axis}" for axis in AXES[: self.axes]]
         new = tuple(Coefficient(n, added[n], None, "mg") for n in names if added[n] and n not in self)
         covariance = self.covariance
         if covariance is not None:
             covariance = np.pad(covariance, (0, len(new)))
-        where = replace(self.provenance, offsets_lsb=(now[0], now[1], now[2]), written_lsb=None)
+        where = replace(self.provenance, offsets_lsb=now, written_lsb=None)
         # The gyros feel what the accelerometers read, which the chip has moved.
         moved_g = (np.array(now) - np.array(then)) * lsb_mg / 1000
         gyro = None if self.gyro is None else self.gyro.with_force_moved(moved_g)
-        return replace(self, parameters=moved + new, covariance=covariance, provenance=where, gyro=gyro)
+        return replace(
+            self, parameters=self._moved(added) + new, covariance=covariance, provenance=where, gyro=gyro
+        )
 
     def for_registers(
         self, offsets_lsb: Sequence[int] | None, gyro_offsets_lsb: Sequence[int] | None
@@ -434,7 +352,7 @@ class Calibration(ParameterTable):
         return self.measurement.calibrated(base, ideal)
 
     def _terms(self, values: Floats) -> list[tuple[Effect, Floats]]:
-        names = [one.name for one in self.parameters]
+        names = self.names
         return [(t.effect, values[[names.index(n) for n in t.parameters]]) for t in self.effects]
 
     def _conditions(
@@ -472,14 +390,9 @@ class Calibration(ParameterTable):
         readings, single = checked_readings(accel, self)
         conditions = self._conditions(len(readings), temperature_c, supply_v)
         values = self.values
-        angle = shown(values, readings, conditions)
-        variance = np.full(len(readings), np.nan)
-        if self.covariance is not None:
-            variance = np.zeros(len(readings))
-            for direction in _directions(self.covariance):
-                up = shown(values + STEP * direction, readings, conditions)
-                down = shown(values - STEP * direction, readings, conditions)
-                variance += (wrap_rad(up - down) / (2 * STEP)) ** 2
+        angle, variance = self._with_variance(
+            lambda values: shown(values, readings, conditions), lambda up, down: wrap_rad(up - down)
+        )
         if reading_u is not None:
             for axis, u in enumerate(self._reading_u(reading_u)):
                 step = np.zeros(self.axes)
@@ -511,15 +424,3 @@ def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Co
             return ideal
     ideal[moving] = np.nan
     return ideal
-
-
-def _directions(covariance: Floats) -> Floats:
-    """Principal axes (k, p) of a covariance, each as long as its standard uncertainty."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    unit = np.where(scale > 0, scale, 1.0)
-    sizes, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
-    return np.asarray((vectors * np.sqrt(np.maximum(sizes, 0.0))).T * unit)
-
-
-def _shown(one: Coefficient) -> str:
-    return f"{one.name} {with_u(one.value, one.u, one.unit)}"

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
+from adis_gonio.calibrate.coefficients import checked_numbers
 from adis_gonio.record.provenance import Covered
 
 if TYPE_CHECKING:
@@ -31,10 +32,7 @@ def checked_readings(accel: ArrayLike, calibration: Calibration) -> tuple[Floats
     UsageError
         Wrong shape, no numbers, NaN or infinity, another unit.
     """
-    try:
-        given = np.asarray(accel, dtype=float)
-    except (TypeError, ValueError):
-        raise UsageError(f"readings have to be numbers, not {type(accel).__name__}") from None
+    given = checked_numbers("readings", accel, plural=True)
     axes, unit = calibration.axes, calibration.unit
     wanted = (2, 3) if axes == 2 else (3,)
     if given.ndim not in (1, 2) or given.shape[-1] not in wanted:
@@ -78,10 +76,7 @@ def checked_condition(
     """
     if given is None:
         return None if name not in needs or covered is None else np.full(n, covered.mean)
-    try:
-        values: Any = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
-        raise UsageError(f"{name} has to be numbers, not {type(given).__name__}") from None
+    values = checked_numbers(name, given)
     if values.ndim > 1 or values.size not in (1, n):
         raise UsageError(
             f"{name} has shape {values.shape}; give one number, or one for each of {n} readings"

@@ -1,18 +1,18 @@
-"""A calibration as JSON and as text, and back."""
+"""Calibrations as JSON and as text, and back; gyros by themselves or under the key `gyro`."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.shapes import (
     anything,
@@ -25,15 +25,20 @@ from adis_gonio.base.shapes import (
     text,
     whole,
 )
-from adis_gonio.calibrate.calibration import Calibration, Coefficient, EffectTerm, NotCorrected, _shown
+from adis_gonio.calibrate.calibration import Calibration, EffectTerm
+from adis_gonio.calibrate.coefficients import Coefficient, Coefficients, NotCorrected
+from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
 from adis_gonio.device.sensor.registers import BY_NAME
-from adis_gonio.model.effects import effect
+from adis_gonio.model.effects import AXES, effect
 from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.records import SENSORS
 from adis_gonio.record.provenance import Covered, Provenance
 
 SCHEMA = "adis-gonio/calibration"
+GYRO_SCHEMA = "adis-gonio/gyro-calibration"
 VERSION = 1
+Made = TypeVar("Made", Calibration, GyroCalibration)
+_SOURCE = ("title", "serial", "operator", "stage", "source", "sha256", "recorded_utc", "software")
 
 
 def json_text(document: Mapping[str, Any]) -> str:
@@ -50,24 +55,52 @@ def save_document(document: Mapping[str, Any], path: str | Path, *, force: bool)
 def document_of(calibration: Calibration) -> dict[str, Any]:
     """JSON document of a calibration, as `schema/calibration-1.json` describes it."""
     where = calibration.provenance
-    covariance = calibration.covariance
     ratio = derived_delta_k(calibration)
     gyro = {} if calibration.gyro is None else {"gyro": calibration.gyro.as_dict()}
     return {
-        "schema": SCHEMA,
-        "version": VERSION,
-        "method": calibration.method,
+        **_head(SCHEMA, calibration),
         "sensor": where.sensor,
         "plane": where.plane,
         "unit": calibration.unit,
         "counts_per_mg": _listed(calibration.counts_per_mg),
         "gravity_mps2": where.gravity_mps2,
-        "parameters": {one.name: _coefficient(one) for one in calibration.parameters},
         "derived": {} if ratio is None else {"delta_k": _coefficient(ratio)},
+        "effects": [_effect(term) for term in calibration.effects],
+        **_body(calibration, where),
+        "source": {name: getattr(where, name) for name in _SOURCE},
+        **gyro,
+    }
+
+
+def gyro_document_of(gyro: GyroCalibration) -> dict[str, Any]:
+    """JSON document of a gyro calibration; `derived` follows from the parameters."""
+    return {
+        **_head(GYRO_SCHEMA, gyro),
+        "unit": "dps",
+        "derived": {
+            "bias_dps": gyro.bias_dps.tolist(),
+            "sensitivity": gyro.sensitivity.tolist(),
+            "g_sensitivity_dps_per_g": gyro.g_sensitivity_dps_per_g.tolist(),
+        },
+        **_body(gyro, gyro),
+        "source": gyro.source,
+    }
+
+
+def _head(schema: str, calibration: Coefficients) -> dict[str, Any]:
+    return {"schema": schema, "version": VERSION, "method": calibration.method}
+
+
+def _body(
+    calibration: Calibration | GyroCalibration, where: Provenance | GyroCalibration
+) -> dict[str, Any]:
+    """Entries that both kinds of calibrations have."""
+    covariance = calibration.covariance
+    return {
+        "parameters": {one.name: _coefficient(one) for one in calibration.parameters},
         "covariance": None
         if covariance is None
-        else {"names": [one.name for one in calibration.parameters], "matrix": covariance.tolist()},
-        "effects": [_effect(term) for term in calibration.effects],
+        else {"names": calibration.names, "matrix": covariance.tolist()},
         "not_corrected": [asdict(one) for one in calibration.not_corrected],
         "assumed": list(calibration.assumed),
         "reference": {
@@ -77,20 +110,6 @@ def document_of(calibration: Calibration) -> dict[str, Any]:
             "session_supply_v": None if where.supply_v is None else where.supply_v.as_dict(),
         },
         "offsets_lsb": _listed(where.offsets_lsb),
-        "source": {
-            name: getattr(where, name)
-            for name in (
-                "title",
-                "serial",
-                "operator",
-                "stage",
-                "source",
-                "sha256",
-                "recorded_utc",
-                "software",
-            )
-        },
-        **gyro,
     }
 
 
@@ -102,110 +121,155 @@ def calibration_from(document: Any, name: str = "calibration") -> Calibration:
     DataError
         It is no calibration, of a newer version, or something in it cannot be used; `name` says where.
     """
-    if not isinstance(document, Mapping) or document.get("schema") != SCHEMA:
-        raise DataError(f"{name}: is no calibration; make one with adis-gonio export SESSION -o NAME.json")
+    hint = "; make one with adis-gonio export SESSION -o NAME.json"
+    made = _read_from(document, name, SCHEMA, "calibration", _read, hint)
+    if document.get("gyro") is None:
+        return made
+    return replace(made, gyro=gyro_calibration_from(document["gyro"], f"{name}: gyro"))
+
+
+def gyro_calibration_from(document: Any, name: str = "gyro calibration") -> GyroCalibration:
+    """Gyro calibration of a JSON document; errors as `calibration_from`."""
+    return _read_from(document, name, GYRO_SCHEMA, "gyro calibration", _read_gyro)
+
+
+def _read_from(
+    document: Any,
+    name: str,
+    schema: str,
+    kind: str,
+    read: Callable[[Mapping[str, Any]], Made],
+    hint: str = "",
+) -> Made:
+    if not isinstance(document, Mapping) or document.get("schema") != schema:
+        raise DataError(f"{name}: is no {kind}{hint}")
     if document.get("version") != VERSION:
         raise DataError(
-            f"{name}: is a calibration of version {document.get('version')!r}, this program reads "
+            f"{name}: is a {kind} of version {document.get('version')!r}, this program reads "
             f"{VERSION}: update adis-gonio"
         )
     try:
-        DOCUMENT(document)
-        made = _checked(_read(document))
-    except (KeyError, TypeError, ValueError, AttributeError, UsageError) as error:
+        return read(document)
+    except (KeyError, TypeError, ValueError, AttributeError, UsageError, FitError) as error:
         what = f"lacks {error}" if isinstance(error, KeyError) else str(error).lstrip(" .")
-        raise DataError(f"{name}: is a damaged calibration: {what}") from None
-    if document.get("gyro") is None:
-        return made
-    from adis_gonio.calibrate.gyro_document import gyro_calibration_from
-
-    return replace(made, gyro=gyro_calibration_from(document["gyro"], f"{name}: gyro"))
+        raise DataError(f"{name}: is a damaged {kind}: {what}") from None
 
 
 _GAINS, _LEAST_GAIN = ("scale_x", "scale_y", "scale_z"), 1e-6
 _VALUE = number(-1e15, 1e15)
-COEFFICIENTS = mapping_of(
-    fields(
-        {"value": _VALUE, "u": nullable(number(0.0, 1e15)), "unit": text},
-        {"dof": nullable(number(0.0, 1e300))},
+_TEXTS = list_of(text, 0, 10_000)
+_BODY = {
+    "method": text,
+    "parameters": mapping_of(
+        fields(
+            {"value": _VALUE, "u": nullable(number(0.0, 1e15)), "unit": text},
+            {"dof": nullable(number(0.0, 1e300))},
+            others=anything,
+        )
+    ),
+    "covariance": nullable(
+        fields(
+            {"names": _TEXTS, "matrix": list_of(list_of(number(-1e30, 1e30), 0, 10_000), 0, 10_000)},
+            others=anything,
+        )
+    ),
+    "not_corrected": list_of(fields({"effect": text, "reason": text}), 0, 10_000),
+    "assumed": _TEXTS,
+    "reference": fields(
+        {
+            "session_temperature_c": nullable(mapping_of(_VALUE)),
+            "session_supply_v": nullable(mapping_of(_VALUE)),
+        },
         others=anything,
-    )
-)
-"""Shape of parameters with their uncertainties, by name."""
-TEXTS = list_of(text, 0, 10_000)
-COVARIANCE = nullable(
-    fields(
-        {"names": TEXTS, "matrix": list_of(list_of(number(-1e30, 1e30), 0, 10_000), 0, 10_000)},
-        others=anything,
-    )
-)
-NOT_CORRECTED = list_of(fields({"effect": text, "reason": text}), 0, 10_000)
-REFERENCE = fields(
-    {
-        "session_temperature_c": nullable(mapping_of(_VALUE)),
-        "session_supply_v": nullable(mapping_of(_VALUE)),
-    },
-    others=anything,
-)
+    ),
+}
 _EFFECT = fields(
     {
         "effect": text,
         "axes": list_of(choice("x", "y", "z"), 0, 3),
         "choices": mapping_of(whole(-1000, 1000)),
-        "parameters": TEXTS,
+        "parameters": _TEXTS,
     },
     others=anything,
 )
 DOCUMENT = fields(
     {
-        "method": text,
+        **_BODY,
         "sensor": choice(*SENSORS),
         "plane": choice("xy", "none"),
         "unit": choice("mg", "counts"),
         "counts_per_mg": nullable(list_of(_VALUE, 2, 3)),
         "gravity_mps2": number(1e-6, 1e6),
-        "parameters": COEFFICIENTS,
-        "covariance": COVARIANCE,
         "effects": list_of(_EFFECT, 0, 10_000),
-        "not_corrected": NOT_CORRECTED,
-        "assumed": TEXTS,
-        "reference": REFERENCE,
         "offsets_lsb": nullable(list_of(whole(*BY_NAME["XACCL_OFF"].range), 3, 3)),
         "source": mapping_of(text),
     },
     others=anything,
 )
 """Types and ranges of all that is read of a calibration file."""
+GYRO_DOCUMENT = fields(
+    {
+        **_BODY,
+        "unit": choice("dps"),
+        "offsets_lsb": nullable(list_of(whole(*BY_NAME["XGYRO_OFF"].range), 3, 3)),
+    },
+    {"source": text},
+    others=anything,
+)
+"""Types and ranges of all that is read of a gyro calibration."""
 
 
 def _read(document: Mapping[str, Any]) -> Calibration:
-    source, reference = document["source"], document["reference"]
-    offsets, counts = document["offsets_lsb"], document["counts_per_mg"]
+    DOCUMENT(document)
+    shared, counts = _read_body(document), document["counts_per_mg"]
     where = Provenance(
         sensor=document["sensor"],
         plane=document["plane"],
         gravity_mps2=float(document["gravity_mps2"]),
         counts=document["unit"] == "counts",
-        temperature_c=_covered(reference["session_temperature_c"]),
-        supply_v=_covered(reference["session_supply_v"]),
-        offsets_lsb=None if offsets is None else (offsets[0], offsets[1], offsets[2]),
-        **source,
+        **{name: shared.pop(name) for name in ("temperature_c", "supply_v", "offsets_lsb")},
+        **document["source"],
     )
-    covariance = document["covariance"]
-    parameters = tuple(_parameter(key, value) for key, value in document["parameters"].items())
-    return Calibration(
-        method=document["method"],
-        provenance=where,
-        parameters=parameters,
-        covariance=None if covariance is None else matrix_of(covariance, [one.name for one in parameters]),
-        effects=tuple(
-            EffectTerm(effect(one["effect"], one["axes"], **one["choices"]), tuple(one["parameters"]))
-            for one in document["effects"]
-        ),
-        not_corrected=tuple(NotCorrected(**one) for one in document["not_corrected"]),
-        assumed=tuple(document["assumed"]),
-        counts_per_mg=None if counts is None else tuple(map(float, counts)),
+    effects = tuple(
+        EffectTerm(effect(one["effect"], one["axes"], **one["choices"]), tuple(one["parameters"]))
+        for one in document["effects"]
     )
+    counts_per_mg = None if counts is None else tuple(map(float, counts))
+    return _checked(Calibration(provenance=where, effects=effects, counts_per_mg=counts_per_mg, **shared))
+
+
+def _read_gyro(document: Mapping[str, Any]) -> GyroCalibration:
+    GYRO_DOCUMENT(document)
+    reference = document["reference"]
+    # Effects in temperature and supply are zero there: another reference would move every zero rate.
+    if (reference["temperature_c"], reference["supply_v"]) != (REFERENCE_C, REFERENCE_V):
+        raise ValueError(f"its reference is not {REFERENCE_C:g} °C and {REFERENCE_V:g} V")
+    names = list(document["parameters"])
+    strange = [name for name in names if kind_of(name) is None]
+    missing = [f"gyro_bias_{axis}" for axis in AXES if f"gyro_bias_{axis}" not in names]
+    if strange:
+        raise ValueError(f"{strange[0]} is no parameter of a gyro")
+    if missing:
+        raise ValueError(f"parameter {missing[0]} is missing")
+    # Files of older versions have no source.
+    made = GyroCalibration(source=document.get("source", ""), **_read_body(document))
+    made.check()
+    return made
+
+
+def _read_body(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Attributes that both kinds of calibrations have."""
+    covariance, offsets, reference = document["covariance"], document["offsets_lsb"], document["reference"]
+    return {
+        "method": document["method"],
+        "parameters": tuple(_parameter(key, value) for key, value in document["parameters"].items()),
+        "covariance": None if covariance is None else matrix_of(covariance, list(document["parameters"])),
+        "not_corrected": tuple(NotCorrected(**one) for one in document["not_corrected"]),
+        "assumed": tuple(document["assumed"]),
+        "temperature_c": _covered(reference["session_temperature_c"]),
+        "supply_v": _covered(reference["session_supply_v"]),
+        "offsets_lsb": None if offsets is None else tuple(offsets),
+    }
 
 
 def matrix_of(covariance: Mapping[str, Any], names: list[str]) -> Floats:
@@ -230,7 +294,7 @@ def matrix_of(covariance: Mapping[str, Any], names: list[str]) -> Floats:
 
 def _checked(calibration: Calibration) -> Calibration:
     """The same, or `ValueError` where parts of it do not fit together."""
-    names = {one.name for one in calibration.parameters}
+    names = set(calibration.names)
     for term in calibration.effects:
         wanted = len(term.effect.parameters)
         if len(term.parameters) != wanted or not set(term.parameters) <= names:
@@ -250,7 +314,7 @@ def _checked(calibration: Calibration) -> Calibration:
 
 def derived_delta_k(calibration: Calibration) -> Coefficient | None:
     """ΔK = K_x/K_y − 1 with u; None in space."""
-    names = [one.name for one in calibration.parameters]
+    names = calibration.names
     if not calibration.planar or "scale_x" not in names:
         return None
     x = names.index("scale_x")
@@ -275,7 +339,7 @@ def summary_of(calibration: Calibration) -> str:
     told += [("title", where.title), ("file", where.source), ("recorded", where.recorded_utc)]
     lines += [f"  {label}: {text}" for label, text in told if text]
     ratio = derived_delta_k(calibration)
-    lines += [f"  {_shown(one)}" for one in (*([ratio] if ratio else []), *calibration.parameters)]
+    lines += [f"  {one}" for one in (*([ratio] if ratio else []), *calibration.parameters)]
     if where.temperature_c is not None:
         t = where.temperature_c
         lines.append(
@@ -294,13 +358,8 @@ def _coefficient(one: Coefficient) -> dict[str, Any]:
 
 def _parameter(name: str, entry: Mapping[str, Any]) -> Coefficient:
     u, dof = entry["u"], entry.get("dof")
-    return Coefficient(
-        name,
-        float(entry["value"]),
-        None if u is None else float(u),
-        entry["unit"],
-        None if dof is None else float(dof),
-    )
+    known_u, known_dof = (None if one is None else float(one) for one in (u, dof))
+    return Coefficient(name, float(entry["value"]), known_u, entry["unit"], known_dof)
 
 
 def _effect(term: EffectTerm) -> dict[str, Any]:

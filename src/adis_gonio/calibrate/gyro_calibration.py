@@ -14,16 +14,20 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import DataError, FitError, UsageError
-from adis_gonio.base.showing import ParameterTable, with_u
-from adis_gonio.calibrate.calibration import STEP, Coefficient, NotCorrected, _directions
+from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.calibrate.coefficients import (
+    Coefficient,
+    Coefficients,
+    NotCorrected,
+    checked_numbers,
+    checked_offsets,
+)
 from adis_gonio.device.sensor.registers import Kind
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.model.effects import AXES
@@ -74,7 +78,7 @@ class _Values:
 
 
 @dataclass(frozen=True, eq=False)
-class GyroCalibration(ParameterTable):
+class GyroCalibration(Coefficients):
     """What turns readings of the three gyros into the rate of turn in the accelerometers' frame.
 
     Attributes
@@ -109,8 +113,6 @@ class GyroCalibration(ParameterTable):
     supply_v: Covered | None = None
     offsets_lsb: tuple[int, int, int] | None = None
     source: str = ""
-    of_session: ClassVar[Callable[[str | Path], GyroCalibration] | None] = None
-    """Reads a file that may be a session; set by `adis_gonio.tracing.loading`."""
 
     @classmethod
     def of(
@@ -145,7 +147,7 @@ class GyroCalibration(ParameterTable):
                 f"the session does not determine {', '.join(missing)}: its gyros are not calibrated"
             )
         known.sort(key=_order)
-        parameters = tuple(_coefficient(name, estimates[name]) for name in known)
+        parameters = tuple(Coefficient.of(name, estimates[name]) for name in known)
         matrix = _taken(known, parameters, covariance)
         made = cls(method, parameters, matrix, assumed=_assumed(known), **about)
         made.check()
@@ -165,30 +167,9 @@ class GyroCalibration(ParameterTable):
 
     # -- what it is ---------------------------------------------------------------------------------
 
-    def __getitem__(self, name: str) -> Coefficient:
-        """Parameter by name; `KeyError` without it."""
-        for one in self.parameters:
-            if one.name == name:
-                return one
-        raise KeyError(name)
-
-    def __contains__(self, name: object) -> bool:
-        return any(one.name == name for one in self.parameters)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, GyroCalibration) and self.as_dict() == other.as_dict()
-
-    def __hash__(self) -> int:
-        return hash((self.method, self.parameters))
-
     def __repr__(self) -> str:
-        biases = ", ".join(_shown(self[f"gyro_bias_{axis}"]) for axis in AXES)
+        biases = ", ".join(str(self[f"gyro_bias_{axis}"]) for axis in AXES)
         return f"GyroCalibration({self.method}, {biases})"
-
-    @property
-    def values(self) -> Floats:
-        """Values (p,) of the parameters."""
-        return np.array([one.value for one in self.parameters])
 
     @property
     def bias_dps(self) -> Floats:
@@ -218,50 +199,16 @@ class GyroCalibration(ParameterTable):
 
     def summary(self) -> str:
         """What it holds in lines of text."""
-        lines = [f"gyros by method {self.method}", *(f"  {_shown(one)}" for one in self.parameters)]
+        lines = [f"gyros by method {self.method}", *(f"  {one}" for one in self.parameters)]
         lines += [f"  not determined, taken as nominal: {', '.join(self.assumed)}"] if self.assumed else []
         lines += [f"  not corrected: {one.effect}: {one.reason}" for one in self.not_corrected]
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON document."""
-        from adis_gonio.calibrate.gyro_document import gyro_document_of
+        from adis_gonio.calibrate.document import gyro_document_of
 
         return gyro_document_of(self)
-
-    def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write it as JSON by itself, bit-exact.
-
-        Raises
-        ------
-        UsageError
-            The file exists and `force` is not set.
-        OutputError
-            The file cannot be written.
-        """
-        from adis_gonio.calibrate.document import save_document
-
-        save_document(self.as_dict(), path, force=force)
-
-    @classmethod
-    def load(cls, path: str | Path) -> GyroCalibration:
-        """Of a JSON file (`save`), of a `Calibration`'s file that holds gyros, or of a session.
-
-        Raises
-        ------
-        DataError
-            The file is none of these, is damaged, or of a newer version.
-        FitError
-            It holds no gyros, or the session does not calibrate them.
-        """
-        if cls.of_session is not None:
-            return cls.of_session(path)
-        from adis_gonio.calibrate.files import calibration_in
-
-        made = calibration_in(path)
-        if made is None or made.gyro is None:
-            raise DataError(f"{path}: is no calibration with gyros; fit a session by adis_gonio.fit")
-        return made.gyro
 
     # -- use ----------------------------------------------------------------------------------------
 
@@ -357,25 +304,18 @@ class GyroCalibration(ParameterTable):
         """
         if self.offsets_lsb is None:
             raise UsageError("the session does not say which gyro offsets stood in the chip")
-        if len(offsets_lsb) != 3:
-            raise UsageError(f"offsets are three numbers (x, y, z), not {len(offsets_lsb)}")
-        x, y, z = (int(number) for number in offsets_lsb)
-        moved = GYRO_OFFSET_DPS * (np.array([x, y, z]) - np.array(self.offsets_lsb))
-        return replace(self._moved(moved), offsets_lsb=(x, y, z))
+        now = checked_offsets(offsets_lsb)
+        moved = GYRO_OFFSET_DPS * (np.array(now) - np.array(self.offsets_lsb))
+        return replace(self._with_bias_moved(moved), offsets_lsb=now)
 
     def with_force_moved(self, moved_g: ArrayLike) -> GyroCalibration:
         """The same where the accelerometers read so much more (3,) in g, as by their offset registers."""
         moved = np.asarray(moved_g, dtype=float)
-        return self._moved(-self.g_sensitivity_dps_per_g @ moved)
+        return self._with_bias_moved(-self.g_sensitivity_dps_per_g @ moved)
 
-    def _moved(self, by_dps: Floats) -> GyroCalibration:
+    def _with_bias_moved(self, by_dps: Floats) -> GyroCalibration:
         added = {f"gyro_bias_{axis}": float(by) for axis, by in zip(AXES, by_dps, strict=True)}
-        return replace(
-            self,
-            parameters=tuple(
-                replace(one, value=one.value + added.get(one.name, 0.0)) for one in self.parameters
-            ),
-        )
+        return replace(self, parameters=self._moved(added))
 
     # -- how ----------------------------------------------------------------------------------------
 
@@ -420,13 +360,7 @@ class GyroCalibration(ParameterTable):
         return force, warm - REFERENCE_C, volts - REFERENCE_V
 
     def _with_u(self, function: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
-        value = function(self.values)
-        if self.covariance is None:
-            return value, np.full(value.shape, np.nan)
-        variance = np.zeros(value.shape)
-        for direction in _directions(self.covariance):
-            rise = function(self.values + STEP * direction) - function(self.values - STEP * direction)
-            variance += (rise / (2 * STEP)) ** 2
+        value, variance = self._with_variance(function)
         return value, np.sqrt(variance)
 
 
@@ -439,11 +373,6 @@ def kind_of(name: str) -> str | None:
     if len(axes) != (1 if wanted is _ONE else 2) or (wanted is _OTHER and axes[0] == axes[1]):
         return None
     return match["kind"]
-
-
-def nominal_of(name: str) -> float:
-    """Value of a parameter that is not determined."""
-    return 1.0 if kind_of(name) == "gyro_scale" else 0.0
 
 
 def _order(name: str) -> tuple[int, str]:
@@ -462,11 +391,6 @@ def _assumed(known: Sequence[str]) -> tuple[str, ...]:
 def _determined(estimate: Any) -> bool:
     """False where a result states a value that its session does not determine."""
     return bool(np.isfinite(estimate.value)) and (estimate.u is None or bool(np.isfinite(estimate.u)))
-
-
-def _coefficient(name: str, estimate: Any) -> Coefficient:
-    u, dof = estimate.u, getattr(estimate, "dof", None)
-    return Coefficient(name, float(estimate.value), None if u is None else float(u), estimate.unit, dof)
 
 
 def _taken(
@@ -542,14 +466,7 @@ def _condition(
 
 
 def _numbers(name: str, given: ArrayLike) -> Floats:
-    try:
-        values = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
-        raise UsageError(f"{name} has to be numbers, not {type(given).__name__}") from None
+    values = checked_numbers(name, given)
     if not np.isfinite(values).all():
         raise UsageError(f"{name} holds NaN or infinity")
     return values
-
-
-def _shown(one: Coefficient) -> str:
-    return f"{one.name} {with_u(one.value, one.u, one.unit)}"

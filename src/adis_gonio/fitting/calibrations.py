@@ -7,26 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from adis_gonio.base.errors import FitError, SessionError, UsageError
-from adis_gonio.calibrate.calibration import Calibration, Coefficient
+from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.coefficients import Coefficient
 from adis_gonio.fitting.result import Estimate, FitResult
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.measurement import FreeAttitude, PlanarTurn
 from adis_gonio.model.records import MG_PER_MPS2
 from adis_gonio.record.provenance import Provenance
 from adis_gonio.record.write_journal import INTERRUPTED
-
-
-def calibration_of_fit(result: FitResult) -> Calibration:
-    """Return the calibration by a fit, for the offsets that the sensor holds now.
-
-    Raises
-    ------
-    UsageError, FitError
-        As `calibration_as_recorded`.
-    SessionError
-        A write of offsets to the sensor was interrupted.
-    """
-    return as_written(calibration_as_recorded(result))
 
 
 def calibration_as_recorded(result: FitResult) -> Calibration:
@@ -53,16 +41,7 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
     given = [one.name for one in result.parameters]
     rows = [given.index("delta_k" if name not in given else name) for name in names]
     matrix = None if result.covariance is None else result.covariance[np.ix_(rows, rows)]
-    parameters = tuple(
-        Coefficient(
-            name,
-            estimates[name].value,
-            estimates[name].u,
-            estimates[name].unit,
-            getattr(estimates[name], "dof", None),
-        )
-        for name in names
-    )
+    parameters = tuple(Coefficient.of(name, estimates[name]) for name in names)
     assumed = assumed_parameters(model, names)
     counts = (
         tuple(estimates[f"scale_{axis}"].value / MG_PER_MPS2 for axis in AXES[: model.axes])

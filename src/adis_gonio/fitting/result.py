@@ -196,9 +196,9 @@ class FitResult(ParameterTable):
         FitError
             The session does not determine what an angle needs.
         """
-        from adis_gonio.fitting.calibrations import calibration_of_fit
+        from adis_gonio.fitting.calibrations import as_written, calibration_as_recorded
 
-        return calibration_of_fit(self)
+        return as_written(calibration_as_recorded(self))
 
     @property
     def reference_temperature_c(self) -> float | None:

@@ -14,7 +14,8 @@ from datetime import date
 import numpy as np
 
 from adis_gonio.base.errors import FitError, one_line
-from adis_gonio.calibrate.calibration import Calibration, Coefficient
+from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.coefficients import Coefficient
 from adis_gonio.calibrate.document import derived_delta_k
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
 from adis_gonio.device.sensor.variants import VARIANTS

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import PurePath
@@ -11,7 +10,8 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, FitError, SessionError
-from adis_gonio.calibrate.calibration import Calibration, Coefficient, EffectTerm, NotCorrected
+from adis_gonio.calibrate.calibration import Calibration, EffectTerm
+from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting.calibrations import as_written, assumed_parameters, known_provenance
 from adis_gonio.fitting.estimation.fit import Fit
@@ -20,59 +20,19 @@ from adis_gonio.fitting.gyros.calibrations import (
     GyroEstimates,
     estimates_of_gyro_fit,
     gyro_as_written,
-    gyro_calibration_as_it_is,
     make_gyro_calibration,
 )
-from adis_gonio.model.effects import AXES, effect
+from adis_gonio.fitting.gyros.fit import fit_gyro, stated_parameters
+from adis_gonio.model.effects import AXES, catalogue, effect
 from adis_gonio.model.measurement import BaseParameter
 from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Session
 from adis_gonio.record.provenance import provenance_of
 from adis_gonio.tracing.outcome.clock import clock_at_middle, follows_clock, middle_s
 from adis_gonio.tracing.outcome.result import TraceResult
 
-CORRECTABLE = frozenset(
-    {
-        "scale", "misalignment", "cross_axis", "quadratic", "cubic", "asymmetry", "cross_quadratic",
-        "bias_temperature", "scale_temperature", "misalignment_temperature", "supply_bias", "supply_scale",
-    }
-)  # fmt: skip
-"""Effects that are functions of the reading, the temperature and the supply: a goniometer knows these."""
-
 _CLOCK = "follows the clock of the session, which no later reading shares"
-_STAGE = "belongs to the stage, not to the sensor"
-_MEMORY = "depends on what was before the reading, which a single reading does not show"
-_DWELL = "belongs to a dwell of the session"
-_REASONS = {
-    "scale_drift": "follows the clock of the session; the gain is that of its start",
-    "warm_up": "follows the clock of the session; the bias is that of the warm part",
-    "thermal_lag": _MEMORY,
-    "creep": _MEMORY,
-    "hysteresis": _MEMORY,
-    "stage_eccentricity": _STAGE,
-    "stage_ellipticity": _STAGE,
-    "stage_periodic": _STAGE,
-    "backlash": _STAGE,
-    "axis_tilt": _STAGE,
-    "gravity": "belongs to the place: state its gravity; no angle depends on it",
-    "position_slip": _DWELL,
-    "outlier_dwell": _DWELL,
-    "noise_change": _DWELL,
-    "vibration_rectification": "follows the variance of many samples, which a single reading does not show",
-}
 _UNKNOWN = "is not known to be a function of the reading, the temperature or the supply"
 _NAMELESS = "has no name, so that nobody knows whether it belongs to the sensor"
-GYRO_CORRECTABLE = frozenset(
-    {
-        "g_sensitivity", "g2_sensitivity", "gyro_scale", "gyro_misalignment", "gyro_bias_temperature",
-        "gyro_scale_temperature", "gyro_supply",
-    }
-)  # fmt: skip
-"""Effects that are functions of the rate, the force, the temperature or the supply."""
-_GYRO_REASONS = {
-    "gyro_drift": "follows the clock of the session; the zero rate is that of its start",
-    "gyro_warm_up": "follows the clock of the session; the zero rate is that of the warm part",
-    "gyro_asymmetry": "differs between the two senses of turning, which no gain corrects",
-}
 _GYRO_NAMELESS = "has no name, so that nobody knows whether it belongs to the gyros"
 _GYRO_UNKNOWN = "is not known to be a function of the rate, the force, the temperature or the supply"
 
@@ -105,7 +65,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     standing = [
         term
         for term in final.terms
-        if isinstance(term, NamedTerm) and term.name in CORRECTABLE and _stands(term, result)
+        if isinstance(term, NamedTerm) and term.effect.correctable and _stands(term, result)
     ]
     others = [term for term in final.terms if term not in standing and term.name != "bias"]
     left = [_left_out(term, result, middle_s(final)) for term in others]
@@ -268,25 +228,24 @@ def _stands(term: NamedTerm, result: TraceResult) -> bool:
     if term.name in {finding.effect for finding in result.found}:
         return True
     rivals = {name for names in result.confounded if term.name in names for name in names}
-    return bool(rivals) and rivals <= CORRECTABLE | {"bias"}
+    known = catalogue()
+    correctable = {name for name, kind in known.items() if kind.correctable or name == "bias"}
+    return bool(rivals) and rivals <= correctable
 
 
 def _left_out(term: Term, result: TraceResult, at_s: float) -> NotCorrected:
-    name = term.name
     if follows_clock(term):
-        why = _CLOCK if name is not None else _NAMELESS
+        why = _CLOCK if term.name is not None else _NAMELESS
         of = "the start angle is that" if term.enters_angle else "bias and gain are those"
         return NotCorrected(
             term.shown_as, f"{why}; {of} of the session's middle, {at_s:.4g} s after its start"
         )
-    if name is None:
-        return NotCorrected(term.shown_as, _NAMELESS)
-    if name in CORRECTABLE:
+    if isinstance(term, NamedTerm) and term.effect.correctable:
         why = result.reasons.get(
-            name, "the session cannot tell it from an effect that is none of the sensor"
+            term.effect.name, "the session cannot tell it from an effect that is none of the sensor"
         )
-        return NotCorrected(name, f"did not stand as a finding: {why}")
-    return NotCorrected(name, _REASONS.get(name, _UNKNOWN))
+        return NotCorrected(term.effect.name, f"did not stand as a finding: {why}")
+    return _not_corrected(term, _NAMELESS, _UNKNOWN)
 
 
 def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
@@ -300,8 +259,8 @@ def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
     if not result.fits or (result.stopped is not None and not result.stopped.checked):
         raise FitError("the time limit ended the trace before its model was checked: trace with more time")
     final = result.fits[-1]
-    kept = [term for term in final.terms if isinstance(term, NamedTerm) and term.name in GYRO_CORRECTABLE]
-    left = [_gyro_left_out(term) for term in final.terms if term not in kept]
+    kept = [term for term in final.terms if isinstance(term, NamedTerm) and term.effect.correctable]
+    left = [_not_corrected(one, _GYRO_NAMELESS, _GYRO_UNKNOWN) for one in final.terms if one not in kept]
     if result.unnamed is not None and all(term.name is not None for term in final.terms):
         left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _GYRO_NAMELESS))
     doubts = () if result.adequacy != "not adequate" else ("the gyros' trace found its model not adequate",)
@@ -315,60 +274,30 @@ def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
     )
 
 
-def _gyro_left_out(term: Term) -> NotCorrected:
-    if term.name is None:
-        return NotCorrected(term.shown_as, _GYRO_NAMELESS)
-    return NotCorrected(term.name, _GYRO_REASONS.get(term.name, _GYRO_UNKNOWN))
+def _not_corrected(term: Term, nameless: str, unknown: str) -> NotCorrected:
+    if not isinstance(term, NamedTerm):
+        return NotCorrected(term.shown_as, nameless)
+    return NotCorrected(term.effect.name, term.effect.not_corrected or unknown)
 
 
 def _gyro_stated(
     fit: Fit, kept: Sequence[NamedTerm], inflation: float
 ) -> tuple[tuple[Coefficient, ...], Floats]:
     """Parameters with gains K and misalignments of D, and their covariance."""
-    names, units, places = [], [], []
-    for k, parameter in enumerate(fit.data.model.parameters):
-        names.append(parameter.name)
-        units.append(parameter.unit)
-        places.append(k)
+    parameters = list(fit.data.model.parameters)
+    units = [one.unit for one in parameters]
+    names, places = [one.name for one in parameters], list(range(len(parameters)))
     for term in kept:
         start = fit.slice_of(fit.terms.index(term)).start
         for k, one in enumerate(term.effect.parameters):
             names.append(one.name)
             units.append(one.unit)
             places.append(start + k)
-    own = fit.values.parameters[places]
-    step = 1e-6
-    unit = np.eye(len(own)) * step
-    slope = np.stack(
-        [(_gains(names, own + row) - _gains(names, own - row)) / (2 * step) for row in unit], axis=1
-    )
-    matrix = slope @ fit.covariance[np.ix_(places, places)] @ slope.T * inflation
-    stated = [name.replace("gyro_scale_error", "gyro_scale") for name in names]
+    covariance = fit.covariance[np.ix_(places, places)]
+    stated, values, matrix = stated_parameters(names, fit.values.parameters[places], covariance)
+    matrix = matrix * inflation
     sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    return tuple(
-        Coefficient(name, float(value), float(u), u_of)
-        for name, value, u, u_of in zip(stated, _gains(names, own), sizes, units, strict=True)
-    ), np.asarray(matrix)
-
-
-def _gains(names: Sequence[str], values: Floats) -> Floats:
-    """The same with what effects add to a perfect gyro turned into its gain and its misalignments.
-
-    A gyro that adds e Ω_i + Σ sin m_p Ω_p − (1 − c) Ω_i to Ω_i, c² = 1 − Σ sin² m_p, has the row
-    (c + e, sin m_p, …) of K D, whose length is K.
-    """
-    out = np.array(values, dtype=float)
-    for axis in AXES:
-        angles = [k for k, name in enumerate(names) if name.startswith(f"gyro_misalignment_{axis}")]
-        sines = np.sin(np.radians(out[angles]))
-        along = math.sqrt(max(1 - float(sines @ sines), 0.0))
-        scale = f"gyro_scale_error_{axis}"
-        if scale not in names:
-            continue
-        gain = math.hypot(along + float(out[names.index(scale)]), *sines)
-        out[names.index(scale)] = gain
-        out[angles] = np.degrees(np.arcsin(sines / gain))
-    return out
+    return tuple(map(Coefficient, stated, values.tolist(), sizes.tolist(), units)), matrix
 
 
 def with_gyros(calibration: Calibration, session: Session, *, traced: bool = False) -> Calibration:
@@ -423,19 +352,6 @@ def gyros_as_recorded(session: Session, *, traced: bool = False) -> GyroCalibrat
     return make_gyro_calibration(gyro_estimates_of(session, traced=traced), provenance_of(session))
 
 
-def calibration_of_gyro_trace(result: TraceResult) -> GyroCalibration:
-    """Calibration by the final model of a trace of the gyros, for the part as it is.
-
-    Raises
-    ------
-    FitError
-        The trace was not finished, or a zero rate is not determined.
-    SessionError
-        As `gyro_calibration_of`.
-    """
-    return gyro_calibration_as_it_is(estimates_of_gyro_trace(result), result.provenance)
-
-
 def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimates:
     """Parameters of a session's gyros by name.
 
@@ -448,6 +364,4 @@ def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimate
         from adis_gonio.tracing.trace import trace
 
         return estimates_of_gyro_trace(trace(session, part="gyro"))
-    from adis_gonio.fitting.gyros.fit import fit_gyro
-
     return estimates_of_gyro_fit(fit_gyro(session))

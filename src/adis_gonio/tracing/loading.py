@@ -12,10 +12,14 @@ from typing import Any
 from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.base.output import ends_in
 from adis_gonio.calibrate.calibration import Calibration
-from adis_gonio.calibrate.document import SCHEMA, calibration_from
+from adis_gonio.calibrate.document import (
+    GYRO_SCHEMA,
+    SCHEMA,
+    calibration_from,
+    gyro_calibration_from,
+)
 from adis_gonio.calibrate.files import calibration_in, json_document
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
-from adis_gonio.calibrate.gyro_document import GYRO_SCHEMA, gyro_calibration_from
 from adis_gonio.record.provenance import Provenance, provenance_of
 
 _FOR_OTHERS = (".h", ".hpp", ".xml", ".html", ".parquet")

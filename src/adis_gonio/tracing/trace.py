@@ -7,13 +7,13 @@ Session ─ readings ─▶ candidates ─▶ selection ─▶ validation ─▶
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 from adis_gonio.base.budget import attempt, current, spent, within
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.values import Detectable
-from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.parts import ACCELEROMETER, known_part, readings_of_part
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
@@ -47,10 +47,19 @@ from adis_gonio.tracing.outcome.shares import excesses, shares, unnamed_with_sha
 from adis_gonio.tracing.selection.scatter import Scatter, with_scatter
 from adis_gonio.tracing.selection.select import Selection, select
 from adis_gonio.tracing.thresholds import limits
-from adis_gonio.tracing.unnamed.averaging import Averaged, average
-from adis_gonio.tracing.validation.checked import unexpected
-from adis_gonio.tracing.validation.errors import Fold, error_figures, guarding, in_order, without_folds
-from adis_gonio.tracing.validation.survival import checkable, never_worse, refuted, without
+from adis_gonio.tracing.unnamed.averaging import average
+from adis_gonio.tracing.validation import (
+    Fold,
+    checkable,
+    error_figures,
+    guarding,
+    in_order,
+    never_worse,
+    refuted,
+    unexpected,
+    without,
+    without_folds,
+)
 
 UNCHECKED = "the time limit ended the trace before this was checked"
 """Reason of whatever is in a model that was not validated."""
@@ -111,7 +120,7 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
     if own and len([dwell for dwell in session.dwells if len(dwell)]) == 1:
         from adis_gonio.tracing.one_pose.series import trace_series
 
-        return _stamped(trace_series(session, max_effects), checked=True)
+        return with_time_left_out(trace_series(session, max_effects), checked=True)
     from adis_gonio.tracing.within.second_pass import with_second_pass
 
     positions = positions_of(session) if own else Diagnosis()
@@ -127,10 +136,10 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
         result = attempt(
             "the samples inside the dwells", lambda: with_second_pass(session, data, result), result
         )
-    return _stamped(result, checked=checked)
+    return with_time_left_out(result, checked=checked)
 
 
-def _stamped(result: TraceResult, *, checked: bool) -> TraceResult:
+def with_time_left_out(result: TraceResult, *, checked: bool) -> TraceResult:
     """The result with what the time limit left out."""
     budget = current()
     return replace(result, stopped=Stopped.of(budget, checked=checked)) if budget.left_out else result
@@ -144,128 +153,199 @@ def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | 
     positions : Diagnosis, optional
         What is known of the positions before: effects of one dwell that cannot be, sizes of gross slips.
     """
-    from adis_gonio.tracing.advice.words import advise  # next door, and it looks in here
-
-    training, checking = data.training, data.checking
-    _enough(training)
-    named, missing = named_terms(training)
-    if positions is not None:
-        named = as_the_angles_leave(named, training, positions)
-    terms: list[Term] = [*named, *nameless_terms(training)]
-    measured = training
-    selection, scatter = _searched(training, terms, max_effects)
-    if scatter is not None:
-        data = scatter.applied(data)
-        checking = data.checking
-    guarded = _guarded(selection, terms, max_effects)
-    selection, averaged, fits, steps = guarded.selection, guarded.averaged, guarded.fits, guarded.steps
-    names = checkable(judge(selection, averaged), selection)
-    if scatter is not None or not selection.adequate:
-        could = undecided(selection)
-        if len(could) > 1:
-            names = replace(names, confounded=(*names.confounded, could))
-    figures, design = attempt(
-        "the error on left-out dwells, effects chosen anew",
-        lambda: error_figures(guarded.selection, measured, checking, guarded.fits, guarded.fold),
-        without_folds(fits, measured, checking),
-    )
+    run = TraceRun(data, max_effects, positions)
+    run.search()
+    run.drop_refuted_functions()
+    run.judge_names()
+    run.measure_errors()
     if current().left_out:
-        final = selection if averaged is None else selection.with_fit(averaged.fit)
-        open_ = [*steps, *([] if scatter is None else [scatter.kind])]
-        return _unfinished(final, fits, steps, figures, design, open_)
-    reported = _reported(figures) if checking is None else None
-    count, names, cut = never_worse(names, steps, guarded.errors, reported, training.model.unit)
-    if count < len(steps):
-        # Longer models have their figures already; those of the shorter one hold for it as they are.
-        fits, steps, figures = fits[: count + 1], steps[:count], figures[: count + 1]
-        kept = [k for k in selection.verdict.best if selection.problem.terms[k] in fits[-1].terms]
-        selection = selection.with_model(kept)
-        averaged = None
-    final = selection if averaged is None else selection.with_fit(averaged.fit)
-    findings = [finding_of(final, name, averaged) for name in names.stand]
-    places = credible_sets(selection, averaged)
-    sets = tuple(one for one in places if one.present >= limits.certain)
-    likelier = _likelier(sets, terms)
-    weak = _weak([bias_at_middle(final, finding) for finding in findings], figures[-1], likelier, places)
-    names = without(replace(names, open={**names.open, **weak}), weak)
-    notes = list(notes_of(selection, scatter))
-    adequate = final.adequate and scatter is None and (final.fit.dof > 0 or not training.noise_known)
-    if adequate and checking is not None and averaged is None and training.noise_known:
-        disagreement = _disagreement(final, checking)
-        notes += disagreement
-        adequate = not disagreement
-    open_still = replace(selection, adequate=adequate)
-    of_step = shares(steps, excesses(fits, figures))
-    seen = _seen([f for f in findings if f.effect not in weak], data, scatter, of_step)
-    nothing: tuple[tuple[str, ...], tuple[NextDwell, ...]] = ((), ())
-    advice, measurements = attempt(
-        "what to measure next", lambda: advise(data, open_still, terms, names.confounded), nothing
-    )
-    zeros = zeros_of(final, seen)
-    return TraceResult(
-        adequate=adequate and training.noise_known,
-        found=seen,
-        sets=one_a_function(sets, likelier),
-        steps=tuple(Step(label, error) for label, error in zip(steps, figures[1:], strict=True)),
-        confounded=names.confounded,
-        unnamed=unnamed_with_share(unnamed_of(selection, averaged), of_step),
-        before=figures[0],
-        after=figures[-1],
-        detectable={
-            **detectable(selection.found, selection.verdict.best, missing, training.model.part),
-            **({"bias": ZERO_OF_COUNTS} if len(zeros) == data.axes else {}),
-        },
-        advice=advice,
-        measurements=measurements,
-        rivals=rivals_of(selection),
-        base={**base_of(final), **zeros},
-        reasons={**names.open, **cut},
-        notes=tuple(notes),
-        heldout_design=design,
-        fits=(*fits[:-1], final.fit),
-        inflation=final.inflation,
-    )
+        return run.unfinished()
+    run.shorten()
+    run.judge_findings()
+    return run.finished()
 
 
-@dataclass(frozen=True)
-class _Guarded:
-    """A model, its nested models with their held-out errors, and what is done anew in a fold."""
+class TraceRun:
+    """State of a trace of readings, one method a stage.
 
-    selection: Selection
-    averaged: Averaged | None
-    fold: Fold
-    fits: list[Fit]
-    steps: list[str]
-    errors: list[float | None]
+    Attributes
+    ----------
+    data, measured : Readings
+        All readings, with the scatter that was found in their noise; those that are fitted, with the noise
+        that was measured.
+    terms, missing : list of Term, mapping of str to str
+        Candidates, and why other effects are none.
+    selection, scatter : Selection, Scatter or None
+        The chosen model, and the noise from dwell to dwell under which it was chosen.
+    averaged : Averaged or None
+        The average over functions without a name in place of the chosen one.
+    fits, steps, errors, figures
+        Nested models from the base model on, the words for each step, and their errors on left-out dwells:
+        those by which the longest model is chosen, and those that are reported.
+    names : Names
+    findings : list of Finding
+    reasons : mapping of str to str
+        Why names do not stand.
+    """
 
-    @classmethod
-    def of(cls, selection: Selection, terms: Sequence[Term], max_effects: int) -> _Guarded:
-        averaged = attempt("the average of functions without a name", lambda: average(selection), None)
-        fold = Fold.of(selection, terms, averaged, max_effects)
-        fits, steps = in_order(selection, averaged)
-        unguarded: list[float | None] = [None for _ in fits]
-        errors = attempt(
+    def __init__(self, data: Readings, max_effects: int, positions: Diagnosis | None) -> None:
+        self.data, self.measured, self.max_effects = data, data.training, max_effects
+        refuse_too_few(self.measured)
+        named, self.missing = named_terms(self.measured)
+        if positions is not None:
+            named = as_the_angles_leave(named, self.measured, positions)
+        self.terms: list[Term] = [*named, *nameless_terms(self.measured)]
+
+    @property
+    def final(self) -> Selection:
+        """The chosen model, or the average in its place."""
+        return self.selection if self.averaged is None else self.selection.with_fit(self.averaged.fit)
+
+    def search(self) -> None:
+        """Choose a model, under more noise if that is the better account."""
+        self.selection, self.scatter = search_model(self.measured, self.terms, self.max_effects)
+        if self.scatter is not None:
+            self.data = self.scatter.applied(self.data)
+        self.checking = self.data.checking
+
+    def drop_refuted_functions(self) -> None:
+        """Choose again without the functions without a name that left-out dwells refute.
+
+        A function that these refute leaves the posterior: names that it stood before are judged then.
+        """
+        self.nest(self.selection)
+        while gone := refuted(self.selection, self.fits, self.errors):
+            if current().left_out:
+                break
+            self.nest(self.selection.without_functions(gone))
+
+    def nest(self, selection: Selection) -> None:
+        """Take a model, with its nested models and their held-out errors."""
+        self.selection = selection
+        self.averaged = attempt("the average of functions without a name", lambda: average(selection), None)
+        self.fold = Fold.of(selection, self.terms, self.averaged, self.max_effects)
+        self.fits, self.steps = in_order(selection, self.averaged)
+        unguarded: list[float | None] = [None for _ in self.fits]
+        self.errors = attempt(
             "the choice of the longest model that is never worse",
-            lambda: guarding(selection, fits, fold),
+            lambda: guarding(selection, self.fits, self.fold),
             unguarded,
         )
-        return cls(selection, averaged, fold, fits, steps, errors)
+
+    def judge_names(self) -> None:
+        """Judge the names of the model by evidence, and name what could explain the rest."""
+        self.names = checkable(judge(self.selection, self.averaged), self.selection)
+        if self.scatter is not None or not self.selection.adequate:
+            could = undecided(self.selection)
+            if len(could) > 1:
+                self.names = replace(self.names, confounded=(*self.names.confounded, could))
+
+    def measure_errors(self) -> None:
+        """Measure the errors of the nested models, with effects chosen in each fold."""
+        self.figures, self.design = attempt(
+            "the error on left-out dwells, effects chosen anew",
+            lambda: error_figures(self.selection, self.measured, self.checking, self.fits, self.fold),
+            without_folds(self.fits, self.measured, self.checking),
+        )
+
+    def shorten(self) -> None:
+        """Keep the longest nested model that is never worse than a shorter one."""
+        reported = reported_errors(self.figures) if self.checking is None else None
+        unit = self.measured.model.unit
+        count, self.names, cut = never_worse(self.names, self.steps, self.errors, reported, unit)
+        if count < len(self.steps):
+            # Longer models have their figures already; those of the shorter one hold for it as they are.
+            self.fits, self.figures = self.fits[: count + 1], self.figures[: count + 1]
+            self.steps = self.steps[:count]
+            terms, inside = self.selection.problem.terms, self.fits[-1].terms
+            self.selection = self.selection.with_model(
+                [k for k in self.selection.verdict.best if terms[k] in inside]
+            )
+            self.averaged = None
+        self.reasons = cut
+
+    def judge_findings(self) -> None:
+        """Take away names that are weak, and test the model on check dwells."""
+        final, noise_known = self.final, self.measured.noise_known
+        findings = [finding_of(final, name, self.averaged) for name in self.names.stand]
+        places = credible_sets(self.selection, self.averaged)
+        self.sets = tuple(one for one in places if one.present >= limits.certain)
+        self.likelier = likelier_functions(self.sets, self.terms)
+        at_middle = [bias_at_middle(final, finding) for finding in findings]
+        weak = weak_names(at_middle, self.figures[-1], self.likelier, places)
+        self.names = without(replace(self.names, open={**self.names.open, **weak}), weak)
+        self.reasons = {**self.names.open, **self.reasons}
+        self.findings = [finding for finding in findings if finding.effect not in weak]
+        self.notes = list(notes_of(self.selection, self.scatter))
+        self.adequate = final.adequate and self.scatter is None and (final.fit.dof > 0 or not noise_known)
+        if self.adequate and self.checking is not None and self.averaged is None and noise_known:
+            disagreement = disagreement_of(final, self.checking)
+            self.notes += disagreement
+            self.adequate = not disagreement
+
+    def finished(self) -> TraceResult:
+        """The result, with advice."""
+        from adis_gonio.tracing.advice.words import advise  # next door, and it looks in here
+
+        selection, final = self.selection, self.final
+        of_step = shares(self.steps, excesses(self.fits, self.figures))
+        seen = shown_findings(self.findings, self.data, self.scatter, of_step)
+        nothing: tuple[tuple[str, ...], tuple[NextDwell, ...]] = ((), ())
+        open_still = replace(selection, adequate=self.adequate)
+        advice, measurements = attempt(
+            "what to measure next",
+            lambda: advise(self.data, open_still, self.terms, self.names.confounded),
+            nothing,
+        )
+        zeros = zeros_of(final, seen)
+        part = self.measured.model.part
+        return self._result(
+            adequate=self.adequate and self.measured.noise_known,
+            found=seen,
+            sets=one_a_function(self.sets, self.likelier),
+            confounded=self.names.confounded,
+            unnamed=unnamed_with_share(unnamed_of(selection, self.averaged), of_step),
+            detectable={
+                **detectable(selection.found, selection.verdict.best, self.missing, part),
+                **({"bias": ZERO_OF_COUNTS} if len(zeros) == self.data.axes else {}),
+            },
+            advice=advice,
+            measurements=measurements,
+            base={**base_of(final), **zeros},
+            reasons=self.reasons,
+            notes=tuple(self.notes),
+        )
+
+    def unfinished(self) -> TraceResult:
+        """The best model so far of a trace that was not validated: its figures, and nothing found."""
+        open_ = [*self.steps, *([] if self.scatter is None else [self.scatter.kind])]
+        return self._result(
+            adequate=False,
+            found=(),
+            confounded=(),
+            unnamed=None,
+            detectable={},
+            advice=("trace again with more time, or without a limit",),
+            base=base_of(self.final),
+            reasons=dict.fromkeys(open_, UNCHECKED),
+            stopped=Stopped.of(current(), checked=False),
+        )
+
+    def _result(self, **others: Any) -> TraceResult:
+        final, steps = self.final, zip(self.steps, self.figures[1:], strict=True)
+        return TraceResult(
+            steps=tuple(Step(label, error) for label, error in steps),
+            before=self.figures[0],
+            after=self.figures[-1],
+            rivals=rivals_of(self.selection),
+            heldout_design=self.design,
+            fits=(*self.fits[:-1], final.fit),
+            inflation=final.inflation,
+            **others,
+        )
 
 
-def _guarded(selection: Selection, terms: Sequence[Term], max_effects: int) -> _Guarded:
-    """The best model whose functions without a name stand on left-out dwells.
-
-    A function that these refute leaves the posterior: names that it stood before are judged then.
-    """
-    guarded = _Guarded.of(selection, terms, max_effects)
-    while gone := refuted(guarded.selection, guarded.fits, guarded.errors):
-        if current().left_out:
-            break
-        guarded = _Guarded.of(guarded.selection.without_functions(gone), terms, max_effects)
-    return guarded
-
-
-def _seen(
+def shown_findings(
     findings: Sequence[Finding], data: Readings, scatter: Scatter | None, of_step: dict[str, float]
 ) -> tuple[Finding, ...]:
     """Findings in the file's units with their shares, and the scatter that takes what they leave."""
@@ -275,7 +355,7 @@ def _seen(
     return (*seen, scatter_finding(scatter, max(1.0 - sum(of_step.values()), 0.0)))
 
 
-def _searched(
+def search_model(
     training: Readings, terms: Sequence[Term], max_effects: int
 ) -> tuple[Selection, Scatter | None]:
     """The chosen model, under more noise where that is the better account."""
@@ -290,19 +370,19 @@ def _searched(
     return selection, scatter
 
 
-def _reported(figures: Sequence[ErrorFigures]) -> tuple[float, float] | None:
+def reported_errors(figures: Sequence[ErrorFigures]) -> tuple[float, float] | None:
     """Held-out errors that stand in the result for the base model and the final one."""
     first, last = figures[0].heldout_rms, figures[-1].heldout_rms
     return None if first is None or last is None else (first, last)
 
 
-def _likelier(sets: Sequence[CredibleSet], terms: Sequence[Term]) -> dict[str, str]:
+def likelier_functions(sets: Sequence[CredibleSet], terms: Sequence[Term]) -> dict[str, str]:
     """What is likelier in the place of a name, where that is a function without one."""
     names = {term.name for term in terms}
     return {one.cause: one.names[0] for one in sets if one.names[0] not in names and one.cause in names}
 
 
-def _weak(
+def weak_names(
     findings: Sequence[Finding],
     final: ErrorFigures,
     likelier: Mapping[str, str],
@@ -324,7 +404,7 @@ def _weak(
     return weak
 
 
-def _disagreement(final: Selection, checking: Readings) -> list[str]:
+def disagreement_of(final: Selection, checking: Readings) -> list[str]:
     """What is to be said where dwells that took no part do not agree with the model of the others."""
     p = unexpected(final.fit, checking, final.inflation)
     if p >= limits.adequate:
@@ -335,36 +415,8 @@ def _disagreement(final: Selection, checking: Readings) -> list[str]:
     ]
 
 
-def _unfinished(
-    final: Selection,
-    fits: Sequence[Fit],
-    steps: Sequence[str],
-    figures: Sequence[ErrorFigures],
-    design: str,
-    open_: Sequence[str],
-) -> TraceResult:
-    """The best model so far of a trace that was not validated: its figures, and nothing found."""
-    return TraceResult(
-        adequate=False,
-        found=(),
-        steps=tuple(Step(label, error) for label, error in zip(steps, figures[1:], strict=True)),
-        confounded=(),
-        unnamed=None,
-        before=figures[0],
-        after=figures[-1],
-        detectable={},
-        advice=("trace again with more time, or without a limit",),
-        rivals=rivals_of(final),
-        base=base_of(final),
-        reasons=dict.fromkeys(open_, UNCHECKED),
-        heldout_design=design,
-        fits=(*fits[:-1], final.fit),
-        inflation=final.inflation,
-        stopped=Stopped.of(current(), checked=False),
-    )
-
-
-def _enough(data: Readings) -> None:
+def refuse_too_few(data: Readings) -> None:
+    """Refuse fewer equations than base parameters: `FitError`."""
     base = len(data.model.parameters)
     rows = len(data) * data.equations_each
     if rows < base:

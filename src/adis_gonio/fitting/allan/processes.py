@@ -91,12 +91,6 @@ def variograms(filter_m: int, lags: int, period_s: float) -> Floats:
     return made * [1 / period_s**2, 1 / period_s, 1.0, period_s]
 
 
-def allan_variance(squares: Floats, tau_s: Floats) -> Floats:
-    """Allan variance (t,) at times long against the filter, by squared coefficients (4,) of `KINDS`."""
-    shapes = np.stack([3 / tau_s**2, 1 / tau_s, np.ones_like(tau_s), tau_s / 3], axis=1)
-    return np.asarray(shapes @ squares, np.float64)
-
-
 def _autocovariance(weights: Floats) -> Floats:
     return np.asarray(np.correlate(weights, weights, "full")[len(weights) - 1 :], np.float64)
 

@@ -271,6 +271,3 @@ def _first_rest(psi_rad: Floats, windows: Windows) -> int:
     rate = np.abs(np.diff(psi_rad) / np.diff(windows.centre_s))
     moving = np.flatnonzero(np.degrees(rate) > checks.REST_DPS)
     return max(int(moving[0]), 1) if moving.size else 1
-
-
-__all__ = ["METHOD", "FreeTurnResult", "fit_free_turn", "is_free_turn", "series_of"]

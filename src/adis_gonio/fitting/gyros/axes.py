@@ -125,6 +125,3 @@ def source_of_calibration(
         raise UsageError("the calibration of the accelerometers states no uncertainties: fit one that does")
     stated = ["skew_xy" if name == "delta_phi" else name for name in names]
     return dict(zip(stated, values.tolist(), strict=True)), stated, covariance
-
-
-__all__ = ["BIASES", "SKEWS", "Axes", "Prior", "source_of_calibration"]

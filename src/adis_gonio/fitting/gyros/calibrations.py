@@ -11,7 +11,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import SessionError
-from adis_gonio.calibrate.calibration import NotCorrected
+from adis_gonio.calibrate.coefficients import NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.record.provenance import Provenance
@@ -58,19 +58,6 @@ def estimates_of_gyro_fit(result: GyroFit) -> GyroEstimates:
         doubts=tuple(doubts),
         remarks=tuple(result.warnings),
     )
-
-
-def calibration_of_gyro_fit(result: GyroFit) -> GyroCalibration:
-    """Calibration by a fit of the gyros, for the part as it is.
-
-    Raises
-    ------
-    FitError
-        A zero rate is not determined.
-    SessionError
-        As `gyro_calibration_of`.
-    """
-    return gyro_calibration_as_it_is(estimates_of_gyro_fit(result), result.provenance)
 
 
 def gyro_calibration_as_it_is(found: GyroEstimates, where: Provenance | None) -> GyroCalibration:

@@ -170,9 +170,9 @@ class GyroFit(ParameterTable):
         SessionError
             A write of gyro offsets was interrupted, so that only the sensor can tell.
         """
-        from adis_gonio.fitting.gyros.calibrations import calibration_of_gyro_fit
+        from adis_gonio.fitting.gyros.calibrations import estimates_of_gyro_fit, gyro_calibration_as_it_is
 
-        return calibration_of_gyro_fit(self)
+        return gyro_calibration_as_it_is(estimates_of_gyro_fit(self), self.provenance)
 
     def caption_and_parameters(self) -> tuple[str, Entries]:
         """Method, and the parameters by name."""
@@ -255,7 +255,9 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
     fit = model.fit
     inflation = _inflation(model)
     factor = np.sqrt([inflation[_gyro_of(name)][0] for name in model.names])
-    names, values, covariance = _stated(model, model.covariance * np.outer(factor, factor))
+    names, values, covariance = stated_parameters(
+        model.names, fit.values.parameters, model.covariance * np.outer(factor, factor), model.free
+    )
     gains = np.where([name.startswith("gyro_scale_") for name in names], TIME_BASE_U * values, 0.0)
     covariance = covariance + np.outer(gains, gains)
     parameters = {
@@ -419,38 +421,46 @@ def _unit(name: str) -> str:
     return _UNITS.get(name.rsplit("_", 1)[0], "1")
 
 
-def _stated(model: _Model, covariance: Floats) -> tuple[list[str], Floats, Floats]:
-    """Names, values and covariance of the determined parameters as a result states them."""
-    own = model.fit.values.parameters
+def stated_parameters(
+    names: Sequence[str], values: Floats, covariance: Floats, free: NDArray[np.bool_] | None = None
+) -> tuple[list[str], Floats, Floats]:
+    """Names, values and covariance of the free parameters, with gains K and misalignments of D.
+
+    Parameters
+    ----------
+    values, covariance : (p,) float, (p, p) float
+        Of the base model and the effects.
+    free : (p,) bool, optional
+        Parameters that are determined; by default all.
+    """
+    kept = np.flatnonzero(np.ones(len(values)) if free is None else free).tolist()
     step = 1e-6
-    slope = np.zeros((len(own), len(own)))
-    for k in np.flatnonzero(model.free):
-        change = step * np.eye(len(own))[k]
-        slope[:, k] = (_of_k_and_d(model, own + change) - _of_k_and_d(model, own - change)) / (2 * step)
-    stated = _of_k_and_d(model, own)
-    kept = np.flatnonzero(model.free)
+    slope = np.zeros((len(values), len(values)))
+    for k in kept:
+        change = step * np.eye(len(values))[k]
+        rise = gains_and_directions(names, values + change) - gains_and_directions(names, values - change)
+        slope[:, k] = rise / (2 * step)
     moved = slope @ covariance @ slope.T
-    return [_stated_name(model.names[k]) for k in kept], stated[kept], moved[np.ix_(kept, kept)]
+    stated = gains_and_directions(names, values)
+    return [_stated_name(names[k]) for k in kept], stated[kept], moved[np.ix_(kept, kept)]
 
 
-def _of_k_and_d(model: _Model, values: Floats) -> Floats:
-    """The parameters (p,) with gains K and misalignments of D in the place of what the effects add.
+def gains_and_directions(names: Sequence[str], values: Floats) -> Floats:
+    """The parameters (p,) with gains K and misalignments of D in place of the terms of the effects.
 
     A gyro that adds e Ω_i + Σ sin m_p Ω_p − (1 − c) Ω_i, c² = 1 − Σ sin² m_p, to Ω_i has the row
     (c + e, sin m_p, …) of K D: K is its length, the misalignments are those of its direction.
     """
     out = values.copy()
-    at = {name: k for k, name in enumerate(model.names)}
+    at = {name: k for k, name in enumerate(names)}
     for axis in AXES:
         scale = at.get(f"gyro_scale_error_{axis}")
         if scale is None:
             continue
         angles = [k for name, k in at.items() if name.startswith(f"gyro_misalignment_{axis}")]
         sines = np.sin(np.radians(values[angles]))
-        gain = math.hypot(
-            math.sqrt(1 - float(sines @ sines)) + float(values[scale]), float(np.hypot(*sines))
-        )
-        out[scale] = gain
+        along = math.sqrt(max(1 - float(sines @ sines), 0.0)) + float(values[scale])
+        out[scale] = gain = math.hypot(along, float(np.hypot.reduce(sines)))
         out[angles] = np.degrees(np.arcsin(sines / gain))
     return out
 

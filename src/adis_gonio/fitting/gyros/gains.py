@@ -63,6 +63,3 @@ def gains_of(session: Session) -> Gains | None:
         return gains_in(fit_gyro_readings(readings_of_part(session, GYRO).training, scored=False))
     except AdisGonioError:
         return None
-
-
-__all__ = ["Gains", "gains_in", "gains_of"]

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.slips.halts import Halts
 from adis_gonio.model.effects import Conditions
-
-TURN_RAD = 2 * math.pi
 
 
 @dataclass(frozen=True)

@@ -324,6 +324,3 @@ def _together(found: Sequence[Angle | None]) -> Angle:
 
 def _at(declared_deg: float, error: Angle) -> Angle:
     return declared_deg + error[0], error[1]
-
-
-__all__ = ["CERTAIN", "Diagnosis", "diagnose"]

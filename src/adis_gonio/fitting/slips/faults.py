@@ -225,6 +225,3 @@ def _typed(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats)
     anywhere = spread / (2 * math.pi)
     whole = np.where(u < math.radians(0.3), np.exp(-0.5 * (off / u) ** 2) / 360, anywhere)
     return np.asarray(np.log(LISTED * on_list + WHOLE * whole + (1 - LISTED - WHOLE) * anywhere))
-
-
-__all__ = ["ACCUSED", "PUSH_MG", "SHARE", "Name", "Pattern", "patterns_of"]

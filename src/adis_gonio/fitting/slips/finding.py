@@ -213,6 +213,3 @@ def _stated(angle: Angle) -> str:
 
 def _signed(angle: Angle) -> str:
     return f"{angle[0]:+.2f}° ± {max(angle[1], 0.005):.2f}°"
-
-
-__all__ = ["MEANINGS", "Angle", "Named", "PositionFinding", "listed"]

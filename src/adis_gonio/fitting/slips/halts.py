@@ -92,6 +92,3 @@ def halts_of(path: Path, sampling: Sampling) -> Halts:
     # Just before it moves on: what a hand corrects after it has arrived is slow as well.
     at = moving[0] + ends[ends - begins >= least] - (least + 1) // 2
     return Halts(np.radians(turned[-1] - turned[at]), math.radians(float(turned[-1])))
-
-
-__all__ = ["Halts", "halts_of"]

@@ -175,6 +175,3 @@ def _stayed(path: Path, sampling: Sampling) -> bool:
     means = rate.reshape(whole, window, 3).mean(axis=1)
     allowed = sampling.moving_dps + np.abs(path.zero_dps[1] - path.zero_dps[0])
     return bool((np.abs(means) <= allowed).all())
-
-
-__all__ = ["angles_of", "in_context", "positions_of"]

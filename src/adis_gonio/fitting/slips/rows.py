@@ -38,10 +38,8 @@ TYPICAL = 3.0
 """Standard deviation of an effect that may be there, in the magnitudes that the catalogue calls typical."""
 BASE = 5
 """Parameters of the calibration itself: gains, misalignment, biases."""
-NOT_BESIDE = frozenset(
-    {"bias", "scale", "misalignment", "gravity", "position_slip", "outlier_dwell", "stage_periodic"}
-)
-"""Effects that are the calibration itself, or what is looked for here."""
+_LOOKED_FOR = {"dwell", "cycles"}
+"""Choices of effects that are looked for here: in one dwell, or by cycles of the stage."""
 ROUNDS = 4
 TURNED_AWAY = 4.0
 """Lengths beyond so many robust standard deviations hardly count in the first calibration."""
@@ -267,19 +265,16 @@ def _turns(angles: Angles) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
     )
 
 
-def _halts(angles: Angles) -> dict[int, Halts]:
-    known = () if angles.turns is None else angles.turns.halts
-    return {dwell: halts for dwell, halts in enumerate(known, 1) if halts is not None}
-
-
 def _beside(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
     """Effects of the catalogue: columns on readings (n, 2, q) in mg and on ψ (n, r), sizes (q + r,)."""
     conditions = _by_gravity(angles.conditions, near, angles)
     added: list[Floats] = []
     turned: list[Floats] = []
     sizes: dict[bool, list[float]] = {False: [], True: []}
-    for name, kind in catalogue(PlanarTurn.part).items():
-        if name in NOT_BESIDE or kind.enters is Enters.SAMPLES or kind.within_dwell:
+    for kind in catalogue(PlanarTurn.part).values():
+        if kind.in_base or _LOOKED_FOR.intersection(kind.choices()):
+            continue
+        if kind.enters is Enters.SAMPLES or kind.within_dwell:
             continue
         if conditions.lacks(kind.needs):
             continue
@@ -306,6 +301,3 @@ def _by_gravity(conditions: Conditions, near: _Local, angles: Angles) -> Conditi
     stands = zero - near.psi_rad
     before = np.concatenate([stands[:1], stands[:-1]])
     return replace(conditions, angle_rad=stands, previous_angle_rad=before)
-
-
-__all__ = ["BASE", "BelievedParameters", "Rows", "calibrated_by_length", "common_zero", "rows_at"]

@@ -79,6 +79,3 @@ class Detectability:
             own = amplitude(seen.ravel(), np.full(seen.size, 1 / math.sqrt(vv))).reshape(seen.shape)
             faulty = np.logaddexp(faulty, clean + 0.5 * vz**2 / vv + log_prior + own)
         return np.asarray(faulty - none)
-
-
-__all__ = ["Detectability"]

@@ -42,6 +42,10 @@ COVARIATES = (
     "temperature", "temperature_rate", "time", "variance",
 )  # fmt: skip
 """What an effect can follow; the trace compares effects and functions without a name by these words."""
+CYCLE = "repeat a few positions about 10 °C warmer, and again after it has cooled"
+ONE_TURN = "remount the part turned by 180° and repeat some angles"
+MEMORY = "depends on what was before the reading, which a single reading does not show"
+OF_DWELL = "belongs to a dwell of the session"
 _OF_CONDITION = {
     "angle_rad": "angle",
     "approach": "approach",
@@ -239,6 +243,20 @@ class Effect(ABC):
     """True where a candidate acts on one axis only, since on several it holds another cause besides."""
     within_dwell: ClassVar[bool] = False
     """True where its trace stands among the samples of a dwell rather than between readings."""
+    in_base: ClassVar[bool] = False
+    """True if the model that every session fits holds it already."""
+    prior: ClassVar[str] = ""
+    """Group of common effects: `constant`, `curvature` or `force`; empty for the prior weight 1."""
+    remedy: ClassVar[str] = ""
+    """What to do by hand where no further position tells it from its rivals."""
+    remedy_in_space: ClassVar[str] = ""
+    """The remedy if attitudes are free and another one is needed: gravity is in no plane it could leave."""
+    correctable: ClassVar[bool] = False
+    """True for a function of the reading, the rate, the force, the temperature or the supply."""
+    not_corrected: ClassVar[str] = ""
+    """Why no later reading can be corrected for it."""
+    shown_over: ClassVar[str] = ""
+    """Covariate of its figure, if that is not the first of `covariates`."""
     parts: ClassVar[tuple[str, ...]] = ("accelerometer",)
     """Parts of the sensor that it is an effect of, as `Measurement.part` names them."""
     options: ClassVar[dict[str, tuple[int, ...]]] = {}

@@ -9,16 +9,16 @@ from typing import ClassVar
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.model.effects.base import Conditions, Effect, Enters, Parameter
-from adis_gonio.model.effects.families import AxisEffect, CourseEffect, LinearAxisEffect, by_letters
+from adis_gonio.model.effects.base import OF_DWELL, Conditions, Effect, Enters, Parameter
+from adis_gonio.model.effects.families import AxisEffect, CourseEffect, LinearAxisEffect, by_letters, decay
 
 
 @dataclass(frozen=True)
 class SampleEffect(AxisEffect):
     """An effect that changes the samples of its axes; readings feel it only by way of them."""
 
-    enters: ClassVar[Enters] = Enters.SAMPLES
-    within_dwell: ClassVar[bool] = True
+    enters = Enters.SAMPLES
+    within_dwell = True
 
     def samples_mg(
         self, values: Floats, samples_mg: Floats, conditions: Conditions, rng: np.random.Generator
@@ -46,7 +46,6 @@ class Saturation(SampleEffect):
         "Samples pile up at one extreme value; a `quantization` piles them up on every step, a smooth "
         "nonlinearity nowhere. At rest it needs vibration or bias of 0.7 g: see the samples, not the mean."
     )
-    covariates = ("reading",)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -70,7 +69,6 @@ class Quantization(SampleEffect):
         "The distances of the samples are multiples of one step; with noise of a step or more the mean is "
         "free of it: turn the filter down, or tilt by a fraction of a step (0.027° at the horizontal)."
     )
-    covariates = ("reading",)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -96,7 +94,6 @@ class Tone(SampleEffect):
         "k f_s ± f at the same place, and a line that moves with the rate is such an alias: record at two "
         "rates. `vibration_rectification` may follow its strength."
     )
-    covariates = ("reading",)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -127,7 +124,7 @@ class NoiseChange(SampleEffect):
         "The variance within dwells changes and the mean does not; `tone` puts it into one line of the "
         "spectrum, `outlier_dwell` moves a mean, `vibration_rectification` moves the mean with it."
     )
-    covariates = ("reading",)
+    not_corrected = OF_DWELL
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -160,17 +157,15 @@ class Settling(CourseEffect):
         "It begins anew with every dwell, which `bias_drift` and `warm_up` do not; in the readings it is "
         "a `bias`: look at the samples, or wait longer in some dwells."
     )
+    remedy = "wait longer before some of the dwells"
     needs = ("time_in_dwell_s",)
-    covariates = ("reading",)
-    within_dwell: ClassVar[bool] = True
-    amplitude: ClassVar[Parameter] = Parameter("settling", "mg", -1000.0, 1000.0, 2.0)
-    shape: ClassVar[Parameter] = Parameter("tau", "s", 1e-3, 3600.0, 1.0, shape=True)
+    within_dwell = True
+    amplitude = Parameter("settling", "mg", -1000.0, 1000.0, 2.0)
+    shape = Parameter("tau", "s", 1e-3, 3600.0, 1.0, shape=True)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
         """exp(−t/τ) and its derivative by τ."""
-        elapsed = conditions.covariate("time_in_dwell_s") / shape
-        course = np.exp(-elapsed)
-        return course, course * elapsed / shape
+        return decay(conditions.covariate("time_in_dwell_s"), shape)
 
 
 @dataclass(frozen=True)
@@ -192,9 +187,10 @@ class OutlierDwell(LinearAxisEffect):
         "`position_slip` keeps the modulus of the reading, an outlier need not; a jump of the bias stays "
         "for all later dwells: repeat the position."
     )
+    remedy = "repeat the position"
+    not_corrected = OF_DWELL
     needs = ("order",)
-    covariates = ("order",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("offset", "mg", -4000.0, 4000.0, 5.0),)
+    coefficients = (Parameter("offset", "mg", -4000.0, 4000.0, 5.0),)
     elsewhere: ClassVar[dict[str, type[Effect]]] = {}
     """The same of other parts, whose readings have another unit."""
 
@@ -206,13 +202,3 @@ class OutlierDwell(LinearAxisEffect):
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """One in the dwell, zero elsewhere."""
         return ((conditions.covariate("order") == self.dwell).astype(float),)
-
-
-EFFECTS: tuple[type[Effect], ...] = (
-    Saturation,
-    Quantization,
-    Tone,
-    NoiseChange,
-    Settling,
-    OutlierDwell,
-)

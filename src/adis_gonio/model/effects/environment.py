@@ -8,14 +8,13 @@ ratiometric sensor has (1/5 V, 200 000 ppm/V), and with time by as much at 1 g a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.model.effects.base import Conditions, Effect, Parameter
-from adis_gonio.model.effects.families import CourseEffect, CrossEffect, LinearAxisEffect
+from adis_gonio.model.effects.base import CYCLE, MEMORY, Conditions, Effect, Parameter
+from adis_gonio.model.effects.families import CourseEffect, CrossEffect, LinearAxisEffect, decay
 from adis_gonio.model.effects.lag import lagged
 
 REFERENCE_C = 25.0
@@ -43,9 +42,10 @@ class BiasTemperature(LinearAxisEffect):
         "Where temperature only rises it is `bias_drift` or `warm_up`: let it fall again, or repeat "
         "positions at two temperatures in changed order; `scale_temperature` grows with the reading."
     )
+    remedy = CYCLE
+    correctable = True
     needs = ("temperature_c",)
-    covariates = ("temperature",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (
+    coefficients = (
         Parameter("tempco", "mg/°C", -20.0, 20.0, 0.5),
         Parameter("tempco2", "mg/°C²", -1.0, 1.0, 0.01),
         Parameter("tempco3", "mg/°C³", -0.05, 0.05, 0.0001),
@@ -80,11 +80,10 @@ class ScaleTemperature(LinearAxisEffect):
         "`bias_temperature` does not change its sign with the reading: the same temperatures at +1 g and "
         "at −1 g; `scale_drift` needs the temperature to go both ways."
     )
+    remedy = CYCLE
+    correctable = True
     needs = ("temperature_c",)
-    covariates = ("temperature",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("scale_tempco", "ppm/°C", -2000.0, 2000.0, 40.0),
-    )
+    coefficients = (Parameter("scale_tempco", "ppm/°C", -2000.0, 2000.0, 40.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Reading times T − 25 °C, per ppm."""
@@ -107,10 +106,11 @@ class MisalignmentTemperature(CrossEffect):
         "angles at two temperatures. A mount that turns with the temperature moves both axes by the same "
         "angle; a misalignment that goes on in time needs the temperature to go both ways."
     )
+    remedy = CYCLE
+    correctable = True
     needs = ("temperature_c",)
-    covariates = ("temperature",)
-    one_axis: ClassVar[bool] = True
-    coefficient: ClassVar[Parameter] = Parameter("misalignment_tempco", "deg/°C", -0.1, 0.1, 0.002)
+    one_axis = True
+    coefficient = Parameter("misalignment_tempco", "deg/°C", -0.1, 0.1, 0.002)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
         """Reading across times T − 25 °C, per degree."""
@@ -132,10 +132,12 @@ class ThermalLag(CourseEffect):
         "`bias_temperature` is the same on the way up and on the way down: heat and cool at different "
         "rates through the same temperature; at one constant rate it is a `bias`."
     )
+    remedy = "heat and let cool at different speeds, with a dwell every few minutes"
+    not_corrected = MEMORY
+    shown_over = "temperature_lag"
     needs = ("temperature_c", "temperature_history")
-    covariates = ("temperature",)
-    amplitude: ClassVar[Parameter] = Parameter("lag", "mg/°C", -50.0, 50.0, 0.5)
-    shape: ClassVar[Parameter] = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
+    amplitude = Parameter("lag", "mg/°C", -50.0, 50.0, 0.5)
+    shape = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
         """T_lag − T in °C, and its derivative by τ in °C/s."""
@@ -156,9 +158,10 @@ class SupplyBias(LinearAxisEffect):
         "A supply that sinks while the part warms imitates `bias_temperature`, `bias_drift`: change the "
         "supply by hand at one position."
     )
+    remedy = "change the supply by hand at one position, such as from 4.8 to 5.2 V"
+    correctable = True
     needs = ("supply_v",)
-    covariates = ("supply",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("supply", "mg/V", -500.0, 500.0, 5.0),)
+    coefficients = (Parameter("supply", "mg/V", -500.0, 500.0, 5.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """V − 5 V."""
@@ -176,11 +179,10 @@ class SupplyScale(LinearAxisEffect):
         "supply that sinks while the part warms imitates `scale_temperature`, one that sinks evenly "
         "`scale_drift`: change it by hand."
     )
+    remedy = "change the supply by hand at +1 g and at −1 g, such as from 4.8 to 5.2 V"
+    correctable = True
     needs = ("supply_v",)
-    covariates = ("supply",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("supply_scale", "ppm/V", -500000.0, 500000.0, 2000.0),
-    )
+    coefficients = (Parameter("supply_scale", "ppm/V", -500000.0, 500000.0, 2000.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Reading times V − 5 V, per ppm."""
@@ -197,8 +199,9 @@ class BiasDrift(LinearAxisEffect):
         "With positions in one order, time is angle: repeat positions in another order (forth and back, or "
         "shuffled); `bias_temperature` needs the temperature to fall, `warm_up` a longer session."
     )
+    remedy = "repeat some positions in another order, and once more after a break"
     covariates = ("time",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("drift", "mg/min", -50.0, 50.0, 0.05),)
+    coefficients = (Parameter("drift", "mg/min", -50.0, 50.0, 0.05),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Time in minutes."""
@@ -216,10 +219,10 @@ class ScaleDrift(LinearAxisEffect):
         "temperature or supply only rise or sink it is `scale_temperature` or `supply_scale`: let them go "
         "both ways. A gain that moves after the load has changed is `creep`."
     )
+    remedy = "repeat +1 g and −1 g of an axis early and late, and once more after a break"
+    not_corrected = "follows the clock of the session; the gain is that of its start"
     covariates = ("time",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("scale_drift", "ppm/min", -50000.0, 50000.0, 50.0),
-    )
+    coefficients = (Parameter("scale_drift", "ppm/min", -50000.0, 50000.0, 50.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Reading times minutes, per ppm."""
@@ -236,15 +239,15 @@ class WarmUp(CourseEffect):
         "Shorter than τ it is `bias_drift`, much longer it is a `bias` of the first dwells; with the "
         "temperature recorded it competes with `bias_temperature`: switch off and on within the session."
     )
+    remedy = "switch the sensor off, let it cool, and repeat a few positions after switching on"
+    not_corrected = "follows the clock of the session; the bias is that of the warm part"
     covariates = ("time",)
-    amplitude: ClassVar[Parameter] = Parameter("warm_up", "mg", -200.0, 200.0, 2.0)
-    shape: ClassVar[Parameter] = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
+    amplitude = Parameter("warm_up", "mg", -200.0, 200.0, 2.0)
+    shape = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
         """exp(−t/τ) and its derivative by τ."""
-        elapsed = conditions.time_s / shape
-        course = np.exp(-elapsed)
-        return course, course * elapsed / shape
+        return decay(conditions.time_s, shape)
 
 
 class Gravity(Effect):
@@ -261,7 +264,9 @@ class Gravity(Effect):
         "Equal to a common error of all gains; ΔK and Δφ do not depend on it. A measured g, or a second "
         "place of known difference in g, separates it from `scale`."
     )
-    covariates = ("reading",)
+    remedy = "enter the local gravity, as from --latitude and --height"
+    not_corrected = "belongs to the place: state its gravity; no angle depends on it"
+    in_base = True
     by_axis = False
 
     @property
@@ -276,17 +281,3 @@ class Gravity(Effect):
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """The readings themselves, (n, axes, 1)."""
         return ideal[:, :, None].copy()
-
-
-EFFECTS: tuple[type[Effect], ...] = (
-    BiasTemperature,
-    ScaleTemperature,
-    MisalignmentTemperature,
-    ThermalLag,
-    SupplyBias,
-    SupplyScale,
-    BiasDrift,
-    ScaleDrift,
-    WarmUp,
-    Gravity,
-)

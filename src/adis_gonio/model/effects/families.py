@@ -153,13 +153,20 @@ class CourseEffect(AxisEffect):
         return design
 
 
+def decay(time_s: Floats, tau_s: float) -> tuple[Floats, Floats]:
+    """exp(−t/τ) and its derivative by τ, (n,) each."""
+    elapsed = time_s / tau_s
+    course = np.exp(-elapsed)
+    return course, course * elapsed / tau_s
+
+
 @dataclass(frozen=True)
 class StageEffect(Effect):
     """An effect of the stage: the true angle gets Σ_k value_k · basis_k, in degrees."""
 
     coefficients: ClassVar[tuple[Parameter, ...]]
-    enters: ClassVar[Enters] = Enters.ATTITUDE
-    by_axis: ClassVar[bool] = False
+    enters = Enters.ATTITUDE
+    by_axis = False
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

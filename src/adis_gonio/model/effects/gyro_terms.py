@@ -14,12 +14,14 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.model.effects.base import AXES, Conditions, Effect, Parameter
+from adis_gonio.model.effects.base import AXES, CYCLE, Conditions, Parameter
 from adis_gonio.model.effects.dwell_terms import OutlierDwell
-from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V, BiasTemperature
-from adis_gonio.model.effects.families import AxisEffect, CourseEffect, LinearAxisEffect, by_letters
+from adis_gonio.model.effects.environment import REFERENCE_C, BiasTemperature, SupplyBias, WarmUp
+from adis_gonio.model.effects.families import AxisEffect, LinearAxisEffect, by_letters
 
 GYRO = ("gyro",)
+_OTHER_ORDER = "repeat the first poses last, or all in another order: a drift goes on, a force comes back"
+WHOLE_TURNS = "turn the part by whole turns about each axis, to both sides (plan gyro-turns)"
 
 
 def _die_c(axis: int, conditions: Conditions) -> Floats:
@@ -45,9 +47,10 @@ class GyroBiasTemperature(BiasTemperature):
         "Where temperature only rises it is `gyro_drift` or `gyro_warm_up`: let it fall again, or repeat "
         "poses at two temperatures in changed order; `gyro_scale_temperature` shows in turns alone."
     )
-    covariates = ("temperature",)
+    remedy = CYCLE
+    correctable = True
     parts = GYRO
-    coefficients: ClassVar[tuple[Parameter, ...]] = (
+    coefficients = (
         Parameter("gyro_bias_temperature", "dps/°C", -1.0, 1.0, 0.02),
         Parameter("gyro_bias_temperature2", "dps/°C²", -0.05, 0.05, 0.0005),
         Parameter("gyro_bias_temperature3", "dps/°C³", -0.0025, 0.0025, 0.00001),
@@ -78,11 +81,13 @@ class GSensitivity(LinearAxisEffect):
         "With poses in one order force is time: repeat the first poses last, or shuffle them; `gyro_drift` "
         "goes on where the pose comes back. `g2_sensitivity` does not change its sign with the force."
     )
+    remedy = _OTHER_ORDER
+    correctable = True
+    prior = "force"
     needs = ("force_g",)
-    covariates = ("force",)
     parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"force": (0, 1, 2, 3)}
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("g_sensitivity", "dps/g", -2.0, 2.0, 0.05),)
+    coefficients = (Parameter("g_sensitivity", "dps/g", -2.0, 2.0, 0.05),)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -128,13 +133,12 @@ class G2Sensitivity(LinearAxisEffect):
         "At rest f_x² + f_y² + f_z² = 1, so that the square of one component is that of the two others "
         "with the opposite sign: poses between the axes tell one from two, vibration tells all."
     )
+    remedy = "point two axes at once along gravity (±0.7 g), and repeat the first poses last"
+    correctable = True
     needs = ("force_g",)
-    covariates = ("force",)
     parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"force": (0, 1, 2)}
-    coefficients: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("g2_sensitivity", "dps/g²", -2.0, 2.0, 0.02),
-    )
+    coefficients = (Parameter("g2_sensitivity", "dps/g²", -2.0, 2.0, 0.02),)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -161,10 +165,11 @@ class GyroScale(LinearAxisEffect):
         "Only turns show it: a whole turn about each axis to either side. `gyro_asymmetry` needs both "
         "senses, `gyro_scale_temperature` turns at two temperatures."
     )
+    remedy = WHOLE_TURNS
+    correctable = True
     needs = ("rate_dps",)
-    covariates = ("rotation",)
     parts = GYRO
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("gyro_scale_error", "1", -0.2, 0.2, 0.01),)
+    coefficients = (Parameter("gyro_scale_error", "1", -0.2, 0.2, 0.01),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """The true rate about the axis."""
@@ -180,12 +185,12 @@ class GyroScaleTemperature(LinearAxisEffect):
     separated_by = (
         "`gyro_bias_temperature` shows at rest too, this in turns alone: the same turn at two temperatures."
     )
+    remedy = "turn the part by whole turns at two temperatures, 10 °C apart"
+    correctable = True
     needs = ("rate_dps", "temperature_c")
     covariates = ("temperature",)
     parts = GYRO
-    coefficients: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("gyro_scale_temperature", "ppm/°C", -5000.0, 5000.0, 100.0),
-    )
+    coefficients = (Parameter("gyro_scale_temperature", "ppm/°C", -5000.0, 5000.0, 100.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """The true rate times T − 25 °C, per ppm."""
@@ -207,10 +212,11 @@ class GyroMisalignment(AxisEffect):
         "Only a turn about the axis towards which it is misaligned shows it: one whole turn about each of "
         "the three axes."
     )
+    remedy = WHOLE_TURNS
+    correctable = True
     needs = ("rate_dps",)
-    covariates = ("rotation",)
     parts = GYRO
-    coefficient: ClassVar[Parameter] = Parameter("gyro_misalignment", "deg", -10.0, 10.0, 0.5)
+    coefficient = Parameter("gyro_misalignment", "deg", -10.0, 10.0, 0.5)
 
     def _pairs(self) -> list[tuple[int, int]]:
         own = [AXES.index(axis) for axis in self.axes]
@@ -270,10 +276,12 @@ class GyroDrift(LinearAxisEffect):
         "`gyro_bias_temperature` needs the temperature to fall; pauses of different length between dwells "
         "tell time from the number of the dwell."
     )
+    remedy = _OTHER_ORDER
+    not_corrected = "follows the clock of the session; the zero rate is that of its start"
     covariates = ("time",)
     parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"steps": (0, 1)}
-    coefficients: ClassVar[tuple[Parameter, ...]] = (
+    coefficients = (
         Parameter("gyro_drift", "dps/min", -5.0, 5.0, 0.005),
         Parameter("gyro_step", "dps/dwell", -2.0, 2.0, 0.01),
     )
@@ -294,7 +302,7 @@ class GyroDrift(LinearAxisEffect):
         return (conditions.covariate("order") if self.steps else conditions.time_s / 60.0,)
 
 
-class GyroWarmUp(CourseEffect):
+class GyroWarmUp(WarmUp):
     """The zero rate settles exponentially after power-on."""
 
     name = "gyro_warm_up"
@@ -304,19 +312,14 @@ class GyroWarmUp(CourseEffect):
         "Shorter than τ it is `gyro_drift`; with the temperature recorded it competes with "
         "`gyro_bias_temperature`: switch off and on within the session."
     )
+    remedy = "switch the sensor off, let it cool, and repeat a few poses after switching on"
+    not_corrected = "follows the clock of the session; the zero rate is that of the warm part"
     covariates = ("time",)
     parts = GYRO
-    amplitude: ClassVar[Parameter] = Parameter("gyro_warm_up", "dps", -10.0, 10.0, 0.2)
-    shape: ClassVar[Parameter] = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
-
-    def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
-        """exp(−t/τ) and its derivative by τ."""
-        elapsed = conditions.time_s / shape
-        course = np.exp(-elapsed)
-        return course, course * elapsed / shape
+    amplitude = Parameter("gyro_warm_up", "dps", -10.0, 10.0, 0.2)
 
 
-class GyroSupply(LinearAxisEffect):
+class GyroSupply(SupplyBias):
     """The zero rate follows the supply."""
 
     name = "gyro_supply"
@@ -326,14 +329,11 @@ class GyroSupply(LinearAxisEffect):
         "A supply that sinks while the part warms imitates `gyro_bias_temperature` and `gyro_drift`: "
         "change the supply by hand in one pose."
     )
+    remedy = "change the supply by hand in one pose, such as from 4.8 to 5.2 V"
+    correctable = True
     needs = ("supply_v",)
-    covariates = ("supply",)
     parts = GYRO
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("gyro_supply", "dps/V", -10.0, 10.0, 0.25),)
-
-    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """V − 5 V."""
-        return (conditions.covariate("supply_v") - REFERENCE_V,)
+    coefficients = (Parameter("gyro_supply", "dps/V", -10.0, 10.0, 0.25),)
 
 
 class GyroAsymmetry(LinearAxisEffect):
@@ -346,10 +346,11 @@ class GyroAsymmetry(LinearAxisEffect):
         "Turns to one side alone have it in `gyro_scale`: turn to both. Of slow and brisk turns a "
         "curvature grows with the square."
     )
+    remedy = "turn the part by as many whole turns to the one side as to the other"
+    not_corrected = "differs between the two senses of turning, which no gain corrects"
     needs = ("rate_dps",)
-    covariates = ("rotation",)
     parts = GYRO
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("gyro_asymmetry", "1", -0.1, 0.1, 0.001),)
+    coefficients = (Parameter("gyro_asymmetry", "1", -0.1, 0.1, 0.001),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Modulus of the true rate about the axis."""
@@ -361,21 +362,8 @@ class GyroAsymmetry(LinearAxisEffect):
 class GyroOutlierDwell(OutlierDwell):
     """`outlier_dwell` as the readings of gyros have it."""
 
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("offset", "dps", -300.0, 300.0, 0.1),)
+    coefficients = (Parameter("offset", "dps", -300.0, 300.0, 0.1),)
     parts = GYRO
 
 
 OutlierDwell.elsewhere["gyro"] = GyroOutlierDwell
-
-EFFECTS: tuple[type[Effect], ...] = (
-    GyroBiasTemperature,
-    GSensitivity,
-    G2Sensitivity,
-    GyroScale,
-    GyroScaleTemperature,
-    GyroMisalignment,
-    GyroDrift,
-    GyroWarmUp,
-    GyroSupply,
-    GyroAsymmetry,
-)

@@ -17,9 +17,11 @@ ENTRY_POINT_GROUP = "adis_gonio.effects"
 BUILT_IN: dict[str, type[Effect]] = {
     kind.name: kind
     for module in (sensor_terms, environment, stage, dwell_terms, gyro_terms)
-    for kind in module.EFFECTS
+    for kind in vars(module).values()
+    if isinstance(kind, type) and issubclass(kind, Effect)
+    if kind.__module__ == module.__name__ and "name" in vars(kind)
 }
-"""Effects of this package, by cause."""
+"""Effects of this package, in the order of their definition: every class with a name of its own."""
 
 
 def catalogue(part: str | None = None) -> dict[str, type[Effect]]:

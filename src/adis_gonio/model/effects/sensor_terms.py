@@ -7,14 +7,18 @@ The order is that of the model equation of IEEE Std 1293: E/K1 = K0 + a_i + K2 a
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.model.effects.base import Conditions, Effect, Parameter
+from adis_gonio.model.effects.base import ONE_TURN, Conditions, Parameter
 from adis_gonio.model.effects.families import CrossEffect, LinearAxisEffect
 from adis_gonio.model.records import MG_PER_G
+
+_OUT_OF_PLANE = "repeat the session with the part on its side, so that gravity leaves the plane"
+_OBLIQUE = (
+    "point each axis 45° and 60° off the vertical, up and down (readings of ±0.7 and ±0.5 g), and repeat a "
+    "few of the first poses last"
+)
 
 
 class Bias(LinearAxisEffect):
@@ -27,8 +31,12 @@ class Bias(LinearAxisEffect):
         "Two positions cannot see it, opposite ones (0/180°) can; in one plane at 1 g the mean of an even "
         "nonlinearity joins it: positions out of the plane, or several temperatures and times, part them."
     )
+    remedy = "repeat a few positions on another day or at another temperature"
+    in_base = True
+    prior = "constant"
+    shown_over = "angle"
     covariates = ()
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("bias", "mg", -1000.0, 1000.0, 10.0),)
+    coefficients = (Parameter("bias", "mg", -1000.0, 1000.0, 10.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """One."""
@@ -45,8 +53,10 @@ class Scale(LinearAxisEffect):
         "It is a base parameter (the gain) in every model; `gravity` changes all gains alike and needs "
         "another place or a known g to be told apart, `cubic` needs the third harmonic."
     )
-    covariates = ("reading",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("scale", "1", -0.1, 0.1, 0.001),)
+    remedy = "enter the local gravity, as from --latitude and --height"
+    correctable = True
+    in_base = True
+    coefficients = (Parameter("scale", "1", -0.1, 0.1, 0.001),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """The ideal reading."""
@@ -69,8 +79,10 @@ class Misalignment(CrossEffect):
         "misalignment towards z of a part turned in the xy plane is left, and a turn in another plane "
         "shows it."
     )
-    covariates = ("reading",)
-    coefficient: ClassVar[Parameter] = Parameter("misalignment", "deg", -5.0, 5.0, 0.25)
+    remedy = "repeat the session in another plane"
+    correctable = True
+    in_base = True
+    coefficient = Parameter("misalignment", "deg", -5.0, 5.0, 0.25)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
         """Reading across, per degree."""
@@ -92,8 +104,10 @@ class CrossAxis(CrossEffect):
         "Second harmonic sin 2t of an axis, as `stage_eccentricity` gives on both axes in a fixed "
         "proportion: remount the part by 180°, the stage's term changes its sign and the sensor's stays."
     )
-    covariates = ("reading",)
-    coefficient: ClassVar[Parameter] = Parameter("kip", "mg/g²", -100.0, 100.0, 1.0)
+    remedy = ONE_TURN
+    correctable = True
+    shown_over = "angle"
+    coefficient = Parameter("kip", "mg/g²", -100.0, 100.0, 1.0)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
         """Product of the two readings in g²."""
@@ -111,8 +125,11 @@ class Quadratic(LinearAxisEffect):
         "opposite sign until positions leave the plane; it resembles `asymmetry` (which has a fourth "
         "harmonic: at least 9 positions) and `stage_eccentricity` (remount by 180°)."
     )
-    covariates = ("reading",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("k2", "mg/g²", -100.0, 100.0, 1.0),)
+    remedy = _OUT_OF_PLANE
+    remedy_in_space = _OBLIQUE
+    correctable = True
+    prior = "curvature"
+    coefficients = (Parameter("k2", "mg/g²", -100.0, 100.0, 1.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Square of the reading in g²."""
@@ -129,8 +146,10 @@ class Cubic(LinearAxisEffect):
         "Third harmonic cos 3t of an axis (at least 7 positions); `stage_ellipticity` has it too, on both "
         "axes together, and changes its sign when the part is remounted by 90°."
     )
-    covariates = ("reading",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("k3", "mg/g³", -100.0, 100.0, 0.7),)
+    remedy = "remount the part turned by 90° and repeat some angles"
+    remedy_in_space = _OBLIQUE
+    correctable = True
+    coefficients = (Parameter("k3", "mg/g³", -100.0, 100.0, 0.7),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Cube of the reading in g³."""
@@ -147,8 +166,10 @@ class Asymmetry(LinearAxisEffect):
         "All even harmonics, 2/π and 4/(3π) cos 2t first, so that few positions take it for `quadratic`; "
         "readings near zero, where |a| has its kink and a² is flat, tell them apart."
     )
-    covariates = ("reading",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("asymmetry", "mg/g", -100.0, 100.0, 1.0),)
+    remedy = "add angles where an axis reads near zero, five degrees apart"
+    remedy_in_space = _OBLIQUE
+    correctable = True
+    coefficients = (Parameter("asymmetry", "mg/g", -100.0, 100.0, 1.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Modulus of the reading in g."""
@@ -165,8 +186,11 @@ class CrossQuadratic(CrossEffect):
         "In one plane at 1 g, a_p² = 1 − a_i²: with a bias in the model it equals `quadratic` of opposite "
         "sign; positions out of the plane, where a_i and a_p vary apart, separate them."
     )
-    covariates = ("reading",)
-    coefficient: ClassVar[Parameter] = Parameter("kpp", "mg/g²", -100.0, 100.0, 1.0)
+    remedy = _OUT_OF_PLANE
+    remedy_in_space = _OBLIQUE
+    correctable = True
+    shown_over = "angle"
+    coefficient = Parameter("kpp", "mg/g²", -100.0, 100.0, 1.0)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
         """Square of the reading across in g²."""
@@ -183,23 +207,11 @@ class VibrationRectification(LinearAxisEffect):
         "Only dwells of different vibration show it (mean against variance within the dwells); with equal "
         "variance everywhere it is a `bias`: repeat a position with a source of vibration on and off."
     )
+    remedy = "repeat one position with a source of vibration on, and off"
+    not_corrected = "follows the variance of many samples, which a single reading does not show"
     needs = ("variance_mg2",)
-    covariates = ("variance",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("vre", "mg/g²", -5000.0, 5000.0, 10.0),)
+    coefficients = (Parameter("vre", "mg/g²", -5000.0, 5000.0, 10.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Variance in g²."""
         return (conditions.covariate("variance_mg2")[:, axis] / MG_PER_G**2,)
-
-
-EFFECTS: tuple[type[Effect], ...] = (
-    Bias,
-    Scale,
-    Misalignment,
-    CrossAxis,
-    Quadratic,
-    Cubic,
-    Asymmetry,
-    CrossQuadratic,
-    VibrationRectification,
-)

@@ -10,14 +10,13 @@ table from sensor), two cycles need 90°.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.model.effects.base import Conditions, Effect, Parameter
+from adis_gonio.model.effects.base import MEMORY, OF_DWELL, ONE_TURN, Conditions, Effect, Parameter
 from adis_gonio.model.effects.families import (
     AxisEffect,
     LinearAxisEffect,
@@ -26,6 +25,8 @@ from adis_gonio.model.effects.families import (
 )
 from adis_gonio.model.records import MG_PER_G
 
+BETWEEN = "measure at angles between those of this session"
+_STAGE = "belongs to the stage, not to the sensor"
 LEAST_CYCLES = 3
 """Fewest cycles a turn of `stage_periodic`: one and two have names of their own."""
 _ROUNDING = 1e-9
@@ -59,9 +60,10 @@ class StageEccentricity(StageEffect):
         "Gives mean and second harmonics on both axes together, like `quadratic`, `cross_axis` and "
         "`bias`: remount the part by 180°, the stage's term changes its sign and the sensor's stay."
     )
+    remedy = ONE_TURN
+    not_corrected = _STAGE
     needs = ("angle_rad",)
-    covariates = ("angle",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (
+    coefficients = (
         Parameter("ecc_sin", "deg", -2.0, 2.0, 0.01),
         Parameter("ecc_cos", "deg", -2.0, 2.0, 0.01),
     )
@@ -82,9 +84,10 @@ class StageEllipticity(StageEffect):
         "Gives first and third harmonics on both axes together, like `scale`, Δφ and `cubic`: remount "
         "the part by 90° (180° does not help: two cycles), or compare the stage with a polygon."
     )
+    remedy = "remount the part turned by 90° and repeat some angles"
+    not_corrected = _STAGE
     needs = ("angle_rad",)
-    covariates = ("angle",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (
+    coefficients = (
         Parameter("ell_sin", "deg", -2.0, 2.0, 0.01),
         Parameter("ell_cos", "deg", -2.0, 2.0, 0.01),
     )
@@ -120,9 +123,10 @@ class StagePeriodic(StageEffect):
         "remount the part by half a cycle, the stage's term changes its sign. Numbers of cycles that fold "
         "to the same at equally spaced angles: measure at angles between those of the session."
     )
+    remedy = BETWEEN
+    not_corrected = _STAGE
     needs = ("angle_rad",)
-    covariates = ("angle",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (
+    coefficients = (
         Parameter("per_sin", "deg", -2.0, 2.0, 0.01),
         Parameter("per_cos", "deg", -2.0, 2.0, 0.01),
     )
@@ -153,9 +157,10 @@ class Backlash(StageEffect):
         "`hysteresis` shifts an axis alike at every angle, backlash only where its reading changes with "
         "the angle: approach several positions from both sides."
     )
+    remedy = "approach several positions from both sides"
+    not_corrected = _STAGE
     needs = ("approach",)
-    covariates = ("approach",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("backlash", "deg", -5.0, 5.0, 0.02),)
+    coefficients = (Parameter("backlash", "deg", -5.0, 5.0, 0.02),)
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
         """Half of the direction of approach."""
@@ -181,9 +186,10 @@ class PositionSlip(StageEffect):
         "Readings of all axes move along the circle; `outlier_dwell` moves them in any direction, so that "
         "the modulus changes: repeat the position."
     )
+    remedy = "repeat the position"
+    not_corrected = OF_DWELL
     needs = ("order",)
-    covariates = ("order",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("slip", "deg", -190.0, 190.0, 0.1),)
+    coefficients = (Parameter("slip", "deg", -190.0, 190.0, 0.1),)
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
         """One in the dwell, zero elsewhere."""
@@ -200,9 +206,10 @@ class Hysteresis(LinearAxisEffect):
         "`backlash` turns the part and so moves a reading only where it changes with the angle: approach "
         "several positions from both sides; with one direction throughout it is a `bias`."
     )
+    remedy = "approach several positions from both sides"
+    not_corrected = MEMORY
     needs = ("approach",)
-    covariates = ("approach",)
-    coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("hysteresis", "mg", -200.0, 200.0, 0.5),)
+    coefficients = (Parameter("hysteresis", "mg", -200.0, 200.0, 0.5),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Half of the direction of approach."""
@@ -228,6 +235,8 @@ class Creep(AxisEffect):
         "several τ, and turn back. `settling` begins anew with every dwell, `bias_drift` and `warm_up` do "
         "not ask where the part has been, `hysteresis` does not decay."
     )
+    remedy = "turn by 180°, dwell there for several time constants, and turn back"
+    not_corrected = MEMORY
     needs = ("load_history",)
     covariates = ("previous_angle",)
 
@@ -283,7 +292,8 @@ class AxisTilt(Effect):
         "In x and y it is a common gain (`gravity`, `scale`), in z a `bias`: level the axis by a spirit "
         "level, or remount the part with z reversed; the term in z changes its sign, a bias does not."
     )
-    covariates = ("reading",)
+    remedy = "level the stage's axis with a spirit level"
+    not_corrected = _STAGE
     by_axis = False
 
     @property
@@ -317,15 +327,3 @@ class AxisTilt(Effect):
         by_radian = np.hstack([in_plane, rho * np.cos(tilt) - along * np.sin(tilt)])
         by_degree: Floats = np.deg2rad(by_radian[:, : ideal.shape[1], None])
         return by_degree
-
-
-EFFECTS: tuple[type[Effect], ...] = (
-    StageEccentricity,
-    StageEllipticity,
-    StagePeriodic,
-    Backlash,
-    PositionSlip,
-    Hysteresis,
-    Creep,
-    AxisTilt,
-)

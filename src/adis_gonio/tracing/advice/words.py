@@ -7,7 +7,9 @@ from dataclasses import replace
 
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
-from adis_gonio.model.effects import AXES
+from adis_gonio.model.effects import AXES, catalogue
+from adis_gonio.model.effects.gyro_terms import WHOLE_TURNS
+from adis_gonio.model.effects.stage import BETWEEN
 from adis_gonio.tracing.advice.proposals import LEAST_SEPARATION, propose
 from adis_gonio.tracing.outcome.cycles import cycles_alike
 from adis_gonio.tracing.outcome.result import NextDwell
@@ -15,61 +17,6 @@ from adis_gonio.tracing.selection.select import Selection
 
 PLAIN = 100.0
 """Standard uncertainties from which a figure says nothing more."""
-
-_ONE_TURN = "remount the part turned by 180° and repeat some angles"
-_OUT_OF_PLANE = "repeat the session with the part on its side, so that gravity leaves the plane"
-_CYCLE = "repeat a few positions about 10 °C warmer, and again after it has cooled"
-_BETWEEN = "measure at angles between those of this session"
-_OTHER_ORDER = "repeat the first poses last, or all in another order: a drift goes on, a force comes back"
-_WHOLE_TURNS = "turn the part by whole turns about each axis, to both sides (plan gyro-turns)"
-_REMEDIES = {
-    "bias": "repeat a few positions on another day or at another temperature",
-    "bias_temperature": _CYCLE,
-    "scale_temperature": _CYCLE,
-    "misalignment_temperature": _CYCLE,
-    "thermal_lag": "heat and let cool at different speeds, with a dwell every few minutes",
-    "supply_bias": "change the supply by hand at one position, such as from 4.8 to 5.2 V",
-    "supply_scale": "change the supply by hand at +1 g and at −1 g, such as from 4.8 to 5.2 V",
-    "bias_drift": "repeat some positions in another order, and once more after a break",
-    "scale_drift": "repeat +1 g and −1 g of an axis early and late, and once more after a break",
-    "creep": "turn by 180°, dwell there for several time constants, and turn back",
-    "warm_up": "switch the sensor off, let it cool, and repeat a few positions after switching on",
-    "hysteresis": "approach several positions from both sides",
-    "backlash": "approach several positions from both sides",
-    "quadratic": _OUT_OF_PLANE,
-    "cross_quadratic": _OUT_OF_PLANE,
-    "asymmetry": "add angles where an axis reads near zero, five degrees apart",
-    "cross_axis": _ONE_TURN,
-    "stage_eccentricity": _ONE_TURN,
-    "stage_ellipticity": "remount the part turned by 90° and repeat some angles",
-    "stage_periodic": _BETWEEN,
-    "cubic": "remount the part turned by 90° and repeat some angles",
-    "axis_tilt": "level the stage's axis with a spirit level",
-    "gravity": "enter the local gravity, as from --latitude and --height",
-    "scale": "enter the local gravity, as from --latitude and --height",
-    "vibration_rectification": "repeat one position with a source of vibration on, and off",
-    "settling": "wait longer before some of the dwells",
-    "position_slip": "repeat the position",
-    "outlier_dwell": "repeat the position",
-    "misalignment": "repeat the session in another plane",
-    "gyro_bias_temperature": _CYCLE,
-    "g_sensitivity": _OTHER_ORDER,
-    "g2_sensitivity": "point two axes at once along gravity (±0.7 g), and repeat the first poses last",
-    "gyro_scale": _WHOLE_TURNS,
-    "gyro_misalignment": _WHOLE_TURNS,
-    "gyro_scale_temperature": "turn the part by whole turns at two temperatures, 10 °C apart",
-    "gyro_asymmetry": "turn the part by as many whole turns to the one side as to the other",
-    "gyro_drift": _OTHER_ORDER,
-    "gyro_warm_up": "switch the sensor off, let it cool, and repeat a few poses after switching on",
-    "gyro_supply": "change the supply by hand in one pose, such as from 4.8 to 5.2 V",
-}
-"""What to do by hand where no position of the session decides."""
-_OBLIQUE = (
-    "point each axis 45° and 60° off the vertical, up and down (readings of ±0.7 and ±0.5 g), and repeat a "
-    "few of the first poses last"
-)
-_REMEDIES_IN_SPACE = dict.fromkeys(("quadratic", "cross_quadratic", "asymmetry", "cubic"), _OBLIQUE)
-"""The same where attitudes are free: gravity is in no plane that it could leave."""
 
 
 def advise(
@@ -96,7 +43,11 @@ def advise(
     strong = [m for m in measurements if m.purpose == "decide" and m.separation >= LEAST_SEPARATION]
     decided = {name for m in strong for name in (*m.one, *m.other)}
     inside = {term.name for term in selection.terms}
-    remedies = _REMEDIES if data.planar else {**_REMEDIES, **_REMEDIES_IN_SPACE}
+    remedies = {
+        name: (not data.planar and kind.remedy_in_space) or kind.remedy
+        for name, kind in catalogue(data.model.part).items()
+        if kind.remedy
+    }
     groups = [c for c in confounded if c[0] in inside or not selection.adequate]
     lines += _by_hand(groups, decided, remedies, alone=not data.model.freedom)
     lines += _of_cycles(selection)
@@ -230,14 +181,14 @@ def _by_hand(
 def _of_cycles(selection: Selection) -> list[str]:
     """What would tell the cycles a turn that were found from others that look like them."""
     return [
-        f"to tell {cycles} cycles a turn from {_joined([str(n) for n in others], ', ')}: {_BETWEEN}"
+        f"to tell {cycles} cycles a turn from {_joined([str(n) for n in others], ', ')}: {BETWEEN}"
         for cycles, others in cycles_alike(selection)
     ]
 
 
 _FORM_SHOWS = {
-    "angle": _BETWEEN,
-    "reading": _BETWEEN,
+    "angle": BETWEEN,
+    "reading": BETWEEN,
     "time": "repeat one position many times over a session of this length",
     "order": "repeat one position many times over a session of this length",
     "temperature": "repeat one position while the temperature goes slowly up and down",
@@ -275,5 +226,5 @@ def _not_recorded(data: Readings) -> list[str]:
     if c.temperature_c is None:
         lines.append("record the temperature: without it no thermal effect can be looked for")
     if "rotation" in data.model.driven_by and c.rate_dps is None:
-        lines.append(f"{_WHOLE_TURNS}: without turns nothing is known of gains and directions")
+        lines.append(f"{WHOLE_TURNS}: without turns nothing is known of gains and directions")
     return lines

@@ -27,12 +27,11 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
     terms: list[NamedTerm] = []
     missing: dict[str, str] = {}
     kinds = catalogue(data.model.part)
-    common = {
-        "bias": limits.bias_weight,
-        "quadratic": limits.quadratic_weight,
-        "g_sensitivity": limits.g_weight,
+    weights = {
+        "constant": limits.bias_weight,
+        "curvature": limits.quadratic_weight,
+        "force": limits.g_weight,
     }
-    weights = dict.fromkeys(kinds, 1.0) | common
     for name, kind in kinds.items():
         if kind.enters is Enters.SAMPLES or kind.within_dwell:
             missing[name] = "looked for within the dwells"
@@ -46,7 +45,7 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
             continue
         variants = list(_variants(kind, data))
         parts = np.array([1 / getattr(effect, "cycles", 1) for effect, _ in variants])
-        shares = limits.effect_share * weights[name] * parts / parts.sum()
+        shares = limits.effect_share * weights.get(kind.prior, 1.0) * parts / parts.sum()
         for (effect, shapes), part in zip(variants, shares, strict=True):
             label = effect.name
             if effect.axes:

@@ -13,7 +13,7 @@ from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.tracing.outcome.result import TraceResult
-from adis_gonio.tracing.validation.leaving_out import leave
+from adis_gonio.tracing.validation import leave
 
 _LEFT = ("angle", "time", "temperature", "supply")
 _LEAST_SPAN = {"temperature": 0.145, "supply": 0.0018}
@@ -125,13 +125,14 @@ def _axes(term: Term) -> list[int]:
 def _covariate(data: Readings, term: Term, axis: int) -> str:
     """The covariate that explains a term best to the eye."""
     planar_angle = data.planar and data.conditions.angle_rad is not None
-    if term.name == "thermal_lag":
-        return "temperature_lag"
+    shown = term.effect.shown_over if isinstance(term, NamedTerm) else ""
     name = term.covariates[0] if term.covariates else ""
     own = f"reading_{AXES[axis]}"
-    if term.name in ("bias", "cross_axis", "cross_quadratic"):
+    if shown == "angle":
         # A constant has no covariate: it shows as a harmonic of the turn that the base model cannot follow.
         return "angle" if planar_angle else own
+    if shown:
+        return shown
     if name in ("", "reading"):
         return own
     return name if _values(data.conditions, data, name) is not None else "order"
@@ -171,7 +172,7 @@ def _values(conditions: Conditions, data: Readings, name: str) -> Floats | None:
 def _lag(data: Readings, after: Fit) -> Floats:
     """Temperature of the lagging element minus the die's (n,) in °C, as the fitted effect has it."""
     for term, values in zip(after.terms, after.values.terms, strict=True):
-        if term.name == "thermal_lag" and isinstance(term, NamedTerm):
+        if isinstance(term, NamedTerm) and term.effect.shown_over == "temperature_lag":
             axis = AXES.index(term.effect.axes[0])
             ideal = np.ones((len(data), data.axes))
             column: Floats = term.derivative(values, ideal, data.conditions)[:, axis, 0]

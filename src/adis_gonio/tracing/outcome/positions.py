@@ -112,6 +112,3 @@ def _first(positions: Diagnosis) -> tuple[str, ...]:
     if repeated:
         said.append(f"repeat position {', '.join(repeated)}")
     return tuple(said)
-
-
-__all__ = ["as_the_angles_leave", "as_the_part_stood", "with_positions"]

@@ -14,6 +14,7 @@ from adis_gonio.base.values import Detectable, Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.parts import ACCELEROMETER, GYRO
 from adis_gonio.fitting.slips.finding import PositionFinding, listed
+from adis_gonio.model.effects import catalogue
 from adis_gonio.model.effects.environment import REFERENCE_C
 from adis_gonio.record.provenance import Provenance
 from adis_gonio.tracing.outcome.sets import CredibleSet
@@ -339,9 +340,10 @@ class TraceResult(ParameterTable):
             A write of offsets to the sensor was interrupted.
         """
         if self.part == GYRO:
-            from adis_gonio.tracing.calibrations import calibration_of_gyro_trace
+            from adis_gonio.fitting.gyros.calibrations import gyro_calibration_as_it_is
+            from adis_gonio.tracing.calibrations import estimates_of_gyro_trace
 
-            return calibration_of_gyro_trace(self)
+            return gyro_calibration_as_it_is(estimates_of_gyro_trace(self), self.provenance)
         if self.part != ACCELEROMETER:
             raise FitError(f"no calibration is made of a trace of the part {self.part}")
         from adis_gonio.tracing.calibrations import calibration_of_trace
@@ -369,8 +371,9 @@ class TraceResult(ParameterTable):
             return REFERENCE_C
         recorded = self.fits[-1].data.conditions.temperature_c if self.fits else None
         if recorded is None:
-            named = {finding.effect for finding in self.found}
-            return REFERENCE_C if {"bias_temperature", "thermal_lag"} & named else None
+            known = catalogue()
+            named = [known[finding.effect] for finding in self.found if finding.effect in known]
+            return REFERENCE_C if any("temperature" in kind.covariates for kind in named) else None
         return float(recorded.mean())
 
     def summary(self) -> str:

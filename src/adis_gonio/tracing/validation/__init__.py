@@ -1,1 +1,0 @@
-"""Whether what was chosen holds on dwells that took no part."""
