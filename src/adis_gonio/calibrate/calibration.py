@@ -8,7 +8,7 @@ a ← U − b − Σ effects(a) is found in a few passes.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, Record
 from adis_gonio.base.showing import ParameterTable, with_u
 from adis_gonio.calibrate.checks import checked_condition, checked_readings
 from adis_gonio.model.effects import AXES, Conditions, Effect
@@ -36,7 +37,7 @@ TurnPlane = Literal["xy", "xz", "yz"]
 
 
 @dataclass(frozen=True)
-class Coefficient:
+class Coefficient(Record):
     """A parameter: value, standard uncertainty (None: not known) and unit.
 
     Attributes
@@ -45,11 +46,11 @@ class Coefficient:
         Effective degrees of freedom of u, where the result states them.
     """
 
-    name: str
+    name: str = field(metadata=HIDDEN)
     value: float
     u: float | None
     unit: str
-    dof: float | None = None
+    dof: float | None = field(default=None, metadata=OPTIONAL)
 
 
 @dataclass(frozen=True)

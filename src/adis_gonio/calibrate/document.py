@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.base.errors import DataError, FitError, UsageError
+from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.shapes import (
+    Shape,
     anything,
     choice,
     fields,
@@ -32,8 +34,14 @@ from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.records import SENSORS
 from adis_gonio.record.provenance import Covered, Provenance
 
+if TYPE_CHECKING:
+    from adis_gonio.calibrate.gyro_calibration import GyroCalibration
+
 SCHEMA = "adis-gonio/calibration"
 VERSION = 1
+SOURCE = ("title", "serial", "operator", "stage", "source", "sha256", "recorded_utc", "software")
+"""Entries `source` of a document: attributes of the provenance."""
+Read = TypeVar("Read")
 
 
 def json_text(document: Mapping[str, Any]) -> str:
@@ -50,47 +58,43 @@ def save_document(document: Mapping[str, Any], path: str | Path, *, force: bool)
 def document_of(calibration: Calibration) -> dict[str, Any]:
     """JSON document of a calibration, as `schema/calibration-1.json` describes it."""
     where = calibration.provenance
-    covariance = calibration.covariance
     ratio = derived_delta_k(calibration)
-    gyro = {} if calibration.gyro is None else {"gyro": calibration.gyro.as_dict()}
+    return json_object(
+        schema=SCHEMA,
+        version=VERSION,
+        method=calibration.method,
+        sensor=where.sensor,
+        plane=where.plane,
+        unit=calibration.unit,
+        counts_per_mg=calibration.counts_per_mg,
+        gravity_mps2=where.gravity_mps2,
+        parameters={one.name: one for one in calibration.parameters},
+        derived={} if ratio is None else {"delta_k": ratio},
+        covariance=covariance_entry(calibration),
+        effects=[_effect(term) for term in calibration.effects],
+        not_corrected=calibration.not_corrected,
+        assumed=calibration.assumed,
+        reference=reference_entry(where),
+        offsets_lsb=where.offsets_lsb,
+        source={name: getattr(where, name) for name in SOURCE},
+        **{} if calibration.gyro is None else {"gyro": calibration.gyro},
+    )
+
+
+def covariance_entry(calibration: Calibration | GyroCalibration) -> dict[str, Any] | None:
+    """Entry `covariance` of a document; None if the covariance is unknown."""
+    if calibration.covariance is None:
+        return None
+    return {"names": [one.name for one in calibration.parameters], "matrix": calibration.covariance}
+
+
+def reference_entry(where: Provenance | GyroCalibration) -> dict[str, Any]:
+    """Entry `reference` of a document: where effects are zero, and the conditions of the session."""
     return {
-        "schema": SCHEMA,
-        "version": VERSION,
-        "method": calibration.method,
-        "sensor": where.sensor,
-        "plane": where.plane,
-        "unit": calibration.unit,
-        "counts_per_mg": _listed(calibration.counts_per_mg),
-        "gravity_mps2": where.gravity_mps2,
-        "parameters": {one.name: _coefficient(one) for one in calibration.parameters},
-        "derived": {} if ratio is None else {"delta_k": _coefficient(ratio)},
-        "covariance": None
-        if covariance is None
-        else {"names": [one.name for one in calibration.parameters], "matrix": covariance.tolist()},
-        "effects": [_effect(term) for term in calibration.effects],
-        "not_corrected": [asdict(one) for one in calibration.not_corrected],
-        "assumed": list(calibration.assumed),
-        "reference": {
-            "temperature_c": REFERENCE_C,
-            "supply_v": REFERENCE_V,
-            "session_temperature_c": None if where.temperature_c is None else where.temperature_c.as_dict(),
-            "session_supply_v": None if where.supply_v is None else where.supply_v.as_dict(),
-        },
-        "offsets_lsb": _listed(where.offsets_lsb),
-        "source": {
-            name: getattr(where, name)
-            for name in (
-                "title",
-                "serial",
-                "operator",
-                "stage",
-                "source",
-                "sha256",
-                "recorded_utc",
-                "software",
-            )
-        },
-        **gyro,
+        "temperature_c": REFERENCE_C,
+        "supply_v": REFERENCE_V,
+        "session_temperature_c": where.temperature_c,
+        "session_supply_v": where.supply_v,
     }
 
 
@@ -102,19 +106,8 @@ def calibration_from(document: Any, name: str = "calibration") -> Calibration:
     DataError
         It is no calibration, of a newer version, or something in it cannot be used; `name` says where.
     """
-    if not isinstance(document, Mapping) or document.get("schema") != SCHEMA:
-        raise DataError(f"{name}: is no calibration; make one with adis-gonio export SESSION -o NAME.json")
-    if document.get("version") != VERSION:
-        raise DataError(
-            f"{name}: is a calibration of version {document.get('version')!r}, this program reads "
-            f"{VERSION}: update adis-gonio"
-        )
-    try:
-        DOCUMENT(document)
-        made = _checked(_read(document))
-    except (KeyError, TypeError, ValueError, AttributeError, UsageError) as error:
-        what = f"lacks {error}" if isinstance(error, KeyError) else str(error).lstrip(" .")
-        raise DataError(f"{name}: is a damaged calibration: {what}") from None
+    hint = "; make one with adis-gonio export SESSION -o NAME.json"
+    made = read_document(document, name, "calibration", SCHEMA, DOCUMENT, _read, hint)
     if document.get("gyro") is None:
         return made
     from adis_gonio.calibrate.gyro_document import gyro_calibration_from
@@ -122,54 +115,96 @@ def calibration_from(document: Any, name: str = "calibration") -> Calibration:
     return replace(made, gyro=gyro_calibration_from(document["gyro"], f"{name}: gyro"))
 
 
+def read_document(
+    document: Any,
+    name: str,
+    kind: str,
+    schema: str,
+    shape: Shape,
+    read: Callable[[Mapping[str, Any]], Read],
+    hint: str = "",
+) -> Read:
+    """Object of a JSON document whose writer is not known.
+
+    Parameters
+    ----------
+    name : str
+        Where the document stands, for messages.
+    kind : str
+        Name of such an object, for messages.
+    hint : str
+        End of the message about a document with another schema.
+
+    Raises
+    ------
+    DataError
+        The document has another schema or version, or something in it cannot be used.
+    """
+    if not isinstance(document, Mapping) or document.get("schema") != schema:
+        raise DataError(f"{name}: is no {kind}{hint}")
+    if document.get("version") != VERSION:
+        raise DataError(
+            f"{name}: is a {kind} of version {document.get('version')!r}, this program reads {VERSION}: "
+            "update adis-gonio"
+        )
+    try:
+        shape(document)
+        return read(document)
+    except (KeyError, TypeError, ValueError, AttributeError, FitError, UsageError) as error:
+        what = f"lacks {error}" if isinstance(error, KeyError) else str(error).lstrip(" .")
+        raise DataError(f"{name}: is a damaged {kind}: {what}") from None
+
+
 _GAINS, _LEAST_GAIN = ("scale_x", "scale_y", "scale_z"), 1e-6
 _VALUE = number(-1e15, 1e15)
-COEFFICIENTS = mapping_of(
+_COEFFICIENTS = mapping_of(
     fields(
         {"value": _VALUE, "u": nullable(number(0.0, 1e15)), "unit": text},
         {"dof": nullable(number(0.0, 1e300))},
         others=anything,
     )
 )
-"""Shape of parameters with their uncertainties, by name."""
-TEXTS = list_of(text, 0, 10_000)
-COVARIANCE = nullable(
+_TEXTS = list_of(text, 0, 10_000)
+_COVARIANCE = nullable(
     fields(
-        {"names": TEXTS, "matrix": list_of(list_of(number(-1e30, 1e30), 0, 10_000), 0, 10_000)},
+        {"names": _TEXTS, "matrix": list_of(list_of(number(-1e30, 1e30), 0, 10_000), 0, 10_000)},
         others=anything,
     )
 )
-NOT_CORRECTED = list_of(fields({"effect": text, "reason": text}), 0, 10_000)
-REFERENCE = fields(
+_REFERENCE = fields(
     {
         "session_temperature_c": nullable(mapping_of(_VALUE)),
         "session_supply_v": nullable(mapping_of(_VALUE)),
     },
     others=anything,
 )
+COMMON = {
+    "method": text,
+    "parameters": _COEFFICIENTS,
+    "covariance": _COVARIANCE,
+    "not_corrected": list_of(fields({"effect": text, "reason": text}), 0, 10_000),
+    "assumed": _TEXTS,
+    "reference": _REFERENCE,
+}
+"""Shapes of the entries that calibrations of accelerometers and of gyros have."""
 _EFFECT = fields(
     {
         "effect": text,
         "axes": list_of(choice("x", "y", "z"), 0, 3),
         "choices": mapping_of(whole(-1000, 1000)),
-        "parameters": TEXTS,
+        "parameters": _TEXTS,
     },
     others=anything,
 )
 DOCUMENT = fields(
     {
-        "method": text,
+        **COMMON,
         "sensor": choice(*SENSORS),
         "plane": choice("xy", "none"),
         "unit": choice("mg", "counts"),
         "counts_per_mg": nullable(list_of(_VALUE, 2, 3)),
         "gravity_mps2": number(1e-6, 1e6),
-        "parameters": COEFFICIENTS,
-        "covariance": COVARIANCE,
         "effects": list_of(_EFFECT, 0, 10_000),
-        "not_corrected": NOT_CORRECTED,
-        "assumed": TEXTS,
-        "reference": REFERENCE,
         "offsets_lsb": nullable(list_of(whole(*BY_NAME["XACCL_OFF"].range), 3, 3)),
         "source": mapping_of(text),
     },
@@ -179,33 +214,48 @@ DOCUMENT = fields(
 
 
 def _read(document: Mapping[str, Any]) -> Calibration:
-    source, reference = document["source"], document["reference"]
-    offsets, counts = document["offsets_lsb"], document["counts_per_mg"]
+    counts = document["counts_per_mg"]
     where = Provenance(
         sensor=document["sensor"],
         plane=document["plane"],
         gravity_mps2=float(document["gravity_mps2"]),
         counts=document["unit"] == "counts",
-        temperature_c=_covered(reference["session_temperature_c"]),
-        supply_v=_covered(reference["session_supply_v"]),
-        offsets_lsb=None if offsets is None else (offsets[0], offsets[1], offsets[2]),
-        **source,
+        **conditions_from(document),
+        **document["source"],
     )
-    covariance = document["covariance"]
-    parameters = tuple(_parameter(key, value) for key, value in document["parameters"].items())
-    return Calibration(
-        method=document["method"],
+    made = Calibration(
         provenance=where,
-        parameters=parameters,
-        covariance=None if covariance is None else matrix_of(covariance, [one.name for one in parameters]),
         effects=tuple(
             EffectTerm(effect(one["effect"], one["axes"], **one["choices"]), tuple(one["parameters"]))
             for one in document["effects"]
         ),
-        not_corrected=tuple(NotCorrected(**one) for one in document["not_corrected"]),
-        assumed=tuple(document["assumed"]),
         counts_per_mg=None if counts is None else tuple(map(float, counts)),
+        **common_from(document),
     )
+    return _checked(made)
+
+
+def common_from(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields that calibrations of accelerometers and of gyros have, from a document."""
+    covariance = document["covariance"]
+    parameters = tuple(_parameter(name, entry) for name, entry in document["parameters"].items())
+    return {
+        "method": document["method"],
+        "parameters": parameters,
+        "covariance": None if covariance is None else matrix_of(covariance, list(document["parameters"])),
+        "not_corrected": tuple(NotCorrected(**one) for one in document["not_corrected"]),
+        "assumed": tuple(document["assumed"]),
+    }
+
+
+def conditions_from(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Temperature, supply and offsets during the session, from a document."""
+    offsets, reference = document["offsets_lsb"], document["reference"]
+    covered = {name: reference[f"session_{name}"] for name in ("temperature_c", "supply_v")}
+    return {
+        "offsets_lsb": None if offsets is None else tuple(offsets),
+        **{name: None if entry is None else Covered(**entry) for name, entry in covered.items()},
+    }
 
 
 def matrix_of(covariance: Mapping[str, Any], names: list[str]) -> Floats:
@@ -287,11 +337,6 @@ def summary_of(calibration: Calibration) -> str:
     return "\n".join(lines)
 
 
-def _coefficient(one: Coefficient) -> dict[str, Any]:
-    document: dict[str, Any] = {"value": one.value, "u": one.u, "unit": one.unit}
-    return document if one.dof is None or math.isinf(one.dof) else document | {"dof": one.dof}
-
-
 def _parameter(name: str, entry: Mapping[str, Any]) -> Coefficient:
     u, dof = entry["u"], entry.get("dof")
     return Coefficient(
@@ -310,11 +355,3 @@ def _effect(term: EffectTerm) -> dict[str, Any]:
         "choices": {choice: getattr(term.effect, choice) for choice in term.effect.choices()},
         "parameters": list(term.parameters),
     }
-
-
-def _listed(values: tuple[float, ...] | tuple[int, ...] | None) -> list[float] | None:
-    return None if values is None else list(values)
-
-
-def _covered(entry: Mapping[str, Any] | None) -> Covered | None:
-    return None if entry is None else Covered(**entry)
