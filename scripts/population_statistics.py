@@ -339,8 +339,8 @@ def judged(arguments: tuple[str, int, int, int, float, float, bool]) -> Outcome:
         sign,
         tuple(one.effects for one in (*result.found, *result.sets)),
         tuple(one.depends_on for one in result.unnamed),
-        right[0].share if right else None,
-        right[0].share_low <= share <= right[0].share_high if right else None,
+        right[0].share["value"] if right else None,
+        right[0].share["low"] <= share <= right[0].share["high"] if right else None,
         min((one.p_value for one in every), default=None),
         seconds,
     )

@@ -48,7 +48,7 @@ def test_scatter_beyond_u_is_that_of_statsmodels(rng):
     assert own.tau**2 == pytest.approx(other.tau2, rel=1e-3)
     assert own.q == pytest.approx(other.q)
     assert own.p_value == pytest.approx(chi2.sf(other.q, 39))
-    assert own.tau_low < own.tau < own.tau_high
+    assert own.tau_95[0] < own.tau < own.tau_95[1]
 
 
 @pytest.mark.parametrize("dof", [4.0, math.inf])
@@ -68,9 +68,9 @@ def test_repeats_show_whether_u_is_honest(rng):
     none = np.full(600, np.inf)
     honest = repeats(truth + rng.normal(size=600), np.ones(600), none, unit)
     assert (honest.units, honest.sessions) == (200, 600)
-    assert honest.ratio == pytest.approx(1, abs=4 / math.sqrt(2 * 400))
+    assert honest.birge_ratio == pytest.approx(1, abs=4 / math.sqrt(2 * 400))
     bold = repeats(truth + rng.normal(size=600), np.full(600, 0.5), none, unit)
-    assert bold.ratio == pytest.approx(2, abs=8 / math.sqrt(2 * 400))
+    assert bold.birge_ratio == pytest.approx(2, abs=8 / math.sqrt(2 * 400))
     assert bold.p_value < 1e-6
     assert repeats(truth, np.ones(600), none, np.full(600, -1)) is None
 

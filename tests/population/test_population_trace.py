@@ -63,7 +63,7 @@ def test_an_effect_that_no_session_shows_is_named(key: str, sign: str) -> None:
     name, _, axis, *_ = key.split("|")
     assert names(result) == [(name,)]
     found = result.found[0]
-    assert found.axes == axis
+    assert "".join(found.axes) == axis
     assert found.p_value < 1e-6
     assert found.heldout_gain > 5
     assert found.common_sign == (sign == "common")
@@ -76,8 +76,8 @@ def test_share_and_mean_are_within_their_intervals() -> None:
     rng = np.random.default_rng(31)
     result = trace_population(drawn(rng, 100, HYSTERESIS, rng.normal(7.0, 2.0, 40)))
     found = result.found[0]
-    assert found.share_low <= 0.4 <= found.share_high
-    assert found.share_high - found.share_low < 0.25
+    assert found.share["low"] <= 0.4 <= found.share["high"]
+    assert found.share["high"] - found.share["low"] < 0.25
     assert len(found.affected) == pytest.approx(40, abs=4)
 
 
@@ -124,7 +124,7 @@ def test_an_effect_of_one_stage_is_named_with_its_stage() -> None:
     every = [replace(one, stage="A" if i < 30 else "BC"[i % 2]) for i, one in enumerate(every)]
     found = trace_population(every).found
     assert [(one.effects, one.by, one.value) for one in found] == [(("stage_eccentricity",), "stage", "A")]
-    assert found[0].share_low > 0.5
+    assert found[0].share["low"] > 0.5
 
 
 def test_the_amplitude_is_that_of_the_affected_sessions_where_these_are_the_noisier_ones() -> None:

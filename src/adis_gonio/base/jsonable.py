@@ -18,7 +18,7 @@ LARGEST_INTEGER = 2**63 - 1
 HIDDEN = {"hidden": True}
 """Metadata of a field that the document lacks."""
 OPTIONAL = {"optional": True}
-"""Metadata of a field that the document lacks if its value is None."""
+"""Metadata of a field that the document lacks if its value is its default, None or not finite."""
 INLINE = {"inline": True}
 """Metadata of a field that is a record: its entries stand in the document of the outer record."""
 NAMED_BY_UNIT = {"named_by_unit": True}
@@ -70,17 +70,17 @@ def finite(value: Any) -> Any:
 
 
 def _document(record: Any, names: Iterable[str] = ()) -> dict[str, Any]:
-    declared = {entry.name: entry.metadata for entry in fields(record)}
+    declared = {entry.name: entry for entry in fields(record)}
     document: dict[str, Any] = {}
     for name in names or declared:
         value: Any = getattr(record, name)
-        metadata: Mapping[str, Any] = declared.get(name, {})
-        if "hidden" in metadata or ("optional" in metadata and value is None):
-            continue
+        metadata: Mapping[str, Any] = declared[name].metadata if name in declared else {}
         if "keyed_by_name" in metadata:
             value = {entry.name: entry for entry in value}
-        suffix = f"_{record.unit}" if "named_by_unit" in metadata else ""
         entry = finite(value)
+        if "hidden" in metadata or ("optional" in metadata and entry in (None, declared[name].default)):
+            continue
+        suffix = f"_{record.unit}" if "named_by_unit" in metadata else ""
         document |= entry if "inline" in metadata else {metadata.get("key", name) + suffix: entry}
     return document
 

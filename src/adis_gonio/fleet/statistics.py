@@ -7,15 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import Record
-from adis_gonio.base.values import finite_or_none
+from adis_gonio.base.jsonable import Record, key
 from adis_gonio.fitting.estimation.robust import robust_sd
 
 PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
@@ -57,7 +55,7 @@ class Distribution(Record):
 
 
 @dataclass(frozen=True)
-class Beyond:
+class Beyond(Record):
     """Scatter against what the sessions' own uncertainties explain.
 
     Attributes
@@ -69,37 +67,26 @@ class Beyond:
     q, dof, p_value : float
         Cochran's Q about the weighted mean, its degrees of freedom, and the probability of as much where u
         explains all.
-    tau, tau_low, tau_high : float
-        Standard deviation of the true values by which the sessions differ besides (Paule and Mandel), and
-        its interval of 95 % (Q profile).
+    tau : float
+        Standard deviation of the true values by which the sessions differ in addition (Paule and Mandel).
+    tau_95 : tuple of float
+        Its interval of 95 % (Q profile).
     """
 
+    document_keys = ("n", "u", "q", "dof", "p_value", "birge_ratio", "tau", "tau_95")
+
     n: int
-    u: float
+    u: float = field(metadata=key("median_u"))
     q: float
     dof: int
     p_value: float
     tau: float
-    tau_low: float
-    tau_high: float
+    tau_95: tuple[float, float]
 
     @property
-    def ratio(self) -> float:
+    def birge_ratio(self) -> float:
         """Birge ratio: scatter over what u explains."""
         return math.sqrt(self.q / self.dof)
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON of these figures."""
-        return {
-            "n": self.n,
-            "median_u": self.u,
-            "q": finite_or_none(self.q),
-            "dof": self.dof,
-            "p_value": self.p_value,
-            "birge_ratio": finite_or_none(self.ratio),
-            "tau": self.tau,
-            "tau_95": [self.tau_low, self.tau_high],
-        }
 
 
 def beyond(values: Floats, u: Floats, dof: Floats) -> Beyond | None:
@@ -126,7 +113,7 @@ def beyond(values: Floats, u: Floats, dof: Floats) -> Beyond | None:
     expected = (n - 1.0, float(chi2.ppf(0.975, n - 1)), float(chi2.ppf(0.025, n - 1)))
     tau, low, high = (_tau_of(q_at, goal, x) for goal in expected)
     q = q_at(0.0)
-    return Beyond(n, float(np.median(s)), q, n - 1, float(chi2.sf(q, n - 1)), tau, low, high)
+    return Beyond(n, float(np.median(s)), q, n - 1, float(chi2.sf(q, n - 1)), tau, (low, high))
 
 
 def as_normal(t: Floats, dof: Floats) -> Floats:

@@ -86,9 +86,10 @@ def _to_digit_of(sd: float, value: float) -> str:
 
 
 def _tau(beyond: Beyond) -> str:
+    low, high = beyond.tau_95
     if beyond.tau == 0:
-        return "0" if beyond.tau_high == 0 else f"0 (to {number(beyond.tau_high, 2)})"
-    return f"{number(beyond.tau, 2)} ({number(beyond.tau_low, 2)} to {number(beyond.tau_high, 2)})"
+        return "0" if high == 0 else f"0 (to {number(high, 2)})"
+    return f"{number(beyond.tau, 2)} ({number(low, 2)} to {number(high, 2)})"
 
 
 def effect_rows(summary: Summary) -> list[list[str]]:

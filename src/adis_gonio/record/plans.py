@@ -22,13 +22,14 @@ import difflib
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.jsonable import OPTIONAL, Record
 from adis_gonio.model.records import Plane, Use
 
 Approach = Literal[-1, 0, 1]
@@ -41,7 +42,7 @@ DEFAULT_PLAN = "two-position"
 
 
 @dataclass(frozen=True)
-class Position:
+class Position(Record):
     """One place to visit.
 
     Attributes
@@ -72,7 +73,7 @@ class Position:
     wait_s: float = 0.0
     temperature_c: float | None = None
     supply_v: float | None = None
-    turned_deg: float | None = None
+    turned_deg: float | None = field(default=None, metadata=OPTIONAL)
 
     def __str__(self) -> str:
         if self.turned_deg is not None:
@@ -84,7 +85,7 @@ class Position:
 
 
 @dataclass(frozen=True)
-class Plan:
+class Plan(Record):
     """Positions in the order in which they are visited.
 
     Attributes
@@ -95,21 +96,15 @@ class Plan:
         Full turns of a continuous recording; 0 where the positions are what is visited.
     """
 
+    document_keys = ("name", "plane", "positions", "turns")
+
     name: str
     positions: tuple[Position, ...]
     plane: Plane = "xy"
-    turns: int = 0
+    turns: int = field(default=0, metadata=OPTIONAL)
 
     def __len__(self) -> int:
         return len(self.positions)
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form; `turns` where there are any."""
-        return {
-            "name": self.name,
-            "plane": self.plane,
-            "positions": [_entry(position) for position in self.positions],
-        } | ({"turns": self.turns} if self.turns else {})
 
     def ordered(self, order: Order, rng: np.random.Generator) -> Plan:
         """The same positions in another order, with the directions of approach that it leads to.
@@ -142,14 +137,6 @@ class Plan:
         """Plan from its JSON form."""
         positions = tuple(_position(entry) for entry in data["positions"])
         return cls(data["name"], positions, data["plane"], data.get("turns", 0))
-
-
-def _entry(position: Position) -> dict[str, Any]:
-    """JSON form; `turned_deg` where something is declared of the way."""
-    entry = asdict(position)
-    if position.turned_deg is None:
-        del entry["turned_deg"]
-    return entry
 
 
 def _position(entry: Mapping[str, Any]) -> Position:

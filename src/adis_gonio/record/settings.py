@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.jsonable import OPTIONAL, Record
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN
 from adis_gonio.device.sensor.registers import ACCEL_OUT
 from adis_gonio.device.sensor.settings import sample_period_s, sens_avg_word
@@ -25,7 +26,7 @@ def expected_each_s(settle_s: float, dwell_s: float) -> float:
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Record):
     """Settings of a session, kept in its archive and used again when it is resumed.
 
     Attributes
@@ -64,7 +65,7 @@ class Settings:
     gyro_range_dps: int = 300
     data_ready: bool | None = None
     registers: tuple[str, ...] = DEFAULT_SCAN
-    turns: bool = False
+    turns: bool = field(default=False, metadata=OPTIONAL)
 
     def __post_init__(self) -> None:
         for name in ("dwell_s", "still_timeout_s"):
@@ -85,13 +86,6 @@ class Settings:
             )
         if missing:
             raise UsageError(f"a session needs {', '.join(ACCEL_OUT)}; the scan lacks {', '.join(missing)}")
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form; `turns` where they are kept."""
-        made = asdict(self) | {"registers": list(self.registers)}
-        if not self.turns:
-            del made["turns"]
-        return made
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Settings:

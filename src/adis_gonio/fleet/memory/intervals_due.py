@@ -11,15 +11,14 @@ calibration to the day on which error and U together reach the permissible error
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.intervals import coverage_factor
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import INLINE, Record, key
 from adis_gonio.fleet.memory.as_found import PARAMETERS, worst_deg
 from adis_gonio.fleet.memory.drift import LEAST, YEAR_DAYS
 from adis_gonio.fleet.memory.history import History, date_of
@@ -36,7 +35,7 @@ SHORTEST_DAYS, LONGEST_DAYS = 30.0, 5 * YEAR_DAYS
 
 
 @dataclass(frozen=True)
-class Rules:
+class Rules(Record):
     """What the user decides.
 
     Attributes
@@ -51,8 +50,10 @@ class Rules:
         Factors of the staircase.
     """
 
+    document_keys = ("limit_deg", "assumed")
+
     limit_deg: float = DEFAULT_LIMIT_DEG
-    assumed: bool = True
+    assumed: bool = field(default=True, metadata=key("limit_assumed"))
     first_days: float = YEAR_DAYS
     longer: float = 1.5
     shorter: float = 0.5
@@ -96,7 +97,7 @@ class Rule(Record):
 
 
 @dataclass(frozen=True)
-class Due:
+class Due(Record):
     """When to calibrate next.
 
     Attributes
@@ -112,21 +113,9 @@ class Due:
     serial: str
     date: str | None
     by: str
-    limits: Rules
+    limits: Rules = field(metadata=INLINE)
     rules: tuple[Rule, ...]
     stairs: tuple[Stair, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON document of `due`."""
-        return {
-            "serial": self.serial,
-            "date": self.date,
-            "by": self.by,
-            "limit_deg": self.limits.limit_deg,
-            "limit_assumed": self.limits.assumed,
-            "rules": [rule.as_dict() for rule in self.rules],
-            "stairs": [stair.as_dict() for stair in self.stairs],
-        }
 
 
 def due_of(history: History, limits: Rules | None = None) -> Due:

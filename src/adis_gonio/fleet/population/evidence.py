@@ -111,15 +111,7 @@ class SessionEvidence:
             "scatter": [[float(f"{s.chi2:.6g}"), float(f"{s.dof:.6g}")] for s in self.scatter],
             "noise_known": self.noise_known,
             "missing": dict(self.missing),
-            "digest": self.digest,
-            "source": self.source,
-            "serial": self.serial,
-            "operator": self.operator,
-            "stage": self.stage,
-            "sensor": self.sensor,
-            "recorded_utc": self.recorded_utc,
-            "temperature_c": self.temperature_c,
-            "positions": self.positions,
+            **{name: getattr(self, name) for name in (*_TEXTS, "temperature_c", "positions")},
         }
 
     @classmethod

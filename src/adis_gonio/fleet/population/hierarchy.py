@@ -156,7 +156,7 @@ def _merged(population: Population, steps: Sequence[SelectionStep]) -> list[Comm
         if first is None:
             commons[key] = common
         else:
-            axes = "".join(sorted({*first.axes, *common.axes}))
+            axes = tuple(sorted({*first.axes, *common.axes}))
             commons[key] = replace(
                 first,
                 axes=axes,
@@ -190,15 +190,13 @@ def _common(population: Population, others: Sequence[ChosenCause], step: Selecti
         effects=tuple(name for name, named in names if named) if told else (),
         depends_on="" if told else _depends(names, kind),
         variant=part.candidate.variant,
-        axes=part.candidate.axes,
+        axes=tuple(part.candidate.axes),
         posterior={_word(one): probability for one, probability in ranked if probability > 1e-3},
         by=part.group.by,
         value=part.group.value,
         groups={" ".join(filter(None, place)): p for place, p in step.places.items() if p > 1e-3},
         sessions=int((units.seen(part.candidate.index) & part.group.inside).sum()),
-        share=share,
-        share_low=low,
-        share_high=high,
+        share={"value": share, "low": low, "high": high},
         mean=mean,
         spread=spread,
         relative=part.amplitudes.relative,

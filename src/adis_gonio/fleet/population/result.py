@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from adis_gonio.base.counting import counted
-from adis_gonio.base.jsonable import Record, json_object
+from adis_gonio.base.jsonable import Record
 from adis_gonio.base.values import Value
 
 
@@ -22,8 +21,10 @@ class Affected(Record):
 
 
 @dataclass(frozen=True)
-class Common:
+class Common(Record):
     """A cause that sessions have in common.
+
+    The JSON document is one entry of `found`, `sets` or `unnamed`.
 
     Attributes
     ----------
@@ -32,8 +33,10 @@ class Common:
         common and has no name.
     depends_on : str
         What it depends on, where it has no name.
-    variant, axes : str
-        Choice or time constant, and axes, of the most probable form.
+    variant : str
+        Choice or time constant of the most probable form.
+    axes : tuple of str
+        Its axes.
     posterior : mapping of str to float
         Of each name, given that there is a cause; what has no name stands as `unnamed: …`.
     by, value : str
@@ -42,10 +45,10 @@ class Common:
         Posterior of the groups that come into question.
     sessions : int
         Sessions of the group that can see it.
-    share : float
-        Of them that are affected, with its 95 % interval in `share_low`, `share_high`. Where the sign is
-        not common, the interval begins with those that are affected for themselves: share and spread are
-        then told apart by the shape of the normal distribution only.
+    share : mapping of str to float
+        Share of these sessions that are affected, as `value`, and its 95 % interval, `low` and `high`.
+        If the sign is not common, the interval begins with those that are affected for themselves:
+        only the shape of the normal distribution then tells share and spread apart.
     mean : mapping of str to Value
         Mean amplitude of affected sessions by parameter; zero where its sign is not common.
     spread : mapping of str to float
@@ -64,15 +67,13 @@ class Common:
     effects: tuple[str, ...]
     depends_on: str
     variant: str
-    axes: str
+    axes: tuple[str, ...]
     posterior: Mapping[str, float]
     by: str
     value: str
     groups: Mapping[str, float]
     sessions: int
-    share: float
-    share_low: float
-    share_high: float
+    share: Mapping[str, float]
     mean: Mapping[str, Value]
     spread: Mapping[str, float]
     relative: bool
@@ -85,36 +86,15 @@ class Common:
         """True where the amplitudes have a mean that differs from zero."""
         return any(value.value != 0 for value in self.mean.values())
 
-    def as_dict(self) -> dict[str, Any]:
-        """One entry of `found`, `sets` or `unnamed`."""
-        return json_object(
-            effects=self.effects,
-            depends_on=self.depends_on,
-            variant=self.variant,
-            axes=list(self.axes),
-            posterior=self.posterior,
-            by=self.by,
-            value=self.value,
-            groups=self.groups,
-            sessions=self.sessions,
-            share={"value": self.share, "low": self.share_low, "high": self.share_high},
-            mean=self.mean,
-            spread=self.spread,
-            relative=self.relative,
-            p_value=self.p_value,
-            heldout_gain=self.heldout_gain,
-            affected=self.affected,
-        )
-
     def sentence(self) -> str:
         """In one sentence."""
         what = " or ".join(self.effects) if self.effects else f"something that follows {self.depends_on}"
         axes = f" of {', '.join(self.axes)}" if self.axes else ""
         where = "" if self.by == "all" else f" of {self.by} {self.value}"
         sign = "of one sign" if self.common_sign else "of either sign"
-        sizes = "; ".join(self._size(name) for name in self.mean)
+        sizes, share = "; ".join(self._size(name) for name in self.mean), self.share
         return (
-            f"{what}{axes}: in {self.share:.0%} ({self.share_low:.0%} to {self.share_high:.0%}) of"
+            f"{what}{axes}: in {share['value']:.0%} ({share['low']:.0%} to {share['high']:.0%}) of"
             f" {counted(self.sessions, 'session')}{where}, {sign} ({sizes}); p < {_p(self.p_value)},"
             f" on sessions that took no part the log likelihood gains {self.heldout_gain:.1f}"
         )

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import Record, json_object, key
 from adis_gonio.handover.paper.crossing import rms
 from adis_gonio.handover.paper.sessions import METHODS, Part, Results
 from adis_gonio.handover.paper.truth import TABLE, Axis, TableRow, truth_of
@@ -52,11 +53,11 @@ class Cell:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        return {"name": self.row.name, **asdict(self.row), "sessions": dict(_dicts(self.ours))}
+        return json_object(name=self.row.name, **asdict(self.row), sessions=self.ours)
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Record):
     """Table 1.
 
     Attributes
@@ -67,16 +68,8 @@ class Comparison:
         ΔK, which the table does not have and the method is about, by method; of column X.
     """
 
-    cells: tuple[Cell, ...]
-    gain: Mapping[str, MethodSpread]
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {"rows": [cell.as_dict() for cell in self.cells], "delta_k": dict(_dicts(self.gain))}
-
-
-def _dicts(by_method: Mapping[str, MethodSpread]) -> list[tuple[str, dict[str, Any]]]:
-    return [(method, asdict(spread)) for method, spread in by_method.items()]
+    cells: tuple[Cell, ...] = field(metadata=key("rows"))
+    gain: Mapping[str, MethodSpread] = field(metadata=key("delta_k"))
 
 
 def table_of(results: Mapping[Axis, Sequence[Results]]) -> Comparison:
