@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import AdisGonioError, SessionError
+from adis_gonio.base.numbers import counted
 from adis_gonio.bench.bench import SessionBench
 from adis_gonio.bench.events import DwellDone, DwellInterrupted, Event, Problem, StageMoved
 from adis_gonio.bench.guarding import Guarding

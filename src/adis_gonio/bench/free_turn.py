@@ -12,8 +12,8 @@ import math
 from collections.abc import Generator, Iterator
 from typing import Literal, Protocol, runtime_checkable
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import SessionError, UsageError
+from adis_gonio.base.numbers import counted
 from adis_gonio.bench.bench import SessionBench
 from adis_gonio.bench.dwelling import BROKEN_STREAM, TakesDwells, why_broken_off
 from adis_gonio.bench.events import Event, Problem, StageMoved, TurnDone, TurnProgress

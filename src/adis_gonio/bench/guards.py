@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
+from adis_gonio.base.numbers import counted
 from adis_gonio.bench.events import GuardKind
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.blocks import Block, session_columns

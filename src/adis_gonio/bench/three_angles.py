@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.numbers import join_words
 from adis_gonio.bench.guards import Guard
 from adis_gonio.bench.turning import GyroIntegral
 from adis_gonio.fitting.slips import Angles, Diagnosis, Increments, PositionFinding, diagnose
@@ -103,7 +104,7 @@ def _values(found: PositionFinding, sense: int) -> dict[str, float]:
 def _told(found: PositionFinding, here: int, angles_deg: Sequence[float | None], sense: int) -> str:
     by = "gravity" if found.gyro_deg is None else "gravity and gyro"
     off = f"{sense * found.error_deg[0]:+.2f}° ± {found.error_deg[1]:.2f}°"
-    names = " or ".join(dict.fromkeys(MEANINGS[named.name] for named in found.names))
+    names = join_words(list(dict.fromkeys(MEANINGS[named.name] for named in found.names)), "or")
     if found.finding == "gravity_wrong":
         return f"the gyro turned as asked and gravity does not fit: {names}"
     if found.finding == "swapped":

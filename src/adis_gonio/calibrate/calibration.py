@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.base.showing import html_table, parameter_frame, with_u
+from adis_gonio.base.numbers import counted, format_uncertain
+from adis_gonio.base.tables import html_table, parameter_frame
 from adis_gonio.calibrate.checks import checked_condition, checked_readings
 from adis_gonio.model.effects import AXES, Conditions, Effect
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, wrap_rad
@@ -94,7 +95,7 @@ class AngleReading:
         if np.ndim(self.angle_deg) == 0:
             return f"AngleReading({float(self.angle_deg):.4f}°, u {told})"
         n = len(self.angle_deg)
-        return f"AngleReading({n} angle{'s' if n != 1 else ''}, u up to {told})"
+        return f"AngleReading({counted(n, 'angle')}, u up to {told})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -531,4 +532,4 @@ def _directions(covariance: Floats) -> Floats:
 
 
 def _shown(one: Coefficient) -> str:
-    return f"{one.name} {with_u(one.value, one.u, one.unit)}"
+    return f"{one.name} {format_uncertain(one.value, one.u, one.unit)}"

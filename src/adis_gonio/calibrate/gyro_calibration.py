@@ -22,7 +22,8 @@ from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, FitError, UsageError
-from adis_gonio.base.showing import html_table, parameter_frame, with_u
+from adis_gonio.base.numbers import format_uncertain
+from adis_gonio.base.tables import html_table, parameter_frame
 from adis_gonio.calibrate.calibration import STEP, Coefficient, NotCorrected, _directions
 from adis_gonio.device.sensor.registers import Kind
 from adis_gonio.device.sensor.variants import VARIANTS
@@ -559,4 +560,4 @@ def _numbers(name: str, given: ArrayLike) -> Floats:
 
 
 def _shown(one: Coefficient) -> str:
-    return f"{one.name} {with_u(one.value, one.u, one.unit)}"
+    return f"{one.name} {format_uncertain(one.value, one.u, one.unit)}"

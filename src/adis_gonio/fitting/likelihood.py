@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import SingularError
+from adis_gonio.base.numbers import counted, use_minus, with_unit
 from adis_gonio.fitting.determination import (
     Determination,
     covariance,
@@ -120,7 +120,7 @@ def _warnings(
         # One mg of bias, or a tenth of a degree of skew.
         one = 1 / determination.fit.data.gravity_mg if name.startswith("bias") else math.radians(0.1)
         moves = [
-            f"{o.name} by {float(o.gradient @ shift) * one:+.2g}{_unit(o.unit)}"
+            f"{o.name} by {with_unit(use_minus(f'{float(o.gradient @ shift) * one:+.2g}'), o.unit)}"
             for o in reported
             if o.name in ("delta_k", "delta_phi") or o.name.startswith("bias")
         ]
@@ -134,10 +134,6 @@ def _warnings(
             warnings.append(f"not determined by these positions: {direction}")
         warnings.append(f"left out because not determined: {', '.join(lost)}; {_advice(lost)}")
     return warnings
-
-
-def _unit(unit: str) -> str:
-    return {"1": "", "deg": "°"}.get(unit, f" {unit}")
 
 
 def _advice(names: list[str]) -> str:

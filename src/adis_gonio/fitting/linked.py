@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.determination import (
     Determination,

@@ -13,9 +13,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import DataError, OutputError, SessionError
 from adis_gonio.base.jsonable import finite
+from adis_gonio.base.numbers import counted
 from adis_gonio.fleet.work import Document
 
 _HEAD = b'{"adis_gonio": "fleet journal 1"}\n'

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.base.counting import counted
+from adis_gonio.base.numbers import counted
 from adis_gonio.record.blocks import Block
 from adis_gonio.record.rows import JsonDict
 

@@ -23,8 +23,8 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import DataError
+from adis_gonio.base.numbers import counted
 from adis_gonio.base.output import ends_in
 from adis_gonio.model.records import METADATA, Dwell, Session, Use
 from adis_gonio.record.overrides import Overrides

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError, SessionError, UsageError
+from adis_gonio.base.numbers import counted
 from adis_gonio.faces.cli.face import choose_face
 from adis_gonio.faces.cli.overrides import fixture, gravity
 from adis_gonio.faces.cli.show import json_option, no_check_option, poll_option, print_json, variant_option

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import counted
 from adis_gonio.faces.cli.overrides import load, override_options, part_option
 from adis_gonio.faces.cli.show import WIDTH, console, json_option, print_json
 from adis_gonio.faces.cli.working import working

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adis_gonio.base.counting import counted
+from adis_gonio.base.numbers import counted
 from adis_gonio.faces.cli.overrides import load, override_options
 from adis_gonio.faces.cli.working import working
 

@@ -10,8 +10,8 @@ from urllib.parse import quote
 import click
 import numpy as np
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import DataError, SessionError, UsageError
+from adis_gonio.base.numbers import counted
 from adis_gonio.base.output import ends_in
 from adis_gonio.faces.cli.working import working
 

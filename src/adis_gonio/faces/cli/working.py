@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from itertools import count
 from typing import TYPE_CHECKING
 
+from adis_gonio.base.numbers import format_duration
 from adis_gonio.faces.cli.show import console
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def _in_log(what: str) -> Iterator[Work]:
         for due in _times_s():
             if over.wait(due - work.elapsed_s):
                 return
-            since = f" ({_duration(work.elapsed_s)})" if due > 1 else ""
+            since = f" ({format_duration(work.elapsed_s)})" if due > 1 else ""
             print(f"{work} …{since}", file=sys.stderr, flush=True)  # noqa: T201
 
     teller = threading.Thread(target=tell, daemon=True)
@@ -108,8 +109,3 @@ def _in_log(what: str) -> Iterator[Work]:
     finally:
         over.set()
         teller.join()
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest} s" if minutes else f"{rest} s"

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.showing import html_table, parameter_frame, with_u
+from adis_gonio.base.numbers import counted, format_uncertain
+from adis_gonio.base.tables import html_table, parameter_frame
 from adis_gonio.base.values import Value
 from adis_gonio.fitting.estimation.fit import Fit, Values, adequacy
 from adis_gonio.fitting.estimation.parts import GYRO, readings_of_part
@@ -149,7 +149,7 @@ class GyroFit:
 
     def __repr__(self) -> str:
         told = ", ".join(
-            f"{name} {with_u(self[name].value, self[name].u, self[name].unit)}"
+            f"{name} {format_uncertain(self[name].value, self[name].u, self[name].unit)}"
             for name in list(self.parameters)[:3]
         )
         return f"GyroFit({self.held}, {told})"

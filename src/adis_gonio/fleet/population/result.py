@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.jsonable import finite
+from adis_gonio.base.numbers import counted
 from adis_gonio.base.values import Value
 
 

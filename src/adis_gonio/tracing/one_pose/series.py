@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import attempt, check
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError
+from adis_gonio.base.numbers import counted
 from adis_gonio.base.values import Detectable, Value
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect

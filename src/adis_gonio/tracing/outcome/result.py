@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from adis_gonio.base.budget import Budget
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.showing import html_table, lines_of, parameter_frame
+from adis_gonio.base.tables import html_table, lines_of, parameter_frame
 from adis_gonio.base.values import Detectable, Value, finite_or_none
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.parts import ACCELEROMETER, GYRO

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.model.records import MG_PER_G
-from adis_gonio.tracing.within.finding import LEVEL, Place, View, WithinFinding, corrected, number, with_u
+from adis_gonio.tracing.within.finding import LEVEL, Place, View, WithinFinding, corrected
 from adis_gonio.tracing.within.samples import Samples
 
 Usable = NDArray[np.bool_]
@@ -223,7 +224,7 @@ def _finding(
         f"{stem}_{letter}": Value(float(slope[axis]), float(u[j]), unit)
         for j, (axis, letter) in enumerate(zip(axes, letters, strict=True))
     }
-    sizes = ", ".join(f"{letter} {with_u(parameters[f'{stem}_{letter}'])}" for letter in letters)
+    sizes = ", ".join(f"{letter} {parameters[f'{stem}_{letter}']}" for letter in letters)
     by = ", in proportion to the change of the axis' own reading before" if best.by_move else ""
     positions = tuple(int(samples.position[k]) for k in dwells)
     advice = ""
@@ -241,12 +242,11 @@ def _finding(
         needed = _wait(samples, largest, tau)
         sentence = (
             f"each dwell settles: {sizes} at its first sample, time constant "
-            f"{with_u(parameters['tau'])}{by}; it moves the means by up to {number(shift, 2)} mg"
+            f"{parameters['tau']}{by}; it moves the means by up to {format_number(shift, 2)} mg"
         )
         if needed > 0:
-            advice = (
-                f"wait {number(needed, 2)} s longer after each move before recording: the dwells settle"
-            )
+            wait = format_number(needed, 2)
+            advice = f"wait {wait} s longer after each move before recording: the dwells settle"
         places = tuple(
             Place(
                 int(samples.position[k]),

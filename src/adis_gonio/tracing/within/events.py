@@ -19,6 +19,7 @@ import numpy as np
 from scipy import stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.fitting.estimation.robust import MAD_TO_SD
 from adis_gonio.tracing.within.finding import (
@@ -27,9 +28,7 @@ from adis_gonio.tracing.within.finding import (
     View,
     WithinFinding,
     corrected,
-    number,
     positions_text,
-    with_u,
 )
 from adis_gonio.tracing.within.samples import Samples, deviation
 
@@ -352,8 +351,8 @@ def _finding(
         p_value=p_value,
         sentence=(
             f"{words} {where}{most}: {worst.axis} by "
-            f"{with_u(worst.value)}{when}; its mean is off by about "
-            f"{number(abs(worst.shift_mg or 0.0), 2)} mg"
+            f"{worst.value}{when}; its mean is off by about "
+            f"{format_number(abs(worst.shift_mg or 0.0), 2)} mg"
         ),
         places=places,
         advice=f"repeat {positions_text(positions, 0)}: {cause} while the dwell was recorded",

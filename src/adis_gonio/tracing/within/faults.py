@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, special, stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.tracing.within.finding import (
     LEVEL,
@@ -28,7 +29,6 @@ from adis_gonio.tracing.within.finding import (
     View,
     WithinFinding,
     corrected,
-    number,
     positions_text,
 )
 from adis_gonio.tracing.within.samples import Samples, deviation
@@ -154,7 +154,7 @@ def _spikes_finding(
         p_value=p_value,
         sentence=(
             f"{count} spike{'' if count == 1 else 's'} in {positions_text(positions, len(samples))}, the "
-            f"largest {number(size)} mg"
+            f"largest {format_number(size)} mg"
         ),
         places=tuple(places),
         advice=f"look for what makes the spikes (contacts, supply, a touch){repeat}",

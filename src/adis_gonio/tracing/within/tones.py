@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.model.effects import effect
 from adis_gonio.tracing.within.density import PADDING, TAPER_LOSS, Density, density_of, without_line
@@ -31,9 +32,7 @@ from adis_gonio.tracing.within.finding import (
     View,
     WithinFinding,
     corrected,
-    number,
     positions_text,
-    with_u,
 )
 from adis_gonio.tracing.within.samples import Samples
 
@@ -159,9 +158,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         **{f"tone_{samples.letters[k]}": Value(float(amplitude[k]), float(u[k]), "mg") for k in axes},
         "frequency": Value(frequency, float(u_frequency), "Hz"),
     }
-    sizes = ", ".join(
-        f"{samples.letters[k]} {with_u(parameters[f'tone_{samples.letters[k]}'])}" for k in axes
-    )
+    sizes = ", ".join(f"{samples.letters[k]} {parameters[f'tone_{samples.letters[k]}']}" for k in axes)
     folding = aliases_hz(frequency, 1 / period)
     finding = WithinFinding(
         kind="tone",
@@ -171,7 +168,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         parameters=parameters,
         p_value=peak.p_value,
         sentence=(
-            f"a spectral line at {with_u(parameters['frequency'])} (amplitude {sizes}) in "
+            f"a spectral line at {parameters['frequency']} (amplitude {sizes}) in "
             f"{positions_text(positions, len(samples))}{_or_alias(folding)}"
         ),
         advice=(
@@ -206,7 +203,7 @@ def _or_alias(folding: tuple[float, ...]) -> str:
     """What a sentence says of the frequencies that fold to a line."""
     if not folding:
         return ""
-    named = ", ".join(number(f, 4) for f in folding[:MOST_ALIASES])
+    named = ", ".join(format_number(f, 4) for f in folding[:MOST_ALIASES])
     more = ", …" if len(folding) > MOST_ALIASES else ""
     return f"; a vibration at {named}{more} Hz would be seen there as well"
 
@@ -266,7 +263,7 @@ def _view(density: Density, period: float, axis: int, letter: str, frequency: fl
         model,
         "frequency / Hz",
         f"density of {letter} / mg/√Hz",
-        f"Spectrum of {letter} inside the dwells, with a line at {number(frequency, 4)} Hz.",
+        f"Spectrum of {letter} inside the dwells, with a line at {format_number(frequency, 4)} Hz.",
         model_label="noise",
         y_log=True,
     )

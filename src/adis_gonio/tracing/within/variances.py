@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.tracing.within.density import TAPER_LOSS, Density, without_line
 from adis_gonio.tracing.within.finding import (
@@ -31,9 +32,7 @@ from adis_gonio.tracing.within.finding import (
     View,
     WithinFinding,
     corrected,
-    number,
     positions_text,
-    with_u,
 )
 from adis_gonio.tracing.within.samples import Samples
 
@@ -216,7 +215,7 @@ def _joining(
     parameters["start"] = Value(start, u_start, "s")
     positions = tuple(int(p) for p in samples.position[dwells[cut:]])
     sizes = ", ".join(
-        f"{samples.letters[axis]} {with_u(parameters[f'extra_{samples.letters[axis]}'])}" for axis in axes
+        f"{samples.letters[axis]} {parameters[f'extra_{samples.letters[axis]}']}" for axis in axes
     )
     return WithinFinding(
         kind="noise_change",
@@ -226,7 +225,7 @@ def _joining(
         parameters=parameters,
         p_value=p_value,
         sentence=(
-            f"from {with_u(parameters['start'])} on (position {positions[0]}) the samples scatter more: "
+            f"from {parameters['start']} on (position {positions[0]}) the samples scatter more: "
             f"noise of {sizes} has joined" + _rectification(levels)
         ),
         advice=(
@@ -304,8 +303,8 @@ def _varying(
             sd = float(np.sqrt(own.variance[k]))
             parameters[f"{word}_{letter}"] = Value(sd, float(sd / np.sqrt(2 * own.dof[k])), "mg")
     ranges = ", ".join(
-        f"{samples.letters[axis]} {number(float(np.sqrt(own.variance.min())))} to "
-        f"{number(float(np.sqrt(own.variance.max())))} mg"
+        f"{samples.letters[axis]} {format_number(float(np.sqrt(own.variance.min())))} to "
+        f"{format_number(float(np.sqrt(own.variance.max())))} mg"
         for axis, own in zip(axes, levels, strict=True)
     )
     return WithinFinding(
@@ -329,8 +328,8 @@ def _rectification(levels: list[Levels]) -> str:
     """What variances that differ are good for: the mean may follow them."""
     spread = max(float(np.ptp(own.variance)) for own in levels)
     return (
-        f"; variances differ by up to {number(spread)} mg², in which a vibration_rectification could show "
-        "between the dwells"
+        f"; variances differ by up to {format_number(spread)} mg², in which a vibration_rectification could"
+        " show between the dwells"
     )
 
 
