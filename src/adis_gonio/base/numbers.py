@@ -131,14 +131,13 @@ def format_reduction(before: float | None, after: float | None) -> str:
 
 
 def format_duration(seconds: float) -> str:
-    """`40 s`, `1 min 30 s`, `25 min`, `1 h 5 min`: seconds below ten minutes only."""
+    """`40 s`, `1 min 30 s`, `25 min`, `1 h 05 min`: from ten minutes on without seconds."""
     minutes, rest = divmod(round(seconds), 60)
-    if minutes == 0:
-        return f"{rest} s"
-    if minutes < 10:
-        return f"{minutes} min {rest} s" if rest else f"{minutes} min"
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes} min" if hours else f"{minutes} min"
+    if minutes >= 10:
+        hours, minutes = divmod(round(seconds / 60), 60)
+        return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min"
+    parts = [f"{minutes} min"] * (minutes > 0) + [f"{rest} s"] * (rest > 0 or minutes == 0)
+    return " ".join(parts)
 
 
 def counted(number: int, noun: str, plural: str = "") -> str:

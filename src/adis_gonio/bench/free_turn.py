@@ -12,6 +12,7 @@ import math
 from collections.abc import Generator, Iterator
 from typing import Literal, Protocol, runtime_checkable
 
+from adis_gonio.base.arrays import wrap_degrees
 from adis_gonio.base.errors import SessionError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.bench.bench import SessionBench
@@ -95,7 +96,7 @@ class FreeTurn:
         # Gravity goes backwards through the part: positive is counter-clockwise, as the stage counts.
         angle = -math.degrees(math.atan2(y, x))
         if self._before is not None:
-            step = (angle - self._before + 180) % 360 - 180
+            step = wrap_degrees(angle - self._before)
             self.sweeps.see(self.sweeps.angle_deg + step)
         self._before = angle
         now = float(block.time_s[-1])

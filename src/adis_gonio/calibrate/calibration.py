@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, central_differences, wrap_radians
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.base.tables import html_table, parameter_frame
 from adis_gonio.calibrate.checks import checked_condition, checked_readings
 from adis_gonio.model.effects import AXES, Conditions, Effect
-from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, wrap_rad
+from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
 from adis_gonio.model.records import MG_PER_MPS2
 from adis_gonio.record.provenance import Provenance
 
@@ -483,22 +483,24 @@ class Calibration:
         conditions = self._conditions(len(readings), temperature_c, supply_v)
         values = self.values
         angle = shown(values, readings, conditions)
+
+        def apart(up: Floats, down: Floats) -> Floats:
+            return wrap_radians(up - down)
+
         variance = np.full(len(readings), np.nan)
         if self.covariance is not None:
-            variance = np.zeros(len(readings))
-            for direction in _directions(self.covariance):
-                up = shown(values + STEP * direction, readings, conditions)
-                down = shown(values - STEP * direction, readings, conditions)
-                variance += (wrap_rad(up - down) / (2 * STEP)) ** 2
+            changes = central_differences(
+                lambda v: shown(v, readings, conditions), values, STEP, _directions(self.covariance), apart
+            )
+            variance = (changes**2).sum(axis=1)
         if reading_u is not None:
-            for axis, u in enumerate(self._reading_u(reading_u)):
-                step = np.zeros(self.axes)
-                step[axis] = max(STEP * u, 1e-6)
-                change = shown(values, readings + step, conditions) - shown(
-                    values, readings - step, conditions
-                )
-                variance += (wrap_rad(change) / (2 * step[axis]) * u) ** 2
-        angle_deg, u_deg = np.degrees(wrap_rad(angle)), np.degrees(np.sqrt(variance))
+            u = self._reading_u(reading_u)
+            steps = np.maximum(STEP * u, 1e-6)
+            slopes = central_differences(
+                lambda r: shown(values, r, conditions), readings, steps, np.eye(self.axes), apart
+            )
+            variance += ((slopes * u) ** 2).sum(axis=1)
+        angle_deg, u_deg = np.degrees(wrap_radians(angle)), np.degrees(np.sqrt(variance))
         return AngleReading(angle_deg[0], u_deg[0]) if single else AngleReading(angle_deg, u_deg)
 
     def _reading_u(self, reading_u: float | Sequence[float]) -> Floats:

@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.base.numbers import format_uncertain
 from adis_gonio.base.tables import html_table, parameter_frame
@@ -431,11 +431,8 @@ class GyroCalibration:
         value = function(self.values)
         if self.covariance is None:
             return value, np.full(value.shape, np.nan)
-        variance = np.zeros(value.shape)
-        for direction in _directions(self.covariance):
-            rise = function(self.values + STEP * direction) - function(self.values - STEP * direction)
-            variance += (rise / (2 * STEP)) ** 2
-        return value, np.sqrt(variance)
+        changes = central_differences(function, self.values, STEP, _directions(self.covariance))
+        return value, np.sqrt((changes**2).sum(axis=-1))
 
 
 def kind_of(name: str) -> str | None:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, mean_direction, wrap_radians
 from adis_gonio.base.errors import SingularError
 from adis_gonio.base.numbers import counted, use_minus, with_unit
 from adis_gonio.fitting.determination import (
@@ -23,7 +23,7 @@ from adis_gonio.fitting.noise import Settled, settle
 from adis_gonio.fitting.outputs import Output, estimates, left_to_the_stage, outputs_of, variances
 from adis_gonio.fitting.result import FitResult, Origin
 from adis_gonio.fitting.sources import Sources, Unseen, by_rotation_of, response_of, sources_of
-from adis_gonio.model.measurement import PlanarTurn, wrap_rad
+from adis_gonio.model.measurement import PlanarTurn
 
 
 def fit_ml(readings: Readings) -> FitResult:
@@ -89,9 +89,9 @@ def angle_errors(fit: Fit) -> Floats | None:
         return None
     gravity = _calibrated(fit)[declared]
     shown = np.arctan2(gravity[:, 1], gravity[:, 0]) + data.angle_rad[declared]
-    zero = np.angle(np.exp(1j * shown).sum()) if data.free else fit.values.base[0]
+    zero = mean_direction(shown) if data.free else float(fit.values.base[0])
     # Positive for a stage that stands further on than declared: ψ = α − θ.
-    return -wrap_rad(shown - zero)
+    return -wrap_radians(shown - zero)
 
 
 def _sources(readings: Readings, settled: Settled) -> Sources | None:

@@ -9,7 +9,7 @@ from pathlib import PurePath
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import AdisGonioError, FitError, SessionError
 from adis_gonio.calibrate.calibration import Calibration, Coefficient, EffectTerm, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
@@ -337,11 +337,7 @@ def _gyro_stated(
             units.append(one.unit)
             places.append(start + k)
     own = fit.values.parameters[places]
-    step = 1e-6
-    unit = np.eye(len(own)) * step
-    slope = np.stack(
-        [(_gains(names, own + row) - _gains(names, own - row)) / (2 * step) for row in unit], axis=1
-    )
+    slope = central_differences(lambda values: _gains(names, values), own, 1e-6)
     matrix = slope @ fit.covariance[np.ix_(places, places)] @ slope.T * inflation
     stated = [name.replace("gyro_scale_error", "gyro_scale") for name in names]
     sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))

@@ -8,10 +8,10 @@ from enum import Enum
 from functools import singledispatchmethod
 from typing import Literal
 
+from adis_gonio.base.arrays import wrap_degrees
 from adis_gonio.base.numbers import counted, format_fixed
 from adis_gonio.bench import events
 from adis_gonio.bench.guidance import face
-from adis_gonio.record.expectation import wrapped_deg
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
 
 MOST_MESSAGES = 100
@@ -298,7 +298,7 @@ class BenchState:
         """Angle on the turn that the stage has made since the last dwell; as it is without one."""
         if angle_deg is None or self._turned_deg is None:
             return angle_deg
-        self._turned_deg += wrapped_deg(angle_deg - self._turned_deg)
+        self._turned_deg += wrap_degrees(angle_deg - self._turned_deg)
         return self._turned_deg
 
     def _goes_on(self) -> None:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.base.tables import html_table, parameter_frame
@@ -424,11 +424,9 @@ def _unit(name: str) -> str:
 def _stated(model: _Model, covariance: Floats) -> tuple[list[str], Floats, Floats]:
     """Names, values and covariance of the determined parameters as a result states them."""
     own = model.fit.values.parameters
-    step = 1e-6
     slope = np.zeros((len(own), len(own)))
-    for k in np.flatnonzero(model.free):
-        change = step * np.eye(len(own))[k]
-        slope[:, k] = (_of_k_and_d(model, own + change) - _of_k_and_d(model, own - change)) / (2 * step)
+    free = np.eye(len(own))[model.free]
+    slope[:, model.free] = central_differences(lambda values: _of_k_and_d(model, values), own, 1e-6, free)
     stated = _of_k_and_d(model, own)
     kept = np.flatnonzero(model.free)
     moved = slope @ covariance @ slope.T

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
@@ -248,5 +248,4 @@ def chi2_of_measured(fit: Fit, measured: Readings) -> float:
 def _rms_deg(turned: list[Floats]) -> float | None:
     if not turned:
         return None
-    wrapped = np.mod(np.concatenate(turned) + np.pi, 2 * np.pi) - np.pi
-    return float(np.degrees(np.sqrt((wrapped**2).mean())))
+    return float(np.degrees(np.sqrt((wrap_radians(np.concatenate(turned)) ** 2).mean())))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.base.budget import check, told
 from adis_gonio.fitting.estimation.fit import Fit, foreseen
 from adis_gonio.fitting.estimation.readings import Readings
@@ -107,7 +107,7 @@ def _about_axes(data: Readings) -> list[NDArray[np.bool_]]:
         theta = data.conditions.angle_rad
         if theta is None:
             return []
-        apart = np.abs(np.mod(theta[:, None] - theta[None, :] + np.pi, 2 * np.pi) - np.pi)
+        apart = np.abs(wrap_radians(theta[:, None] - theta[None, :]))
         if 2 * int(((apart < np.deg2rad(limits.repeated_deg)).sum(axis=1) > 1).sum()) < len(data):
             return []
     pose = data.model.pose(data.mean, data.conditions)
@@ -181,7 +181,7 @@ def _poses_repeat(data: Readings, blocks: list[NDArray[np.bool_]]) -> bool:
     turn = 2 * np.pi
     step = turn / max(len(np.unique(np.round(np.mod(theta, turn), 3))), 1)
     for block in blocks:
-        gap = np.mod(theta[block][:, None] - theta[~block][None, :] + np.pi, turn) - np.pi
+        gap = wrap_radians(theta[block][:, None] - theta[~block][None, :])
         if not (np.abs(gap).min(axis=1) < 2.5 * step).all():
             return False
     return True
