@@ -14,11 +14,11 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.intervals import wilson
+from adis_gonio.base.levels import OUTLYING
 from adis_gonio.base.version import __version__
 from adis_gonio.fleet.columns import Row, Table, table_of, unit_of
 from adis_gonio.fleet.memory.record import COLUMNS as QUANTITIES
 from adis_gonio.fleet.outlying import (
-    LEVEL,
     Codes,
     FamilyOfTests,
     Test,
@@ -165,7 +165,7 @@ class Summary:
             "parameters": {one.name: one.as_dict() for one in self.parameters},
             "effects": [one.as_dict() for one in self.effects],
             "outlying": {
-                "level": LEVEL,
+                "level": OUTLYING,
                 "tests": self.tests,
                 "found": [one.as_dict() for one in self.outlying],
             },

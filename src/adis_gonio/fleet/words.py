@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from adis_gonio.base.levels import OUTLYING
 from adis_gonio.base.numbers import (
     NAMES,
     count_decimals,
@@ -13,7 +14,7 @@ from adis_gonio.base.numbers import (
     format_unit,
     with_unit,
 )
-from adis_gonio.fleet.outlying import FEWEST, FEWEST_UNITS, LEVEL
+from adis_gonio.fleet.outlying import FEWEST, FEWEST_UNITS
 from adis_gonio.fleet.statistics import Beyond
 from adis_gonio.fleet.summary import Outlying, QuantitySummary, Summary
 
@@ -143,6 +144,6 @@ def outlying_text(summary: Summary) -> str:
     found = "" if summary.outlying else " None stands out."
     return (
         f"{counted(summary.tests, 'comparison')} of units, stages and operators with the rest of the fleet;"
-        f" the probability of naming anything falsely is at most {format_percent(LEVEL)} in all"
+        f" the probability of naming anything falsely is at most {format_percent(OUTLYING)} in all"
         f" (Bonferroni).{found}"
     )

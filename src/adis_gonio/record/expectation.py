@@ -15,11 +15,10 @@ from statistics import NormalDist
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_radians
+from adis_gonio.base.levels import POSITION_QUESTIONED
 from adis_gonio.record.watch import SHIFT_MG
 
-FALSE_ALARM = 1e-4
-"""Probability that one position of a sane part is questioned: one position in a hundred tumbles of 100."""
-K = NormalDist().inv_cdf(1 - FALSE_ALARM / 2)
+K = NormalDist().inv_cdf(1 - POSITION_QUESTIONED / 2)
 
 GAIN_LIMIT = 0.02
 """Sensitivity ±2 % (CHIP, B: the sibling's sheet); as a rectangular distribution."""

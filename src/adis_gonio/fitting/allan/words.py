@@ -5,12 +5,11 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Sequence
 
+from adis_gonio.base.levels import INADEQUATE, SLOW_NOISE
 from adis_gonio.base.numbers import counted, format_number, format_unit
-from adis_gonio.fitting.allan.likelihood import LEVEL
 from adis_gonio.fitting.allan.result import AllanResult, AxisNoise, NoiseParameter
 
 PARTS = {"gyro": "gyros", "accelerometer": "accelerometers"}
-_ODD = 0.01
 _FEW_DOF = 3.0
 HEAD = ("", "value", "u", "95 % interval", "ν", "unit")
 _WIDTHS = (26, 9, 9, 18, 7)
@@ -32,9 +31,9 @@ def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[in
             f"the noise is below half a step of the converter ({format_number(axis.step)}): what is seen is"
             " its rounding"
         )
-    if narrowed and axis.adequacy >= _ODD:
+    if narrowed and axis.adequacy >= INADEQUATE:
         yield f"above {format_number(axis.band_hz[1])} Hz the spectrum is of another kind and was left out"
-    if axis.adequacy < _ODD:
+    if axis.adequacy < INADEQUATE:
         yield f"the spectrum is not that of these noises (p = {axis.adequacy:.1g}): u is too small"
     for line in axis.lines:
         yield (
@@ -42,7 +41,7 @@ def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[in
             f" {format_number(line.amplitude)}, taken off: a vibration, or its alias"
         )
     flicker, walk = axis["flicker"], axis["walk"]
-    if not flicker.present and not walk.present and axis.slow_p_value < LEVEL:
+    if not flicker.present and not walk.present and axis.slow_p_value < SLOW_NOISE:
         yield (
             "there is slow noise, and the records are too short to tell bias instability from random walk:"
             " let it lie still for four times as long"

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees, wrap_radians
+from adis_gonio.base.levels import CREDIBLE_SET
 from adis_gonio.fitting.slips.angles import Angles
 from adis_gonio.fitting.slips.evidence import Beside, ScatterPoint, Weighed, Whitened, scatters, weigh
 from adis_gonio.fitting.slips.faults import ACCUSED, Name, Pattern, patterns_of
@@ -19,8 +20,6 @@ from adis_gonio.fitting.slips.sight import Detectability
 
 CERTAIN = 0.99
 """Posterior from which a position is accused."""
-SET_LEVEL = 0.95
-"""Probability that a set of names holds."""
 MOST_FAULTS = 6
 LARGEST = 120
 """Dwells beyond which a session is not looked at: the covariance of all rows is worked out as a whole."""
@@ -177,7 +176,7 @@ def _set_of_names(
         share = math.exp(value - total)
         kept.append(Named(name, tuple(position[j] for j in patterns[k].dwells), share))
         held += share
-        if held >= SET_LEVEL:
+        if held >= CREDIBLE_SET:
             break
     return tuple(kept)
 

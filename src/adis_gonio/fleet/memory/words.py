@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from adis_gonio.base.levels import DRIFTING
 from adis_gonio.base.numbers import (
     DASH,
     NAMES,
@@ -17,7 +18,7 @@ from adis_gonio.base.numbers import (
     use_minus,
 )
 from adis_gonio.base.values import Value
-from adis_gonio.fleet.memory.history import LEVEL, History, Track, date_of
+from adis_gonio.fleet.memory.history import History, Track, date_of
 from adis_gonio.fleet.memory.record import SessionRecord
 
 _ROWS = 9
@@ -37,7 +38,7 @@ def of_drift(track: Track) -> list[str]:
     said = "drifts" if track.drifts else "no drift shown"
     rate = f"{format_expanded(drift.slope)} {'a year' if unit == 'a' else unit}"
     lines = [f"{said}: {rate} (U, 95 %), {format_p(drift.p_value)}"]
-    if drift.birge_p < LEVEL:
+    if drift.birge_p < DRIFTING:
         lines.append(
             f"sessions scatter by more than their u: {drift.between:.2g} between sessions "
             f"(Birge ratio {drift.birge:.2f}, {format_p(drift.birge_p)})"

@@ -18,12 +18,13 @@ import math
 import numpy as np
 from scipy import optimize, stats
 
+from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, left_by_quantization
 from adis_gonio.model.records import Session
-from adis_gonio.tracing.within.finding import LEVEL, WithinFinding, corrected, positions_text
+from adis_gonio.tracing.within.finding import WithinFinding, corrected, positions_text
 from adis_gonio.tracing.within.samples import Samples
 
 
@@ -74,7 +75,7 @@ def quantization(session: Session, samples: Samples, reach: int) -> WithinFindin
     found: dict[int, float] = {}
     for axis in range(samples.axes):
         p = corrected(min(_coarse(samples, axis, reach), _lost_bits(session, samples, axis)), samples.axes)
-        if p < LEVEL:
+        if p < FOUND_WITHIN:
             found[axis] = p
     if not found:
         return None

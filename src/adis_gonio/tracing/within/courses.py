@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.model.records import MG_PER_G
-from adis_gonio.tracing.within.finding import LEVEL, Place, View, WithinFinding, corrected
+from adis_gonio.tracing.within.finding import Place, View, WithinFinding, corrected
 from adis_gonio.tracing.within.samples import Samples
 
 Usable = NDArray[np.bool_]
@@ -124,7 +125,7 @@ def _best(samples: Samples, usable: Usable) -> _Candidate | None:
                     continue
                 p = corrected(2 * float(stats.t.sf(abs(t[axis]), dof)), tests)
                 explained = float(slope[axis] ** 2 * energy[axis])
-                if p >= LEVEL:
+                if p >= FOUND_WITHIN:
                     continue
                 own = _Candidate(axis, tau, by_move, p, explained, float(residual[axis]))
                 if best is None or explained > best.explained:
@@ -201,7 +202,9 @@ def _axes_with(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
     dof = int(usable.sum()) - 1
     residual = ((z - g * slope)[usable] ** 2).sum(axis=0) / dof
     p = 2 * stats.t.sf(np.abs(slope) * np.sqrt(energy / np.maximum(residual, 1e-300)), dof)
-    return [axis for axis in range(samples.axes) if axis == best.axis or p[axis] < LEVEL / samples.axes]
+    return [
+        axis for axis in range(samples.axes) if axis == best.axis or p[axis] < FOUND_WITHIN / samples.axes
+    ]
 
 
 def _finding(

@@ -19,11 +19,11 @@ import numpy as np
 from scipy import stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.fitting.estimation.robust import MAD_TO_SD
 from adis_gonio.tracing.within.finding import (
-    LEVEL,
     Place,
     View,
     WithinFinding,
@@ -104,7 +104,7 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
     coarse = np.where(spread < _LIVELY * samples.quantum, 0.5 * samples.quantum / unit, 0.0)
     for scale in scales:
         _judge(scale, coarse, tests, p, look)
-    flagged = np.argwhere(p < LEVEL)
+    flagged = np.argwhere(p < FOUND_WITHIN)
     described = [_describe(samples, int(k), int(axis), look) for k, axis in flagged]
     found = []
     for kind in get_args(_Form):

@@ -13,11 +13,9 @@ Kind = Literal[
     "drift", "settling", "step", "disturbance", "tone", "spikes", "stuck", "noise_change", "limit", "coarse"
 ]
 
-LEVEL = 0.01
-"""Family-wise level: probability that a session without anything shows any finding."""
 SEARCHES = 6
-"""Searches that share `LEVEL`: spikes, stuck values, tones, variance, courses common to the dwells, events
-in single dwells."""
+"""Searches that share `FOUND_WITHIN`: spikes, stuck values, tones, variance, courses common to the dwells,
+events in single dwells."""
 
 
 @dataclass(frozen=True)

@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.model.effects import effect
 from adis_gonio.tracing.within.density import PADDING, TAPER_LOSS, Density, density_of, without_line
 from adis_gonio.tracing.within.finding import (
-    LEVEL,
     View,
     WithinFinding,
     corrected,
@@ -97,7 +97,7 @@ def _highest(density: Density) -> _Peak | None:
         p = corrected(float(stats.f.sf(height, 2, 2 * width[at] / TAPER_LOSS)) ** rough, tests * d)
         if p < best.p_value:
             best = _Peak(at + searched.start, p, dwell)
-    return best if best is not None and best.p_value < LEVEL else None
+    return best if best is not None and best.p_value < FOUND_WITHIN else None
 
 
 def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFinding, Samples] | None:
@@ -130,14 +130,14 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
     excess = squares * counts / (4 * noise)
     chosen = np.ones(len(dwells), dtype=bool)
     if peak.dwell is not None:
-        chosen = excess.max(axis=1) > -np.log(LEVEL / excess.size)
+        chosen = excess.max(axis=1) > -np.log(FOUND_WITHIN / excess.size)
         if not chosen.any():
             return None
     amplitude, u, stands = _sizes(squares[chosen], (4 * noise / counts)[chosen], excess[chosen])
     axes = [k for k in range(samples.axes) if stands[k]] or [int(np.argmax(excess.sum(axis=0)))]
     if not amplitude[axes].max() > 0:
         return None
-    clear = excess[:, axes].max(axis=1) > -np.log(LEVEL / (len(dwells) * len(axes)))
+    clear = excess[:, axes].max(axis=1) > -np.log(FOUND_WITHIN / (len(dwells) * len(axes)))
     if peak.dwell is None and (clear.mean() > 0.5 or not clear.any()):
         # A line that most dwells show stands in the others as well, below what one dwell can tell.
         expected = (amplitude[axes] ** 2 * counts / (4 * noise[:, axes])).sum(axis=1)
@@ -187,7 +187,7 @@ def _showing(density: Density, peak: _Peak) -> list[int]:
         return list(range(len(density.dwells)))
     near = slice(peak.at - PADDING, peak.at + PADDING + 1)
     height = density.power[:, near] / density.level[:, None, :] / density.bound[None, near]
-    shown = height.max(axis=(1, 2)) > -np.log(LEVEL / height.size)
+    shown = height.max(axis=(1, 2)) > -np.log(FOUND_WITHIN / height.size)
     shown[peak.dwell] = True
     return [int(k) for k in np.flatnonzero(shown)]
 

@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.levels import FOUND_WITHIN, INADEQUATE
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.tracing.within.density import TAPER_LOSS, Density, without_line
 from adis_gonio.tracing.within.finding import (
-    LEVEL,
     Place,
     View,
     WithinFinding,
@@ -39,7 +39,6 @@ from adis_gonio.tracing.within.samples import Samples
 LEAST_DWELLS = 3
 _LIVELY = 0.6
 """Noise in steps of the converter below which the variance says where the mean lies and no more."""
-_ADEQUATE = 0.01
 TESTS = 4
 """That share the level of an axis."""
 
@@ -112,7 +111,7 @@ def noise_change(samples: Samples, density: Density | None) -> WithinFinding | N
         if np.sqrt(np.median(own.variance)) >= _LIVELY * samples.quantum[axis]
     ]
     p = {axis: _p_value(levels[axis], samples.axes) for axis in usable}
-    shown = [axis for axis in usable if p[axis] < LEVEL]
+    shown = [axis for axis in usable if p[axis] < FOUND_WITHIN]
     if not shown:
         return None
     cut = _best_cut([levels[axis] for axis in shown])
@@ -190,7 +189,7 @@ def _explained(own: Levels, cut: int) -> bool:
     at = np.arange(len(own.variance))
     parts = [own.rows(at < cut - 1), own.rows(at > cut)]
     p = [part.alike() for part in parts if len(part.variance) > 1]
-    return all(value > _ADEQUATE / max(len(p), 1) for value in p)
+    return all(value > INADEQUATE / max(len(p), 1) for value in p)
 
 
 def _joining(
@@ -277,7 +276,7 @@ def _varying(
         typical = float(np.median(own.variance))
         ratio = own.variance / typical
         spread = np.sqrt(2 / own.dof)
-        far = np.abs(np.log(ratio)) > stats.norm.isf(LEVEL / (2 * d)) * spread
+        far = np.abs(np.log(ratio)) > stats.norm.isf(FOUND_WITHIN / (2 * d)) * spread
         unusual |= far
         places += [
             Place(
