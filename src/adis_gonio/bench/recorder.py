@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import gzip
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Self
+from typing import IO
 
 import numpy as np
 
+from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.output import ends_in
+from adis_gonio.base.output import ends_in, exists_error
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.record.blocks import GENERIC, Block, session_columns
 
 
-class SamplesRecorder:
+class SamplesRecorder(Closing):
     """Writes scans to a samples CSV (`.csv` or `.csv.gz`), a row a scan; use it as a context manager.
 
     Accelerometers are written in LSB, as the sensor gave them (of a generic one in mg); gyros in °/s,
@@ -46,7 +46,7 @@ class SamplesRecorder:
         title: str = "",
     ) -> None:
         if path.exists():
-            raise UsageError(f"{path} exists: choose another name, recordings are not overwritten")
+            raise exists_error(path)
         if not ends_in(path, ".csv", ".csv.gz"):
             raise UsageError(f"{path}: a recording is named .csv or .csv.gz")
         self.path = path
@@ -86,14 +86,3 @@ class SamplesRecorder:
     def close(self) -> None:
         """Close the file; may be called twice."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()

@@ -9,7 +9,7 @@ from typing import Any
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, OutputError, SessionError
-from adis_gonio.base.output import replacing, write_utf8
+from adis_gonio.base.output import exists_error, replacing, write_utf8
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.samples_csv import write_samples_csv
 
@@ -21,8 +21,10 @@ def export_csv(session: Session, path: str | Path) -> None:
 
     Raises
     ------
+    UsageError
+        The file exists.
     SessionError
-        The file exists, or cannot be written.
+        It cannot be written.
     DataError
         As `write_samples_csv`.
     """
@@ -48,8 +50,10 @@ def export_json(session: Session, path: str | Path) -> None:
 
     Raises
     ------
+    UsageError
+        The file exists.
     SessionError
-        The file exists, or cannot be written.
+        It cannot be written.
     DataError
         A value has no JSON form.
     """
@@ -107,5 +111,5 @@ def _dwell_dict(dwell: Dwell) -> dict[str, Any]:
 def _new(path: str | Path) -> Path:
     path = Path(path)
     if path.exists():
-        raise SessionError(f"{path}: exists already; choose another file (nothing was changed)")
+        raise exists_error(path)
     return path

@@ -12,6 +12,7 @@ from importlib.metadata import entry_points
 from types import TracebackType
 from typing import Any, Protocol, Self
 
+from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.device.bus.opening import SOURCE_GROUP, BusUrl
 from adis_gonio.device.sensor.bartlett import white_gain
@@ -179,7 +180,7 @@ HOLDING_SETTINGS = tuple(
 """Control registers that hold settings; the two left out hold levels of lines and a count that runs."""
 
 
-class ChipSource:
+class ChipSource(Closing):
     """The driver as a source of samples."""
 
     kept = tuple(Settings.__dataclass_fields__)
@@ -334,12 +335,6 @@ class ChipSource:
     def close(self) -> None:
         """Close the sensor."""
         self.sensor.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def as_source(sensor: Adis16354 | SampleSource) -> SampleSource:

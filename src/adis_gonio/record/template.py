@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 from adis_gonio.base.errors import SessionError, UsageError
+from adis_gonio.base.output import exists_error
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, AccelUnit
 from adis_gonio.record.plans import Plan, Position
 
@@ -78,13 +79,15 @@ def write_template(path: Path, text: str) -> None:
 
     Raises
     ------
+    UsageError
+        The file exists.
     SessionError
-        The file exists, or cannot be written.
+        It cannot be written.
     """
     try:
         with path.open("x", encoding="utf-8", newline="\n") as file:
             file.write(text)
     except FileExistsError:
-        raise SessionError(f"{path}: exists already; choose another name (nothing was changed)") from None
+        raise exists_error(path) from None
     except OSError as error:
         raise SessionError(f"{path}: cannot be written: {error.strerror or error}") from None

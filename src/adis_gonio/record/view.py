@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
+from adis_gonio.base.closing import Closing
 from adis_gonio.base.shapes import ShapeError, anything
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
 from adis_gonio.record import database
@@ -20,7 +20,7 @@ from adis_gonio.record.row_schema import LARGEST_S, LARGEST_VALUE, META, RECORDS
 from adis_gonio.record.rows import Header, JsonDict, Move, Phase, Record, StoredAttempt, checksum
 
 
-class ArchiveView:
+class ArchiveView(Closing):
     """Read access to a session file; `Archive` adds writing. Use it as a context manager.
 
     Raises
@@ -295,17 +295,6 @@ class ArchiveView:
     def close(self) -> None:
         """Close the file; may be called twice."""
         self._connection.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _rows(
         self, table: str, order: str, column: str = "1", value: int = 1, kind: str | None = None

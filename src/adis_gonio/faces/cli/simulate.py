@@ -10,7 +10,7 @@ from urllib.parse import quote
 import click
 import numpy as np
 
-from adis_gonio.base.errors import DataError, SessionError, UsageError
+from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.output import ends_in
 from adis_gonio.faces.cli.working import working
@@ -88,9 +88,7 @@ def command(*, output: Path, **options: Any) -> None:
     from adis_gonio.record.settings import Settings
     from adis_gonio.record.view import ArchiveView
 
-    if output.exists():
-        raise SessionError(f"{output}: exists already; choose another name")
-    check_output(output)
+    check_output(output, cure="choose another name")
     if options["like"] is not None:
         _twin(options["like"], output, options["seed"])
         return
