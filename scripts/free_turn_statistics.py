@@ -27,12 +27,12 @@ from typing import Any
 import numpy as np
 
 import turned_parts
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.bench.free_turn import TURNS
 from adis_gonio.device.sensor.variants import GYRO_LSB_DPS
 from adis_gonio.fitting import FitResult, fit
-from adis_gonio.model.measurement import PlanarTurn, wrap_rad
+from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim import World, WorldSettings
 from turned_parts import FILTER_M, words
@@ -115,7 +115,7 @@ def angle_errors_deg(result: FitResult, truth: Mapping[str, float], gravity_mg: 
     bias = [result["bias_x"].value, result["bias_y"].value]
     scales = result["scale_x"].value, result["scale_y"].value
     base = np.array([0.0, *scales, math.radians(result["delta_phi"].value)])
-    return np.asarray(np.degrees(wrap_rad(model.angle_rad(base, reading - bias) - psi)))
+    return np.asarray(np.degrees(wrap_radians(model.angle_rad(base, reading - bias) - psi)))
 
 
 def one(seed: int, turns: int = TURNS, *, returns: bool = False) -> Row:

@@ -28,12 +28,11 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.device.sensor.variants import GYRO_LSB_DPS
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
 from adis_gonio.fitting.slips.meant import may_have_been_meant
 from adis_gonio.fitting.slips.of_session import positions_of
-from adis_gonio.model.measurement import wrap_rad
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.filter import bartlett_sums
@@ -189,7 +188,7 @@ def judged(found: Diagnosis, truth: Truth | None) -> Row:
     if first is not None:
         # What an error of the first position is, a slip right after it is with the opposite sign.
         sign = 1.0 if first.position == truth.positions[0] else -1.0
-        off = float(np.degrees(wrap_rad(np.radians(first.error_deg[0] - sign * truth.error_deg))))
+        off = wrap_degrees(first.error_deg[0] - sign * truth.error_deg)
     allowed = WITHIN * max(np.hypot(first.error_deg[1], found.scatter_deg), 1e-3) if first else 0.0
     angle = off is not None and abs(off) <= allowed
     return {
@@ -218,7 +217,7 @@ def by_oracle(session: Session, truth: Truth | None) -> Row:
     row: Row = {"said": said.name, "at": list(said.positions), "probability": said.probability}
     if truth is None:
         return row | {"right": said.name == "none"}
-    off = float(np.degrees(wrap_rad(np.radians(said.error_deg - truth.error_deg))))
+    off = wrap_degrees(said.error_deg - truth.error_deg)
     angle = abs(off) <= WITHIN * np.hypot(said.u_deg, session.fixture_sigma_deg or 0.0)
     right = (said.name, said.positions) == (truth.name, truth.positions)
     return row | {"right": bool(right and angle)}

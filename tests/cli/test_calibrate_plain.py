@@ -11,7 +11,7 @@ import sys
 import numpy as np
 import pytest
 
-from adis_gonio.base.counting import counted
+from adis_gonio.base.numbers import counted
 from adis_gonio.bench.guidance import PLANE, drawing, to_do
 from adis_gonio.faces.cli import main
 from adis_gonio.faces.cli.plain import Lines

@@ -110,7 +110,7 @@ def test_unfilled_it_is_refused_at_the_first_empty_cell(tmp_path, capsys):
 def test_it_never_overwrites(tmp_path, capsys):
     path = made(tmp_path)
     before = path.read_bytes()
-    assert main(["template", "-o", str(path)]) == 1
+    assert main(["template", "-o", str(path)]) == 2
     assert "exists already" in capsys.readouterr().err
     assert path.read_bytes() == before
 

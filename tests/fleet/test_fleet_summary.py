@@ -12,9 +12,10 @@ from scipy.stats import binom, chi2, fisher_exact
 
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.intervals import wilson
+from adis_gonio.base.levels import OUTLYING
 from adis_gonio.fleet import read_parquet, row_of, summarise, write_parquet
 from adis_gonio.fleet.columns import COLUMNS
-from adis_gonio.fleet.outlying import LEVEL, by_share
+from adis_gonio.fleet.outlying import by_share
 from adis_gonio.fleet.page import build_page
 from adis_gonio.fleet.record import SessionRecord
 from adis_gonio.fleet.statistics import beyond, repeats
@@ -77,7 +78,7 @@ def test_repeats_show_whether_u_is_honest(rng):
 
 def test_in_fleets_without_any_odd_one_hardly_ever_anyone_is_named(rng):
     named = sum(bool(summarise(quiet_rows(rng, 60)).outlying) for _ in range(100))
-    assert named <= binom.ppf(0.999, 100, LEVEL)
+    assert named <= binom.ppf(0.999, 100, OUTLYING)
 
 
 def test_a_stage_an_operator_and_a_unit_that_are_odd_are_named_and_nobody_else(

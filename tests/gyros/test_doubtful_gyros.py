@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from adis_gonio import fit
-from adis_gonio.base.counting import runs
 from adis_gonio.base.errors import DataError
-from adis_gonio.base.showing import shown_unit, with_u
+from adis_gonio.base.numbers import format_ranges, format_uncertain, format_unit
 from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.gyros.calibrations import estimates_of_gyro_fit
@@ -62,14 +61,14 @@ def test_one_sample_a_dwell_is_refused_for_what_it_is():
 
 
 def test_numbers_in_a_row_are_told_as_such():
-    assert runs([1, 2, 3, 4, 7, 9, 10]) == "1–4, 7, 9, 10"
-    assert runs([3]) == "3"
-    assert runs([]) == ""
+    assert format_ranges([1, 2, 3, 4, 7, 9, 10]) == "1–4, 7, 9, 10"
+    assert format_ranges([3]) == "3"
+    assert format_ranges([]) == ""
 
 
 def test_people_read_degrees_a_second_and_documents_dps():
-    assert shown_unit("dps/g") == "°/s/g"
-    assert with_u(1.25, 0.02, "dps") == "1.250 °/s (u 0.020 °/s)"
+    assert format_unit("dps/g") == "°/s/g"
+    assert format_uncertain(1.25, 0.02, "dps").replace("\u00a0", " ") == "1.250 ± 0.020 °/s"
     result = fit(session(), part="gyro")
     assert "°/s" in repr(result)
     assert "dps" not in repr(result)

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from adis_gonio.base.counting import counted
+from adis_gonio.base.numbers import counted
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "adis_gonio"
 RAW = re.compile(r"\{[^{}:]+\} (?:dwells|positions|samples|poses)\b")
@@ -14,6 +14,7 @@ ALWAYS_MANY = {
     "tracing/within/sensitivity.py",  # limits of the program
     "device/sensor/driver.py",
     "record/plans.py",
+    "record/samples_csv.py",
     "tracing/one_pose/series.py",
 }
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from adis_gonio import fit
-from adis_gonio.base.numbers import number, uncertain
+from adis_gonio.base.numbers import format_number, format_uncertain
 from adis_gonio.fitting.gyros.fit import fit_gyro
 from adis_gonio.handover.report.gyros import _by_gyro, _how_well, gyro_section
 from adis_gonio.handover.report.page import build_page
@@ -31,8 +31,8 @@ def test_every_parameter_stands_with_u_and_expanded_uncertainty(session, section
     rows = {row[0]: row for row in every.tables[0].rows}
     assert list(rows) == list(result.parameters)
     for name, value in result.parameters.items():
-        assert rows[name][2] == uncertain(value.value, value.u)
-        assert rows[name][3] == number(value.U, 2)
+        assert rows[name][2] == format_uncertain(value.value, value.u)
+        assert rows[name][3] == format_number(value.U, 2)
         assert rows[name][4] == f"{value.k:.2f}"
     assert rows["g_sensitivity_yz"][1] == "°/s/g"
 
@@ -40,13 +40,15 @@ def test_every_parameter_stands_with_u_and_expanded_uncertainty(session, section
 def test_the_gyros_stand_beside_each_other_and_what_is_not_known_is_a_dash(session, section):
     result = fit_gyro(session)
     rows = {row[0]: row[1:] for row in section.tables[0].rows}
-    told = [uncertain(result[f"gyro_bias_{axis}"].value, result[f"gyro_bias_{axis}"].u) for axis in "xyz"]
+    told = [
+        format_uncertain(result[f"gyro_bias_{axis}"].value, result[f"gyro_bias_{axis}"].u) for axis in "xyz"
+    ]
     assert rows["zero rate / (°/s)"] == told
     along_z = result["g_sensitivity_yz"]
-    assert rows["force along Z adds / (°/s/g)"][1] == uncertain(along_z.value, along_z.u)
+    assert rows["force along Z adds / (°/s/g)"][1] == format_uncertain(along_z.value, along_z.u)
     assert "gain" not in rows  # no turns
     largest = max(result[f"gyro_bias_{axis}"].u for axis in "xyz")
-    assert f"zero rates to {number(largest, 2)} °/s" in section.words[0]
+    assert f"zero rates to {format_number(largest, 2)} °/s" in section.words[0]
     assert "gains" not in section.words[0]
 
 
@@ -55,8 +57,8 @@ def test_one_gain_of_three_is_told_apart_from_those_that_are_not_known(session):
     value = result["gyro_bias_z"]
     one = replace(result, parameters={**result.parameters, "gyro_scale_z": value})
     (gains,) = [row for row in _by_gyro(one).rows if row[0] == "gain"]
-    assert gains[1:] == ["–", "–", uncertain(value.value, value.u)]
-    assert f"gains to {number(100 * value.u, 2)} % (1 of them)" in _how_well(one)
+    assert gains[1:] == ["–", "–", format_uncertain(value.value, value.u)]
+    assert f"gains to {format_number(100 * value.u, 2)} % (1 of them)" in _how_well(one)
 
 
 def test_what_is_not_determined_and_dwells_left_out_are_said(section):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from adis_gonio import fit, trace
-from adis_gonio.base.numbers import p_text, percent, uncertain, with_unit
+from adis_gonio.base.numbers import format_p, format_percent, format_uncertain, with_unit
 from adis_gonio.handover.report.page import build_page
 from adis_gonio.handover.report.views import views
 from adis_gonio.model.effects import Conditions, effect
@@ -227,7 +227,7 @@ def test_the_answer_stands_first_in_large_numerals_with_what_covers_it(page, cur
     assert page.index("<main>") < page.index('<dl class="key">') < page.index("<p>", page.index("<main>"))
     assert key.count("<dt>") == 3
     phi = values["delta_phi"]
-    assert with_unit(uncertain(phi.value, phi.U), "deg") in key
+    assert with_unit(format_uncertain(phi.value, phi.U), "deg") in key
     assert f"k\u00a0=\u00a0{phi.k:.2f}" in key
     assert "U of an angle shown" in key
 
@@ -300,18 +300,19 @@ def test_groups_that_begin_alike_are_one_line(curved):
         (-58.7495, 2.483, "−58.7 ± 2.5"),
         (1234.5, 120.0, "1234 ± 120"),
         (2.76e-6, 5.2e-7, "(2.76 ± 0.52)·10⁻⁶"),
-        (391.335, None, "391.3"),
+        (391.335, None, "391.3, u unknown"),
+        (391.335, 0.0, "391.3"),
     ],
 )
 def test_numbers_have_two_digits_of_their_uncertainty(value, u, text):
-    assert uncertain(value, u).replace("\u00a0", " ") == text
+    assert format_uncertain(value, u).replace("\u00a0", " ") == text
 
 
 def test_units_and_probabilities_read_well():
     assert with_unit("3.2 ± 0.1", "deg") == "(3.2 ± 0.1)°"
     assert with_unit("3.2", "1") == "3.2"
-    assert [percent(f).replace("\u00a0", " ") for f in (1.0, 0.996, 0.54, 0.02, 0.0)] == [
+    assert [format_percent(f).replace("\u00a0", " ") for f in (1.0, 0.996, 0.54, 0.02, 0.0)] == [
         "> 99.9 %", "99.6 %", "54 %", "2.0 %", "< 0.1 %",
     ]  # fmt: skip
-    assert p_text(0.0).replace("\u00a0", " ") == "p < 10⁻¹²"
-    assert p_text(0.0113).replace("\u00a0", " ") == "p = 0.011"
+    assert format_p(0.0).replace("\u00a0", " ") == "p < 10⁻¹²"
+    assert format_p(0.0113).replace("\u00a0", " ") == "p = 0.011"

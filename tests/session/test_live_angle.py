@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from adis_gonio.base.arrays import wrap_degrees
 from adis_gonio.base.errors import UsageError
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.calibrate import Calibration
@@ -19,7 +20,6 @@ from adis_gonio.live.angle import (
     calibration_for,
     open_live,
     raw_angle_deg,
-    wrapped_deg,
 )
 from adis_gonio.record.blocks import ValueBlock
 from adis_gonio.record.plans import plan
@@ -67,7 +67,7 @@ def test_the_raw_angle_of_a_perfect_sensor_is_the_stages(angle_deg):
     assert len(shown) == 6
     for reading in shown:
         # An LSB of an axis is 0.027°, and so little noise does not average it away.
-        assert wrapped_deg(reading.angle_deg - angle_deg) == pytest.approx(0, abs=0.03)
+        assert wrap_degrees(reading.angle_deg - angle_deg) == pytest.approx(0, abs=0.03)
         assert reading.corrected_deg is None
 
 
@@ -128,16 +128,16 @@ def live(
 @pytest.mark.parametrize("angle_deg", [37.5, 200.0, -75.0])
 def test_a_calibration_gives_the_stages_angle_where_the_raw_one_is_off(calibration, angle_deg):
     reading = live(calibration, angle_deg)
-    assert abs(wrapped_deg(reading.corrected_deg - angle_deg)) < 4 * reading.u_deg
+    assert abs(wrap_degrees(reading.corrected_deg - angle_deg)) < 4 * reading.u_deg
     assert reading.u_deg < 0.1
-    assert abs(wrapped_deg(reading.angle_deg - angle_deg)) > 5 * reading.u_deg
+    assert abs(wrap_degrees(reading.angle_deg - angle_deg)) > 5 * reading.u_deg
     assert live(None, angle_deg).u_deg < reading.u_deg, "the calibration adds its uncertainty"
 
 
 def test_what_the_chip_corrects_by_now_is_not_corrected_again(calibration):
     plain, offset = live(calibration, 75.0), live(calibration, 75.0, bias_lsb=-64)
-    assert abs(wrapped_deg(offset.angle_deg - plain.angle_deg)) > 0.5
-    assert wrapped_deg(offset.corrected_deg - plain.corrected_deg) == pytest.approx(0, abs=0.02)
+    assert abs(wrap_degrees(offset.angle_deg - plain.angle_deg)) > 0.5
+    assert wrap_degrees(offset.corrected_deg - plain.corrected_deg) == pytest.approx(0, abs=0.02)
 
 
 def test_another_parts_calibration_is_refused(calibration):

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio.base.errors import DataError, SessionError
+from adis_gonio.base.errors import DataError, SessionError, UsageError
 from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN
 from adis_gonio.record.archive import Archive, ArchiveView, Attempt, Header, Move, read_session, utc_now
@@ -187,7 +187,7 @@ def test_an_existing_file_is_never_overwritten(tmp_path):
     other.write_text("mine")
     for victim in (path, other, tmp_path):
         before = victim.read_bytes() if victim.is_file() else None
-        with pytest.raises(SessionError, match=r"exists already.*choose another"):
+        with pytest.raises(UsageError, match=r"exists already.*choose another"):
             Archive.create(victim, header())
         assert victim.is_dir() or victim.read_bytes() == before
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio.base.errors import SessionError
+from adis_gonio.base.errors import SessionError, UsageError
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.scanning import PolledScans
@@ -92,7 +92,7 @@ def test_an_export_never_overwrites_and_says_where_it_failed(archive, tmp_path):
     mine = tmp_path / "mine.csv"
     mine.write_text("mine")
     for export in (export_csv, export_json):
-        with pytest.raises(SessionError, match=r"mine\.csv: exists already"):
+        with pytest.raises(UsageError, match=r"mine\.csv: exists already"):
             export(session, mine)
         with pytest.raises(SessionError, match="cannot be written: No such file or directory"):
             export(session, tmp_path / "none" / "a.csv")

@@ -721,7 +721,7 @@ def test_auto_needs_a_stage_and_leaves_no_file(path):
 def test_a_session_is_never_begun_over_another(path):
     auto(path)
     content = path.read_bytes()
-    with open_sensor(URL) as opened, pytest.raises(SessionError, match="exists already"):
+    with open_sensor(URL) as opened, pytest.raises(UsageError, match="exists already"):
         SessionRunner.begin(opened, path, plan(), SHORT, auto=True)
     assert path.read_bytes() == content
 

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adis_gonio.base.numbers import format_duration
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.advice.proposals import _apart, _information, _Predicted
-from adis_gonio.tracing.advice.words import duration, place, sentences
+from adis_gonio.tracing.advice.words import place, sentences
 from adis_gonio.tracing.outcome.result import NextDwell
 from adis_gonio.tracing.trace import trace
 
@@ -223,4 +224,4 @@ def test_places_say_conditions_in_the_order_in_which_they_are_brought_about():
         == "45° from above, with the part at 35 °C, with a supply of 5.20 V, after waiting 10 min"
     )
     assert place(made(0.0, angle_deg=None, direction=(0.7, 0.0, -0.7))) == "an attitude that reads +x −z"
-    assert (duration(30.0), duration(90.0)) == ("30 s", "1.5 min")
+    assert (format_duration(30.0), format_duration(90.0)) == ("30 s", "1 min 30 s")

@@ -1,79 +1,198 @@
-"""Numbers as a person reads them: two digits of the uncertainty, real minus signs, units without "1"."""
+"""Every number that a person reads: quantities with u and unit, shares, p-values, durations, counts, lists.
+
+Text for people has the minus sign U+2212, and no-break spaces inside a quantity, so that no line ends
+between a number and its unit. Numbers in files for programs (CSV, JSON, C) have the ASCII hyphen; they are
+not written here.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from adis_gonio.base.showing import shown_unit
+if TYPE_CHECKING:
+    from adis_gonio.base.values import Value
 
-SPACE = "\u00a0"
-"""No line ends between a number and its unit."""
+NO_BREAK = "\u00a0"
+"""Space at which no line ends."""
+DASH = "–"
+"""Stands for a value that does not exist."""
+UNKNOWN = "u unknown"
+NAMES = {
+    "delta_k": "ΔK",
+    "delta_phi": "Δφ",
+    "angle": "angle error, rms",
+    "alpha": "α",
+    "scale_x": "K_x",
+    "scale_y": "K_y",
+    "scale_z": "K_z",
+}
+"""Symbols of parameters in formulas."""
+HEAD = ("quantity", "unit", "value", "u", "U (95 %)", "k")
+"""Head of a table of `QuantityRow`."""
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def number(value: float | None, digits: int = 3) -> str:
+def format_number(value: float | None, digits: int = 3) -> str:
     """Value to some significant digits; a dash for None."""
     if value is None or not math.isfinite(value):
-        return "–"
+        return DASH
     if value == 0:
         return "0"
     exponent = math.floor(math.log10(abs(value)))
     if -5 < exponent < 6:
-        return f"{value:.{max(0, digits - 1 - exponent)}f}".replace("-", "−")
-    return f"{value / 10.0**exponent:.{digits - 1}f}·10{str(exponent).translate(_RAISED)}".replace("-", "−")
+        return use_minus(f"{value:.{max(0, digits - 1 - exponent)}f}")
+    return use_minus(f"{value / 10.0**exponent:.{digits - 1}f}") + _power(exponent)
 
 
-def uncertain(value: float, u: float | None) -> str:
-    """Value ± standard uncertainty, both to two digits of the uncertainty."""
-    if u is None or not math.isfinite(u) or u <= 0 or u < 1e-12 * abs(value):
-        return number(value, 4)
-    exponent = math.floor(math.log10(u))
-    if exponent < -5:
+def format_fixed(value: float | None, decimals: int, *, sign: bool = False) -> str:
+    """Value to some decimals, with its plus if `sign`; `1.2e−11` beyond nine decimals, a dash for None."""
+    if value is None or not math.isfinite(value):
+        return DASH
+    kind = f".{decimals}f" if decimals <= 9 else ".1e"
+    return use_minus(f"{value:{'+' if sign else ''}{kind}}")
+
+
+def use_minus(text: str) -> str:
+    """Number as text with the minus sign in place of the hyphen."""
+    return text.replace("-", "−")
+
+
+def count_decimals(u: float) -> int:
+    """Decimals that show two digits of an uncertainty."""
+    return max(0, 1 - math.floor(math.log10(u))) if u > 0 else 6
+
+
+def format_uncertain(value: float, u: float | None, unit: str = "") -> str:
+    """Value ± uncertainty, both to two digits of the uncertainty, such as `1.08 ± 0.13 mg`.
+
+    Without an uncertainty (None, NaN) the text ends in `u unknown`; one of zero is left out.
+    """
+    if u is None or not math.isfinite(u):
+        return f"{with_unit(format_number(value, 4), unit)}, {UNKNOWN}"
+    if u <= 0 or u < 1e-12 * abs(value):
+        return with_unit(format_number(value, 4), unit)
+    power = 0
+    if u < 1e-5:
         power = math.floor(math.log10(max(abs(value), u)))
-        scaled, spread = value / 10.0**power, u / 10.0**power
-        digits = max(0, 1 - math.floor(math.log10(spread)))
-        text = f"{scaled:.{digits}f}{SPACE}±{SPACE}{spread:.{digits}f}".replace("-", "−")
-        return f"({text})·10{str(power).translate(_RAISED)}"
-    digits = max(0, 1 - exponent)
-    return f"{value:.{digits}f}{SPACE}±{SPACE}{u:.{digits}f}".replace("-", "−")
+        value, u = value / 10.0**power, u / 10.0**power
+    decimals = count_decimals(u)
+    text = use_minus(f"{value:.{decimals}f}{NO_BREAK}±{NO_BREAK}{u:.{decimals}f}")
+    return with_unit(f"({text}){_power(power)}" if power else text, unit)
+
+
+def format_unit(unit: str) -> str:
+    """A unit of names and documents as people read it: ° for deg, °/s/g for dps/g, nothing for 1."""
+    degrees = unit.replace("dps", "°/s").replace("degC", "°C").replace("deg", "°")
+    return {"1": "", "us": "µs"}.get(unit, degrees)
 
 
 def with_unit(text: str, unit: str) -> str:
     """Text with its unit; `1` is none, degrees are a sign."""
-    if unit in ("", "1"):
-        return text
-    if unit in ("deg", "°"):
+    unit = format_unit(unit)
+    if unit == "°":
         return f"({text})°" if "±" in text else f"{text}°"
-    return f"{text}{SPACE}{shown_unit(unit)}"
+    return f"{text}{NO_BREAK}{unit}" if unit else text
 
 
-def p_text(p: float) -> str:
+def label_quantity(name: str, unit: str) -> str:
+    """Symbol and unit as in the head of a column, such as `Δφ / °`."""
+    unit = format_unit(unit)
+    return NAMES.get(name, name) + (f" / {unit}" if unit else "")
+
+
+def format_p(p: float) -> str:
     """`p = 0.004`, or `p < 10⁻¹²` where digits mean nothing."""
     if p < 1e-12:
-        return f"p{SPACE}<{SPACE}10⁻¹²"
+        return f"p{NO_BREAK}<{NO_BREAK}10⁻¹²"
     if p < 1e-3:
-        return f"p{SPACE}<{SPACE}10{str(math.ceil(math.log10(p))).translate(_RAISED)}"
-    return f"p{SPACE}={SPACE}{p:.2g}"
+        return f"p{NO_BREAK}<{NO_BREAK}10{str(math.ceil(math.log10(p))).translate(_RAISED)}"
+    return f"p{NO_BREAK}={NO_BREAK}{p:.2g}"
 
 
-def percent(fraction: float) -> str:
-    """Percentage that never claims a round 0 or 100 that is none."""
+def format_percent(fraction: float) -> str:
+    """Percentage that is never a round 0 or 100 by rounding alone."""
     if fraction >= 0.9995:
-        return f">{SPACE}99.9{SPACE}%"
+        return f">{NO_BREAK}99.9{NO_BREAK}%"
     if fraction < 0.0005:
-        return f"<{SPACE}0.1{SPACE}%"
-    digits = 1 if fraction >= 0.985 or fraction < 0.095 else 0
-    return f"{100 * fraction:.{digits}f}{SPACE}%"
+        return f"<{NO_BREAK}0.1{NO_BREAK}%"
+    decimals = 1 if fraction >= 0.985 or fraction < 0.095 else 0
+    return f"{100 * fraction:.{decimals}f}{NO_BREAK}%"
 
 
-def times(before: float | None, after: float | None) -> str:
-    """` (36 times less)`, nothing where that says nothing."""
+def format_reduction(before: float | None, after: float | None) -> str:
+    """` (36 times less)`, or nothing for a reduction by less than 15 %."""
     if before is None or after is None or after <= 0 or before < 1.15 * after:
         return ""
     ratio = before / after
     return f" ({ratio:.0f} times less)" if ratio >= 9.5 else f" ({ratio:.1f} times less)"
 
 
-def listed(words: list[str]) -> str:
+def format_duration(seconds: float) -> str:
+    """`40 s`, `1 min 30 s`, `25 min`, `1 h 05 min`: from ten minutes on without seconds."""
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes >= 10:
+        hours, minutes = divmod(round(seconds / 60), 60)
+        return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min"
+    parts = [f"{minutes} min"] * (minutes > 0) + [f"{rest} s"] * (rest > 0 or minutes == 0)
+    return " ".join(parts)
+
+
+def counted(number: int, noun: str, plural: str = "") -> str:
+    """`1 dwell`, `4 dwells`; an irregular noun brings its plural."""
+    return f"{number} {noun if number == 1 else plural or noun + 's'}"
+
+
+def name_positions(positions: Sequence[int], most: int = 8) -> str:
+    """`position 7`, or `positions 3, 4, 9 and 2 more` for more than `most`."""
+    more = f" and {len(positions) - most} more" if len(positions) > most else ""
+    return f"position{'' if len(positions) == 1 else 's'} {', '.join(map(str, positions[:most]))}{more}"
+
+
+def format_ranges(numbers: Sequence[int]) -> str:
+    """Numbers with three or more neighbours as a range, such as `1–4, 7, 9, 10`."""
+    rows: list[list[int]] = []
+    for number in sorted(set(numbers)):
+        if rows and number == rows[-1][-1] + 1:
+            rows[-1].append(number)
+        else:
+            rows.append([number])
+    return ", ".join(f"{row[0]}–{row[-1]}" if len(row) > 2 else ", ".join(map(str, row)) for row in rows)
+
+
+def join_words(words: Sequence[str], last: str = "and") -> str:
     """`a`, `a and b`, `a, b and c`."""
-    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+    return f" {last} ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+
+
+@dataclass(frozen=True)
+class QuantityRow:
+    """One quantity as texts: name, unit, value, u, U, k."""
+
+    name: str
+    unit: str
+    value: str
+    u: str
+    expanded: str
+    k: str
+
+    @classmethod
+    def of(cls, name: str, value: Value) -> QuantityRow:
+        """Value, u and U to two digits of u; `u unknown` without an uncertainty."""
+        shown, unit = NAMES.get(name, name), format_unit(value.unit)
+        if value.u is None or value.U is None or value.k is None:
+            return cls(shown, unit, format_number(value.value, 6), UNKNOWN, DASH, DASH)
+        decimals = count_decimals(value.u)
+        value_, u, expanded = (format_fixed(each, decimals) for each in (value.value, value.u, value.U))
+        return cls(shown, unit, value_, u, expanded, f"{value.k:.2f}")
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """All texts."""
+        return (self.name, self.unit, self.value, self.u, self.expanded, self.k)
+
+
+def _power(exponent: int) -> str:
+    return f"·10{str(exponent).translate(_RAISED)}"

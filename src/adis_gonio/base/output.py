@@ -16,13 +16,22 @@ def ends_in(path: str | Path, *endings: str) -> bool:
     return Path(path).name.lower().endswith(endings)
 
 
-def check_output(path: str | Path, *, force: bool = False) -> Path:
-    """Refuse before the work what could only fail after it.
+def exists_error(path: str | Path, cure: str = "choose another name") -> UsageError:
+    """Error of a file that a command or function will not overwrite; `cure` tells what to do."""
+    return UsageError(f"{path}: exists already; {cure} (nothing was changed)")
+
+
+def check_output(
+    path: str | Path, *, force: bool = False, cure: str = "choose another name, or --force to replace it"
+) -> Path:
+    """Refuse before the work a file that could not be written after it.
 
     Parameters
     ----------
     force : bool
-        True where a file that is there may be replaced.
+        Replace a file that exists.
+    cure : str
+        Advice in the error for a file that exists.
 
     Raises
     ------
@@ -35,7 +44,7 @@ def check_output(path: str | Path, *, force: bool = False) -> Path:
     if path.is_dir():
         raise UsageError(f"{path}: is a folder; name a file in it")
     if path.is_file() and not force:
-        raise UsageError(f"{path}: exists already; choose another name, or --force to replace it")
+        raise exists_error(path, cure)
     folder = path.resolve().parent
     if not folder.is_dir():
         raise OutputError(f"{path}: cannot be written: there is no folder {folder}")

@@ -8,6 +8,7 @@ from typing import Any
 
 from adis_gonio.base.intervals import expanded
 from adis_gonio.base.jsonable import Record
+from adis_gonio.base.numbers import format_uncertain
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,10 @@ class Value:
     dof: float = math.inf
     factor: float | None = None
     """Coverage factor, where the distribution is not Student's with `dof`."""
+
+    def __str__(self) -> str:
+        """Value ± standard uncertainty with unit, such as `1.08 ± 0.13 mg`."""
+        return format_uncertain(self.value, self.u, self.unit)
 
     @property
     def k(self) -> float | None:

@@ -7,8 +7,8 @@ from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import SessionError
+from adis_gonio.base.numbers import counted
 from adis_gonio.bench.dialogue import Questions, Reply
 from adis_gonio.bench.events import DwellDone, DwellInterrupted, Event, Problem, StageMoved
 from adis_gonio.bench.guards import (

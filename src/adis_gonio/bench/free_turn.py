@@ -12,14 +12,14 @@ import math
 from collections.abc import Iterator
 from typing import Protocol, runtime_checkable
 
-from adis_gonio.base.counting import counted
+from adis_gonio.base.arrays import wrap_degrees
 from adis_gonio.base.errors import SessionError, UsageError
+from adis_gonio.base.numbers import counted
 from adis_gonio.bench.bench import SessionBench
 from adis_gonio.bench.events import Event, Problem
 from adis_gonio.bench.recorder import FollowedTurn, Recorder
 from adis_gonio.model.sweeps import Sweeps
 from adis_gonio.record.blocks import Block
-from adis_gonio.record.expectation import wrapped_deg
 from adis_gonio.record.plans import Plan, Position
 from adis_gonio.record.turns import FREE_TURN
 
@@ -89,7 +89,7 @@ class FreeTurn(FollowedTurn):
         # Gravity goes backwards through the part: positive is counter-clockwise, as the stage counts.
         angle = -math.degrees(math.atan2(y, x))
         if self._before is not None:
-            self.sweeps.see(self.sweeps.angle_deg + wrapped_deg(angle - self._before))
+            self.sweeps.see(self.sweeps.angle_deg + wrap_degrees(angle - self._before))
         self._before = angle
         self.turned_deg, self.travelled_deg = self.sweeps.angle_deg, self.sweeps.travelled_deg
         self.turns_made = self.sweeps.full

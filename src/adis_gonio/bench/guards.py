@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
+from adis_gonio.base.arrays import Floats, wrap_degrees
+from adis_gonio.base.numbers import counted
 from adis_gonio.bench.events import GuardKind
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.blocks import Block, session_columns
-from adis_gonio.record.expectation import GAIN_LIMIT, K, Off, wrapped_deg
+from adis_gonio.record.expectation import GAIN_LIMIT, K, Off
 from adis_gonio.record.watch import SHIFT_MG
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def judge_turn(reading: Reading) -> Guard | None:
     if abs(reading.gravity_deg) <= math.degrees(SHIFT_MG / 1000.0):
         message = f"the part has not moved: {seen}; {reading.asked_deg:+g}° were asked"
         return Guard("not_moved", message, values, spoils=True)
-    if abs(wrapped_deg(reading.gravity_deg + reading.asked_deg)) <= reading.off.limit_deg:
+    if abs(wrap_degrees(reading.gravity_deg + reading.asked_deg)) <= reading.off.limit_deg:
         return _reversed(reading, values, seen)
     message = (
         f"{reading.off.off_deg:+.2f}° off {reading.here_deg:g}° ({seen}, {reading.asked_deg:+g}° asked);"
@@ -183,7 +183,7 @@ def judge_start(accel_mg: Floats, asked_deg: float, sense: int) -> Guard | None:
     """Whether the part stands as drawn at the first position; any start angle serves, so it may stay."""
     x, y = float(accel_mg[0]), float(accel_mg[1])
     angle = -sense * math.degrees(math.atan2(y, x))
-    off = wrapped_deg(angle - asked_deg)
+    off = wrap_degrees(angle - asked_deg)
     if abs(off) <= 90.0:
         return None
     message = (

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.bench.events import TurnMeasured
 from adis_gonio.bench.guards import (
     Guard,
@@ -34,7 +34,6 @@ from adis_gonio.record.expectation import (
     Expectation,
     PriorKnowledge,
     turned_deg,
-    wrapped_deg,
 )
 from adis_gonio.record.plans import Position
 
@@ -383,7 +382,7 @@ class Judge:
     def _asked_deg(self, position: Position) -> float:
         """Turn from the dwell before to a position, the short way."""
         before = self._taken[-1].position.angle_deg or 0.0
-        asked = wrapped_deg((position.angle_deg or 0.0) - before)
+        asked = wrap_degrees((position.angle_deg or 0.0) - before)
         return 180.0 if asked == -180.0 else asked
 
     def _pose(self, position: Position, accel_mg: Floats) -> Guard | None:

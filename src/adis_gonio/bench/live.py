@@ -7,13 +7,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.bench.events import DwellProgress, Vector, Watching
 from adis_gonio.bench.judge import Judge
 from adis_gonio.bench.recording import Recording
 from adis_gonio.live.smoothed import SmoothedMeter
 from adis_gonio.record.blocks import Block, session_columns
-from adis_gonio.record.expectation import wrapped_deg
 from adis_gonio.record.plans import Position
 
 
@@ -63,7 +62,7 @@ class LiveView:
         if angle is None or target_deg is None:
             return angle, None
         tolerance = self.judge.tolerance_deg(smoothed_mg, target_deg)
-        return target_deg + wrapped_deg(angle - target_deg), tolerance
+        return target_deg + wrap_degrees(angle - target_deg), tolerance
 
     def _smoothed_mg(self, accel_mg: Floats) -> Floats:
         """A reading (3,), turned to where the smoothed angle is."""

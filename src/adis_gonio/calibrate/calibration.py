@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, central_differences, wrap_radians
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import counted
 from adis_gonio.calibrate.checks import checked_condition, checked_readings
 from adis_gonio.calibrate.coefficients import (
     STEP,
@@ -25,7 +26,7 @@ from adis_gonio.calibrate.coefficients import (
     checked_offsets,
 )
 from adis_gonio.model.effects import AXES, Conditions, Effect
-from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, wrap_rad
+from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
 from adis_gonio.model.records import MG_PER_MPS2
 from adis_gonio.record.provenance import Provenance
 
@@ -70,7 +71,7 @@ class AngleReading:
         if np.ndim(self.angle_deg) == 0:
             return f"AngleReading({float(self.angle_deg):.4f}°, u {told})"
         n = len(self.angle_deg)
-        return f"AngleReading({n} angle{'s' if n != 1 else ''}, u up to {told})"
+        return f"AngleReading({counted(n, 'angle')}, u up to {told})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -390,18 +391,19 @@ class Calibration(Coefficients):
         readings, single = checked_readings(accel, self)
         conditions = self._conditions(len(readings), temperature_c, supply_v)
         values = self.values
-        angle, variance = self._with_variance(
-            lambda values: shown(values, readings, conditions), lambda up, down: wrap_rad(up - down)
-        )
+
+        def apart(up: Floats, down: Floats) -> Floats:
+            return wrap_radians(up - down)
+
+        angle, variance = self._with_variance(lambda values: shown(values, readings, conditions), apart)
         if reading_u is not None:
-            for axis, u in enumerate(self._reading_u(reading_u)):
-                step = np.zeros(self.axes)
-                step[axis] = max(STEP * u, 1e-6)
-                change = shown(values, readings + step, conditions) - shown(
-                    values, readings - step, conditions
-                )
-                variance += (wrap_rad(change) / (2 * step[axis]) * u) ** 2
-        angle_deg, u_deg = np.degrees(wrap_rad(angle)), np.degrees(np.sqrt(variance))
+            u = self._reading_u(reading_u)
+            steps = np.maximum(STEP * u, 1e-6)
+            slopes = central_differences(
+                lambda r: shown(values, r, conditions), readings, steps, np.eye(self.axes), apart
+            )
+            variance += ((slopes * u) ** 2).sum(axis=1)
+        angle_deg, u_deg = np.degrees(wrap_radians(angle)), np.degrees(np.sqrt(variance))
         return AngleReading(angle_deg[0], u_deg[0]) if single else AngleReading(angle_deg, u_deg)
 
     def _reading_u(self, reading_u: float | Sequence[float]) -> Floats:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import join_words
 from adis_gonio.calibrate.coefficients import checked_numbers
 from adis_gonio.record.provenance import Covered
 
@@ -36,7 +37,7 @@ def checked_readings(accel: ArrayLike, calibration: Calibration) -> tuple[Floats
     axes, unit = calibration.axes, calibration.unit
     wanted = (2, 3) if axes == 2 else (3,)
     if given.ndim not in (1, 2) or given.shape[-1] not in wanted:
-        columns = " or ".join(map(str, wanted))
+        columns = join_words([*map(str, wanted)], "or")
         raise UsageError(
             f"readings have shape {given.shape}; give (n, {columns}) in {unit}, one row a reading"
         )

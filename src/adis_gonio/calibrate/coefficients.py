@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.base.showing import ParameterTable, with_u
+from adis_gonio.base.numbers import format_uncertain
+from adis_gonio.base.tables import ParameterTable
 
 STEP = 0.01
 """Of the central difference along each axis of the covariance, in standard uncertainties."""
@@ -41,7 +42,7 @@ class Coefficient:
         return cls(name, float(estimate.value), None if u is None else float(u), estimate.unit, dof)
 
     def __str__(self) -> str:
-        return f"{self.name} {with_u(self.value, self.u, self.unit)}"
+        return f"{self.name} {format_uncertain(self.value, self.u, self.unit)}"
 
 
 @dataclass(frozen=True)

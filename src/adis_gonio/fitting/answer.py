@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.jsonable import json_object
+from adis_gonio.base.numbers import HEAD, QuantityRow, counted
+from adis_gonio.base.tables import align_columns, fold_text
 from adis_gonio.base.values import Value
-from adis_gonio.base.wording import Line, lines_as_text, wrapped
 from adis_gonio.fitting.result import FitResult
 from adis_gonio.fitting.scores import Score
 from adis_gonio.fitting.standing import Recommendation, Standing
@@ -116,9 +116,9 @@ class Answer:
         return self.result.doubts
 
     @property
-    def lines(self) -> list[Line]:
+    def lines(self) -> list[QuantityRow]:
         """The headline's table: quantity, unit, value, u, U, k."""
-        return [Line.of(name, value) for name, value in self.values.items()]
+        return [QuantityRow.of(name, value) for name, value in self.values.items()]
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -139,15 +139,15 @@ class Answer:
 
     def doubt_lines(self, width: int = 80) -> list[str]:
         """Lines of `doubts`, of at most `width` columns."""
-        return [line for doubt in self.doubts for line in wrapped(doubt, width)]
+        return [line for doubt in self.doubts for line in fold_text(doubt, width)]
 
     def headline(self, width: int = 80) -> list[str]:
         """Lines of the method, the values and the reason for the method."""
         return [
             f"Answer by method {self.title}",
-            *lines_as_text(self.lines),
-            *wrapped(self.why, width, indent=2),
-            *(line for remark in self.remarks for line in wrapped(remark, width, indent=2)),
+            *align_columns([HEAD, *(line.cells for line in self.lines)]),
+            *fold_text(self.why, width, indent=2),
+            *(line for remark in self.remarks for line in fold_text(remark, width, indent=2)),
         ]
 
     def as_dict(self) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_degrees, wrap_radians
 from adis_gonio.base.errors import FitError, SingularError
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
@@ -63,9 +63,7 @@ def rows_at(readings: Readings, angles_deg: tuple[int, ...]) -> list[NDArray[np.
     """Dwells at each of the angles (modulo 360°); an empty array where there are none."""
     degrees = np.degrees(readings.angle_rad)
     with np.errstate(invalid="ignore"):
-        return [
-            np.flatnonzero(np.abs((degrees - a + 180) % 360 - 180) <= TOLERANCE_DEG) for a in angles_deg
-        ]
+        return [np.flatnonzero(np.abs(wrap_degrees(degrees - a)) <= TOLERANCE_DEG) for a in angles_deg]
 
 
 def fit_positions(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> FitResult:
@@ -250,7 +248,7 @@ def turn_parameters(harmonics: Floats) -> Floats:
     parameters = np.zeros((*harmonics.shape[:-2], 6))
     alpha, alpha_y = np.arctan2(b_x, a_x), np.arctan2(a_y, -b_y)
     parameters[..., ALPHA] = alpha
-    parameters[..., DELTA_PHI] = (alpha_y - alpha + math.pi) % (2 * math.pi) - math.pi
+    parameters[..., DELTA_PHI] = wrap_radians(alpha_y - alpha)
     parameters[..., SCALE_X], parameters[..., SCALE_Y] = np.hypot(a_x, b_x), np.hypot(a_y, b_y)
     if harmonics.shape[-2] > 2:
         parameters[..., BIAS_X:] = harmonics[..., 2, :]
@@ -383,7 +381,7 @@ def _bias_of_four(readings: Readings, chosen: Readings) -> str | None:
         without = _linear(free, weights, bias=False).beta
     except SingularError:
         return None
-    phi = math.degrees(math.remainder(with_bias[DELTA_PHI] - without[DELTA_PHI], math.tau))
+    phi = math.degrees(wrap_radians(float(with_bias[DELTA_PHI] - without[DELTA_PHI])))
     k = with_bias[SCALE_X] / with_bias[SCALE_Y] - without[SCALE_X] / without[SCALE_Y]
     x, y = bias * chosen.gravity_mg
     return (

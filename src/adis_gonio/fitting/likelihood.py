@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
+from adis_gonio.base.arrays import Floats, mean_direction, wrap_radians
 from adis_gonio.base.errors import SingularError
+from adis_gonio.base.numbers import counted, use_minus, with_unit
 from adis_gonio.fitting.determination import (
     Determination,
     covariance,
@@ -23,7 +23,7 @@ from adis_gonio.fitting.noise import Settled, settle
 from adis_gonio.fitting.outputs import Output, estimates, left_to_the_stage, outputs_of, variances
 from adis_gonio.fitting.result import FitResult, Origin
 from adis_gonio.fitting.sources import Sources, Unseen, by_rotation_of, response_of, sources_of
-from adis_gonio.model.measurement import PlanarTurn, wrap_rad
+from adis_gonio.model.measurement import PlanarTurn
 
 
 def fit_ml(readings: Readings) -> FitResult:
@@ -89,9 +89,9 @@ def angle_errors(fit: Fit) -> Floats | None:
         return None
     gravity = _calibrated(fit)[declared]
     shown = np.arctan2(gravity[:, 1], gravity[:, 0]) + data.angle_rad[declared]
-    zero = np.angle(np.exp(1j * shown).sum()) if data.free else fit.values.base[0]
+    zero = mean_direction(shown) if data.free else float(fit.values.base[0])
     # Positive for a stage that stands further on than declared: ψ = α − θ.
-    return -wrap_rad(shown - zero)
+    return -wrap_radians(shown - zero)
 
 
 def _sources(readings: Readings, settled: Settled) -> Sources | None:
@@ -120,7 +120,7 @@ def _warnings(
         # One mg of bias, or a tenth of a degree of skew.
         one = 1 / determination.fit.data.gravity_mg if name.startswith("bias") else math.radians(0.1)
         moves = [
-            f"{o.name} by {float(o.gradient @ shift) * one:+.2g}{_unit(o.unit)}"
+            f"{o.name} by {with_unit(use_minus(f'{float(o.gradient @ shift) * one:+.2g}'), o.unit)}"
             for o in reported
             if o.name in ("delta_k", "delta_phi") or o.name.startswith("bias")
         ]
@@ -134,10 +134,6 @@ def _warnings(
             warnings.append(f"not determined by these positions: {direction}")
         warnings.append(f"left out because not determined: {', '.join(lost)}; {_advice(lost)}")
     return warnings
-
-
-def _unit(unit: str) -> str:
-    return {"1": "", "deg": "°"}.get(unit, f" {unit}")
 
 
 def _advice(names: list[str]) -> str:

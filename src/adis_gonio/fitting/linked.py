@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.levels import LINK_REFUSED
+from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.determination import (
     Determination,
@@ -40,8 +41,6 @@ if TYPE_CHECKING:
 Refused = tuple[int, int, str]
 LEAST_POSES = 3
 """Two turns give four equations for nine parameters and the gyros' own."""
-LEVEL = 1e-3
-"""Level at which links contradict gravity, as that of a residual beyond the noise."""
 MOST_LEFT_OUT = 0.25
 """Share of the links that may be left out; where more disagree it is not the links that are odd."""
 FAR_RAD, FAR_SHARE = math.radians(10.0), 0.1
@@ -304,7 +303,7 @@ def _dof(found: Determination) -> int:
 def _quantile(dof: int) -> float:
     from scipy.special import chdtri
 
-    return float(chdtri(dof, LEVEL))
+    return float(chdtri(dof, LINK_REFUSED))
 
 
 def _gain(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_degrees, wrap_radians
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import FitError, SingularError, UsageError
 from adis_gonio.fitting.closed_form import (
@@ -173,7 +173,7 @@ def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -
     if not planar:
         return ("ml",) if len(angles) > 3 else ()
     held = [
-        bool((np.abs((angles - a + 180) % 360 - 180) <= 0.5).any()) if np.isfinite(angles).any() else False
+        bool((np.abs(wrap_degrees(angles - a)) <= 0.5).any()) if np.isfinite(angles).any() else False
         for a in FOUR
     ]
     methods = []
@@ -215,9 +215,7 @@ def _only_two(readings: Readings) -> bool:
 def _refuse_one_position(readings: Readings, *, spatial: bool) -> None:
     n = len(readings)
     declared = readings.angle_rad[np.isfinite(readings.angle_rad)]
-    alike = len(declared) == n and bool(
-        np.abs(np.angle(np.exp(1j * (declared - declared[0])))).max() < 1e-3
-    )
+    alike = len(declared) == n and bool(np.abs(wrap_radians(declared - declared[0])).max() < 1e-3)
     if n == 1 or (alike and not spatial):
         needs = "six positions in space" if spatial else "two positions, 0° and 90°, better four"
         raise FitError(

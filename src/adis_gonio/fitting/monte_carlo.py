@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.intervals import COVERED
 from adis_gonio.base.jsonable import KEYED_BY_NAME, Record
@@ -207,7 +207,7 @@ def _students(rng: np.random.Generator, dof: Floats, estimate: Any) -> Floats:
 def _propagated(made: Origin, linear: Estimate, values: Floats, k: int) -> Propagated:
     n = len(values)
     if linear.unit == "deg":  # a mean of angles on both sides of ±180° is none
-        values = linear.value + (values - linear.value + 180) % 360 - 180
+        values = linear.value + wrap_degrees(values - linear.value)
     centred = values - values.mean()
     u = float(np.sqrt((centred**2).sum() / (n - 1)))
     kurtosis = float((centred**4).mean() / max((centred**2).mean() ** 2, 1e-300))

@@ -21,8 +21,8 @@ from functools import cache
 
 import numpy as np
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError
+from adis_gonio.base.numbers import counted
 from adis_gonio.fitting.determination import Determination, determine, information
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
 from adis_gonio.base.intervals import factor_over
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.showing import Entries, ParameterTable, with_u
+from adis_gonio.base.numbers import counted, format_uncertain
+from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.values import Value
 from adis_gonio.fitting.slips.finding import listed
 from adis_gonio.fitting.solvable import unsolvable
@@ -183,7 +183,7 @@ class FitResult(ParameterTable):
         lead = [one for one in self.parameters if one.name in ("delta_k", "delta_phi")] or self.parameters[
             :2
         ]
-        told = ", ".join(f"{one.name} {with_u(one.value, one.u, one.unit)}" for one in lead)
+        told = ", ".join(f"{one.name} {format_uncertain(one.value, one.u, one.unit)}" for one in lead)
         return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {told})"
 
     def calibration(self) -> Calibration:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, mean_direction, wrap_radians
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import Record
 from adis_gonio.fitting.closed_form import model_without
@@ -22,7 +22,7 @@ from adis_gonio.fitting.determination import Determination
 from adis_gonio.fitting.estimation.fit import Fit, Values
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.result import FitResult
-from adis_gonio.model.measurement import PlanarTurn, wrap_rad
+from adis_gonio.model.measurement import PlanarTurn
 
 MOST_FOLDS = 40
 """Dwells are left out one by one up to so many; beyond, every so many-th together."""
@@ -144,8 +144,8 @@ def errors_of(model: Fit, rows: Readings) -> tuple[Floats, Floats]:
     if not model.data.visible[0]:
         own = _shown(model)
         own = own[np.isfinite(own)]
-        zero = float(np.angle(np.exp(1j * own).sum())) if own.size else math.nan
-    return -wrap_rad(shown - zero), there.misfit
+        zero = mean_direction(own) if own.size else math.nan
+    return -wrap_radians(shown - zero), there.misfit
 
 
 def _shown(fit: Fit) -> Floats:

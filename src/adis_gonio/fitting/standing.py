@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import Record
+from adis_gonio.base.numbers import counted
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.methods import applicable_to, default_method, fit_of
 from adis_gonio.fitting.result import FitResult

@@ -5,8 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
+from adis_gonio.base.numbers import (
+    DASH,
+    NAMES,
+    QuantityRow,
+    format_number,
+    format_percent,
+    format_uncertain,
+    with_unit,
+)
 from adis_gonio.base.values import Value
-from adis_gonio.base.wording import NAMES, UNKNOWN, Line, decimals, fixed
 from adis_gonio.fitting.result import FitResult
 from adis_gonio.fitting.scores import Score
 from adis_gonio.fitting.uncertainty_budget import BudgetRow
@@ -18,7 +26,7 @@ _METHOD_WIDTH = 24
 
 def parameter_row(name: str, value: Value) -> list[str]:
     """Name, unit, value, u, U, k, ν."""
-    line = Line.of(name, value)
+    line = QuantityRow.of(name, value)
     return [name, *line.cells[1:], freedom(value.dof) if value.u is not None else "–"]
 
 
@@ -37,7 +45,7 @@ def budget_table(budget: Mapping[str, Sequence[BudgetRow]]) -> tuple[list[str], 
     rows = []
     for each in zip(*budget.values(), strict=True):
         first = each[0]
-        u = "–" if first.u is None else f"{first.u:.2g} {first.unit}".replace(" deg", "°")
+        u = DASH if first.u is None else with_unit(format_number(first.u, 2), first.unit)
         rows.append([first.source, first.kind, first.distribution, u, *(share(row.share) for row in each)])
     return head, rows
 
@@ -52,10 +60,7 @@ def score_table(scores: Mapping[str, Score], first: str) -> tuple[list[str], Row
         "largest / mg": [scores[name].residual_max_mg for name in order],
     }
     shown = {head: column for head, column in columns.items() if any(c is not None for c in column)}
-    rows = [
-        [name, *("–" if c[k] is None else f"{c[k]:.3g}" for c in shown.values())]
-        for k, name in enumerate(order)
-    ]
+    rows = [[name, *(format_number(c[k]) for c in shown.values())] for k, name in enumerate(order)]
     return ["method", *shown], rows
 
 
@@ -75,18 +80,12 @@ def blocks(results: Sequence[FitResult], width: int) -> Iterator[tuple[list[str]
 def _cell(result: FitResult, name: str) -> str:
     if name not in result:
         return ""
-    e = result[name]
-    if e.u is None or not e.u > 0:
-        return f"{e.value:.6g}, {UNKNOWN}"
-    digits = decimals(e.u)
-    return f"{fixed(e.value, digits)} ± {fixed(e.u, digits)}"
+    return format_uncertain(result[name].value, result[name].u)
 
 
 def share(fraction: float) -> str:
     """A share in percent; a dash for nothing."""
-    if fraction <= 0:
-        return "–"
-    return "< 0.1 %" if fraction < 5e-4 else f"{100 * fraction:.1f} %"
+    return format_percent(fraction) if fraction > 0 else DASH
 
 
 def _short(name: str) -> str:

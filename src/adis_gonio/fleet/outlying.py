@@ -20,10 +20,9 @@ from scipy.special import ndtr, ndtri, stdtr
 from scipy.stats import hypergeom, rankdata
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.levels import OUTLYING
 from adis_gonio.fitting.estimation.robust import MAD_TO_SD, robust_sd
 
-LEVEL = 0.01
-"""Probability that a fleet without any outlying unit, stage or operator names one."""
 FEWEST_UNITS = 5
 """Units from which on one can stand out from the others."""
 FEWEST = 3
@@ -86,9 +85,9 @@ class FamilyOfTests:
 
 
 def outlying(comparisons: Sequence[FamilyOfTests]) -> tuple[int, list[Test]]:
-    """How many tests there are in all, and those that pass `LEVEL` of a family of so many; oddest first."""
+    """Number of tests, and the tests that pass the level `OUTLYING` over all of them; oddest first."""
     total = sum(one.count for one in comparisons)
-    passed = [test for one in comparisons if one.count for test in one.find(LEVEL / total)]
+    passed = [test for one in comparisons if one.count for test in one.find(OUTLYING / total)]
     return total, sorted(
         passed, key=lambda test: (test.p_value, -abs(test.z), test.kind, test.quantity, test.code)
     )

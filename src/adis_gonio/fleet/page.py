@@ -7,10 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
-from adis_gonio.base.numbers import percent, with_unit
+from adis_gonio.base.numbers import NAMES, counted, format_percent, label_quantity
 from adis_gonio.base.version import __version__
-from adis_gonio.base.wording import NAMES
 from adis_gonio.fleet import words
 from adis_gonio.fleet.run import Repeated
 from adis_gonio.fleet.summary import GROUPS, Outlying, QuantitySummary, Summary
@@ -71,7 +69,9 @@ def _overview(summary: Summary) -> Section:
     key += [KeyFigure(f"{kind.capitalize()}s", str(n[f"{kind}s"])) for kind in GROUPS if n[f"{kind}s"]]
     if n["traced"]:
         key.append(
-            KeyFigure("Model adequate", percent(n["adequate"] / n["traced"]), "of the sessions traced")
+            KeyFigure(
+                "Model adequate", format_percent(n["adequate"] / n["traced"]), "of the sessions traced"
+            )
         )
     key.append(
         KeyFigure("Standing out", str(len(summary.outlying)), "units, stages, operators by quantity")
@@ -122,7 +122,7 @@ def _histogram(one: QuantitySummary, values: Floats) -> Figure | None:
     far = f"; {counted(outside, 'session')} outside the figure" if outside else ""
     svg = plot(
         series,
-        name if one.unit == "1" else f"{name} / {with_unit('', one.unit).strip()}",
+        label_quantity(one.name, one.unit),
         "sessions",
         title=f"Distribution of {name}",
         zero=True,
@@ -181,7 +181,7 @@ def _beside(one: Outlying, summary: Summary) -> Figure | None:
             Series(place[odd], values[odd], "standing out", role="before"),
         ],
         one.kind,
-        name if one.unit == "1" else f"{name} / {with_unit('', one.unit).strip()}",
+        label_quantity(one.quantity, one.unit),
         title=f"{name} by {one.kind}",
         x_ticks={float(k): text if len(text) < 9 else f"{text[:7]}…" for k, text in enumerate(known)},
     )

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Protocol
 
 from adis_gonio.base.budget import told
-from adis_gonio.base.counting import counted
 from adis_gonio.base.jsonable import Record
+from adis_gonio.base.numbers import counted, format_duration
 from adis_gonio.fleet.files import session_files
 from adis_gonio.fleet.record import SessionRecord
 from adis_gonio.fleet.store import Store
@@ -228,15 +228,7 @@ class FleetProgress:
         if self.done and elapsed > 0:
             rate = self.done / elapsed
             parts.append(f"{rate:.1f} a second" if rate >= 1 else f"{1 / rate:.1f} s each")
-            parts.append(f"{_duration((self.total - self.done) / rate)} left")
+            parts.append(f"{format_duration((self.total - self.done) / rate)} left")
         parts += [f"{self.failed} failed"] * bool(self.failed)
         parts += [f"{self.again} were done before"] * bool(self.again)
         return ", ".join(parts)
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    if hours:
-        return f"{hours} h {minutes} min"
-    return f"{minutes} min {rest} s" if minutes else f"{rest} s"

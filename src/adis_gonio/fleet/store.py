@@ -23,9 +23,9 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import DataError, OutputError
 from adis_gonio.base.jsonable import finite
+from adis_gonio.base.numbers import counted
 from adis_gonio.fleet.record import SessionRecord
 from adis_gonio.fleet.work import Job, Options, digest_of_file
 

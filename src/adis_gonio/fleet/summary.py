@@ -15,10 +15,10 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.intervals import wilson
 from adis_gonio.base.jsonable import HIDDEN, INLINE, Record, key
+from adis_gonio.base.levels import OUTLYING
 from adis_gonio.base.version import __version__
 from adis_gonio.fleet.columns import Row, Table, table_of
 from adis_gonio.fleet.outlying import (
-    LEVEL,
     Codes,
     FamilyOfTests,
     Test,
@@ -157,7 +157,7 @@ class Summary:
             "parameters": {one.name: one.as_dict() for one in self.parameters},
             "effects": [one.as_dict() for one in self.effects],
             "outlying": {
-                "level": LEVEL,
+                "level": OUTLYING,
                 "tests": self.tests,
                 "found": [one.as_dict() for one in self.outlying],
             },

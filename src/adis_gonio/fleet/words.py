@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-import math
-
-from adis_gonio.base.counting import counted
-from adis_gonio.base.numbers import number, p_text, percent, with_unit
-from adis_gonio.base.wording import NAMES
-from adis_gonio.fleet.outlying import FEWEST, FEWEST_UNITS, LEVEL
+from adis_gonio.base.levels import OUTLYING
+from adis_gonio.base.numbers import (
+    NAMES,
+    count_decimals,
+    counted,
+    format_fixed,
+    format_number,
+    format_p,
+    format_percent,
+    format_unit,
+    with_unit,
+)
+from adis_gonio.fleet.outlying import FEWEST, FEWEST_UNITS
 from adis_gonio.fleet.statistics import Beyond
 from adis_gonio.fleet.summary import Outlying, QuantitySummary, Summary
 
@@ -68,28 +75,28 @@ def _parameter(one: QuantitySummary) -> list[str]:
     q = spread.quantiles
     return [
         NAMES.get(one.name, one.name),
-        "" if one.unit == "1" else with_unit("", one.unit).strip(),
+        format_unit(one.unit),
         str(spread.n),
         *(_to_digit_of(spread.robust_sd, value) for value in (q["50"], q["5"], q["95"], spread.mean)),
-        number(spread.robust_sd if spread.n > 1 else None, 2),
-        "–" if one.beyond is None else number(one.beyond.u, 2),
+        format_number(spread.robust_sd if spread.n > 1 else None, 2),
+        "–" if one.beyond is None else format_number(one.beyond.u, 2),
         "–" if one.beyond is None else _tau(one.beyond),
-        "–" if one.repeats is None else f"{one.repeats.ratio:.2f} ({p_text(one.repeats.p_value)})",
+        "–" if one.repeats is None else f"{one.repeats.ratio:.2f} ({format_p(one.repeats.p_value)})",
     ]
 
 
 def _to_digit_of(sd: float, value: float) -> str:
     """Value to the second digit of a standard deviation."""
     if not sd > 1e-6:
-        return number(value)
-    return f"{value:.{max(0, 1 - math.floor(math.log10(sd)))}f}".replace("-", "−")
+        return format_number(value)
+    return format_fixed(value, count_decimals(sd))
 
 
 def _tau(beyond: Beyond) -> str:
     low, high = beyond.tau_95
     if beyond.tau == 0:
-        return "0" if high == 0 else f"0 (to {number(high, 2)})"
-    return f"{number(beyond.tau, 2)} ({number(low, 2)} to {number(high, 2)})"
+        return "0" if high == 0 else f"0 (to {format_number(high, 2)})"
+    return f"{format_number(beyond.tau, 2)} ({format_number(low, 2)} to {format_number(high, 2)})"
 
 
 def effect_rows(summary: Summary) -> list[list[str]]:
@@ -97,8 +104,8 @@ def effect_rows(summary: Summary) -> list[list[str]]:
     rows = []
     for one in summary.effects:
         low, high = one.interval
-        share = percent(one.found / one.traced)
-        between = f"{percent(low)} to {percent(high)}"
+        share = format_percent(one.found / one.traced)
+        between = f"{format_percent(low)} to {format_percent(high)}"
         rows.append([one.effect, f"{one.found} of {one.traced}", share, between])
     return rows
 
@@ -110,19 +117,19 @@ def outlying_rows(summary: Summary) -> list[list[str]]:
 
 def _outlying(one: Outlying) -> list[str]:
     if one.quantity.startswith("effect "):
-        values = [percent(one.value), percent(one.others)]
+        values = [format_percent(one.value), format_percent(one.others)]
     else:
-        values = [with_unit(number(value), one.unit) for value in (one.value, one.others)]
+        values = [with_unit(format_number(value), one.unit) for value in (one.value, one.others)]
     same = f", the same sessions as {', '.join(one.same_sessions_as)}" if one.same_sessions_as else ""
     of_sessions = one.kind == "unit"
     return [
         f"{one.kind} {one.name}{same}",
         NAMES.get(one.quantity, one.quantity),
         *values,
-        f"{one.z:.1f}".replace("-", "−"),
-        number(one.adjusted_p, 2)
+        format_fixed(one.z, 1),
+        format_number(one.adjusted_p, 2)
         if one.adjusted_p >= 1e-12
-        else p_text(one.adjusted_p).split("p\u00a0")[1],
+        else format_p(one.adjusted_p).split("p\u00a0")[1],
         counted(one.n, "session" if of_sessions else "unit"),
     ]
 
@@ -137,6 +144,6 @@ def outlying_text(summary: Summary) -> str:
     found = "" if summary.outlying else " None stands out."
     return (
         f"{counted(summary.tests, 'comparison')} of units, stages and operators with the rest of the fleet;"
-        f" the probability of naming anything falsely is at most {percent(LEVEL)} in all (Bonferroni)."
-        f"{found}"
+        f" the probability of naming anything falsely is at most {format_percent(OUTLYING)} in all"
+        f" (Bonferroni).{found}"
     )

@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import BusError, ChipError, UsageError
 from adis_gonio.device.sensor.bartlett import white_gain
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT
 from adis_gonio.device.sensor.settings import Configuration
 from adis_gonio.live.smoothed import Smoothed, SmoothedMeter, sensing_of
 from adis_gonio.record.blocks import Block, session_columns
-from adis_gonio.record.expectation import wrapped_deg
 from adis_gonio.record.settings import Settings
 from adis_gonio.record.source import ChipSource, Measuring, SampleStream, open_source
 from adis_gonio.record.stillness import limits_from_noise
@@ -211,7 +210,7 @@ class AngleMeter:
         u_deg = None
         if u_mg is not None and (x or y):
             u_deg = math.degrees(math.hypot(y * u_mg[0], x * u_mg[1]) / (x * x + y * y))
-        return wrapped_deg(zero_deg + float(raw_angle_deg(mean_mg))), u_deg
+        return wrap_degrees(zero_deg + float(raw_angle_deg(mean_mg))), u_deg
 
     def _corrected(
         self, mean_mg: Floats, count: int, temperature_c: float | None

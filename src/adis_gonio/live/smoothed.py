@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.bartlett import white_gain
 from adis_gonio.device.sensor.settings import Configuration
@@ -20,7 +20,6 @@ from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.live.smoothing import LAG_S, AngleSmoother, GyroKnowledge, Sensing, SmoothedAngle
 from adis_gonio.live.smoothing.motion import BEND
 from adis_gonio.record.blocks import Block, session_columns
-from adis_gonio.record.expectation import wrapped_deg
 from adis_gonio.record.source import Measuring
 
 if TYPE_CHECKING:
@@ -160,7 +159,7 @@ class SmoothedMeter:
         calibration = self._calibration
         if calibration is not None:
             if "alpha" in calibration:
-                shown_deg = wrapped_deg(shown_deg + calibration["alpha"].value)
+                shown_deg = wrap_degrees(shown_deg + calibration["alpha"].value)
             by_calibration = self._calibration_u_deg(angle.accel_mg, None)
             u_deg = math.hypot(u_deg, by_calibration or 0.0, math.degrees(self._off))
             notes = (*notes, *(("calibration",) if self._off else ()))

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, mean_direction, wrap_degrees, wrap_radians
 from adis_gonio.base.errors import UsageError
 from adis_gonio.model.records import MG_PER_G
 
@@ -80,7 +80,7 @@ class BaseParameter:
     def stated(self, value: float) -> float:
         """Value in `unit`; the start angle within ±180°."""
         out = value * self.per_natural
-        return (out + 180) % 360 - 180 if self.unit == "deg" and math.isinf(self.spread) else out
+        return wrap_degrees(out) if self.unit == "deg" and math.isinf(self.spread) else out
 
 
 class Measurement(ABC):
@@ -239,11 +239,11 @@ class PlanarTurn(Measurement):
             (xc, yc), (xs, ys) = np.linalg.lstsq(design, reading[declared], rcond=None)[0]
             alpha = math.atan2(xs, xc)
             base = np.array(
-                [alpha, math.hypot(xc, xs), math.hypot(yc, ys), _wrapped(math.atan2(yc, -ys) - alpha)]
+                [alpha, math.hypot(xc, xs), math.hypot(yc, ys), wrap_radians(math.atan2(yc, -ys) - alpha)]
             )
         elif len(theta):
-            base[0] = float(np.angle(np.exp(1j * (shown[declared] + theta)).sum()))
-        attitude = np.where(declared, 0.0, wrap_rad(shown - base[0] - turn_rad))
+            base[0] = mean_direction(shown[declared] + theta)
+        attitude = np.where(declared, 0.0, wrap_radians(shown - base[0] - turn_rad))
         return base, attitude
 
     def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
@@ -382,15 +382,6 @@ class FreeAttitude(Measurement):
             if seen[3 + k]:
                 beside = np.column_stack([beside, skew])
         return seen
-
-
-def _wrapped(angle: float) -> float:
-    return (angle + math.pi) % (2 * math.pi) - math.pi
-
-
-def wrap_rad(angle: Floats) -> Floats:
-    """Angle (any shape) in rad brought into [−π, π)."""
-    return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
 def sensitivity(base: Floats) -> Floats:

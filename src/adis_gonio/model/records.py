@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import one_line
+from adis_gonio.base.numbers import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -182,7 +182,7 @@ class Session:
 
     def to_pandas(self) -> pd.DataFrame:
         """Samples as a data frame with the columns of the samples CSV (extra: pandas)."""
-        from adis_gonio.base.showing import frame
+        from adis_gonio.base.tables import frame
 
         columns: dict[str, list[Any]] = {}
         for dwell in self.sampled:

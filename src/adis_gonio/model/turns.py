@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from adis_gonio.base.counting import counted
+from adis_gonio.base.numbers import counted
 
 if TYPE_CHECKING:
     from adis_gonio.base.arrays import Floats

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from adis_gonio.base.numbers import SPACE
+from adis_gonio.base.numbers import NO_BREAK
 from adis_gonio.page.parts import Section
 
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
@@ -75,9 +75,9 @@ def _filled(section: Section) -> bool:
 
 def _number_kept(cell: str) -> str:
     """A number's text, which a narrow column may break before its uncertainty only."""
-    return cell.replace(" ", SPACE).replace(f"{SPACE}±", " ±")
+    return cell.replace(" ", NO_BREAK).replace(f"{NO_BREAK}±", " ±")
 
 
 def _unit_kept(head: str) -> str:
     """A column's head, never broken between slash and unit."""
-    return head.replace(" / ", f" /{SPACE}")
+    return head.replace(" / ", f" /{NO_BREAK}")

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adis_gonio.base.errors import NotInstalledError
-from adis_gonio.base.numbers import number
+from adis_gonio.base.numbers import format_number
 from adis_gonio.page.inline import inline_svg
 
 if TYPE_CHECKING:
@@ -247,7 +247,7 @@ def _scale(axes: Axes, x_range: tuple[float, float] | None, x_ticks: Mapping[flo
                 middle = math.sqrt(low * high)
                 axis.set_view_interval(middle / 3.2, middle * 3.2)
             axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 300 * low else (1,), numticks=8))
-            axis.set_major_formatter(FuncFormatter(lambda value, _: number(value, 1)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: format_number(value, 1)))
             axis.set_minor_locator(NullLocator())
         elif 300 <= high - low <= 800:
             # A turn in degrees reads best in parts of a right angle.

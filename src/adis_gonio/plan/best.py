@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.base.budget import check
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.jsonable import HIDDEN, Record
+from adis_gonio.base.numbers import counted
 from adis_gonio.plan.candidates import Candidates, Choice, candidates
 from adis_gonio.plan.criteria import CRITERIA, MEANING, Best, Criterion
 from adis_gonio.plan.imagined import Bench

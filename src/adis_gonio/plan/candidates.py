@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import UsageError
 from adis_gonio.fitting.determination import natural_units
 from adis_gonio.fitting.estimation.fit import Fit, Values
@@ -129,7 +129,7 @@ class Candidates:
         """The choice that is nearest to another plan of as many positions."""
         out = []
         for position in plan.positions:
-            off = np.abs((self.angle_deg - (position.angle_deg or 0.0) + 180) % 360 - 180)
+            off = np.abs(wrap_degrees(self.angle_deg - (position.angle_deg or 0.0)))
             out.append(int((off + 1e-3 * (self.approach != position.approach)).argmin()))
         return np.array(out, dtype=np.intp)
 

@@ -9,9 +9,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.jsonable import finite, json_value
+from adis_gonio.base.numbers import counted
 from adis_gonio.base.output import ends_in, replacing
 from adis_gonio.record.plans import MOST_POSITIONS, PLAN_NAMES, Plan, Position, plan, with_checks
 

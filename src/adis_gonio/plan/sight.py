@@ -17,6 +17,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import Record, key
+from adis_gonio.base.numbers import join_words
 from adis_gonio.base.values import Detectable
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
@@ -96,7 +97,7 @@ def _unplanned(name: str, why: str) -> str:
     needs = [need for need in catalogue("accelerometer")[name].needs if need in _SURROUNDINGS]
     if not needs:
         return why
-    return f"depends on {' and '.join(_SURROUNDINGS[need] for need in needs)}, which no plan sets"
+    return f"depends on {join_words([_SURROUNDINGS[need] for need in needs])}, which no plan sets"
 
 
 _SURROUNDINGS = {

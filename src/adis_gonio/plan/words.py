@@ -6,9 +6,9 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
-from adis_gonio.base.counting import counted
+from adis_gonio.base.numbers import NAMES, count_decimals, counted, format_fixed, format_unit
+from adis_gonio.base.tables import align_columns, fold_text
 from adis_gonio.base.values import Value
-from adis_gonio.base.wording import NAMES, decimals, fixed, wrapped
 from adis_gonio.plan.best import BestPlan
 from adis_gonio.plan.criteria import Best
 from adis_gonio.plan.prediction import Prediction
@@ -32,7 +32,6 @@ _FIGURE: dict[Best, str] = {
     "parameters": "generalised u of the parameters: {:.2g}",
     "tell-apart": "an effect of typical size stands out by {:.2g} standard uncertainties at least",
 }
-Rows = Sequence[Sequence[str]]
 
 
 def lines_of(prediction: Prediction, found: BestPlan | None = None) -> Iterator[str]:
@@ -49,7 +48,7 @@ def lines_of(prediction: Prediction, found: BestPlan | None = None) -> Iterator[
     yield ""
     yield from _positions(prediction.plan)
     for note in prediction.reach.notes:
-        yield from wrapped(note, WIDTH)
+        yield from fold_text(note, WIDTH)
 
 
 def headline(prediction: Prediction) -> str:
@@ -59,15 +58,15 @@ def headline(prediction: Prediction) -> str:
     u, expanded = prediction.reach.angle.u, prediction.reach.angle_worst.U
     if u is None or expanded is None:
         return f"{count}, {minutes}: they do not determine an angle at this fixture"
-    digits = decimals(min(u, expanded))
-    angle = f"± {fixed(u, digits)}° rms, U {fixed(expanded, digits)}° at the worst place"
+    digits = count_decimals(min(u, expanded))
+    angle = f"± {format_fixed(u, digits)}° rms, U {format_fixed(expanded, digits)}° at the worst place"
     return f"{count}, {minutes}: angle {angle}"
 
 
 def _asked(found: BestPlan) -> Iterator[str]:
     beware = f" {', '.join(found.beware)}" if found.best == "tell-apart" else ""
     beside = f", {', '.join(found.beware)} fitted beside" if found.beware and not beware else ""
-    yield from wrapped(
+    yield from fold_text(
         f"{_ASKED[found.best]}{beware}{beside}; {_FIGURE[found.best].format(found.figure)}", 80
     )
 
@@ -79,17 +78,14 @@ def _reach(prediction: Prediction) -> Iterator[str]:
     rows.append(_row("angle, worst place", reach.angle_worst))
     rows += [_row(NAMES.get(name, name), value) for name, value in reach.parameters.items()]
     yield f"Predicted, by method {reach.method}"
-    yield from _table(rows, texts=2)
+    yield from align_columns(rows)
     if reach.undetermined:
-        yield from wrapped(f"not determined: {', '.join(reach.undetermined)}", WIDTH, 2)
+        yield from fold_text(f"not determined: {', '.join(reach.undetermined)}", WIDTH, 2)
 
 
 def _row(name: str, value: Value) -> list[str]:
-    unit = {"deg": "°", "1": ""}.get(value.unit, value.unit)
-    if value.u is None or value.U is None:
-        return [name, unit, "–", "–"]
-    digits = decimals(value.u)
-    return [name, unit, fixed(value.u, digits), fixed(value.U, digits)]
+    digits = count_decimals(value.u or 0.0)
+    return [name, format_unit(value.unit), format_fixed(value.u, digits), format_fixed(value.U, digits)]
 
 
 def _gains(found: BestPlan) -> Iterator[str]:
@@ -99,7 +95,7 @@ def _gains(found: BestPlan) -> Iterator[str]:
     for gain in found.gains:
         cells = [_times(gain.u.get(name)) for name in _GAINED]
         rows.append([gain.over, _times(gain.criterion), *cells])
-    yield from _table(rows, texts=1)
+    yield from align_columns(rows, texts=1)
 
 
 def _times(ratio: float | None) -> str:
@@ -120,13 +116,13 @@ def _sight(sight: Sight) -> Iterator[str]:
             blind[one.reason].append(name)
     yield "Cannot see"
     for reason, names in blind.items():
-        yield from wrapped(f"{', '.join(names)}: {reason}", WIDTH, 2)
+        yield from fold_text(f"{', '.join(names)}: {reason}", WIDTH, 2)
     yield "Cannot tell apart"
     others = defaultdict(list)
     for pair in sight.alike:
         others[pair.one].append(pair.other)
     for name, several in others.items():
-        yield from wrapped(f"{name} from {', '.join(several)}", WIDTH, 2)
+        yield from fold_text(f"{name} from {', '.join(several)}", WIDTH, 2)
     if not others:
         yield "  nothing of what it sees"
 
@@ -143,13 +139,3 @@ def _columns(cells: Sequence[str], least: int = 38) -> Iterator[str]:
     down = -(-len(cells) // across)
     for row in range(down):
         yield "  " + "".join(cell.ljust(width) for cell in cells[row::down]).rstrip()
-
-
-def _table(rows: Rows, texts: int) -> Iterator[str]:
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    for row in rows:
-        cells = [
-            cell.ljust(width) if k < texts else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        yield "  " + "  ".join(cells).rstrip()

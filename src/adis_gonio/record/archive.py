@@ -42,8 +42,10 @@ class Archive(ArchiveView):
 
         Raises
         ------
+        UsageError
+            The file exists already.
         SessionError
-            The file exists already, or cannot be made here.
+            It cannot be made here.
         """
         path = Path(path)
         archive = cls(path, database.create(path))

@@ -32,6 +32,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from adis_gonio.base.errors import DataError, SessionError, one_line
+from adis_gonio.base.output import exists_error
 from adis_gonio.record.tables import APPLICATION_ID, SCHEMA_VERSION, TABLES, statements
 
 MOST_STEPS = 100_000_000
@@ -95,16 +96,16 @@ def create(path: Path) -> sqlite3.Connection:
 
     Raises
     ------
+    UsageError
+        The file exists already.
     SessionError
-        The file exists already, or cannot be made here.
+        It cannot be made here.
     """
     try:
         path.touch(exist_ok=False)
     except FileExistsError:
         if not path.is_file() or path.stat().st_size > 0 or _journal(path).exists():
-            raise SessionError(
-                f"{path}: exists already; resume it or choose another file (nothing was changed)"
-            ) from None
+            raise exists_error(path, "resume it or choose another name") from None
     except OSError as error:
         raise SessionError(f"{path}: cannot be made: {error.strerror}") from None
     connection = _open(path, "rw")

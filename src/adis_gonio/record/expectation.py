@@ -14,12 +14,11 @@ from statistics import NormalDist
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_radians
+from adis_gonio.base.levels import POSITION_QUESTIONED
 from adis_gonio.record.watch import SHIFT_MG
 
-FALSE_ALARM = 1e-4
-"""Probability that one position of a sane part is questioned: one position in a hundred tumbles of 100."""
-K = NormalDist().inv_cdf(1 - FALSE_ALARM / 2)
+K = NormalDist().inv_cdf(1 - POSITION_QUESTIONED / 2)
 
 GAIN_LIMIT = 0.02
 """Sensitivity ±2 % (CHIP, B: the sibling's sheet); as a rectangular distribution."""
@@ -109,7 +108,7 @@ class Expectation:
         seen = phi + self.sense * math.radians(angle_deg)
         if self._start_rad is None:
             self._start_rad = seen
-        rest = _wrapped(seen - self._start_rad)
+        rest = wrap_radians(seen - self._start_rad)
         for row, value, u in (
             (_angle_row(phi), rest, self._angle),
             (_norm_row(phi), log_norm, self._reading),
@@ -126,7 +125,7 @@ class Expectation:
         mean = covariance @ self._weighted
         expected = self._start_rad + mean[0] - self.sense * math.radians(angle_deg)
         row = _angle_row(expected)
-        residual = _wrapped(phi - expected - float(row[1:] @ mean[1:]))
+        residual = wrap_radians(phi - expected - float(row[1:] @ mean[1:]))
         limit = K * math.sqrt(float(row @ covariance @ row) + self._angle**2)
         return Off(-self.sense * math.degrees(residual), math.degrees(limit))
 
@@ -137,7 +136,7 @@ class Expectation:
             return -self.sense * math.degrees(phi)
         mean = np.linalg.solve(self._information, self._weighted)
         rest = self._start_rad + float(_angle_row(phi) @ mean)
-        return self.sense * math.degrees(_wrapped(rest - phi))
+        return self.sense * math.degrees(wrap_radians(rest - phi))
 
     def _polar(self, accel_mg: Floats) -> tuple[float, float]:
         x, y = float(accel_mg[0]), float(accel_mg[1])
@@ -148,16 +147,7 @@ def turned_deg(before_mg: Floats, now_mg: Floats, sense: int = 1) -> float:
     """Turn of the stage by gravity between two readings, within ±180°."""
     before = math.atan2(float(before_mg[1]), float(before_mg[0]))
     now = math.atan2(float(now_mg[1]), float(now_mg[0]))
-    return -sense * math.degrees(_wrapped(now - before))
-
-
-def wrapped_deg(angle_deg: float) -> float:
-    """The same direction within −180° (inclusive) and 180°."""
-    return (angle_deg + 180.0) % 360.0 - 180.0
-
-
-def _wrapped(angle_rad: float) -> float:
-    return (angle_rad + math.pi) % (2 * math.pi) - math.pi
+    return -sense * math.degrees(wrap_radians(now - before))
 
 
 def _angle_row(psi: float) -> Floats:
@@ -172,4 +162,4 @@ def _norm_row(psi: float) -> Floats:
     return np.array([0.0, c * c, s * s, s * c, c, s])
 
 
-__all__ = ["Expectation", "Off", "PriorKnowledge", "turned_deg", "wrapped_deg"]
+__all__ = ["Expectation", "Off", "PriorKnowledge", "turned_deg"]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from adis_gonio.base.errors import DataError, OutputError, SessionError
-from adis_gonio.base.output import replacing, write_utf8
+from adis_gonio.base.output import exists_error, replacing, write_utf8
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.samples.columns import KEYS
 from adis_gonio.record.samples_csv import write_samples_csv
@@ -22,8 +22,10 @@ def export_csv(session: Session, path: str | Path) -> None:
 
     Raises
     ------
+    UsageError
+        The file exists.
     SessionError
-        The file exists, or cannot be written.
+        It cannot be written.
     DataError
         As `write_samples_csv`.
     """
@@ -45,8 +47,10 @@ def export_json(session: Session, path: str | Path) -> None:
 
     Raises
     ------
+    UsageError
+        The file exists.
     SessionError
-        The file exists, or cannot be written.
+        It cannot be written.
     DataError
         A value has no JSON form.
     """
@@ -83,7 +87,7 @@ def _new_file(path: str | Path) -> Iterator[Path]:
     """Path beside a file that does not exist yet, which takes its place at the end."""
     path = Path(path)
     if path.exists():
-        raise SessionError(f"{path}: exists already; choose another file (nothing was changed)")
+        raise exists_error(path)
     try:
         with replacing(path) as beside:
             yield beside

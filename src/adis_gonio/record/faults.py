@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.jsonable import Record
+from adis_gonio.base.numbers import counted
 from adis_gonio.record.blocks import Block
 
 SUPPLY_LIMITS_V = (4.75, 5.25)

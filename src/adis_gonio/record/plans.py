@@ -27,9 +27,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import OPTIONAL, Record
+from adis_gonio.base.numbers import counted
 from adis_gonio.model.records import Plane, Use
 
 Approach = Literal[-1, 0, 1]

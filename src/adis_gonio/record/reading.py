@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import DataError
+from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor.registers import changed_settings
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.blocks import GENERIC, Block, die_temperatures, join, session_columns, session_series

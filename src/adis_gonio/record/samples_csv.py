@@ -20,9 +20,9 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import DataError, SessionError, UsageError
-from adis_gonio.base.output import ends_in
+from adis_gonio.base.numbers import counted
+from adis_gonio.base.output import ends_in, exists_error
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, AccelUnit, Dwell, Session
 from adis_gonio.record.overrides import Overrides
 from adis_gonio.record.plans import MOST_POSITIONS, Plan
@@ -227,7 +227,7 @@ def write_template(path: Path, text: str) -> None:
         with path.open("x", encoding="utf-8", newline="\n") as file:
             file.write(text)
     except FileExistsError:
-        raise SessionError(f"{path}: exists already; choose another name (nothing was changed)") from None
+        raise exists_error(path) from None
     except OSError as error:
         raise SessionError(f"{path}: cannot be written: {error.strerror or error}") from None
 

@@ -14,7 +14,7 @@ from typing import IO, Self
 import numpy as np
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.output import ends_in
+from adis_gonio.base.output import ends_in, exists_error
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.record.blocks import GENERIC, Block, session_columns
 
@@ -46,7 +46,7 @@ class SamplesRecorder:
         title: str = "",
     ) -> None:
         if path.exists():
-            raise UsageError(f"{path} exists: choose another name, recordings are not overwritten")
+            raise exists_error(path)
         if not ends_in(path, ".csv", ".csv.gz"):
             raise UsageError(f"{path}: a recording is named .csv or .csv.gz")
         self.path = path

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import DataError
+from adis_gonio.base.numbers import counted
 from adis_gonio.model.records import Dwell
 from adis_gonio.record.quantiles import Quantiles
 from adis_gonio.record.stillness import UPPER, StillnessLimits, limits_from_noise

@@ -6,13 +6,14 @@ others by an entry point in the group `adis_gonio.source`: scheme = "module:open
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from types import TracebackType
 from typing import Any, Protocol, Self
 
+from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.device.bus.opening import SOURCE_GROUP, BusUrl
 from adis_gonio.device.sensor.bartlett import white_gain
@@ -99,7 +100,7 @@ class KnownPart:
     step_mg: float
 
 
-class SampleSource(ABC):
+class SampleSource(Closing):
     """A sensor as a session sees it; a context manager. Errors are those of `adis_gonio.base.errors`.
 
     What a sensor without registers has not, or does not need, is done here.
@@ -140,10 +141,10 @@ class SampleSource(ABC):
         What is borrowed for the samples' time alone (data-ready) stands until `give_back`.
         """
 
-    def give_back(self) -> None:  # noqa: B027 - nothing is borrowed from a sensor without registers
+    def give_back(self) -> None:
         """Set back what `configure` and `mark_restart` borrowed; may be called twice."""
 
-    def mark_restart(self) -> None:  # noqa: B027
+    def mark_restart(self) -> None:
         """Write a number that a restart loses into a register that nothing uses, if there is one."""
 
     def settings_held(self, *, checked: bool = False) -> dict[str, int]:
@@ -176,12 +177,6 @@ class SampleSource(ABC):
     @abstractmethod
     def close(self) -> None:
         """Forget the sensor; may be called twice."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 MARK = 0x2A5A

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
+from adis_gonio.base.closing import Closing
 from adis_gonio.base.shapes import ShapeError, anything
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
 from adis_gonio.record import database
@@ -21,7 +21,7 @@ from adis_gonio.record.rows import Header, JsonDict, Move, Phase, Record, Stored
 from adis_gonio.record.tables import LARGEST_S, LARGEST_VALUE, META, RECORDS, checked_row, checked_value
 
 
-class ArchiveView:
+class ArchiveView(Closing):
     """Read access to a session file; `Archive` adds writing. Use it as a context manager.
 
     Raises
@@ -276,17 +276,6 @@ class ArchiveView:
     def close(self) -> None:
         """Close the file; may be called twice."""
         self._connection.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _rows(
         self, table: str, order: str, column: str = "1", value: int = 1, kind: str | None = None

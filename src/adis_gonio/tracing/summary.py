@@ -6,11 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.base.numbers import listed, number, p_text, percent, times, uncertain, with_unit
-from adis_gonio.base.showing import shown_unit
-from adis_gonio.base.values import Detectable, Value
+from adis_gonio.base.numbers import (
+    counted,
+    format_number,
+    format_p,
+    format_percent,
+    format_reduction,
+    format_unit,
+    join_words,
+    with_unit,
+)
+from adis_gonio.base.values import Detectable
 from adis_gonio.model.effects import catalogue, effect
 from adis_gonio.model.effects.base import Parameter
 from adis_gonio.model.records import Session
@@ -99,18 +106,13 @@ def with_axes(finding: Finding) -> str:
     return f"{finding.effect} ({', '.join(finding.axes)})" if finding.axes else finding.effect
 
 
-def value_text(value: Value) -> str:
-    """Value with uncertainty and unit."""
-    return with_unit(uncertain(value.value, value.u), value.unit)
-
-
 def parameters(finding: Finding) -> list[str]:
     """Parameters with values, those of an axis in one line."""
     groups: dict[str, list[str]] = {}
     for name, value in finding.parameters.items():
         axis = name.rsplit("_", 1)[-1]
         group = axis if axis in finding.axes and len(finding.parameters) > 3 else name
-        groups.setdefault(group, []).append(f"{name} = {value_text(value)}")
+        groups.setdefault(group, []).append(f"{name} = {value}")
     return ["; ".join(texts) for texts in groups.values()]
 
 
@@ -120,7 +122,7 @@ def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
         ("base model", result.before),
         *((f"+ {step.effect}", step.error) for step in result.steps),
     ]
-    unit = shown_unit(result.before.unit)
+    unit = format_unit(result.before.unit)
     unit = f"({unit})" if "/" in unit else unit
     columns: dict[str, list[float | None]] = {
         f"residual / {unit}": [error.residual_rms for _, error in rows],
@@ -130,7 +132,9 @@ def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
         "χ² / dof": [error.chi2_per_dof for _, error in rows],
     }
     shown = {head: column for head, column in columns.items() if any(cell is not None for cell in column)}
-    cells = [[name, *(number(column[k]) for column in shown.values())] for k, (name, _) in enumerate(rows)]
+    cells = [
+        [name, *(format_number(column[k]) for column in shown.values())] for k, (name, _) in enumerate(rows)
+    ]
     return ["model", *shown], cells
 
 
@@ -145,7 +149,7 @@ def how_sure(finding: Finding) -> str:
     word = next(
         word for least, most, word in _SURE if finding.probability >= least and finding.p_value <= most
     )
-    return f"{word}: probability {percent(finding.probability)}, {p_text(finding.p_value)}"
+    return f"{word}: probability {format_percent(finding.probability)}, {format_p(finding.p_value)}"
 
 
 def uncertain_steps(result: TraceResult) -> list[str]:
@@ -169,7 +173,7 @@ def inside_only(result: TraceResult) -> list[Finding]:
 
 def within(result: TraceResult) -> list[str]:
     """What the samples inside the dwells show, with how sure."""
-    return [f"{_capital(finding.sentence)} ({p_text(finding.p_value)})." for finding in result.within]
+    return [f"{_capital(finding.sentence)} ({format_p(finding.p_value)})." for finding in result.within]
 
 
 def headline(result: TraceResult) -> str:
@@ -184,7 +188,7 @@ def _outcome(result: TraceResult) -> str:
     inside = inside_only(result)
     first = _of_readings(result, [finding for finding in ordered(result) if finding not in inside])
     if inside:
-        return f"{first} Inside the dwells: {listed([with_axes(finding) for finding in inside])}."
+        return f"{first} Inside the dwells: {join_words([with_axes(finding) for finding in inside])}."
     return first
 
 
@@ -195,12 +199,14 @@ def _capital(text: str) -> str:
 def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
     """What the readings say, of the findings that are in their model."""
     names = [with_axes(finding) for finding in found]
-    what = f"Found: {listed(names)}." if names else ""
+    what = f"Found: {join_words(names)}." if names else ""
     rest = result.unnamed
     if rest is not None:
         begin = f"{what} Besides, the" if names else "The"
         end = "" if result.adequate else " Not all of the residual is explained."
-        return f"{begin} residual follows {listed(list(rest.covariates))} in a way that has no name.{end}"
+        return (
+            f"{begin} residual follows {join_words(list(rest.covariates))} in a way that has no name.{end}"
+        )
     if result.adequate:
         if not names and not result.steps:
             return (
@@ -209,13 +215,13 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
             )
         unsure = uncertain_steps(result)
         if unsure:
-            beside = f"{listed(names)} brings" if len(names) == 1 else f"{listed(names)} bring"
+            beside = f"{join_words(names)} brings" if len(names) == 1 else f"{join_words(names)} bring"
             beside = f"{beside} it down together with" if names else "what brings it down is"
             end = "which is not certain" if len(unsure) == 1 else "which are not certain"
-            return f"The residual is the measured noise: {beside} {listed(unsure)}, {end}."
+            return f"The residual is the measured noise: {beside} {join_words(unsure)}, {end}."
         count = _COUNTS[len(names)] if len(names) < len(_COUNTS) else str(len(names))
         word = "effect brings" if len(names) == 1 else "effects bring"
-        return f"{count} {word} the residual down to the measured noise: {listed(names)}."
+        return f"{count} {word} the residual down to the measured noise: {join_words(names)}."
     if exact(result):
         return (
             f"{what} The model has as many parameters as there are readings: nothing is left to test it "
@@ -252,19 +258,19 @@ def exact(result: TraceResult) -> bool:
 def gains(result: TraceResult) -> str:
     """Error before and after in a sentence."""
     before, after = result.before, result.after
-    unit = shown_unit(before.unit)
+    unit = format_unit(before.unit)
     if exact(result):
-        return f"The base model leaves {number(before.residual_rms)} {unit}."
+        return f"The base model leaves {format_number(before.residual_rms)} {unit}."
     parts = [
-        f"The residual goes from {number(before.residual_rms)} to {number(after.residual_rms)}"
-        f" {unit}"
-        f"{times(before.residual_rms, after.residual_rms)}"
+        f"The residual goes from {format_number(before.residual_rms)} to"
+        f" {format_number(after.residual_rms)} {unit}"
+        f"{format_reduction(before.residual_rms, after.residual_rms)}"
     ]
     if before.heldout_rms is not None and after.heldout_rms is not None:
-        left, kept = number(after.heldout_rms), number(after.heldout_kept)
+        left, kept = format_number(after.heldout_rms), format_number(after.heldout_kept)
         parts.append(
-            f"on data that took no part from {number(before.heldout_rms)} to {left} {unit}"
-            f"{times(before.heldout_rms, after.heldout_rms)}"
+            f"on data that took no part from {format_number(before.heldout_rms)} to {left} {unit}"
+            f"{format_reduction(before.heldout_rms, after.heldout_rms)}"
         )
         if after.heldout_kept is not None and kept != left:
             parts[-1] += (
@@ -276,8 +282,9 @@ def gains(result: TraceResult) -> str:
         )
     if before.angle_rms_deg is not None and after.angle_rms_deg is not None:
         parts.append(
-            f"the error of the angle from {number(before.angle_rms_deg)}° to "
-            f"{number(after.angle_rms_deg)}°{times(before.angle_rms_deg, after.angle_rms_deg)}"
+            f"the error of the angle from {format_number(before.angle_rms_deg)}° to "
+            f"{format_number(after.angle_rms_deg)}°"
+            f"{format_reduction(before.angle_rms_deg, after.angle_rms_deg)}"
         )
     return "; ".join(parts) + "."
 
@@ -318,8 +325,8 @@ def unnamed(result: TraceResult) -> str:
     rest = result.unnamed
     if rest is None:
         return ""
-    sure = f"probability {percent(rest.probability)}, {p_text(rest.p_value)}"
-    return f"{rest.form} (explains {percent(rest.explains)} of the excess; {sure})"
+    sure = f"probability {format_percent(rest.probability)}, {format_p(rest.p_value)}"
+    return f"{rest.form} (explains {format_percent(rest.explains)} of the excess; {sure})"
 
 
 def sight(result: TraceResult) -> SightWords:
@@ -368,7 +375,7 @@ def absent(result: TraceResult) -> str:
 
 def amplitude(entry: Detectable) -> str:
     """Smallest amplitude with unit."""
-    return "–" if entry.amplitude is None else with_unit(number(entry.amplitude, 2), entry.unit)
+    return "–" if entry.amplitude is None else with_unit(format_number(entry.amplitude, 2), entry.unit)
 
 
 def typical(name: str, entry: Detectable) -> str:

@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from adis_gonio.base.levels import CREDIBLE_SET, INADEQUATE
+
 Origin = Literal["level", "derived", "physical", "measured", "chosen", "effort"]
 """A level is what is promised (1 %, 95 %). Derived: from mathematics, as said. Physical: no part or bench
 is beyond. Measured: by a script. Chosen: judgement. Effort: more of it finds the same, slower."""
@@ -71,7 +73,7 @@ class Limits:
     most_cycles: int = number(72, "physical", "most cycles a turn that are looked for: a worm of 72 teeth")
 
     # Choice
-    adequate: float = number(0.01, "level", "level of the test of adequacy")
+    adequate: float = number(INADEQUATE, "level", "level of the test of adequacy")
     certain: float = number(
         0.55, "chosen", "posterior from which a cause, or its name, is called found", off=0.0
     )
@@ -107,7 +109,7 @@ class Limits:
         0.15, "chosen", "share of the best model's posterior from which a rival is named", off=INFINITE
     )
     sure: float = number(0.9, "chosen", "posterior of a name above which a rival without it is not named")
-    set_level: float = number(0.95, "level", "probability of a credible set")
+    set_level: float = number(CREDIBLE_SET, "level", "probability of a credible set")
     open_level: float = number(0.1, "level", "F-test of what could explain an inadequate model's rest")
     open_alike: float = number(10.0, "chosen", "likelihood ratio up to which other names are as good there")
     visible: float = number(

@@ -14,13 +14,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.base.budget import check, told
 from adis_gonio.fitting.estimation.fit import Fit, adequacy, foreseen
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.model.effects import AXES
-from adis_gonio.model.measurement import wrap_rad
 from adis_gonio.tracing.outcome.naming import Names
 from adis_gonio.tracing.outcome.result import ErrorFigures
 from adis_gonio.tracing.selection.design import span
@@ -115,7 +114,7 @@ def masks_about_axes(data: Readings) -> list[NDArray[np.bool_]]:
         theta = data.conditions.angle_rad
         if theta is None:
             return []
-        apart = np.abs(wrap_rad(theta[:, None] - theta[None, :]))
+        apart = np.abs(wrap_radians(theta[:, None] - theta[None, :]))
         if 2 * int(((apart < np.deg2rad(limits.repeated_deg)).sum(axis=1) > 1).sum()) < len(data):
             return []
     pose = data.model.pose(data.mean, data.conditions)
@@ -189,7 +188,7 @@ def _poses_repeat(data: Readings, blocks: list[NDArray[np.bool_]]) -> bool:
     turn = 2 * np.pi
     step = turn / max(len(np.unique(np.round(np.mod(theta, turn), 3))), 1)
     for block in blocks:
-        gap = wrap_rad(theta[block][:, None] - theta[~block][None, :])
+        gap = wrap_radians(theta[block][:, None] - theta[~block][None, :])
         if not (np.abs(gap).min(axis=1) < 2.5 * step).all():
             return False
     return True
@@ -461,7 +460,7 @@ def rms_deg(turned: list[Floats]) -> float | None:
     """Root mean square of angles in rad about whole turns, in degrees; None without any."""
     if not turned:
         return None
-    return float(np.degrees(np.sqrt((wrap_rad(np.concatenate(turned)) ** 2).mean())))
+    return float(np.degrees(np.sqrt((wrap_radians(np.concatenate(turned)) ** 2).mean())))
 
 
 def checkable(names: Names, selection: Selection) -> Names:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from adis_gonio.base.errors import NotInstalledError
-from adis_gonio.base.numbers import number, uncertain, with_unit
+from adis_gonio.base.numbers import format_fixed, format_number, format_uncertain, with_unit
 from adis_gonio.bench.bringup.limits import MOST_TESTS
 from adis_gonio.bench.bringup.questions import QUESTIONS
 from adis_gonio.bench.bringup.result import Bringup, Curve, Measured, Outcome, Row, Verdict
 from adis_gonio.page.parts import Figure, Section, Table
 from adis_gonio.page.render import render
 from adis_gonio.page.svg import Series, plot
-
-_UNITS = {"us": "µs", "degC": "°C"}
 
 
 def build_page(found: Bringup) -> str:
@@ -136,15 +134,15 @@ def _limits(found: Bringup) -> Section:
 def _value(figure: Measured) -> str:
     if figure.u is None:
         return _number(figure.value, figure)
-    return with_unit(uncertain(figure.value, figure.u), _UNITS.get(figure.unit, figure.unit))
+    return format_uncertain(figure.value, figure.u, figure.unit)
 
 
 def _number(value: float, figure: Measured) -> str:
     if float(value).is_integer() and abs(value) < 1e7:
-        text = f"{value:.0f}".replace("-", "−")
+        text = format_fixed(value, 0)
     else:
-        text = number(value, 6)
-    return with_unit(text, _UNITS.get(figure.unit, figure.unit))
+        text = format_number(value, 6)
+    return with_unit(text, figure.unit)
 
 
 def _plain(text: str) -> str:

@@ -10,15 +10,16 @@ import difflib
 import math
 import re
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import AdisGonioError, CannotOpenError, ProtocolError, UsageError
 from adis_gonio.base.jsonable import Record
 from adis_gonio.bench.iio.channels import BufferLayout, wanted
@@ -172,7 +173,7 @@ class IioSource(SampleSource):
         self._device.close()
 
 
-class IioStream(ABC):
+class IioStream(Closing):
     """Blocks of samples until it is closed; use it as a context manager."""
 
     how = ""
@@ -200,16 +201,10 @@ class IioStream(ABC):
             self._closed = True
             self._stop()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
     @abstractmethod
     def _next(self) -> ValueBlock: ...
 
-    def _stop(self) -> None:  # noqa: B027 - polling has nothing to stop
+    def _stop(self) -> None:
         """End what runs at the device."""
 
     def _values(self, numbers: Mapping[str, Any], time_s: Floats, lost: int) -> ValueBlock:

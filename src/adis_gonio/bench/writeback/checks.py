@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import NAMED_BY_UNIT, Record
 from adis_gonio.bench.writeback.plan import BIASES, UNITS, WritePlan
@@ -205,8 +205,8 @@ class _Biased:
     ) -> tuple[Floats, Floats]:
         """Value (k,) of a function of parameters and mean, and its standard uncertainty."""
         mean = self.rest.mean_mg
-        by_parameter = _derivative(lambda v: function(v, mean), self.values)
-        by_reading = _derivative(lambda m: function(self.values, m), mean[: self.model.axes])
+        by_parameter = _slopes(lambda v: function(v, mean), self.values)
+        by_reading = _slopes(lambda m: function(self.values, m), mean[: self.model.axes])
         variance = np.einsum("kp,pq,kq->k", by_parameter, self.covariance, by_parameter)
         variance = variance + (by_reading**2) @ self.u_mg**2 + more_u**2
         return function(self.values, mean), np.sqrt(variance)
@@ -240,11 +240,6 @@ def _by_length(bias: _Biased) -> Agreement:
     )
 
 
-def _derivative(function: Callable[[Floats], Floats], at: Floats) -> Floats:
-    """∂f/∂x, (k, p), by central differences; the functions here are smooth on the scale of a thousandth."""
-    columns = []
-    for k in range(len(at)):
-        step = np.zeros(len(at))
-        step[k] = 1e-4 * max(1.0, abs(float(at[k])))
-        columns.append((function(at + step) - function(at - step)) / (2 * step[k]))
-    return np.stack(columns, axis=1)
+def _slopes(function: Callable[[Floats], Floats], at: Floats) -> Floats:
+    """∂f/∂x (k, p); the functions here are smooth on the scale of a thousandth."""
+    return central_differences(function, at, 1e-4 * np.maximum(1.0, np.abs(at)))

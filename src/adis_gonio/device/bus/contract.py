@@ -37,16 +37,16 @@ from __future__ import annotations
 
 import threading
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import BusClosedError, CapabilityError, ProtocolError, UsageError
 
 Words = NDArray[np.uint16]
@@ -103,7 +103,7 @@ class FrameBlock:
     lost: int = 0
 
 
-class SpiBus(ABC):
+class SpiBus(Closing):
     """Base of every bus: checks, locking and closing live here, one file a bridge adds the rest.
 
     A subclass implements `_exchange`, `_configure` and `_close`, sets `url`, and overrides
@@ -191,17 +191,6 @@ class SpiBus(ABC):
                 self._closed = True
                 self._close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
     # -- time -----------------------------------------------------------------------------------
 
     def now_s(self) -> float:
@@ -256,7 +245,7 @@ class SpiBus(ABC):
         return CapabilityError(f"{self.url or type(self).__name__} has no capability '{capability}'")
 
 
-class FrameStream(ABC):
+class FrameStream(Closing):
     """A running stream: an iterator of `FrameBlock` that stops when closed.
 
     While it runs the bus belongs to it: `exchange` raises `UsageError` until `close`.
@@ -272,17 +261,6 @@ class FrameStream(ABC):
 
     def __iter__(self) -> Iterator[FrameBlock]:
         return self
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def _as_words(frames: Sequence[int]) -> Words:

@@ -14,11 +14,10 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
+from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import (
     ChipError,
     SilentChipError,
@@ -141,7 +140,7 @@ def open_sensor(url: str, *, variant: str = "adis16354", check: bool = True) -> 
         raise
 
 
-class Adis16354:
+class Adis16354(Closing):
     """An ADIS16354 (or ADIS16350/16355) on a bus.
 
     Parameters
@@ -181,17 +180,6 @@ class Adis16354:
     def close(self) -> None:
         """Close the bus; may be called twice."""
         self.bus.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     # -- registers --------------------------------------------------------------------------------
 

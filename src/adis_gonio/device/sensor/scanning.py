@@ -19,15 +19,14 @@ do this: there each pass is a scan.
 from __future__ import annotations
 
 import contextlib
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import AdisGonioError, ChipError, ProtocolError, SilentChipError
 from adis_gonio.device.bus import FrameStream, SpiBus, Words
 from adis_gonio.device.sensor.decoding import Floats, ScanBlock
@@ -83,7 +82,7 @@ class ScanLayout:
     at_end: Callable[[], object] = lambda: None
 
 
-class ScanStream(ABC):
+class ScanStream(Closing):
     """An iterator of `ScanBlock` that stops cleanly when closed; use it as a context manager.
 
     Attributes
@@ -130,23 +129,15 @@ class ScanStream(ABC):
             finally:
                 self._layout.at_end()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        # The first error counts: where the bus is gone, setting back fails as well.
-        with contextlib.nullcontext() if error is None else contextlib.suppress(AdisGonioError):
+    def __exit__(self, *error: object) -> None:
+        # The first error counts: if the bus is gone, setting back fails as well.
+        with contextlib.nullcontext() if error[0] is None else contextlib.suppress(AdisGonioError):
             self.close()
 
     @abstractmethod
     def _next(self) -> ScanBlock: ...
 
-    def _stop(self) -> None:  # noqa: B027 - most streams have nothing to stop
+    def _stop(self) -> None:
         """End what runs on the bus."""
 
     def _block(

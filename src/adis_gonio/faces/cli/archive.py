@@ -8,10 +8,10 @@ from typing import Any
 
 import click
 
-from adis_gonio.base.counting import counted
+from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.remembering import remembered
-from adis_gonio.faces.cli.show import console, print_json, print_table, with_uncertainty
+from adis_gonio.faces.cli.show import console, print_json, print_table
 
 _HEAD = ("serial", "operator", "stage", "date", "plan", "ΔK", "Δφ / °", "angle / °", "effects", "file")
 
@@ -78,7 +78,7 @@ def _show(
 
 def _cells(row: Mapping[str, Any]) -> list[str]:
     def value(name: str) -> str:
-        return "–" if row[name] is None else with_uncertainty(row[name], row[f"{name}_u95"])
+        return "–" if row[name] is None else format_uncertain(row[name], row[f"{name}_u95"])
 
     effects = row["effects"] or ("none" if row["traced"] else "not traced")
     return [

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError, SessionError, UsageError
+from adis_gonio.base.numbers import counted
+from adis_gonio.base.output import exists_error
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.face import choose_face
 from adis_gonio.faces.cli.show import print_json
@@ -129,7 +130,7 @@ def command(
     from adis_gonio.record.source import open_source, refuse_chip_options
 
     if output.exists() and not resume:
-        raise SessionError(f"{output}: exists already; --resume goes on with it, or choose another name")
+        raise exists_error(output, "--resume goes on with it, or choose another name")
     if resume and not output.exists():
         raise SessionError(f"{output}: no such session to resume")
     if max_extra is not None and not closing:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from adis_gonio.base.counting import counted
+from adis_gonio.base.numbers import counted
 from adis_gonio.faces.cli.show import WIDTH, console
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def print_loop(session: Session, result: TraceResult) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from adis_gonio.base.numbers import number
+    from adis_gonio.base.numbers import format_number
     from adis_gonio.bench.closing import where_it_stands
 
     rounds = session.facts.get("advised", [])
@@ -63,7 +63,7 @@ def print_loop(session: Session, result: TraceResult) -> None:
             ("not told apart", _groups(before), _groups(after)),
         ]
         for key, name in _ERRORS.items():
-            rows.append((name, number(before["error"][key]), number(after["error"][key])))
+            rows.append((name, format_number(before["error"][key]), format_number(after["error"][key])))
         for name, first, second in rows:
             table.add_row(f"   {name}", Text(first), Text(second))
         screen.print(table)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import counted
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import WIDTH, console, print_json, table_of, working
 

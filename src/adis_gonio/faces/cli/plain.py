@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from adis_gonio.base.counting import counted
+from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.faces.cli.show import WIDTH, console
 
@@ -373,14 +373,11 @@ class PlainBench:
             self._say(f"  {event.done} of them done")
 
     def _say_running(self, event: Any) -> None:
-        from adis_gonio.faces.cli.show import with_uncertainty
-
         shown = []
         for name in ("delta_k", "delta_phi"):
             entry = event.parameters.get(name)
             if entry is not None:
-                unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
-                shown.append(f"{name} {with_uncertainty(entry['value'], entry['u'])}{unit}")
+                shown.append(f"{name} {format_uncertain(entry['value'], entry['u'], entry['unit'])}")
         if shown:
             self._say(f"  so far: {', '.join(shown)}")
 

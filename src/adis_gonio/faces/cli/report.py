@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adis_gonio.base.counting import counted
+from adis_gonio.base.numbers import counted
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import check_page, working, write_page
 

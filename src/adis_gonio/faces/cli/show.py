@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 import threading
 import time
@@ -128,14 +127,6 @@ def print_json(document: Any) -> None:
     """Write one JSON document to standard output, in pure ASCII where that is not UTF."""
     unicode = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
     click.echo(json_text(document, ascii_only=not unicode))
-
-
-def with_uncertainty(value: float, u: float | None) -> str:
-    """Value rounded to two digits of its standard uncertainty, such as `0.00108 ± 0.00013`."""
-    if u is None or not math.isfinite(u) or u <= 0:
-        return f"{value:.6g}"
-    digits = max(0, 1 - math.floor(math.log10(u)))
-    return f"{value:.{digits}f} ± {u:.{digits}f}"
 
 
 def report_times_s() -> Iterator[float]:

@@ -11,8 +11,8 @@ from urllib.parse import quote
 import click
 import numpy as np
 
-from adis_gonio.base.counting import counted
-from adis_gonio.base.errors import DataError, SessionError, UsageError
+from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.base.numbers import counted
 from adis_gonio.base.output import ends_in
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import working
@@ -93,9 +93,7 @@ def command(*, output: Path, **options: Any) -> None:
     from adis_gonio.record.loading import load_session
     from adis_gonio.record.view import ArchiveView
 
-    if output.exists():
-        raise SessionError(f"{output}: exists already; choose another name")
-    check_output(output)
+    check_output(output, cure="choose another name")
     if options["like"] is not None:
         _twin(options["like"], output, options["seed"])
         return

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354, open_sensor
 from adis_gonio.device.sensor.registers import registers as rows_of
 from adis_gonio.faces.cli import options as option

@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import counted
 from adis_gonio.base.output import ends_in
 from adis_gonio.faces.cli import options as option
 from adis_gonio.model.records import SENSORS, STANDARD_GRAVITY_MPS2

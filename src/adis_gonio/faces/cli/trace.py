@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adis_gonio.base.counting import counted
+from adis_gonio.base.numbers import counted
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import WIDTH, console, print_json, working
 
@@ -100,7 +100,7 @@ def _items(screen: Console, heading: str, items: Sequence[str], numbered: bool =
 def _found(screen: Console, result: TraceResult) -> None:
     from rich.table import Table
 
-    from adis_gonio.base.numbers import percent
+    from adis_gonio.base.numbers import format_percent
     from adis_gonio.tracing import summary as words
 
     if not result.found:
@@ -116,7 +116,9 @@ def _found(screen: Console, result: TraceResult) -> None:
         for line in more:
             table.add_row("", "", _plain(line))
         if finding.explains or finding not in words.inside_only(result):
-            table.add_row("", "", _plain(f"explains {percent(finding.explains)} of the excess residual"))
+            table.add_row(
+                "", "", _plain(f"explains {format_percent(finding.explains)} of the excess residual")
+            )
         else:
             table.add_row(
                 "", "", _plain("inside the dwells; explains nothing of the residual of the means")

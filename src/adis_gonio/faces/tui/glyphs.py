@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from adis_gonio.base.numbers import DASH, format_fixed
+
 ROWS = 5
 
 _GLYPHS = {
@@ -42,4 +44,4 @@ def large(text: str, scale: int = 1) -> list[str]:
 
 def angle(value_deg: float | None) -> str:
     """An angle with its sign, to a hundredth; a dash for None."""
-    return "–" if value_deg is None else f"{value_deg:+.2f}°".replace("-", "−")
+    return DASH if value_deg is None else f"{format_fixed(value_deg, 2, sign=True)}°"

@@ -8,10 +8,10 @@ from enum import Enum
 from functools import singledispatchmethod
 from typing import Literal
 
-from adis_gonio.base.counting import counted
+from adis_gonio.base.arrays import wrap_degrees
+from adis_gonio.base.numbers import counted, format_fixed
 from adis_gonio.bench import events
 from adis_gonio.bench.guidance import face
-from adis_gonio.record.expectation import wrapped_deg
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
 
 MOST_MESSAGES = 100
@@ -298,7 +298,7 @@ class BenchState:
         """Angle on the turn that the stage has made since the last dwell; as it is without one."""
         if angle_deg is None or self._turned_deg is None:
             return angle_deg
-        self._turned_deg += wrapped_deg(angle_deg - self._turned_deg)
+        self._turned_deg += wrap_degrees(angle_deg - self._turned_deg)
         return self._turned_deg
 
     def _goes_on(self) -> None:
@@ -317,8 +317,8 @@ class BenchState:
         self._goes_on()
         self.turned = event
         lost = f", {event.lost} scans lost" if event.lost else ""
-        turned = f"{event.turned_deg:+.1f}°".replace("-", "−")
-        self.say(f"turned {turned} by the gyro in {event.length_s:.0f} s{lost}")
+        turned = format_fixed(event.turned_deg, 1, sign=True)
+        self.say(f"turned {turned}° by the gyro in {event.length_s:.0f} s{lost}")
 
     @take.register
     def _(self, event: events.Waiting) -> None:
@@ -349,10 +349,10 @@ class BenchState:
         self.zero_known |= event.position.angle_deg is not None
         self.place = None
         self.doing = f"{event.position} is done"
-        x, y, z = event.accel_mg
         lost = f", {event.lost} lost" if event.lost else ""
         lost += f", {event.alarms} with an error or alarm" if event.alarms else ""
-        mean = f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} mg".replace("-", "−")
+        each = zip("xyz", event.accel_mg, strict=True)
+        mean = ", ".join(f"{axis} {format_fixed(mg, 2, sign=True)}" for axis, mg in each) + " mg"
         on_table = self.plan is not None and self.plan.name == GYRO_TURNS
         place = (face(event.position) if on_table else "") or str(event.position)
         self.say(f"✓ {place}: {mean}{lost}")

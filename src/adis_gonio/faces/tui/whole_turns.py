@@ -6,7 +6,7 @@ rate counts, against what the gyros can show.
 
 from __future__ import annotations
 
-from adis_gonio.base.counting import counted
+from adis_gonio.base.numbers import counted, format_fixed
 from adis_gonio.bench import events
 from adis_gonio.bench.guidance import face
 from adis_gonio.bench.runner import SHARE_OF_RANGE
@@ -36,7 +36,7 @@ def place_name(position: Position) -> str:
     if position.turned_deg is None:
         return face(position)
     turns = counted(round(abs(position.turned_deg) / 360), "turn")
-    return f"{position.turned_deg:+.0f}°, {turns}".replace("-", "−")
+    return f"{format_fixed(position.turned_deg, 0, sign=True)}°, {turns}"
 
 
 def task(state: BenchState, question: events.PositionAsked) -> str:
@@ -69,14 +69,13 @@ def target(state: BenchState) -> str:
         return ""
     if position.turned_deg is None:
         return face(position)
-    goal = f"asked {_signed(position.turned_deg)}°"
+    goal = f"asked {format_fixed(position.turned_deg, 0, sign=True)}°"
     if state.whole is None:
         fastest = SHARE_OF_RANGE * state.range_dps
         return f"{goal} at {fastest:.0f} °/s at most ({360 / fastest:.0f} s a turn)"
-    turns = state.whole.turned_deg / 360.0
-    more = position.turned_deg - state.whole.turned_deg
-    so_far = f"{turns:+.2f} turns so far".replace("-", "−")
-    return f"{goal}   {so_far}   {_signed(more)}° to go"
+    turns = format_fixed(state.whole.turned_deg / 360.0, 2, sign=True)
+    more = format_fixed(position.turned_deg - state.whole.turned_deg, 0, sign=True)
+    return f"{goal}   {turns} turns so far   {more}° to go"
 
 
 def rate(state: BenchState, width: int) -> str:
@@ -87,7 +86,8 @@ def rate(state: BenchState, width: int) -> str:
     if whole is None:
         return ""
     beyond = "TOO FAST  " if too_fast(state) else ""
-    text = f"{beyond}{_signed(whole.rate_dps)} °/s, largest {whole.peak_dps:.0f} of {state.range_dps:.0f} "
+    now = format_fixed(whole.rate_dps, 0, sign=True)
+    text = f"{beyond}{now} °/s, largest {whole.peak_dps:.0f} of {state.range_dps:.0f} "
     return text + bar(whole.peak_dps / state.range_dps, width - len(text))
 
 
@@ -118,10 +118,6 @@ def _turn(turn: events.TurnDone | None) -> str:
     off = turn.turned_deg - 360.0 * round(turn.turned_deg / 360.0)
     lost = f", {turn.lost} scans lost" if turn.lost else ""
     return (
-        f"gyro {_signed(turn.turned_deg, 1)}° in {turn.length_s:.0f} s,\n"
-        f"{_signed(off, 1)}° off {counted(turn.turns, 'whole turn')}{lost}"
+        f"gyro {format_fixed(turn.turned_deg, 1, sign=True)}° in {turn.length_s:.0f} s,\n"
+        f"{format_fixed(off, 1, sign=True)}° off {counted(turn.turns, 'whole turn')}{lost}"
     )
-
-
-def _signed(value: float, digits: int = 0) -> str:
-    return f"{value:+.{digits}f}".replace("-", "−")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from adis_gonio.base.counting import counted
-from adis_gonio.base.numbers import uncertain, with_unit
+from adis_gonio.base.numbers import counted, format_duration, format_fixed, format_uncertain, use_minus
 from adis_gonio.bench import events
 from adis_gonio.bench.guidance import to_do
 from adis_gonio.faces.tui import whole_turns
@@ -23,7 +22,7 @@ def title(state: BenchState) -> str:
         return "adis-gonio"
     total = len(state.plan)
     settled = sum(state.mark(place) in _SETTLED for place in range(total))
-    left = "" if state.time_left_s is None else f", about {duration(state.time_left_s)} left"
+    left = "" if state.time_left_s is None else f", about {format_duration(state.time_left_s)} left"
     return f"{state.plan.name}: {settled} of {total} done{left} · {state.variant} · {state.path}"
 
 
@@ -93,7 +92,7 @@ def target(state: BenchState) -> str:
     if state.target_deg is None:
         return "free attitude: no angle to reach" if _is_free(state) else ""
     more, tolerance = state.more_deg, state.tolerance_deg
-    goal = f"target {_signless(state.target_deg)}°"
+    goal = f"target {use_minus(f'{state.target_deg:g}')}°"
     if not state.zero_known:
         return f"{goal}   this position sets the zero"
     if more is None or tolerance is None or state.passes:
@@ -103,7 +102,7 @@ def target(state: BenchState) -> str:
     if state.lost_way:
         return goal
     arrow, way = ("▶▶", "more") if more > 0 else ("◀◀", "back")
-    return f"{goal}   {arrow} turn {_signed(more, 1)}° {way}"
+    return f"{goal}   {arrow} turn {format_fixed(more, 1, sign=True)}° {way}"
 
 
 def _is_free(state: BenchState) -> bool:
@@ -130,7 +129,7 @@ def waiting(state: BenchState, silence_s: float = 0.0) -> str:
     if state.whole is not None:
         return whole_turns.waiting(state)
     if state.quiet and silence_s >= 1:
-        return f"for {duration(silence_s)} so far"
+        return f"for {format_duration(silence_s)} so far"
     return f"waits for {state.waits_for}" if state.waits_for else state.doing
 
 
@@ -163,7 +162,7 @@ def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[
     """Temperature and link, in lines; `silence_s` is how long nothing has come from the sensor."""
     lines = [_temperature(state)]
     if silence_s >= SILENT_S and not state.quiet:
-        lines.append(f"NO NEWS for {duration(silence_s)}")
+        lines.append(f"NO NEWS for {format_duration(silence_s)}")
     if state.rate_hz is not None:
         lines += [f"{state.lost} scans lost, {state.rate_hz:.4g}/s", state.link]
     url = state.url
@@ -175,12 +174,12 @@ def _turn(turn: events.TurnMeasured | None) -> str:
         return "–"
     said = []
     if turn.asked_deg is not None:
-        said.append(f"asked {_signed(turn.asked_deg, 1)}°")
+        said.append(f"asked {format_fixed(turn.asked_deg, 1, sign=True)}°")
     if turn.gyro_deg is not None:
         u = "" if turn.gyro_u_deg is None else f" ± {turn.gyro_u_deg:.1f}"
-        said.append(f"gyro {_signed(turn.gyro_deg, 1)}{u}°")
+        said.append(f"gyro {format_fixed(turn.gyro_deg, 1, sign=True)}{u}°")
     if turn.gravity_deg is not None:
-        said.append(f"gravity {_signed(turn.gravity_deg, 1)}°")
+        said.append(f"gravity {format_fixed(turn.gravity_deg, 1, sign=True)}°")
     return ", ".join(said) or "not watched"
 
 
@@ -194,33 +193,17 @@ def _running(running: events.Running | None) -> str:
     for name, symbol in _SYMBOLS.items():
         entry = running.parameters.get(name)
         if entry is not None:
-            said.append(f"{symbol} {with_unit(uncertain(entry['value'], entry['u']), entry['unit'])}")
+            said.append(f"{symbol} {format_uncertain(entry['value'], entry['u'], entry['unit'])}")
     if not said:
         return f"{counted(running.dwells, 'dwell')}, by {running.method}"
     return "\n".join(said) + f"   ({running.method}, {counted(running.dwells, 'dwell')})"
-
-
-def duration(seconds: float) -> str:
-    """A length of time, rounded as a person would say it."""
-    if seconds < 90:
-        return f"{max(1, round(seconds))} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
 def _temperature(state: BenchState) -> str:
     if state.temperature_c is None or state.began_c is None:
         return "temperature not measured"
     drift = state.temperature_c - state.began_c
-    return f"{state.temperature_c:.1f} °C, {_signed(drift, 1)} K since begin"
-
-
-def _signed(value: float, digits: int) -> str:
-    return f"{value:+.{digits}f}".replace("-", "−")
-
-
-def _signless(value: float) -> str:
-    return f"{value:g}".replace("-", "−")
+    return f"{state.temperature_c:.1f} °C, {format_fixed(drift, 1, sign=True)} K since begin"
 
 
 _UNITS = {
@@ -232,8 +215,8 @@ def measured(name: str, value: float) -> tuple[str, str]:
     """A number by a name that ends in its unit, such as `gyro_deg`, as words."""
     stem, _, unit = name.rpartition("_")
     if not stem or unit not in _UNITS:
-        return name.replace("_", " "), f"{value:.4g}".replace("-", "−")
-    return stem.replace("_", " "), f"{value:.4g}".replace("-", "−") + _UNITS[unit]
+        return name.replace("_", " "), use_minus(f"{value:.4g}")
+    return stem.replace("_", " "), use_minus(f"{value:.4g}") + _UNITS[unit]
 
 
 def keys(state: BenchState) -> list[tuple[str, str]]:

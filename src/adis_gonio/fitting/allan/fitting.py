@@ -13,11 +13,12 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.intervals import NORMAL_95
+from adis_gonio.base.levels import INADEQUATE, SLOW_NOISE
 from adis_gonio.base.values import Value
 from adis_gonio.device.sensor.bartlett import bartlett, response, rounding_covariance, white_gain
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.allan.deviation import curve
-from adis_gonio.fitting.allan.likelihood import LEVEL, Likelihood, Profile, profile
+from adis_gonio.fitting.allan.likelihood import Likelihood, Profile, profile
 from adis_gonio.fitting.allan.lines import SpectralLine, without_lines
 from adis_gonio.fitting.allan.ordinates import Ordinates, ordinates, together
 from adis_gonio.fitting.allan.processes import KINDS, Kind
@@ -32,8 +33,6 @@ _PASSED = 0.01
 """Least |H|² of the chip's filter that is fitted: beyond it rounding and the ends of a record show."""
 _FINE = 0.5
 """Noise in steps of the converter from which rounding adds to it and no more."""
-_ODD = 0.01
-"""Adequacy below which a narrower band is tried."""
 _BANDS = ((0.04, 0.3), (0.3, 1.0))
 """Parts of the band in which records are compared: above their slow noise."""
 _LOUDER = 1.1
@@ -174,7 +173,7 @@ def _widest(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
     while True:
         inside = data.below(band)
         tried.append(_fitted(inside, band, kinds))
-        if tried[-1].adequacy >= _ODD:
+        if tried[-1].adequacy >= INADEQUATE:
             return tried[-1]
         band /= 2
         if data.below(band).weight.sum() < LEAST / 2:
@@ -254,7 +253,7 @@ def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
     """Squared coefficients of the curve: without what is not present, unless the data need one of both."""
     lacking = [kind for kind, found in profiles.items() if not found.present and kind != "white"]
     absent = {KINDS.index(kind): 0.0 for kind in lacking}
-    if {2, 3} <= absent.keys() and _slow(fitted) < LEVEL:
+    if {2, 3} <= absent.keys() and _slow(fitted) < SLOW_NOISE:
         absent.pop(2)
         absent.pop(3)
     return fitted.likelihood.maximum(fitted.theta.copy(), absent)[0]

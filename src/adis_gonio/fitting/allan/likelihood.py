@@ -17,10 +17,9 @@ from scipy import optimize, stats
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.intervals import NORMAL_95
+from adis_gonio.base.levels import SLOW_NOISE
 from adis_gonio.fitting.allan.ordinates import Ordinates
 
-LEVEL = 0.025
-"""Chance of a false claim: the one-sided level at which the interval of 95 % leaves zero."""
 _POWER_90 = 1.2815515655446004
 _STEPS, _CLOSE = 60, 1e-7
 _CELLS, _LEAST_CELL = 24, 16
@@ -54,7 +53,7 @@ class Profile:
     @property
     def present(self) -> bool:
         """The data refuse that it is absent."""
-        return self.p_value < LEVEL
+        return self.p_value < SLOW_NOISE
 
     @property
     def dof(self) -> float:
@@ -224,7 +223,7 @@ def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> 
     top = theta[index] + NORMAL_95 * max(u_squared, 1e-12 * likelihood.scale[index])
     high = _root_above(beyond, max(theta[index], 0.0), top)
     low = 0.0
-    if p_value < LEVEL:
+    if p_value < SLOW_NOISE:
         low = _root_below(beyond, float(theta[index]))
     return Profile(
         value=sigma,

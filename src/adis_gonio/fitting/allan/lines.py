@@ -11,9 +11,8 @@ from scipy import fft, signal
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import Record
+from adis_gonio.base.levels import LINE_IN_NOISE
 
-CHANCE = 1e-4
-"""That noise alone shows a line in a record."""
 MOST = 12
 _LOWEST = 24
 """Cycles a record below which a line cannot be told from slow noise."""
@@ -81,7 +80,7 @@ def _peak(record: Floats, highest: float, taken: NDArray[np.bool_]) -> tuple[flo
     ratio = np.where(taken[_LOWEST:last], 0.0, power[_LOWEST:last] / level)
     at = int(ratio.argmax())
     # Exponential about its level, which is the mean of some ninety neighbours.
-    if ratio[at] < 1.35 * math.log(len(ratio) / CHANCE):
+    if ratio[at] < 1.35 * math.log(len(ratio) / LINE_IN_NOISE):
         return None
     k = at + _LOWEST
     side = 1 if power[k + 1] > power[k - 1] else -1

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError
+from adis_gonio.base.numbers import counted
 
 
 def conic_through(points: Floats) -> tuple[Floats, Floats]:

@@ -16,14 +16,13 @@ import numpy as np
 from scipy import stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.levels import COMMON_DIVISOR
 from adis_gonio.model.records import Dwell
 
 _PILE, _STEEP = 20, 5
 """Least samples at an extreme value, and least ratio to the value next to it, that show a limit."""
 _LEAST_VALUES = 20
 """Values that an axis takes, below which its extremes are no evidence: noise of a coarse converter."""
-_BY_CHANCE = 1e-6
-"""Chance at which differences of words may have a common divisor without a reason."""
 _LIVELY = 0.6
 """Noise in steps of the converter below which samples pile up everywhere (an edge between two codes gives
 0.5)."""
@@ -170,7 +169,7 @@ def steps_of(dwells: Sequence[Floats]) -> Floats:
         if not number:
             continue
         if divisor > 0:
-            steps[axis] = divisor if float(divisor) ** -number < _BY_CHANCE else 1.0
+            steps[axis] = divisor if float(divisor) ** -number < COMMON_DIVISOR else 1.0
         else:
             steps[axis] = least
     return steps

@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, FitError
+from adis_gonio.base.numbers import name_positions
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.conic import conic_through
 from adis_gonio.fitting.estimation.converter import Converter, converter_of, steps_of
@@ -380,10 +381,9 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
     if 1 / OFF_UNIT < length < OFF_UNIT:
         odd = readings.position[np.abs(lengths / length - 1) > UNEQUAL].tolist()
         if odd and session.accel_unit != "counts":
-            which = f"position{'s' if len(odd) > 1 else ''} {', '.join(map(str, odd[:8]))}"
             raise DataError(
-                f"{session.source or 'session'}: readings of {which} are not 1 g long as the others: an "
-                "axis is dead or saturated, or the part was not at rest; leave such dwells out"
+                f"{session.source or 'session'}: readings of {name_positions(odd)} are not 1 g long as the"
+                " others: an axis is dead or saturated, or the part was not at rest; leave such dwells out"
             )
         return
     also = "; a plane that is turned has to be vertical" if session.plane == "xy" and length < 1 else ""

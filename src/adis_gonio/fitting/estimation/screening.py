@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import DataError
+from adis_gonio.base.numbers import counted, name_positions
 from adis_gonio.fitting.estimation.converter import Limit, steps_of
 from adis_gonio.model.records import Dwell, Session
 
@@ -52,7 +52,7 @@ def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: flo
     where = f"{session.source}: " if session.source else ""
     if zero:
         raise DataError(
-            f"{where}all-zero accelerations in {_positions(zero)}; nothing drove the data line: "
+            f"{where}all-zero accelerations in {name_positions(zero)}; nothing drove the data line: "
             "check wiring and supply and record again"
         )
     at_limit = _at_limit(dwells, limits, None if mg_per_unit is None else session.gravity_mg / mg_per_unit)
@@ -68,8 +68,8 @@ def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: flo
         ]
     if stuck:
         raise DataError(
-            f"{where}stuck data in {_positions(stuck)}: words repeat where a working sensor shows noise "
-            "or follows the rotation; check the sensor and record again"
+            f"{where}stuck data in {name_positions(stuck)}: words repeat where a working sensor shows"
+            " noise or follows the rotation; check the sensor and record again"
         )
 
 
@@ -77,14 +77,13 @@ def limits_in_words(limits: Sequence[Limit], unit: str) -> list[str]:
     """A sentence for each limit: what clips has no mean."""
     lines = []
     for limit in limits:
-        where = f"the extreme value {limit.value:g} {unit} ({_positions(limit.positions)})"
+        where = f"the extreme value {limit.value:g} {unit} ({name_positions(limit.positions)})"
         samples = f"{counted(limit.samples, 'sample')} of {'xyz'[limit.axis]}"
         line = f"{samples} stand at {where}: a limit was reached there"
         if limit.spoiled:
             word = "takes" if len(limit.spoiled) == 1 else "take"
-            line += (
-                f", a mean is not the reading, and {_positions(limit.spoiled)} {word} no part in the fit"
-            )
+            where = name_positions(limit.spoiled)
+            line += f", a mean is not the reading, and {where} {word} no part in the fit"
         lines.append(line)
     return lines
 
@@ -152,8 +151,3 @@ def _same_everywhere(dwells: Sequence[Dwell]) -> list[int]:
     gap = np.abs(np.diff(angles))
     bad = np.flatnonzero((words[1:] == words[:-1]).all(axis=1) & (gap > 5) & (gap < 355))
     return sorted({constant[k + side].position for k in bad.tolist() for side in (0, 1)})
-
-
-def _positions(numbers: Sequence[int]) -> str:
-    shown = ", ".join(str(number) for number in numbers[:8])
-    return f"position{'s' if len(numbers) > 1 else ''} {shown}{' and others' if len(numbers) > 8 else ''}"

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError
+from adis_gonio.base.numbers import counted
 from adis_gonio.fitting.free_turn.windows import TurnRecording, Windows
 from adis_gonio.model.sweeps import Sweeps
 

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import DataError, FitError
 from adis_gonio.base.intervals import effective_dof, factor_over
 from adis_gonio.base.values import Value
@@ -249,7 +249,7 @@ def _outputs(solution: Solution, windows: Windows) -> tuple[list[str], list[floa
     rows: list[tuple[str, float, Floats, str]] = [
         ("delta_k", k_x / k_y - 1, common["scale_x"] / k_y - common["scale_y"] * k_x / k_y**2, "1"),
         ("delta_phi", value["delta_phi"] * degrees, common["delta_phi"] * degrees, "deg"),
-        ("alpha", (at_start + 180) % 360 - 180, alpha * degrees, "deg"),
+        ("alpha", wrap_degrees(at_start), alpha * degrees, "deg"),
         *((name, value[name], common[name], unit) for name, unit in _PLAIN),
         ("gyro_scale_z", 1 / gain, -common["gyro_gain_z"] / gain**2, "1"),
         *(

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.values import Value
 from adis_gonio.model.measurement import SKEW_AXES
 
@@ -68,12 +68,10 @@ def alignment(
     misalignments = np.zeros((3, 3))
     for (k, j), name in zip(MISALIGNMENTS, names_of_angles, strict=True):
         misalignments[k, j] = parameters[name].value
-    slope = np.empty((6, len(MISALIGNMENTS)))
-    for column, (k, j) in enumerate(MISALIGNMENTS):
-        step = np.zeros((3, 3))
-        step[k, j] = _STEP_DEG
-        change = rotation_and_skews_deg(misalignments + step) - rotation_and_skews_deg(misalignments - step)
-        slope[:, column] = change / (2 * _STEP_DEG)
+    own = np.zeros((len(MISALIGNMENTS), 3, 3))
+    for row, place in enumerate(MISALIGNMENTS):
+        own[row][place] = 1.0
+    slope = central_differences(rotation_and_skews_deg, misalignments, _STEP_DEG, own)
     variance = slope @ covariance[np.ix_(rows, rows)] @ slope.T
     dof = min(parameters[name].dof or math.inf for name in names_of_angles)
     found = rotation_and_skews_deg(misalignments)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import UsageError
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.measurement import SKEW_AXES, sensitivity
@@ -90,11 +90,9 @@ class Axes:
 
     def modes(self, force_g: Floats) -> Floats:
         """Change (3, k) of the unit direction of a reading by each of the factor's directions."""
-        changes = []
-        for step in _STEP * self.factor.T:
-            ways = (_unit(_direction(self.values + sign * step, force_g)) for sign in (1.0, -1.0))
-            changes.append((next(ways) - next(ways)) / (2 * _STEP))
-        return np.array(changes).T
+        return central_differences(
+            lambda values: _unit(_direction(values, force_g)), self.values, _STEP, self.factor.T
+        )
 
     def u_rad(self) -> float:
         """Of a direction, each way across it: the mean over the axes' own."""

@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.showing import Entries, ParameterTable, with_u
+from adis_gonio.base.levels import INADEQUATE
+from adis_gonio.base.numbers import counted, format_uncertain
+from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.values import Value
 from adis_gonio.fitting.estimation.fit import Fit, Values, adequacy
 from adis_gonio.fitting.estimation.parts import GYRO, readings_of_part
@@ -60,8 +61,6 @@ TIME_BASE_U = 50e-6 / math.sqrt(3)
 """Relative standard uncertainty of the samples' times: a crystal of ±50 ppm, uniform (an estimate, D; the
 chip's own clock does not count, since times are the host's). An angle is rate times time: it is the same in
 all gains."""
-LEVEL = 0.01
-"""Level at which a residual is too large for the noise that was measured, as in a trace."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +148,7 @@ class GyroFit(ParameterTable):
 
     def __repr__(self) -> str:
         told = ", ".join(
-            f"{name} {with_u(self[name].value, self[name].u, self[name].unit)}"
+            f"{name} {format_uncertain(self[name].value, self[name].u, self[name].unit)}"
             for name in list(self.parameters)[:3]
         )
         return f"GyroFit({self.held}, {told})"
@@ -400,7 +399,7 @@ def _inflation(model: _Model) -> dict[str, tuple[float, float]]:
             for name, free in zip(model.names, model.free, strict=True)
         )
         chi2, dof = float((fit.residual[:, k] ** 2).sum()), len(data) - own
-        agrees = dof <= 0 or adequacy(chi2, dof, data.noise_dof) >= LEVEL / len(AXES)
+        agrees = dof <= 0 or adequacy(chi2, dof, data.noise_dof) >= INADEQUATE / len(AXES)
         out[axis] = (1.0, data.noise_dof) if agrees else (chi2 / dof, float(min(dof, data.noise_dof)))
     return out
 

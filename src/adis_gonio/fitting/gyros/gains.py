@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.base.showing import with_u
+from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.base.values import Value
 from adis_gonio.fitting.estimation.parts import GYRO, readings_of_part
 from adis_gonio.fitting.gyros.fit import GyroFit, fit_gyro_readings
@@ -38,7 +37,7 @@ class Gains:
     def line(self) -> str:
         """`gain of gyro Z by 3 turns between dwells: 1.0098 ± 0.0004`."""
         told = ", ".join(
-            f"{name.removeprefix(_STEM).upper()} {with_u(value.value, value.u, value.unit)}"
+            f"{name.removeprefix(_STEM).upper()} {format_uncertain(value.value, value.u, value.unit)}"
             for name, value in self.values.items()
         )
         gyros = "gyro" if len(self.values) == 1 else "gyros"

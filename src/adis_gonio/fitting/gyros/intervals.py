@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.counting import counted, runs
 from adis_gonio.base.errors import DataError
+from adis_gonio.base.numbers import counted, format_ranges
 from adis_gonio.device.sensor.variants import GYRO_LSB_DPS, VARIANTS
 from adis_gonio.fitting.estimation.converter import steps_of
 from adis_gonio.fitting.estimation.flicker import spans
@@ -263,7 +263,8 @@ def gyro_dwells_of(session: Session) -> GyroDwells:
 def _in_words(refused: dict[str, list[int]]) -> tuple[str, ...]:
     """Turns that were refused, those for one reason together."""
     return tuple(
-        f"turn{'s' if len(ends) > 1 else ''} to dwell {runs(ends)}: {why}" for why, ends in refused.items()
+        f"turn{'s' if len(ends) > 1 else ''} to dwell {format_ranges(ends)}: {why}"
+        for why, ends in refused.items()
     )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.gyros.attitude import PARAMETERS
 from adis_gonio.model.effects.base import AXES
@@ -77,11 +77,7 @@ class GyroPrior:
         known = _known(gyros)
         matrix = np.zeros((len(gyros.parameters),) * 2) if gyros.covariance is None else gyros.covariance
         begin = gyros.values
-        slope = np.zeros((PARAMETERS, len(begin)))
-        for k in range(len(begin)):
-            step = np.zeros(len(begin))
-            step[k] = _STEP
-            slope[:, k] = (_stated(gyros, begin + step) - _stated(gyros, begin - step)) / (2 * _STEP)
+        slope = central_differences(lambda values: _stated(gyros, values), begin, _STEP)
         values[known] = _stated(gyros, begin)[known]
         # What both say of is said by the calibration alone.
         covariance[known, :] = covariance[:, known] = 0.0

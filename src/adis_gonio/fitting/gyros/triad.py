@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, mean_direction, wrap_degrees
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, mg_per_unit, readings_of
@@ -143,9 +143,8 @@ def _with_declared(readings: Readings, psi: Floats, u: Floats) -> dict[int, tupl
     shown = dict(zip(readings.position.tolist(), zip(psi.tolist(), u.tolist(), strict=True), strict=True))
     if not readings.fixture_stated or not 0 < sigma < math.inf or not np.isfinite(theta).all():
         return shown
-    turn = np.angle(np.exp(1j * np.radians(psi + theta)))
-    alpha = float(np.degrees(np.angle(np.exp(1j * turn).mean())))
-    off = (psi + theta - alpha + 180.0) % 360.0 - 180.0
+    alpha = math.degrees(mean_direction(np.radians(psi + theta)))
+    off = wrap_degrees(psi + theta - alpha)
     agrees = np.abs(off) < CONSISTENT * np.hypot(u, sigma)
     weight = np.where(agrees, u**2 / (u**2 + sigma**2), 0.0)
     better = psi - weight * off

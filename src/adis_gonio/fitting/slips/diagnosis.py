@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_degrees, wrap_radians
+from adis_gonio.base.levels import CREDIBLE_SET
 from adis_gonio.fitting.slips.angles import Angles
 from adis_gonio.fitting.slips.evidence import Beside, ScatterPoint, Weighed, Whitened, scatters, weigh
 from adis_gonio.fitting.slips.faults import ACCUSED, Name, Pattern, patterns_of
@@ -16,12 +17,9 @@ from adis_gonio.fitting.slips.finding import Angle, Named, PositionFinding
 from adis_gonio.fitting.slips.meant import may_have_been_meant
 from adis_gonio.fitting.slips.rows import BASE, BelievedParameters, Rows, calibrated_by_length, rows_at
 from adis_gonio.fitting.slips.sight import Detectability
-from adis_gonio.model.measurement import wrap_rad
 
 CERTAIN = 0.99
 """Posterior from which a position is accused."""
-SET_LEVEL = 0.95
-"""Probability that a set of names holds."""
 MOST_FAULTS = 6
 LARGEST = 120
 """Dwells beyond which a session is not looked at: the covariance of all rows is worked out as a whole."""
@@ -178,7 +176,7 @@ def _set_of_names(
         share = math.exp(value - total)
         kept.append(Named(name, tuple(position[j] for j in patterns[k].dwells), share))
         held += share
-        if held >= SET_LEVEL:
+        if held >= CREDIBLE_SET:
             break
     return tuple(kept)
 
@@ -266,7 +264,7 @@ class _Speaker:
         near = 3 * math.hypot(stood[1], math.degrees(self.scatter.position_rad))
         angle = declared + stood[0]
         for candidates in (may_have_been_meant(declared, others), (float(round(angle)),)):
-            off = {c: abs((c - angle + 180) % 360 - 180) for c in candidates}
+            off = {c: abs(wrap_degrees(c - angle)) for c in candidates}
             good = [c for c in candidates if off[c] < near]
             if good:
                 # Of 270 and -90 the one that is among the others.
@@ -278,11 +276,11 @@ class _Speaker:
         rows, beside = self.rows, self._beside
         columns = rows.design[k]
         p = len(columns)
-        about = wrap_rad(rows.seen_rad[k] + beside.error_rad[k] - beside.zero_rad)
+        about = wrap_radians(rows.seen_rad[k] + beside.error_rad[k] - beside.zero_rad)
         e = beside.error_rad[k] - (about - float(columns @ mean[:p]))
         own = float(rows.noise[k, k]) + self.scatter.reading**2
         u = math.sqrt(own + float(columns @ covariance[:p, :p] @ columns))
-        return math.degrees(float(wrap_rad(np.array(e)))), math.degrees(u)
+        return math.degrees(float(wrap_radians(np.array(e)))), math.degrees(u)
 
     def _gyro(self, k: int, mean: Floats, covariance: Floats, error: Floats) -> Angle | None:
         """E by the turn from the dwell before, or to the one after where that was not watched."""
@@ -300,7 +298,7 @@ class _Speaker:
             e = start + sign * (turned - asked)
             spread = float(rows.noise[row, row]) + self.scatter.position_rad**2
             u = math.sqrt(spread + float(columns @ covariance[:p, :p] @ columns))
-            return math.degrees(float(wrap_rad(np.array(e)))), math.degrees(u)
+            return math.degrees(float(wrap_radians(np.array(e)))), math.degrees(u)
         return None
 
 
@@ -318,7 +316,7 @@ def _together(found: Sequence[Angle | None]) -> Angle:
     known = [one for one in found if one is not None]
     weights = np.array([1 / max(u, 1e-6) ** 2 for _, u in known])
     first = known[0][0]
-    values = np.array([first + (value - first + 180) % 360 - 180 for value, _ in known])
+    values = np.array([first + wrap_degrees(value - first) for value, _ in known])
     return float((weights * values).sum() / weights.sum()), float(1 / math.sqrt(weights.sum()))
 
 

@@ -16,10 +16,9 @@ from functools import cached_property
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.fitting.slips.faults import PUSH_MG, Name, Pattern
 from adis_gonio.fitting.slips.rows import Rows, common_zero
-from adis_gonio.model.measurement import wrap_rad
 
 NOWHERE_RAD = 10.0
 """Standard deviation of the error of an angle that is not declared."""
@@ -98,7 +97,7 @@ class Beside:
     def of(cls, rows: Rows, accepted: Sequence[Pattern]) -> Beside:
         """Of patterns that were accepted; of none the session as it is declared."""
         error = sum((p.error_rad for p in accepted), np.zeros(len(rows)))
-        zero = common_zero(wrap_rad(rows.seen_rad + error)[rows.declared])
+        zero = common_zero(wrap_radians(rows.seen_rad + error)[rows.declared])
         return cls(
             error, zero, np.hstack([np.zeros((len(rows.stands), 0)), *(p.columns for p in accepted)])
         )

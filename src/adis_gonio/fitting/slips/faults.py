@@ -24,11 +24,10 @@ from typing import Literal
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.fitting.slips.halts import Halts
 from adis_gonio.fitting.slips.meant import may_have_been_meant
 from adis_gonio.fitting.slips.rows import Rows, common_zero
-from adis_gonio.model.measurement import wrap_rad
 
 Name = Literal["mistyped", "misset", "swapped", "slipped", "reversed", "gravity_wrong", "gyro_wrong"]
 
@@ -99,7 +98,7 @@ class Pattern:
 
 def patterns_of(rows: Rows, before_rad: Floats) -> list[Pattern]:
     """All patterns beside errors (n,) that are known already."""
-    seen = wrap_rad(rows.seen_rad + before_rad)
+    seen = wrap_radians(rows.seen_rad + before_rad)
     zero = common_zero(seen[rows.declared])
     found = list(_single(rows, seen, zero))
     found += _slipped(rows, seen)
@@ -120,7 +119,7 @@ def _single(rows: Rows, seen: Floats, zero: float) -> Iterator[Pattern]:
     for k in places:
         unit = np.zeros(len(rows))
         unit[k] = 1.0
-        amplitude = -float(wrap_rad(seen[k] - zero))
+        amplitude = -float(wrap_radians(seen[k] - zero))
         declared = float(np.degrees(rows.declared_rad[k]))
         listed = np.radians(np.array(may_have_been_meant(declared, others)) - declared)
         names: dict[Name, tuple[float, AmplitudePrior | None]] = {
@@ -138,7 +137,7 @@ def _slipped(rows: Rows, seen: Floats) -> Iterator[Pattern]:
         if not (declared & later).any() or not (declared & ~later).any():
             continue
         zero = common_zero(seen[declared & ~later])
-        amplitude = -float(wrap_rad(np.array(common_zero(seen[declared & later]) - zero)))
+        amplitude = -float(wrap_radians(np.array(common_zero(seen[declared & later]) - zero)))
         unit = later.astype(float)
         halts = rows.halts.get(k)
         size = _any_size if halts is None else partial(_slipped_on, halts)
@@ -150,13 +149,13 @@ def _swapped(rows: Rows, before_rad: Floats, seen: Floats, zero: float) -> Itera
     places = _declared(rows)
     pairs = len(places) * (len(places) - 1) / 2
     stands = rows.declared_rad + before_rad
-    left = wrap_rad(seen - zero)
+    left = wrap_radians(seen - zero)
     for a, i in enumerate(places):
         for j in places[a + 1 :]:
-            apart = float(wrap_rad(stands[j] - stands[i]))
+            apart = float(wrap_radians(stands[j] - stands[i]))
             error = np.zeros(len(rows))
             error[i], error[j] = apart, -apart
-            near = np.abs(wrap_rad(left + error)[[i, j]]).max() < NEAR_RAD
+            near = np.abs(wrap_radians(left + error)[[i, j]]).max() < NEAR_RAD
             if abs(apart) > LEAST_SLIP_RAD and near:
                 yield _fixed(rows, "swapped", (i, j), error, SHARE["swapped"] / pairs, zero)
 
@@ -167,8 +166,8 @@ def _reversed(rows: Rows, before_rad: Floats, zero: float) -> Iterator[Pattern]:
     for k in range(1, n):
         error = np.where(np.arange(n) >= k, -2 * (stands - stands[k - 1]), 0.0)
         error[~rows.declared] = 0.0
-        if np.abs(wrap_rad(error)).max() > LEAST_SLIP_RAD:
-            own = common_zero(wrap_rad(rows.seen_rad + before_rad + error)[rows.declared])
+        if np.abs(wrap_radians(error)).max() > LEAST_SLIP_RAD:
+            own = common_zero(wrap_radians(rows.seen_rad + before_rad + error)[rows.declared])
             yield _fixed(rows, "reversed", (k,), error, SHARE["reversed"] / (n - 1), own)
 
 
@@ -206,20 +205,20 @@ def _gyro(rows: Rows, zero: float) -> Iterator[Pattern]:
 
 def _any_size(estimate: Floats, u: Floats) -> Floats:
     """Each order of magnitude of a slip is as likely as another, up to half a turn."""
-    size = np.maximum(np.maximum(np.abs(wrap_rad(estimate)), u), LEAST_SLIP_RAD)
+    size = np.maximum(np.maximum(np.abs(wrap_radians(estimate)), u), LEAST_SLIP_RAD)
     density = 1 / (2 * size * (1 + math.log(math.pi / LEAST_SLIP_RAD)))
     return np.asarray(np.log(density * u * math.sqrt(2 * math.pi)))
 
 
 def _slipped_on(halts: Halts, estimate: Floats, u: Floats) -> Floats:
     """Any size, and by how the part came there."""
-    return _any_size(estimate, u) + halts.log_odds(wrap_rad(estimate), u)
+    return _any_size(estimate, u) + halts.log_odds(wrap_radians(estimate), u)
 
 
 def _typed(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
     """On the list, a whole degree, or anywhere."""
     spread = u * math.sqrt(2 * math.pi)
-    on_list = np.exp(-0.5 * (wrap_rad(listed_rad[:, None] - estimate) / u) ** 2).mean(axis=0)
+    on_list = np.exp(-0.5 * (wrap_radians(listed_rad[:, None] - estimate) / u) ** 2).mean(axis=0)
     meant = declared_deg + np.degrees(estimate)
     off = np.radians(meant - np.rint(meant))
     anywhere = spread / (2 * math.pi)

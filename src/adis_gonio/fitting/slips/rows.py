@@ -20,11 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.fitting.slips.angles import Angles
 from adis_gonio.fitting.slips.halts import Halts
 from adis_gonio.model.effects import Conditions, Enters, catalogue
-from adis_gonio.model.measurement import PlanarTurn, wrap_rad
+from adis_gonio.model.measurement import PlanarTurn
 
 GAIN = 0.02
 """Standard deviation of a gain (CHIP, B: ±2 %)."""
@@ -107,16 +107,16 @@ class Rows:
 
     def observed(self, error_rad: Floats, zero_rad: float) -> Floats:
         """What is left (m,) of the rows if the part stands at θ + `error_rad` (n,) and α is `zero_rad`."""
-        angle = wrap_rad(self.seen_rad + error_rad - zero_rad)
+        angle = wrap_radians(self.seen_rad + error_rad - zero_rad)
         asked = (self.declared_rad + error_rad)[self.turn] - (self.declared_rad + error_rad)[self.turn - 1]
-        return np.concatenate([angle, self.length, wrap_rad(self.gyro_rad - asked)])
+        return np.concatenate([angle, self.length, wrap_radians(self.gyro_rad - asked)])
 
 
 def common_zero(angle_rad: Floats) -> float:
     """The angle from which most others are least away (a median on the circle); 0 of none."""
     if not len(angle_rad):
         return 0.0
-    apart = np.abs(wrap_rad(angle_rad[:, None] - angle_rad[None, :])).sum(axis=0)
+    apart = np.abs(wrap_radians(angle_rad[:, None] - angle_rad[None, :])).sum(axis=0)
     return float(angle_rad[int(np.argmin(apart))])
 
 
@@ -200,7 +200,7 @@ def rows_at(angles: Angles, calibration: BelievedParameters) -> Rows:
     seen_by = near.psi_rad + (near.along * near.left_mg).sum(axis=1)
     declared = np.isfinite(angles.declared_rad)
     given = np.where(declared, angles.declared_rad, 0.0)
-    zero = common_zero(wrap_rad(seen_by + given)[declared])
+    zero = common_zero(wrap_radians(seen_by + given)[declared])
     theta = np.where(declared, given, zero - seen_by)
     added, turned, sizes = _beside(replace(angles, declared_rad=theta), near)
     reading = np.concatenate([near.base, added], axis=2)
@@ -232,7 +232,7 @@ def rows_at(angles: Angles, calibration: BelievedParameters) -> Rows:
             noise[own + a * n, own + b * n] = pairs[:, a, b]
     noise[2 * n + np.arange(g), 2 * n + np.arange(g)] = gyro_u**2
     return Rows(
-        wrap_rad(seen_by + theta),
+        wrap_radians(seen_by + theta),
         (near.across * near.left_mg).sum(axis=1),
         gyro,
         turn,
@@ -297,7 +297,7 @@ def _beside(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
 
 def _by_gravity(conditions: Conditions, near: _Local, angles: Angles) -> Conditions:
     """Conditions at the angles that gravity shows: a declared one may be what is wrong."""
-    zero = common_zero(wrap_rad(near.psi_rad + angles.declared_rad))
+    zero = common_zero(wrap_radians(near.psi_rad + angles.declared_rad))
     stands = zero - near.psi_rad
     before = np.concatenate([stands[:1], stands[:-1]])
     return replace(conditions, angle_rad=stands, previous_angle_rad=before)

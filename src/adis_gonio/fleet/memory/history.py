@@ -13,13 +13,12 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import Record, json_object
+from adis_gonio.base.levels import DRIFTING
 from adis_gonio.base.values import Value
 from adis_gonio.fleet.memory.control_chart import CUSUM_H, CUSUM_K, ControlChart, control_chart
 from adis_gonio.fleet.memory.drift import Drift, drift_of
 from adis_gonio.fleet.record import ANGLE, QUANTITIES, SessionRecord
 
-LEVEL = 0.05
-"""Probability of calling a drift where none is, over all quantities of a sensor together (Bonferroni)."""
 _IN_PLANE = ("delta_k", "delta_phi", "bias_x", "bias_y")
 _DAY_S = 86400.0
 
@@ -47,7 +46,7 @@ class Track(Record):
     chart : ControlChart or None
         None with fewer than two.
     drifts : bool
-        True where the slope differs from zero at `LEVEL` over all quantities.
+        True where the slope differs from zero at `DRIFTING` over all quantities.
     """
 
     document_keys = ("unit", "sessions", "values", "drift", "drifts", "chart")
@@ -220,5 +219,5 @@ def _stated(value: Value | None) -> bool:
 def _judged(track: Track, tested: int) -> Track:
     from dataclasses import replace
 
-    found = track.drift is not None and track.drift.p_value * tested <= LEVEL
+    found = track.drift is not None and track.drift.p_value * tested <= DRIFTING
     return replace(track, drifts=found)

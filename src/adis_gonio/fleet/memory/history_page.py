@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from adis_gonio.base.numbers import label_quantity
 from adis_gonio.base.version import __version__
 from adis_gonio.fleet.memory import words
 from adis_gonio.fleet.memory.history import History, Track
@@ -48,7 +49,7 @@ def _section(track: Track, history: History) -> Section:
         f"{text[:1].upper()}{text[1:]}."
         for text in (*words.of_drift(track), *words.of_chart(track, history))
     ]
-    return Section(words.named(track), words=said, figures=figures)
+    return Section(label_quantity(track.name, track.unit), words=said, figures=figures)
 
 
 def _years(track: Track) -> np.ndarray:
@@ -68,7 +69,7 @@ def _over_time(track: Track) -> Figure:
     if track.chart is not None:
         for limit, label in ((track.chart.low, "3σ limits"), (track.chart.high, "")):
             series.append(Series(x, limit, label, role="model", style="line"))
-    name = words.named(track)
+    name = label_quantity(track.name, track.unit)
     drawn = plot(series, "year", name, title=f"{name} over time")
     caption = "Value of each session with U" + ("; limits from all before it." if track.chart else ".")
     return Figure(drawn, caption)
@@ -84,7 +85,13 @@ def _cusum(track: Track) -> Figure:
         Series(number, chart.down, "down", role="before", style="line"),
         Series(number, limit, f"limit {chart.h:.3g}", role="model", style="line"),
     ]
-    drawn = plot(series, "session", "CUSUM / σ", title=f"CUSUM of {words.named(track)}", zero=True)
+    drawn = plot(
+        series,
+        "session",
+        "CUSUM / σ",
+        title=f"CUSUM of {label_quantity(track.name, track.unit)}",
+        zero=True,
+    )
     return Figure(
         drawn, f"Sums of differences beyond {chart.k:g} σ; over the limit the quantity has changed."
     )

@@ -6,28 +6,27 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adis_gonio.base.counting import counted
-from adis_gonio.base.numbers import p_text
+from adis_gonio.base.levels import DRIFTING
+from adis_gonio.base.numbers import (
+    DASH,
+    NAMES,
+    counted,
+    format_p,
+    format_uncertain,
+    format_unit,
+    label_quantity,
+    use_minus,
+)
 from adis_gonio.base.values import Value
-from adis_gonio.base.wording import NAMES, decimals, fixed
-from adis_gonio.fleet.memory.history import LEVEL, History, Track, date_of
+from adis_gonio.fleet.memory.history import History, Track, date_of
 from adis_gonio.fleet.record import SessionRecord
 
 _ROWS = 9
 
 
-def named(track: Track) -> str:
-    """Name and unit, such as `Δφ / °`."""
-    unit = {"deg": "°", "1": ""}.get(track.unit, track.unit)
-    return NAMES.get(track.name, track.name) + (f" / {unit}" if unit else "")
-
-
-def told(value: Value) -> str:
-    """`value ± U` by two digits of U."""
-    if value.u is None or value.U is None:
-        return f"{value.value:.6g}, u unknown"
-    digits = decimals(value.U)
-    return f"{fixed(value.value, digits)} ± {fixed(value.U, digits)}"
+def format_expanded(value: Value) -> str:
+    """Value ± U without unit."""
+    return format_uncertain(value.value, value.U)
 
 
 def of_drift(track: Track) -> list[str]:
@@ -35,14 +34,14 @@ def of_drift(track: Track) -> list[str]:
     drift = track.drift
     if drift is None:
         return []
-    unit = drift.slope.unit.replace("deg", "°").removeprefix("1/")
+    unit = format_unit(drift.slope.unit).removeprefix("1/")
     said = "drifts" if track.drifts else "no drift shown"
-    rate = f"{told(drift.slope)} {'a year' if unit == 'a' else unit}"
-    lines = [f"{said}: {rate} (U, 95 %), {p_text(drift.p_value)}"]
-    if drift.birge_p < LEVEL:
+    rate = f"{format_expanded(drift.slope)} {'a year' if unit == 'a' else unit}"
+    lines = [f"{said}: {rate} (U, 95 %), {format_p(drift.p_value)}"]
+    if drift.birge_p < DRIFTING:
         lines.append(
             f"sessions scatter by more than their u: {drift.between:.2g} between sessions "
-            f"(Birge ratio {drift.birge:.2f}, {p_text(drift.birge_p)})"
+            f"(Birge ratio {drift.birge:.2f}, {format_p(drift.birge_p)})"
         )
     return lines
 
@@ -104,7 +103,7 @@ def chart_lines(track: Track, width: int = 80) -> list[str]:
     value, half = track.value, np.nan_to_num(track.expanded)
     low, high = float((value - half).min()), float((value + half).max())
     low, high = (low, high) if high > low else (low - 1, high + 1)
-    labels = [f"{edge:.4g}".replace("-", "−") for edge in (high, (high + low) / 2, low)]
+    labels = [use_minus(f"{edge:.4g}") for edge in (high, (high + low) / 2, low)]
     margin = max(map(len, labels)) + 1
     columns = width - margin - 1
     grid = [[" "] * columns for _ in range(_ROWS)]
@@ -135,5 +134,5 @@ def value_rows(history: History) -> tuple[list[str], Sequence[list[str]]]:
     rows = []
     for n, record in enumerate(history.sessions):
         held = [t.values[t.sessions.index(n)] if n in t.sessions else None for t in tracks]
-        rows.append([_date(record), *("–" if v is None else told(v) for v in held)])
-    return ["date", *map(named, tracks)], rows
+        rows.append([_date(record), *(DASH if v is None else format_expanded(v) for v in held)])
+    return ["date", *(label_quantity(track.name, track.unit) for track in tracks)], rows

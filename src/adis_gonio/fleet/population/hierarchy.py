@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.levels import POPULATION_SET
 from adis_gonio.fleet.population.candidates import candidates_of
 from adis_gonio.fleet.population.distribution import means_of, share_of
 from adis_gonio.fleet.population.evidence import SessionEvidence
@@ -32,8 +33,6 @@ GROUPINGS = ("stage", "operator", "serial", "sensor")
 """What sessions can share."""
 MOST_PARTS = 4
 """Most causes of one population."""
-POPULATION_SET_LEVEL = 0.99
-"""Probability that a set of names holds the right one."""
 FOREMOST = 0.02
 """Share of the sessions, at least one, without which a common cause still has to be likely."""
 
@@ -176,7 +175,7 @@ def _common(population: Population, others: Sequence[ChosenCause], step: Selecti
     for one, probability in ranked:
         names.append(one)
         sum_ += probability
-        if sum_ >= POPULATION_SET_LEVEL:
+        if sum_ >= POPULATION_SET:
             break
     share, low, high = share_of(population, others, part)
     mean, spread = means_of(population, others, part)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from adis_gonio.base.counting import counted
 from adis_gonio.base.jsonable import Record
+from adis_gonio.base.numbers import counted
 from adis_gonio.base.values import Value
 
 

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from adis_gonio.base.counting import counted
-from adis_gonio.base.numbers import SPACE, number, with_unit
+from adis_gonio.base.numbers import (
+    DASH,
+    NO_BREAK,
+    counted,
+    format_fixed,
+    format_number,
+    with_unit,
+)
 from adis_gonio.base.version import __version__
-from adis_gonio.base.wording import fixed
 from adis_gonio.handover.paper.ambiguities import Ambiguity, LabelledValue
 from adis_gonio.handover.paper.comparison import COLUMNS, Cell, MethodSpread, printed_verdicts
 from adis_gonio.handover.paper.crossing import BIASES_MG, FIXTURES_DEG, NOISES_MG, Point
@@ -74,18 +79,18 @@ def verdicts(done: Study) -> tuple[str, ...]:
         + (", and never in the angle between the axes." if least > 1 else "."),
         f"For ΔK the paper's method overtakes MMPM from a fixture error of {_deg(free)} without bias, and"
         f" of {_deg(usual)} with biases of 10 mg. For Δφ its error is everywhere on the map at least"
-        f" {number(least, 2)} times that of MMPM.",
+        f" {format_number(least, 2)} times that of MMPM.",
         f"The printed table has the paper's method nearer to its own measured column in {signed} of"
         f" {len(TABLE)} rows, those of N, where MMPM's values have the other sign. By sizes alone it is"
         f" nearer in {unsigned or 'none'}.",
-        f"With biases of 10 mg the paper's Δφ is off by {number(done.bias.error_deg['paper'], 2)}° (rms),"
-        f" {number(done.bias.multiple, 2)} times as far as ours, by ml (95{SPACE}% interval"
-        f" {number(done.bias.low, 2)} to {number(done.bias.high, 2)}).",
+        f"With biases of 10 mg the paper's Δφ is off by {format_number(done.bias.error_deg['paper'], 2)}°"
+        f" (rms), {format_number(done.bias.multiple, 2)} times as far as ours, by ml (95{NO_BREAK}%"
+        f" interval {format_number(done.bias.low, 2)} to {format_number(done.bias.high, 2)}).",
     )
 
 
 def _deg(value: float | None) -> str:
-    return "more than 10°" if value is None else f"{number(value, 2)}°"
+    return "more than 10°" if value is None else f"{format_number(value, 2)}°"
 
 
 def _summary(done: Study) -> Section:
@@ -101,7 +106,7 @@ def _summary(done: Study) -> Section:
             KeyFigure("Crossing in Δφ", "none", "on the whole map"),
             KeyFigure(
                 "Error of Δφ at 10 mg of bias",
-                f"{number(done.bias.multiple, 2)} times",
+                f"{format_number(done.bias.multiple, 2)} times",
                 "paper's method over ml",
             ),
         ),
@@ -112,7 +117,7 @@ def _summary(done: Study) -> Section:
 def _cell(spread: MethodSpread) -> str:
     if spread.mean is None:
         return "not determined"
-    return f"{fixed(spread.mean, 4)} ±{SPACE}{fixed(spread.spread or 0.0, 4)}"
+    return f"{format_fixed(spread.mean, 4)} ±{NO_BREAK}{format_fixed(spread.spread or 0.0, 4)}"
 
 
 def _table(done: Study) -> Section:
@@ -149,15 +154,15 @@ def _table(done: Study) -> Section:
 
 def _row(cell: Cell) -> list[str]:
     row = cell.row
-    texts = [row.label, fixed(row.measured, 4)]
+    texts = [row.label, format_fixed(row.measured, 4)]
     for method, field in COLUMNS.items():
         spread = cell.ours[method]
         texts += [
-            fixed(getattr(row, field), 4),
+            format_fixed(getattr(row, field), 4),
             _cell(spread),
-            "–" if spread.u is None else fixed(spread.u, 4),
+            "–" if spread.u is None else format_fixed(spread.u, 4),
         ]
-    return [*texts, fixed(row.specification, 4)]
+    return [*texts, format_fixed(row.specification, 4)]
 
 
 def _figure_3(done: Study) -> Section:
@@ -252,7 +257,7 @@ def _others(done: Study) -> Section:
 
 
 def _error(spread: MethodSpread) -> str:
-    return "–" if spread.error is None else number(spread.error, 2)
+    return "–" if spread.error is None else format_number(spread.error, 2)
 
 
 def _map(done: Study) -> Section:
@@ -326,14 +331,14 @@ def _ratios(done: Study, key: str, name: str) -> Table:
         [
             f"{fixture:g}°",
             *(
-                number(done.map.ratio(Point(fixture, bias, SHOWN_NOISE_MG), key), 2)
+                format_number(done.map.ratio(Point(fixture, bias, SHOWN_NOISE_MG), key), 2)
                 for bias in _SHOWN_BIASES_MG
             ),
         ]
         for fixture in FIXTURES_DEG
     ]
     return Table(
-        ("fixture error", *(f"{bias:g}{SPACE}mg" for bias in _SHOWN_BIASES_MG)),
+        ("fixture error", *(f"{bias:g}{NO_BREAK}mg" for bias in _SHOWN_BIASES_MG)),
         rows,
         f"{name}: error of the paper's method over MMPM's by fixture error and bias, {SHOWN_NOISE_MG:g} mg"
         " of noise a reading.",
@@ -344,7 +349,12 @@ def _ratios(done: Study, key: str, name: str) -> Table:
 def _bias(done: Study) -> Section:
     bias = done.bias
     rows = [
-        [NAMES[m], str(POSITIONS[m]), number(error, 2), number(error / bias.error_deg["ml"], 2)]
+        [
+            NAMES[m],
+            str(POSITIONS[m]),
+            format_number(error, 2),
+            format_number(error / bias.error_deg["ml"], 2),
+        ]
         for m, error in bias.error_deg.items()
     ]
     return Section(
@@ -352,9 +362,9 @@ def _bias(done: Study) -> Section:
         words=(
             f"{counted(bias.sessions, 'part')} whose axes have biases with a standard deviation of 10 mg,"
             " the simulated part's figure, on a stage good to 0.02°. The paper's error of Δφ is"
-            f" {number(bias.multiple, 2)} times that of ml (95 %: {number(bias.low, 2)} to"
-            f" {number(bias.high, 2)}, by drawing the sessions anew), by medians"
-            f" {number(bias.median, 2)} times."
+            f" {format_number(bias.multiple, 2)} times that of ml (95 %: {format_number(bias.low, 2)} to"
+            f" {format_number(bias.high, 2)}, by drawing the sessions anew), by medians"
+            f" {format_number(bias.median, 2)} times."
             + (f" It refused {bias.refused} more." if bias.refused else ""),
         ),
         tables=(
@@ -384,10 +394,12 @@ def _question(one: Ambiguity) -> Section:
 def value_text(value: LabelledValue) -> str:
     """Number with its unit; a count as it is."""
     if value.value is None:
-        return "–"
-    if value.unit == "":
-        return f"{value.value:.0f}"
-    return with_unit(number(value.value, 3), value.unit)
+        return DASH
+    return (
+        format_fixed(value.value, 0)
+        if value.unit == ""
+        else with_unit(format_number(value.value), value.unit)
+    )
 
 
 def _again(done: Study) -> Section:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from adis_gonio.base.errors import DataError
-from adis_gonio.base.numbers import number
+from adis_gonio.base.numbers import format_number, format_unit
 from adis_gonio.base.version import __version__
 from adis_gonio.fitting.allan import AllanResult, AxisNoise, fit_allan
 from adis_gonio.fitting.allan import words as said
@@ -79,7 +79,7 @@ def allan_svg(result: AllanResult) -> str:
 
 
 def _deviation(result: AllanResult) -> str:
-    return f"Allan deviation / {said.unit_shown(result.unit)}"
+    return f"Allan deviation / {format_unit(result.unit)}"
 
 
 def _reading() -> tuple[str, ...]:
@@ -100,7 +100,7 @@ def _section(result: AllanResult, axis: AxisNoise) -> Section:
             # Every row has its name: who hears a table hears the head of each row.
             rows += [(said.name_shown(parameter), *row[1:]) for row in said.cells(parameter)]
         elif parameter.kind != "quantization":
-            unit = said.unit_shown(parameter.unit)
+            unit = format_unit(parameter.unit)
             absent.append(f"{said.name_shown(parameter)} / {unit}: {said.missing(parameter)}")
     return Section(
         f"{axis.axis.upper()}",
@@ -128,10 +128,9 @@ def _figure(result: AllanResult, axis: AxisNoise) -> Figure:
 
 def _described(result: AllanResult, axis: AxisNoise) -> str:
     """The curve in a sentence, for who does not see it."""
-    tau, deviation = axis.curve.tau_s, axis.curve.deviation
-    unit, least = said.unit_shown(result.unit), int(deviation.argmin())
-    return (
-        f"{axis.axis.upper()}: from {number(deviation[0])} {unit} at {number(tau[0])} s to"
-        f" {number(deviation[-1])} {unit} at {number(tau[-1])} s, least {number(deviation[least])} {unit}"
-        f" at {number(tau[least])} s."
+    tau, deviation, unit = axis.curve.tau_s, axis.curve.deviation, format_unit(result.unit)
+    first, last, least = (
+        f"{format_number(deviation[k])} {unit} at {format_number(tau[k])} s"
+        for k in (0, -1, int(deviation.argmin()))
     )
+    return f"{axis.axis.upper()}: from {first} to {last}, least {least}."

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.base.numbers import listed, number, uncertain
-from adis_gonio.base.showing import shown_unit
+from adis_gonio.base.numbers import format_fixed, format_number, format_uncertain, format_unit, join_words
 from adis_gonio.base.values import Value
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.gyros.fit import GyroFit, fit_gyro
@@ -31,8 +30,8 @@ def gyro_section(session: Session) -> Section | None:
         _how_well(result),
         f"By the mean rates of {result.held}: a gyro reads K D ω + b + G f, with ω the rate of turn, b its "
         "zero rate, K its gain, D its axis in the accelerometers' frame, f what these read.",
-        f"Residual {number(result.residual_rms_dps)} °/s rms; χ² / degrees of freedom "
-        f"{number(result.chi2)} / {result.dof}.",
+        f"Residual {format_number(result.residual_rms_dps)} °/s rms; χ² / degrees of freedom "
+        f"{format_number(result.chi2)} / {result.dof}.",
     ]
     gains = gains_in(result)
     if gains is not None:
@@ -60,12 +59,12 @@ def _how_well(result: GyroFit) -> str:
         "g_sensitivity": "what force adds to {} °/s/g",
     }
     parts = [
-        text.format(number(max(largest[kind]) * (100 if kind == "gyro_scale" else 1), 2))
+        text.format(format_number(max(largest[kind]) * (100 if kind == "gyro_scale" else 1), 2))
         + ("" if len(largest[kind]) in (3, 6, 9) else f" ({len(largest[kind])} of them)")
         for kind, text in told.items()
         if kind in largest
     ]
-    return f"Determined: {listed(parts)} (largest standard uncertainty of each)."
+    return f"Determined: {join_words(parts)} (largest standard uncertainty of each)."
 
 
 _KINDS = {
@@ -94,7 +93,7 @@ def _cell(result: GyroFit, name: str) -> str:
     if name not in result:
         towards_itself = name.startswith("gyro_misalignment") and name[-1] == name[-2]
         return "" if towards_itself else "–"
-    return uncertain(result[name].value, result[name].u)
+    return format_uncertain(result[name].value, result[name].u)
 
 
 def _every(result: GyroFit) -> list[Table]:
@@ -118,10 +117,10 @@ def _parameters(result: GyroFit) -> Table:
 def _row(name: str, value: Value) -> list[str]:
     return [
         name,
-        shown_unit(value.unit),
-        uncertain(value.value, value.u),
-        number(value.U, 2),
-        "–" if value.k is None else f"{value.k:.2f}",
+        format_unit(value.unit),
+        format_uncertain(value.value, value.u),
+        format_number(value.U, 2),
+        format_fixed(value.k, 2),
     ]
 
 
@@ -130,7 +129,11 @@ def _scores(result: GyroFit) -> list[Table]:
     if not result.scores:
         return []
     rows = [
-        [name, *(number(rms) for rms in score.rms_dps.values()), number(max(score.max_dps.values()))]
+        [
+            name,
+            *(format_number(rms) for rms in score.rms_dps.values()),
+            format_number(max(score.max_dps.values())),
+        ]
         for name, score in result.scores.items()
     ]
     head = ["model", "X / (°/s)", "Y / (°/s)", "Z / (°/s)", "largest / (°/s)"]
@@ -149,9 +152,9 @@ def _offsets(session: Session) -> list[Table]:
     rows = [
         [
             word.name,
-            "–" if word.before is None else str(word.before).replace("-", "−"),
-            str(word.number).replace("-", "−"),
-            f"{word.left_dps:+.4f}".replace("-", "−"),
+            format_fixed(word.before, 0),
+            format_fixed(word.number, 0),
+            format_fixed(word.left_dps, 4, sign=True),
         ]
         for word in words
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from adis_gonio.base.numbers import percent
+from adis_gonio.base.numbers import DASH, format_percent, format_uncertain, use_minus
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.finding import Angle
 from adis_gonio.page.parts import Section, Table
@@ -19,11 +19,11 @@ def positions(findings: Sequence[PositionFinding]) -> list[Section]:
     rows = [
         [
             str(found.position),
-            "–" if found.declared_deg is None else f"{found.declared_deg:g}°",
+            DASH if found.declared_deg is None else use_minus(f"{found.declared_deg:g}°"),
             _angle(found.gravity_deg),
             _angle(found.gyro_deg),
             ", ".join(dict.fromkeys(named.name.replace("_", " ") for named in found.names)),
-            percent(found.probability),
+            format_percent(found.probability),
         ]
         for found in findings
     ]
@@ -33,4 +33,4 @@ def positions(findings: Sequence[PositionFinding]) -> list[Section]:
 
 
 def _angle(angle: Angle | None) -> str:
-    return "–" if angle is None else f"{angle[0]:.2f}° ± {angle[1]:.2f}°"
+    return DASH if angle is None else format_uncertain(*angle, "deg")

@@ -5,15 +5,28 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.base.numbers import SPACE, number, p_text, percent, uncertain, with_unit
-from adis_gonio.base.wording import HEAD, NAMES, UNKNOWN
+from adis_gonio.base.numbers import (
+    DASH,
+    HEAD,
+    NAMES,
+    NO_BREAK,
+    UNKNOWN,
+    format_fixed,
+    format_number,
+    format_p,
+    format_percent,
+    format_uncertain,
+    format_unit,
+    label_quantity,
+    use_minus,
+    with_unit,
+)
 from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.answer import Answer
@@ -89,13 +102,13 @@ def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
 def _large(name: str, value: Value) -> KeyFigure:
     """Value with U; the error of the angle is a figure of its own, which U of an angle does not bound."""
     if value.k is None:
-        return KeyFigure(NAMES[name], words.value_text(value), UNKNOWN)
-    factor = f"k{SPACE}={SPACE}{value.k:.2f}"
+        return KeyFigure(NAMES[name], with_unit(format_number(value.value, 4), value.unit), UNKNOWN)
+    factor = f"k{NO_BREAK}={NO_BREAK}{value.k:.2f}"
     if name == "angle":
-        of_angle = f"U of an angle shown: {with_unit(number(value.U, 2), value.unit)} ({factor})"
-        return KeyFigure(NAMES[name], with_unit(number(value.value, 2), value.unit), of_angle)
+        of_angle = f"U of an angle shown: {with_unit(format_number(value.U, 2), value.unit)} ({factor})"
+        return KeyFigure(NAMES[name], with_unit(format_number(value.value, 2), value.unit), of_angle)
     return KeyFigure(
-        NAMES[name], words.value_text(replace(value, u=value.U)), f"± U = k·u covers 95 % ({factor})"
+        NAMES[name], format_uncertain(value.value, value.U, value.unit), f"± U = k·u covers 95 % ({factor})"
     )
 
 
@@ -108,16 +121,16 @@ def budget(given: Answer) -> Section:
                 row.source,
                 row.kind,
                 row.distribution,
-                "–" if row.u is None else with_unit(number(row.u, 2), row.unit),
-                "–" if row.sensitivity is None else number(row.sensitivity, 3),
-                number(row.contribution, 2),
+                "–" if row.u is None else with_unit(format_number(row.u, 2), row.unit),
+                format_number(row.sensitivity),
+                format_number(row.contribution, 2),
                 share(row.share),
             ]
             for row in rows
         ]
         value = given.values.get(name)
-        unit = "" if value is None or value.unit == "1" else f" / {with_unit('', value.unit).strip()}"
-        head = ["source", "type", "distribution", "u of it", "sensitivity", f"contribution{unit}", "share"]
+        contribution = label_quantity("contribution", "1" if value is None else value.unit)
+        head = ["source", "type", "distribution", "u of it", "sensitivity", contribution, "share"]
         dof = "–" if value is None else freedom(value.dof)
         caption = f"{NAMES.get(name, name)}: effective degrees of freedom {dof}."
         tables.append(Table(head, cells, caption=caption, numeric=(3, 4, 5, 6)))
@@ -134,9 +147,7 @@ def scores(given: Answer) -> Section:
 
 
 def _pair(values: Mapping[str, Value]) -> str:
-    return ", ".join(
-        f"{NAMES[name]} = {words.value_text(values[name])}" for name in _ORDER if name in values
-    )
+    return ", ".join(f"{NAMES[name]} = {values[name]}" for name in _ORDER if name in values)
 
 
 def _capital(text: str) -> str:
@@ -173,11 +184,15 @@ def _by_method(fits: Sequence[FitResult]) -> Table:
     for name in names:
         entries = [next((e for e in fit.parameters if e.name == name), None) for fit in fits]
         unit = next(e.unit for e in entries if e is not None)
-        cells = ["" if e is None else _with_u(e.value, e.u) for e in entries]
-        rows.append([NAMES.get(name, name), {"deg": "°"}.get(unit, unit), *cells])
-    rows.append(["residual, rms", "mg", *(number(fit.residual_rms_mg) for fit in fits)])
+        cells = ["" if e is None else format_uncertain(e.value, e.u) for e in entries]
+        rows.append([NAMES.get(name, name), format_unit(unit), *cells])
+    rows.append(["residual, rms", "mg", *(format_number(fit.residual_rms_mg) for fit in fits)])
     rows.append(
-        ["χ² / degrees of freedom", "", *(f"{number(f.chi2)} / {f.dof}" if f.dof else "–" for f in fits)]
+        [
+            "χ² / degrees of freedom",
+            "",
+            *(f"{format_number(f.chi2)} / {f.dof}" if f.dof else "–" for f in fits),
+        ]
     )
     return Table(
         ["parameter", "unit", *(fit.method for fit in fits)],
@@ -186,10 +201,6 @@ def _by_method(fits: Sequence[FitResult]) -> Table:
         strong=tuple(k for k, name in enumerate(names) if name in _ORDER),
         caption="± one standard uncertainty; ± k times that covers 95 % (k in the answer's table).",
     )
-
-
-def _with_u(value: float, u: float | None) -> str:
-    return f"{number(value, 4)}, {UNKNOWN}" if u is None else uncertain(value, u)
 
 
 def found(traced: TraceResult) -> Section:
@@ -201,9 +212,9 @@ def found(traced: TraceResult) -> Section:
             [
                 words.with_axes(finding),
                 "\n".join(words.parameters(finding)),
-                "–" if finding in inside else percent(finding.explains),
-                percent(finding.probability),
-                p_text(finding.p_value),
+                "–" if finding in inside else format_percent(finding.explains),
+                format_percent(finding.probability),
+                format_p(finding.p_value),
             ]
         )
     tables = []
@@ -267,15 +278,15 @@ def _place(finding: WithinFinding, place: Place) -> list[str]:
         str(place.position),
         place.axis,
         "" if place.time_s is None else f"{place.time_s:.2f}",
-        "" if place.value is None else words.value_text(place.value),
-        "" if place.shift_mg is None else number(abs(place.shift_mg), 2),
+        "" if place.value is None else str(place.value),
+        "" if place.shift_mg is None else format_number(abs(place.shift_mg), 2),
     ]
 
 
 def errors(traced: TraceResult) -> Section:
     """Error before and after, step by step."""
     head, rows = words.error_rows(traced)
-    base = [[NAMES.get(name, name), words.value_text(value)] for name, value in traced.base.items()]
+    base = [[NAMES.get(name, name), str(value)] for name, value in traced.base.items()]
     table = Table(
         head,
         rows,
@@ -334,7 +345,8 @@ def left(views: Views) -> Section:
 def rivals(traced: TraceResult) -> Section:
     """Models near the best with their probability."""
     rows = [
-        [" + ".join(rival.terms) or "base model", percent(rival.probability)] for rival in traced.rivals
+        [" + ".join(rival.terms) or "base model", format_percent(rival.probability)]
+        for rival in traced.rivals
     ]
     same = [
         f"{finding.effect}: {'; '.join(finding.equivalents)} would predict the same in this session"
@@ -431,7 +443,7 @@ def _facts(
             f"{sum(samples)}, {_range(samples, '')} a dwell" if session.dwells else f"{sum(samples)}",
         ),
         ("duration", f"{(end - start) / 60:.1f} min"),
-        ("sample rate", with_unit(number(configuration.get("sample_rate_hz"), 4), "Hz"))
+        ("sample rate", with_unit(format_number(configuration.get("sample_rate_hz"), 4), "Hz"))
         if configuration.get("sample_rate_hz")
         else ("sample rate", ""),
         ("filter", f"2^{configuration['filter_m']} taps, twice" if "filter_m" in configuration else ""),
@@ -463,7 +475,9 @@ def _noise(observed: Readings | None) -> str:
     if not observed.noise_known:
         return "not known: estimated from the residual"
     sigma = np.sqrt(np.median(np.diagonal(observed.covariance, axis1=1, axis2=2), axis=0))
-    return ", ".join(f"{axis} {number(float(s), 2)} mg" for axis, s in zip("xyz", sigma, strict=False))
+    return ", ".join(
+        f"{axis} {format_number(float(s), 2)} mg" for axis, s in zip("xyz", sigma, strict=False)
+    )
 
 
 def _digest(source: str) -> str:
@@ -484,7 +498,7 @@ def _span(series: Sequence[Any], unit: str) -> str:
     if not known:
         return "not recorded"
     low, high = min(float(np.nanmin(s)) for s in known), max(float(np.nanmax(s)) for s in known)
-    return f"{low:.2f} to {high:.2f} {unit}".replace("-", "−")
+    return f"{format_fixed(low, 2)} to {format_fixed(high, 2)} {unit}"
 
 
 def _readings(session: Session, observed: Readings) -> Table:
@@ -497,11 +511,11 @@ def _readings(session: Session, observed: Readings) -> Table:
         rows.append(
             [
                 str(dwell.position),
-                "–" if dwell.angle_deg is None else f"{dwell.angle_deg:g}".replace("-", "−"),
+                DASH if dwell.angle_deg is None else use_minus(f"{dwell.angle_deg:g}"),
                 {1: "below", -1: "above"}.get(dwell.approach, "–"),
                 str(len(dwell)),
                 *(
-                    f"{m:.3f}".replace("-", "−") if np.isnan(s) else uncertain(m, s)
+                    format_fixed(m, 3) if np.isnan(s) else format_uncertain(m, s)
                     for m, s in zip(mean, u, strict=True)
                 ),
                 "–" if dwell.temperature_c is None else f"{float(np.mean(dwell.temperature_c)):.2f}",
@@ -550,7 +564,7 @@ def _panel_caption(panel: Panel, effect: str, before: str) -> str:
     unit = "°" if panel.quantity == "angle" else " mg"
     was, now = (float(np.sqrt(np.nanmean(v**2))) for v in (panel.before, panel.after))
     what = {"norm": "Norm", "angle": "Angle"}.get(panel.quantity, f"Axis {panel.quantity[-1]}")
-    return f"{what}: {number(was)}{unit} rms {before}, {number(now)}{unit} with {effect}."
+    return f"{what}: {format_number(was)}{unit} rms {before}, {format_number(now)}{unit} with {effect}."
 
 
 def _bars(panel: Panel) -> Any:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.live.smoothing import drift
 from adis_gonio.live.smoothing.disturbance import START_MG, Disturbance
 from adis_gonio.live.smoothing.gyros import TURN_ON_DPS, GyroKnowledge
@@ -156,7 +156,7 @@ class MotionModel:
             design[k] = per_mg * (lever * along.conjugate()).imag
         design[NOW] = design[DRIFT] = per_mg
         predicted = float(f[ANGLE] @ before.mean) + shift[ANGLE]
-        observed = predicted + (seen_deg - predicted + 180.0) % 360.0 - 180.0
+        observed = predicted + wrap_degrees(seen_deg - predicted)
         return TimeStep(f, shift, process, design, observed, per_mg**2 * disturbance.white_mg2)
 
 

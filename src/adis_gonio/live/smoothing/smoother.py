@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_degrees, wrap_radians
 from adis_gonio.base.errors import UsageError
 from adis_gonio.live.smoothing.disturbance import (
     AHEAD_S,
@@ -260,7 +260,7 @@ class AngleSmoother:
         known = self._state.mean
         drift_dps = known[ZERO] + turned.force_g @ known[[G_X, G_Y]]
         turn = turned.turn_deg * (1 - known[SCALE]) - drift_dps * turned.increment.length_s
-        self._phase_rad = math.remainder(self._phase_rad + math.radians(float(turn)), 2 * math.pi)
+        self._phase_rad = wrap_radians(self._phase_rad + math.radians(float(turn)))
         by_x, by_y = turned.lever_mg
         felt = turned.gravity - by_x * float(known[LEVER_X]) - by_y * float(known[LEVER_Y])
         return felt * complex(math.cos(self._phase_rad), -math.sin(self._phase_rad))
@@ -312,7 +312,7 @@ class AngleSmoother:
         drift_dps = mean[ZERO] + at.force_g @ mean[[G_X, G_Y]]
         return SmoothedAngle(
             self._time_s(at),
-            math.remainder(float(mean[ANGLE]), 360.0),
+            wrap_degrees(float(mean[ANGLE])),
             math.hypot(math.sqrt(max(float(variance[ANGLE]), 0.0)), self._drift_deg(at)),
             at.rate_dps * (1 - float(mean[SCALE])) - float(drift_dps),
             float(mean[ZERO]),

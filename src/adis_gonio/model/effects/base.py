@@ -32,7 +32,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import UsageError
 from adis_gonio.model.effects.lag import lagged
 
@@ -340,18 +340,11 @@ class Effect(ABC):
         """
         if self.enters is Enters.SAMPLES:
             raise UsageError(f"{self.name} changes samples: a reading has no derivative by its parameters")
-        columns = []
-        for k, parameter in enumerate(self.parameters):
-            step = 1e-4 * max(abs(values[k]), abs(parameter.typical), 1e-9)
-            up, down = values.copy(), values.copy()
-            up[k] += step
-            down[k] -= step
-            if self.enters is Enters.ATTITUDE:
-                difference = self.attitude_rad(up, conditions) - self.attitude_rad(down, conditions)
-            else:
-                difference = self.reading(up, ideal, conditions) - self.reading(down, ideal, conditions)
-            columns.append(difference / (2 * step))
-        return np.stack(columns, axis=-1)
+        typical = np.array([abs(parameter.typical) for parameter in self.parameters])
+        step = 1e-4 * np.maximum(np.maximum(np.abs(values), typical), 1e-9)
+        if self.enters is Enters.ATTITUDE:
+            return central_differences(lambda v: self.attitude_rad(v, conditions), values, step)
+        return central_differences(lambda v: self.reading(v, ideal, conditions), values, step)
 
     def defaults(
         self, given: Mapping[str, float] | None = None, others: Literal["typical", "zero"] = "typical"

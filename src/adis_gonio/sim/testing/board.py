@@ -18,9 +18,9 @@ import threading
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from types import TracebackType
-from typing import Literal, Protocol, Self, get_args
+from typing import Literal, Protocol, get_args
 
+from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import CannotOpenError, UsageError
 from adis_gonio.sim.chip import SimulatedChip
 from adis_gonio.sim.testing.clocks import WorkClock
@@ -39,7 +39,7 @@ _UNREAD = 1 << 20
 """Bytes that wait for a host which does not read; more than that are lost, as in an adapter."""
 
 
-class SimulatedBoard:
+class SimulatedBoard(Closing):
     """The firmware behind a pty or a TCP port, at work in a thread; use it as a context manager.
 
     Parameters
@@ -126,21 +126,13 @@ class SimulatedBoard:
         """The board's time in s; the chip has not lived beyond it. Hold `lock` where it matters."""
         return max(self._clock.now_s(), self.chip.time_s)
 
-    def unplug(self) -> None:
-        """The port goes away; may be called twice."""
+    def close(self) -> None:
+        """Take the port away; may be called twice."""
         self._stop.set()
         self._thread.join(_END_S)
         self._line.close()
 
-    close = unplug
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.unplug()
+    unplug = close
 
     # -- the thread ----------------------------------------------------------------------------------
 

@@ -23,6 +23,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import check
+from adis_gonio.base.numbers import join_words
 from adis_gonio.fitting.estimation.fit import Fit, Values
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
@@ -178,7 +179,7 @@ def label(term: Term) -> str:
     where = {"bias": "zero", "gain": "gain", "angle": "true angle", "misalignment": "misalignment"}
     enters = where.get(str(term.where), "reading") if isinstance(term, NamelessTerm) else "reading"
     covariates = [_COVARIATES.get(name, name.replace("_", " ")) for name in term.covariates]
-    return f"an unnamed change of the {enters} with {' and '.join(covariates)}"
+    return f"an unnamed change of the {enters} with {join_words(covariates)}"
 
 
 _COVARIATES = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from adis_gonio.base.numbers import format_duration
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.model.effects import AXES, catalogue
@@ -74,7 +75,7 @@ def place(measurement: NextDwell) -> str:
     if measurement.supply_v is not None:
         words.append(f"with a supply of {measurement.supply_v:.2f} V")
     if measurement.wait_s:
-        words.append(f"after waiting {duration(measurement.wait_s)}")
+        words.append(f"after waiting {format_duration(measurement.wait_s)}")
     return ", ".join(words)
 
 
@@ -86,11 +87,6 @@ def where(measurement: NextDwell) -> str:
     parts = enumerate(measurement.direction or ())
     axes = [f"{'+' if part > 0 else '−'}{AXES[k]}" for k, part in parts if abs(part) > 0.3]
     return f"an attitude that reads {' '.join(axes)}"
-
-
-def duration(seconds: float) -> str:
-    """`30 s`, `5 min`."""
-    return f"{seconds:.0f} s" if seconds < 60 else f"{seconds / 60:.3g} min"
 
 
 def _grouped(measurements: Sequence[NextDwell]) -> list[list[NextDwell]]:

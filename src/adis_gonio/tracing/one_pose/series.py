@@ -28,8 +28,9 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import attempt, check
-from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError
+from adis_gonio.base.levels import FOUND_IN_ONE_POSE
+from adis_gonio.base.numbers import counted
 from adis_gonio.base.values import Detectable, Value
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect
@@ -38,7 +39,6 @@ from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, Step, Trace
 
 BLOCKS = 10
 LEAST_ROWS = 200
-LEVEL = 0.01
 LEAST_GAIN = 0.02
 """Least relative fall of the held-out error for another effect."""
 DEGREES = (1, 2, 3)
@@ -398,7 +398,7 @@ def _best_addition(
         check()
         new = _held_out(problem, (*model, candidate))
         relative, p = _gain(losses, new)
-        if p < LEVEL / len(candidates) and relative > best[0]:
+        if p < FOUND_IN_ONE_POSE / len(candidates) and relative > best[0]:
             best = (relative, candidate, new)
     return best[1], best[2]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
@@ -212,7 +212,7 @@ def _left_over(fit: Fit, quantity: str, others: Readings | None = None) -> Float
     if quantity == "angle":
         turned = fit.angle_error_rad(data)
         assert turned is not None
-        return np.degrees(np.mod(turned + np.pi, 2 * np.pi) - np.pi)
+        return np.degrees(wrap_radians(turned))
     left = fit.misfit if others is None else leave(fit, others).residual
     if quantity == "norm":
         return np.asarray((left * _along(data)).sum(axis=1))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from adis_gonio.base.budget import Budget
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import HIDDEN, INLINE, NAMED_BY_UNIT, OPTIONAL, Record, finite, json_object
-from adis_gonio.base.showing import Entries, ParameterTable, lines_of
+from adis_gonio.base.tables import Entries, ParameterTable, lines_of
 from adis_gonio.base.values import Detectable, Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.parts import ACCELEROMETER, GYRO

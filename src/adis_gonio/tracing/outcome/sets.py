@@ -22,6 +22,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import HIDDEN, Record
+from adis_gonio.base.numbers import join_words
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.tracing.outcome.naming import related, unknown_of
 from adis_gonio.tracing.selection.design import LinearProblem, span
@@ -176,4 +177,4 @@ def _piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
 
 
 def _word(term: Term) -> str:
-    return term.name or f"unnamed: {' and '.join(term.covariates)}"
+    return term.name or f"unnamed: {join_words(term.covariates)}"

@@ -3,8 +3,8 @@
 Spikes and stuck values first, then spectral lines, changes of the scatter, courses that all dwells share,
 events in single dwells; each is taken out of the samples before the next is looked for. Every test is
 calibrated against the session's own noise, whatever its spectrum; a session without anything shows a
-finding with a probability of at most `LEVEL`, all tests together. What is looked for in a dwell depends on
-its length: nothing in one sample, drift from 6, spikes and lines from 32 samples.
+finding with a probability of at most `FOUND_WITHIN`, all tests together. What is looked for in a dwell
+depends on its length: nothing in one sample, drift from 6, spikes and lines from 32 samples.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from adis_gonio.tracing.within.courses import courses
 from adis_gonio.tracing.within.density import density_of
 from adis_gonio.tracing.within.events import events
 from adis_gonio.tracing.within.faults import spikes, stuck
-from adis_gonio.tracing.within.finding import LEVEL, Kind, Place, View, WithinFinding
+from adis_gonio.tracing.within.finding import Kind, Place, View, WithinFinding
 from adis_gonio.tracing.within.samples import Samples, samples_of, scatter
 from adis_gonio.tracing.within.sensitivity import sensitivity
 from adis_gonio.tracing.within.tones import tones
@@ -66,7 +66,6 @@ def correlation_reach(samples: Samples) -> int:
 
 
 __all__ = [
-    "LEVEL",
     "Kind",
     "Place",
     "Samples",

@@ -18,11 +18,13 @@ import math
 import numpy as np
 from scipy import optimize, stats
 
+from adis_gonio.base.levels import FOUND_WITHIN
+from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, left_by_quantization
 from adis_gonio.model.records import Session
-from adis_gonio.tracing.within.finding import LEVEL, WithinFinding, corrected, number, positions_text
+from adis_gonio.tracing.within.finding import WithinFinding, corrected, positions_text
 from adis_gonio.tracing.within.samples import Samples
 
 
@@ -55,7 +57,7 @@ def saturation(session: Session, data: Readings) -> WithinFinding | None:
         parameters={"limit": limit_mg},
         p_value=corrected(p, len(limits)),
         sentence=(
-            f"{', '.join(letters)} stop at ±{number(limit_mg.value)} mg in "
+            f"{', '.join(letters)} stop at ±{format_number(limit_mg.value)} mg in "
             f"{positions_text(positions, recorded)}: dwells that it moves took no part in the fit"
         ),
         advice="record with a wider range, or without the positions in which an axis stands at its limit",
@@ -73,7 +75,7 @@ def quantization(session: Session, samples: Samples, reach: int) -> WithinFindin
     found: dict[int, float] = {}
     for axis in range(samples.axes):
         p = corrected(min(_coarse(samples, axis, reach), _lost_bits(session, samples, axis)), samples.axes)
-        if p < LEVEL:
+        if p < FOUND_WITHIN:
             found[axis] = p
     if not found:
         return None
@@ -87,8 +89,8 @@ def quantization(session: Session, samples: Samples, reach: int) -> WithinFindin
         parameters={"lsb": Value(step, None, "mg")},
         p_value=min(found.values()),
         sentence=(
-            f"{', '.join(letters)} come in steps of {number(step)} mg, which the noise does not hide: the "
-            "means follow a staircase"
+            f"{', '.join(letters)} come in steps of {format_number(step)} mg, which the noise does not"
+            " hide: the means follow a staircase"
         ),
         advice=(
             "give the converter more noise or finer words (a shorter filter, a format with all digits), or "

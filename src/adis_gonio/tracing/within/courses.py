@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.levels import FOUND_WITHIN
+from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.model.records import MG_PER_G
-from adis_gonio.tracing.within.finding import LEVEL, Place, View, WithinFinding, corrected, number, with_u
+from adis_gonio.tracing.within.finding import Place, View, WithinFinding, corrected
 from adis_gonio.tracing.within.samples import Samples
 
 Usable = NDArray[np.bool_]
@@ -123,7 +125,7 @@ def _best(samples: Samples, usable: Usable) -> _Candidate | None:
                     continue
                 p = corrected(2 * float(stats.t.sf(abs(t[axis]), dof)), tests)
                 explained = float(slope[axis] ** 2 * energy[axis])
-                if p >= LEVEL:
+                if p >= FOUND_WITHIN:
                     continue
                 own = _Candidate(axis, tau, by_move, p, explained, float(residual[axis]))
                 if best is None or explained > best.explained:
@@ -200,7 +202,9 @@ def _axes_with(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
     dof = int(usable.sum()) - 1
     residual = ((z - g * slope)[usable] ** 2).sum(axis=0) / dof
     p = 2 * stats.t.sf(np.abs(slope) * np.sqrt(energy / np.maximum(residual, 1e-300)), dof)
-    return [axis for axis in range(samples.axes) if axis == best.axis or p[axis] < LEVEL / samples.axes]
+    return [
+        axis for axis in range(samples.axes) if axis == best.axis or p[axis] < FOUND_WITHIN / samples.axes
+    ]
 
 
 def _finding(
@@ -223,7 +227,7 @@ def _finding(
         f"{stem}_{letter}": Value(float(slope[axis]), float(u[j]), unit)
         for j, (axis, letter) in enumerate(zip(axes, letters, strict=True))
     }
-    sizes = ", ".join(f"{letter} {with_u(parameters[f'{stem}_{letter}'])}" for letter in letters)
+    sizes = ", ".join(f"{letter} {parameters[f'{stem}_{letter}']}" for letter in letters)
     by = ", in proportion to the change of the axis' own reading before" if best.by_move else ""
     positions = tuple(int(samples.position[k]) for k in dwells)
     advice = ""
@@ -241,12 +245,11 @@ def _finding(
         needed = _wait(samples, largest, tau)
         sentence = (
             f"each dwell settles: {sizes} at its first sample, time constant "
-            f"{with_u(parameters['tau'])}{by}; it moves the means by up to {number(shift, 2)} mg"
+            f"{parameters['tau']}{by}; it moves the means by up to {format_number(shift, 2)} mg"
         )
         if needed > 0:
-            advice = (
-                f"wait {number(needed, 2)} s longer after each move before recording: the dwells settle"
-            )
+            wait = format_number(needed, 2)
+            advice = f"wait {wait} s longer after each move before recording: the dwells settle"
         places = tuple(
             Place(
                 int(samples.position[k]),

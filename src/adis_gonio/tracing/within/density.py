@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage, optimize, signal, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.tracing.within.finding import LEVEL, corrected
+from adis_gonio.base.levels import FOUND_WITHIN
+from adis_gonio.tracing.within.finding import corrected
 from adis_gonio.tracing.within.samples import Samples
 
 PADDING = 2
@@ -141,7 +142,7 @@ def density_of(samples: Samples) -> Density | None:
         own, usual = pooled[searched, axis], beside(pooled, axis)[searched]
         with_peak, without = (_shape(p, frequency[searched], responses) for p in (own, usual))
         gain = information * _gain(own, with_peak, without, own != usual)
-        lined[axis] = corrected(math.exp(-max(gain, 0.0)), tests) < LEVEL
+        lined[axis] = corrected(math.exp(-max(gain, 0.0)), tests) < FOUND_WITHIN
         shape[searched, axis] = without if lined[axis] else with_peak
     # Below and above what is searched the density counts as level.
     shape[: searched.start], shape[searched.stop :] = shape[searched.start], shape[searched.stop - 1]

@@ -19,17 +19,16 @@ import numpy as np
 from scipy import stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.levels import FOUND_WITHIN
+from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.fitting.estimation.robust import MAD_TO_SD
 from adis_gonio.tracing.within.finding import (
-    LEVEL,
     Place,
     View,
     WithinFinding,
     corrected,
-    number,
     positions_text,
-    with_u,
 )
 from adis_gonio.tracing.within.samples import Samples, deviation
 
@@ -105,7 +104,7 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
     coarse = np.where(spread < _LIVELY * samples.quantum, 0.5 * samples.quantum / unit, 0.0)
     for scale in scales:
         _judge(scale, coarse, tests, p, look)
-    flagged = np.argwhere(p < LEVEL)
+    flagged = np.argwhere(p < FOUND_WITHIN)
     described = [_describe(samples, int(k), int(axis), look) for k, axis in flagged]
     found = []
     for kind in get_args(_Form):
@@ -352,8 +351,8 @@ def _finding(
         p_value=p_value,
         sentence=(
             f"{words} {where}{most}: {worst.axis} by "
-            f"{with_u(worst.value)}{when}; its mean is off by about "
-            f"{number(abs(worst.shift_mg or 0.0), 2)} mg"
+            f"{worst.value}{when}; its mean is off by about "
+            f"{format_number(abs(worst.shift_mg or 0.0), 2)} mg"
         ),
         places=places,
         advice=f"repeat {positions_text(positions, 0)}: {cause} while the dwell was recorded",

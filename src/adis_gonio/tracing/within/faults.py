@@ -20,15 +20,15 @@ from numpy.typing import NDArray
 from scipy import ndimage, special, stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.levels import FOUND_WITHIN
+from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.tracing.within.finding import (
-    LEVEL,
     SEARCHES,
     Place,
     View,
     WithinFinding,
     corrected,
-    number,
     positions_text,
 )
 from adis_gonio.tracing.within.samples import Samples, deviation
@@ -56,7 +56,7 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
         Samples over which neighbours are correlated: a spike ahead of the sensor's filter is as wide.
     """
     total = int(samples.counts.sum()) * samples.axes
-    limit = float(stats.norm.isf(LEVEL / (2 * total * SEARCHES)))
+    limit = float(stats.norm.isf(FOUND_WITHIN / (2 * total * SEARCHES)))
     values = list(samples.values)
     places: list[Place] = []
     least_p = 1.0
@@ -154,7 +154,7 @@ def _spikes_finding(
         p_value=p_value,
         sentence=(
             f"{count} spike{'' if count == 1 else 's'} in {positions_text(positions, len(samples))}, the "
-            f"largest {number(size)} mg"
+            f"largest {format_number(size)} mg"
         ),
         places=tuple(places),
         advice=f"look for what makes the spikes (contacts, supply, a touch){repeat}",
@@ -196,7 +196,7 @@ def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None
             stays = float(special.erf(samples.quantum[axis] / (2 * np.sqrt(2) * scatter[k, axis])))
             slow = len(samples.values[k]) / reach * stays ** (longest / reach)
             p = corrected(max(p, slow), tests)
-            if p < LEVEL:
+            if p < FOUND_WITHIN:
                 least_p = min(least_p, p)
                 begin = int(own[: int(own.argmax())].sum())
                 places.append(

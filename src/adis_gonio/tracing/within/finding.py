@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Literal
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, Record
+from adis_gonio.base.numbers import name_positions
 from adis_gonio.base.values import Value
 
 Kind = Literal[
     "drift", "settling", "step", "disturbance", "tone", "spikes", "stuck", "noise_change", "limit", "coarse"
 ]
 
-LEVEL = 0.01
-"""Family-wise level: probability that a session without anything shows any finding."""
 SEARCHES = 6
-"""Searches that share `LEVEL`: spikes, stuck values, tones, variance, courses common to the dwells, events
-in single dwells."""
+"""Searches that share `FOUND_WITHIN`: spikes, stuck values, tones, variance, courses common to the dwells,
+events in single dwells."""
 
 
 @dataclass(frozen=True)
@@ -122,24 +120,8 @@ def corrected(p_value: float, tests: float) -> float:
     return min(1.0, float(p_value) * max(tests, 1.0) * SEARCHES)
 
 
-def number(value: float, digits: int = 3) -> str:
-    """Number for a sentence."""
-    return f"{value:.{digits}g}" if math.isfinite(value) else "–"
-
-
-def with_u(value: Value) -> str:
-    """`2.31 ± 0.04 mg` for a sentence: the uncertainty with two digits."""
-    unit = "" if value.unit == "1" else f" {value.unit}"
-    if value.u is None or not math.isfinite(value.u) or value.u <= 0:
-        return f"{number(value.value)}{unit}"
-    digits = max(0, 1 - math.floor(math.log10(value.u)))
-    return f"{value.value:.{digits}f} ± {value.u:.{digits}f}{unit}"
-
-
 def positions_text(positions: tuple[int, ...], dwells: int, most: int = 12) -> str:
     """`all 24 dwells`, `position 7` or `positions 3, 4, 9`."""
     if len(positions) == dwells and dwells > 1:
         return f"all {dwells} dwells"
-    named = ", ".join(str(position) for position in positions[:most])
-    more = f" and {len(positions) - most} more" if len(positions) > most else ""
-    return f"position{'' if len(positions) == 1 else 's'} {named}{more}"
+    return name_positions(positions, most)

@@ -26,12 +26,13 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
+from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.model.effects import catalogue
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.outcome.result import Finding, TraceResult
 from adis_gonio.tracing.thresholds import limits
-from adis_gonio.tracing.within import LEVEL, WithinFinding, correlation_reach, look_within, samples_of
+from adis_gonio.tracing.within import WithinFinding, correlation_reach, look_within, samples_of
 from adis_gonio.tracing.within.codes import quantization, saturation
 from adis_gonio.tracing.within.finding import positions_text
 
@@ -145,7 +146,7 @@ def _standing_out(data: Readings, result: TraceResult) -> tuple[list[str], list[
     squares = (residual**2).sum(axis=1)
     rows = residual.shape[1]
     usual = max(float(np.median(squares)) / float(stats.chi2.median(rows)), 1.0)
-    far = squares > usual * float(stats.chi2.isf(LEVEL / len(squares), rows))
+    far = squares > usual * float(stats.chi2.isf(FOUND_WITHIN / len(squares), rows))
     # Where many stand out it is the model that is not adequate, not the dwells.
     if not far.any() or far.mean() > _MOST_OUT:
         return [], []

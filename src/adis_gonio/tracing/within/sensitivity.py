@@ -12,10 +12,11 @@ import numpy as np
 from scipy import optimize, special, stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.values import Detectable
 from adis_gonio.tracing.within.courses import LEAST_DWELLS, LEAST_SAMPLES, grid, projections
 from adis_gonio.tracing.within.density import TAPER_LOSS, Density
-from adis_gonio.tracing.within.finding import LEVEL, SEARCHES
+from adis_gonio.tracing.within.finding import SEARCHES
 from adis_gonio.tracing.within.samples import Samples
 from adis_gonio.tracing.within.variances import LEAST_DWELLS as LEAST_LOUD
 from adis_gonio.tracing.within.variances import TESTS, levels_of, step_of
@@ -64,7 +65,7 @@ def _tone(samples: Samples, density: Density | None) -> Detectable:
     dwells, points, axes = density.relative.shape
     if points < 1:
         return Detectable(None, "mg", "tone", "the dwells are too short for a spectrum")
-    p = LEVEL / SEARCHES / (2.0 * points * axes)
+    p = FOUND_WITHIN / SEARCHES / (2.0 * points * axes)
     counts = float(np.median(samples.counts[density.dwells]))
     worst = 0.0
     for axis in range(axes):
@@ -87,7 +88,7 @@ def _noise_change(samples: Samples, density: Density | None) -> Detectable:
     if density is None or len(density.dwells) < LEAST_LOUD:
         return Detectable(None, "mg", "extra", f"needs {LEAST_LOUD} dwells long enough for a spectrum")
     dwells = len(density.dwells)
-    p = LEVEL / SEARCHES / (2 * TESTS * samples.axes * (dwells - 1))
+    p = FOUND_WITHIN / SEARCHES / (2 * TESTS * samples.axes * (dwells - 1))
     worst = 0.0
     for axis in range(samples.axes):
         own = levels_of(samples, density, axis)
@@ -131,7 +132,7 @@ def _settling(samples: Samples) -> Detectable:
     z, norm = projections(samples, usable, constants[len(constants) // 2])
     energy = float((norm**2).sum())
     tests = (len(constants) + 1) * 2 * samples.axes
-    size = _standing_out(LEVEL / SEARCHES / tests / 2, dwells - 1)
+    size = _standing_out(FOUND_WITHIN / SEARCHES / tests / 2, dwells - 1)
     slope = (norm[:, None] * z).sum(axis=0) / energy
     scatter = ((z - norm[:, None] * slope)[usable] ** 2).sum(axis=0) / (dwells - 1)
     return Detectable(float(np.sqrt(scatter.max() / energy)) * size, "mg", "settling")

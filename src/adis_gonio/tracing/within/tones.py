@@ -23,17 +23,16 @@ from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.levels import FOUND_WITHIN
+from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.model.effects import effect
 from adis_gonio.tracing.within.density import PADDING, TAPER_LOSS, Density, density_of, without_line
 from adis_gonio.tracing.within.finding import (
-    LEVEL,
     View,
     WithinFinding,
     corrected,
-    number,
     positions_text,
-    with_u,
 )
 from adis_gonio.tracing.within.samples import Samples
 
@@ -98,7 +97,7 @@ def _highest(density: Density) -> _Peak | None:
         p = corrected(float(stats.f.sf(height, 2, 2 * width[at] / TAPER_LOSS)) ** rough, tests * d)
         if p < best.p_value:
             best = _Peak(at + searched.start, p, dwell)
-    return best if best is not None and best.p_value < LEVEL else None
+    return best if best is not None and best.p_value < FOUND_WITHIN else None
 
 
 def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFinding, Samples] | None:
@@ -131,14 +130,14 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
     excess = squares * counts / (4 * noise)
     chosen = np.ones(len(dwells), dtype=bool)
     if peak.dwell is not None:
-        chosen = excess.max(axis=1) > -np.log(LEVEL / excess.size)
+        chosen = excess.max(axis=1) > -np.log(FOUND_WITHIN / excess.size)
         if not chosen.any():
             return None
     amplitude, u, stands = _sizes(squares[chosen], (4 * noise / counts)[chosen], excess[chosen])
     axes = [k for k in range(samples.axes) if stands[k]] or [int(np.argmax(excess.sum(axis=0)))]
     if not amplitude[axes].max() > 0:
         return None
-    clear = excess[:, axes].max(axis=1) > -np.log(LEVEL / (len(dwells) * len(axes)))
+    clear = excess[:, axes].max(axis=1) > -np.log(FOUND_WITHIN / (len(dwells) * len(axes)))
     if peak.dwell is None and (clear.mean() > 0.5 or not clear.any()):
         # A line that most dwells show stands in the others as well, below what one dwell can tell.
         expected = (amplitude[axes] ** 2 * counts / (4 * noise[:, axes])).sum(axis=1)
@@ -159,9 +158,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         **{f"tone_{samples.letters[k]}": Value(float(amplitude[k]), float(u[k]), "mg") for k in axes},
         "frequency": Value(frequency, float(u_frequency), "Hz"),
     }
-    sizes = ", ".join(
-        f"{samples.letters[k]} {with_u(parameters[f'tone_{samples.letters[k]}'])}" for k in axes
-    )
+    sizes = ", ".join(f"{samples.letters[k]} {parameters[f'tone_{samples.letters[k]}']}" for k in axes)
     folding = aliases_hz(frequency, 1 / period)
     finding = WithinFinding(
         kind="tone",
@@ -171,7 +168,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         parameters=parameters,
         p_value=peak.p_value,
         sentence=(
-            f"a spectral line at {with_u(parameters['frequency'])} (amplitude {sizes}) in "
+            f"a spectral line at {parameters['frequency']} (amplitude {sizes}) in "
             f"{positions_text(positions, len(samples))}{_or_alias(folding)}"
         ),
         advice=(
@@ -190,7 +187,7 @@ def _showing(density: Density, peak: _Peak) -> list[int]:
         return list(range(len(density.dwells)))
     near = slice(peak.at - PADDING, peak.at + PADDING + 1)
     height = density.power[:, near] / density.level[:, None, :] / density.bound[None, near]
-    shown = height.max(axis=(1, 2)) > -np.log(LEVEL / height.size)
+    shown = height.max(axis=(1, 2)) > -np.log(FOUND_WITHIN / height.size)
     shown[peak.dwell] = True
     return [int(k) for k in np.flatnonzero(shown)]
 
@@ -206,7 +203,7 @@ def _or_alias(folding: tuple[float, ...]) -> str:
     """What a sentence says of the frequencies that fold to a line."""
     if not folding:
         return ""
-    named = ", ".join(number(f, 4) for f in folding[:MOST_ALIASES])
+    named = ", ".join(format_number(f, 4) for f in folding[:MOST_ALIASES])
     more = ", …" if len(folding) > MOST_ALIASES else ""
     return f"; a vibration at {named}{more} Hz would be seen there as well"
 
@@ -266,7 +263,7 @@ def _view(density: Density, period: float, axis: int, letter: str, frequency: fl
         model,
         "frequency / Hz",
         f"density of {letter} / mg/√Hz",
-        f"Spectrum of {letter} inside the dwells, with a line at {number(frequency, 4)} Hz.",
+        f"Spectrum of {letter} inside the dwells, with a line at {format_number(frequency, 4)} Hz.",
         model_label="noise",
         y_log=True,
     )

@@ -23,24 +23,22 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.levels import FOUND_WITHIN, INADEQUATE
+from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.tracing.within.density import TAPER_LOSS, Density, without_line
 from adis_gonio.tracing.within.finding import (
-    LEVEL,
     Place,
     View,
     WithinFinding,
     corrected,
-    number,
     positions_text,
-    with_u,
 )
 from adis_gonio.tracing.within.samples import Samples
 
 LEAST_DWELLS = 3
 _LIVELY = 0.6
 """Noise in steps of the converter below which the variance says where the mean lies and no more."""
-_ADEQUATE = 0.01
 TESTS = 4
 """That share the level of an axis."""
 
@@ -113,7 +111,7 @@ def noise_change(samples: Samples, density: Density | None) -> WithinFinding | N
         if np.sqrt(np.median(own.variance)) >= _LIVELY * samples.quantum[axis]
     ]
     p = {axis: _p_value(levels[axis], samples.axes) for axis in usable}
-    shown = [axis for axis in usable if p[axis] < LEVEL]
+    shown = [axis for axis in usable if p[axis] < FOUND_WITHIN]
     if not shown:
         return None
     cut = _best_cut([levels[axis] for axis in shown])
@@ -191,7 +189,7 @@ def _explained(own: Levels, cut: int) -> bool:
     at = np.arange(len(own.variance))
     parts = [own.rows(at < cut - 1), own.rows(at > cut)]
     p = [part.alike() for part in parts if len(part.variance) > 1]
-    return all(value > _ADEQUATE / max(len(p), 1) for value in p)
+    return all(value > INADEQUATE / max(len(p), 1) for value in p)
 
 
 def _joining(
@@ -216,7 +214,7 @@ def _joining(
     parameters["start"] = Value(start, u_start, "s")
     positions = tuple(int(p) for p in samples.position[dwells[cut:]])
     sizes = ", ".join(
-        f"{samples.letters[axis]} {with_u(parameters[f'extra_{samples.letters[axis]}'])}" for axis in axes
+        f"{samples.letters[axis]} {parameters[f'extra_{samples.letters[axis]}']}" for axis in axes
     )
     return WithinFinding(
         kind="noise_change",
@@ -226,7 +224,7 @@ def _joining(
         parameters=parameters,
         p_value=p_value,
         sentence=(
-            f"from {with_u(parameters['start'])} on (position {positions[0]}) the samples scatter more: "
+            f"from {parameters['start']} on (position {positions[0]}) the samples scatter more: "
             f"noise of {sizes} has joined" + _rectification(levels)
         ),
         advice=(
@@ -278,7 +276,7 @@ def _varying(
         typical = float(np.median(own.variance))
         ratio = own.variance / typical
         spread = np.sqrt(2 / own.dof)
-        far = np.abs(np.log(ratio)) > stats.norm.isf(LEVEL / (2 * d)) * spread
+        far = np.abs(np.log(ratio)) > stats.norm.isf(FOUND_WITHIN / (2 * d)) * spread
         unusual |= far
         places += [
             Place(
@@ -304,8 +302,8 @@ def _varying(
             sd = float(np.sqrt(own.variance[k]))
             parameters[f"{word}_{letter}"] = Value(sd, float(sd / np.sqrt(2 * own.dof[k])), "mg")
     ranges = ", ".join(
-        f"{samples.letters[axis]} {number(float(np.sqrt(own.variance.min())))} to "
-        f"{number(float(np.sqrt(own.variance.max())))} mg"
+        f"{samples.letters[axis]} {format_number(float(np.sqrt(own.variance.min())))} to "
+        f"{format_number(float(np.sqrt(own.variance.max())))} mg"
         for axis, own in zip(axes, levels, strict=True)
     )
     return WithinFinding(
@@ -329,8 +327,8 @@ def _rectification(levels: list[Levels]) -> str:
     """What variances that differ are good for: the mean may follow them."""
     spread = max(float(np.ptp(own.variance)) for own in levels)
     return (
-        f"; variances differ by up to {number(spread)} mg², in which a vibration_rectification could show "
-        "between the dwells"
+        f"; variances differ by up to {format_number(spread)} mg², in which a vibration_rectification could"
+        " show between the dwells"
     )
 
 

@@ -1,14 +1,15 @@
-"""How results show themselves in Python: numbers with u, lines of text, tables, data frames."""
+"""Tables of results: lines of plain text, HTML for notebooks, data frames."""
 
 from __future__ import annotations
 
 import html
-import math
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from adis_gonio.base.errors import NotInstalledError
 from adis_gonio.base.jsonable import Record
+from adis_gonio.base.numbers import format_uncertain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -18,24 +19,28 @@ Entries = Iterable[tuple[str, Row]]
 """Names and their entries in a document; two effects may share a name."""
 
 
-def shown_unit(unit: str) -> str:
-    """A unit of names and documents as people read it: ° for deg, °/s/g for dps/g, nothing for 1."""
-    return {"deg": "°", "1": ""}.get(unit, unit.replace("dps", "°/s"))
+def align_columns(rows: Sequence[Sequence[str]], texts: int = 2, indent: int = 2) -> list[str]:
+    """Lines of plain text from rows and their head; the first `texts` columns to the left, others right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        " " * indent
+        + "  ".join(
+            cell.ljust(width) if k < texts else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
 
 
-def with_u(value: float, u: float | None, unit: str) -> str:
-    """A value to the second digit of its u, such as `1.08 mg (u 0.13 mg)`."""
-    sign = shown_unit(unit)
-    sign = f" {sign}" if sign not in ("", "°") else sign
-    if u is None or not math.isfinite(u):
-        return f"{value:.6g}{sign} (u unknown)"
-    digits = max(0, 1 - math.floor(math.log10(u))) if u > 0 else 9
-    return f"{value:.{digits}f}{sign} (u {u:.{digits}f}{sign})"
+def fold_text(text: str, width: int, indent: int = 0) -> list[str]:
+    """Lines of at most `width` columns."""
+    margin = " " * indent
+    return textwrap.wrap(text, width, initial_indent=margin, subsequent_indent=margin) or [""]
 
 
 def lines_of(entries: Entries) -> list[str]:
     """Indented lines, one a parameter of a document."""
-    return [f"  {name}: {with_u(one['value'], one['u'], one['unit'])}" for name, one in entries]
+    return [f"  {name}: {format_uncertain(one['value'], one['u'], one['unit'])}" for name, one in entries]
 
 
 def html_table(title: str, entries: Entries) -> str:
