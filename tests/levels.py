@@ -57,7 +57,7 @@ LEVELS = {
 }
 """Folders of tests and, where a file differs from its folder, files."""
 
-SLOW = frozenset(["test_every_module_imports.py", "writeback/test_power_cut.py"])
+SLOW = frozenset(["writeback/test_power_cut.py"])
 """Files of level `unit` that take more than some seconds of processor time: a quick run leaves them out."""
 
 _LEVEL_OF = {entry: level for level, entries in LEVELS.items() for entry in entries}
