@@ -22,7 +22,6 @@ LEVELS = {
         *("sensor", "session", "sim", "slips", "smoothing"),
         *("test_double", "tracing", "tui", "twin", "wire", "writeback"),
         "kernel/test_urb_packets.py",
-        *("test_every_module_imports.py", "test_output_files.py", "test_python_interface.py"),
     ),
     # Rates over many drawn sessions, operators or files.
     "statistics": (
@@ -128,14 +127,14 @@ _LEVEL_OF = {entry: level for level, entries in LEVELS.items() for entry in entr
 
 
 def level_of(file: PurePosixPath) -> str:
-    """Return the level of a test file; `file` is relative to this folder.
+    """Return the level of a test file; `file` is relative to this folder. Files directly in it are `unit`.
 
     Raises
     ------
     KeyError
         If neither the file nor its folder has an entry in `LEVELS`.
     """
-    level = _LEVEL_OF.get(str(file)) or _LEVEL_OF.get(file.parts[0])
+    level = "unit" if len(file.parts) == 1 else _LEVEL_OF.get(str(file)) or _LEVEL_OF.get(file.parts[0])
     if level is None:
         raise KeyError(f"tests/{file}: give its folder a level in tests/levels.py")
     return level
